@@ -124,24 +124,6 @@ def _named_meshes(sample: Path, out: Path) -> None:
         raise refused
 
 
-def _write_model(kind: str) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        from samples import mask_models
-
-        if kind == "sam":
-            mask_models.write_sam(folder, mask_models.make_sam())
-        else:
-            mask_models.write_segmenter(folder, mask_models.make_eomt())
-
-    return write
-
-
-def _open_model(sample: Path, out: Path) -> None:
-    from fipt_blender.core.photographs.masks_model import open_masks_model
-
-    open_masks_model(sample)
-
-
 def _metashape(folder: Path, shots: list[rig_writers.Shot]) -> None:
     rig_writers.write_photographs(folder, shots)
     metashape_writers.write_metashape(
@@ -238,9 +220,6 @@ PROGRAMS: dict[str, Callable[[Path, list[rig_writers.Shot]], None]] = {
 }
 
 
-_TRANSFORMERS = ("transformers", "fipt_blender.core.photographs.masks_model")
-
-
 TARGETS = (
     Target(
         "colmap-binary",
@@ -273,6 +252,4 @@ TARGETS = (
     Target(
         "named-meshes", fuzz_samples.write_named_meshes, _named_meshes, ("fipt_blender.jobs.fingerprints",)
     ),
-    Target("model-sam", _write_model("sam"), _open_model, _TRANSFORMERS),
-    Target("model-eomt", _write_model("eomt"), _open_model, _TRANSFORMERS),
 )

@@ -315,6 +315,24 @@ def test_a_damaged_preparation_is_refused(tmp_path: Path, damage: dict[str, obje
     assert caught.remedy
 
 
+@pytest.mark.parametrize("masks", ["", "/models/sam"])
+def test_a_preparation_with_a_setting_of_an_earlier_version_is_continued(tmp_path: Path, masks: str) -> None:
+    """The masks that the earlier version has found stay."""
+    source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
+    write_brackets(source, 1, (1 / 60,))
+    prepare(source, folder.root)
+    data = json.loads(folder.prepare_json.read_text())
+    settings = {**data["settings"], "masks": masks, "seed": 3}
+    folder.prepare_json.write_text(json.dumps({**data, "settings": settings}))
+    mask = folder.root / "parts" / "IMG_1.png"
+    mask.parent.mkdir()
+    mask.write_bytes(b"a mask")
+    prepare(source, folder.root)
+    assert read_preparation(folder).settings == make_prepare_settings({"seed": 3})
+    assert mask.read_bytes() == b"a mask"
+    assert error_of(prepare, source, folder.root, changes=(f"masks={masks}",)).code == "setting-unknown"
+
+
 def test_settings_from_texts() -> None:
     settings = make_prepare_settings({"working_width": "0", "align": "false", "grouping": "folders"})
     assert (settings.working_width, settings.align, settings.grouping) == (0, False, "folders")

@@ -60,7 +60,6 @@ def remember_run(scene: bpy.types.Scene, options: MainJobOptions, run: RunFolder
     state.capture.undo_applied_transform = options.undo_applied_transform
     fill_views(scene, run)
     state.parts.source = options.parts
-    state.parts.masks_model = "" if options.masks_model is None else str(options.masks_model.absolute())
     _remember_settings(state, options)
     note_results(scene, run)
 

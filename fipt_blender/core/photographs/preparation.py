@@ -24,6 +24,7 @@ RESPONSES = ("auto", "srgb", "linear")
 VIGNETTINGS = ("auto", "none")
 SCALES = ("none", "points", "marker", "mesh")
 WHITE_BALANCES = ("camera", "daylight")
+_REMOVED_SETTINGS = {"masks"}  # of earlier versions, which their prepare.json names
 _REMEDY = "Correct the file, or delete it and find the brackets again."
 
 
@@ -142,9 +143,6 @@ class PrepareSettings:
     )
     scale_matrix: str = _setting("", "4 x 4 matrix, row by row, from the solved cameras to the mesh")
     marker_dictionary: str = _setting("4X4_50", "dictionary of the printed ArUco marker")
-    masks: str = _setting(
-        "", "folder or checkpoint of a model that makes masks of parts or semantic classes; empty for none"
-    )
 
 
 @dataclass(frozen=True)
@@ -250,8 +248,9 @@ def read_preparation(folder: PreparationFolder) -> Preparation:
     fault = _fault(Path(data["source"]), photographs, groups)
     if fault:
         raise FiptError("file-damaged", f"{folder.prepare_json} can't be used: {fault}.", _REMEDY)
-    settings = make_prepare_settings(data["settings"])
-    for path in (data["source"], settings.cameras, settings.masks):
+    kept = {name: value for name, value in data["settings"].items() if name not in _REMOVED_SETTINGS}
+    settings = make_prepare_settings(kept)
+    for path in (data["source"], settings.cameras):
         if is_network(path):
             raise FiptError(
                 "path-network",

@@ -14,8 +14,6 @@ from .errors import FiptError
 EXTRAS = {
     "pillow_heif": ("heif", "pillow-heif==1.8.1"),
     "cv2": ("markers", "opencv-python-headless==4.11.0.86"),
-    "transformers": ("masks", "transformers==5.23.0"),
-    "safetensors": ("masks", "transformers==5.23.0"),  # which brings it
 }
 
 

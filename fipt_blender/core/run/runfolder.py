@@ -46,8 +46,6 @@ class RunFolder:
         self.ingest_json = self.root / "ingest.json"
         self.capture_json = made_from / "capture.json"
         self.images = self.root / "images"
-        self.masks = self.root / "masks"
-        self.masks_json = self.masks / "masks.json"
         self.fused_ply = self.root / "fused.ply"
         self.planes_obj = self.root / "planes.obj"
         self.simplified_ply = self.root / "simplified.ply"
@@ -114,7 +112,7 @@ class RunFolder:
             FiptError: ``run-linked``.
         """
         replaced = [self.images, self.results, self.textures]
-        own = [self.masks, self.linked, self.stage, self.renders, self.versions, *replaced]
+        own = [self.linked, self.stage, self.renders, self.versions, *replaced]
         own += [side for path in replaced for side in beside(path)]
         own += [self.light, self.report, self.survey, self.align, self.scene_cameras]
         own += [self.root / "messages", self.log]

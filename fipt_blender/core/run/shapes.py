@@ -52,7 +52,6 @@ ROOM = Fields(
     {"objects": Items(str), "materials": Items(str)},
     {"object_ids": Items(str), "parts": str, "completed": bool},
 )
-MASKS = Fields({"keys": Entries(str)})
 MATRICES = Entries(Numbers(4, 4))
 
 STEPS = Fields(
