@@ -37,7 +37,7 @@ ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 VENV_PYTHON = VENV / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
 PRODUCT = ROOT / "fipt_blender" / "__main__.py"
-DEVELOPMENT_GROUPS = ("engine", "blender", "dev", "cluster", "heif", "markers", "masks")
+DEVELOPMENT_GROUPS = ("engine", "blender", "dev", "cluster", "heif", "markers")
 DEMO = ("estimate", "examples/room", "--output", "out/demo", "--preset", "draft")
 
 
@@ -76,11 +76,9 @@ class Terminal:
 
 def setup_key(pins: dict[str, list[str]], folder: Path = VENV) -> str:
     """A key that changes when set-up must be repeated: other pins, another Python, a moved checkout."""
-    from fipt_blender.bridge.pins import MODEL_GROUP
     from fipt_blender.bridge.plan import plan_key
 
-    packages = {group: requirements for group, requirements in pins.items() if group != MODEL_GROUP}
-    return plan_key(packages, sys.version_info[:2], str(folder))
+    return plan_key(pins, sys.version_info[:2], str(folder))
 
 
 def child_environment() -> dict[str, str]:

@@ -244,3 +244,24 @@ def write_points(folder: Path) -> None:
     data = json.loads(path.read_text())
     data[0]["points"] = {str(i): {"coordinates": point} for i, point in enumerate((6 * points - 3).tolist())}
     path.write_text(json.dumps(data))
+
+
+def write_image_files(folder: Path) -> None:
+    """Images of all formats that are not EXR, with profiles, and an EXR of several parts."""
+    from PIL import Image
+
+    from samples.image_files import icc_profile, write_exr_layers, write_tiff
+    from samples.photographs import exif
+
+    pixels = np.random.default_rng(0).integers(0, 256, (8, 12, 3)).astype(np.uint8)
+    options = {"icc_profile": icc_profile("P3", "table"), "exif": exif(0.01, orientation=6)}
+    for suffix in ("jpg", "png", "tif", "webp"):
+        Image.fromarray(pixels).save(folder / f"a.{suffix}", **options)
+    Image.fromarray(pixels[..., 0]).save(folder / "grey.png", bits=4)
+    Image.fromarray(pixels).convert("P").save(folder / "palette.png")
+    write_tiff(folder / "planar.tif", pixels.astype(np.float32), planar=True)
+    header = b"#?RADIANCE\nEXPOSURE=2\nPRIMARIES=.68 .32 .265 .69 .15 .06 .3127 .3290\n"
+    header += b"FORMAT=32-bit_rle_rgbe\n\n-Y 8 +X 12\n"
+    (folder / "a.hdr").write_bytes(header + np.dstack([pixels, pixels[..., :1]]).tobytes())
+    layers = {name: dict.fromkeys("RGB", np.ones((8, 12), np.float32)) for name in ("N", "C")}
+    write_exr_layers(folder / "a.exr", layers, parts=True)

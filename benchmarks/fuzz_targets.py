@@ -124,24 +124,6 @@ def _named_meshes(sample: Path, out: Path) -> None:
         raise refused
 
 
-def _write_model(kind: str) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        from samples import mask_models
-
-        if kind == "sam":
-            mask_models.write_sam(folder, mask_models.make_sam())
-        else:
-            mask_models.write_segmenter(folder, mask_models.make_eomt())
-
-    return write
-
-
-def _open_model(sample: Path, out: Path) -> None:
-    from fipt_blender.core.photographs.masks_model import open_masks_model
-
-    open_masks_model(sample)
-
-
 def _metashape(folder: Path, shots: list[rig_writers.Shot]) -> None:
     rig_writers.write_photographs(folder, shots)
     metashape_writers.write_metashape(
@@ -185,6 +167,27 @@ def _points(sample: Path, out: Path) -> None:
     read_points(sample, "opensfm")
 
 
+def _image_files(sample: Path, out: Path) -> None:
+    """All that is read of images: values, codes, ids and headers."""
+    from fipt_blender.core.capture import images
+    from fipt_blender.core.photographs.exif import describe
+
+    refused = None
+    for path in sorted(sample.iterdir()):
+        for read in (
+            images.read_ids,
+            images.read_radiance,
+            images.is_plain,
+            lambda file: describe(file, "a"),
+        ):
+            try:
+                read(path)
+            except FiptError as error:
+                refused = error if read is not images.read_ids else refused  # which refuses most of them
+    if refused is not None:
+        raise refused
+
+
 PROGRAMS: dict[str, Callable[[Path, list[rig_writers.Shot]], None]] = {
     "metashape": _metashape,
     "realityscan-csv": metashape_writers.write_realityscan_csv,
@@ -206,9 +209,6 @@ PROGRAMS: dict[str, Callable[[Path, list[rig_writers.Shot]], None]] = {
 }
 
 
-_TRANSFORMERS = ("transformers", "fipt_blender.core.photographs.masks_model")
-
-
 TARGETS = (
     Target(
         "colmap-binary",
@@ -226,6 +226,7 @@ TARGETS = (
     Target("depth-points", _rgbd, _depth_points),
     Target("meshes", fuzz_samples.write_meshes, _simplify),
     Target("points", fuzz_samples.write_points, _points),
+    Target("images", fuzz_samples.write_image_files, _image_files),
     Target("capture", fuzz_samples.write_capture, _load_capture),
     Target("run-files", fuzz_samples.write_run_files, _read_run_files),
     Target("report", fuzz_samples.write_finished_run, _report, ("fipt_blender.core.report.page",)),
@@ -239,6 +240,4 @@ TARGETS = (
     Target(
         "named-meshes", fuzz_samples.write_named_meshes, _named_meshes, ("fipt_blender.jobs.fingerprints",)
     ),
-    Target("model-sam", _write_model("sam"), _open_model, _TRANSFORMERS),
-    Target("model-eomt", _write_model("eomt"), _open_model, _TRANSFORMERS),
 )

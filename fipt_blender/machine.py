@@ -52,7 +52,6 @@ class Preferences(Protocol):
 
     engine_python: str
     wheel_folder: str
-    with_mask_model: bool
     device: str
     gpu_uuid: str
     data_folder: str
@@ -67,7 +66,6 @@ class Defaults:
 
     engine_python: str = ""
     wheel_folder: str = ""
-    with_mask_model: bool = True
     device: str = "auto"
     gpu_uuid: str = ""
     data_folder: str = ""
@@ -89,12 +87,6 @@ def data_folder() -> Path:
     """The folder for runs and the engine's environments; it may not exist yet."""
     chosen = get_preferences().data_folder
     return Path(bpy.path.abspath(chosen)).absolute() if chosen else places.default_data_folder()
-
-
-def mask_model() -> Path | None:
-    """The mask model that set-up has fetched; None where it has not."""
-    path = places.mask_model(data_folder())
-    return path if path.is_file() else None
 
 
 def engine_python() -> Path:

@@ -12,9 +12,8 @@ import pytest
 
 from benchmarks import ldr
 from benchmarks.metrics import Maps
-from fipt_blender.core.capture.encoded import file_exposure, read_encoded
 from fipt_blender.core.capture.formats import read_rig
-from fipt_blender.core.capture.images import read_radiance
+from fipt_blender.core.capture.images import file_exposure, read_radiance
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.run.runfolder import RunFolder, write_json
@@ -83,7 +82,7 @@ def test_photographs_without_adjustment_are_decoded_codes(tmp_path, source, exif
     views = [read_rig(tmp_path / name, "auto", CaptureOptions()).views for name in ("jpg", "exr")]
     for encoded, plain in zip(*views, strict=True):
         exposure = truth[plain.name]["gains"][1] if exif == "exact" else 1.0
-        expected = read_encoded(encoded.image) / exposure
+        expected = read_radiance(encoded.image) / exposure
         assert read_radiance(plain.image) == pytest.approx(expected, rel=2e-3, abs=1e-4)
 
 
@@ -131,7 +130,7 @@ def test_renders_are_compared_in_the_cameras_values(tmp_path):
     run = RunFolder(tmp_path / "run")
     statistics(run, camera, 0.0)
     (image,) = ldr.as_photographed([radiance * [3.0, 2.0, 1.0]], run, [view])
-    assert np.abs(image - read_encoded(view.image)).max() < 0.02
+    assert np.abs(image - read_radiance(view.image)).max() < 0.02
     (same,) = ldr.as_photographed([radiance], run, [replace(view, encoded=False)])
     assert same is radiance
     assert ldr.as_photographed([radiance], RunFolder(tmp_path / "hdr"), [view])[0] is radiance

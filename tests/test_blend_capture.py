@@ -12,7 +12,7 @@ import pytest
 from mathutils import Euler, Matrix
 
 from fipt_blender.blend.capture import importing
-from fipt_blender.blend.capture.exporting import export_capture, find_mask
+from fipt_blender.blend.capture.exporting import export_capture
 from fipt_blender.blend.slices import run_through
 from fipt_blender.core import conventions
 from fipt_blender.core.run.documents import read_json
@@ -228,13 +228,16 @@ def test_masks_of_a_folder(run, scene, tmp_path):
         assert error.code == "parts-folder"
     (folder / "train").mkdir(parents=True)
     assert "plain.png" in error_of(export_capture, scene, run).remedy
-    (folder / "train" / "plain.png").touch()
-    (folder / "off-centre.exr").touch()
-    assert find_mask(folder, "train/portrait", "portrait") is None
+    (folder / "train" / "Plain.PNG").touch()
+    (folder / "off-centre.exr.png").touch()
     export_capture(scene, run)
     found = {name: entry["parts"] for name, entry in entries(run).items()}
-    assert found["train/plain"] == str(folder / "train" / "plain.png")
-    assert found["train/off-centre"] == str(folder / "off-centre.exr") and found["train/portrait"] is None
+    assert found["train/plain"] == str(folder / "train" / "Plain.PNG")
+    assert found["train/off-centre"] == str(folder / "off-centre.exr.png") and not found["train/portrait"]
+    (folder / "val").mkdir()
+    (folder / "val" / "portrait.png").touch()
+    export_capture(scene, run)
+    assert entries(run)["train/portrait"]["parts"] is None  # it is that of another view
     assert parts.engine_source == "masks"
     parts.source = "auto"
     export_capture(scene, run)

@@ -10,10 +10,11 @@ import math
 import numpy as np
 import pytest
 
+from fipt_blender.core.capture.files import Folders, view_name
 from fipt_blender.core.capture.formats import FORMATS, detect_format, read_rig
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
-from fipt_blender.core.capture.rig import Lens, find_image, view_name
+from fipt_blender.core.capture.rig import Lens
 from samples.capture_files import (
     level_pose,
     make_samples,
@@ -196,6 +197,7 @@ def test_transforms_splits_masks_and_up_axis(tmp_path):
         data["frames"][0]["mask_path"] = "masks/0.png"
 
     edit_json(tmp_path / "transforms.json", change)
+    write_exr(tmp_path / "masks" / "0.png", np.ones((32, 48)))
     rig = read(tmp_path)
     assert [view.split for view in rig.views] == [None, "held_back", None]
     assert not rig.notes and rig.up_axis == "y"
@@ -321,10 +323,12 @@ def test_images_are_found_by_stem_with_exr_first(tmp_path):
     for path in (tmp_path / "a.jpg", tmp_path / "frame.0001.jpg", hdr / "a.exr"):
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(b"")
-    assert find_image([tmp_path, hdr], "a.jpg") == hdr / "a.exr"
-    assert find_image([tmp_path], "a.jpg") == tmp_path / "a.jpg"
-    assert find_image([tmp_path], "frame.0001") == tmp_path / "frame.0001.jpg"
-    assert find_image([hdr, tmp_path], "b.jpg") == hdr / "b.jpg"
+    folders = Folders()
+    assert folders.find("a.jpg", [tmp_path, hdr]) == (hdr / "a.exr", ("a.jpg",))
+    assert folders.find("x/a.jpg", [tmp_path]) == (tmp_path / "a.jpg", ("a.jpg",))
+    assert folders.find("frame.0001", [tmp_path]) == (tmp_path / "frame.0001.jpg", ("frame.0001",))
+    assert folders.find("frame", [tmp_path], tmp_path) is None
+    assert folders.find("b.jpg", [hdr, tmp_path], tmp_path) is None
 
 
 @pytest.mark.parametrize(

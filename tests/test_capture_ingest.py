@@ -208,7 +208,7 @@ def test_names_and_splits(tmp_path, run):
     assert names == [
         ("images/000_0001", "train"),
         ("images/001_0001", "held_back"),
-        ("in/002_0001", "train"),  # a photograph has one camera
+        ("002_0001", "train"),  # a photograph has one camera
     ]
 
 
@@ -292,7 +292,7 @@ def test_large_photographs_are_decoded_once_and_get_a_small_copy(tmp_path, run, 
     write_transforms(tmp_path / "in", samples)
     decoded = []
     monkeypatch.setattr(ingest, "PREVIEW_SIDE", 40)
-    monkeypatch.setattr(ingest, "read_radiance", lambda path: decoded.append(path) or read_radiance(path))
+    monkeypatch.setattr(ingest, "read_radiance", lambda *of: decoded.append(of) or read_radiance(*of))
     run_ingest(tmp_path / "in", run)
     assert len(decoded) == 2
     for view, entry in zip(load_capture(run).views, read_capture(run.capture_json)["views"], strict=True):

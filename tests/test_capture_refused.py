@@ -15,6 +15,7 @@ from benchmarks import fuzz_samples
 from fipt_blender.core.capture.formats import read_rig
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
+from fipt_blender.core.capture.suffixes import IMAGE_SUFFIXES
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.photographs.preparation import PreparationFolder, read_preparation
 from fipt_blender.core.run.errors import FiptError
@@ -69,7 +70,7 @@ BAD = {
     "nan": ("image-not-finite", lambda p: set_pixels(p, lambda x: put(x, np.nan))),
     "inf": ("image-not-finite", lambda p: set_pixels(p, lambda x: put(x, np.inf))),
     "negative": ("image-negative", lambda p: set_pixels(p, lambda x: put(x, -0.1))),
-    "other format": ("image-format", lambda p: rename(p, ".hdr")),
+    "other format": ("image-format", lambda p: rename(p, ".bmp")),
     "damaged png": ("image-unreadable", lambda p: rename(p, ".png")),
     "black": ("image-black", black),
     "unreadable": ("image-unreadable", lambda p: (p / "in/images/001_0001.exr").write_text("x")),
@@ -233,6 +234,11 @@ def test_no_path_leads_to_another_computer_or_a_device(tmp_path: Path, path: str
     assert error_of(RunFolder(tmp_path).resolve, path).code == "path-outside"
 
 
+@pytest.mark.parametrize("suffix", IMAGE_SUFFIXES)
+def test_a_run_follows_paths_to_photographs_of_all_formats(tmp_path: Path, suffix: str) -> None:
+    assert not foreign_fault(str(tmp_path / f"a{suffix}"))
+
+
 def test_paths_of_the_synthetic_layout_stay_inside(tmp_path: Path) -> None:
     fuzz_samples.write_fipt_synthetic(tmp_path / "capture")
     (tmp_path / "secret.exr").write_bytes(b"x")
@@ -242,10 +248,10 @@ def test_paths_of_the_synthetic_layout_stay_inside(tmp_path: Path) -> None:
         data["frames"][0]["file_path"] = path
         file.write_text(json.dumps(data))
         assert error_of(read_rig, tmp_path / "capture", "auto", CaptureOptions()).code == "path-outside"
-    data["frames"][0]["file_path"] = "./Image/001_0001.exr"
+    data["frames"][0]["file_path"] = "./Image/000_0001.exr"
     file.write_text(json.dumps(data))
     rig = read_rig(tmp_path / "capture", "auto", CaptureOptions())
-    assert rig.views[0].image.resolve() == (file.parent / "Image" / "001_0001.exr").resolve()
+    assert rig.views[0].image.resolve() == (file.parent / "Image" / "000_0001.exr").resolve()
 
 
 @posix

@@ -17,11 +17,9 @@ from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
-from fipt_blender.cli.arguments import make_options, make_parser
 from fipt_blender.cli.output import format_seconds, format_size
 from fipt_blender.core.run.errors import FiptError
 from samples.child_processes import PATIENCE_SECONDS, is_alive, wait_for
-from samples.refusals import error_of
 
 PACKAGE = Path(cli.__file__).parent.parent
 GOOD = (
@@ -118,14 +116,14 @@ def test_options_reach_the_job(capture, monkeypatch, capsys):
     seen = fake_job(monkeypatch, GOOD)
     arguments = "estimate room --preset draft --seed 7 --device llvm --rounds 0 --set texel_density=64"
     arguments += " --no-renders --up-axis=-y --scale 0.01 --hold-back 5 --parts none --mesh m.obj"
-    arguments += " --masks-model sam --resume"
+    arguments += " --resume"
     assert cli.main(arguments.split()) == 0
     options = seen[0]
     settings = options.settings
     assert (settings.preset, settings.seed, settings.device, settings.rounds) == ("draft", 7, "llvm", 0)
     assert settings.texel_density == 64.0 and options.renders == () and options.resume
     assert (options.up_axis, options.scale, options.hold_back) == ("-y", 0.01, 5)
-    assert (options.parts, options.mesh, options.masks_model) == ("none", Path("m.obj"), Path("sam"))
+    assert (options.parts, options.mesh) == ("none", Path("m.obj"))
     assert options.output == capture.parent / "room-fipt"
 
 
@@ -241,14 +239,3 @@ def test_times_for_people(seconds, text):
 @pytest.mark.parametrize(("size", "text"), [(7, "7 B"), (1500, "1.5 kB"), (2_340_000, "2.3 MB")])
 def test_sizes_for_people(size, text):
     assert format_size(size) == text
-
-
-def test_the_mask_model_of_the_set_up_is_used_where_it_is_asked_for(tmp_path, monkeypatch):
-    monkeypatch.setenv("FIPT_DATA", str(tmp_path))
-    caught = error_of(make_options, make_parser().parse_args(["estimate", "c", "--find-masks"]))
-    assert caught.code == "model-unusable" and "--get-mask-model" in caught.remedy
-    path = tmp_path / "models" / "mobile_sam" / "mobile_sam.pt"
-    path.parent.mkdir(parents=True)
-    path.touch()
-    assert make_options(make_parser().parse_args(["estimate", "c", "--find-masks"])).masks_model == path
-    assert make_options(make_parser().parse_args(["estimate", "c"])).masks_model is None

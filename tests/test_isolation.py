@@ -24,6 +24,7 @@ HEAVY = (
     "drjit",
     "torch",
     "OpenEXR",
+    "OpenImageIO",
     "pycolmap",
     "pyoidn",
     "rawpy",
@@ -41,6 +42,7 @@ SHARED = (
     "alignment.sights",
     "alignment.turns",
     "capture.averaging",
+    "capture.files",
     "capture.options",
     "capture.suffixes",
     "conventions",
@@ -254,9 +256,7 @@ def test_the_checks_find_what_they_forbid(monkeypatch: pytest.MonkeyPatch, tmp_p
 def test_dev_py_needs_the_standard_library_only() -> None:
     assert imported_modules(ROOT / "dev.py") - set(sys.stdlib_module_names) == {"fipt_blender"}
     for file in (*sorted((PACKAGE / "bridge").glob("*.py")), CORE / "device" / "llvm.py"):
-        # pip of the engine's own environment, in which this module runs.
-        more = {"pip"} if file.name == "mask_model.py" else set()
-        assert imported_modules(file) <= set(sys.stdlib_module_names) | more, file
+        assert imported_modules(file) <= set(sys.stdlib_module_names), file
 
 
 def test_no_module_imports_itself_by_a_detour() -> None:

@@ -31,7 +31,7 @@ from samples.refusals import error_of
 
 ROOT = Path(main_job.__file__).resolve().parent.parent
 
-# Writes the outputs of `estimate`, `textures` and `masks` without computing anything.
+# Writes the outputs of `estimate` and `textures` without computing anything.
 STAND_IN = """
 import json, sys
 from pathlib import Path
@@ -46,13 +46,6 @@ if command == "estimate":
     fixture = {"name": "Fixture.001", "triangles": [0, 1], "radiance": [3.0, 3.0, 3.0]}
     fixture |= {"back_radiance": [0.0] * 3, "area": 20.0, "centroid": [0.0, 0.0, 2.5], "power": [9.0] * 3}
     write_json(run.emitters_json, {"fixtures": [fixture], "environment": None})
-elif command == "masks":
-    data = read_json(run.capture_json)
-    for view in data["views"]:
-        assert view["parts"] is None, "the capture must be as it was read"
-        view["parts"] = sys.argv[3].partition("=")[2] + "/mask.png"
-    write_json(run.capture_json, data)
-    write_json(run.masks_json, {"keys": {}})
 else:
     entries = []
     for image in read_json(run.atlas_json)["images"]:
@@ -102,7 +95,7 @@ def engine(monkeypatch) -> list[str]:
 
     def command(python, *arguments):
         ran.append(arguments[0])
-        if arguments[0] in ("estimate", "textures", "masks"):
+        if arguments[0] in ("estimate", "textures"):
             return [str(python), "-c", STAND_IN, str(ROOT), *arguments]
         return real(python, *arguments)
 
@@ -236,28 +229,6 @@ def test_files_beside_the_mesh_do_not_restart_a_resumed_job(options, engine, tmp
     assert engine == ["ingest", "estimate", "textures", "report"]
 
 
-def test_masks_are_found_once_for_a_model(options, engine, tmp_path):
-    model = tmp_path / "model"
-    model.mkdir()
-    (model / "config.json").touch()
-    options = dataclasses.replace(options, masks_model=model)
-
-    def run(**changes) -> set:
-        engine.clear()
-        last = run_main_job(dataclasses.replace(options, **changes))[-1]
-        assert last["type"] == "done", last
-        return {view["parts"] for view in read_json(RunFolder(options.output).capture_json)["views"]}
-
-    masks = {str(model / "mask.png")}
-    assert run() == masks and engine == ["ingest", "masks", "estimate", "textures", "report"]
-    assert run(resume=True) == masks and engine == []
-    (model / "config.json").write_text("{}")
-    assert run(resume=True) == masks
-    assert engine == ["ingest", "masks", "estimate", "textures", "report"]
-    assert run(resume=True, masks_model=None) == {None}
-    assert engine == ["ingest", "estimate", "textures", "report"]
-
-
 def test_a_new_start_discards_earlier_results(options, engine):
     run_main_job(options)
     stale = RunFolder(options.output).stage / "checkpoint"
@@ -283,7 +254,6 @@ def test_wrong_paths_are_found_before_anything_is_written(options, engine, tmp_p
     change = dataclasses.replace
     assert code_of(change(options, capture=tmp_path / "nowhere")) == "capture-missing"
     assert code_of(change(options, mesh=tmp_path / "nowhere.obj")) == "mesh-missing"
-    assert code_of(change(options, masks_model=tmp_path / "nowhere")) == "model-unusable"
     assert code_of(change(options, output=options.capture)) == "output-inside-capture"
     assert code_of(change(options, output=options.capture / "0.exr")) == "run-foreign"
     assert code_of(change(options, renders=("selfie",))) == "render-unknown"

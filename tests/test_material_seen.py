@@ -9,6 +9,7 @@ from benchmarks.tracer.surfaces import LatticeMaterials
 from fipt_blender.core.light.cache import pool, unseen_points
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.material.groups import Units
+from fipt_blender.core.material.reliability import PlaceColors, part_detail
 from fipt_blender.core.material.seen import (
     RESOLUTION,
     Box,
@@ -70,21 +71,24 @@ def test_seen_points_take_the_networks_values_and_unseen_ones_their_parts_median
     assert metallic[0] == pytest.approx(0.1 * middle, abs=0.01)
 
 
-def test_uncertain_values_are_shrunk_towards_their_part_if_it_is_one_material(fields):
+def test_detail_that_is_not_reliable_goes_if_the_part_is_one_material(fields):
     points = grid_points(0.05, 0.95, 0.0)
-    on = np.zeros(len(points), int)
+    on, ones, exact = np.zeros(len(points), int), np.ones((2, len(points))), Ramp().query(points)[:, :3]
     plain = fields.query(points, on)
-    for error, least, most in ((0.001, 0.8, 1.0), (0.28, 0.0, 0.3)):
-        errors = np.full_like(fields.errors, error)
-        shrunk = RoomFields(Ramp(), units([0, 1, 2, -1], True), fields.cells, errors).query(points, on)
+    median = np.array([np.median(exact, axis=0), [np.nan] * 3, [np.nan] * 3])
+    contrary = 2.0 * median[0] - exact
+    given = units([0, 1, 2, -1], True), fields.cells, fields.errors
+    for other, least, most in ((exact, 0.9, 1.0), (contrary, 0.0, 0.0)):
+        places = PlaceColors(points, on, exact, np.stack([exact, other]), ones, 0.0 * ones[0])
+        rooms = RoomFields(Ramp(), *given, detail=part_detail(places, median, 0.03, BOX_4))
+        shrunk = rooms.query(points, on)
         kept = np.ptp(shrunk[0], axis=0) / np.ptp(plain[0], axis=0)
         assert (kept >= least).all() and (kept <= most).all()
-        # One roughness and metallic, whatever the error of base colour.
+        # One roughness and metallic, whatever is kept of base colour.
         assert np.ptp(shrunk[1]) == np.ptp(shrunk[2]) == 0.0 < np.ptp(plain[1])
-        other = Units(fields.units.triangle, np.array([False, True, True]))
-        for several_materials in (fields.units, other):
-            values = RoomFields(Ramp(), several_materials, fields.cells, errors).query(points, on)
-            np.testing.assert_array_equal(values[0], plain[0])
+        # What no photograph shows of the part has the same median.
+        unseen = rooms.query(points + np.float32([2.0, 0.0, 0.0]), on)[0]
+        np.testing.assert_allclose(unseen, np.broadcast_to(median[0], unseen.shape), atol=1e-6)
 
 
 def test_a_doubtful_place_lowers_confidence_and_blurs_nothing(fields):

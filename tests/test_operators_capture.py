@@ -14,8 +14,7 @@ import pytest
 
 from fipt_blender import api, machine
 from fipt_blender.blend.capture import overlay
-from fipt_blender.blend.capture.exporting import export_capture
-from fipt_blender.core.capture.images import read_ids, write_exr
+from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
@@ -229,7 +228,6 @@ def test_undo_takes_an_import_back_and_redo_brings_it_again(scene, sample):
 def test_without_a_capture_the_buttons_say_what_is_needed(scene):
     for operator in (ops.look_through, ops.tick_views, ops.check_views):
         assert "Import a capture first" in refused(operator)
-    assert "Import a capture first" in refused(ops.find_masks)
     assert "Use Check Views first" in refused(ops.show_coverage)
     assert "Use Check Views first" in refused(ops.show_parts)
     assert "no cameras" in refused(ops.use_scene_cameras)
@@ -309,33 +307,6 @@ def test_masks_of_the_artist_are_counted(imported, sample, tmp_path):
     parts.source = "masks"  # the capture's own, which it does not have
     assert "masks" in refused(ops.show_parts)
     overlay.hide()
-
-
-@pytest.fixture(scope="module")
-def sam(tmp_path_factory) -> Path:
-    """The folder of a Segment Anything model."""
-    pytest.importorskip("transformers")
-    from samples import mask_models
-
-    return mask_models.write_sam(tmp_path_factory.mktemp("sam"), mask_models.make_sam())
-
-
-def test_masks_of_a_model_are_used_by_automatic(imported, sam):
-    settings, parts = imported.fipt.capture, imported.fipt.parts
-    assert "Use Set Up Mask Model first" in refused(ops.find_masks)
-    parts.masks_model = str(sam)
-    parts.auto_source, parts.counts = "materials", '{"materials": 6}'
-    for view in settings.views[3:]:
-        view.enabled = False
-    assert ops.find_masks() == {"FINISHED"}
-    assert (parts.auto_source, parts.counts) == ("", "")
-    run = RunFolder(imported.fipt.run_folder)
-    export_capture(imported, run)
-    masks = [run.resolve(view["parts"]) for view in read_json(run.capture_json)["views"]]
-    assert len(masks) == 3 and all(read_ids(mask).max() > 1 for mask in masks)
-    ops.tick_views(action="ALL")
-    export_capture(imported, run)
-    assert [bool(view["parts"]) for view in read_json(run.capture_json)["views"]] == [True] * 3 + [False] * 7
 
 
 def test_own_cameras_become_the_capture(scene, sample, tmp_path):

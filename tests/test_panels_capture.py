@@ -10,7 +10,7 @@ import pytest
 from fipt_blender.blend.marks import ADDED, DRAWN
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.jobs import running
-from fipt_blender.panels import capture, parts
+from fipt_blender.panels import capture
 from samples.layouts import drawn_by
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -55,13 +55,6 @@ def test_a_warning_goes_once_its_remedy_was_followed(tmp_path):
     bpy.ops.mesh.primitive_cube_add()
     assert bpy.ops.fipt.set_room() == {"FINISHED"}
     assert info.warnings == [{"code": "images-not-hdr"}]
-
-
-@pytest.mark.parametrize(("source", "has_model"), [("auto", True), ("masks", True), ("objects", False)])
-def test_a_masks_model_is_asked_for_where_masks_are_used(source, has_model):
-    bpy.context.scene.fipt.parts.source = source
-    operators, properties = drawn_by(parts.FIPT_PT_parts)
-    assert ("fipt.find_masks" in operators) is ("masks_model" in properties) is has_model
 
 
 def room_texts() -> str:

@@ -16,11 +16,12 @@ import pytest
 from PIL import Image
 
 from benchmarks.dng import Shot, mosaic_of, write_dng
+from fipt_blender.core.capture.encoded import srgb_encoded
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.photographs import command, frames, merge_step, merging
 from fipt_blender.core.photographs.calibration import Survey, correct_exposures
 from fipt_blender.core.photographs.exif import describe
-from fipt_blender.core.photographs.frames import load
+from fipt_blender.core.photographs.frames import load, upright
 from fipt_blender.core.photographs.merging import measure_noise, merge_exposures, sensor_noise
 from fipt_blender.core.photographs.motion import Motion
 from fipt_blender.core.photographs.preparation import (
@@ -32,6 +33,7 @@ from fipt_blender.core.photographs.preparation import (
 from fipt_blender.core.photographs.response import LEVELS, recover_response, srgb_curve
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
+from samples.image_files import icc_profile, in_primaries, write_exr_layers
 from samples.photographs import exif, smooth_radiance, write_jpeg
 
 BLACK, WHITE = 256, 16383
@@ -160,6 +162,35 @@ def test_linear_pictures_keep_their_values(tmp_path: Path) -> None:
     folder = PreparationFolder(tmp_path / "out")
     prepare(tmp_path / "in", folder.root, ("working_width=0",))
     np.testing.assert_allclose(read_radiance(folder.images / "a.exr"), truth, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("suffix", "orientation"), [(".jpg", 1), (".jpg", 6), (".tif", 6), (".png", 3)])
+def test_photographs_of_other_primaries_are_merged_upright(
+    tmp_path: Path, suffix: str, orientation: int
+) -> None:
+    truth = np.kron(0.1 + 0.5 * np.random.default_rng(1).random((3, 4, 3)), np.ones((16, 16, 1)))
+    codes = np.round(255.0 * srgb_encoded(in_primaries(truth, "P3"))).astype(np.uint8)
+    (tmp_path / "in").mkdir()
+    profile, tags = icc_profile("P3", "sRGB"), exif(1 / 60, orientation=orientation)
+    options = {"quality": 100, "subsampling": 0, "icc_profile": profile, "exif": tags}
+    Image.fromarray(codes).save(tmp_path / "in" / f"a{suffix}", **options)
+    folder = PreparationFolder(tmp_path / "out")
+    prepare(tmp_path / "in", folder.root, ("working_width=0", "response=srgb"))
+    found, wanted = read_radiance(folder.images / "a.exr"), upright(truth, orientation)
+    np.testing.assert_allclose(found[8::16, 8::16], wanted[8::16, 8::16], atol=0.01)
+
+
+def test_a_layer_is_chosen_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    layers = {name: dict.fromkeys("RGB", np.full((6, 8), value, np.float32))
+              for name, value in (("rgba", 0.2), ("beauty", 0.7))}  # fmt: skip
+    write_exr_layers(tmp_path / "in" / "a.exr", layers, parts=True)
+    folder = PreparationFolder(tmp_path / "out")
+    with pytest.raises(FiptError, match="--layer") as caught:
+        prepare(tmp_path / "in", folder.root)
+    assert caught.value.code == "image-layers"
+    prepare(tmp_path / "in", folder.root, ("layer=beauty",))
+    np.testing.assert_allclose(read_radiance(folder.images / "a.exr"), 0.7, rtol=1e-3)
 
 
 def test_what_is_clipped_in_all_exposures_is_told(tmp_path: Path) -> None:

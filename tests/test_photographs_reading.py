@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from PIL import Image
 
 from fipt_blender import cli
-from fipt_blender.core.photographs import command, radiance_hdr
+from fipt_blender.core.capture import encoded
+from fipt_blender.core.capture.images import read_radiance
+from fipt_blender.core.photographs import command
 from fipt_blender.core.photographs.brackets import find_groups, remarks
 from fipt_blender.core.photographs.exif import describe
-from fipt_blender.core.photographs.extras import EXTRAS, optional
 from fipt_blender.core.photographs.preparation import (
     Group,
     Photograph,
@@ -33,6 +33,7 @@ from fipt_blender.core.photographs.preparation import (
 )
 from fipt_blender.core.photographs.reading import list_photographs, without_doubles
 from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.extras import EXTRAS, optional
 from fipt_blender.core.run.messages import Reporter
 from samples.photographs import exif, write_brackets, write_jpeg
 from samples.refusals import error_of
@@ -93,10 +94,9 @@ def test_a_raw_photograph_that_is_none_is_refused_in_plain_words(tmp_path: Path)
 def test_a_photograph_of_too_many_pixels_is_refused_with_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Pillow has a limit of its own, which some phones' photographs exceed."""
     path = write_jpeg(tmp_path / "a.jpg", GREY, exif(0.01))
-    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 20)
-    with pytest.raises(FiptError, match=r"a\.jpg can't be read \(Image size"):
+    monkeypatch.setattr(encoded, "MOST_PIXELS", 20)
+    with pytest.raises(FiptError, match=r"a\.jpg has 8 x 6 pixels"):
         describe(path, "a.jpg")
 
 
@@ -130,14 +130,13 @@ def test_radiance_pictures_plain_and_run_length_encoded(tmp_path: Path, width: i
     header = b"#?RADIANCE\nEXPOSURE=2\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X %d\n" % width
     path = tmp_path / "a.hdr"
     path.write_bytes(header + body)
-    pixels = radiance_hdr.read(path)
+    pixels = read_radiance(path)
     assert describe(path, "a.hdr").width == width and pixels.shape == (2, width, 3)
     np.testing.assert_allclose(pixels[0], np.full((width, 3), [1.0, 0.5, 0.25]), rtol=0.02)
     assert pixels[1, 0].max() == 0.0
     for cut in (len(header) + 3, len(header + body) - 1):
         path.write_bytes((header + body)[:cut])
-        with pytest.raises(ValueError, match=r"cut off|damaged"):
-            radiance_hdr.read(path)
+        assert error_of(read_radiance, path).code == "image-unreadable"
 
 
 def test_brackets_by_time_and_exposure(tmp_path: Path) -> None:
@@ -314,6 +313,24 @@ def test_a_damaged_preparation_is_refused(tmp_path: Path, damage: dict[str, obje
     caught = error_of(read_preparation, folder)
     assert caught.code in ("file-damaged", "setting-unknown", "setting-invalid")
     assert caught.remedy
+
+
+@pytest.mark.parametrize("masks", ["", "/models/sam"])
+def test_a_preparation_with_a_setting_of_an_earlier_version_is_continued(tmp_path: Path, masks: str) -> None:
+    """The masks that the earlier version has found stay."""
+    source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
+    write_brackets(source, 1, (1 / 60,))
+    prepare(source, folder.root)
+    data = json.loads(folder.prepare_json.read_text())
+    settings = {**data["settings"], "masks": masks, "seed": 3}
+    folder.prepare_json.write_text(json.dumps({**data, "settings": settings}))
+    mask = folder.root / "parts" / "IMG_1.png"
+    mask.parent.mkdir()
+    mask.write_bytes(b"a mask")
+    prepare(source, folder.root)
+    assert read_preparation(folder).settings == make_prepare_settings({"seed": 3})
+    assert mask.read_bytes() == b"a mask"
+    assert error_of(prepare, source, folder.root, changes=(f"masks={masks}",)).code == "setting-unknown"
 
 
 def test_settings_from_texts() -> None:

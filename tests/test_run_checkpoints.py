@@ -16,6 +16,7 @@ from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.material.groups import Units
 from fipt_blender.core.material.inference import Fields
 from fipt_blender.core.material.networks import BrdfNetwork
+from fipt_blender.core.material.reliability import PlaceColors, part_detail
 from fipt_blender.core.material.seen import Box, seen_cells
 from fipt_blender.core.run import checkpoints, finished_views, method
 from fipt_blender.core.run.checkpoints import Checkpoints, stage_keys, stage_names
@@ -285,3 +286,25 @@ def test_mapped_arrays_reserve_their_blocks(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(FiptError) as caught, explained_write_errors(tmp_path):
         open_array(tmp_path / "b.npy", (10, 3), np.float32, create=True)
     assert caught.value.code == "disk-full"
+
+
+def test_the_detail_of_parts_is_kept_with_the_fields(tmp_path: Path) -> None:
+    run = RunFolder(tmp_path / "run")
+    run.create(SMALL)
+    network = BrdfNetwork(SMALL, 2, np.full((2, 5), 0.5), torch.Generator(), torch.device("cpu"))
+    box, part, rng = Box(np.zeros(3), 1.0), np.zeros(200, np.int32), np.random.default_rng(0)
+    points = rng.random((200, 3)).astype(np.float32)
+    color = rng.random((200, 3))
+    places = PlaceColors(points, part, color, np.stack([color] * 2), np.ones((2, 200)), np.zeros(200))
+    detail = part_detail(places, np.array([[0.1, 0.2, 0.3]]), 0.02, box)
+    units, cells = Units(np.zeros(1, np.int32), np.ones(1, bool)), seen_cells(box, [(points, part)])
+    errors = np.full((len(cells.keys), 3), 0.02, np.float32)
+    saved = RoomFields(Fields(network, box), units, cells, errors, 0.0, detail)
+    saved.save(run)
+    for one, other in zip(saved.query(points, part), RoomFields.load(run).query(points, part), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-5)
+    with np.load(run.fields_npz) as data:
+        arrays = dict(data)
+    for name, wrong in (("detail_median", np.zeros((2, 3))), ("detail_sums", arrays["detail_sums"][1:])):
+        np.savez(run.fields_npz, **arrays | {name: wrong})
+        assert error_of(RoomFields.load, run).code == "results-damaged"

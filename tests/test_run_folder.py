@@ -30,9 +30,7 @@ def outside(tmp_path: Path) -> Path:
     return folder
 
 
-FOLDERS = (
-    *("results", "report", "textures", "renders", "stage", "survey", "messages", "images", "masks", "align"),
-)
+FOLDERS = (*("results", "report", "textures", "renders", "stage", "survey", "messages", "images", "align"),)
 INNER = ("stage/pixels", "renders/rerender", "results/maps", "report/images")
 
 

@@ -136,9 +136,9 @@ def fixtures(scene: bpy.types.Scene | None = None) -> list[FIPT_Light]:
 def materials(scene: bpy.types.Scene | None = None) -> list[FIPT_Part]:
     """The parts of applied results, those that most pixels saw first: rows of *Materials of Parts*.
 
-    They have ``name``, the means ``base_color`` (linear), ``roughness`` and ``metallic``, the ``confidence``
-    of each (0 to 1), and adjustments to set: ``roughness_offset``, ``metallic_offset``, ``hue``,
-    ``saturation``, ``value``. They are valid until results are applied again.
+    They have ``name``, the means ``base_color`` (scene-linear), ``roughness`` and ``metallic``, the
+    ``confidence`` of each (0 to 1), and adjustments to set: ``roughness_offset``, ``metallic_offset``,
+    ``hue``, ``saturation``, ``value``. They are valid until results are applied again.
     """
     return list((scene or bpy.context.scene).fipt.materials.parts)
 
@@ -153,7 +153,9 @@ def blender_materials(part: FIPT_Part) -> list[bpy.types.Material]:
 def render(
     path: str | Path, view: str = "", scene: bpy.types.Scene | None = None, samples: int = 128
 ) -> Path:
-    """Render a view of the capture in Cycles, with scene-linear values and Blender's light paths unclamped.
+    """Render a view of the capture in Cycles, in linear Rec.709 and with Blender's light paths unclamped.
+
+    The scene's render settings have no influence, except for its device and what decides on its content.
 
     Args:
         path: of the file, which ends in .exr.

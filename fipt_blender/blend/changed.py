@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Any
+
+import bpy
 
 
 @contextmanager
@@ -16,6 +18,29 @@ def changed(target: object, values: Mapping[str, Any]) -> Iterator[None]:
     try:
         for name, value in values.items():
             setattr(target, name, value)
+        yield
+    finally:
+        for name, value in kept.items():
+            setattr(target, name, value)
+
+
+@contextmanager
+def unset(target: bpy.types.bpy_struct, keep: Collection[str] = ()) -> Iterator[None]:
+    """Give all properties that an add-on has defined their defaults for the length of the block.
+
+    Args:
+        target: a property group.
+        keep: names of properties that stay as they are.
+    """
+    names = [
+        each.identifier
+        for each in target.bl_rna.properties
+        if not each.is_readonly and target.is_property_set(each.identifier)
+    ]
+    kept = {name: getattr(target, name) for name in names if name not in keep}
+    try:
+        for name in kept:
+            target.property_unset(name)
         yield
     finally:
         for name, value in kept.items():

@@ -13,10 +13,10 @@ import bpy
 import numpy as np
 
 from ..core.run.errors import FiptError
+from .color_spaces import encoded_space, set_encoded, set_linear, to_scene_linear
 from .png16 import decode_srgb
 
 MOST_PATH_BYTES = 1023
-LINEAR, ENCODED = "Linear Rec.709", "sRGB"
 
 
 def check_length(path: Path) -> None:
@@ -37,13 +37,13 @@ def load_radiance(path: Path) -> bpy.types.Image | None:
     """A scene-linear image, or one of sRGB's codes, displayed as renders are; None where the file is missing.
 
     Raises:
-        FiptError: ``path-long``.
+        FiptError: ``path-long`` or ``color-space-missing``.
     """
     if not path.is_file():
         return None
     check_length(path)
     image = bpy.data.images.load(str(path), check_existing=True)
-    image.colorspace_settings.name = LINEAR if path.suffix.lower() == ".exr" else ENCODED
+    _set_color_space(image, path, False)
     image.use_view_as_render = True  # the scene's view transform and exposure
     return image
 
@@ -85,11 +85,11 @@ def load_tiles(paths: Mapping[int, Path], is_data: bool) -> bpy.types.Image:
 
 
 def _set_color_space(image: bpy.types.Image, path: Path, is_data: bool) -> None:
-    """Set the colour space after a reload, which resets it in some versions."""
+    """Set the colour space, also after a reload, which resets it in some versions."""
     if is_data:
         image.colorspace_settings.is_data = True
     else:
-        image.colorspace_settings.name = ENCODED if path.suffix == ".png" else LINEAR
+        (set_linear if path.suffix.lower() == ".exr" else set_encoded)(image)
 
 
 def tile_pattern(name: str, number: int) -> str:
@@ -139,8 +139,8 @@ def linear_values(image: bpy.types.Image) -> np.ndarray:
     Blender converts files of floats when it reads them, but leaves codes of 8 bits as they are.
     """
     values = image_values(image)
-    if not image.is_float and image.colorspace_settings.name == ENCODED:
-        values[..., :3] = decode_srgb(values[..., :3])
+    if not image.is_float and image.colorspace_settings.name == encoded_space():
+        values[..., :3] = to_scene_linear(decode_srgb(values[..., :3]))
     return values
 
 

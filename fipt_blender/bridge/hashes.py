@@ -3,7 +3,7 @@
 """Checking downloaded files against pinned hashes, before anything of them runs or is unpacked.
 
 pip checks the hashes of the locked packages, but can't vouch for itself: its own wheel, and files that are
-not installed (LLVM's wheel, the mask model), are checked here. Standard library only.
+not installed (LLVM's wheel), are checked here. Standard library only.
 """
 
 from __future__ import annotations
@@ -20,32 +20,27 @@ from .pip import Teller
 from .plan import Plan
 
 
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def pinned_digests(requirements: Sequence[str]) -> set[str]:
     """All SHA-256 that the options ``--hash`` of locked requirements name, in hexadecimal."""
     return {digest for each in requirements for digest in re.findall(r"--hash=sha256:([0-9a-f]{64})\b", each)}
 
 
-def check_file(path: Path, digests: Collection[str], name: str = "") -> None:
+def check_file(path: Path, digests: Collection[str]) -> None:
     """Refuse a file whose SHA-256 is not among the pinned ones.
 
     Args:
         path: of the file.
         digests: the SHA-256 that are allowed, in hexadecimal.
-        name: of the file in the error's text; its own by default.
 
     Raises:
         FiptError: ``package-hash``.
     """
-    if file_digest(path) not in digests:
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    if digest not in digests:
         raise FiptError(
             "package-hash",
-            f"{name or path.name} is not the file that this version was made with.",
+            f"{path.name} is not the file that this version was made with.",
             "Do not use the package index or the folder that it came from; if you trust them, ask their owner"
             " why the file was changed.",
         )

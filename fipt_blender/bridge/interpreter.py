@@ -18,7 +18,8 @@ PYTHON_VARIABLE = "FIPT_ENGINE_PYTHON"
 
 _HAS_PACKAGES = """
 import importlib.util, sys
-missing = [name for name in ("mitsuba", "torch", "OpenEXR") if importlib.util.find_spec(name) is None]
+wanted = ("mitsuba", "torch", "OpenEXR", "OpenImageIO")
+missing = [name for name in wanted if importlib.util.find_spec(name) is None]
 print(sys.version.split()[0], "lacks " + ", ".join(missing) if missing else "has all")
 sys.exit(1 if missing else 0)
 """
@@ -107,7 +108,6 @@ def setup_command(
     device: str,
     wheels: Path | None,
     allow_large: bool = False,
-    mask_model: bool = False,
 ) -> list[str]:
     """The command line of set-up.
 
@@ -117,24 +117,10 @@ def setup_command(
         device: the preference; it determines the build of PyTorch.
         wheels: folder from which packages are installed; None: from the network.
         allow_large: see `plan.Plan`.
-        mask_model: whether the mask model is fetched as well.
     """
     source = [] if wheels is None else [f"--wheels={wheels}"]
     source += ["--allow-large"] if allow_large else []
-    source += ["--mask-model"] if mask_model else []
     return package_command(python, "fipt_blender.bridge.setup", str(data), f"--device={device}", *source)
-
-
-def mask_model_command(python: Path, data: Path, wheels: Path | None) -> list[str]:
-    """The command line that fetches the mask model.
-
-    Args:
-        python: the engine's Python, whose pip is used.
-        data: the data folder.
-        wheels: folder with the archive; None: from the network.
-    """
-    source = [] if wheels is None else [f"--wheels={wheels}"]
-    return package_command(python, "fipt_blender.bridge.mask_model", str(data), *source)
 
 
 def engine_environment(python: Path | None = None) -> dict[str, str]:

@@ -22,8 +22,7 @@ from .places import PACKAGE_FOLDER, environment_python
 
 PINS_NAME = "engine_pins.json"
 LOCK_NAME = "engine.lock"
-MODEL_GROUP = "mask-model"
-ENGINE_GROUPS = ("engine", "llvm", "pip", "lock", MODEL_GROUP)  # the groups that the add-on needs
+ENGINE_GROUPS = ("engine", "llvm", "pip", "lock")  # the groups that the add-on needs
 TOOL_GROUPS = ("pip", "llvm")  # set-up itself checks their hashes (`bridge.hashes`)
 STAMP_NAME = "setup.json"
 ENGINE_PYTHONS = ((3, 11), (3, 12), (3, 13), (3, 14))  # for these all pinned packages have wheels
@@ -32,13 +31,12 @@ Version = tuple[int, int]
 
 
 def read_pins(package: Path = PACKAGE_FOLDER) -> dict[str, list[str]]:
-    """Requirements by group: ``engine``, ``llvm``, ``pip``, ``lock`` and ``mask-model``.
+    """Requirements by group: ``engine``, ``llvm``, ``pip`` and ``lock``.
 
     Those of ``llvm`` and ``pip`` have the hashes of their files, as far as the lock file knows them.
     ``lock`` has every package that the engine needs, with its version and the hashes of its files, but for
-    PyTorch and what only its CUDA builds need: which build is installed depends on the machine.
-    ``mask-model`` is a source archive that is only read (`bridge.mask_model`). A checkout also has
-    ``blender``, ``dev``, ``cluster``, ``heif``, ``markers`` and ``masks``.
+    PyTorch and what only its CUDA builds need: which build is installed depends on the machine. A checkout
+    also has ``blender``, ``dev``, ``cluster``, ``heif`` and ``markers``.
 
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
@@ -50,8 +48,7 @@ def read_pins(package: Path = PACKAGE_FOLDER) -> dict[str, list[str]]:
 
     file = package.parent / "pyproject.toml"
     try:
-        content = tomllib.loads(file.read_text(encoding="utf-8"))
-        project, archives = content["project"], content["tool"]["fipt_blender"]
+        project = tomllib.loads(file.read_text(encoding="utf-8"))["project"]
     except (OSError, ValueError, KeyError) as error:
         raise FiptError(
             "file-missing", f"The list of the engine's packages, {copied}, can't be read ({error}).",
@@ -59,7 +56,7 @@ def read_pins(package: Path = PACKAGE_FOLDER) -> dict[str, list[str]]:
         ) from None  # fmt: skip
     lock = package.parent / LOCK_NAME
     locked = parse_lock(lock.read_text(encoding="utf-8")) if lock.exists() else []
-    groups = {"engine": project["dependencies"], **project["optional-dependencies"], **archives}
+    groups = {"engine": project["dependencies"], **project["optional-dependencies"]}
     for group in TOOL_GROUPS:
         groups[group] = [_with_hashes(pin, locked) for pin in groups.get(group, [])]
     tools = {_release(pin)[0] for group in TOOL_GROUPS for pin in groups[group]}

@@ -38,11 +38,6 @@ def runs_folder(data: Path) -> Path:
     return data / "runs"
 
 
-def mask_model(data: Path) -> Path:
-    """The weights of the mask model, where set-up puts them."""
-    return data / "models" / "mobile_sam" / "mobile_sam.pt"
-
-
 def new_run_folder(data: Path, name: str) -> Path:
     """Make a new, empty folder for a run; its name contains `name` and the time.
 

@@ -15,7 +15,7 @@ from typing import Any
 from .places import environment_python
 
 # Packages with native code that the engine imports.
-ENGINE_MODULES = ("mitsuba", "torch", "OpenEXR", "pycolmap", "pyoidn")
+ENGINE_MODULES = ("mitsuba", "torch", "OpenEXR", "OpenImageIO", "pycolmap", "pyoidn")
 
 
 @dataclass(frozen=True)

@@ -11,19 +11,16 @@ from __future__ import annotations
 import argparse
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..core.device.cuda import cuda_devices, cuda_driver_version
 from ..core.run.errors import FiptError
 from ..core.run.lock import hold
-from ..core.run.messages import Reporter, claim_stdout, parse_message
+from ..core.run.messages import Reporter, claim_stdout
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from . import pins
-from .child import output_end, run_quietly
 from .environment import set_up
-from .interpreter import mask_model_command
-from .mask_model import MODEL_MB
 from .pip_bootstrap import other_pythons, python_version
 from .places import environment_python
 from .plan import Plan, plan_key
@@ -118,31 +115,15 @@ def run(arguments: argparse.Namespace, reporter: SetupReporter) -> None:
         arguments.data.mkdir(parents=True, exist_ok=True)
     with hold(RunFolder(arguments.data), ["set-up"]):
         plans = make_plans(arguments.data, arguments.device, arguments.wheels, arguments.allow_large)
-        make_first(plans, reporter, lambda plan: _fetch_mask_model(arguments, plan, reporter))
+        make_first(plans, reporter)
 
 
-def _fetch_mask_model(arguments: argparse.Namespace, plan: Plan, reporter: SetupReporter) -> None:
-    """Fetch the mask model if it is wanted; without it everything else works, so failing is a warning."""
-    if not arguments.mask_model:
-        return
-    reporter.detail(f"Fetching the mask model ({MODEL_MB} MB)")
-    result = run_quietly(mask_model_command(plan.python, arguments.data, arguments.wheels), plan.python)
-    if result.returncode:
-        messages = [message for line in result.stdout.splitlines() if (message := parse_message(line))]
-        error = next((message for message in messages if message["type"] == "error"), {})
-        text = error.get("text", f"The mask model could not be fetched: {output_end(result)}")
-        reporter.warning(error.get("code", "mask-model"), text, error.get("remedy", "Set it up again later."))
-
-
-def make_first(
-    plans: Sequence[Plan], reporter: SetupReporter, then: Callable[[Plan], None] | None = None
-) -> None:
+def make_first(plans: Sequence[Plan], reporter: SetupReporter) -> None:
     """Make the first of these environments whose Python is suitable.
 
     Args:
         plans: of the environments, best first.
         reporter: gets the messages.
-        then: what is done with the finished environment, before the message `done`.
 
     Raises:
         FiptError: what is wrong and what to do.
@@ -156,8 +137,6 @@ def make_first(
                 raise
             reporter.warning(error.code, error.text, "Another Python will be tried.")
             continue
-        if then is not None:
-            then(plan)
         data = {"folder": str(plan.folder), "python": str(plan.python), "torch": plan.torch}
         reporter.done([str(environment_python(plan.folder))], data)
         return
@@ -170,7 +149,6 @@ def main() -> int:
     parser.add_argument("--device", choices=("auto", "cuda", "llvm"), default="auto")
     parser.add_argument("--wheels", type=Path)
     parser.add_argument("--allow-large", action="store_true")
-    parser.add_argument("--mask-model", action="store_true", help="fetch the mask model as well")
     arguments = parser.parse_args()
     reporter = SetupReporter(claim_stdout())
     try:

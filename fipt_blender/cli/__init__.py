@@ -13,14 +13,12 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ..bridge.interpreter import engine_command, engine_environment, mask_model_command
-from ..bridge.places import mask_model
+from ..bridge.interpreter import engine_command
 from ..bridge.process import EngineProcess, Message
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import explained_write_errors
 from ..jobs.main_job import make_main_job
 from ..jobs.run_job import find_launch
-from ..machine import data_folder
 from .arguments import make_options, make_parser
 from .output import Display, interrupts, private_stdout
 from .versions import run_versions
@@ -122,22 +120,7 @@ def _check(arguments: argparse.Namespace) -> int:
                 print(f"{name.replace('_', ' ')}: {'none' if value is None else value}")
 
     status, done = _run_engine(arguments, ["check"], Path(os.devnull), show)
-    if not mask_model(data_folder()).is_file():
-        if arguments.get_mask_model:
-            return _get_mask_model(arguments, display) or status
-        if not arguments.json and not arguments.quiet:
-            print("mask model: none (fipt check --get-mask-model downloads it, 38 MB)")
     return status if status or (done and done["data"].get("ready", True)) else 1
-
-
-def _get_mask_model(arguments: argparse.Namespace, display: Display) -> int:
-    try:
-        python = find_launch(arguments.engine_python).python
-        command = mask_model_command(python, data_folder(), None)
-        process = EngineProcess(command, Path(os.devnull), engine_environment(python))
-    except FiptError as error:
-        return _report_error(arguments, error)
-    return 0 if process.run_blocking(display.show) else 1
 
 
 def _run_engine(

@@ -8,13 +8,11 @@ import argparse
 from pathlib import Path
 from typing import TypeAlias
 
-from ..bridge.places import mask_model
 from ..core.capture.options import CaptureOptions, add_options, options_of
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import PRODUCT_VERSION
 from ..core.run.settings import PRESETS, make_settings
 from ..jobs.options import PARTS, RENDER_KINDS, MainJobOptions
-from ..machine import data_folder
 
 _Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
@@ -30,9 +28,6 @@ def make_parser() -> argparse.ArgumentParser:
     estimate, prepare, export = _add_estimate(commands), _add_prepare(commands), _add_export(commands)
     versions = _add_versions(commands)
     check = commands.add_parser("check", help="check whether the engine works, and on which device")
-    check.add_argument(
-        "--get-mask-model", action="store_true", help="also download the mask model, if it is missing (38 MB)"
-    )
     for command in (estimate, prepare, check):
         add = command.add_argument
         add("--engine-python", metavar="PATH", help="Python interpreter with the engine's packages")
@@ -67,13 +62,6 @@ def _add_estimate(commands: _Commands) -> argparse.ArgumentParser:
         default="auto",
         help="how surfaces of the same material are recognized (default: auto)",
     )
-    add(
-        "--masks-model",
-        type=Path,
-        metavar="PATH",
-        help="find masks by this model (SAM: parts; Mask2Former, OneFormer, EoMT: semantic classes)",
-    )
-    add("--find-masks", action="store_true", help="the same by the mask model that set-up has downloaded")
     add("--hints", type=Path, metavar="FILE", help="what is known of surfaces (hints.json)")
     add(
         "--hints-again",
@@ -104,6 +92,8 @@ def _add_prepare(commands: _Commands) -> argparse.ArgumentParser:
     )
     add("--steps", default="", metavar="NAMES", help="only some steps, separated by commas (default: all)")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one setting of prepare.json")
+    text = "layer or part of EXR photographs that have several"
+    add("--layer", dest="set", action="append", type="layer={}".format, metavar="NAME", help=text)
     return prepare
 
 
@@ -156,13 +146,6 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
     if arguments.render_spp < 1:
         raise FiptError("option-invalid", f"--render-spp is {arguments.render_spp}.", "Give at least 1.")
     CaptureOptions(**options_of(arguments)).check()
-    masks_model = arguments.masks_model
-    if arguments.find_masks and masks_model is None:
-        masks_model = mask_model(data_folder())
-        if not masks_model.is_file():
-            raise FiptError(
-                "model-unusable", "The mask model is not set up.", "Run fipt check --get-mask-model first."
-            )
     capture = arguments.capture
     folder = capture.parent if capture.is_file() else capture
     same = (
@@ -181,6 +164,5 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
         capture=capture,
         output=arguments.output or Path.cwd() / f"{folder.absolute().name}-fipt",
         settings=make_settings(arguments.preset, changes),
-        masks_model=masks_model,
         renders=() if arguments.no_renders else RENDER_KINDS,
     )

@@ -27,7 +27,6 @@ COMMANDS = {
     "check": (".device.check", "print the device, LLVM and package versions of the engine"),
     "prepare": (".photographs.command", "make a capture from a folder of photographs"),
     "ingest": (".capture.ingest", "read a capture into a run folder"),
-    "masks": (".photographs.masks_command", "find masks of the views of a run by a model on this machine"),
     "survey": (".views.survey", "find out what each view sees of the room, and which parts there are"),
     "complete": (".estimate.complete", "add to a scan what photographs show that it lacks"),
     "align": (".scene.align", "move the cameras to the mesh by the solve's points or by edges"),

@@ -49,6 +49,7 @@ def remember_run(scene: bpy.types.Scene, options: MainJobOptions, run: RunFolder
     state.capture.scale = options.scale
     state.capture.mesh = "" if options.mesh is None else str(options.mesh.absolute())
     state.capture.images = "" if options.images is None else str(options.images.absolute())
+    state.capture.layer = options.layer
     if options.hold_back is not None:
         state.capture.hold_back = options.hold_back
     state.capture.clamp_negative = options.clamp_negative
@@ -57,7 +58,6 @@ def remember_run(scene: bpy.types.Scene, options: MainJobOptions, run: RunFolder
     state.capture.undo_applied_transform = options.undo_applied_transform
     fill_views(scene, run)
     state.parts.source = options.parts
-    state.parts.masks_model = "" if options.masks_model is None else str(options.masks_model.absolute())
     _remember_settings(state, options)
     note_results(scene, run)
 

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from .. import machine
-from ..bridge.interpreter import engine_command, engine_environment, mask_model_command, setup_command
+from ..bridge.interpreter import engine_command, engine_environment, setup_command
 from ..bridge.pins import other_versions, read_pins
 from ..bridge.process import EngineProcess
 from ..bridge.sequence import Job, own_job
@@ -36,23 +36,12 @@ def set_up_step(
     device: str,
     wheels: Path | None,
     allow_large: bool = False,
-    mask_model: bool = False,
 ) -> Step:
     """The step that creates the engine's environment; for the arguments see `setup_command`."""
-    command = setup_command(python, data, device, wheels, allow_large, mask_model)
+    command = setup_command(python, data, device, wheels, allow_large)
     return Step(
         "set-up", "Setting up the engine", 180.0, process=lambda: start_process(command, engine_environment())
     )
-
-
-def mask_model_step(data: Path, wheels: Path | None) -> Step:
-    """The step that fetches the mask model; for the arguments see `mask_model_command`."""
-
-    def start() -> EngineProcess:
-        python = machine.engine_python()
-        return start_process(mask_model_command(python, data, wheels), engine_environment(python))
-
-    return Step("mask-model", "Fetching the mask model", 30.0, process=start)
 
 
 class EngineStatus:

@@ -24,7 +24,7 @@ from ..core.run.runfolder import PRODUCT_VERSION, RunFolder
 from ..core.run.settings import TEXTURE_SETTINGS, Settings
 from .fingerprints import folder_fingerprint, mesh_fingerprint
 from .options import BLEND_NAME, MainJobOptions, check_options
-from .run_job import find_launch, ingest_step, masks_step, open_job, refuse_busy
+from .run_job import find_launch, ingest_step, open_job, refuse_busy
 
 if TYPE_CHECKING:
     from .room_steps import RoomSteps
@@ -43,7 +43,7 @@ def make_main_job(options: MainJobOptions) -> Job:
     """Check the options, create the run folder and return the job, ready to run.
 
     Raises:
-        FiptError: ``capture-missing``, ``mesh-missing``, ``model-unusable``, ``output-inside-capture``,
+        FiptError: ``capture-missing``, ``mesh-missing``, ``output-inside-capture``,
             ``engine-missing``, ``hints-missing``, ``hints-invalid``, ``run-busy`` or those of
             ``RunFolder.create``.
     """
@@ -140,7 +140,6 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
 
     return [
         _capture_step(options, run),
-        *([] if options.masks_model is None else [masks_step(run, options.masks_model)]),
         Step(
             "import",
             "Importing the room and its cameras",
@@ -173,7 +172,6 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
 def _capture_step(options: MainJobOptions, run: RunFolder) -> Step:
     capture, arguments = options.capture.absolute(), options.arguments()
     mesh, images = (None if path is None else path.absolute() for path in (options.mesh, options.images))
-    model = options.masks_model
     return replace(
         ingest_step(run, capture, arguments, "Reading the capture", 5.0),
         inputs={
@@ -182,8 +180,6 @@ def _capture_step(options: MainJobOptions, run: RunFolder) -> Step:
             "mesh": None if mesh is None else mesh_fingerprint(mesh, exclude=run.root),
             "images": None if images is None else folder_fingerprint(images, exclude=run.root),
             "arguments": arguments,
-            # Another model begins with the capture as it was read, without the masks of the one before.
-            "masks": model and (folder_fingerprint if model.is_dir() else mesh_fingerprint)(model),
         },
         outputs=[run.capture_json],
     )

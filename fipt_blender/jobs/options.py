@@ -25,7 +25,6 @@ class MainJobOptions(CaptureOptions):
         output: the run folder, created if it does not exist.
         settings: constants of the method.
         parts: source of the material parts; one of PARTS.
-        masks_model: folder or checkpoint of a model that finds masks of views that have none; None for none.
         renders: Cycles renders to make; of RENDER_KINDS.
         render_view: name of the view to render; "" chooses a held-back one.
         render_spp: Cycles samples per pixel.
@@ -42,7 +41,6 @@ class MainJobOptions(CaptureOptions):
     output: Path
     settings: Settings = field(default_factory=Settings)
     parts: str = "auto"
-    masks_model: Path | None = None
     renders: tuple[str, ...] = RENDER_KINDS
     render_view: str = ""
     render_spp: int = 64
@@ -75,12 +73,6 @@ def check_options(options: MainJobOptions) -> None:
             "mesh-missing",
             f"The mesh file {options.mesh} does not exist.",
             "Give the room's mesh file (--mesh).",
-        )
-    if options.masks_model is not None and not options.masks_model.exists():
-        raise FiptError(
-            "model-unusable",
-            f"The masks model {options.masks_model} does not exist.",
-            "Give a checkpoint of MobileSAM, or the folder of a model (--masks-model).",
         )
     if options.output.exists() and not options.output.is_dir():
         raise FiptError(

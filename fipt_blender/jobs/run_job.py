@@ -41,17 +41,6 @@ def ingest_step(run: RunFolder, capture: Path, arguments: Sequence[str], text: s
     return Step("ingest", text, seconds, command=command, outputs=[run.ingest_json])
 
 
-def masks_step(run: RunFolder, model: Path) -> Step:
-    """The engine finds masks of the views that have none.
-
-    Args:
-        run: the run folder, with a capture.
-        model: folder of the model.
-    """
-    command = ["masks", str(run.root), f"--model={model.absolute()}"]
-    return Step("masks", "Finding masks", 200.0, command=command, outputs=[run.masks_json])
-
-
 def open_job(
     run: RunFolder,
     steps: Sequence[Step],

@@ -24,7 +24,6 @@ _TITLES = {
     "textures": ("Bake Textures", "materials"),
     "report": ("Report", "check"),
     "ingest": ("Import", "capture"),
-    "masks": ("Find Masks", "masks"),
 }
 
 # Esc that stops playback is passed on to the other key maps, and arrives when nothing plays any more.

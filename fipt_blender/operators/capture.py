@@ -90,6 +90,7 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
             format="transforms",
             up_axis="z",
             hold_back=settings.hold_back,
+            layer=settings.layer,
             clamp_negative=settings.clamp_negative,
             own_paths=True,
         )

@@ -23,12 +23,6 @@ if TYPE_CHECKING:
     from ..bridge.sequence import Job
 
 
-_can_fetch = needs(
-    lambda _: machine.get_preferences().wheel_folder or bpy.app.online_access,
-    "Enable Allow Online Access in Preferences > System > Network, or select a Folder of Wheels",
-)
-
-
 class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
     bl_idname = "fipt.set_up_engine"
     bl_label = "Set Up Engine"
@@ -72,51 +66,26 @@ class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
             lambda _: not machine.get_preferences().engine_python,
             "Clear Own Interpreter first; set-up is not needed while that is used",
         ),
-        _can_fetch,
+        needs(
+            lambda _: machine.get_preferences().wheel_folder or bpy.app.online_access,
+            "Enable Allow Online Access in Preferences > System > Network, or select a Folder of Wheels",
+        ),
     )
 
     def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None]]:
         from ..jobs.data_job import EngineStatus, data_job, set_up_step
 
         values, data = machine.get_preferences(), machine.data_folder()
-        wheels = _wheels()
+        wheels = Path(bpy.path.abspath(values.wheel_folder)) if values.wheel_folder else None
+        if wheels is not None and not wheels.is_dir():
+            raise FiptError(
+                "wheels-missing",
+                f"The folder {wheels} does not exist.",
+                "Select another folder as Folder of Wheels.",
+            )
         status = EngineStatus(set_up=True)
-        step = set_up_step(
-            Path(sys.executable), data, values.device, wheels, self.allow_large, values.with_mask_model
-        )
+        step = set_up_step(Path(sys.executable), data, values.device, wheels, self.allow_large)
         return data_job([step, status.check_step()]), status.store
-
-
-def _wheels() -> Path | None:
-    """The folder of wheels that the preferences name.
-
-    Raises:
-        FiptError: ``wheels-missing``.
-    """
-    values = machine.get_preferences()
-    wheels = Path(bpy.path.abspath(values.wheel_folder)) if values.wheel_folder else None
-    if wheels is not None and not wheels.is_dir():
-        raise FiptError(
-            "wheels-missing",
-            f"The folder {wheels} does not exist.",
-            "Select another folder as Folder of Wheels.",
-        )
-    return wheels
-
-
-class FIPT_OT_set_up_mask_model(DataJobOperator, bpy.types.Operator):
-    """Download MobileSAM (38 MB), a network that finds the parts of the room in photographs"""
-
-    bl_idname = "fipt.set_up_mask_model"
-    bl_label = "Set Up Mask Model"
-    title = "Set Up Mask Model"
-
-    poll = all_of(no_job, _can_fetch)
-
-    def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None]]:
-        from ..jobs.data_job import data_job, mask_model_step
-
-        return data_job([mask_model_step(machine.data_folder(), _wheels())]), lambda info: None
 
 
 class FIPT_OT_check_engine(DataJobOperator, bpy.types.Operator):

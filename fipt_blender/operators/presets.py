@@ -22,6 +22,7 @@ class FIPT_OT_add_import_preset(AddPresetBase, bpy.types.Operator):
         "settings.up_axis",
         "settings.scale",
         "settings.hold_back",
+        "settings.layer",
         "settings.clamp_negative",
         "settings.align_mesh",
         "settings.triangles",

@@ -33,7 +33,7 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("select_added", ""),
         ("try_example", ""),
     ),
-    "Parts": (("find_masks", ""), ("show_parts", "")),
+    "Parts": (("show_parts", ""),),
     "Estimate": (
         ("estimate", ""),
         ("resume", "Resume Estimate"),

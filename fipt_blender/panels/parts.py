@@ -7,10 +7,8 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .. import machine
-from ..properties.parts import MODEL_SOURCES, SOURCES
+from ..properties.parts import SOURCES
 from .capture import shown_colors
-from .job import draw_job, draw_warnings, job_warnings
 from .sidebar import SubSection, draw_text
 
 _NAMES = {identifier: name for identifier, name, _, _ in SOURCES}
@@ -33,14 +31,6 @@ class FIPT_PT_parts(SubSection, bpy.types.Panel):
         if parts.source == "folder":
             layout.prop(parts, "folder")
         draw_text(layout, context, iface_(_TEXTS[parts.source]))
-        if parts.source in MODEL_SOURCES:
-            column = layout.column(align=True)
-            column.prop(parts, "masks_model")
-            if not parts.masks_model and machine.mask_model() is None:
-                column.operator("fipt.set_up_mask_model", text="Set Up Mask Model (38 MB)", icon="IMPORT")
-            column.operator("fipt.find_masks", icon="VIEWZOOM")
-            draw_job(layout, context, "masks")
-            draw_warnings(layout, context, "masks", job_warnings(context, "masks"))
         source = parts.engine_source
         if parts.source == "auto" and parts.auto_source:
             source = parts.auto_source

@@ -104,6 +104,7 @@ class FIPT_PT_photographs_settings(SubSection, bpy.types.Panel):
         column = layout.column(align=True)
         column.prop(settings, "working_width")
         column.prop(settings, "response")
+        column.prop(settings, "layer")
         column.prop(settings, "white_balance")
         column.prop(settings, "align")
         column.prop(settings, "vignetting")

@@ -82,13 +82,6 @@ class FIPT_Preferences(bpy.types.AddonPreferences):
         subtype="DIR_PATH",
         update=_changed,
     )
-    with_mask_model: bpy.props.BoolProperty(
-        name="Mask Model (38 MB)",
-        description="Set Up Engine also downloads MobileSAM, a network that finds the parts of the room in"
-        " photographs. Its license is beside it in the data folder",
-        default=True,
-        update=_changed,
-    )
     device: bpy.props.EnumProperty(
         name="Compute On",
         description="Device on which the engine computes",
@@ -186,7 +179,6 @@ def _draw_engine(
     row = column.row(align=True)
     row.prop(preferences, "wheel_folder")
     row.operator("fipt.copy_wheel_command", text="", icon="COPYDOWN")
-    column.prop(preferences, "with_mask_model")
     if not (bpy.app.online_access or preferences.wheel_folder or preferences.engine_python):
         draw_text(
             layout,

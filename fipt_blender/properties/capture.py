@@ -135,6 +135,11 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         description="Folder of the photographs, if they are not where the camera file says",
         subtype="DIR_PATH",
     )
+    layer: bpy.props.StringProperty(
+        name="Layer",
+        description="Layer or part of OpenEXR photographs that have several. If empty, the one without a"
+        " name or with one like Combined, beauty, rgba, C or image is used",
+    )
     scale: bpy.props.FloatProperty(
         name="Scale",
         description="Length of one unit of the capture in meters",

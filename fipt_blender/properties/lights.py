@@ -93,12 +93,18 @@ def _tinted(function: str, default: Any, key: str, tint: int) -> dict[str, Calla
     def get(self: FIPT_Light) -> object:
         if self.object is None:
             return default
+        from ..blend.color_spaces import to_scene_linear
         from ..blend.lights import tint as tints
 
-        return getattr(tints, function)(self.object)
+        found = getattr(tints, function)(self.object)
+        return to_scene_linear(found).tolist() if key == COLOR else found
 
     def set_value(self: FIPT_Light, value: Any) -> None:
-        _change(self, {key: tuple(value) if key == COLOR else value, TINT: tint})
+        if key == COLOR:
+            from ..blend.color_spaces import from_scene_linear
+
+            value = from_scene_linear(value).clip(0.0).tolist()
+        _change(self, {key: value, TINT: tint})
 
     return {"get": get, "set": set_value}
 

@@ -55,7 +55,6 @@ SOURCES = (
     ("none", "None", "Each point is estimated separately, for a single scan without masks", "X"),
 )
 ENGINE_SOURCES = {"folder": "masks"}
-MODEL_SOURCES = ("auto", "masks", "semantics")  # which use masks that a model has found
 
 
 class FIPT_PartsSettings(bpy.types.PropertyGroup):
@@ -71,13 +70,6 @@ class FIPT_PartsSettings(bpy.types.PropertyGroup):
         name="Masks",
         description="Folder with an ID image (PNG or EXR) for each photograph, with the same name and size",
         subtype="DIR_PATH",
-    )
-    masks_model: bpy.props.StringProperty(
-        name="Masks Model",
-        description="Checkpoint of MobileSAM, or folder of a model for transformers: SAM or SAM 2 (not their"
-        " checkpoints) for masks of parts; Mask2Former, OneFormer or EoMT for semantic masks. If empty, the"
-        " mask model of the set-up is used",
-        subtype="FILE_PATH",
     )
     surveyed_folder: bpy.props.StringProperty(description="The mask folder at the last check")
     auto_source: bpy.props.StringProperty(description="The source that Automatic uses; empty before a check")

@@ -32,10 +32,9 @@ SCALES = (
     ("marker", "Printed Marker", "A printed ArUco marker that is seen in photographs"),
 )
 ENGINE_SETTINGS = (
-    *("grouping", "working_width", "response", "white_balance", "align", "vignetting"),
-    *("cameras", "scale", "scale_length", "scale_picks", "masks"),
+    *("grouping", "working_width", "response", "layer", "white_balance", "align", "vignetting"),
+    *("cameras", "scale", "scale_length", "scale_picks"),
 )
-PATH_SETTINGS = ("cameras", "masks")
 STATES = (
     ("NONE", "", "", "NONE", 0),
     ("REGISTERED", "Registered", "Its camera has been found", "CHECKMARK", 1),
@@ -90,6 +89,11 @@ class FIPT_PhotographsSettings(bpy.types.PropertyGroup):
         description="Relation between light and the pixel values of JPEG, PNG and TIFF",
         items=RESPONSES,
     )
+    layer: bpy.props.StringProperty(
+        name="Layer",
+        description="Layer or part of OpenEXR photographs that have several. If empty, the one without a"
+        " name or with one like Combined, beauty, rgba, C or image is used",
+    )
     white_balance: bpy.props.EnumProperty(
         name="White Balance", description="White balance of RAW photographs", items=WHITE_BALANCES
     )
@@ -122,12 +126,6 @@ class FIPT_PhotographsSettings(bpy.types.PropertyGroup):
         description="Two points, each with a view and its pixel, or several with commas, e.g."
         " IMG_4209 812 440, IMG_4214 790 431; IMG_4209 102 455",
     )
-    masks: bpy.props.StringProperty(
-        name="Masks Model",
-        description="Folder of a model for transformers: SAM or SAM 2 for masks of parts; Mask2Former,"
-        " OneFormer or EoMT for semantic masks. If empty, no masks are made",
-        subtype="DIR_PATH",
-    )
     groups: bpy.props.CollectionProperty(type=FIPT_PhotographGroup)
     active_group: bpy.props.IntProperty(name="Group", options=set())
     active_photograph: bpy.props.IntProperty(name="Photograph", options=set())
@@ -148,9 +146,8 @@ class FIPT_PhotographsSettings(bpy.types.PropertyGroup):
     def engine_settings(self) -> dict[str, object]:
         """The settings of `prepare` by their names."""
         settings = {name: getattr(self, name) for name in ENGINE_SETTINGS}
-        for name in PATH_SETTINGS:
-            if settings[name]:
-                settings[name] = str(Path(bpy.path.abspath(settings[name])).absolute())
+        if self.cameras:
+            settings["cameras"] = str(Path(bpy.path.abspath(self.cameras)).absolute())
         return settings
 
     @property

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...core.capture.averaging import means
 from ...core.run.errors import FiptError
-from ..image_datablocks import LINEAR, linear_values, load_radiance
+from ..image_datablocks import linear_values, load_radiance
 from ..marks import KEPT_PHOTOGRAPH, PICTURE, VIEW, all_view_cameras
 from .backdrop import show_photograph, show_photographs, show_picture
 
@@ -45,7 +45,7 @@ def start(scene: bpy.types.Scene, mode: str) -> bpy.types.Image:
         mode: "RENDER" for the view's render in the section Render, "VIEWPORT" for the viewport itself.
 
     Raises:
-        FiptError: ``view-missing``, ``image-missing``, ``render-missing``.
+        FiptError: ``view-missing``, ``image-missing``, ``render-missing``, ``color-space-missing``.
     """
     end(scene)
     camera = scene.camera
@@ -88,7 +88,6 @@ def _show(scene: bpy.types.Scene, mode: str, left: np.ndarray, right: np.ndarray
     global _pair
     _pair = _Pair(scene.name, scene.camera.name, left, right)
     image = bpy.data.images.new(NAME, left.shape[1], left.shape[0], alpha=True, float_buffer=True)
-    image.colorspace_settings.name = LINEAR
     image.alpha_mode, image.use_view_as_render = "PREMUL", True
     image[PICTURE] = True
     show_picture(scene.camera, image)

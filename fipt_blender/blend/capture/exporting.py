@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 
 from ...core import conventions
+from ...core.capture.files import Folders, ambiguous
 from ...core.run.errors import FiptError
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder, write_json
@@ -18,7 +19,6 @@ from ..marks import view_cameras
 from .cameras import camera_geometry
 
 MIN_VIEWS = 2
-ID_SUFFIXES = (".exr", ".png")
 _UNEVEN = 1e-3  # tolerance for the axes of a camera: equal lengths and right angles
 _LENS = ("fx", "fy", "cx", "cy")
 # An unchanged camera keeps pose and lens as read, which are more precise than Blender's single floats.
@@ -83,11 +83,12 @@ def view_entries(
         ticked: leave out views that are not ticked; otherwise their split is "unused".
 
     Raises:
-        FiptError: ``alignment-uneven``, ``camera-kind`` or ``parts-folder``.
+        FiptError: ``alignment-uneven``, ``camera-kind``, ``parts-folder`` or ``file-ambiguous``.
     """
     known = {entry["name"]: entry for entry in source["views"]}
     masks, cameras = part_folder(scene), view_cameras(scene)
-    entries = []
+    entries, folders = [], Folders()
+    taken: dict[Path, str] = {}
     for view in scene.fipt.capture.views:
         camera = cameras.get(view.name)
         if camera is None or view.name not in known or (ticked and not view.enabled):
@@ -102,8 +103,11 @@ def view_entries(
             entry.update(zip(_LENS, lens, strict=True))
         entry["split"] = view.split if view.enabled else "unused"
         if masks is not None:
-            mask = find_mask(masks, view.name, Path(entry["image"]).stem)
+            # Named after the view ("train/000") or its photograph's file.
+            mask = folders.ids(masks, [view.name, Path(entry["image"]).name])
             entry["parts"] = None if mask is None else str(mask)
+            if mask is not None and (other := taken.setdefault(mask, view.name)) != view.name:
+                raise ambiguous(mask.name, [other, view.name])
         entries.append(entry)
     if masks is not None and entries and not any(entry["parts"] for entry in entries):
         stem = Path(entries[0]["image"]).stem
@@ -132,16 +136,6 @@ def part_folder(scene: bpy.types.Scene) -> Path | None:
             "Choose the folder in the section Parts, or another source of parts.",
         )
     return folder
-
-
-def find_mask(folder: Path, view: str, stem: str) -> Path | None:
-    """The mask with the name of a view ("train/000") or of its photograph's file, EXR or PNG."""
-    for name in dict.fromkeys((view, stem, view.rpartition("/")[2])):
-        for suffix in ID_SUFFIXES:
-            path = folder / (name + suffix)
-            if path.is_file():
-                return path
-    return None
 
 
 def camera_pose(camera: bpy.types.Object) -> np.ndarray:

@@ -168,14 +168,6 @@ def take_survey(scene: bpy.types.Scene, run: RunFolder) -> None:
     parts.counts = json.dumps(data["parts"]["counts"])
 
 
-def forget_parts(scene: bpy.types.Scene) -> None:
-    """Forget the parts of the last check, since the views have other masks now."""
-    parts = scene.fipt.parts
-    parts.auto_source = parts.counts = ""
-    if overlay.shown(scene) == "parts":
-        overlay.hide()
-
-
 def coverage_changed(scene: bpy.types.Scene) -> None:
     """Recompute what the ticked views see, and the overlay if it is shown."""
     survey = read_survey(RunFolder(bpy.path.abspath(scene.fipt.run_folder)))

@@ -7,33 +7,41 @@ The file is left as it was. What the formats can't hold is said in warnings.
 
 from __future__ import annotations
 
-import math
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import bpy
-from mathutils import Matrix
 
 from ...bridge.process import Message
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import explained_write_errors
-from ..lights.area_lights import area_light_watts
-from ..marks import FIXTURE_LIGHT, MATERIAL, is_our_light, result_world, room_with_results
-from ..marks import WORLD as OUR_WORLD
+from ..lights.convert import lights_as_converted
+from ..lights.fixture_nodes import is_emission_material
+from ..marks import (
+    FIXTURE_LIGHT,
+    MATERIAL,
+    VISIBILITY,
+    fixture_lights,
+    has_results,
+    is_our_light,
+    room_with_results,
+)
 from ..results.materials import is_uniform
 from ..room.originals import shows_original
 from ..room.tiles import split_tiles
 from ..room.uv_layer import UV_LAYER
+from .color import colors_in_rec709
+from .copies import Copies, rendered_objects
+from .environment import plain_world, read_environment
 from .lamps import GAP, add_backs, plain_lamp
-from .materials import Atlas, AtlasKey, glowing_material, has_maps, make_atlases, plain_material
+from .lights import Lost, area_surface, emits, is_plain_area, note_losses, plain_light, turned, warning
+from .materials import artists_name, glowing_material, has_maps, make_atlases, plain_material
 
 GLTF, USD = (".glb", ".gltf"), (".usdc", ".usda", ".usd", ".usdz")
 SUFFIXES = GLTF + USD
-_ASIDE = ".fipt_aside"  # behind the names of objects, while copies have them
-_SCENE = "FIPT Export"
 
 
 @dataclass
@@ -59,8 +67,8 @@ def export_room(scene: bpy.types.Scene, path: Path) -> Exported:
         path: the suffix chooses the format, one of SUFFIXES.
 
     Raises:
-        FiptError: ``export-format``, ``export-nothing``, ``export-attributes``, ``export-failed``,
-            ``disk-full`` or ``run-unwritable``.
+        FiptError: ``export-format``, ``export-nothing``, ``export-attributes``, ``export-uv``,
+            ``export-failed``, ``disk-full`` or ``run-unwritable``.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise FiptError(
@@ -81,143 +89,138 @@ def export_room(scene: bpy.types.Scene, path: Path) -> Exported:
     with explained_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     exported = Exported(path)
-    with tempfile.TemporaryDirectory(prefix="fipt_export_") as folder, _Copies(scene) as copies:
-        atlases = make_atlases(room, Path(folder), packed=path.suffix.lower() in GLTF)
-        copies.keep_images(atlases.values())
-        copies.add_room(room, atlases)
-        copies.add_lights(path.suffix.lower() in GLTF)
+    gltf, shown = path.suffix.lower() in GLTF, rendered_objects(scene)
+    if not set(room) & set(shown):
+        raise FiptError("export-nothing", "Renders show nothing of the room.", "Enable it in renders.")
+    with tempfile.TemporaryDirectory(prefix="fipt_export_") as folder, Copies() as copies:
+        _add_surfaces(copies, scene, shown, Path(folder), gltf, exported.warnings)
+        _add_lights(copies, scene, shown, gltf, exported.warnings)
+        _add_world(copies, scene, Path(folder), gltf, exported.warnings)
         exported.objects = len(copies.scene.objects)
-        with _shown_in_window(copies.scene):
+        with _shown_in_window(copies.scene), colors_in_rec709(copies.scene, path.suffix.lower() in USD):
             _write(path)
-    if path.suffix.lower() in GLTF:
-        world = result_world(scene)
-        if world is not None and world[OUR_WORLD]:
-            text = "glTF has no environment: the light from outside the room is not in the file."
-            exported.warnings.append(_warning("export-environment", text, "Export USD to keep it."))
     return exported
 
 
-def _warning(code: str, text: str, remedy: str) -> Message:
-    return {"type": "warning", "code": code, "text": text, "remedy": remedy}
-
-
-class _Copies:
-    """A scene of copies that have the originals' names, until the block ends."""
-
-    def __init__(self, source: bpy.types.Scene) -> None:
-        self._source = source
-        self._renamed: list[tuple[bpy.types.Object, str]] = []
-        self._materials: dict[tuple[bpy.types.Material, int], bpy.types.Material] = {}
-        self._images: list[bpy.types.Image] = []
-        self._meshes: list[bpy.types.Mesh] = []
-        self._lamps: list[bpy.types.Material] = []
-
-    def __enter__(self) -> _Copies:
-        self.scene = bpy.data.scenes.new(_SCENE)
-        self.scene.world = result_world(self._source)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for item in list(self.scene.objects):
-            bpy.data.objects.remove(item)
-        for item, name in self._renamed:
-            item.name = name
-        bpy.data.scenes.remove(self.scene)
-        bpy.data.batch_remove([*self._materials.values(), *self._lamps, *self._images, *self._meshes])
-
-    def keep_images(self, atlases: Iterable[Atlas]) -> None:
-        """Remove these images, too, at the end."""
-        self._images = [image for atlas in atlases for image in atlas.images]
-
-    def add_room(self, room: list[bpy.types.Object], atlases: dict[AtlasKey, Atlas]) -> None:
-        """Copies of the room's objects with plain materials; the artist's own materials stay."""
-        for item in room:
-            if not len(item.data.polygons):  # all of it is a lamp
+def _add_surfaces(
+    copies: Copies,
+    scene: bpy.types.Scene,
+    shown: list[bpy.types.Object],
+    folder: Path,
+    gltf: bool,
+    warnings: list[Message],
+) -> None:
+    """The room with plain materials, where the artist's own materials stay, and the lamps."""
+    room, lamps, others = [], [], []
+    for item in shown:
+        is_lamp = item.type == "MESH" and is_our_light(item)
+        if has_results(item) and len(item.data.polygons):  # without polygons all of it is a lamp
+            room.append((item, copies.mesh(item)))
+        elif is_lamp:
+            lamps.append((item, copies.mesh(item)))
+        elif not has_results(item) and item.type not in ("LIGHT", "CAMERA", "LIGHT_PROBE", "SPEAKER"):
+            if item.type != "EMPTY" or item.is_instancer:
+                others.append(item.name)
+    if others:
+        text = f"{', '.join(others)}: objects that are not of the room are not in the file."
+        warnings.append(warning("export-others", text, "Export them with Blender's own exporters."))
+    for material in {each for _, mesh in room + lamps for each in mesh.materials if each is not None}:
+        if not has_maps(material) and not is_emission_material(material):
+            copies.keep_name(material)
+    for item, mesh in room:
+        if UV_LAYER not in mesh.uv_layers:
+            raise FiptError(
+                "export-uv",
+                f"A modifier of '{item.name}' removes the UV map '{UV_LAYER}', and with it the textures.",
+                "Disable the modifier in renders.",
+            )
+    atlases = make_atlases([mesh for _, mesh in room], folder, packed=gltf)
+    for image in (image for atlas in atlases.values() for image in atlas.images):
+        copies.keep(image, Path(image.filepath_raw).stem)
+    made: dict[tuple[bpy.types.Material, int], bpy.types.Material] = {}
+    for item, mesh in room:
+        for name in [layer.name for layer in mesh.uv_layers if layer.name != UV_LAYER]:
+            mesh.uv_layers.remove(mesh.uv_layers[name])  # of several, USD's and other readers take the first
+        # Other programs have no tiles: a part is a material for each atlas image on which it lies.
+        for index, image in enumerate(split_tiles(mesh)):
+            material = mesh.materials[index] if index < len(mesh.materials) else None
+            if material is None or not has_maps(material):
                 continue
-            copy = self._copy(item)
-            layers = copy.data.uv_layers  # of several, USD's and other readers take the first
-            for name in [layer.name for layer in layers if layer.name != UV_LAYER]:
-                layers.remove(layers[name])
-            # Other programs have no tiles: a part is a material for each atlas image on which it lies.
-            for slot, image in zip(copy.material_slots, split_tiles(copy.data), strict=True):
-                material = slot.material
-                if not has_maps(material):
-                    continue
-                uniform = is_uniform(material)
-                key = (material, -1 if uniform else image)
-                if key not in self._materials:
-                    atlas = None if uniform else atlases[material[MATERIAL], image]
-                    self._materials[key] = plain_material(material, atlas)
-                slot.material = self._materials[key]
+            uniform = is_uniform(material)
+            key = (material, -1 if uniform else image)
+            if key not in made:
+                plain = plain_material(material, None if uniform else atlases[material[MATERIAL], image])
+                made[key] = copies.keep(plain, artists_name(material, copies.name(material)))
+            mesh.materials[index] = made[key]
+        copies.add(item, mesh, item.matrix_world)
+    dark = []
+    for item, mesh in lamps:
+        lit = item.visible_diffuse or _stands_for(scene, item, shown)
+        if not lit:
+            dark.append(copies.name(item))
+        copy = copies.add(item, mesh, item.matrix_world)
+        for material, source, suffix in plain_lamp(copy, lit):
+            copies.keep(material, copies.name(source) + suffix)
+    if dark:
+        text = f"{', '.join(dark)}: other lights light the room in place of these lamps, which are black."
+        warnings.append(warning("export-lamps-dark", text, "Use Convert Back to export their own light."))
 
-    def add_lights(self, areas_as_meshes: bool) -> None:
-        """Copies of visible lights and lamps; Blender lights that stand for fixtures are left out."""
-        for item in list(self._source.objects):
-            if FIXTURE_LIGHT in item or item.hide_render:
-                continue
-            if item.type == "LIGHT" and item.data.type == "AREA" and areas_as_meshes:
-                self._add_area(item)
-            elif item.type == "LIGHT":
-                self._copy(item)
-            elif is_our_light(item) and item.type == "MESH":
-                self._add_lamp(item)
 
-    def _copy(self, item: bpy.types.Object) -> bpy.types.Object:
-        """A copy of the name, with a mesh of its own, without parent and custom properties."""
-        name, matrix = item.name, item.matrix_world.copy()
-        copy = item.copy()
-        copy.parent = None
-        copy.matrix_world = matrix
-        copy.constraints.clear()
-        copy.animation_data_clear()
-        for key in list(copy.keys()):
-            del copy[key]
-        if item.type == "MESH":
-            copy.data = item.data.copy()
-            copy.data.name = name
-            self._meshes.append(copy.data)
-            for slot in copy.material_slots:
-                slot.link = "DATA"
-        item.name = name + _ASIDE
-        self._renamed.append((item, name))
-        copy.name = name
-        self.scene.collection.objects.link(copy)
-        return copy
+def _stands_for(scene: bpy.types.Scene, item: bpy.types.Object, shown: list[bpy.types.Object]) -> bool:
+    """Whether a converted fixture's surface can be exported in place of its Blender lights."""
+    return (
+        VISIBILITY in item
+        and item in shown
+        and lights_as_converted(scene, item)
+        and set(fixture_lights(item)) <= set(shown)
+    )
 
-    def _add_lamp(self, item: bpy.types.Object) -> None:
-        copy = self._copy(item)
-        copy.visible_camera = copy.visible_diffuse = copy.visible_glossy = True
-        self._lamps += plain_lamp(copy)
 
-    def _add_area(self, item: bpy.types.Object) -> None:
-        """An area light as a surface that emits the same radiance; glTF has none."""
-        light, name = item.data, item.name
-        x, y = (
-            0.5 * light.size,
-            0.5 * (light.size_y if light.shape in ("RECTANGLE", "ELLIPSE") else light.size),
-        )
-        if light.shape in ("DISK", "ELLIPSE"):
-            turns = [2.0 * math.pi * step / 32 for step in range(32)]
-            points = [(x * math.cos(turn), -y * math.sin(turn), 0.0) for turn in turns]
-            area = math.pi * x * y
+def _add_lights(
+    copies: Copies,
+    scene: bpy.types.Scene,
+    shown: list[bpy.types.Object],
+    gltf: bool,
+    warnings: list[Message],
+) -> None:
+    """The Blender lights; those for which a fixture's surface is exported are left out."""
+    lost = Lost()
+    for item in (each for each in shown if each.type == "LIGHT" and emits(each)):
+        if FIXTURE_LIGHT in item and item.parent is not None and _stands_for(scene, item.parent, shown):
+            continue
+        note_losses(copies.name(item), item, gltf, lost)
+        if item.data.type == "AREA" and (gltf or not is_plain_area(item)):
+            mesh, radiance = area_surface(item)
+            copies.keep(mesh, copies.name(item))
+            front = copies.name(item)
+            for name, emitted in ((front, radiance), (f"{front} Back", (0.0, 0.0, 0.0))):
+                mesh.materials.append(copies.keep(glowing_material(name, emitted, True), name))
+            add_backs(mesh, {0: 1}, GAP)
+            copies.add(item, mesh, turned(item.matrix_world))
         else:
-            points = [(-x, -y, 0.0), (-x, y, 0.0), (x, y, 0.0), (x, -y, 0.0)]
-            area = 4.0 * x * y
-        mesh = bpy.data.meshes.new(name)
-        mesh.from_pydata(points, [], [tuple(range(len(points)))])
-        self._meshes.append(mesh)
-        radiance = light.energy / max(area_light_watts(1.0, area), 1e-12)
-        color = tuple(radiance * value for value in light.color)
-        black = (0.0, 0.0, 0.0)
-        for each, emitted in ((name, color), (f"{name} Back", black)):
-            self._lamps.append(glowing_material(each, emitted, True))
-            mesh.materials.append(self._lamps[-1])
-        add_backs(mesh, {0: 1}, GAP / max(item.matrix_world.median_scale, 1e-6))
-        item.name = name + _ASIDE
-        self._renamed.append((item, name))
-        made = bpy.data.objects.new(name, mesh)
-        made.matrix_world = Matrix(item.matrix_world)
-        self.scene.collection.objects.link(made)
+            light = copies.keep(plain_light(item), copies.name(item))
+            copies.add(item, light, turned(item.matrix_world))
+    warnings += lost.warnings()
+
+
+def _add_world(
+    copies: Copies, scene: bpy.types.Scene, folder: Path, gltf: bool, warnings: list[Message]
+) -> None:
+    """The environment that lights renders."""
+    environment = read_environment(scene.world)
+    if environment is None:
+        return
+    if gltf:
+        text = "glTF has no environment: the light from outside the room is not in the file."
+        warnings.append(warning("export-environment", text, "Export USD to keep it."))
+    elif not environment.whole:
+        text = "The world's nodes do more than show and turn a picture: it is not in the file."
+        warnings.append(warning("export-world", text, "Use one environment picture and one Mapping node."))
+    else:
+        world, images = plain_world(environment, folder)
+        copies.scene.world = copies.keep(world, copies.name(scene.world))
+        for image in images:
+            copies.keep(image, Path(image.filepath_raw).stem)
 
 
 @contextmanager
@@ -264,9 +267,10 @@ _USD_OPTIONS = {
     "export_textures_mode": "NEW",
     "overwrite_textures": True,
     "relative_paths": True,
-    "export_custom_properties": False,
+    "export_custom_properties": True,  # the artist's names; copies have no others
     "convert_world_material": True,
     "export_hair": False,
+    "allow_unicode": True,
 }
 
 

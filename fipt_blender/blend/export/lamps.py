@@ -14,28 +14,32 @@ from .materials import glowing_material
 
 # Metres between the front and the back of a lamp whose sides emit differently.
 GAP = 5e-4
+_BLACK = (0.0, 0.0, 0.0)
 
 
-def plain_lamp(item: bpy.types.Object) -> list[bpy.types.Material]:
-    """Give a copy of a fixture materials that emit alike on both sides; returns them.
+def plain_lamp(item: bpy.types.Object, lit: bool) -> list[tuple[bpy.types.Material, bpy.types.Material, str]]:
+    """Give a copy of a fixture materials that emit alike on both sides.
 
     A lamp whose sides emit differently gets a second surface closely behind the first one. The inside of a
-    closed lamp emits nothing.
+    closed lamp emits nothing, and no side does where the lamp is not `lit`.
+
+    Returns:
+        The new materials, those that they stand for, and what is to follow the names of these.
     """
-    made: list[bpy.types.Material] = []
+    made: list[tuple[bpy.types.Material, bpy.types.Material, str]] = []
     behind: dict[int, int] = {}
     closed = is_closed(vector_areas(*world_triangles(item)))
     for index, slot in enumerate(list(item.material_slots)):
         material = slot.material
         if material is None or not is_emission_material(material):
             continue
-        front, back = side_radiance(material)
+        front, back = side_radiance(material) if lit else (_BLACK, _BLACK)
         alike = np.allclose(front, back, rtol=1e-3)
-        made.append(glowing_material(material.name, front, not alike))
-        slot.material = made[-1]
+        made.append((glowing_material(material.name, front, not alike), material, ""))
+        slot.material = made[-1][0]
         if not alike and not closed:
-            made.append(glowing_material(f"{material.name} Back", back, True))
-            item.data.materials.append(made[-1])
+            made.append((glowing_material(material.name, back, True), material, " Back"))
+            item.data.materials.append(made[-1][0])
             behind[index] = len(item.material_slots) - 1
     if behind:
         add_backs(item.data, behind, GAP / max(item.matrix_world.median_scale, 1e-6))

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,17 +46,16 @@ class Atlas:
 AtlasKey = tuple[str, int]
 
 
-def make_atlases(objects: list[bpy.types.Object], folder: Path, packed: bool) -> dict[AtlasKey, Atlas]:
+def make_atlases(meshes: list[bpy.types.Mesh], folder: Path, packed: bool) -> dict[AtlasKey, Atlas]:
     """Write the textures of all atlas images that objects with results use.
 
     Args:
-        objects: that show their result meshes.
+        meshes: of these objects, as renders show them.
         folder: for the files.
         packed: roughness and metallic in one image, as glTF has them; otherwise in two.
     """
     materials: dict[AtlasKey, dict[str, bpy.types.Material]] = {}
-    for item in objects:
-        mesh = item.data
+    for mesh in meshes:
         pairs = np.unique(np.stack([polygon_slots(mesh), polygon_images(mesh)], axis=1), axis=0)
         for slot, image in pairs.tolist():
             material = mesh.materials[min(slot, len(mesh.materials) - 1)] if mesh.materials else None
@@ -74,7 +74,7 @@ def make_atlases(objects: list[bpy.types.Object], folder: Path, packed: bool) ->
             if adjust.read(by_part[key]) != adjust.NO_ADJUSTMENT
         }
         if changed:
-            corner_uv, part = _triangles(objects, key, keys)
+            corner_uv, part = _triangles(meshes, key, keys)
             size = (maps.shape[1], maps.shape[0])
             maps = adjusted_maps(maps, texel_parts(corner_uv, part, size), changed)
         atlases[key] = _write(maps, name, folder, packed)
@@ -95,13 +95,12 @@ def _write(maps: np.ndarray, name: str, folder: Path, packed: bool) -> Atlas:
 
 
 def _triangles(
-    objects: list[bpy.types.Object], image: AtlasKey, keys: list[str]
+    meshes: list[bpy.types.Mesh], image: AtlasKey, keys: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
     """(T, 3, 2) UVs and (T,) indices into `keys` of all triangles on an atlas image."""
     atlas, number = image
     uvs, parts = [np.zeros((0, 3, 2))], [np.zeros(0, np.int64)]
-    for item in objects:
-        mesh = item.data
+    for mesh in meshes:
         of_slot = np.array(
             [
                 keys.index(material[PART])
@@ -121,7 +120,7 @@ def _triangles(
 
 def plain_material(material: bpy.types.Material, atlas: Atlas | None) -> bpy.types.Material:
     """A new Principled material of a part with the exported textures; of one value without (None)."""
-    made = bpy.data.materials.new(material.get(PART_NAME, "") or material.name)
+    made = bpy.data.materials.new(material.name)
     principled = _principled(made)
     if atlas is None:
         values = adjust.adjusted(adjust.read(material), uniform_values(material)[None])[0].tolist()
@@ -151,8 +150,15 @@ def plain_material(material: bpy.types.Material, atlas: Atlas | None) -> bpy.typ
     return made
 
 
+def artists_name(material: bpy.types.Material, name: str) -> str:
+    """The name of a part, or the `name` of its estimated material where the artist has given it one."""
+    part = str(material.get(PART_NAME, ""))
+    ours = re.fullmatch(rf"{re.escape(part)} FIPT(\.\d+)?", name)
+    return part if part and ours else name
+
+
 def glowing_material(name: str, radiance: tuple[float, ...], one_sided: bool) -> bpy.types.Material:
-    """A new Principled material that emits a radiance (rgb, W/(m² sr)).
+    """A new Principled material that emits a radiance (rgb, scene-linear, W/(m² sr)).
 
     Args:
         name: of the material.

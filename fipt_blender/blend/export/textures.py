@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 
 from ...core.textures.raster import covered_texels
+from ..color_spaces import from_scene_linear
 from ..image_datablocks import tile_values
 from ..marks import MAP
 from ..node_trees import node_tree
@@ -27,7 +28,8 @@ _LABELS = ("Base Color", "Roughness", "Metallic")
 
 
 def read_maps(material: bpy.types.Material, atlas_image: int) -> np.ndarray:
-    """(H, W, 5) base colour (linear), roughness, metallic of a material's atlas image, bottom row first.
+    """(H, W, 5) base colour (scene-linear), roughness, metallic of a material's atlas image, bottom row
+    first.
 
     Raises:
         FiptError: ``file-missing``.
@@ -75,7 +77,7 @@ def adjusted_maps(
 
 
 def write_png(values: np.ndarray, path: Path, is_data: bool) -> bpy.types.Image:
-    """A new image of linear values (H, W, 3), bottom row first, saved as an 8-bit PNG.
+    """A new image of scene-linear values (H, W, 3), bottom row first, saved as an 8-bit PNG.
 
     Args:
         values: 0 to 1.
@@ -86,7 +88,7 @@ def write_png(values: np.ndarray, path: Path, is_data: bool) -> bpy.types.Image:
     image = bpy.data.images.new(path.stem, width, height, alpha=False, is_data=is_data)
     pixels = np.ones((height, width, 4), np.float32)
     # Blender's byte images hold what is stored in the file.
-    pixels[..., :3] = values if is_data else encode_srgb(values)
+    pixels[..., :3] = values if is_data else encode_srgb(from_scene_linear(values))
     image.pixels.foreach_set(pixels.ravel())
     image.filepath_raw, image.file_format = str(path), "PNG"
     image.save()

@@ -12,12 +12,13 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ...core.run.errors import FiptError
+from ..color_spaces import to_scene_linear
 from ..node_trees import node_tree
 from ..outliner import INSERTED, collection
 from ..room.mesh_arrays import world_bounds
 from .placing import Placement, begin_placing_made
 
-# kind -> base colour, roughness, metallic
+# kind -> base colour (linear Rec.709), roughness, metallic
 MATERIALS = {
     "gray_ball": ((0.18, 0.18, 0.18), 1.0, 0.0),
     "mirror_ball": ((0.95, 0.95, 0.95), 0.02, 1.0),
@@ -124,7 +125,7 @@ def _material(kind: str) -> bpy.types.Material:
     nodes = node_tree(material).nodes
     principled = next(node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
     color, roughness, metallic = MATERIALS[kind]
-    principled.inputs["Base Color"].default_value = (*color, 1.0)
+    principled.inputs["Base Color"].default_value = (*to_scene_linear(color), 1.0)
     principled.inputs["Roughness"].default_value = roughness
     principled.inputs["Metallic"].default_value = metallic
     return material

@@ -12,7 +12,7 @@ import bpy
 from ..marks import BACK, BACKSIDE, BASE, FRONT, OUTPUT
 from ..node_trees import node_tree
 from ..shown import UNCHANGED, write_surface
-from .tint import split
+from .tint import blender_color
 
 _MIX = "FIPT Sides"
 _SIDES = ((FRONT, "Front: strength is radiance"), (BACKSIDE, "Back: strength is radiance"))
@@ -95,7 +95,7 @@ def write_radiance(
     for (name, _), rgb in zip(_SIDES, (front, back), strict=True):
         node = material.node_tree.nodes.get(name)
         if node is not None:
-            color, strength = split(rgb)
+            color, strength = blender_color(rgb)
             node.inputs["Color"].default_value = (*color, 1.0)
             node.inputs["Strength"].default_value = strength
     if hasattr(material, "cycles"):  # not where the Cycles add-on is disabled
@@ -137,7 +137,7 @@ def is_emission_material(material: bpy.types.Material) -> bool:
 
 
 def side_radiance(material: bpy.types.Material) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Radiance of the front and the back, rgb each, of an emission material as it is."""
+    """Radiance of the front and the back, scene-linear each, of an emission material as it is."""
     nodes = material.node_tree.nodes
     sides = []
     for name, _ in _SIDES:

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 
 import bpy
 
+from ..color_spaces import scene_matrix
 from ..marks import (
     ANIMATED,
     BACKSIDE,
@@ -123,26 +124,32 @@ def drive(item: bpy.types.Object) -> None:
 
 def _driven(item: bpy.types.Object) -> Iterator[_Driven]:
     """Everything of a light that its custom properties drive."""
+    channels = [_weighted(row) for row in scene_matrix().tolist()]
     for surface in surfaces(item):
         for name, base in ((FRONT, surface.front), (BACKSIDE, surface.back)):
             node = surface.material.node_tree.nodes.get(name)
             if node is None:
                 continue
             yield node.inputs["Strength"], "default_value", -1, _strength_expression(base)
-            for channel, letter in enumerate("rgb"):
-                yield node.inputs["Color"], "default_value", channel, letter
+            for channel, mixed in enumerate(channels):
+                yield node.inputs["Color"], "default_value", channel, mixed
     lights = fixture_lights(item) if item.type == "MESH" else [item]
     for light in lights:
         yield light.data, "energy", -1, _strength_expression(light.get(BASE, _OFF))
-        for channel, letter in enumerate("rgb"):
-            yield light.data, "color", channel, letter
+        for channel, mixed in enumerate(channels):
+            yield light.data, "color", channel, mixed
 
 
 def _strength_expression(base: Sequence[float]) -> str:
     """The strength of the color whose luminance times it is that of `base` at the light's power, or 0."""
-    weighted = " + ".join(f"{weight} * {letter}" for weight, letter in zip(LUMINANCE, "rgb", strict=True))
     shines = "(lit if gate == 0 else gate > 0)"
-    return f"{shines} * {luminance(base):.9g} * pow(2, stops) / max({weighted}, 1e-6)"
+    return f"{shines} * {luminance(base):.9g} * pow(2, stops) / max({_weighted(LUMINANCE)}, 1e-6)"
+
+
+def _weighted(weights: Sequence[float]) -> str:
+    """The sum of the channels of the keyed color with these weights."""
+    weighted = zip(weights, "rgb", strict=True)
+    return " + ".join(f"{weight:.9g} * {letter}" for weight, letter in weighted if weight)
 
 
 def _find_driver(owner: bpy.types.bpy_struct, path: str, index: int) -> bpy.types.FCurve | None:

@@ -35,7 +35,7 @@ from ..marks import (
 from .fixture_nodes import node_strength, surfaces, write_radiance, write_shown
 from .light_drivers import clear as clear_animation
 from .light_drivers import drive, is_animated, take_color
-from .tint import base_of, powered, shown_color, shown_temperature, split, tinted
+from .tint import base_of, blender_color, powered, shown_color, shown_temperature, tinted
 
 SETTINGS = (ON, SOLO, STOPS, TINT, COLOR, KELVIN)
 Setting = bool | int | float | Sequence[float]
@@ -138,7 +138,7 @@ def adopt(item: bpy.types.Object) -> None:
     written, strength = item.get(WRITTEN), _strength(item)
     if written is None or strength is None or math.isclose(strength, written, rel_tol=1e-4, abs_tol=1e-9):
         return
-    base_strength = split(tinted(item, _written_base(item)))[1]
+    base_strength = blender_color(tinted(item, _written_base(item)))[1]
     item[ON] = strength > 0.0
     if strength > 0.0 and base_strength > 0.0:
         item[STOPS] = math.log2(strength / base_strength)
@@ -150,8 +150,11 @@ def has_set_power(scene: bpy.types.Scene, item: bpy.types.Object, light: bpy.typ
     if is_animated(item):
         return True
     color, watts = _color_and_watts(light, item, shines(item, _any_solo(scene)))
-    values = zip((*light.data.color, light.data.energy), (*color, watts), strict=True)
-    return all(math.isclose(value, target, rel_tol=1e-4, abs_tol=1e-6) for value, target in values)
+    # Blender, too, changes colours: to another working space.
+    return all(
+        math.isclose(value * light.data.energy, target * watts, rel_tol=1e-4, abs_tol=1e-6)
+        for value, target in zip(light.data.color, color, strict=True)
+    )
 
 
 def refresh_world(scene: bpy.types.Scene) -> None:
@@ -221,5 +224,5 @@ def _color_and_watts(
     item: bpy.types.Object, settings: bpy.types.Object, on: bool
 ) -> tuple[tuple[float, float, float], float]:
     """Colour and power of a Blender light, of which `settings` carries the settings."""
-    color, energy = split(powered(settings, item[BASE]))
+    color, energy = blender_color(powered(settings, item[BASE]))
     return color, energy if on else 0.0

@@ -14,7 +14,7 @@ from ..marks import BASE, STOPS
 from ..room.mesh_arrays import polygon_slots
 from .color import Rgb, luminance
 from .fixture_nodes import surfaces
-from .tint import base_of, powered, split
+from .tint import base_of, blender_color, powered, split
 
 # Luminous efficacy at 555 nm, by which glTF and Blender's exporter turn watts into lumens.
 LUMENS_PER_WATT = 683.0
@@ -61,7 +61,7 @@ def base_power(item: bpy.types.Object) -> Rgb:
 
 def watts(item: bpy.types.Object) -> float:
     """A light's power, as in the field Power of a Blender light: that of its strongest channel."""
-    return split(powered(item, base_power(item)))[1]
+    return blender_color(powered(item, base_power(item)))[1]
 
 
 def radiance(item: bpy.types.Object) -> float:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import bpy
 
+from ..color_spaces import to_scene_linear
 from ..marks import BACK, BASE, COLOR, KELVIN, STOPS, TINT
 from .color import Rgb, blackbody, luminance, temperature_of, with_luminance
 
@@ -48,6 +49,11 @@ def shown_temperature(item: bpy.types.Object) -> float:
     if item.get(TINT, _ESTIMATED) == _TEMPERATURE:
         return float(item.get(KELVIN, 6504.0))
     return temperature_of(shown_color(item))
+
+
+def blender_color(rgb: Sequence[float]) -> tuple[Rgb, float]:
+    """Colour and strength of a Blender light or an emission node that shine with a linear Rec.709 rgb."""
+    return split(to_scene_linear(rgb).tolist())
 
 
 def split(rgb: Sequence[float]) -> tuple[Rgb, float]:

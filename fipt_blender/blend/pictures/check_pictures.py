@@ -14,7 +14,7 @@ from ..capture.backdrop import show_photograph, show_picture
 from ..capture.cameras import find_camera, use_view
 from ..capture.compare import end
 from ..capture.look import enter_camera
-from ..image_datablocks import LINEAR
+from ..color_spaces import set_encoded, set_linear
 from ..marks import PICTURE
 from .view_check import read_checks
 
@@ -78,7 +78,7 @@ def load_picture(path: Path) -> bpy.types.Image | None:
     image = bpy.data.images.load(str(path), check_existing=True)
     image.reload()
     is_radiance = path.suffix == ".exr"
-    image.colorspace_settings.name = LINEAR if is_radiance else "sRGB"
+    (set_linear if is_radiance else set_encoded)(image)
     image.use_view_as_render = is_radiance  # the scene's view transform and exposure
     image[PICTURE] = True
     return image

@@ -1,11 +1,15 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cycles renders that can be compared with photographs: scene-linear EXR, nothing clamped, box filter."""
+"""Cycles renders that can be compared with photographs: linear Rec.709, nothing clamped, box filter.
+
+They depend on what is in the scene, not on the artist's render settings.
+"""
 
 from __future__ import annotations
 
 import tempfile
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypedDict
@@ -15,9 +19,10 @@ import numpy as np
 
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import atomic_path
-from ..changed import changed
-from ..save import check_space, write_error
-from .image_files import IMAGE_MEDIA, read_pixels
+from ..changed import all_changed, changed, unset
+from ..color_spaces import linear_space, scene_matrix, set_view_transform
+from ..save import check_space
+from .image_files import STILL_IMAGE, read_pixels, write_image
 
 CYCLES = {
     "use_adaptive_sampling": False,
@@ -34,6 +39,30 @@ CYCLES = {
     "glossy_bounces": 32,
     # Photographs average the radiance over a pixel; wider filters would blur.
     "pixel_filter_type": "BOX",
+}
+# What materials and meshes are, and the device, stay as chosen; all else has its default or the value above.
+_CONTENT = ("device", "feature_set", "shading_system", "dicing_rate", "max_subdivisions")
+_RENDER = {
+    "engine": "CYCLES",
+    "use_compositing": False,
+    "use_sequencer": False,
+    "use_motion_blur": False,
+    "use_multiview": False,
+    "use_simplify": False,
+    "use_freestyle": False,
+    "use_stamp": False,
+    "use_border": False,
+    "use_crop_to_border": False,
+    "use_single_layer": False,
+    "use_persistent_data": False,
+}
+_LAYER = {
+    "use": True,
+    "samples": 0,
+    "material_override": None,
+    "world_override": None,
+    "use_pass_combined": True,
+    **dict.fromkeys(("use_sky", "use_solid", "use_strand", "use_volumes"), True),
 }
 
 
@@ -97,13 +126,13 @@ def set_up_scene(scene: bpy.types.Scene, exposure: float = 0.0) -> None:
     """Make the scene's settings those of a re-render that can be compared with photographs by eye.
 
     Args:
-        scene: the scene; its view transform becomes Standard (sRGB), without a look.
+        scene: the scene; its view transform becomes Standard (sRGB), where there is one, without a look.
         exposure: stops, e.g. from `exposure_of`.
     """
     scene.render.engine = "CYCLES"
     for name, value in CYCLES.items():
         setattr(scene.cycles, name, value)
-    scene.view_settings.view_transform = "Standard"
+    set_view_transform(scene.view_settings, "Standard")
     scene.view_settings.look = "None"
     scene.view_settings.exposure = exposure
     scene.view_settings.gamma = 1.0
@@ -117,7 +146,7 @@ def exposure_of(radiance: np.ndarray, shown: float = 0.18) -> float:
 
 
 def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> None:
-    """Render the scene's camera in Cycles to a float EXR with scene-linear values.
+    """Render the scene's camera in Cycles to a float EXR with linear Rec.709 values.
 
     The scene's render settings are restored afterwards.
 
@@ -127,7 +156,7 @@ def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> No
         options: see there.
 
     Raises:
-        FiptError: ``render-failed``, or the write errors of the run folder.
+        FiptError: ``render-failed``, ``color-space-missing``, or the write errors of the run folder.
     """
     render = scene.render
     cycles = {
@@ -144,29 +173,50 @@ def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> No
         "exr_codec": "ZIP",
     }
     with ExitStack() as stack, atomic_path(path) as temporary:
-        output = {
-            "engine": "CYCLES",
-            "filepath": str(temporary),
-            "use_file_extension": False,
-            "use_compositing": False,
-            "use_sequencer": False,
-            "use_motion_blur": False,
-            "film_transparent": options.transparent,
-        }
-        stack.enter_context(changed(render, output))
+        stack.enter_context(changed(render, {**_RENDER, "film_transparent": options.transparent}))
+        stack.enter_context(_one_layer(scene))
+        stack.enter_context(unset(scene.cycles, keep=_CONTENT))
         stack.enter_context(changed(scene.cycles, cycles))
         settings = render.image_settings
-        stack.enter_context(changed(settings, IMAGE_MEDIA))
+        stack.enter_context(changed(settings, STILL_IMAGE))
         stack.enter_context(changed(settings, exr))
+        if not np.array_equal(scene_matrix(), np.eye(3)):  # copies the scene's view into these settings
+            stack.enter_context(changed(settings, {"color_management": "OVERRIDE"}))
+            stack.enter_context(changed(settings.linear_colorspace_settings, {"name": linear_space()}))
         try:
-            bpy.ops.render.render(write_still=True, scene=scene.name)
+            bpy.ops.render.render(scene=scene.name)
         except RuntimeError as error:
-            if temporary.exists() or "save" in str(error):
-                raise write_error(path, error, "render-failed") from None
             raise _render_failed(str(error).strip()) from None
-        if not temporary.exists():
-            raise _render_failed("no image was written")
+        result = next((image for image in bpy.data.images if image.type == "RENDER_RESULT"), None)
+        if result is None:
+            raise _render_failed("there is no image")
+        # Not by the scene's output path, in which braces are templates from Blender 4.5.
+        write_image(path, temporary, lambda: result.save_render(str(temporary), scene=scene))
         check_space(path)  # on a full disk Blender writes a part of the image and reports nothing
+
+
+@contextmanager
+def _one_layer(scene: bpy.types.Scene) -> Iterator[None]:
+    """Render one view layer, the first that is used, without overrides."""
+    layers = list(scene.view_layers)
+    chosen = next((layer for layer in layers if layer.use), layers[0])
+    known = {name: value for name, value in _LAYER.items() if hasattr(chosen, name)}
+    others = [layer for layer in layers if layer != chosen]
+    drawn = {"holdout": False, "indirect_only": False}
+    with (
+        changed(chosen, known),
+        unset(chosen.cycles),
+        all_changed(others, {"use": False}),
+        all_changed(_collections(chosen.layer_collection), drawn),
+    ):
+        yield
+
+
+def _collections(root: bpy.types.LayerCollection) -> Iterator[bpy.types.LayerCollection]:
+    """The collections of a view layer, without the scene's own."""
+    for child in root.children:
+        yield child
+        yield from _collections(child)
 
 
 def _render_failed(reason: str) -> FiptError:

@@ -14,14 +14,18 @@ import numpy as np
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder, atomic_path
 from ..changed import changed
-from ..image_datablocks import LINEAR, image_values
+from ..color_spaces import set_linear
+from ..image_datablocks import image_values
 from ..png16 import decode_srgb
 from ..save import write_error
 
-# Selects still images in image settings, where that is a setting (from Blender 5.0): it decides on formats.
-IMAGE_MEDIA = (
-    {"media_type": "IMAGE"} if "media_type" in bpy.types.ImageFormatSettings.bl_rna.properties else {}
-)
+# Image settings of a still by the scene's color management. From Blender 5.0 the type of media comes first,
+# since it decides on formats.
+STILL_IMAGE = {
+    name: value
+    for name, value in (("media_type", "IMAGE"), ("color_management", "FOLLOW_SCENE"))
+    if name in bpy.types.ImageFormatSettings.bl_rna.properties
+}
 
 
 def view_entry(capture: dict[str, Any], name: str) -> dict[str, Any]:
@@ -113,11 +117,11 @@ def save_look(source: Path, path: Path, scene: bpy.types.Scene) -> None:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     image = bpy.data.images.load(str(source))
-    image.colorspace_settings.name = LINEAR
+    set_linear(image)
     settings = scene.render.image_settings
     try:
         png = {"file_format": "PNG", "color_mode": "RGB", "color_depth": "8"}
-        with changed(settings, IMAGE_MEDIA), changed(settings, png), atomic_path(path) as temporary:
+        with changed(settings, STILL_IMAGE), changed(settings, png), atomic_path(path) as temporary:
             write_image(path, temporary, lambda: image.save_render(str(temporary), scene=scene))
     finally:
         bpy.data.images.remove(image)

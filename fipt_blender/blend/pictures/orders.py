@@ -19,6 +19,7 @@ from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import RENDERS
 from ..capture.cameras import find_camera
+from ..changed import all_changed, changed
 from .composite import added_objects, compose, not_catching, render_layers, without
 from .cycles import Devices, RenderOptions, can_denoise, user_devices
 from .image_files import photograph, save_exr, save_look, view_entry
@@ -112,6 +113,9 @@ def carry_out(order: Order, progress: Progress = lambda low, high: None) -> list
         stack.enter_context(not_catching(scene, room))
         if order.kind == CHECK:
             stack.enter_context(without(added_objects(scene, room)))
+            stack.enter_context(changed(scene, {"background_set": None}))
+            lenses = [find_camera(name, scene).data.dof for name in order.views]
+            stack.enter_context(all_changed(lenses, {"use_dof": False}))
             stack.enter_context(lights_as_photographed(scene))
         for index, name in enumerate(order.views):
             view = view_entry(capture, name)

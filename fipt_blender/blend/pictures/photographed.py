@@ -11,6 +11,7 @@ from contextlib import ExitStack, contextmanager
 import bpy
 
 from ..changed import all_changed, changed
+from ..color_spaces import to_scene_linear
 from ..lights.convert import RAYS, lights_as_converted
 from ..lights.fixture_nodes import emitting_sides, surfaces
 from ..marks import (
@@ -82,7 +83,7 @@ def _emit_as_estimated(stack: ExitStack, item: bpy.types.Object) -> None:
         for name, radiance in ((FRONT, surface.front), (BACKSIDE, surface.back)):
             node = surface.material.node_tree.nodes.get(name)
             if node is not None:
-                _set_radiance(stack, node, [float(value) for value in radiance])
+                _set_radiance(stack, node, to_scene_linear(radiance).tolist())
 
 
 def _set_radiance(stack: ExitStack, node: bpy.types.Node, radiance: Sequence[float]) -> None:

@@ -22,6 +22,7 @@ from ...core.run.parts import read_parts
 from ...core.run.run_files import read_atlas, read_emitters, read_left_alone, read_outlined
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import CORNER_FIELDS_ARRAYS
+from ..color_spaces import to_scene_linear
 from ..lights import fixtures
 from ..lights.kept_states import keep_states, states_of
 from ..marks import MAP, OBJECT_ID, has_results, object_id
@@ -271,7 +272,7 @@ def _write_maps(mesh: bpy.types.Mesh, mirrored: bool, results: _Results, triangl
         write_layer(mesh, mirrored, results.corner_uv[triangles])
         return
     loops, _ = triangle_loops(mesh, mirrored)
-    for key, (label, _) in MAPS.items():
+    for key, (label, is_data) in MAPS.items():
         name = MAP.format(label)
         old = mesh.attributes.get(name)
         if old is not None:
@@ -279,7 +280,8 @@ def _write_maps(mesh: bpy.types.Mesh, mirrored: bool, results: _Results, triangl
         mesh.attributes.new(name, "FLOAT_COLOR", "CORNER")
         values = np.ones((len(mesh.loops), 4), np.float32)
         # Data maps are grey colours, so that solid shading can draw them too.
-        values[loops.ravel(), :3] = results.corner_fields[key][triangles].reshape(loops.size, -1)
+        field = results.corner_fields[key][triangles].reshape(loops.size, -1)
+        values[loops.ravel(), :3] = field if is_data else to_scene_linear(field)
         mesh.attributes[name].data.foreach_set("color", values.ravel())
 
 

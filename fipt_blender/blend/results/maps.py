@@ -14,6 +14,7 @@ import bpy
 
 from ...core.run.errors import FiptError
 from ..capture.compare import end, refresh
+from ..color_spaces import set_view_transform
 from ..lights import light_state
 from ..lights.world import show_original_world
 from ..marks import MAP, room_with_results
@@ -106,7 +107,7 @@ def _show_in_view(scene: bpy.types.Scene, shown: str) -> None:
         return
     if not settings.kept_view:
         settings.kept_view = json.dumps({name: getattr(view, name) for name in _VIEW})
-    view.view_transform = _TRANSFORMS.get(shown, _DATA_TRANSFORM)
+    set_view_transform(view, _TRANSFORMS.get(shown, _DATA_TRANSFORM))
     view.look = "None"
     view.exposure, view.gamma, view.use_curve_mapping = 0.0, 1.0, False
 

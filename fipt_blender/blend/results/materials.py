@@ -19,6 +19,7 @@ from ...core.run.documents import read_json
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import TEXTURES
+from ..color_spaces import to_scene_linear
 from ..image_datablocks import remove_unused_images, tile_pattern
 from ..marks import ESTIMATE, MAP, MATERIAL, OUTPUT, PART, PART_NAME, PRINCIPLED, TABLE
 from ..node_trees import node_tree
@@ -221,7 +222,11 @@ def _add_textures(
 def _add_values(material: bpy.types.Material, frame: bpy.types.Node, values: Sequence[float]) -> None:
     """Constants in place of all maps but confidence; roughness and metallic are greys, as in the images."""
     nodes = material.node_tree.nodes
-    colors = {"Base Color": values[:3], "Roughness": (values[3],) * 3, "Metallic": (values[4],) * 3}
+    colors = {
+        "Base Color": tuple(to_scene_linear(values[:3]).tolist()),
+        "Roughness": (values[3],) * 3,
+        "Metallic": (values[4],) * 3,
+    }
     for label, color in colors.items():
         before = nodes[MAP.format(label)]
         place = before.location.copy()
@@ -240,7 +245,7 @@ def is_uniform(material: bpy.types.Material) -> bool:
 
 
 def uniform_values(material: bpy.types.Material) -> np.ndarray:
-    """(5,) base colour, roughness and metallic of a material of one value, as estimated."""
+    """(5,) base colour (scene-linear), roughness and metallic of a material of one value, as estimated."""
     nodes = node_tree(material).nodes
     color, *others = (list(nodes[MAP.format(label)].outputs["Color"].default_value) for label in adjust.MAPS)
     return np.array([*color[:3], *(other[0] for other in others)])

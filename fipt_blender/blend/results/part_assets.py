@@ -7,9 +7,12 @@ Blender's own preview would show a texel of the atlas, whose coordinates only th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import bpy
 import numpy as np
 
+from ..color_spaces import from_scene_linear
 from ..png16 import encode_srgb
 from .part_list import part_materials
 
@@ -28,7 +31,9 @@ def mark_part(scene: bpy.types.Scene, part: bpy.types.PropertyGroup) -> list[str
         data.description = f"Estimated from photographs: {part.name}"
         if TAG not in data.tags:
             data.tags.new(TAG)
-        _set_preview(material, ball(tuple(part.base_color), part.roughness, part.metallic))
+        _set_preview(
+            material, ball(from_scene_linear(part.base_color).tolist(), part.roughness, part.metallic)
+        )
     return [material.name for material in materials]
 
 
@@ -38,7 +43,7 @@ def _set_preview(material: bpy.types.Material, pixels: np.ndarray) -> None:
     preview.image_pixels_float.foreach_set(np.ascontiguousarray(pixels, np.float32).ravel())
 
 
-def ball(base_color: tuple[float, ...], roughness: float, metallic: float, size: int = 128) -> np.ndarray:
+def ball(base_color: Sequence[float], roughness: float, metallic: float, size: int = 128) -> np.ndarray:
     """A shaded ball (size, size, 4): display-referred RGBA, bottom row first.
 
     Lambert and GGX (Walter et al. 2007) under one light and an even surrounding, which is enough to

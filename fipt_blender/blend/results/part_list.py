@@ -17,6 +17,7 @@ from mathutils import Vector
 from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
 from ...core.run.runfolder import RunFolder
+from ..color_spaces import to_scene_linear
 from ..marks import PART, has_results, room_with_results
 from ..ray_hits import hits
 from ..room.arrays import read_room
@@ -43,7 +44,7 @@ def note_parts(scene: bpy.types.Scene, run: RunFolder) -> None:
         row.name, row.key, row.unit = part.name, part.key, part.unit
         row.class_name, row.faces, row.pixels = part.class_name, faces[part.key], part.pixels
         row.known = part.base_color is not None
-        row.base_color = part.base_color or _UNKNOWN
+        row.base_color = to_scene_linear(part.base_color or _UNKNOWN)
         row.roughness, row.metallic = part.roughness or 0.0, part.metallic or 0.0
         row.confidence = part.confidence or (0.0, 0.0, 0.0)
     keys = [row.key for row in settings.parts]

@@ -16,6 +16,7 @@ import numpy as np
 
 from ...core.optics.factorised import DIELECTRIC_REFLECTANCE
 from ...core.textures import write_back
+from ..color_spaces import from_scene_linear
 from ..marks import OUTPUT, PRINCIPLED, TABLE
 
 GROUP = "FIPT Agreement"
@@ -48,13 +49,14 @@ def agree_with_model(material: bpy.types.Material, masking: str = write_back.MAS
 def agreement_group(masking: str = write_back.MASKINGS[0]) -> bpy.types.NodeTree:
     """The file's group for a masking term; made where the file has none of the current version."""
     values = write_back.table(masking).values.astype(np.float32)
-    digest = hashlib.sha256(values.tobytes()).hexdigest()[:16]
+    weights = from_scene_linear(np.eye(3)).mean(axis=1)  # of a scene-linear colour in the mean of Rec.709's
+    digest = hashlib.sha256(values.tobytes() + weights.tobytes()).hexdigest()[:16]
     for tree in bpy.data.node_groups:
         if tree.get(TABLE) == digest:
             return tree
     tree = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
     tree[TABLE] = digest
-    _fill(_Builder(tree), values)
+    _fill(_Builder(tree), values, tuple(weights.tolist()))
     return tree
 
 
@@ -112,7 +114,7 @@ class _Builder:
         return list(parts.outputs)
 
 
-def _fill(build: _Builder, values: np.ndarray) -> None:
+def _fill(build: _Builder, values: np.ndarray, weights: tuple[float, ...]) -> None:
     """The nodes of the group."""
     interface = build.tree.interface
     interface.new_socket("BSDF", in_out="OUTPUT", socket_type="NodeSocketShader")
@@ -135,7 +137,7 @@ def _fill(build: _Builder, values: np.ndarray) -> None:
     s0, s1, t = build.lookup(_table_image(f"{GROUP} 1", values[..., :3]), uv)
     f0, f1, e = build.lookup(_table_image(f"{GROUP} 2", values[..., 3:]), uv)
 
-    mean = build.vector("DOT_PRODUCT", "Value", a=base_color, b=(1 / 3, 1 / 3, 1 / 3))
+    mean = build.vector("DOT_PRODUCT", "Value", a=base_color, b=weights)
     above = build.math("SUBTRACT", mean, DIELECTRIC_REFLECTANCE)
     normal = build.math("MULTIPLY_ADD", metallic, above, DIELECTRIC_REFLECTANCE)
     wanted = build.math("MULTIPLY_ADD", normal, s0, s1)

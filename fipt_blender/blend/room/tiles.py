@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from .mesh_arrays import corner_uvs, polygon_slots, polygon_starts
-from .uv_layer import UV_LAYER
+from .uv_layer import UV_LAYER, replace_layer
 
 _ROW = 10  # tiles side by side
 
@@ -52,9 +52,8 @@ def split_tiles(mesh: bpy.types.Mesh) -> list[int]:
     used, place = np.unique(np.stack([slot, image], axis=1), axis=0, return_inverse=True)
     materials = [mesh.materials[index] for index, _ in used] if len(mesh.materials) else []
     corners = np.repeat(image, np.diff(polygon_starts(mesh), append=len(mesh.loops)))
-    layer = mesh.uv_layers[UV_LAYER]
-    uv = corner_uvs(mesh, layer) - np.stack([corners % _ROW, corners // _ROW], axis=1)
-    layer.uv.foreach_set("vector", uv.astype(np.float32).ravel())
+    uv = corner_uvs(mesh, mesh.uv_layers[UV_LAYER])
+    replace_layer(mesh, uv - np.stack([corners % _ROW, corners // _ROW], axis=1))
     mesh.materials.clear()
     for material in materials:
         mesh.materials.append(material)

@@ -26,18 +26,32 @@ def write_layer(mesh: bpy.types.Mesh, mirrored: bool, corner_uv: np.ndarray) -> 
     Raises:
         FiptError: ``uv-layers-full``.
     """
-    active_render = [layer.active_render for layer in mesh.uv_layers]
-    layer = mesh.uv_layers.get(UV_LAYER) or mesh.uv_layers.new(name=UV_LAYER, do_init=False)
+    loops, _ = triangle_loops(mesh, mirrored)
+    uv = np.zeros((len(mesh.loops), 2), np.float32)
+    uv[loops.ravel()] = corner_uv.reshape(-1, 2)
+    replace_layer(mesh, uv)
+
+
+def replace_layer(mesh: bpy.types.Mesh, uv: np.ndarray) -> None:
+    """Write the FIPT layer (L,2) and make it active.
+
+    The layer is made anew: up to Blender 4.5 writing to an existing one also changes the meshes that were
+    copied from this mesh, or this one from them, since copies share their arrays.
+
+    Raises:
+        FiptError: ``uv-layers-full``.
+    """
+    rendered = [layer.name for layer in mesh.uv_layers if layer.active_render]
+    if UV_LAYER in mesh.uv_layers:
+        mesh.uv_layers.remove(mesh.uv_layers[UV_LAYER])
+    layer = mesh.uv_layers.new(name=UV_LAYER, do_init=False)
     if layer is None:
         raise FiptError(
             "uv-layers-full",
             f"The mesh of '{mesh.name}' already has 8 UV layers, the most that Blender allows.",
             "Remove a UV map, or set Store In to Color Attributes.",
         )
-    loops, _ = triangle_loops(mesh, mirrored)
-    uv = np.zeros((len(mesh.loops), 2), np.float32)
-    uv[loops.ravel()] = corner_uv.reshape(-1, 2)
-    mesh.uv_layers[UV_LAYER].uv.foreach_set("vector", uv.ravel())
+    layer.uv.foreach_set("vector", uv.astype(np.float32).ravel())
     mesh.uv_layers.active = mesh.uv_layers[UV_LAYER]
-    if True in active_render:
-        mesh.uv_layers[active_render.index(True)].active_render = True
+    for name in rendered:
+        mesh.uv_layers[name].active_render = True

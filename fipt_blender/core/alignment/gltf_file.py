@@ -25,7 +25,7 @@ from ..run.paths import leads_outside
 from .gltf_document import PLACEMENT, item, read_document, scene_roots
 
 MOST_BYTES = 4_000_000_000  # of a mesh file, and of its meshes in memory
-MOST_NODES = 100_000
+MOST_NODES = 100_000  # of the nodes and primitives of a file, so that no file takes minutes
 _ROW = 24  # bytes of a vertex or of a triangle in memory
 _TRIANGLES, _FAN = 4, 6  # primitive modes; those below are points and lines, that between them is a strip
 # Component type -> bytes, and the integer that stands for 1 where they are normalized.

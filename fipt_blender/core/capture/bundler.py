@@ -14,9 +14,10 @@ import numpy as np
 from ..conventions import opengl_to_opencv_camera
 from ..run.errors import FiptError
 from .options import CaptureOptions
+from .places import Places
 from .radial import distorting_lens
 from .rig import Rig, WellFormed
-from .rig_files import Places, camera_file, camera_pose, numbers, read_text_rig
+from .rig_files import camera_file, camera_pose, numbers, read_text_rig
 
 NAME = "bundler"
 LOOKS_FOR = "a .out file that begins with '# Bundle file', and list.txt"
@@ -38,7 +39,7 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged``, ``image-missing`` or ``image-unreadable``.
     """
-    places = Places.around(file, options)
+    places = Places.around(file, options, folders=FOLDERS)
     names = _names(file)
     views = []
     for name, rows in zip(names, _cameras(file, len(names)), strict=False):
@@ -50,7 +51,7 @@ def read(file: Path, options: CaptureOptions) -> Rig:
         pose = opengl_to_opencv_camera(camera_pose(rows[1:4], -rows[1:4].T @ rows[4]))
         views.append(places.view(name, size, distorting_lens(intrinsics, size, (k1, k2)), pose))
     views.sort(key=lambda view: view.name)
-    return Rig(NAME, tuple(views), None, places.mesh())
+    return places.rig(NAME, views, None, places.mesh())
 
 
 def points(file: Path) -> np.ndarray:
@@ -89,9 +90,8 @@ def _names(file: Path) -> list[str]:
 def _name(line: str) -> str:
     """A name in the list, without the 0 and the focal length that may follow it."""
     words = line.rsplit(maxsplit=2)
-    if len(words) == 3 and words[1] == "0":
-        return words[0]
-    return line
+    has_focal = len(words) == 3 and words[1] == "0" and words[2].replace(".", "", 1).isdigit()
+    return words[0] if has_focal else line
 
 
 def _cameras(file: Path, count: int) -> list[np.ndarray]:

@@ -5,18 +5,21 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
 import pycolmap
 
-from ..run.documents import check_size
+from ..run.documents import check_size, decoded, has_mark, read_limited
 from .colmap_sizes import MOST_BYTES, check_model
 from .options import CaptureOptions
-from .rig import Lens, Note, Rig, damaged
-from .rig_files import Places
+from .places import IMAGE_FOLDERS, Places
+from .rig import Lens, Note, Rig, damaged, find_mesh
 
 NAME = "colmap"
 LOOKS_FOR = "cameras.bin or cameras.txt with images and points3D, in the folder or its sparse/0"
@@ -61,7 +64,10 @@ def read(found: Model, options: CaptureOptions) -> Rig:
         entries = [(image.name, model.cameras[image.camera_id], _camera_to_world(image)) for image in images]
     except (RuntimeError, ValueError, KeyError, IndexError, OSError) as error:
         raise damaged(found.folder, error) from None
-    places = Places(tuple(_roots(found.capture, found.folder)), options.images)
+    # Photographs of a model in dense/ are those that COLMAP has undistorted there.
+    roots = tuple(reversed(_roots(found.capture, found.folder)))
+    folders = (*IMAGE_FOLDERS, "dense/images")
+    places = Places(found.folder, roots, options.images, folders, inside=found.capture)
     views = tuple(
         places.view(
             name,
@@ -71,7 +77,8 @@ def read(found: Model, options: CaptureOptions) -> Rig:
         )
         for name, camera, pose in entries
     )
-    return Rig(NAME, views, None, places.mesh(MESH_STEMS, MESH_FOLDERS), _notes(found.folder))
+    mesh = find_mesh([root / folder for root in reversed(roots) for folder in MESH_FOLDERS], MESH_STEMS)
+    return places.rig(NAME, views, None, mesh, _notes(found.folder))
 
 
 def points(found: Model) -> np.ndarray:
@@ -102,9 +109,38 @@ def opened(found: Model) -> pycolmap.Reconstruction:
     """
     try:
         check_model(found.folder)
-        return pycolmap.Reconstruction(str(found.folder))
+        with _without_marks(found.folder) as folder:
+            model = pycolmap.Reconstruction(str(folder))
+            for number, name in _text_names(folder):
+                model.images[number].name = name
+        return model
     except (RuntimeError, ValueError, KeyError, IndexError, OSError) as error:
         raise damaged(found.folder, error) from None
+
+
+@contextmanager
+def _without_marks(folder: Path) -> Iterator[Path]:
+    """The folder of a model, or a copy of it where a text file begins with a byte-order mark."""
+    files = sorted(folder.glob("*.txt"))
+    if not any(has_mark(file) for file in files) or (folder / "images.bin").is_file():
+        yield folder
+        return
+    with TemporaryDirectory(prefix="fipt-colmap-") as copy:
+        for file in files:
+            (Path(copy) / file.name).write_bytes(decoded(read_limited(file, MOST_BYTES)).encode())
+        yield Path(copy)
+
+
+def _text_names(folder: Path) -> Iterator[tuple[int, str]]:
+    """Numbers and names of a text model's images; COLMAP's own reader ends names at a blank."""
+    if (folder / "images.bin").is_file():
+        return
+    with (folder / "images.txt").open(encoding="utf-8") as lines:
+        for line in lines:
+            words = line.split(maxsplit=9)
+            if words and not line.startswith("#"):
+                yield int(words[0]), words[9].rstrip()
+                next(lines, "")  # its points
 
 
 def _points(found: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -149,12 +185,12 @@ def _image_count(folder: Path) -> int:
 def _roots(path: Path, folder: Path) -> list[Path]:
     """Folders in which images and meshes are searched: the capture's folder, and the one above sparse/0."""
     roots = [path]
-    folder = folder.resolve()
+    folder = folder.absolute()
     if _is_number(folder.name):
         folder = folder.parent
     if folder.name == "sparse":
         folder = folder.parent
-    if folder not in (path.resolve(), *roots):
+    if folder not in (path.absolute(), *roots):
         roots.append(folder)
     return roots
 

@@ -188,7 +188,7 @@ def _reduced_photograph(frame: DepthView) -> np.ndarray:
     """(H, W) logarithm of a photograph's gray values, `WIDTH` pixels wide."""
     view = frame.photograph
     assert view is not None
-    gray = read_radiance(view.image).mean(axis=2)
+    gray = read_radiance(view.image, view.layer).mean(axis=2)
     size = (WIDTH, max(1, round(view.height * WIDTH / view.width)))
     reduced = np.asarray(Image.fromarray(gray.astype(np.float32), "F").resize(size, Image.Resampling.BOX))
     floor = max(DARKEST * float(np.median(reduced)), 1e-12)

@@ -6,13 +6,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from ..depth.cleaning import with_closed_holes, without_specks
 from ..depth.extraction import FusedMesh, extract
@@ -24,8 +22,9 @@ from ..run.documents import read_json
 from ..run.errors import FiptError
 from ..run.runfolder import PRODUCT_VERSION, RunFolder, write_json
 from . import checks
-from .encoded import DAMAGE, is_encoded, srgb_encoded
-from .images import read_radiance, read_size
+from .encoded import srgb_encoded
+from .exr_file import read_exr_values
+from .images import is_encoded, open_picture, read_radiance, read_size, stored_values
 from .options import FusionOptions
 from .rig import DepthView, Pinhole, RigView
 
@@ -67,8 +66,7 @@ def read_depth(view: DepthView, scale: float) -> RangeImage:
             f"{view.path} is {width} x {height} pixels, not {view.width} x {view.height}.",
             "Use depth images of the size for which the camera was calibrated.",
         )
-    stored = _read_exr(view.path) if view.path.suffix.lower() == ".exr" else _read_png(view.path)
-    depth = stored * np.float32(view.unit)
+    depth = _stored(view.path) * np.float32(view.unit)
     depth = np.where(np.isfinite(depth) & (depth > 0.0) & (depth < FARTHEST), depth, 0.0)
     pose = view.camera_to_world.copy()
     pose[:3, 3] *= scale
@@ -76,29 +74,22 @@ def read_depth(view: DepthView, scale: float) -> RangeImage:
     return RangeImage(depth.astype(np.float32), *intrinsics, pose, _colors(view, depth, scale))
 
 
-def _read_png(path: Path) -> np.ndarray:
+def _stored(path: Path) -> np.ndarray:
     """(H, W) float32 values, 0 where nothing was measured."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # `depth_size` has a limit
-            with Image.open(path, formats=["PNG"]) as image:
-                mode, values = image.mode, np.asarray(image)
-    except DAMAGE as error:
-        raise _unreadable(path, error) from None
-    if values.ndim != 2 or not mode.startswith("I"):
+        picture = open_picture(path)
+        if picture.kind == "exr":
+            return np.nan_to_num(read_exr_values(path)[..., 0], nan=0.0, posinf=0.0, neginf=0.0)
+        values = stored_values(path, picture)
+    except FiptError as error:
+        raise _unreadable(path, error.text) from None
+    if picture.kind != "png" or values.shape[2] > 1 or values.dtype != np.uint16:
         raise FiptError(
             "depth-format",
             f"{path} is not a 16-bit grayscale PNG, so that it holds no depth.",
             "Export depth images as 16-bit PNG.",
         )
-    return np.where(values == 65535, 0, values).astype(np.float32)  # both stand for no depth
-
-
-def _read_exr(path: Path) -> np.ndarray:
-    try:
-        return np.nan_to_num(read_radiance(path)[..., 0], nan=0.0, posinf=0.0, neginf=0.0)
-    except FiptError as error:
-        raise _unreadable(path, error.text) from None
+    return np.where(values == 65535, 0, values)[..., 0].astype(np.float32)  # both stand for no depth
 
 
 def _unreadable(path: Path, reason: object) -> FiptError:
@@ -252,19 +243,21 @@ def depth_size(path: Path) -> tuple[int, int]:
         raise _unreadable(path, error.text) from None
 
 
-def registered_depths(views: Sequence[RigView], paths: Sequence[Path], unit: float) -> tuple[DepthView, ...]:
+def registered_depths(
+    views: Sequence[RigView], paths: Sequence[Path | None], unit: float
+) -> tuple[DepthView, ...]:
     """The depth images that exist; they have the camera and field of view of a photograph, and other sizes.
 
     Args:
         views: with pinhole lenses.
-        paths: for each view.
+        paths: for each view, None where it has none.
         unit: metres per stored unit; EXR files always hold metres.
 
     Raises:
         FiptError: ``depth-unreadable``.
     """
     pairs = zip(views, paths, strict=True)
-    return tuple(_registered_depth(view, path, unit) for view, path in pairs if path.is_file())
+    return tuple(_registered_depth(view, path, unit) for view, path in pairs if path is not None)
 
 
 def _registered_depth(view: RigView, path: Path, unit: float) -> DepthView:

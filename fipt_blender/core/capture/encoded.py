@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photographs that are not HDR: codes of JPEG, PNG and TIFF files, and the exposures in their EXIF.
+"""Photographs that are not HDR: sRGB's curve, clipping, the exposures in their EXIF; errors of image files.
 
 Their response is unknown. They are read as if it were sRGB's curve, which can be undone without loss; the
 radiometric adjustment does so.
@@ -8,119 +8,82 @@ radiometric adjustment does so.
 
 from __future__ import annotations
 
+import io
+import logging
 import math
 import struct
-import sys
-import warnings
-import zlib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
+import exifread
 import numpy as np
-from PIL import ExifTags, Image, UnidentifiedImageError
+from exifread.core.exceptions import ExifError
 
 from ..run.errors import FiptError
 from ..run.shapes import MOST_SIDE
 
-PILLOW_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}
-JPEG_SUFFIXES = (".jpg", ".jpeg")
 # A float image of three channels takes 2 GB; the largest cameras have 151 megapixels.
 MOST_PIXELS = 160_000_000
 # Codes from which on a channel counts as clipped: JPEG's noise blurs the end of the scale.
 CLIPPED_CODE = 250.0
-# What Pillow raises for damaged files.
+_EXIF = b"Exif\0\0"  # before EXIF itself in some containers
+# What libraries raise for damaged files.
 DAMAGE = (
-    *(UnidentifiedImageError, OSError, ValueError, SyntaxError, struct.error, EOFError, OverflowError),
-    *(Image.DecompressionBombError, zlib.error),
+    *(OSError, ValueError, TypeError, LookupError, AttributeError, AssertionError, SyntaxError, EOFError),
+    *(ArithmeticError, RuntimeError, MemoryError, struct.error, ExifError),
 )
-# Pillow's names of pixels with 16 bits in each of three channels, and those with the bytes swapped.
-_ORDERS = {"B": "L", "L": "B", "N": "B" if sys.byteorder == "little" else "L"}
-_OTHER_ORDER = {
-    f"{channels};16{order}": f"{channels};16{other}"
-    for channels in ("RGB", "RGBA", "RGBX")
-    for order, other in _ORDERS.items()
-}
+# ExifRead says on its log what is wrong with a header; a missing value is all that matters here.
+logging.getLogger("exifread").setLevel(logging.CRITICAL)
 
 
-def is_encoded(path: Path) -> bool:
-    """Whether a photograph's file has a format of codes instead of radiance, by its suffix."""
-    return path.suffix.lower() in PILLOW_FORMATS
-
-
-def read_encoded(path: Path) -> np.ndarray:
-    """A photograph's values as if its response were sRGB's curve.
-
-    Alpha is ignored.
-
-    Returns:
-        (height, width, 3) float32 from 0 to 1.
-
-    Raises:
-        FiptError: ``image-missing``, ``image-unreadable`` or ``image-too-large``.
-    """
-    pillow_size(path)  # its errors
-    try:
-        codes = load_codes(path, PILLOW_FORMATS[path.suffix.lower()])
-    except DAMAGE as error:
-        raise unreadable(path, error) from None
-    # By a table, since powers of all pixels would take seconds.
-    most = np.iinfo(codes.dtype).max
-    table = srgb_decoded(np.arange(most + 1, dtype=np.float32) / np.float32(most))
-    return np.take(table, codes, mode="clip")  # no code is clipped; to check that would take longer
-
-
-def load_codes(path: Path, kind: str) -> np.ndarray:
-    """The codes of an image with all their bits, without alpha.
+def exif_tags(source: Path | bytes, details: bool = False) -> dict[str, Any]:
+    """EXIF tags of a file by ExifRead's names; none where it has none or they are damaged.
 
     Args:
-        kind: Pillow's name of the file's format.
-
-    Returns:
-        (height, width, 3) uint8, or uint16 where the file has 16 bits in each channel.
-
-    Raises:
-        OSError, ValueError, SyntaxError, ...: whatever Pillow raises for damaged files.
+        source: the file, or its EXIF.
+        details: whether maker notes are read, too.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-        with Image.open(path, formats=[kind]) as image:
-            if image.mode.startswith(("I", "F")):
-                grey = np.asarray(image)
-                if grey.dtype != np.uint16:
-                    raise ValueError(f"its values are {grey.dtype}, not of 8 or 16 bits")
-                return np.repeat(grey[..., None], 3, axis=-1)
-            wide = any(_other_bytes(tile) != tile for tile in image.tile)
-            codes = np.asarray(image.convert("RGB"))
-        if not wide:
-            return codes
-        with Image.open(path, formats=[kind]) as image:
-            image.tile = [_other_bytes(tile) for tile in image.tile]
-            lower = np.asarray(image.convert("RGB"))
-    return (codes.astype(np.uint16) << 8) | lower
-
-
-def file_exposure(path: Path) -> float | None:
-    """The relative exposure by a file's EXIF; None without."""
-    if not is_encoded(path):
-        return None
     try:
-        with Image.open(path, formats=[PILLOW_FORMATS[path.suffix.lower()]]) as image:
-            tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
-            names = (ExifTags.Base.ExposureTime, ExifTags.Base.FNumber, ExifTags.Base.ISOSpeedRatings)
-            shutter, aperture, iso = (exif_number(tags.get(name)) for name in names)
-    except (*DAMAGE, KeyError, TypeError):
-        return None
-    return relative_exposure(shutter, aperture, iso)
+        file: BinaryIO
+        file = source.open("rb") if isinstance(source, Path) else io.BytesIO(source.removeprefix(_EXIF))
+        with file:
+            return dict(exifread.process_file(file, details=details, extract_thumbnail=False))
+    except DAMAGE:
+        return {}
 
 
-def relative_exposure(shutter: float | None, aperture: float | None, iso: float | None) -> float | None:
+def relative_exposure(tags: Mapping[str, Any]) -> float | None:
     """The light that reaches the values: shutter * iso / (100 * aperture²); None without a shutter time.
 
     Lenses without contacts report no aperture: it counts as 1 then, as it does not change within a bracket.
     """
+    shutter, aperture, iso = shutter_aperture_iso(tags)
     if shutter is None:
         return None
     return shutter * (100.0 if iso is None else iso) / 100.0 / (1.0 if aperture is None else aperture) ** 2
+
+
+def shutter_aperture_iso(tags: Mapping[str, Any]) -> tuple[float | None, float | None, float | None]:
+    """Shutter time in seconds, f-number and sensitivity by EXIF."""
+    shutter = exif_number(tags, "EXIF ExposureTime")
+    if shutter is None and (value := exif_number(tags, "EXIF ShutterSpeedValue", least=-30.0)) is not None:
+        shutter = 2.0**-value
+    iso = exif_number(tags, "EXIF ISOSpeedRatings") or exif_number(tags, "EXIF PhotographicSensitivity")
+    return shutter, exif_number(tags, "EXIF FNumber"), iso
+
+
+def exif_number(tags: Mapping[str, Any], name: str, least: float = 1e-9, most: float = 1e9) -> float | None:
+    """A number of EXIF within bounds, None where there is none."""
+    value: Any = tags.get(name)
+    value = getattr(value, "values", value)
+    while isinstance(value, (tuple, list)):  # ExifRead nests some
+        value = value[0] if value else None
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        return None
+    return number if math.isfinite(number) and least <= number <= most else None
 
 
 def srgb_decoded(values: np.ndarray) -> np.ndarray:
@@ -160,56 +123,8 @@ def check_pixels(path: Path, width: int, height: int) -> None:
     if width < 1 or height < 1:
         raise unreadable(path, f"its size is {width} x {height}")
     if max(width, height) > MOST_SIDE or width * height > MOST_PIXELS:
-        raise _too_large(path, f"{width} x {height}")
-
-
-def _too_large(path: Path, size: str) -> FiptError:
-    return FiptError(
-        "image-too-large",
-        f"{path} has {size} pixels; the limit is {MOST_PIXELS / 1e6:.0f} megapixels.",
-        "Scale the photographs and masks down; 1 to 2 megapixels per view are enough.",
-    )
-
-
-def pillow_size(path: Path) -> tuple[int, int]:
-    """Size of an image that is no EXR, from its header, if it is in the format that its suffix names.
-
-    Raises:
-        FiptError: ``image-missing``, ``image-unreadable`` or ``image-too-large``.
-    """
-    if not path.is_file():
-        raise missing(path)
-    kind = PILLOW_FORMATS.get(path.suffix.lower())
-    if kind is None:
-        raise unreadable(path, "its format is not known")
-    try:
-        with Image.open(path, formats=[kind]) as image:
-            size = image.size
-    except Image.DecompressionBombError:  # Pillow's own limit lies above ours
-        raise _too_large(path, "too many") from None
-    except DAMAGE as error:
-        raise unreadable(path, error) from None
-    check_pixels(path, *size)
-    return size
-
-
-def _other_bytes(tile: Any) -> Any:
-    """A tile whose channels of 16 bits yield their lower bytes, by the other order of bytes; others stay.
-
-    Pillow reads the upper bytes only.
-    """
-    single = isinstance(tile.args, str)
-    names = (tile.args,) if single else tuple(tile.args or ())
-    changed = tuple(_OTHER_ORDER.get(name, name) if isinstance(name, str) else name for name in names)
-    return tile if changed == names else tile._replace(args=changed[0] if single else changed)
-
-
-def exif_number(value: Any, least: float = 1e-9, most: float = 1e9) -> float | None:
-    """A number of an EXIF tag within bounds, None where there is none."""
-    if isinstance(value, (tuple, list)):
-        value = value[0] if value else None
-    try:
-        number = float(value)
-    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
-        return None
-    return number if math.isfinite(number) and least <= number <= most else None
+        raise FiptError(
+            "image-too-large",
+            f"{path} has {width} x {height} pixels; the limit is {MOST_PIXELS / 1e6:.0f} megapixels.",
+            "Scale the photographs and masks down; 1 to 2 megapixels per view are enough.",
+        )

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from ..run.errors import FiptError
-from .images import read_size
 from .options import CaptureOptions
-from .rig import Lens, Rig, RigView, WellFormed, damaged, find_mesh
+from .places import Places
+from .rig import PARTS_FOLDER, SEMANTICS_FOLDER, Lens, Rig, WellFormed, damaged
 from .rig_files import read_text_rig
 
 NAME = "fipt-real"
@@ -38,27 +38,16 @@ def read(path: Path, options: CaptureOptions) -> Rig:
     matrices = _read_blocks(path / "K_list.txt")
     if len(poses) != len(matrices):
         raise damaged(path / "K_list.txt", f"{len(matrices)} camera matrices for {len(poses)} poses")
-    folder = options.images or path / "Image"
+    ids = {PARTS_FOLDER: "IndexMA", SEMANTICS_FOLDER: "segmentation"}
+    places = Places(path / "cam.txt", (path,), options.images, ("Image",), id_folders=ids)
     views = []
     for index, (pose, matrix) in enumerate(zip(poses, matrices, strict=True)):
-        image = folder / f"{index:03d}_0001.exr"
-        width, height = read_size(image)
-        parts = path / "IndexMA" / image.name
-        semantics = path / "segmentation" / f"{index:03d}.exr"
-        views.append(
-            RigView(
-                name=f"{index:03d}",
-                split=None,
-                image=image,
-                width=width,
-                height=height,
-                lens=_lens(path / "K_list.txt", index, matrix, width, height),
-                camera_to_world=_look_at(path / "cam.txt", index, pose),
-                parts=parts if parts.is_file() else None,
-                semantics=semantics if semantics.is_file() else None,
-            )
-        )
-    return Rig(NAME, tuple(views), None, find_mesh([path], ["scene", "mesh"]))
+        name = f"{index:03d}_0001.exr"
+        size = places.size(name)
+        lens = _lens(path / "K_list.txt", index, matrix, *size)
+        pose = _look_at(path / "cam.txt", index, pose)
+        views.append(places.view(name, size, lens, pose, called=f"{index:03d}"))
+    return places.rig(NAME, views, None, places.mesh(("scene", "mesh")))
 
 
 def _read_blocks(path: Path) -> np.ndarray:

@@ -11,10 +11,21 @@ from typing import Any
 from ..conventions import fipt_to_opencv_camera
 from ..run.documents import Fields, Items, Maybe, Number
 from ..run.shapes import MOST_SIDE
-from .images import read_size
+from .files import name_parts, stem_of, suffix_of
 from .options import CaptureOptions
-from .rig import PHOTO_SUFFIXES, Lens, Rig, RigView, WellFormed, find_mesh, read_json_rig, read_pose
-from .rig_files import refuse_outside
+from .places import Places
+from .rig import (
+    PARTS_FOLDER,
+    SEMANTICS_FOLDER,
+    Lens,
+    Note,
+    Rig,
+    RigView,
+    WellFormed,
+    find_mesh,
+    read_json_rig,
+    read_pose,
+)
 
 NAME = "fipt-synthetic"
 LOOKS_FOR = "train/transforms.json beside train/Image/"
@@ -50,6 +61,7 @@ def read(path: Path, options: CaptureOptions) -> Rig:
         FiptError: ``rig-damaged``, ``image-missing``, ``image-unreadable`` or ``path-outside``.
     """
     views: list[RigView] = []
+    notes: list[Note] = []
     up_axis = "y"
     for folder, split in SPLITS.items():
         json_path = path / folder / "transforms.json"
@@ -57,39 +69,30 @@ def read(path: Path, options: CaptureOptions) -> Rig:
             continue
         data = read_json_rig(json_path, RIG)
         up_axis = data.get("up_axis", up_axis)
-        for index, frame in enumerate(data["frames"]):
-            views.append(_view(json_path, split, _image(json_path, index, frame, options), frame, data))
-    return Rig(NAME, tuple(views), up_axis, find_mesh([path], ["scene", "mesh"]))
+        ids = {PARTS_FOLDER: "IndexMA", SEMANTICS_FOLDER: "segmentation"}
+        places = Places(
+            json_path, (path / folder,), image_folders=(".", "Image"), relative=True, id_folders=ids
+        )
+        own = [_view(places, split, index, frame, data) for index, frame in enumerate(data["frames"])]
+        rig = places.rig(NAME, own, up_axis, None)
+        views += rig.views
+        notes += rig.notes
+    return Rig(NAME, tuple(views), up_axis, find_mesh([path], ["scene", "mesh"]), tuple(notes))
 
 
-def _view(json_path: Path, split: str, image: Path, frame: dict[str, Any], data: dict[str, Any]) -> RigView:
-    root = json_path.parent
-    number = image.stem.removesuffix("_0001")
-    with WellFormed(json_path):
-        if "width" in data and "height" in data:
-            width, height = int(data["width"]), int(data["height"])
-        else:
-            width, height = read_size(image)
-        focal = 0.5 * width / math.tan(0.5 * float(data["camera_angle_x"]))
-    parts = root / "IndexMA" / f"{image.stem}.exr"
-    semantics = root / "segmentation" / f"{number}.exr"
-    return RigView(
-        name=f"{root.name}/{number}",
-        split=split,
-        image=image,
-        width=width,
-        height=height,
-        lens=Lens("PINHOLE", (focal, focal, 0.5 * width, 0.5 * height)),
-        camera_to_world=fipt_to_opencv_camera(read_pose(json_path, frame["transform_matrix"])),
-        parts=parts if parts.is_file() else None,
-        semantics=semantics if semantics.is_file() else None,
-    )
-
-
-def _image(json_path: Path, index: int, frame: dict[str, Any], options: CaptureOptions) -> Path:
-    """The frame's file_path where it names an image, else the authors' name by position in the list."""
+def _view(places: Places, split: str, index: int, frame: dict[str, Any], data: dict[str, Any]) -> RigView:
+    """The view of the frame's file_path where it names an image, else of the authors' name by its index."""
+    name = f"{index:03d}_0001.exr"
     file_path = frame.get("file_path")
-    if isinstance(file_path, str) and file_path.lower().endswith(PHOTO_SUFFIXES):
-        refuse_outside(json_path, file_path, options)
-        return json_path.parent / file_path
-    return json_path.parent / "Image" / f"{index:03d}_0001.exr"
+    if isinstance(file_path, str) and (suffix_of(file_path) or places.find(file_path)):
+        name = file_path
+    with WellFormed(places.file):
+        if "width" in data and "height" in data:
+            size = int(data["width"]), int(data["height"])
+        else:
+            size = places.size(name)
+        focal = 0.5 * size[0] / math.tan(0.5 * float(data["camera_angle_x"]))
+    lens = Lens("PINHOLE", (focal, focal, 0.5 * size[0], 0.5 * size[1]))
+    pose = fipt_to_opencv_camera(read_pose(places.file, frame["transform_matrix"]))
+    number = stem_of(name_parts(name)[-1]).removesuffix("_0001")
+    return places.view(name, size, lens, pose, called=f"{places.file.parent.name}/{number}", split=split)

@@ -1,130 +1,228 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reading and writing image files: linear radiance (EXR), id images (EXR or PNG). The first row is the top.
+"""Reading and writing image files: radiance and codes of photographs, id images. The first row is the top.
 
-OpenEXR reads and writes EXR; Pillow reads PNG masks, and photographs that are not HDR (:mod:`.encoded`).
+A file's content decides what it is, not its suffix. OpenEXR files are read by :mod:`.exr_file`, HEIC by
+pillow-heif, all others by OpenImageIO; :mod:`.primaries` says what values mean. Pixels are as the file stores
+them: EXIF's orientation is not applied, since cameras are those of the stored pixels.
 """
 
 from __future__ import annotations
 
 import io
-import struct
-import zlib
-from collections.abc import Iterable
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import OpenEXR
-from PIL import Image, PngImagePlugin
+import OpenImageIO as oiio
+from PIL import Image, PngImagePlugin, WebPImagePlugin
 
 from ..run.errors import FiptError
+from ..run.extras import optional
 from ..run.runfolder import atomic_path
-from .encoded import check_pixels, is_encoded, missing, pillow_size, read_encoded, unreadable
+from . import primaries
+from .encoded import (
+    DAMAGE,
+    check_pixels,
+    exif_tags,
+    missing,
+    relative_exposure,
+    srgb_decoded,
+    srgb_encoded,
+    unreadable,
+)
+from .exr_file import exr_is_plain, exr_size, read_exr, read_exr_values
+from .primaries import Colors
+from .suffixes import IMAGE_SUFFIXES, RAW_SUFFIXES
 
 EXR_SUFFIX = ".exr"
-MASK_SUFFIXES = (".exr", ".png")
 HALF_MAX = float(np.finfo(np.float16).max)
 JPEG_QUALITY = 95  # an error of about one of 255 steps
-REC709 = np.array([0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290])
-BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 MAX_PNG_ID = 2**16 - 1  # 16 bits
 MAX_ID = 2**24 - 1  # highest id of a colour mask; 32-bit floats represent all of them exactly
+FORMATS = "OpenEXR, JPEG, PNG, TIFF, WebP, HEIC and Radiance (.hdr)"
+# How the files of each format begin; all but the first two are OpenImageIO's names.
+_STARTS = re.compile(
+    rb"(?P<exr>v/1\x01)|....ftyp(?P<heif>hei|hev|mif1|msf1)|(?P<jpeg>\xff\xd8\xff)|(?P<png>\x89PNG\r\n)"
+    rb"|(?P<tiff>II[*+]\0|MM\0[*+])|(?P<webp>RIFF....WEBP)|(?P<hdr>#\?)|(?P<jpegxl>\xff\x0a|....JXL )",
+    re.DOTALL,
+)
+_TYPES = {"uint8": "uint8", "uint16": "uint16", **dict.fromkeys(("half", "float", "double"), "float32")}
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What an image's header says.
+
+    Attributes:
+        kind: "exr", "heif" or OpenImageIO's name of the format.
+        size: width and height in pixels.
+        type: of the values: "uint8" or "uint16" are codes, "float32" is radiance.
+        colors: what the values mean.
+        read: makes the pixels (height, width, channels), with or without alpha.
+        exif: where its EXIF is.
+    """
+
+    kind: str
+    size: tuple[int, int]
+    type: str
+    colors: Colors
+    read: Callable[[], Any]
+    exif: Path | bytes
+
+
+def open_picture(path: Path, layer: str = "") -> Picture:
+    """What an image's header says; no pixel is read.
+
+    Args:
+        path: of the file.
+        layer: of an EXR; see `read_exr`.
+
+    Raises:
+        FiptError: ``image-missing``, ``image-unreadable``, ``image-too-large``, ``image-format`` for other
+            formats, or ``package-optional``.
+    """
+    try:
+        with path.open("rb") as file:
+            found = _STARTS.match(file.read(16))
+        kind, suffix = str(found and found.lastgroup), path.suffix.lower()
+        if found is None or suffix in RAW_SUFFIXES:
+            if suffix in IMAGE_SUFFIXES:
+                raise ValueError(f"its content is none of {FORMATS}")
+            raise FiptError(
+                "image-format",
+                f"{path} has a format that can't be read; {FORMATS} can.",
+                "Export one of these, or prepare the photographs (section Photographs), which reads RAW.",
+            )
+        if kind == "exr":
+            return Picture(kind, exr_size(path), "float32", Colors(), lambda: read_exr(path, layer), b"")
+        picture = _open_heif(path) if kind == "heif" else _open_by_oiio(path, kind)
+    except FileNotFoundError:
+        raise missing(path) from None
+    except DAMAGE as error:
+        raise unreadable(path, error) from None
+    check_pixels(path, *picture.size)
+    return picture
+
+
+def stored_values(path: Path, picture: Picture) -> np.ndarray:
+    """Values (height, width, channels) as stored, of which the fourth may be left out.
+
+    Raises:
+        FiptError: ``image-unreadable``.
+    """
+    try:
+        pixels = np.asarray(picture.read())
+    except DAMAGE as error:
+        raise unreadable(path, error) from None
+    return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
 def read_size(path: Path) -> tuple[int, int]:
-    """Width and height in pixels of an EXR or PNG image, from its header only.
-
-    Raises:
-        FiptError: ``image-missing`` or ``image-unreadable``.
-    """
-    if path.suffix.lower() != EXR_SUFFIX:
-        return pillow_size(path)
-    return _window_size(_open_exr(path, header_only=True).header()["displayWindow"])
+    """Width and height in pixels of an image as it is stored, from its header; raises as `open_picture`."""
+    return open_picture(path).size
 
 
-def is_rec709(path: Path) -> bool:
-    """Whether an image's values are stored in Rec.709, so that `read_radiance` does not convert them.
-
-    Raises:
-        FiptError: ``image-missing`` or ``image-unreadable``.
-    """
-    return is_encoded(path) or _other_primaries(path, _open_exr(path, header_only=True).header()) is None
+def is_encoded(path: Path) -> bool:
+    """Whether a photograph's file holds codes instead of radiance; raises as `open_picture`."""
+    return open_picture(path).type != "float32"
 
 
-def read_radiance(path: Path) -> np.ndarray:
-    """Scene-linear radiance of an EXR image; of JPEG, PNG and TIFF the values by sRGB's curve.
+def is_plain(path: Path, layer: str = "") -> bool:
+    """Whether programs that know nothing of layers, primaries and curves read what `read_radiance` reads."""
+    picture = open_picture(path)
+    if picture.kind == "exr":
+        return exr_is_plain(path, layer)
+    return picture.kind != "heif" and picture.colors.curve is None and picture.colors.matrix is None
 
-    Reads R, G, B, or one channel Y, of the first layer that has them, half or float. An image whose data
-    window differs from its display window is cropped or padded with black to the display window. If the
-    header declares other primaries, values are converted to Rec.709.
+
+def read_radiance(path: Path, layer: str = "") -> np.ndarray:
+    """Scene-linear radiance in Rec.709; of images that are not HDR, the values by sRGB's curve.
 
     Returns:
-        (height, width, 3) float32, units as stored.
+        (height, width, 3) float32, units as stored; from 0 to 1 where the image is not HDR.
 
     Raises:
-        FiptError: ``image-missing``, ``image-unreadable``, ``image-format`` for other formats,
-            ``image-channels`` where it has none of these channels.
+        FiptError: those of `open_picture` and `read_exr`.
     """
-    if is_encoded(path):
-        return read_encoded(path)
-    if path.suffix.lower() != EXR_SUFFIX:
-        if not path.is_file():
-            raise missing(path)
-        raise FiptError(
-            "image-format",
-            f"{path} is no OpenEXR, JPEG, PNG or TIFF file.",
-            "Save OpenEXR (.exr) files, or prepare the photographs (section Photographs), which reads RAW,"
-            " HEIC and .hdr files, too.",
-        )
-    file = _open_exr(path)
-    for index in range(len(file.parts)):
-        channels = file.channels(index)
-        names = _colour_channels(list(channels))
-        if names is None:
-            continue
-        header = file.header(index)
-        planes = [_display_plane(path, header, channels[name]) for name in names]
-        if len(planes) == 1:
-            return np.repeat(planes[0].astype(np.float32)[..., None], 3, axis=-1)
-        pixels = np.stack(planes, axis=-1).astype(np.float32)
-        primaries = _other_primaries(path, header)
-        return pixels if primaries is None else _to_rec709(path, pixels, primaries)
-    raise FiptError(
-        "image-channels",
-        f"{path} has no R, G, B or Y channels.",
-        "Save the photograph as an EXR with R, G and B channels.",
-    )
+    picture = open_picture(path, layer)
+    pixels, matrix = _colors_of(path, picture), picture.colors.matrix
+    if picture.type != "float32":
+        # By a table, since powers of all pixels would take seconds.
+        table, curve = _curve_table(picture).astype(np.float32), picture.colors.curve
+        # No code is clipped; to check that would take longer.
+        pixels = np.take(table[:, 0], pixels, mode="clip") if curve is None else _mapped(table, pixels)
+    if matrix is None:
+        return pixels
+    pixels = pixels @ matrix.T.astype(np.float32)
+    return pixels if picture.type == "float32" else np.clip(pixels, 0.0, 1.0)
+
+
+def read_codes(path: Path, as_stored: bool = False) -> tuple[np.ndarray, np.ndarray | None]:
+    """The codes of an image that is not HDR, with all their bits, by sRGB's curve.
+
+    Args:
+        path: of the file.
+        as_stored: by the file's own curve instead.
+
+    Returns:
+        (height, width, 3) uint8, or uint16 where 8 bits are too few, and (3, 3) from the linear values to
+        Rec.709; None where they are that.
+
+    Raises:
+        FiptError: those of `open_picture`.
+    """
+    picture = open_picture(path)
+    codes = _colors_of(path, picture)
+    if picture.colors.curve is not None and not as_stored:
+        codes = _mapped(np.round(65535.0 * srgb_encoded(_curve_table(picture))).astype(np.uint16), codes)
+    return codes, picture.colors.matrix
+
+
+def image_tags(path: Path) -> dict[str, Any]:
+    """EXIF tags of an image that are about its pixels as they are read; see `exif_tags`."""
+    picture = open_picture(path)
+    tags = exif_tags(picture.exif)
+    if picture.kind in ("heif", "jpegxl"):  # turned by the decoder, as their containers say
+        tags.pop("Image Orientation", None)
+    return tags
+
+
+def file_exposure(path: Path) -> float | None:
+    """The relative exposure by the EXIF of an image that is not HDR; None without."""
+    return relative_exposure(image_tags(path)) if is_encoded(path) else None
 
 
 def read_ids(path: Path) -> np.ndarray:
     """Ids of an id image.
 
-    EXR: integer values of the channel R, else Y, else the first. PNG: palette indices or grey values of
-    8 or 16 bit; in colour masks, each colour has the id ``red * 65536 + green * 256 + blue``.
+    EXR: integer values of the only channel, or of R, else Y. PNG: palette indices or grey values of 1 to 16
+    bits; in colour masks, each colour has the id ``red * 65536 + green * 256 + blue``. Colours of 16 bits
+    have that of the same colour with 8 bits, and where there is none, the value of red.
 
     Returns:
         (height, width) int32.
 
     Raises:
-        FiptError: ``image-missing``, ``image-unreadable``, ``mask-not-ids`` where values are not ids.
+        FiptError: those of `open_picture`, ``mask-not-ids`` where values are not ids.
     """
-    if path.suffix.lower() != EXR_SUFFIX:
-        return _png_ids(path)
-    file = _open_exr(path)
-    channels = file.channels(0)
-    colour = _colour_channels(list(channels))
-    name = colour[0] if colour else sorted(channels)[0]
-    values = _display_plane(path, file.header(0), channels[name]).astype(np.float64)
-    if not np.isfinite(values).all() or np.abs(values - np.round(values)).max(initial=0.0) > 1e-3:
-        raise FiptError(
-            "mask-not-ids",
-            f"{path} contains fractions: it is not an id image.",
-            "Save id images without anti-aliasing, with one integer per part.",
-        )
-    if np.abs(values).max(initial=0.0) > MAX_ID:
-        raise FiptError("mask-not-ids", f"{path} contains ids above {MAX_ID}.", "Use smaller ids.")
-    return np.round(values).astype(np.int32)
+    kind = open_picture(path).kind
+    if kind == "exr":
+        values = read_exr_values(path)
+        if not np.isfinite(values).all() or np.abs(values - np.round(values)).max(initial=0.0) > 1e-3:
+            raise _no_ids(path, "contains fractions", "without anti-aliasing, with one integer per part")
+        ids = _red(path, np.round(values).astype(np.int64))
+    elif kind == "png":
+        ids = _png_ids(path)
+    else:
+        raise _no_ids(path, "is not a PNG or EXR file (lossy formats change ids)", "as PNG or EXR")
+    if np.abs(ids).max(initial=0) > MAX_ID:
+        raise _no_ids(path, f"contains ids above {MAX_ID}", "with smaller ids")
+    return ids.astype(np.int32)
 
 
 def write_exr(path: Path, array: np.ndarray, half: bool = False, lossy: bool = False) -> None:
@@ -191,128 +289,129 @@ def write_ids(path: Path, ids: np.ndarray) -> None:
         temporary.write_bytes(buffer.getbuffer())
 
 
-def _window_size(window: Any) -> tuple[int, int]:
-    """Width and height of an EXR's data or display window."""
-    low, high = window
-    return int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
+def _open_heif(path: Path) -> Picture:
+    file = optional("pillow_heif", "A photograph in HEIC").open_heif(path, convert_hdr_to_8bit=False)
+    icc, nclx = file.info.get("icc_profile"), file.info.get("nclx_profile")
+    colors = Colors()
+    if icc:
+        colors = primaries.icc_colors(icc)
+    elif nclx:
+        if nclx["transfer_characteristics"] in (16, 18):  # of ITU-T H.273
+            raise ValueError("it is encoded as HDR video, PQ or HLG; export it without HDR, or as OpenEXR")
+        corners = [f"color_primary_{name}" for name in ("red", "green", "blue", "white")]
+        values = [nclx[f"{corner}_{axis}"] for corner in corners for axis in "xy"]
+        colors = Colors(None, primaries.to_rec709(np.array(values)))
+    kind = "uint16" if file.mode.endswith("16") else "uint8"
+    exif = file.info.get("exif") or b""
+    return Picture("heif", tuple(file.size), kind, colors, lambda: np.asarray(file), exif)
 
 
-def _check_header(path: Path, header: dict[str, Any]) -> None:
-    """Check the sizes that an EXR's header announces, before any pixel is read."""
-    width, height = _window_size(header["displayWindow"])
-    check_pixels(path, width, height)
-    data_width, data_height = _window_size(header["dataWindow"])
-    check_pixels(path, data_width, data_height)
-    if width * height > 16_000_000 and data_width * data_height < width * height / 16:
-        raise unreadable(path, f"{width} x {height} pixels, of which {data_width} x {data_height} are stored")
+def _open_by_oiio(path: Path, kind: str) -> Picture:
+    colors = _radiance_colors(path) if kind == "hdr" else Colors()
+    hints = oiio.ImageSpec()
+    hints.attribute("oiio:UnassociatedAlpha", 1)  # colours are not multiplied by alpha
+    file = oiio.ImageInput.open(str(path), hints)
+    if file is None or file.format_name() != kind:
+        raise ValueError(oiio.geterror() or f"it is no valid {kind}; {FORMATS} can be read")
+    spec = file.spec()
+    name = _TYPES.get(str(spec.format))
+    if name is None:
+        raise ValueError(f"its values are {spec.format}, not of 8 or 16 bits or floats")
+    icc = spec.getattribute("ICCProfile")
+    if icc is not None:
+        colors = primaries.icc_colors(bytes(icc))
+    elif kind == "png":
+        with PngImagePlugin.PngImageFile(path) as image:
+            colors = primaries.png_colors(image.info)
+    elif kind == "jpeg" and str(exif_tags(path).get("Interoperability InteroperabilityIndex")) == "R03":
+        # Adobe RGB, for which cameras embed no profile.
+        colors = Colors(primaries.power(563.0 / 256.0), primaries.to_rec709(primaries.ADOBE_RGB))
+    exif: Path | bytes = path
+    if kind == "webp":  # where ExifRead finds none
+        with WebPImagePlugin.WebPImageFile(path) as webp:
+            exif = webp.info.get("exif") or b""
 
-
-def _open_exr(path: Path, header_only: bool = False) -> OpenEXR.File:
-    """Open an EXR after a look at its header.
-
-    Raises:
-        FiptError: ``image-missing``, ``image-unreadable`` or ``image-too-large``.
-    """
-    header = _exr_file(path, header_only=True)
-    for index in range(len(header.parts)):
-        _check_header(path, header.header(index))
-    return header if header_only else _exr_file(path, header_only=False)
-
-
-def _exr_file(path: Path, header_only: bool) -> OpenEXR.File:
-    if not path.is_file():
-        raise missing(path)
-    try:
-        file = OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
-    except (RuntimeError, ValueError, TypeError) as error:
-        raise unreadable(path, error) from None
-    if not file.parts:  # OpenEXR only prints a warning where pixels are missing
-        raise unreadable(path, "the file is truncated or damaged")
-    return file
-
-
-def _colour_channels(names: list[str]) -> list[str] | None:
-    """The three colour channels, or one luminance channel, of the first layer that has them."""
-    by_layer: dict[str, dict[str, str]] = {}
-    for name in names:
-        layer, _, channel = name.rpartition(".")
-        by_layer.setdefault(layer, {})[channel.upper()] = name
-    for wanted in ("RGB", "Y"):
-        for layer in sorted(by_layer):  # the unnamed layer sorts first
-            if all(channel in by_layer[layer] for channel in wanted):
-                return [by_layer[layer][channel] for channel in wanted]
-    return None
-
-
-def _other_primaries(path: Path, header: dict[str, Any]) -> np.ndarray | None:
-    """(8,) chromaticities that the header declares, None where they are Rec.709 or not declared."""
-    if "chromaticities" not in header:
-        return None
-    try:
-        values = np.asarray(header["chromaticities"], np.float64).reshape(8)
-    except (TypeError, ValueError):
-        raise unreadable(path, "its chromaticities are not eight numbers") from None
-    return None if np.abs(values - REC709).max() < 1e-3 else values  # programs round them differently
-
-
-def _xyz_from_rgb(chromaticities: np.ndarray) -> np.ndarray:
-    """(3, 3) matrix from linear RGB to CIE XYZ; chromaticities are x, y of red, green, blue and white."""
-    x, y = chromaticities.reshape(4, 2).T
-    xyz = np.stack([x / y, np.ones(4), (1.0 - x - y) / y])  # one column each, at luminance 1
-    return xyz[:, :3] * np.linalg.solve(xyz[:, :3], xyz[:, 3])
-
-
-def _to_rec709(path: Path, pixels: np.ndarray, chromaticities: np.ndarray) -> np.ndarray:
-    """Convert pixels (..., 3) float32 from the given primaries to Rec.709 (Bradford white adaptation)."""
-    try:
-        source, target = _xyz_from_rgb(chromaticities), _xyz_from_rgb(REC709)
-        adapted = (BRADFORD @ target.sum(axis=1)) / (BRADFORD @ source.sum(axis=1))
-        adaptation = np.linalg.solve(BRADFORD, adapted[:, None] * BRADFORD)
-        matrix = np.linalg.solve(target, adaptation @ source)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise unreadable(path, f"its chromaticities are invalid: {error}") from None
-    return pixels @ matrix.T.astype(np.float32)
-
-
-def _display_plane(path: Path, header: dict[str, Any], channel: OpenEXR.Channel) -> np.ndarray:
-    """One channel (height, width) on the display window."""
-    if channel.xSampling != 1 or channel.ySampling != 1:
-        raise unreadable(path, f"channel {channel.name} is subsampled")
-    pixels = np.asarray(channel.pixels)
-    data_low, data_high = header["dataWindow"]
-    low, high = header["displayWindow"]
-    if np.array_equal(data_low, low) and np.array_equal(data_high, high):
+    def read() -> Any:
+        pixels = file.read_image(0, 0, 0, min(spec.nchannels, 3), name)
+        if pixels is None or file.has_error:
+            raise ValueError(file.geterror() or "it is damaged")
         return pixels
-    plane = np.zeros((int(high[1] - low[1]) + 1, int(high[0] - low[0]) + 1), pixels.dtype)
-    x0, y0 = (int(v) for v in np.maximum(data_low, low))
-    x1, y1 = (int(v) for v in np.minimum(data_high, high) + 1)
-    if x1 > x0 and y1 > y0:
-        plane[y0 - low[1] : y1 - low[1], x0 - low[0] : x1 - low[0]] = pixels[
-            y0 - data_low[1] : y1 - data_low[1], x0 - data_low[0] : x1 - data_low[0]
-        ]
-    return plane
+
+    return Picture(kind, (spec.width, spec.height), name, colors, read, exif)
+
+
+def _radiance_colors(path: Path) -> Colors:
+    """What a Radiance file's header says of its values; OpenImageIO applies none of it."""
+    with path.open("rb") as file:
+        head, _, rest = file.read(65_536).partition(b"\n\n")
+    if not rest.startswith(b"-Y"):
+        raise ValueError("its rows are in an unusual order")
+    scale, matrix = np.ones(3), None
+    for line in head.split(b"\n"):
+        name, _, value = line.partition(b"=")
+        if name == b"FORMAT" and value.strip() != b"32-bit_rle_rgbe":
+            raise ValueError("its colors are CIE XYZ, not RGB")
+        if name == b"PRIMARIES":
+            matrix = primaries.to_rec709(np.array(value.split(), np.float64))
+        elif name in (b"EXPOSURE", b"COLORCORR"):
+            scale = scale / np.array(value.split(), np.float64)
+    if scale.shape != (3,) or not ((scale > 1e-12) & (scale < 1e12)).all():
+        raise ValueError("its exposure makes no sense")
+    plain = matrix is None and (scale == 1.0).all()
+    return Colors(None, None if plain else (np.eye(3) if matrix is None else matrix) * scale)
+
+
+def _colors_of(path: Path, picture: Picture) -> np.ndarray:
+    """Values (height, width, 3) as stored; grey ones are repeated."""
+    pixels = stored_values(path, picture)
+    return np.repeat(pixels[..., :1], 3, axis=-1) if pixels.shape[-1] < 3 else pixels[..., :3]
+
+
+def _curve_table(picture: Picture) -> np.ndarray:
+    """(levels, 3) linear value of each code."""
+    codes = np.linspace(0.0, 1.0, np.iinfo(picture.type).max + 1)
+    if picture.colors.curve is None:
+        return np.repeat(srgb_decoded(codes)[:, None], 3, axis=1)
+    return np.clip(picture.colors.curve(codes), 0.0, 1.0)
+
+
+def _mapped(table: np.ndarray, codes: np.ndarray) -> np.ndarray:
+    """Codes (..., 3) by a table (levels, 3)."""
+    return np.stack([table[codes[..., channel], channel] for channel in range(3)], axis=-1)
 
 
 def _png_ids(path: Path) -> np.ndarray:
-    if path.suffix.lower() != ".png":
-        raise FiptError(
-            "mask-not-ids",
-            f"{path} is not a PNG or EXR file: lossy formats change ids.",
-            "Save id images as PNG or EXR.",
-        )
-    if not path.is_file():
-        raise missing(path)
+    """Ids (height, width) int64 of an id image in PNG."""
     try:
-        # As PNG whatever its content is: for some formats Pillow starts other programs. Not through
-        # Image.open, whose limit refuses legitimate masks.
-        image = PngImagePlugin.PngImageFile(path)
-        check_pixels(path, *image.size)
-        values = np.asarray(image)
-    except (OSError, ValueError, SyntaxError, struct.error, zlib.error) as error:
+        with PngImagePlugin.PngImageFile(path) as image:  # of palettes, OpenImageIO gives only the colours
+            if image.mode == "P":
+                return np.asarray(image).astype(np.int64)
+            bits = {"1": 1, "L;2": 2, "L;4": 4}.get(str(image.tile[0].args), 8)
+    except DAMAGE as error:
         raise unreadable(path, error) from None
-    values = values.astype(np.int32)
-    if values.ndim == 2:
-        return values
-    if values.shape[-1] == 2:  # grey with alpha
-        return values[..., 0]
-    return (values[..., 0] << 16) + (values[..., 1] << 8) + values[..., 2]
+    picture = open_picture(path)
+    colors = stored_values(path, picture).astype(np.int64)
+    if colors.shape[-1] < 3:
+        return colors[..., 0] // (255 // (2**bits - 1))  # fewer bits than 8 are scaled
+    if picture.type == "uint16":
+        same = (colors % 257 == 0).all(axis=-1)
+        red = colors[..., 0] if same.all() else _red(path, colors)
+        return np.where(same, _packed(colors // 257), red)
+    return _packed(colors)
+
+
+def _packed(colors: np.ndarray) -> np.ndarray:
+    return np.asarray((colors[..., 0] << 16) + (colors[..., 1] << 8) + colors[..., 2])
+
+
+def _red(path: Path, colors: np.ndarray) -> np.ndarray:
+    """The first channel of (height, width, channels), to which the others must have nothing to add."""
+    red, others = colors[..., :1], colors[..., 1:]
+    if others.any() and (others != red).any():
+        remedy = "with one channel, or as PNG with colors of 8 bits"
+        raise _no_ids(path, "has several values in each pixel, which are too many for an id", remedy)
+    return np.asarray(red[..., 0])
+
+
+def _no_ids(path: Path, fault: str, remedy: str) -> FiptError:
+    return FiptError("mask-not-ids", f"{path} {fault}: it is no id image.", f"Save id images {remedy}.")

@@ -31,12 +31,15 @@ from ..run.threads import in_threads
 from . import checks
 from .averaging import means
 from .distortion import Undistortion, is_distorted, lens_pinhole, undistorted_pinhole, undistortion
-from .encoded import JPEG_SUFFIXES, file_exposure, is_encoded, srgb_encoded
+from .encoded import srgb_encoded
 from .images import (
     EXR_SUFFIX,
     HALF_MAX,
     MAX_PNG_ID,
-    is_rec709,
+    file_exposure,
+    is_encoded,
+    is_plain,
+    open_picture,
     read_ids,
     read_radiance,
     read_size,
@@ -47,12 +50,14 @@ from .images import (
 )
 from .options import CaptureOptions, add_options, options_of
 from .photograph_poses import with_photograph_poses
+from .places import MISSING_REMEDY
 from .rig import Pinhole, RigView
 from .source import mesh_fusion, read_source, write_mesh
 
 # Photographs with more pixels than these are rewritten with 8 bits (JPEG) or 16 (HDR) instead of 32: of 12
 # megapixels 144 MB would be written. Smaller ones keep all bits.
 EXACT_PIXELS = 1_000_000
+LOSSY = ("jpeg", "webp", "heif", "jpegxl")  # formats of photographs that are rewritten as JPEG
 # The smallest value with all digits of a half float; a photograph's median must be so many times that.
 LEAST_HALF, DARKER = 2.0**-14, 100.0
 # Longer side of the copies that Blender's windows show of larger photographs, and their usual size: what a
@@ -248,14 +253,10 @@ def _check_files(views: list[RigView]) -> None:
     Raises:
         FiptError: ``image-missing``, ``image-format``, ``image-size``, ``mask-size`` or ``image-unreadable``.
     """
-    files = [path for view in views for path in (view.image, view.mask) if path is not None]
-    missing = [path for path in files if not path.is_file()]
+    missing = [view.missing for view in views if view.missing]
     if missing:
-        raise FiptError(
-            "image-missing",
-            f"{len(missing)} of {len(files)} images do not exist; the first is {missing[0]}.",
-            "Restore them, or set their folder (Photographs in the import settings, --images).",
-        )
+        text = f"Files of {len(missing)} of {len(views)} photographs are missing. {missing[0]}"
+        raise FiptError("image-missing", text, MISSING_REMEDY)
     for view in views:
         if is_network(str(view.image)):
             raise FiptError(
@@ -263,8 +264,6 @@ def _check_files(views: list[RigView]) -> None:
                 f"{view.image} is on another computer, which files of a run may not name.",
                 "Map the network folder to a drive letter, or copy the capture to your own disk.",
             )
-        if view.image.suffix.lower() != EXR_SUFFIX and not is_encoded(view.image):
-            read_radiance(view.image)  # raises the error
     for view in views:
         for path, code in (
             (view.image, "image-size"),
@@ -355,17 +354,18 @@ def _read_view(
         written[kind] = folder / kind / f"{view.name}{suffix}"
         return written[kind]
 
-    pixels = read_radiance(view.image)
+    pixels = read_radiance(view.image, view.layer)
     found = checks.pixel_statistics(view.image, pixels)
     negative = found.minimum < 0.0
-    if is_encoded(view.image):  # clipped and of 8 bits, as is said of all of them at once
+    encoded = is_encoded(view.image)
+    if encoded:  # clipped and of 8 bits, as is said of all of them at once
         found = replace(found, looks_ldr=False, clipped=0.0)
     if negative:
         pixels = np.maximum(pixels, 0.0)
     if resampling is not None:
         pixels = resampling.image(pixels)
-    if resampling is not None or negative or not is_rec709(view.image):
-        if pixels[..., 0].size > EXACT_PIXELS and view.image.suffix.lower() in JPEG_SUFFIXES:
+    if resampling is not None or negative or not is_plain(view.image, view.layer):
+        if pixels[..., 0].size > EXACT_PIXELS and open_picture(view.image).kind in LOSSY:
             write_jpeg(target("image", ".jpg"), srgb_encoded(pixels))
         else:
             write_exr(target("image"), pixels, half=_fits_half(pixels))
@@ -396,14 +396,14 @@ def _write_preview(view: RigView, target: Callable[[str, str], Path], pixels: np
 
 
 def _rewritten_bytes(view: RigView) -> int:
-    """Expected size of a view's rewritten photograph, 0 where distortion is none, and of its copy."""
+    """Expected size of a view's rewritten photograph, 0 where it stays as it is, and of its copy."""
     pixels = view.width * view.height
     preview = 2_000_000 if max(view.width, view.height) > PREVIEW_SIDE else 0
-    if not is_distorted(view.lens, view.width, view.height):
+    if not is_distorted(view.lens, view.width, view.height) and is_plain(view.image, view.layer):
         return preview
     if pixels <= EXACT_PIXELS:
         return 12 * pixels
-    return preview + (1 if view.image.suffix.lower() in JPEG_SUFFIXES else 6) * pixels
+    return preview + (1 if open_picture(view.image).kind in LOSSY else 6) * pixels
 
 
 def _fits_half(pixels: np.ndarray) -> bool:

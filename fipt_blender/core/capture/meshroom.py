@@ -16,9 +16,10 @@ import numpy as np
 from ..run.documents import Fields, Items
 from ..run.errors import FiptError
 from .options import CaptureOptions
+from .places import Places
 from .radial import distorting_lens
 from .rig import Lens, Rig, RigView, WellFormed, read_json_rig
-from .rig_files import Places, camera_file, number, numbers, pixel_size
+from .rig_files import camera_file, number, numbers, pixel_size
 
 NAME = "meshroom"
 LOOKS_FOR = "an .sfm or .json file with version, views, intrinsics and poses"
@@ -63,7 +64,7 @@ def read(file: Path, options: CaptureOptions) -> Rig:
         }
         views = [view for entry in data["views"] for view in _view(entry, lenses, poses, rigs, places)]
     views.sort(key=lambda view: view.name)
-    return Rig(NAME, tuple(views), "y", places.mesh())
+    return places.rig(NAME, views, "y", places.mesh())
 
 
 def points(file: Path) -> np.ndarray:

@@ -17,11 +17,12 @@ import numpy as np
 from ..conventions import transform_poses
 from ..run.errors import FiptError
 from .options import CaptureOptions
+from .places import Places
 from .radial import distorting_lens
 from .rig import Lens, Note, Rig, RigView, WellFormed
 from .rig_files import (
-    Places,
     camera_file,
+    cameras_off,
     largest_model,
     number,
     numbers,
@@ -52,7 +53,7 @@ def find(path: Path) -> Path | None:
 
 
 def read(file: Path, options: CaptureOptions) -> Rig:
-    """Read the aligned cameras of the largest chunk or component; those of a rig follow its master.
+    """Read the aligned and enabled cameras of the largest chunk or component; a rig's follow its master.
 
     Metashape does not define an up axis.
 
@@ -62,9 +63,12 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     places = Places.around(file, options)
     with WellFormed(file):
         chunks = [chunk for chunk in read_xml_rig(file).iter("chunk") if chunk.find("cameras") is not None]
+        chunks = [chunk for chunk in chunks if _is_on(chunk)] or chunks
         models = [model for chunk in chunks for model in _models(file, chunk, places)]
     views, notes = largest_model(models, str(file))
-    return Rig(NAME, views, None, places.mesh(), (*notes, *_far_notes(file, views)))
+    off = [camera for chunk in chunks for camera in _cameras(chunk) if not _is_on(camera)]
+    notes = (*notes, *cameras_off(file, [camera.get("label", "") for camera in off]))
+    return places.rig(NAME, views, None, places.mesh(), (*notes, *_far_notes(file, views)))
 
 
 def _models(file: Path, chunk: Element, places: Places) -> list[list[RigView]]:
@@ -74,7 +78,7 @@ def _models(file: Path, chunk: Element, places: Places) -> list[list[RigView]]:
         ValueError: what is wrong.
     """
     sensors = {sensor.get("id"): sensor for sensor in chunk.iterfind("sensors/sensor")}
-    cameras = {camera.get("id"): camera for camera in chunk.iterfind("cameras//camera")}
+    cameras = {camera.get("id"): camera for camera in _cameras(chunk)}
     transforms = {part.get("id"): _transform(part) for part in chunk.iterfind("components/component")}
     whole = _transform(chunk)
     calibrated: dict[str | None, _Sensor] = {}
@@ -82,7 +86,7 @@ def _models(file: Path, chunk: Element, places: Places) -> list[list[RigView]]:
     for camera in sorted(cameras.values(), key=lambda camera: camera.get("label", "")):
         master = cameras.get(camera.get("master_id"))
         pose = _pose(camera) if master is None or camera.find("transform") is not None else _pose(master)
-        if pose is None:
+        if pose is None or not _is_on(camera):
             continue
         key = camera.get("sensor_id") or (master.get("sensor_id") if master is not None else None)
         if key not in sensors:
@@ -98,6 +102,15 @@ def _models(file: Path, chunk: Element, places: Places) -> list[list[RigView]]:
             places.view(camera.get("label") or "unnamed", sensor.size, sensor.lens, pose)
         )
     return list(models.values())
+
+
+def _cameras(chunk: Element) -> list[Element]:
+    return list(chunk.iterfind("cameras//camera"))
+
+
+def _is_on(element: Element) -> bool:
+    """Whether a camera or chunk is enabled in Metashape."""
+    return element.get("enabled", "true").strip().lower() not in ("false", "0")
 
 
 def _pose(camera: Element) -> np.ndarray | None:

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from .options import CaptureOptions
+from .places import Places
 from .radial import undistorting_lens
 from .rig import Rig, RigView, WellFormed
 from .rig_files import (
-    Places,
     camera_file,
     camera_pose,
     largest_model,
@@ -56,7 +56,7 @@ def read(file: Path, options: CaptureOptions) -> Rig:
         entries = [cameras for cameras, _ in _models(lines)]
     models = [[_view(places, name, values, centre, aspect) for name, values in model] for model in entries]
     views, notes = largest_model(models, str(file))
-    return Rig(NAME, views, None, places.mesh(), notes)
+    return places.rig(NAME, views, None, places.mesh(), notes)
 
 
 def points(file: Path) -> np.ndarray:

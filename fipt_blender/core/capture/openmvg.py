@@ -15,9 +15,10 @@ import numpy as np
 from ..run.documents import Fields, Items, Number, Numbers
 from ..run.errors import FiptError
 from .options import CaptureOptions
+from .places import Places
 from .radial import distorting_lens
 from .rig import Lens, Rig, WellFormed, read_json_rig
-from .rig_files import Places, camera_file, camera_pose, numbers, pixel_size
+from .rig_files import camera_file, camera_pose, numbers, pixel_size
 
 NAME = "openmvg"
 LOOKS_FOR = "sfm_data.json with sfm_data_version"
@@ -47,7 +48,7 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
-    places = Places.around(file, options)
+    places = Places.around(file, options, folders=FOLDERS)
     data = read_json_rig(file, SFM_DATA)
     with WellFormed(file):
         kinds = _kinds(data["intrinsics"])
@@ -65,10 +66,11 @@ def read(file: Path, options: CaptureOptions) -> Rig:
                     np.array(pose["rotation"], np.float64), np.array(pose["center"], np.float64)
                 )
                 size, lens = lenses[view["id_intrinsic"]]
-                name = "/".join(str(view[part]) for part in ("local_path", "filename") if view.get(part))
+                parts = (data.get("root_path"), view.get("local_path"), view["filename"])
+                name = "/".join(str(part) for part in parts if part)
                 views.append(places.view(name, size, lens, matrix))
     views.sort(key=lambda view: view.name)
-    return Rig(NAME, tuple(views), None, places.mesh())
+    return places.rig(NAME, views, None, places.mesh())
 
 
 def points(file: Path) -> np.ndarray:

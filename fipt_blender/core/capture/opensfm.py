@@ -16,9 +16,10 @@ from scipy.spatial.transform import Rotation
 from ..run.documents import Entries, Fields, Items, Maybe, Number, Numbers
 from ..run.errors import FiptError
 from .options import CaptureOptions
+from .places import Places
 from .radial import distorting_lens
 from .rig import Lens, Rig, RigView, WellFormed, damaged, read_json_rig
-from .rig_files import Places, camera_file, camera_pose, largest_model, numbers, pixel_size
+from .rig_files import camera_file, camera_pose, largest_model, numbers, pixel_size
 
 NAME = "opensfm"
 LOOKS_FOR = "reconstruction.json with cameras and shots"
@@ -46,9 +47,9 @@ def read(file: Path, options: CaptureOptions) -> Rig:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
     models = read_json_rig(file, RECONSTRUCTIONS)
-    places = Places.around(file, options)
+    places = Places.around(file, options, folders=FOLDERS)
     views, notes = largest_model([_views(file, model, places) for model in models], str(file))
-    return Rig(NAME, views, "z", places.mesh(folders=(".", "odm_meshing", "undistorted")), notes)
+    return places.rig(NAME, views, "z", places.mesh(folders=(".", "odm_meshing", "undistorted")), notes)
 
 
 def points(file: Path) -> np.ndarray:
@@ -64,7 +65,7 @@ def points(file: Path) -> np.ndarray:
 
 
 def _is_reconstruction(text: str) -> bool:
-    return text.lstrip("\ufeff \t\r\n").startswith("[") and '"cameras"' in text
+    return text.lstrip().startswith("[") and '"cameras"' in text
 
 
 def _views(file: Path, model: dict[str, Any], places: Places) -> list[RigView]:

@@ -33,6 +33,7 @@ TEXTS = {
     "scale": "meters per unit of the capture (default: 1)",
     "hold_back": "hold back every N-th view where the capture holds back none; 0 for none (default: 8)",
     "images": "folder of the photographs, searched first",
+    "layer": "layer or part of EXR photographs that have several",
     "clamp_negative": "treat negative radiance in photographs as zero",
     "align_mesh": "align the cameras to a mesh from another program by the solve's points",
     "views": "use N photographs, evenly spread (default: all)",
@@ -72,6 +73,7 @@ class CaptureOptions:
     scale: float = 1.0
     hold_back: int = 8
     images: Path | None = None
+    layer: str = ""
     clamp_negative: bool = False
     align_mesh: bool = False
     views: int = 0

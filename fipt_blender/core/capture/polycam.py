@@ -16,8 +16,9 @@ from ..conventions import opengl_to_opencv_camera, transform_poses
 from ..run.documents import Fields, Maybe, Number, Numbers
 from .depth_images import registered_depths
 from .options import CaptureOptions
+from .places import Places
 from .rig import Lens, Rig, RigView, WellFormed, read_json_rig, read_pose
-from .rig_files import Places, pixel_size, similarity
+from .rig_files import pixel_size, similarity
 
 NAME = "polycam"
 LOOKS_FOR = "keyframes/corrected_cameras or keyframes/cameras with JSON files"
@@ -26,9 +27,10 @@ FOLDERS = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
 _MATRIX = [[f"t_{row}{column}" for column in range(4)] for row in range(3)]
 _CAMERA = Fields(
     {
-        **dict.fromkeys(("fx", "fy", "cx", "cy", "width", "height"), Number()),
+        **dict.fromkeys(("fx", "fy", "cx", "cy"), Number()),
         **{key: Number() for row in _MATRIX for key in row},
-    }
+    },
+    dict.fromkeys(("width", "height"), Number()),  # missing since 2025
 )
 _MESH_INFO = Fields({}, {"alignmentTransform": Maybe(Numbers(16))})
 
@@ -52,13 +54,13 @@ def read(found: tuple[Path, str], options: CaptureOptions) -> Rig:
     cameras, photographs = found
     keyframes = cameras.parent
     folders = tuple(f"keyframes/{name}" for name in (photographs, "hdr", "exr"))
-    places = Places((keyframes.parent,), options.images, (*folders, "hdr", "exr", "."))
+    places = Places(cameras, (keyframes.parent,), options.images, (*folders, "hdr", "exr", "."))
     files = sorted(file for file in cameras.iterdir() if file.suffix.lower() == ".json")
     alignment = _alignment(keyframes.parent)
     views = tuple(_view(file, places, alignment) for file in files)
-    images = [keyframes / "depth" / f"{file.stem}.png" for file in files]
+    images = [places.depth(keyframes / "depth", file.stem) for file in files]
     depths = registered_depths(views, images, options.depth_unit)
-    return Rig(NAME, views, "y", places.mesh(("raw", "mesh", "scene")), depths=depths)
+    return places.rig(NAME, views, "y", places.mesh(("raw", "mesh", "scene")), depths=depths)
 
 
 def _alignment(root: Path) -> np.ndarray:
@@ -79,6 +81,7 @@ def _view(file: Path, places: Places, alignment: np.ndarray) -> RigView:
     data = read_json_rig(file, _CAMERA)
     pose = read_pose(file, [[data[key] for key in row] for row in _MATRIX])
     with WellFormed(file):
-        size = pixel_size(data["width"], data["height"])
+        has_size = "width" in data and "height" in data
+        size = pixel_size(data["width"], data["height"]) if has_size else places.size(file.stem)
     lens = Lens("PINHOLE", tuple(float(data[key]) for key in ("fx", "fy", "cx", "cy")))
     return places.view(file.stem, size, lens, transform_poses(alignment, opengl_to_opencv_camera(pose)))

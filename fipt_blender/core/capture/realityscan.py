@@ -17,15 +17,16 @@ import numpy as np
 
 from ..conventions import opengl_to_opencv_camera
 from ..run.errors import FiptError
+from .files import Folders
 from .options import CaptureOptions
+from .places import IMAGE_FOLDERS, Places
 from .radial import distorting_lens
 from .rig import Lens, Note, Rig, RigView, WellFormed
 from .rig_files import (
-    IMAGE_FOLDERS,
-    Places,
     camera_file,
     camera_files,
     camera_pose,
+    cameras_off,
     head,
     number,
     numbers,
@@ -43,33 +44,43 @@ _COLUMNS = ("x", "y", "alt", "heading", "pitch", "roll", "f", "px", "py", "k1", 
 _XMP_IMAGES = tuple(dict.fromkeys((*IMAGE_FOLDERS, *FOLDERS)))
 
 
-def find(path: Path) -> Path | None:
-    """The CSV file at a path or in a folder, else the first XMP file with a pose, None without one."""
-    posed = (file for file in camera_files(path, (".xmp",), FOLDERS) if _has_pose(file))
-    return camera_file(path, (".csv",), _is_camera_table) or next(posed, None)
+def find(path: Path) -> tuple[Path, list[Path]] | None:
+    """A folder and the camera files in it, None without: the CSV file, or the XMP files beside photographs.
+
+    These are the ones of the first folder that has any with a pose, otherwise all in the folders below.
+    """
+    table = camera_file(path, (".csv",), _is_camera_table)
+    if table is not None:
+        return table.parent, [table]
+    posed = next((file for file in camera_files(path, (".xmp",), FOLDERS) if _has_pose(file)), None)
+    if posed is not None:
+        return posed.parent, list(camera_files(posed.parent, (".xmp",)))
+    below = Folders().files(path, ".xmp")
+    return (path, below) if any(_has_pose(file) for file in below) else None
 
 
-def read(file: Path, options: CaptureOptions) -> Rig:
-    """Read all cameras of a CSV file, or of the XMP files in the folder of one. The world is Z up.
+def read(found: tuple[Path, list[Path]], options: CaptureOptions) -> Rig:
+    """Read all cameras of a CSV file, or of XMP files. The world is Z up.
 
     Sizes are those of the photographs, since the files have none.
 
     Raises:
         FiptError: ``rig-damaged``, ``camera-model``, ``image-missing`` or ``image-unreadable``.
     """
+    folder, files = found
     notes: tuple[Note, ...] = ()
-    if file.suffix.lower() == ".csv":
-        places = Places.around(file, options)
-        views = _csv_views(file, places)
+    if files[0].suffix.lower() == ".csv":
+        places = Places.around(files[0], options)
+        views = _csv_views(files[0], places)
     else:
-        places = Places.around(file, options, _XMP_IMAGES)
-        views, notes = _xmp_views(list(camera_files(file.parent, (".xmp",))), places)
+        places = Places.around(folder / files[0].name, options, _XMP_IMAGES)
+        views, notes = _xmp_views(folder, files, places)
     views.sort(key=lambda view: view.name)
-    return Rig(NAME, tuple(views), "z", places.mesh(), notes)
+    return places.rig(NAME, views, "z", places.mesh(), notes)
 
 
 def _is_camera_table(text: str) -> bool:
-    columns = text.lstrip("\ufeff").split("\n", 1)[0].strip().split(",")
+    columns = text.split("\n", 1)[0].strip().split(",")
     return columns[0].strip() == "#name" and set(_COLUMNS[:7]) <= {column.strip() for column in columns}
 
 
@@ -102,21 +113,29 @@ def _world_to_camera(heading: float, pitch: float, roll: float) -> np.ndarray:
     return (about_z @ about_x @ about_y).T
 
 
-def _xmp_views(files: list[Path], places: Places) -> tuple[list[RigView], tuple[Note, ...]]:
+def _xmp_views(folder: Path, files: list[Path], places: Places) -> tuple[list[RigView], tuple[Note, ...]]:
     """The views of all XMP files with a pose, and a warning of those that RealityScan could not align.
 
     Files of other programs are left alone; a damaged one is refused, since its view would be missing.
     """
     values = [_xmp_values(file) for file in files]
     posed = [bool({f"{_XCR}Rotation", f"{_XCR}Position"} & found.keys()) for found in values]
+    all_files = list(zip(files, values, posed, strict=True))
+    off = [file for file, found, use in all_files if use and found.get(f"{_XCR}InTexturing") == "0"]
+    names = {file: file.relative_to(folder).with_suffix("").as_posix() for file in files}
     views = [
-        _xmp_view(file, found, places) for file, found, use in zip(files, values, posed, strict=True) if use
+        _xmp_view(file, names[file], found, places)
+        for file, found, use in all_files
+        if use and file not in off
     ]
-    lost = [file for file, found, use in zip(files, values, posed, strict=True) if found and not use]
+    lost = [file for file, found, use in all_files if found and not use]
+    notes = cameras_off(folder, [file.name for file in off])
+    for file in (*off, *lost):
+        places.find(names[file])  # it is told of here, and not as one without a camera
     if not lost:
-        return views, ()
+        return views, notes
     text = f"{len(lost)} XMP files have no pose (the first is {lost[0]}); their photographs are left out."
-    return views, (Note("pose-lost", text, "Align these photographs, too, or leave them out there."),)
+    return views, (*notes, Note("pose-lost", text, "Align these photographs, too, or leave them out there."))
 
 
 def _xmp_values(file: Path) -> dict[str, str]:
@@ -133,8 +152,8 @@ def _xmp_values(file: Path) -> dict[str, str]:
     return values
 
 
-def _xmp_view(file: Path, values: dict[str, str], places: Places) -> RigView:
-    """The view that an XMP file's values describe."""
+def _xmp_view(file: Path, name: str, values: dict[str, str], places: Places) -> RigView:
+    """The view of a name that an XMP file's values describe."""
     with WellFormed(file):
         rotation = numbers(values[f"{_XCR}Rotation"], 9).reshape(3, 3)
         centre = numbers(values[f"{_XCR}Position"], 3)
@@ -153,9 +172,9 @@ def _xmp_view(file: Path, values: dict[str, str], places: Places) -> RigView:
             f"{file} has the distortion model {model[:40]!r}, skew {skew:g} and aspect ratio {aspect:g}.",
             "Align again with a Brown distortion model without K + (Alignment Settings > Advanced).",
         )
-    size = places.size(file.stem)
+    size = places.size(name)
     lens = _lens(size, film, tuple(float(value) for value in coefficients))
-    return places.view(file.stem, size, lens, camera_pose(rotation, centre))
+    return places.view(name, size, lens, camera_pose(rotation, centre))
 
 
 def _lens(size: tuple[int, int], film: tuple[float, ...], coefficients: tuple[float, ...]) -> Lens:

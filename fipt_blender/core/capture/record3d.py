@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from ..conventions import opengl_to_opencv_camera
-from ..run.documents import Fields, Items, Maybe, Number, Numbers, read_limited
+from ..run.documents import Fields, Items, Maybe, Number, Numbers, decoded, read_limited
 from .depth_images import registered_depths
 from .options import CaptureOptions
+from .places import IMAGE_FOLDERS, Places
 from .rig import Lens, Rig, WellFormed, damaged, read_json_rig
-from .rig_files import IMAGE_FOLDERS, MOST_TEXT_BYTES, Places, pixel_size, stored_rotation
+from .rig_files import MOST_TEXT_BYTES, pixel_size, stored_rotation
 
 NAME = "record3d"
 LOOKS_FOR = "metadata.json (or metadata) with poses, K, w and h"
@@ -33,10 +34,10 @@ def find(path: Path) -> Path | None:
     for file in files:
         if file.is_file() and file.name.startswith("metadata"):
             try:
-                text = read_limited(file, MOST_TEXT_BYTES)
+                text = decoded(read_limited(file, MOST_TEXT_BYTES))
             except ValueError:
                 continue
-            if b'"poses"' in text and b'"K"' in text:
+            if '"poses"' in text and '"K"' in text:
                 return file
     return None
 
@@ -67,6 +68,6 @@ def read(file: Path, options: CaptureOptions) -> Rig:
             pose[:3, 3] = values[4:]
             lens = Lens("PINHOLE", tuple(float(value) for value in coefficients))
             views.append(places.view(str(index), size, lens, opengl_to_opencv_camera(pose)))
-    images = [file.parent / "depth" / f"{index}.exr" for index in range(count)]
+    images = [places.depth(file.parent / "depth", str(index)) for index in range(count)]
     depths = registered_depths(views, images, options.depth_unit)
-    return Rig(NAME, tuple(views), "y", places.mesh(), depths=depths)
+    return places.rig(NAME, views, "y", places.mesh(), depths=depths)

@@ -18,26 +18,27 @@ from ..run.errors import FiptError
 from .depth_images import depth_size
 from .images import read_size
 from .options import CaptureOptions
-from .rig import DepthView, Lens, Note, Rig, RigView, WellFormed, find_image, find_mesh
-from .rig_files import MESH_STEMS, numbers, read_text_rig
+from .places import Places
+from .rig import DepthView, Lens, Note, Rig, RigView, WellFormed
+from .rig_files import numbers, read_text_rig
 
 NAME = "rgbd"
 LOOKS_FOR = (
     "frame-*.depth.png and frame-*.pose.txt beside camera-intrinsics.txt, or folders depth, pose, color"
 )
 INTRINSICS = "camera-intrinsics.txt"
+POSE = ".pose.txt"
 MOST_POSE_BYTES = 10_000  # of a file of one frame
-PHOTOGRAPHS = (".jpg", ".png", ".jpeg")  # `find_image` prefers an EXR of the same name
 
 
 @dataclass(frozen=True)
 class _Frame:
-    """The files of a frame; the photograph's need not exist."""
+    """The files of a frame, and the name of its photograph, which need not exist."""
 
     name: str
-    depth: Path
+    depth: Path | None
     pose: Path
-    photographs: tuple[Path, ...]
+    photograph: str
 
 
 def find(path: Path) -> Path | None:
@@ -47,7 +48,8 @@ def find(path: Path) -> Path | None:
             continue
         if all((root / name).is_dir() for name in ("depth", "pose", "intrinsic")):
             return root
-        if next(root.glob("*.pose.txt"), None) and next(root.glob("*.depth.png"), None):
+        names = [path.name.lower() for path in root.iterdir()]
+        if all(any(name.endswith(end) for name in names) for end in (POSE, ".depth.png")):
             return root
     return None
 
@@ -58,23 +60,25 @@ def read(root: Path, options: CaptureOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged``, ``intrinsics-missing``, ``image-unreadable`` or ``depth-unreadable``.
     """
-    frames = _frames(root)
-    size = depth_size(frames[0].depth)
+    places = Places(root, (root,), options.images, ("color", "."))
+    frames = _frames(root, places)
+    size = depth_size(next((frame.depth for frame in frames if frame.depth is not None), root / "depth"))
     depth_matrix, color_matrix = _intrinsics(root)
     views: list[RigView] = []
     depths: list[DepthView] = []
     poses = [_pose(frame.pose) for frame in frames]
     for frame, pose in zip(frames, poses, strict=True):
+        photograph, view = places.find(frame.photograph), None
         if pose is None:
             continue
-        photograph, view = _photograph(frame, options), None
         if photograph is not None:
-            width, height = read_size(photograph)  # with the same field of view
+            width, height = read_size(photograph.path)  # with the same field of view
             matrix = np.diag([width / size[0], height / size[1], 1.0]) @ depth_matrix
             matrix = color_matrix if color_matrix is not None else matrix
-            view = _view(frame.name, photograph, matrix, pose)
+            lens = Lens("PINHOLE", (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]))
+            view = RigView(frame.name, None, photograph.path, width, height, lens, pose)
             views.append(view)
-        if frame.depth.is_file():
+        if frame.depth is not None:
             intrinsics = (depth_matrix[0, 0], depth_matrix[1, 1], depth_matrix[0, 2], depth_matrix[1, 2])
             fx, fy, cx, cy = (float(value) for value in intrinsics)
             depths.append(DepthView(frame.depth, *size, fx, fy, cx, cy, options.depth_unit, pose, view))
@@ -83,32 +87,25 @@ def read(root: Path, options: CaptureOptions) -> Rig:
     if lost:
         text = f"{lost} of {len(frames)} frames have no pose, since the tracking was lost; they are left out."
         notes = (Note("pose-lost", text, "Nothing needs to be done."),)
-    mesh = find_mesh([root], MESH_STEMS)
     one_camera = color_matrix is None
-    return Rig(NAME, tuple(views), None, mesh, notes, tuple(depths), one_camera)
+    return places.rig(NAME, views, None, places.mesh(), notes, tuple(depths), one_camera)
 
 
-def _frames(root: Path) -> list[_Frame]:
+def _frames(root: Path, places: Places) -> list[_Frame]:
     """All frames with a pose, by name."""
     if (root / "intrinsic").is_dir():
-        poses = [file for file in (root / "pose").iterdir() if file.suffix == ".txt"]
+        poses = [file for file in (root / "pose").iterdir() if file.suffix.lower() == ".txt"]
         found = [
-            _Frame(
-                pose.stem,
-                root / "depth" / f"{pose.stem}.png",
-                pose,
-                tuple(root / "color" / f"{pose.stem}{suffix}" for suffix in PHOTOGRAPHS),
-            )
-            for pose in poses
+            _Frame(pose.stem, places.depth(root / "depth", pose.stem), pose, pose.stem) for pose in poses
         ]
         # Frames are numbered without leading zeros.
         return sorted(found, key=lambda frame: (len(frame.name), frame.name))
-    found = []
-    for pose in sorted(root.glob("*.pose.txt")):
-        stem = pose.name.removesuffix(".pose.txt")
-        photographs = tuple(root / f"{stem}.color{suffix}" for suffix in PHOTOGRAPHS)
-        found.append(_Frame(stem, root / f"{stem}.depth.png", pose, photographs))
-    return found
+    poses = sorted(file for file in root.iterdir() if file.name.lower().endswith(POSE))
+    stems = [pose.name[: -len(POSE)] for pose in poses]
+    return [
+        _Frame(stem, places.depth(root, f"{stem}.depth"), pose, f"{stem}.color")
+        for stem, pose in zip(stems, poses, strict=True)
+    ]
 
 
 def _intrinsics(root: Path) -> tuple[np.ndarray, np.ndarray | None]:
@@ -146,18 +143,3 @@ def _pose(path: Path) -> np.ndarray | None:
     with WellFormed(path):
         values = np.array([float(word) for word in words], np.float64).reshape(4, 4)
     return values if np.isfinite(values).all() else None
-
-
-def _photograph(frame: _Frame, options: CaptureOptions) -> Path | None:
-    for path in frame.photographs:
-        folders = [folder for folder in (options.images, path.parent) if folder is not None]
-        found = find_image(folders, path.name)
-        if found.is_file():
-            return found
-    return None
-
-
-def _view(name: str, photograph: Path, matrix: np.ndarray, pose: np.ndarray) -> RigView:
-    width, height = read_size(photograph)
-    lens = Lens("PINHOLE", (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]))
-    return RigView(name, None, photograph, width, height, lens, pose)

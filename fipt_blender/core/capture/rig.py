@@ -8,10 +8,10 @@ Poses have OpenCV camera axes; the world is still that of the source, which `ing
 from __future__ import annotations
 
 import csv
-import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from itertools import product
+from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import ParseError
 
@@ -20,14 +20,12 @@ import numpy as np
 from ..alignment.ply_file import read_header
 from ..run.documents import load_document
 from ..run.errors import FiptError
-from .images import MASK_SUFFIXES
+from .files import key
 
-PHOTO_SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 PARTS_FOLDER = "parts"
 SEMANTICS_FOLDER = "semantics"
 CLASS_NAMES = "classes.json"  # names of semantic classes by id, beside their masks
-MOST_PART_BYTES = 120  # of one part of a view's name; file systems take 255 with suffix and number
 _MALFORMED = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, ParseError, csv.Error)
 
 
@@ -64,6 +62,8 @@ class RigView:
         camera_to_world: (4, 4) float64, OpenCV axes, source world.
         parts, semantics: id images that exist, or None.
         mask: image whose black pixels are left out, or None; it need not exist.
+        missing: where a file does not exist, what was looked for; else "".
+        layer: of an EXR with several; see `images.read_radiance`.
     """
 
     name: str
@@ -76,6 +76,8 @@ class RigView:
     parts: Path | None = None
     semantics: Path | None = None
     mask: Path | None = None
+    missing: str = ""
+    layer: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,58 +189,6 @@ def read_pose(path: Path, matrix: Any) -> np.ndarray:
     return pose
 
 
-def find_image(folders: Iterable[Path], name: str) -> Path:
-    """The photograph of a name that a rig file gives: its EXR version first, then the file itself.
-
-    Camera poses are often solved on tone-mapped copies, so that ``a.jpg`` may stand for ``a.exr``; names may
-    also lack a suffix. Where no file exists, the path in the first folder is returned.
-    """
-    folders = list(folders)
-    # Only known suffixes are suffixes: "frame.0001" has none.
-    known = PurePosixPath(name).suffix.lower() in PHOTO_SUFFIXES
-    stem = name[: -len(PurePosixPath(name).suffix)] if known else name
-    candidates = [stem + ".exr", *([name] if known else [stem + suffix for suffix in PHOTO_SUFFIXES])]
-    for candidate in candidates:
-        for folder in folders:
-            if (folder / candidate).is_file():
-                return folder / candidate
-    return folders[0] / (name if known else candidates[0])
-
-
-def find_ids(folder: Path, name: str) -> Path | None:
-    """The id image of a view (EXR or PNG) in a folder with the same layout as the photographs', or None."""
-    _, _, below = name.partition("/")  # that of images/a may be parts/images/a or parts/a
-    for stem in (name, below):
-        for suffix in MASK_SUFFIXES:
-            path = folder / (stem + suffix)
-            if stem and path.is_file():
-                return path
-    return None
-
-
-def view_name(path: str) -> str:
-    """A view's name from a file path: without suffix, relative, and without ".." parts.
-
-    Files are named after views, so what no file system takes (control characters, halves of surrogate pairs,
-    very long parts) is replaced.
-    """
-    text = path.encode("utf-8", errors="replace").decode("utf-8").replace("\\", "/")
-    pure = PurePosixPath("".join(letter if letter.isprintable() else "_" for letter in text))
-    if pure.suffix.lower() in PHOTO_SUFFIXES:
-        pure = pure.with_suffix("")
-    parts = [part for part in pure.parts if part not in ("..", ".") and not part.endswith((":", "/"))]
-    return "/".join(_shortened(part) for part in parts[-8:]) or "view"
-
-
-def _shortened(part: str) -> str:
-    """A part of a name that also fits into a file name with a suffix; other long parts stay different."""
-    data = part.encode("utf-8")
-    if len(data) <= MOST_PART_BYTES:
-        return part
-    digest = hashlib.sha256(data).hexdigest()[:8]
-    return f"{data[: MOST_PART_BYTES - 9].decode('utf-8', errors='ignore')}~{digest}"
-
-
 def find_mesh(folders: Sequence[Path], stems: Sequence[str]) -> Path | None:
     """The mesh of a capture's room: OBJ, PLY with faces, GLB or glTF.
 
@@ -247,13 +197,12 @@ def find_mesh(folders: Sequence[Path], stems: Sequence[str]) -> Path | None:
         stems: names without suffix, the best first. Without a file of these names, the only mesh in the
             folders is taken; of several, none.
     """
-    for folder in folders:
-        for stem in stems:
-            for suffix in MESH_SUFFIXES:
-                path = folder / (stem + suffix)
-                if path.is_file() and _has_faces(path):
-                    return path
-    others = {path.resolve(): path for folder in folders for path in _meshes(folder)}
+    meshes = {folder: _meshes(folder) for folder in folders}
+    for folder, stem in product(folders, stems):
+        named = [path for path in meshes[folder] if key(path.stem) == key(stem)]
+        if named:
+            return min(named, key=lambda path: MESH_SUFFIXES.index(path.suffix.lower()))
+    others = {path.resolve(): path for paths in meshes.values() for path in paths}
     return next(iter(others.values())) if len(others) == 1 else None
 
 

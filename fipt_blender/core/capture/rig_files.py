@@ -1,174 +1,23 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Camera files of other programs: how they are recognized, read within limits, and what lies beside.
-
-Camera files name photographs as they lay on another computer. No such path is followed out of the capture's
-folders: photographs are found by their path within these folders, or by their file name.
-"""
+"""Camera files of other programs: how they are recognized, and read within limits."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import partial
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
 from ..alignment.turns import quaternion_rotation
-from ..run.documents import read_limited
-from ..run.errors import FiptError
-from ..run.paths import leads_outside
+from ..run.documents import decoded, read_limited
 from ..run.shapes import MOST_SIDE
-from .images import read_size
-from .options import CaptureOptions
-from .rig import (
-    PARTS_FOLDER,
-    SEMANTICS_FOLDER,
-    Lens,
-    Note,
-    RigView,
-    WellFormed,
-    damaged,
-    find_ids,
-    find_image,
-    find_mesh,
-    view_name,
-)
+from .rig import Note, RigView, WellFormed, damaged
 
-IMAGE_FOLDERS = ("hdr", "exr", "images", "input", "Image", ".")
-MESH_STEMS = ("scene", "mesh", "model", "texturedMesh", "scene_dense_mesh")
 MOST_TEXT_BYTES = 256_000_000  # of a camera file
-
-
-@dataclass(frozen=True)
-class Places:
-    """Where the photographs, id images and mesh of a camera file are searched.
-
-    Attributes:
-        roots: folders, the first ones first.
-        images: the folder in which photographs are searched before all others, or None.
-        image_folders: folders below each root that may hold photographs.
-        found: what was found of each name, since camera files may repeat names without end.
-    """
-
-    roots: tuple[Path, ...]
-    images: Path | None = None
-    image_folders: tuple[str, ...] = IMAGE_FOLDERS
-    found: dict[tuple[str, str], Any] = field(default_factory=dict, compare=False, repr=False)
-
-    def _once(self, kind: str, name: str, find: Callable[[], Any]) -> Any:
-        if (kind, name) not in self.found:
-            self.found[kind, name] = find()
-        return self.found[kind, name]
-
-    @classmethod
-    def around(
-        cls, path: Path, options: CaptureOptions, image_folders: tuple[str, ...] = IMAGE_FOLDERS
-    ) -> Places:
-        """The places around a camera file: its folder and the one above."""
-        return cls((path.parent, path.absolute().parent.parent), options.images, image_folders)
-
-    def image(self, name: str) -> Path:
-        """The photograph of a name or path; the path that it should have where it does not exist."""
-        path: Path = self._once("image", name, lambda: self._image(name))
-        return path
-
-    def _image(self, name: str) -> Path:
-        names = _inner_names(name)
-        usual = [root / folder for root in self.roots for folder in self.image_folders]
-        searched = [folders for folders in ([self.images] if self.images else [], usual) if folders]
-        paths = [find_image(folders, inner) for folders in searched for inner in names]
-        return next((path for path in paths if path.is_file()), paths[0])
-
-    def size(self, name: str) -> tuple[int, int]:
-        """Width and height in pixels of the photograph of a name.
-
-        Raises:
-            FiptError: ``image-missing`` or ``image-unreadable``.
-        """
-        size: tuple[int, int] = self._once("size", name, lambda: read_size(self.image(name)))
-        return size
-
-    def view(self, name: str, size: tuple[int, int], lens: Lens, camera_to_world: np.ndarray) -> RigView:
-        """The view of a photograph, with the id images that exist.
-
-        Args:
-            name: of the photograph, as the camera file has it.
-            size: width and height in pixels that the lens is calibrated for.
-            lens, camera_to_world: see `RigView`.
-        """
-        stem = view_name(_inner_names(name)[0])
-        ids = {
-            kind: self._once(kind, stem, partial(self._ids, kind, stem))
-            for kind in (PARTS_FOLDER, SEMANTICS_FOLDER)
-        }
-        return RigView(
-            name=stem,
-            split=None,
-            image=self.image(name),
-            width=size[0],
-            height=size[1],
-            lens=lens,
-            camera_to_world=camera_to_world,
-            parts=ids[PARTS_FOLDER],
-            semantics=ids[SEMANTICS_FOLDER],
-        )
-
-    def _ids(self, kind: str, stem: str) -> Path | None:
-        return next(filter(None, (find_ids(root / kind, stem) for root in self.roots)), None)
-
-    def mesh(self, stems: Sequence[str] = MESH_STEMS, folders: Sequence[str] = (".",)) -> Path | None:
-        """The first mesh with one of these names, or None."""
-        return find_mesh([root / folder for root in self.roots for folder in folders], stems)
-
-
-def photograph(file: Path, name: str, options: CaptureOptions) -> Path:
-    """The photograph that a camera file names by its path, below the file's folder or the user's folder.
-
-    Raises:
-        FiptError: ``path-outside`` for a path that leads elsewhere, if its name is not found here either.
-    """
-    folders = [folder for folder in (options.images, file.parent) if folder]
-    if _follows(file, name, options):
-        return find_image(folders, name)
-    inner = name.replace("\\", "/").replace("\0", "").rpartition("/")[2]
-    image = find_image(folders, inner) if inner not in ("", "..") else folders[0]
-    if not image.is_file():
-        refuse_outside(file, name, options)
-    return image
-
-
-def refuse_outside(file: Path, name: str, options: CaptureOptions) -> None:
-    """Refuse a path in a camera file that leads out of the file's folder.
-
-    Raises:
-        FiptError: ``path-outside``.
-    """
-    if not _follows(file, name, options):
-        raise FiptError(
-            "path-outside",
-            f"{file} names the file {name[:200]!r}, which is outside of the capture's folder.",
-            "Move the files into the capture, or choose the folder of the photographs (Photographs in"
-            " the import settings, --images).",
-        )
-
-
-def _follows(file: Path, name: str, options: CaptureOptions) -> bool:
-    return options.own_paths or not leads_outside(file.parent, name)
-
-
-def _inner_names(name: str) -> list[str]:
-    """A photograph's path within the capture, without what leads out of it, and its file name."""
-    path = PurePosixPath(name.replace("\\", "/"))
-    parts = [part for part in path.parts if part != "."]
-    if not parts or parts[-1] in ("..", "/"):
-        return ["unnamed"]
-    leads_out = path.is_absolute() or ".." in parts or ":" in parts[0]
-    return list(dict.fromkeys([parts[-1] if leads_out else "/".join(parts), parts[-1]]))
 
 
 # ------------------------------------------------------------------------------------------------ recognition
@@ -178,7 +27,7 @@ def head(path: Path) -> str:
     """The beginning of a file as text, for recognizing its format; empty where it can't be read."""
     try:
         with path.open("rb") as file:
-            return file.read(1 << 16).decode("utf-8", errors="replace")
+            return decoded(file.read(1 << 16), errors="replace")
     except OSError:
         return ""
 
@@ -211,12 +60,12 @@ def read_text_rig(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
     """The text of a camera file.
 
     Raises:
-        FiptError: ``rig-damaged`` where it is not a file, not UTF-8, or too large.
+        FiptError: ``rig-damaged`` where it is not a file, no Unicode text, or too large.
     """
     if not path.is_file():
         raise damaged(path, "it contains no camera file")
     with WellFormed(path):
-        return read_limited(path, most_bytes).decode("utf-8-sig").replace("\r\n", "\n")
+        return decoded(read_limited(path, most_bytes)).replace("\r\n", "\n")
 
 
 def read_xml_rig(path: Path) -> ElementTree.Element:
@@ -310,6 +159,15 @@ def similarity(scale: float, rotation: np.ndarray, translation: np.ndarray) -> n
     matrix[:3, :3] = scale * rotation
     matrix[:3, 3] = translation
     return matrix
+
+
+def cameras_off(file: Path, names: Sequence[str]) -> tuple[Note, ...]:
+    """A warning of cameras that are switched off in the program that wrote a file; none without any."""
+    if not names:
+        return ()
+    shown = ", ".join(names[:3]) + (", and others" if len(names) > 3 else "")
+    text = f"{len(names)} cameras of {file} are switched off in its program ({shown}); they are left out."
+    return (Note("cameras-off", text, "To use them, switch them on there and export the cameras again."),)
 
 
 def largest_model(

@@ -17,8 +17,8 @@ import numpy as np
 from ..conventions import transform_poses
 from ..run.documents import Fields, Items
 from .options import CaptureOptions
-from .rig import Rig, RigView, read_json_rig
-from .rig_files import Places
+from .places import Places
+from .rig import Rig, RigView, find_mesh, read_json_rig
 from .transforms import FRAME, RIG, frame_view
 
 NAME = "scannetpp"
@@ -48,29 +48,20 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     """
     data = read_json_rig(file, SCENE)
     dslr = file.parent.parent
-    places = Places((dslr,), options.images, ("hdr", "resized_images", "original_images", "."))
-    masks = dslr / MASK_FOLDER if data.get("has_mask", True) else None
+    image_folders = ("hdr", "resized_images", "original_images", ".")
+    places = Places(file, (dslr,), options.images, image_folders, (MASK_FOLDER,))
+    has_mask = data.get("has_mask", True)
     splits = (("frames", None), ("test_frames", "held_back"))
     views = [
-        _view(file, {**data, **frame}, split, places, masks)
+        _view(file, {**data, **frame, **({} if has_mask else {"mask_path": None})}, split, places)
         for key, split in splits
         for frame in data.get(key, [])
         if not frame.get("is_bad")
     ]
-    mesh = Places((dslr.parent,)).mesh(("mesh_aligned_0.05", "mesh"), ("scans", "."))
-    return Rig(NAME, tuple(views), None, mesh)
+    mesh = find_mesh([dslr.parent / "scans", dslr.parent], ("mesh_aligned_0.05", "mesh"))
+    return places.rig(NAME, views, None, mesh)
 
 
-def _view(
-    file: Path, frame: dict[str, Any], split: str | None, places: Places, masks: Path | None
-) -> RigView:
-    image = places.image(frame["file_path"])
-    view = frame_view(file, frame, split, image)
-    named = places.view(frame["file_path"], (view.width, view.height), view.lens, view.camera_to_world)
-    mask = frame.get("mask_path")
-    return replace(
-        named,
-        split=split,
-        camera_to_world=transform_poses(_SOLVE_FROM_STORED, view.camera_to_world),
-        mask=masks / Path(mask).name if masks and mask else None,
-    )
+def _view(file: Path, frame: dict[str, Any], split: str | None, places: Places) -> RigView:
+    view = frame_view(file, frame, split, places)
+    return replace(view, camera_to_world=transform_poses(_SOLVE_FROM_STORED, view.camera_to_world))

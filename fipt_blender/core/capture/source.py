@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +46,7 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
     Raises:
         FiptError: those of the readers, ``mesh-missing``; those of aligning.
     """
-    rig = read_rig(capture, options.format, options)
+    rig = _with_layer(read_rig(capture, options.format, options), options.layer)
     mesh = _mesh(rig, options)
     rig = replace(rig, depths=checked_depths(rig.depths))
     if rig.one_camera:
@@ -81,6 +82,13 @@ def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: Fus
         write_ply(run.simplified_ply, source.simplified)
         return run.simplified_ply
     return source.mesh
+
+
+def _with_layer(rig: Rig, layer: str) -> Rig:
+    """The rig with a layer named for its photographs."""
+    named = partial(replace, layer=layer)
+    depths = (replace(depth, photograph=depth.photograph and named(depth.photograph)) for depth in rig.depths)
+    return replace(rig, views=tuple(map(named, rig.views)), depths=tuple(depths))
 
 
 def _mesh(rig: Rig, options: CaptureOptions) -> Path | None:

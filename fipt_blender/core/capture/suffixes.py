@@ -8,13 +8,12 @@ RAW_SUFFIXES = (
     *(".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".sr2", ".raf", ".rw2", ".orf", ".pef"),
     *(".srw", ".3fr", ".fff", ".iiq", ".rwl", ".erf", ".mrw", ".x3f"),
 )
-HEIF_SUFFIXES = (".heic", ".heif")
-# Pillow's name of each format of values after a camera's response.
-LDR_FORMATS = {
-    **dict.fromkeys((".jpg", ".jpeg"), "JPEG"),
-    **dict.fromkeys((".tif", ".tiff"), "TIFF"),
-    ".png": "PNG",
-    **dict.fromkeys(HEIF_SUFFIXES, "HEIF"),
-}
 LINEAR_SUFFIXES = (".exr", ".hdr", ".pic")
-SUFFIXES = (*RAW_SUFFIXES, *LDR_FORMATS, *LINEAR_SUFFIXES)
+HEIF_SUFFIXES = (".heic", ".heif")
+# Of images that are not RAW; their content says what they are.
+IMAGE_SUFFIXES = (
+    *LINEAR_SUFFIXES,
+    *(".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".jxl"),
+    *HEIF_SUFFIXES,
+)
+SUFFIXES = (*RAW_SUFFIXES, *IMAGE_SUFFIXES)

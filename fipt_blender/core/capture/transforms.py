@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,22 +16,11 @@ from ..conventions import opengl_to_opencv_camera, transform_poses
 from ..run.documents import Fields, Items, Maybe, Number
 from ..run.errors import FiptError
 from ..run.shapes import MOST_SIDE
-from .images import read_size
+from .files import key, name_parts, stem_of
 from .options import CaptureOptions
-from .rig import (
-    PARTS_FOLDER,
-    SEMANTICS_FOLDER,
-    Lens,
-    Rig,
-    RigView,
-    WellFormed,
-    find_ids,
-    find_mesh,
-    read_json_rig,
-    read_pose,
-    view_name,
-)
-from .rig_files import head, photograph, refuse_outside
+from .places import Places
+from .rig import Lens, Note, Rig, RigView, WellFormed, find_mesh, read_json_rig, read_pose
+from .rig_files import head
 
 NAME = "transforms"
 LOOKS_FOR = "transforms.json or transforms_train.json"
@@ -52,6 +42,7 @@ _COMMON = {
     **dict.fromkeys(("fl_x", "fl_y", "camera_angle_x", "camera_angle_y"), _NUMBER),
     **dict.fromkeys(("k1", "k2", "k3", "k4", "p1", "p2"), _NUMBER),
     **dict.fromkeys(("camera_model", "mask_path", "name"), Maybe(str)),
+    "is_bad": Maybe(bool),
 }
 FRAME = Fields({"file_path": str, "transform_matrix": list}, _COMMON)
 RIG = Fields(
@@ -94,6 +85,16 @@ def read(path: Path, options: CaptureOptions) -> Rig:
     else:
         files = {path / name: split for name, split in SPLIT_FILES.items() if (path / name).is_file()}
     root = path.parent if path.is_file() else path
+    places = Places(
+        next(iter(files)),
+        (root,),
+        options.images,
+        (".",),
+        inside=root,
+        own_paths=options.own_paths,
+        relative=True,
+    )
+    notes: list[Note] = []
     views: list[RigView] = []
     up_axis: str | None = None
     for json_path, split in files.items():
@@ -102,52 +103,58 @@ def read(path: Path, options: CaptureOptions) -> Rig:
         # The up axis from before the applied transform is not stored.
         up_axis = data.get("up_axis", "z" if undo is None else None)
         lists = {name: split for key, split in SPLIT_LISTS.items() for name in data.get(key) or ()}
+        split_of = {_identity(places, name): split for name, split in lists.items()}
         for frame in data["frames"]:
-            split_of_frame = lists.get(frame["file_path"], split)
-            image = photograph(json_path, frame["file_path"], options)
-            if mask := frame.get("mask_path", data.get("mask_path")):
-                refuse_outside(json_path, mask, options)
-            view = frame_view(json_path, {**data, **frame}, split_of_frame, image)
+            if frame.get("is_bad"):
+                continue
+            own = split_of.pop(_identity(places, frame["file_path"]), split) if split_of else split
+            view = frame_view(json_path, {**data, **frame}, own, places)
             if undo is not None:
                 view = replace(view, camera_to_world=transform_poses(undo, view.camera_to_world))
             views.append(view)
+        if split_of:
+            text = f"{len(split_of)} of {len(lists)} names in the splits of {json_path} belong to no frame"
+            text += f"; the first is {next(name for name in lists if _identity(places, name) in split_of)}."
+            notes.append(Note("splits-unknown", text, "Correct these names, or leave them out."))
     mesh = find_mesh([root], ["scene", "mesh", "meshed-poisson", "poisson_mesh"])
-    return Rig(NAME, tuple(views), up_axis, mesh)
+    return places.rig(NAME, views, up_axis, mesh, notes)
 
 
-def frame_view(json_path: Path, frame: dict[str, Any], split: str | None, image: Path) -> RigView:
+def _identity(places: Places, name: str) -> Path | str:
+    """What names of one photograph have in common: its file, or how they are written where it is missing."""
+    with suppress(FiptError):  # its size may tell later which one it is
+        if found := places.find(name):
+            return found.path
+    return key("/".join(name_parts(stem_of(name))))
+
+
+def frame_view(json_path: Path, frame: dict[str, Any], split: str | None, places: Places) -> RigView:
     """One view, with the pose as stored.
 
     Args:
         json_path: of the file.
         frame: the file's values, overridden by those of the frame.
         split: of the view.
-        image: its photograph.
+        places: where its photograph is.
 
     Raises:
         FiptError: see `read`.
     """
-    root = json_path.parent
     pose = opengl_to_opencv_camera(read_pose(json_path, frame["transform_matrix"]))
     with WellFormed(json_path):
         if "w" in frame and "h" in frame:
             width, height = int(frame["w"]), int(frame["h"])
         else:
-            width, height = read_size(image)
+            width, height = places.size(frame["file_path"])
         lens = _lens(json_path, frame, width, height)
-    name = view_name(str(frame.get("name") or frame["file_path"]))
-    mask = frame.get("mask_path")
-    return RigView(
-        name=name,
+    return places.view(
+        frame["file_path"],
+        (width, height),
+        lens,
+        pose,
+        called=frame.get("name") or "",
         split=split,
-        image=image,
-        width=width,
-        height=height,
-        lens=lens,
-        camera_to_world=pose,
-        parts=find_ids(root / PARTS_FOLDER, name),
-        semantics=find_ids(root / SEMANTICS_FOLDER, name),
-        mask=root / mask if isinstance(mask, str) and mask else None,
+        mask=frame.get("mask_path"),
     )
 
 

@@ -20,7 +20,7 @@ from .llvm import find_llvm
 from .variant import cuda_verdict
 
 PACKAGES = (
-    *("mitsuba", "drjit", "torch", "numpy", "OpenEXR"),
+    *("mitsuba", "drjit", "torch", "numpy", "OpenEXR", "OpenImageIO"),
     *("pycolmap", "pyoidn", "pillow", "jinja2", "psutil", "scipy"),
 )
 _SET_UP_AGAIN = "Set up the engine again in the add-on's preferences."

@@ -12,7 +12,7 @@ import numpy as np
 from ..light.emission import emission_probability
 from ..light.evidence import brighter_than_white
 from ..light.lamp_doubt import HardlySeen, hardly_seen, light_errors, power_errors
-from ..material.cell_errors import add_light_errors, cell_errors, draw_pixels, lit_cells
+from ..material.cell_errors import DrawnPixels, add_light_errors, cell_errors, draw_pixels, lit_cells
 from ..material.closed_form import (
     CellEstimate,
     TrainingData,
@@ -20,8 +20,11 @@ from ..material.closed_form import (
     followed_by_paths,
     white_rows,
 )
+from ..material.fields import RoomFields
 from ..material.hints import SurfaceHints
+from ..material.inference import Fields
 from ..material.networks import typical_values, useful_hash_levels
+from ..material.part_colors import room_detail
 from ..material.training import (
     PRETRAINING_STEPS,
     Networks,
@@ -211,9 +214,8 @@ class MaterialStages(EstimationState):
     def _write_results(self) -> None:
         _, emitting = self._emitters()
         left_alone = self.observations.left_alone
-        errors = self._cell_errors(emitting if left_alone is None else emitting | left_alone)
+        fields = self._room_fields(emitting if left_alone is None else emitting | left_alone)
         light = RoomLight(self.fixtures, self.observations.environment, self.view_check.lamps)
-        fields = self._room_fields(errors)
         areas = area_names(self.hints, self.units)
         with new_results(self.folder) as folder:
             write_results(folder, fields, light, self.scale, self.reporter)
@@ -227,10 +229,19 @@ class MaterialStages(EstimationState):
             note_version(folder.results)
         prune(self.folder, self.settings.kept_versions)
 
-    def _cell_errors(self, unused: np.ndarray) -> np.ndarray:
-        """(C, 3) standard errors in the seen cells, without the pixels of `unused` triangles (T,)."""
-        data, fields, seed = self._closed_form()[0], self._fields(), self.settings.seed
-        drawn = draw_pixels(self.pixels, self.units, self.box, self.cells, unused, seed)
+    def _room_fields(self, unused: np.ndarray) -> RoomFields:
+        """The estimate on all surfaces, from the pixels of all triangles but `unused` (T,)."""
+        data, fields, units, cells = self._closed_form()[0], self._fields(), self.units, self.cells
+        drawn = draw_pixels(self.pixels, units, self.box, cells, unused, self.settings.seed)
+        errors = self._cell_errors(data, fields, drawn)
+        detail = None
+        if self.settings.shrink_detail:
+            detail = room_detail(drawn, data, units, fields, cells, errors)
+        return RoomFields(fields, units, cells, errors, self.room.place, detail)
+
+    def _cell_errors(self, data: TrainingData, fields: Fields, drawn: DrawnPixels) -> np.ndarray:
+        """(C, 3) standard errors in the seen cells."""
+        seed = self.settings.seed
         errors = cell_errors(drawn, data, self.units, fields, self.cells)
         if not self.settings.lamp_doubt:
             return errors

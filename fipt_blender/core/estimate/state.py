@@ -23,7 +23,6 @@ from ..light.presumed import presume_lamps
 from ..light.shadings import roughness_levels
 from ..material.closed_form import CellEstimate, TrainingData
 from ..material.emission_mask import EmissionNetwork
-from ..material.fields import RoomFields
 from ..material.groups import Units
 from ..material.hints import SurfaceHints, place_hints
 from ..material.inference import Fields
@@ -276,11 +275,6 @@ class EstimationState:
 
     def _fields(self) -> Fields:
         return Fields(self.brdf, self.box)
-
-    def _room_fields(self, errors: np.ndarray | None = None) -> RoomFields:
-        """The estimate on all surfaces; with `errors` (:func:`cell_errors`) shrunk towards its units."""
-        place = 0.0 if errors is None else self.room.place
-        return RoomFields(self._fields(), self.units, self.cells, errors, place)
 
     @cached_property
     def _emitter_surfaces(self) -> EmitterSurfaces:

@@ -18,19 +18,17 @@ from ..optics.brdf import set_masking
 from ..run.arrays import check_layouts, read_arrays
 from ..run.errors import FiptError
 from ..run.runfolder import RunFolder, atomic_path
-from ..run.shapes import FIELDS_ARRAYS, PARTS_ARRAYS
+from ..run.shapes import DETAIL_ARRAYS, FIELDS_ARRAYS, PARTS_ARRAYS
 from ..scene.labels import NO_PART
 from .confidence import UNIFORM_DEVIATION, confidence, errors_with_place
 from .groups import Units
 from .inference import Fields
 from .networks import BrdfNetwork
-from .part_prior import part_priors, shrink_to_parts
+from .reliability import PartDetail
 from .seen import Box, SeenCells, fallback_values, seen_statistics
-from .uniform import uniform_parts
 
 # Base colour, and roughness with metallic, among the five values of a point.
 COLOR, MATERIAL = slice(0, 3), slice(3, 5)
-LEAST_ERROR = 0.02  # least standard error of base colour
 
 
 class RoomFields:
@@ -39,13 +37,14 @@ class RoomFields:
     Args:
         fields: the values on seen surfaces.
         units: of the mesh. If errors are given, points of a unit of one material have its median roughness
-            and metallic, and base colours are shrunk towards its median (:mod:`.part_prior`), which is the
-            colour of all of it where nothing else is certain (:mod:`.uniform`).
+            and metallic.
         cells: where the photographs saw surfaces.
         errors: (C, 3) float32 standard errors of base colour, roughness and metallic in each cell
             (:func:`.cell_errors.cell_errors`); None if they are not known.
         place: standard deviation of the place of surfaces, metres; lowers confidence
             (:func:`.confidence.errors_with_place`).
+        detail: of the base colours of units of one material, which is kept as far as it is reliable
+            (:mod:`.reliability`); None to keep all of it.
     """
 
     def __init__(
@@ -55,18 +54,17 @@ class RoomFields:
         cells: SeenCells,
         errors: np.ndarray | None = None,
         place: float = 0.0,
+        detail: PartDetail | None = None,
     ) -> None:
-        self.fields, self.units, self.cells, self.place = fields, units, cells, place
+        self.fields, self.units, self.cells, self.place, self.detail = fields, units, cells, place, detail
         unknown = np.full((len(cells.keys), 3), UNIFORM_DEVIATION, np.float32)
         self.errors = unknown if errors is None else errors
         values = fields.query(cells.points, cells.part)
         self._statistics = seen_statistics(cells.points, cells.part, values, len(units.single))
-        self._prior, self._uniform = None, np.zeros(len(units.single), bool)
-        if errors is not None and units.single.any():
-            part = np.where(units.is_single(cells.part), cells.part, NO_PART)
-            seen = values[:, COLOR], _color_errors(errors), part
-            self._prior = part_priors(*seen, len(units.single))
-            self._uniform = uniform_parts(*seen, cells.points, self._prior)
+        if detail is not None:
+            known = np.isfinite(detail.median[:, 0])
+            self._statistics.medians[known, COLOR] = detail.median[known]
+        self._one_material = errors is not None and bool(units.single.any())
 
     def query(
         self, positions: np.ndarray, triangles: np.ndarray
@@ -85,18 +83,16 @@ class RoomFields:
         # Where no surface was seen at all, only the network is left.
         seen = place >= 0 if len(self.cells.keys) else np.ones(len(positions), bool)
         seen_values = self.fields.query(positions[seen], part[seen])
-        if self._prior is not None:
-            errors = _color_errors(self.errors[place[seen]])
-            seen_values[:, COLOR] = shrink_to_parts(seen_values[:, COLOR], errors, part[seen], self._prior)
+        if self.detail is not None:
+            color = seen_values[:, COLOR], positions[seen], part[seen], self.fields.box
+            seen_values[:, COLOR] = self.detail.shrink(*color)
+        if self._one_material:
             single = self.units.is_single(part[seen])
             typical = fallback_values(positions[seen][single], part[seen][single], self._statistics)
             seen_values[single, MATERIAL] = typical[:, MATERIAL]
         values = np.empty((len(positions), seen_values.shape[1]), np.float32)
         values[seen] = seen_values
         values[~seen] = fallback_values(positions[~seen], part[~seen], self._statistics)
-        if self._prior is not None:
-            uniform = np.append(self._uniform, False)[np.maximum(part, NO_PART)]
-            values[uniform, COLOR] = self._prior.median[part[uniform]]
         if self.units.fixed is not None:
             fixed = np.append(self.units.fixed, [[np.nan] * 2], axis=0)[np.maximum(part, NO_PART)]
             values[:, MATERIAL] = np.where(np.isnan(fixed), values[:, MATERIAL], fixed)
@@ -141,6 +137,13 @@ class RoomFields:
             if parts["triangle_part"].max(initial=NO_PART) >= len(parts["single"]):
                 raise ValueError(f"{run.parts_npz.name} names parts that it lacks")
             place = float(arrays.get("place", 0.0))
+            detail = None
+            if "detail_keys" in arrays:
+                check_layouts(arrays, DETAIL_ARRAYS)
+                median, width, keys, sums = (arrays[name] for name in DETAIL_ARRAYS)
+                if len(median) != len(parts["single"]):
+                    raise ValueError("it has the detail of other parts")
+                detail = PartDetail(median, float(width), keys, sums)
             typical = np.zeros((len(parts["single"]) + 1, 5))
             device = torch.device(torch_device())
             network = BrdfNetwork(settings, hash_levels, typical, torch.Generator(), device)
@@ -155,13 +158,15 @@ class RoomFields:
         box = Box(arrays["box_low"].astype(np.float64), float(arrays["box_extent"]))
         cells = SeenCells(arrays["seen_keys"], arrays["seen_points"], arrays["seen_part"])
         units = Units(parts["triangle_part"], parts["single"], parts.get("fixed"))
-        return cls(Fields(network, box), units, cells, arrays["seen_errors"], place)
+        return cls(Fields(network, box), units, cells, arrays["seen_errors"], place, detail)
 
     def save(self, run: RunFolder) -> None:
         """Write results/fields.npz and parts.npz."""
         network, box = self.fields.network, self.fields.box
         state = {f"network/{name}": value.cpu().numpy() for name, value in network.state_dict().items()}
         place = {"place": np.float32(self.place)} if self.place else {}
+        detail = self.detail
+        kept = {} if detail is None else {f"detail_{name}": value for name, value in vars(detail).items()}
         with atomic_path(run.fields_npz) as temporary:
             np.savez(
                 temporary,
@@ -173,13 +178,9 @@ class RoomFields:
                 seen_part=self.cells.part,
                 seen_errors=self.errors,
                 **place,
+                **kept,
                 **state,
             )
         with atomic_path(run.parts_npz) as temporary:
             fixed = {} if self.units.fixed is None else {"fixed": self.units.fixed}
             np.savez(temporary, triangle_part=self.units.triangle, single=self.units.single, **fixed)
-
-
-def _color_errors(errors: np.ndarray) -> np.ndarray:
-    """(N,) standard errors of base colour from those of all values (N, 3)."""
-    return np.maximum(errors[:, 0].astype(float), LEAST_ERROR)

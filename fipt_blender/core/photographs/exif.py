@@ -8,34 +8,28 @@ Headers come from cameras, phones and other programs; whatever is missing or mak
 from __future__ import annotations
 
 import contextlib
-import logging
-import struct
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import exifread
 import rawpy
-from exifread.core.exceptions import ExifError
-from PIL import Image, UnidentifiedImageError
 
-from ..capture.encoded import MOST_PIXELS, exif_number, relative_exposure
-from ..capture.images import EXR_SUFFIX, read_size
-from ..capture.suffixes import HEIF_SUFFIXES, LDR_FORMATS, LINEAR_SUFFIXES, RAW_SUFFIXES
+from ..capture import encoded
+from ..capture.encoded import (
+    check_pixels,
+    exif_number,
+    exif_tags,
+    relative_exposure,
+    shutter_aperture_iso,
+)
+from ..capture.images import image_tags, open_picture
+from ..capture.suffixes import RAW_SUFFIXES
 from ..run.errors import FiptError
-from . import radiance_hdr
-from .extras import optional
 from .preparation import Photograph
 
-# What the libraries raise for damaged or hostile files.
-DAMAGE = (
-    *(OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, AssertionError, SyntaxError),
-    *(struct.error, EOFError, OverflowError, ZeroDivisionError, RecursionError, UnidentifiedImageError),
-    *(rawpy.LibRawError, ExifError, RuntimeError, NotImplementedError, MemoryError),
-    Image.DecompressionBombError,
-)
+DAMAGE = (*encoded.DAMAGE, rawpy.LibRawError)  # what the libraries raise for damaged files
 _TIMES = (
     ("EXIF DateTimeOriginal", "EXIF SubSecTimeOriginal"),
     ("EXIF DateTimeDigitized", "EXIF SubSecTimeDigitized"),
@@ -46,18 +40,6 @@ _CORRECTIONS = tuple(
     f"MakerNote {name}" for name in ("VignetteControl", "VignettingCorrection", "ShadingCompensation")
 )
 _OFF, _UNKNOWN = ("off", "none", "0"), ("n/a", "unknown", "")
-# ExifRead says on its log what is wrong with a header; a missing value is all that matters here.
-logging.getLogger("exifread").setLevel(logging.CRITICAL)
-
-
-def kind_of(path: Path) -> str | None:
-    """``raw``, ``ldr`` or ``linear`` by the suffix, None for files that are no photographs."""
-    suffix = path.suffix.lower()
-    if suffix in RAW_SUFFIXES:
-        return "raw"
-    if suffix in LDR_FORMATS:
-        return "ldr"
-    return "linear" if suffix in LINEAR_SUFFIXES else None
 
 
 def describe(path: Path, name: str) -> Photograph:
@@ -68,27 +50,24 @@ def describe(path: Path, name: str) -> Photograph:
         name: the path by which prepare.json names it.
 
     Raises:
-        FiptError: ``photograph-unreadable``, ``image-too-large`` or ``package-optional``.
+        FiptError: ``photograph-unreadable`` for RAW files, and those of `read_size`.
     """
-    kind = kind_of(path)
-    if kind is None:
-        raise unreadable(path, "its format is not known")
+    if path.suffix.lower() not in RAW_SUFFIXES:
+        picture, tags = open_picture(path), image_tags(path)
+        if picture.type != "float32":
+            return replace(_photograph(name, "ldr", picture.size, tags), corrected=_corrected(path))
+        tags = {tag: tags[tag] for tag in tags if tag == "Image Orientation"}  # radiance has no exposure
+        return _photograph(name, "linear", picture.size, tags)
+    tags = exif_tags(path)
     try:
         if path.stat().st_size == 0:
             raise unreadable(path, "the file is empty")
-        tags = _tags(path) if kind != "linear" else {}
-        corrected = _corrected(path) if kind == "ldr" else None
-        width, height, other = _size(path, kind, tags)
-        tags = {**other, **tags}
+        with rawpy.imread(str(path)) as raw:
+            size, tags = (raw.sizes.width, raw.sizes.height), _raw_tags(raw, tags) | tags
     except DAMAGE as error:
         raise unreadable(path, error) from None
-    if width < 1 or height < 1 or width * height > MOST_PIXELS:
-        raise FiptError(
-            "image-too-large",
-            f"{path} has {width} x {height} pixels; the limit is {MOST_PIXELS / 1e6:.0f} megapixels.",
-            "Scale it down, or remove it.",
-        )
-    return replace(_photograph(name, kind, (width, height), tags), corrected=corrected)
+    check_pixels(path, *size)
+    return _photograph(name, "raw", size, tags)
 
 
 def unreadable(path: Path, reason: object) -> FiptError:
@@ -103,47 +82,26 @@ def unreadable(path: Path, reason: object) -> FiptError:
 
 
 def _photograph(name: str, kind: str, size: tuple[int, int], tags: Mapping[str, Any]) -> Photograph:
-    shutter = _number(tags, "EXIF ExposureTime")
-    if shutter is None and (value := _number(tags, "EXIF ShutterSpeedValue", least=-30.0)) is not None:
-        shutter = 2.0**-value
-    aperture = _number(tags, "EXIF FNumber")
-    iso = _number(tags, "EXIF ISOSpeedRatings") or _number(tags, "EXIF PhotographicSensitivity")
-    exposure = relative_exposure(shutter, aperture, iso)
+    shutter, aperture, iso = shutter_aperture_iso(tags)
+    exposure = relative_exposure(tags)
     return Photograph(
         path=name,
         kind=kind,
         width=size[0],
         height=size[1],
-        # LibRaw gives a sensor's values as they lie; programs that wrote linear images have turned them.
-        orientation=1 if kind == "linear" else int(_number(tags, "Image Orientation", 1.0, 8.0) or 1),
+        orientation=int(exif_number(tags, "Image Orientation", 1.0, 8.0) or 1),  # pixels are as stored
         shutter=shutter,
         aperture=aperture,
         iso=iso,
-        focal_length=_number(tags, "EXIF FocalLength"),
-        focal_35mm=_number(tags, "EXIF FocalLengthIn35mmFilm"),
+        focal_length=exif_number(tags, "EXIF FocalLength"),
+        focal_35mm=exif_number(tags, "EXIF FocalLengthIn35mmFilm"),
         make=_text(tags, "Image Make"),
         model=_text(tags, "Image Model"),
         lens=_text(tags, "EXIF LensModel") or _text(tags, "MakerNote LensModel"),
         time=_time(tags),
-        # Values of linear images are radiance already, unless they say how they were exposed.
+        # Values of linear images are radiance already.
         exposure=1.0 if exposure is None and kind == "linear" else exposure,
     )
-
-
-def _size(path: Path, kind: str, tags: Mapping[str, Any]) -> tuple[int, int, dict[str, Any]]:
-    """Width, height, and what the format's own library knows besides, as EXIF tags."""
-    suffix = path.suffix.lower()
-    if kind == "raw":
-        with rawpy.imread(str(path)) as raw:
-            return raw.sizes.width, raw.sizes.height, _raw_tags(raw, tags)
-    if suffix == EXR_SUFFIX:
-        return *read_size(path), {}
-    if kind == "linear":
-        return *radiance_hdr.read_size(path), {}
-    if suffix in HEIF_SUFFIXES:
-        optional("pillow_heif", "A photograph in HEIC").register_heif_opener()
-    with Image.open(path, formats=[LDR_FORMATS[suffix]]) as image:
-        return *image.size, {}
 
 
 def _raw_tags(raw: rawpy.RawPy, tags: Mapping[str, Any]) -> dict[str, Any]:
@@ -161,34 +119,17 @@ def _raw_tags(raw: rawpy.RawPy, tags: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in known.items() if value}
 
 
-def _tags(path: Path) -> dict[str, Any]:
-    """EXIF tags by ExifRead's names; none where the file has none or they are damaged."""
-    with path.open("rb") as file:
-        try:
-            found = exifread.process_file(file, details=False, extract_thumbnail=False)
-        except DAMAGE:
-            return {}
-    return {name: tag.values for name, tag in found.items() if hasattr(tag, "values")}
-
-
 def _corrected(path: Path) -> bool | None:
     """Whether a camera's JPEG has no vignetting any more, by its maker note."""
-    with path.open("rb") as file:
-        try:
-            found = exifread.process_file(file, details=True, extract_thumbnail=False)
-        except DAMAGE:
-            return None
+    found = exif_tags(path, details=True)
     texts = [str(found[name].printable).strip(" []").casefold() for name in _CORRECTIONS if name in found]
     known = [text not in _OFF for text in texts if text not in _UNKNOWN]
     return known[0] if known else None
 
 
-def _number(tags: Mapping[str, Any], name: str, least: float = 1e-9, most: float = 1e9) -> float | None:
-    return exif_number(tags.get(name), least, most)
-
-
 def _text(tags: Mapping[str, Any], name: str) -> str:
     value = tags.get(name, "")
+    value = getattr(value, "values", value)
     return "".join(c for c in value if c.isprintable()).strip()[:200] if isinstance(value, str) else ""
 
 

@@ -41,7 +41,6 @@ _FACTS: dict[str, dict[str, Any]] = {
         )
     },
     "scale": {"meters_per_unit": _SIZE},
-    "masks": {"classes": Items(Fields({"name": str}, {"share": _SHARE}))},
 }
 
 

@@ -12,14 +12,10 @@ import numpy as np
 import rawpy
 from scipy import ndimage
 
-from ..capture.encoded import load_codes
-from ..capture.images import EXR_SUFFIX, read_radiance
-from ..capture.suffixes import HEIF_SUFFIXES, LDR_FORMATS
-from ..run.errors import FiptError
-from . import radiance_hdr
+from ..capture.images import read_codes, read_radiance
+from ..capture.primaries import REC709, xyz_from_rgb
 from .exif import DAMAGE, unreadable
-from .extras import optional
-from .preparation import Photograph
+from .preparation import Photograph, PrepareSettings
 
 BAND_ROWS = 128  # rows of a photograph at a time; bounds the memory
 # A sensor's own ceiling below the nominal one: this share of its pixels holds the highest value.
@@ -28,9 +24,6 @@ CEILING_WIDTH = 0.002
 # Share of the nominal ceiling from which on a sensor's pixels count as clipped.
 NEAR_TOP = 0.998
 LARGE_PIXELS = 8_000_000  # above this, linear values are kept as half floats
-XYZ_FROM_REC709 = np.array(
-    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +38,7 @@ class Stored:
         ceiling: value at which pixels count as clipped, in units of `values`.
         top: RAW: the highest value.
         balance: RAW: factors of the three channels for the camera's own white balance; ones elsewhere.
-        matrix: (3, 3) from the balanced camera's channels to linear Rec.709; the unit matrix elsewhere.
+        matrix: (3, 3) to linear Rec.709 from the balanced camera's channels, or from the file's primaries.
     """
 
     values: np.ndarray
@@ -69,19 +62,26 @@ class Frame:
     clipped: np.ndarray
 
 
-def load(path: Path, photograph: Photograph) -> Stored:
+def load(path: Path, photograph: Photograph, settings: PrepareSettings | None = None) -> Stored:
     """The stored values of a photograph, in the orientation of the file.
 
+    Codes are those of sRGB's curve, where the file has another one, unless the settings say that they are
+    linear.
+
     Raises:
-        FiptError: ``photograph-unreadable`` or ``package-optional``.
+        FiptError: ``photograph-unreadable`` and those of `read_radiance`.
     """
+    settings = settings or PrepareSettings()
     try:
         if photograph.kind == "raw":
             stored = _load_raw(path)
         elif photograph.kind == "ldr":
-            stored = Stored(_load_codes(path))
+            codes, matrix = read_codes(path, as_stored=settings.response == "linear")
+            stored = Stored(codes, matrix=np.eye(3) if matrix is None else matrix)
         else:
-            stored = Stored(_load_linear(path), ceiling=np.inf)
+            stored = Stored(read_radiance(path, settings.layer), ceiling=np.inf)
+            if not np.isfinite(stored.values).all():
+                raise ValueError("it holds values that are no numbers")
     except DAMAGE as error:
         raise unreadable(path, error) from None
     size = stored.values.shape[1], stored.values.shape[0]
@@ -261,7 +261,7 @@ def rec709_from_camera(xyz_to_camera: np.ndarray) -> np.ndarray:
     Args:
         xyz_to_camera: (3, 3) of the camera; the unit matrix is returned where it is singular or zero.
     """
-    camera = xyz_to_camera @ XYZ_FROM_REC709
+    camera = xyz_to_camera @ xyz_from_rgb(REC709)
     sums = camera.sum(axis=1, keepdims=True)
     if not np.isfinite(camera).all() or np.abs(sums).min() < 1e-6:
         return np.eye(3)
@@ -336,23 +336,3 @@ def _developed(raw: rawpy.RawPy) -> np.ndarray:
         user_flip=0,
     )
     return pixels.astype(np.float32) / np.float32(65535.0)
-
-
-def _load_codes(path: Path) -> np.ndarray:
-    suffix = path.suffix.lower()
-    if suffix in HEIF_SUFFIXES:
-        optional("pillow_heif", "A photograph in HEIC").register_heif_opener()
-    return load_codes(path, LDR_FORMATS[suffix])
-
-
-def _load_linear(path: Path) -> np.ndarray:
-    if path.suffix.lower() == EXR_SUFFIX:
-        try:
-            pixels = read_radiance(path)
-        except FiptError as error:
-            raise ValueError(error.text) from None
-    else:
-        pixels = radiance_hdr.read(path)
-    if not np.isfinite(pixels).all():
-        raise ValueError("it holds values that are no numbers")
-    return pixels

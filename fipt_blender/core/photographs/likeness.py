@@ -16,9 +16,10 @@ import numpy as np
 import rawpy
 from PIL import Image
 
+from ..capture.images import open_picture
 from ..run.errors import FiptError
 from .brackets import stops_between
-from .exif import DAMAGE, kind_of
+from .exif import DAMAGE
 from .frames import CLIPPED_CODE, linear_frame, load
 from .motion import LEAST_OVERLAP, grey, log_values, measure, warped
 from .preparation import Photograph
@@ -107,7 +108,7 @@ def small_picture(path: Path, photograph: Photograph) -> np.ndarray:
 def _codes(path: Path, photograph: Photograph) -> np.ndarray | None:
     """(height, width, 3) uint8 of a JPEG or of a preview, reduced while decoding; None without one."""
     source: Path | io.BytesIO = path
-    if kind_of(path) == "raw":
+    if photograph.kind == "raw":
         with rawpy.imread(str(path)) as raw:
             try:
                 preview = raw.extract_thumb()
@@ -116,7 +117,7 @@ def _codes(path: Path, photograph: Photograph) -> np.ndarray | None:
         if not isinstance(preview.data, bytes):  # a bitmap
             return None
         source = io.BytesIO(preview.data)
-    elif path.suffix.lower() not in (".jpg", ".jpeg"):
+    elif open_picture(path).kind != "jpeg":
         return None
     with Image.open(source, formats=["JPEG"]) as image:
         image.draft("RGB", (4 * SIDE, 4 * SIDE))

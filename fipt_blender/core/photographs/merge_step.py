@@ -167,7 +167,7 @@ def _survey(preparation: Preparation, group: Group, most: int) -> tuple[Survey, 
     photographs = preparation.of(group)
     observed, color = [], None
     for index, photograph in enumerate(photographs):
-        stored = load(preparation.file(photograph), photograph)
+        stored = load(preparation.file(photograph), photograph, preparation.settings)
         observed.append(observe(stored, photograph, index == len(photographs) // 2))
         if photograph.kind == "raw" and color is None:
             color = replace(stored, values=np.empty(0), colors=None)
@@ -229,12 +229,16 @@ def merged_group(
     # How many pixels become one before merging; the rest of the reduction follows after it.
     side = preparation.settings.working_width
     factor = max(1, max(items[0].width, items[0].height) // side) if side else 1
-    frames = [_frame(preparation, item, calibration.ceiling, curve, factor) for item in items]
+    loaded = [_frame(preparation, item, calibration.ceiling, curve, factor) for item in items]
+    frames, matrix = [frame for frame, _ in loaded], loaded[0][1]
+    del loaded
     motions = [survey.motions[index] for index in kept]
     radiance, clipped, moved = merge_group(frames, exposures, motions, calibration.noise[items[0].kind])
     del frames  # of 24 megapixels each, they are most of the memory
     if items[0].kind == "raw":
         radiance = in_rec709(radiance, clipped, calibration.balance, calibration.matrix)
+    else:
+        radiance = radiance @ matrix.astype(np.float32).T
     if preparation.settings.vignetting == "auto" and items[0].has_vignetting:
         gain = vignetting(items[0], radiance.shape[1], radiance.shape[0])
         radiance = radiance if gain is None else radiance * gain[..., None]
@@ -260,10 +264,11 @@ def merged_group(
 
 def _frame(
     preparation: Preparation, item: Photograph, ceiling: float, curve: np.ndarray | None, factor: int
-) -> Frame:
-    """One exposure at the size at which it is merged; what is stored of it is not kept."""
-    stored = load(preparation.file(item), item)
-    return linear_frame(replace(stored, ceiling=ceiling) if item.kind == "raw" else stored, curve, factor)
+) -> tuple[Frame, np.ndarray]:
+    """One exposure at the size at which it is merged, and `Stored.matrix`; what is stored is not kept."""
+    stored = load(preparation.file(item), item, preparation.settings)
+    stored = replace(stored, ceiling=ceiling) if item.kind == "raw" else stored
+    return linear_frame(stored, curve, factor), stored.matrix
 
 
 def _finished(
@@ -288,7 +293,7 @@ def _write_clipped(folder: PreparationFolder, group: Group, clipped: np.ndarray)
 
 
 def _settings_key(preparation: Preparation) -> Any:
-    names = ("working_width", "response", "align", "white_balance", "vignetting")
+    names = ("working_width", "response", "align", "white_balance", "vignetting", "layer")
     return [getattr(preparation.settings, name) for name in names]
 
 

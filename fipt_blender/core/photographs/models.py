@@ -14,6 +14,7 @@ import numpy as np
 import pycolmap
 
 from ..capture.colmap_sizes import check_model
+from ..capture.files import Names, ambiguous, name_parts
 from ..capture.rig import Rig
 from ..run.errors import FiptError
 from ..run.runfolder import explained_write_errors
@@ -101,12 +102,12 @@ def seen_points(model: pycolmap.Reconstruction, image: pycolmap.Image) -> tuple[
 
 @dataclass(frozen=True)
 class WantedView:
-    """A view of the capture: its name, its size, and stems of files by which a rig may call it."""
+    """A view of the capture: its name, its size, and paths of files by which a rig may call it."""
 
     name: str
     width: int
     height: int
-    stems: tuple[str, ...]
+    files: tuple[str, ...]
 
 
 def model_from_rig(rig: Rig, wanted: list[WantedView]) -> pycolmap.Reconstruction:
@@ -117,14 +118,22 @@ def model_from_rig(rig: Rig, wanted: list[WantedView]) -> pycolmap.Reconstructio
         wanted: the capture's views; those that the rig lacks are left out.
 
     Raises:
-        FiptError: ``solve-foreign`` where no view is found, ``solve-size`` where an image has another shape.
+        FiptError: ``solve-foreign`` where no view is found, ``solve-size`` where an image has another shape,
+            ``file-ambiguous`` where a name fits several views, or a view several names.
     """
-    by_stem = {Path(view.name).name.casefold(): view for view in rig.views}
+    called = {f"{index}/{view.name}": view for index, view in enumerate(rig.views)}
+    names = Names(called)
+    taken: dict[str, str] = {}
     model = pycolmap.Reconstruction()
     for view in wanted:
-        found = next((by_stem[stem.casefold()] for stem in view.stems if stem.casefold() in by_stem), None)
-        if found is None:
+        # A photograph's whole path says more than the group's name, and that more than a file's name.
+        files = sorted(view.files, key=lambda file: "/" not in file or not names.ending(name_parts(file)))
+        name = next(filter(None, map(names.find, files)), None)
+        if name is None:
             continue
+        if taken.setdefault(name, view.name) != view.name:
+            raise ambiguous(called[name].name, [taken[name], view.name])
+        found = called[name]
         number = model.num_images() + 1
         camera = pycolmap.Camera(
             camera_id=number,

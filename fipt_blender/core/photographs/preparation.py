@@ -24,6 +24,7 @@ RESPONSES = ("auto", "srgb", "linear")
 VIGNETTINGS = ("auto", "none")
 SCALES = ("none", "points", "marker", "mesh")
 WHITE_BALANCES = ("camera", "daylight")
+_REMOVED_SETTINGS = {"masks"}  # of earlier versions, which their prepare.json names
 _REMEDY = "Correct the file, or delete it and find the brackets again."
 
 
@@ -33,7 +34,7 @@ class Photograph:
 
     Attributes:
         path: within the folder of the photographs, relative to it.
-        kind: ``raw`` (a sensor's values), ``ldr`` (values after a camera's response), ``linear`` (EXR, HDR).
+        kind: ``raw`` (a sensor's values), ``ldr`` (codes after a camera's response), ``linear`` (radiance).
         width, height: pixels as stored, before `orientation`.
         orientation: of EXIF, 1 to 8.
         shutter: seconds.
@@ -126,6 +127,7 @@ class PrepareSettings:
         "vignetting: auto (from lensfun's database, else from overlapping views) or none",
         choices=VIGNETTINGS,
     )
+    layer: str = _setting("", "layer or part of EXR photographs that have several")
     cameras: str = _setting("", "folder of an existing camera solve; empty to solve the cameras")
     seed: int = _setting(0, "seed of the camera solve", low=0, high=2**31 - 1)
     scale: str = _setting(
@@ -141,9 +143,6 @@ class PrepareSettings:
     )
     scale_matrix: str = _setting("", "4 x 4 matrix, row by row, from the solved cameras to the mesh")
     marker_dictionary: str = _setting("4X4_50", "dictionary of the printed ArUco marker")
-    masks: str = _setting(
-        "", "folder or checkpoint of a model that makes masks of parts or semantic classes; empty for none"
-    )
 
 
 @dataclass(frozen=True)
@@ -249,8 +248,9 @@ def read_preparation(folder: PreparationFolder) -> Preparation:
     fault = _fault(Path(data["source"]), photographs, groups)
     if fault:
         raise FiptError("file-damaged", f"{folder.prepare_json} can't be used: {fault}.", _REMEDY)
-    settings = make_prepare_settings(data["settings"])
-    for path in (data["source"], settings.cameras, settings.masks):
+    kept = {name: value for name, value in data["settings"].items() if name not in _REMOVED_SETTINGS}
+    settings = make_prepare_settings(kept)
+    for path in (data["source"], settings.cameras):
         if is_network(path):
             raise FiptError(
                 "path-network",

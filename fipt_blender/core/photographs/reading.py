@@ -10,10 +10,11 @@ from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
 
+from ..capture.suffixes import SUFFIXES
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from .brackets import find_groups, in_order, remarks
-from .exif import describe, kind_of
+from .exif import describe
 from .likeness import Likeness
 from .preparation import Group, Photograph, Preparation, PreparationFolder, write_preparation
 
@@ -75,7 +76,7 @@ def list_photographs(source: Path) -> list[str]:
     for top, folders, files in os.walk(source):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in sorted(files):
-            if not name.startswith(".") and kind_of(Path(name)) is not None:
+            if not name.startswith(".") and name.lower().endswith(SUFFIXES):
                 names.append(Path(top, name).relative_to(source).as_posix())
         if len(names) > 20_000:
             raise FiptError(
@@ -87,7 +88,7 @@ def list_photographs(source: Path) -> list[str]:
         raise FiptError(
             "no-photographs",
             f"{source} holds no photographs.",
-            "Choose a folder with RAW, JPEG, TIFF, PNG, HEIC, EXR or HDR files.",
+            "Choose a folder with RAW, JPEG, TIFF, PNG, WebP, HEIC, EXR or HDR files.",
         )
     return names
 

@@ -29,7 +29,7 @@ from ..run.runfolder import PRODUCT_VERSION
 from .facts import read_facts, shutter_text
 from .preparation import Group, Preparation, PreparationFolder
 
-_FACTS = ("read", "merge", "solve", "vignetting", "scale", "masks")
+_FACTS = ("read", "merge", "solve", "vignetting", "scale")
 _SOURCES = {
     "database": "corrected, by the lens database",
     "overlap": "corrected, measured where views overlap",
@@ -127,7 +127,6 @@ def write_report(
         "registered_count": sum(row.state == "registered" for row in rows) if facts["solve"] else None,
         "reprojection_error": facts["solve"].get("reprojection_error"),
         "meters_per_unit": facts["scale"].get("meters_per_unit"),
-        "classes": [entry["name"] for entry in facts["masks"].get("classes", [])],
         "left_out": _left_out(facts),
         "lenses": [
             (entry["lens"], entry.get("corner"), _SOURCES.get(entry.get("source", ""), ""))

@@ -14,9 +14,9 @@ import pycolmap
 from PIL import Image
 
 from ..run.errors import FiptError
+from ..run.extras import optional
 from ..run.messages import Reporter
 from . import scale
-from .extras import optional
 from .models import points, poses, rays, read_model, seen_points, transform_model, write_model
 from .preparation import Preparation, PreparationFolder
 from .solve_step import copy_file, model_folder

@@ -161,8 +161,7 @@ def _existing(folder: PreparationFolder, preparation: Preparation, reporter: Rep
     wanted = []
     for group in preparation.used_groups:
         width, height = read_size(folder.image(group))
-        stems = (group.name, *(Path(path).stem for path in group.photographs))
-        wanted.append(WantedView(group.name, width, height, stems))
+        wanted.append(WantedView(group.name, width, height, (group.name, *group.photographs)))
     model = model_from_rig(rig, wanted)
     placed = registered_names(model)
     left_out = tuple(

@@ -48,7 +48,6 @@ STEPS = {
     "solve": Step(".solve_step", "Solving cameras", 20.0),
     "vignetting": Step(".vignetting_step", "Correcting vignetting", 1.0),
     "scale": Step(".scale_step", "Finding scale and up axis", 1.0),
-    "masks": Step(".masks_step", "Finding masks", 1.0),
     "report": Step(".report", "Writing the report", 1.0),
 }
 

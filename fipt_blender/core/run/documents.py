@@ -12,6 +12,7 @@ A shape is a type or one of this module's classes: ``str``, ``bool``, ``int``, `
 
 from __future__ import annotations
 
+import codecs
 import math
 import stat
 import sys
@@ -23,6 +24,7 @@ from typing import Any
 from .errors import FiptError
 
 MOST_BYTES = 256_000_000  # of a JSON document
+_UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def head(name: str) -> dict[str, Any]:
@@ -143,9 +145,28 @@ def load_document(path: Path, shape: Any = dict, strict: bool = True) -> Any:
         OSError: the system's.
         ValueError: what is wrong with the content.
     """
-    data = parse_document(read_limited(path, MOST_BYTES).decode("utf-8"), strict)
+    data = parse_document(decoded(read_limited(path, MOST_BYTES)), strict)
     check_shape(data, shape)
     return data
+
+
+def decoded(data: bytes, errors: str = "strict") -> str:
+    """The text of a file: UTF-8, or UTF-16 by its byte-order mark; marks are no part of the text.
+
+    Args:
+        data: of the file.
+        errors: see `bytes.decode`.
+
+    Raises:
+        ValueError: where it is no such text.
+    """
+    return data.decode("utf-16" if data.startswith(_UTF16_MARKS) else "utf-8-sig", errors)
+
+
+def has_mark(path: Path) -> bool:
+    """Whether a file begins with a byte-order mark."""
+    with path.open("rb") as file:
+        return file.read(3).startswith((*_UTF16_MARKS, codecs.BOM_UTF8))
 
 
 def read_limited(path: Path, most: int) -> bytes:

@@ -14,7 +14,10 @@ import os
 import stat
 from pathlib import Path
 
-IMAGE_SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
+# At least those of `capture.suffixes`, which is above this room.
+IMAGE_SUFFIXES = (
+    *(".exr", ".hdr", ".pic", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".jxl", ".heic", ".heif"),
+)
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".gltf", ".glb", ".fbx", ".usd", ".usda", ".usdc", ".usdz")
 
 

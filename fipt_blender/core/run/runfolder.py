@@ -37,15 +37,15 @@ class RunFolder:
     """
 
     def __init__(self, root: str | Path, results: str = RESULTS, inputs: str = "") -> None:
-        self.root = Path(root).absolute()
+        root = Path(root).absolute()
+        # To Blender, two slashes are the folder of the .blend file.
+        self.root = Path("/", *root.parts[1:]) if root.anchor == "//" else root
         self._results = results
         made_from = self.root / inputs
         self.run_json = made_from / "run.json"
         self.ingest_json = self.root / "ingest.json"
         self.capture_json = made_from / "capture.json"
         self.images = self.root / "images"
-        self.masks = self.root / "masks"
-        self.masks_json = self.masks / "masks.json"
         self.fused_ply = self.root / "fused.ply"
         self.simplified_ply = self.root / "simplified.ply"
         self.fused_json = self.root / "fused.json"
@@ -111,7 +111,7 @@ class RunFolder:
             FiptError: ``run-linked``.
         """
         replaced = [self.images, self.results, self.textures]
-        own = [self.masks, self.linked, self.stage, self.renders, self.versions, *replaced]
+        own = [self.linked, self.stage, self.renders, self.versions, *replaced]
         own += [side for path in replaced for side in beside(path)]
         own += [self.light, self.report, self.survey, self.align, self.scene_cameras]
         own += [self.root / "messages", self.log]

@@ -215,6 +215,7 @@ class Settings:
     brdf_depth: int = _setting(2, "BRDF network: number of hidden layers", TRAINING)
     checkpoint_steps: int = _setting(500, "stage 2: steps between checkpoints of a training", None)
 
+    shrink_detail: bool = _switch("keep detail of a part's base color as far as it is reliable", None)
     lamp_doubt: bool = _switch("count errors of the light of uncertain lamps in the confidence", None)
     environment_width: int = _setting(256, "width of the estimated environment map in pixels", SHADINGS)
 

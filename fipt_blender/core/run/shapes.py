@@ -52,7 +52,6 @@ ROOM = Fields(
     {"objects": Items(str), "materials": Items(str)},
     {"object_ids": Items(str), "parts": str, "completed": bool},
 )
-MASKS = Fields({"keys": Entries(str)})
 MATRICES = Entries(Numbers(4, 4))
 
 STEPS = Fields(
@@ -315,6 +314,12 @@ FIELDS_ARRAYS: dict[str, Layout] = {
     "seen_points": ("f", ("C", 3)),
     "seen_part": ("i", ("C",)),
     "seen_errors": ("f", ("C", 3)),
+}
+DETAIL_ARRAYS: dict[str, Layout] = {
+    "detail_median": ("f", ("U", 3)),
+    "detail_width": ("f", ()),
+    "detail_keys": ("i", ("N",)),
+    "detail_sums": ("f", ("N", 9)),
 }
 PARTS_ARRAYS: dict[str, Layout] = {"triangle_part": ("i", ("T",)), "single": ("b", ("U",))}
 RESOLUTION_ARRAYS: dict[str, Layout] = {"density": ("f", ("T",))}

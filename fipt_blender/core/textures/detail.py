@@ -30,7 +30,7 @@ from ..run.runfolder import RunFolder, atomic_path, write_json
 from ..scene.labels import NO_PART
 from ..scene.pixels import PixelStore, open_pixels
 from ..scene.room import Room, triangle_normals
-from .smoothing import SmoothingGrid
+from ..scene.smoothing import SmoothingGrid
 from .texel_views import LightPixels, Seen, Texels, see_texels
 
 # Width of the cells of the low-pass filter in median widths of a pixel of light: what is wider than about two

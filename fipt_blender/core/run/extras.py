@@ -8,14 +8,12 @@ import importlib
 import sys
 from types import ModuleType
 
-from ..run.errors import FiptError
+from .errors import FiptError
 
 # Module: (extra, pin). pyproject.toml has the same pins.
 EXTRAS = {
     "pillow_heif": ("heif", "pillow-heif==1.8.1"),
     "cv2": ("markers", "opencv-python-headless==4.11.0.86"),
-    "transformers": ("masks", "transformers==5.23.0"),
-    "safetensors": ("masks", "transformers==5.23.0"),  # which brings it
 }
 
 

@@ -1,0 +1,248 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reading OpenEXR files: which layer is the picture, its channels on the display window, its primaries.
+
+Sizes are checked before the library allocates memory for pixels.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+
+from ..run.errors import FiptError
+from .encoded import check_pixels, unreadable
+from .primaries import REC709, to_rec709, xyz_from_rgb
+
+# What programs call the picture itself, and what they call other passes; without blanks, "_" and "-".
+_BEAUTY = re.compile("|combined|beauty|rgba?|c|ci|color|colour|image|finalimage|main")
+_OTHERS = re.compile(
+    r"n[gs]?|p|z|uv|st|id|ao|.*(normals?|position|depth|mist|occlusion|albedo|basecolou?r|crypto.*|matte|mask)"
+    r"|(diff|diffuse|gloss|glossy|trans|transmission|spec|specular|subsurface|volume)(col|dir|ind|color|direct"
+    r"|indirect)?|emit|emission|env|environment|shadow|shadowcatcher|vector|velocity|motion.*|index.*"
+    r"|(noisy|denoising|debug|variance).*|(in)?direct.*|roughness|reflection|refraction|background|alpha"
+)
+_VIEWS = ("left", "right", "center", "main")  # of stereo files; the last part of a layer's name
+_COLOR_NAMES = {"RED": "R", "GREEN": "G", "BLUE": "B"}
+_LUMA_CHROMA = ("Y", "RY", "BY")
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Channels of one part that belong together.
+
+    Attributes:
+        part: its index.
+        name: of part and layer, "" where both have none.
+        channels: names in the file by what they mean (R, G, B, Y, RY, BY, X, Z, ...).
+    """
+
+    part: int
+    name: str
+    channels: dict[str, str]
+
+    @property
+    def color(self) -> Sequence[str]:
+        """What its colors consist of: R, G and B, or luminance with chroma; nothing where it has none."""
+        return next((names for names in ("RGB", _LUMA_CHROMA) if set(names) <= self.channels.keys()), ())
+
+
+def exr_size(path: Path) -> tuple[int, int]:
+    """Width and height of the display window; raises as `read_exr`."""
+    return _window_size(_open(path, header_only=True).parts[0].header["displayWindow"])
+
+
+def exr_is_plain(path: Path, layer: str) -> bool:
+    """Whether programs that know nothing of layers and primaries read the same picture."""
+    file = _open(path, header_only=True)
+    found = chosen_layer(path, _layers(file), layer)
+    names = [found.channels[name] for name in found.color or "Y"]
+    if len(file.parts) > 1 or names not in (["R", "G", "B"], ["Y"]):
+        return False
+    return _primaries(path, file.header(found.part))[0] is None
+
+
+def read_exr(path: Path, layer: str = "") -> np.ndarray:
+    """Linear Rec.709 of the picture in a file, (height, width, 3) float32, on the display window.
+
+    Args:
+        path: of the file.
+        layer: name of the part or layer; "" for the one that is named like a picture.
+
+    Raises:
+        FiptError: ``image-unreadable``, ``image-too-large``, ``image-channels`` where no layer is a picture,
+            ``image-layers`` where several may be it.
+    """
+    file = _open(path)
+    found = chosen_layer(path, _layers(file), layer)
+    header = file.header(found.part)
+    planes = [_plane(file, found, name) for name in found.color or "Y"]
+    if len(planes) == 1:
+        return np.repeat(planes[0][..., None], 3, axis=-1)
+    matrix, weights = _primaries(path, header)
+    if found.color == _LUMA_CHROMA:  # Y, RY = (R - Y) / Y, BY = (B - Y) / Y
+        red, blue = ((plane + np.float32(1.0)) * planes[0] for plane in planes[1:])
+        green = (planes[0] - weights[0] * red - weights[2] * blue) / weights[1]
+        planes = [red, green.astype(np.float32), blue]
+    pixels = np.stack(planes, axis=-1)
+    return pixels if matrix is None else pixels @ matrix.T.astype(np.float32)
+
+
+def read_exr_values(path: Path) -> np.ndarray:
+    """Values (height, width, 1 or 3) of an image that is no picture, as stored: ids, depths.
+
+    They are the file's only channel, or R, G and B, Y or R of the layer that would be its picture.
+
+    Raises:
+        FiptError: those of `read_exr`.
+    """
+    file = _open(path)
+    layers = _layers(file)
+    layer = layers[0] if len(layers) == 1 else chosen_layer(path, layers, "", others=True)
+    if set("RGB") <= layer.channels.keys():
+        return np.stack([_plane(file, layer, name) for name in "RGB"], axis=-1)
+    names = sorted(layer.channels, key=lambda name: (name != "R", name != "Y", name == "A", name))
+    return _plane(file, layer, names[0])[..., None]
+
+
+def chosen_layer(path: Path, layers: Sequence[Layer], wanted: str, others: bool = False) -> Layer:
+    """The layer that is the picture: the unnamed one, else the one with a picture's name, else the only one.
+
+    Colors come before luminance. Normals, depths and other passes are never taken unless they are asked for.
+
+    Args:
+        path: for the error.
+        layers: of all parts.
+        wanted: a layer's name, whole or its last word; "" for none.
+        others: whether other passes are as good as pictures.
+
+    Raises:
+        FiptError: ``image-channels`` or ``image-layers``.
+    """
+    colored = [layer for layer in layers if layer.color]
+    grey = [layer for layer in layers if "Y" in layer.channels and not {"X", "Z"} & layer.channels.keys()]
+    if wanted:
+        known = [layer for layer in layers if layer in (*colored, *grey)]
+        found = [layer for layer in known if layer.name.lower() == wanted.lower()]
+        found = found or [layer for layer in known if _last(layer.name) == _last(wanted)]
+    else:
+        usable = [layer for layer in layers if others or not _OTHERS.fullmatch(_last(layer.name))]
+        found = [layer for layer in colored if layer in usable] or [
+            layer for layer in grey if layer in usable
+        ]
+        named = [layer for layer in found if _BEAUTY.fullmatch(_last(layer.name))]
+        found = [layer for layer in named if not layer.name] or named or found
+    if len(found) == 1:
+        return found[0]
+    listed = ", ".join(layer.name or "unnamed" for layer in found or layers)
+    if found:
+        code, text = "image-layers", f"{path} has several layers that may be the photograph: {listed}."
+    else:
+        which = f"layer '{wanted}'" if wanted else "layer of a picture"
+        code, text = "image-channels", f"{path} has no {which} with R, G, B or Y; it has: {listed}."
+    raise FiptError(
+        code, text, "Name the layer to use (Layer in the settings, --layer NAME), or export only that."
+    )
+
+
+def _last(name: str) -> str:
+    """The last word of a layer's name, of stereo files the one before the view; plain small letters."""
+    words = [re.sub(r"[\s_-]", "", word).lower() for word in name.split(".")]
+    return words[-2] if len(words) > 1 and words[-1] in _VIEWS else words[-1]
+
+
+def _layers(file: OpenEXR.File) -> list[Layer]:
+    """The layers of all parts; those of several parts have the part's name first."""
+    found = []
+    for index in range(len(file.parts)):
+        header = file.header(index)
+        part = str(header.get("name") or "")
+        if len(file.parts) == 1 and not _OTHERS.fullmatch(_last(part)):
+            part = ""
+        by_layer: dict[str, dict[str, str]] = {}
+        for channel in header["channels"]:
+            layer, _, name = channel.name.rpartition(".")
+            by_layer.setdefault(layer, {})[_COLOR_NAMES.get(name.upper(), name.upper())] = channel.name
+        for layer, channels in by_layer.items():
+            found.append(Layer(index, ".".join(word for word in (part, layer) if word), channels))
+    return found
+
+
+def _open(path: Path, header_only: bool = False) -> OpenEXR.File:
+    """Open an EXR after a look at the sizes that its header announces.
+
+    Raises:
+        FiptError: ``image-unreadable`` or ``image-too-large``.
+    """
+    try:
+        file = OpenEXR.File(str(path), separate_channels=True, header_only=True)
+        for index in range(len(file.parts)):
+            header = file.header(index)
+            (width, height), stored = (_window_size(header[name]) for name in ("displayWindow", "dataWindow"))
+            check_pixels(path, width, height)
+            check_pixels(path, *stored)
+            if width * height > 16_000_000 and stored[0] * stored[1] < width * height / 16:
+                raise ValueError(f"{width} x {height} pixels, of which {stored[0]} x {stored[1]} are stored")
+        count = len(file.parts)
+        if not header_only:
+            file = OpenEXR.File(str(path), separate_channels=True)
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise unreadable(path, error) from None
+    if not count or len(file.parts) != count:  # OpenEXR only prints a warning where pixels are missing
+        raise unreadable(path, "the file is truncated or damaged")
+    return file
+
+
+def _window_size(window: Any) -> tuple[int, int]:
+    """Width and height of a data or display window."""
+    low, high = window
+    return int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
+
+
+def _primaries(path: Path, header: dict[str, Any]) -> tuple[np.ndarray | None, np.ndarray]:
+    """(3, 3) from a part's primaries to Rec.709, None where they are that or not declared, and (3,) the
+    weights of R, G and B in its luminance."""
+    try:
+        values = np.asarray(header.get("chromaticities", REC709), np.float64).reshape(8)
+        is_rec709 = np.abs(values - REC709).max() < 1e-3  # programs round them differently
+        return None if is_rec709 else to_rec709(values), xyz_from_rgb(values)[1]
+    except (TypeError, ValueError, np.linalg.LinAlgError) as error:
+        raise unreadable(path, f"its chromaticities are invalid: {error}") from None
+
+
+def _plane(file: OpenEXR.File, layer: Layer, name: str) -> np.ndarray:
+    """One channel (height, width) float32 on the display window; ids of 32 bits stay float64."""
+    channel = file.channels(layer.part)[layer.channels[name]]
+    header = file.header(layer.part)
+    pixels = np.asarray(channel.pixels)
+    pixels = pixels.astype(np.float64 if pixels.dtype == np.uint32 else np.float32)
+    data_low, data_high = header["dataWindow"]
+    for axis, step in ((0, channel.ySampling), (1, channel.xSampling)):
+        if step != 1:
+            pixels = _upsampled(pixels, int(data_high[1 - axis] - data_low[1 - axis]) + 1, step, axis)
+    low, high = header["displayWindow"]
+    if np.array_equal(data_low, low) and np.array_equal(data_high, high):
+        return pixels
+    plane = np.zeros((int(high[1] - low[1]) + 1, int(high[0] - low[0]) + 1), pixels.dtype)
+    x0, y0 = (int(v) for v in np.maximum(data_low, low))
+    x1, y1 = (int(v) for v in np.minimum(data_high, high) + 1)
+    if x1 > x0 and y1 > y0:
+        plane[y0 - low[1] : y1 - low[1], x0 - low[0] : x1 - low[0]] = pixels[
+            y0 - data_low[1] : y1 - data_low[1], x0 - data_low[0] : x1 - data_low[0]
+        ]
+    return plane
+
+
+def _upsampled(pixels: np.ndarray, count: int, step: int, axis: int) -> np.ndarray:
+    """Values at all places by linear interpolation of those at every `step`-th, from the first on."""
+    places = np.arange(count) / step
+    below = np.minimum(places.astype(np.intp), pixels.shape[axis] - 1)
+    above = np.minimum(below + 1, pixels.shape[axis] - 1)
+    share = np.expand_dims((places - below).astype(np.float32), 1 - axis)
+    return pixels.take(below, axis) * (1 - share) + pixels.take(above, axis) * share

@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What an image's values mean: primaries and transfer curves by profiles, chromaticities or code points."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from PIL import ImageCms
+
+from .encoded import srgb_decoded
+
+# x, y of red, green, blue and white.
+REC709 = np.array([0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290])
+ADOBE_RGB = np.array([0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.3290])
+CIE_XYZ = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0 / 3.0, 1.0 / 3.0])
+_BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+_ROUNDED = 4e-3  # of colours from 0 to 1; programs round primaries and curves differently
+
+
+@dataclass(frozen=True, eq=False)
+class Colors:
+    """How stored values become linear Rec.709.
+
+    Attributes:
+        curve: linear values (n, 3) of codes (n,), both from 0 to 1; None for sRGB's curve.
+        matrix: (3, 3) from the linear values to Rec.709; None where they are Rec.709 already.
+    """
+
+    curve: Callable[[np.ndarray], np.ndarray] | None = None
+    matrix: np.ndarray | None = None
+
+
+def xyz_from_rgb(chromaticities: np.ndarray) -> np.ndarray:
+    """(3, 3) matrix from linear RGB to CIE XYZ, of which white has a luminance of 1."""
+    x, y = np.asarray(chromaticities, np.float64).reshape(4, 2).T
+    xyz = np.stack([x, y, 1.0 - x - y])
+    if not np.isfinite(xyz).all() or y[3] <= 0.0 or abs(np.linalg.det(xyz[:, :3])) < 1e-6:
+        raise ValueError(f"its chromaticities {np.round(chromaticities, 4).tolist()} are impossible")
+    return xyz[:, :3] * np.linalg.solve(xyz[:, :3], xyz[:, 3] / y[3])
+
+
+def to_rec709(chromaticities: np.ndarray) -> np.ndarray | None:
+    """(3, 3) from linear values of other primaries to Rec.709 (Bradford white adaptation); None for Rec.709.
+
+    Args:
+        chromaticities: (8,) x, y of red, green, blue and white.
+
+    Raises:
+        ValueError: they are those of no color space.
+    """
+    source, target = xyz_from_rgb(chromaticities), xyz_from_rgb(REC709)
+    # White of CIE XYZ is that of no light: such values are not relative to a white.
+    if np.abs(chromaticities[:6] - CIE_XYZ[:6]).max() > 1e-3:
+        adapted = (_BRADFORD @ target.sum(axis=1)) / (_BRADFORD @ source.sum(axis=1))
+        source = np.linalg.solve(_BRADFORD, adapted[:, None] * _BRADFORD) @ source
+    return _unless_rec709(np.linalg.solve(target, source))
+
+
+def png_colors(info: dict[Any, Any]) -> Colors:
+    """Colors by a PNG's chunks, other than an ICC profile, as Pillow names them.
+
+    Raises:
+        ValueError: they make no sense.
+    """
+    gamma = 0.45455 if "srgb" in info else info.get("gamma", 0.45455)  # what programs write for sRGB's curve
+    matrix = None
+    if "chromaticity" in info and "srgb" not in info:
+        matrix = to_rec709(np.roll(info["chromaticity"], -2))  # white comes first
+    return Colors(None if abs(gamma - 0.45455) < 1e-3 or gamma <= 0.0 else power(1.0 / gamma), matrix)
+
+
+def icc_colors(data: bytes) -> Colors:
+    """Colors by an ICC profile.
+
+    Raises:
+        ValueError: it is damaged, or not one of three primaries, or of grey, with curves.
+    """
+    try:
+        profile = ImageCms.ImageCmsProfile(io.BytesIO(data)).profile
+        space = profile.xcolor_space.strip()
+        count = struct.unpack_from(">I", data, 128)[0]
+        entries = (struct.unpack_from(">4sII", data, 132 + 12 * index) for index in range(min(count, 200)))
+        tags = {name: data[start : start + size] for name, start, size in entries}
+        if space == "GRAY":
+            return _colors([tags[b"kTRC"]] * 3, None)
+        if space != "RGB" or not profile.is_matrix_shaper:
+            raise ValueError(f"it is of {space} by a table; convert the image to sRGB")
+        srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).profile
+        matrix = np.linalg.solve(_colorants(srgb), _colorants(profile))
+        return _colors([tags[name] for name in (b"rTRC", b"gTRC", b"bTRC")], _unless_rec709(matrix))
+    except (OSError, LookupError, TypeError, ValueError, struct.error, ImageCms.PyCMSError) as error:
+        raise ValueError(f"its color profile can't be used: {error}") from None
+
+
+def _colorants(profile: ImageCms.core.CmsProfile) -> np.ndarray:
+    """(3, 3) from linear values to CIE XYZ with the white of ICC profiles (D50)."""
+    names = ("red_colorant", "green_colorant", "blue_colorant")
+    return np.array([getattr(profile, name)[0] for name in names]).T
+
+
+def _colors(tags: list[bytes], matrix: np.ndarray | None) -> Colors:
+    curves = [_curve(tag) for tag in tags]
+    codes = np.linspace(0.0, 1.0, 256)
+    if all(np.abs(curve(codes) - srgb_decoded(codes)).max() < _ROUNDED for curve in curves):
+        return Colors(None, matrix)
+    return Colors(lambda values: np.stack([curve(values) for curve in curves], axis=-1), matrix)
+
+
+def _curve(tag: bytes) -> Callable[[np.ndarray], np.ndarray]:
+    """The function of an ICC profile's curve, which is a table or has parameters."""
+    if tag[:4] == b"curv":
+        (count,) = struct.unpack_from(">I", tag, 8)
+        table = np.frombuffer(tag, ">u2", count, 12).astype(np.float64)
+        if count > 1:
+            return lambda x: np.interp(x, np.linspace(0.0, 1.0, count), table / 65535.0)
+        gamma = table[0] / 256.0 if count else 1.0
+        return lambda x: x**gamma
+    kind = struct.unpack_from(">H", tag, 8)[0]
+    numbers = np.frombuffer(tag, ">i4", (1, 3, 4, 5, 7)[kind], 12) / 65536.0
+    g, a, b, c, d, e, f = (*numbers[:1], *(numbers[1:] if kind else (1.0, 0.0)), *[0.0] * 6)[:7]
+    if kind in (1, 2):  # the curve begins where its argument is 0, after a constant
+        c, d, e, f = 0.0, -b / a, c, c
+    return lambda x: np.where(x >= d, np.maximum(a * x + b, 0.0) ** g + e, c * x + f)
+
+
+def power(exponent: float) -> Callable[[np.ndarray], np.ndarray]:
+    """A curve for `Colors`."""
+    return lambda values: np.repeat((values**exponent)[:, None], 3, axis=1)
+
+
+def _unless_rec709(matrix: np.ndarray) -> np.ndarray | None:
+    return None if np.abs(matrix - np.eye(3)).max() < _ROUNDED else matrix

@@ -1,0 +1,135 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a room looks like in renders, comparisons and exports, measured in a Blender with its own OCIO.
+
+Run as a module with a folder, and the working space where that is not the default; writes seen.json to the
+folder, whose colours are linear Rec.709.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Vector
+
+import fipt_blender
+from fipt_blender.blend.capture import compare
+from fipt_blender.blend.color_spaces import to_scene_linear
+from fipt_blender.blend.export.exporting import export_room
+from fipt_blender.blend.insert.sample_objects import insert_object
+from fipt_blender.blend.lights import light_state
+from fipt_blender.blend.lights.light_drivers import keyframe
+from fipt_blender.blend.marks import fixtures_of
+from fipt_blender.blend.pictures import check_pictures, orders, view_check
+from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels, set_up_scene
+from fipt_blender.blend.pictures.image_files import read_pixels, save_look
+from fipt_blender.blend.results import maps
+from fipt_blender.properties.materials import SHOWN
+from samples import applied_rooms, rendered_rooms
+from samples.spots import spot_camera
+
+CUSTOM = (1.0, 0.25, 0.5)
+
+
+def use_working_space() -> None:
+    """Give the open file the working space that was asked for, from Blender 5.0."""
+    for name in sys.argv[2:]:
+        bpy.ops.wm.set_working_color_space(working_space=name, convert_colors=True)
+
+
+def spot(scene: bpy.types.Scene, position: tuple, target: tuple) -> list[float]:
+    """The mean radiance (3,) of a spot that a camera at `position` sees."""
+    options = RenderOptions(64, denoise=False)
+    with spot_camera(scene, position, target, 5, 0.2):
+        return [float(value) for value in render_pixels(scene, options).mean(axis=(0, 1))]
+
+
+def imported_texel(path: Path) -> list[float]:
+    """The first texel (3,) of the base colour in a .glb file, in sRGB's codes from 0 to 1."""
+    before = set(bpy.data.objects)
+    bpy.ops.import_scene.gltf(filepath=str(path))
+    bpy.data.batch_remove(set(bpy.data.objects) - before)
+    (image,) = (image for image in bpy.data.images if "base_color" in image.name)
+    return list(image.pixels[:3])
+
+
+def applied(folder: Path) -> dict:
+    """Results: renders of lamp, room and sky, the panel's colours and what exports hold."""
+    seen = {}
+    scene = applied_rooms.make_applied_scene(folder / "run", pytest.MonkeyPatch())
+    set_up_scene(scene)
+    (lamp,) = fixtures_of(scene)
+    light_state.refresh(scene)
+    seen["lamp"] = spot(scene, (2.5, 0.5, 2.0), (2.5, 0.5, 0.0))
+    seen["cube"] = spot(scene, (0.0, 5.0, 4.0), (0.0, 5.0, 1.0))
+    seen["sky"] = spot(scene, (0.0, -9.0, 0.0), (0.0, -20.0, 0.0))
+    for suffix in ("glb", "usda"):
+        path = folder / f"room.{suffix}"
+        export_room(scene, path)
+        text = path.read_bytes().decode("latin-1")
+        if suffix == "usda":
+            seen["usda"] = json.loads(re.search(r"emissiveColor = \((.*?)\)", text)[1].join("[]"))
+        else:
+            lit = re.search(r'"emissiveFactor":(\[.*?\]).*?"emissiveStrength":([\d.]+)', text)
+            seen["glb"] = [value * float(lit[2]) for value in json.loads(lit[1])]
+            seen["texture"] = imported_texel(path)
+    light_state.list_lights(scene)
+    (row,) = (row for row in scene.fipt.lights.lights if row.object == lamp)
+    row.color = to_scene_linear(CUSTOM)  # as in the panel's field
+    np.testing.assert_allclose(row.color, to_scene_linear(CUSTOM), rtol=1e-3)
+    seen["custom"] = spot(scene, (2.5, 0.5, 2.0), (2.5, 0.5, 0.0))
+    keyframe(lamp, 1)
+    bpy.context.view_layer.update()
+    seen["keyed"] = spot(scene, (2.5, 0.5, 2.0), (2.5, 0.5, 0.0))
+    for name, *_ in SHOWN:
+        maps.show(scene, name)
+    maps.show(scene, "ESTIMATED")
+    sample = insert_object(scene, Vector((0.0, -5.0, 0.0)), kind="monkey", size=4.0)
+    seen["monkey"] = spot(scene, (0.0, -9.0, 1.0), (0.0, -5.0, 1.0))
+    bpy.data.objects.remove(sample)
+    return seen
+
+
+def compared(folder: Path) -> dict:
+    """The comparison with a photograph, which is itself a render of the room."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    use_working_space()
+    run = rendered_rooms.make_scene(folder)
+    scene = bpy.context.scene
+    floor = bpy.data.objects["Floor"].data.materials[0]
+    floor.node_tree or setattr(floor, "use_nodes", True)
+    photo = rendered_rooms.photograph(run, 64)
+    orders.carry_out(orders.make_order(scene, run, orders.CHECK, [rendered_rooms.VIEW], 64))
+    check_pictures.take_checks(scene, run)
+    check_pictures.show_active(scene, bpy.context)
+    image = compare.start(scene, "RENDER")
+    shown = np.array(image.pixels[:]).reshape(*reversed(image.size), 4)[..., :3]
+    compare.end(scene)
+    orders.carry_out(orders.make_order(scene, run, orders.COMPOSITE, [rendered_rooms.VIEW], 4))
+    composite = read_pixels(orders.last_picture(run))
+    save_look(orders.last_picture(run), folder / "look.png", scene)
+    (check,) = view_check.read_checks(run)["views"]
+    return {
+        "psnr": check["psnr_linear"] > 25.0,
+        "composite": float(np.abs(composite - photo).max()) < 1e-4,
+        "compare": [float(value) for value in shown.mean(axis=(0, 1))],
+        "photo": [float(value) for value in photo.mean(axis=(0, 1))],
+    }
+
+
+if __name__ == "__main__":
+    root = Path(sys.argv[1])
+    fipt_blender.register()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    use_working_space()
+    found = applied(root / "applied") | compared(root / "compared")
+    (root / "seen.json").write_text(json.dumps(found))
+    os.kill(os.getpid(), signal.SIGTERM)  # leaving some modules of Blender fails

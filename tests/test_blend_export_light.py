@@ -1,0 +1,306 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What leaves is what renders: light, names and what is hidden, in files read back; the open file stays."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Euler, Matrix
+
+from fipt_blender import api
+from fipt_blender.blend.export.exporting import export_room
+from fipt_blender.blend.lights.convert import fixture_to_lights
+from fipt_blender.blend.node_trees import node_tree
+from fipt_blender.blend.room.mesh_arrays import corner_uvs
+from fipt_blender.blend.room.uv_layer import replace_layer
+from samples.irradiance import irradiance
+from samples.refusals import error_of
+from samples.whole_file import differences, file_state
+from test_blend_export import gltf_json, opened, principled
+
+pytestmark = pytest.mark.usefixtures("registered", "applied")
+
+WARM = {"use_temperature": True, "temperature": 3000.0, "exposure": 1.5}
+COMMON = [dict(zip(("normalize", *warm), (normalize, *warm.values()), strict=True))
+          for normalize in (True, False) for warm in ({}, WARM)]  # fmt: skip
+SHAPES = ("SQUARE", "RECTANGLE", "DISK", "ELLIPSE")
+EVEN, UNEVEN = (2.0, 2.0, 2.0), (2.0, 0.5, 1.5)
+FAMILY = {
+    "AREA": list(itertools.product([{"shape": shape, "size": 0.6, "size_y": 0.3} for shape in SHAPES],
+                                   COMMON, ((1.0, 1.0, 1.0), UNEVEN))),
+    "POINT": list(itertools.product([{"shadow_soft_size": size} for size in (0.0, 0.2)], COMMON, (UNEVEN,))),
+    "SPOT": list(itertools.product([{"shadow_soft_size": 0.1, "spot_size": 2.0, "spot_blend": 0.5}], COMMON,
+                                   ((1.0, 1.0, 1.0), EVEN))),
+    "SUN": list(itertools.product([{"angle": 0.2}], COMMON, (EVEN,))),
+}  # fmt: skip
+
+
+def add_light(scene, name, kind, settings, scale=(1.0, 1.0, 1.0), turn=(0.4, 0.3, 0.2)):
+    light = bpy.data.lights.new(f"{name} data", kind)
+    light.energy, light.color = 20.0, (1.0, 0.6, 0.3)
+    for key, value in settings.items():
+        if hasattr(light, key):  # not in Blender 4.2 to 4.4
+            setattr(light, key, value)
+    item = bpy.data.objects.new(name, light)
+    item.matrix_world = Matrix.LocRotScale((3.0, 2.0, 4.0), Euler(turn), scale)
+    scene.collection.objects.link(item)
+    return item
+
+
+def points_below(rng):
+    """Twenty points one to three metres in front of the lights of `add_light`, which see them wholly."""
+    places = rng.uniform((-0.8, -0.8, -3.0), (0.8, 0.8, -1.2), (20, 3))
+    turn = np.array(Euler((0.4, 0.3, 0.2)).to_matrix())
+    normals = rng.normal(size=(20, 3)) * 0.3 + turn @ (0.0, 0.0, 1.0)
+    return places @ turn.T + (3.0, 2.0, 4.0), normals
+
+
+def light_alone(scene, names, points, normals, samples=256):
+    """Irradiance of each of the objects, all others being hidden."""
+    found = {}
+    for name in names:
+        for item in scene.objects:
+            item.hide_render = item.name != name
+        found[name] = irradiance(scene, points, normals, samples)
+    return found
+
+
+def assert_same_light(before, after):
+    assert before.keys() == after.keys()
+    for name, wanted in before.items():
+        assert wanted.max() > 0.0, name
+        error = np.abs(after[name] - wanted).max() / wanted.max()
+        assert error < 0.05, f"{name}: {error:.3f}"
+
+
+@pytest.mark.parametrize("kind", FAMILY)
+@pytest.mark.parametrize("suffix", [".glb", ".usda"])
+def test_the_irradiance_of_every_light_is_in_the_file(scene, tmp_path, rng, kind, suffix):
+    bpy.data.objects.remove(bpy.data.objects["sun"])
+    scene.world = None
+    lights = [
+        add_light(scene, f"{kind} {index}".replace(" ", "_"), kind, {**own, **common}, scale)
+        for index, (own, common, scale) in enumerate(FAMILY[kind])
+    ]
+    bpy.context.view_layer.update()
+    names = [item.name for item in lights]
+    exported = export_room(scene, tmp_path / f"room{suffix}")
+    points, normals = points_below(rng)
+    before = light_alone(scene, names, points, normals)
+    if suffix == ".glb":
+        document = gltf_json(exported.path)
+        assert set(names) <= {node["name"] for node in document["nodes"]}
+        in_file = punctual(document)
+    else:
+        in_file = usd_lights(exported.path.read_text())
+    opened(exported.path)
+    after = light_alone(bpy.context.scene, names, points, normals)
+    assert_same_light(before, after)
+    # A second reader, by the formats' specifications: radiant intensity or power from the numbers alone.
+    for name, numbers in in_file.items():
+        if name in names and kind in ("POINT", "SPOT"):
+            item = bpy.data.objects[name]
+            wanted = np.array(item.data.color) * item.data.energy
+            assert np.allclose(numbers, wanted, rtol=1e-3), name
+    assert kind == "AREA" or set(in_file) & set(names) == set(names)
+
+
+def punctual(document):
+    """Watts (rgb) of a point light of the same intensity by node, of KHR_lights_punctual."""
+    lights = document.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
+    found = {}
+    for node in document["nodes"]:
+        index = node.get("extensions", {}).get("KHR_lights_punctual", {}).get("light")
+        if index is not None:
+            color = np.array(lights[index].get("color", (1.0, 1.0, 1.0)))
+            found[node["name"]] = color * lights[index]["intensity"] / 683.0 * 4.0 * math.pi
+    return found
+
+
+def usd_lights(text):
+    """Watts (rgb) of the lights of a .usda file by UsdLux: pi times a normalized intensity."""
+    found = {}
+    for name, body in re.findall(r'def (?:\w+)Light "(\w+)"(.*?)\n    (?:    )?\}', text, re.DOTALL):
+        color = re.search(r"inputs:color = \((.*?)\)", body)
+        intensity = re.search(r"inputs:intensity = (\S+)", body)
+        if color is not None:
+            rgb = np.array([float(value) for value in color[1].split(",")])
+            found[name] = rgb * float(intensity[1] if intensity else 1.0) * math.pi
+    return found
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".usda"])
+@pytest.mark.parametrize(
+    "code, kind, settings",
+    [
+        ("export-light-spread", "AREA", {"spread": 1.0}),
+        ("export-light-edges", "SPOT", {"spot_blend": 0.3}),
+        ("export-light-rays", "POINT", {"use_shadow": False}),
+    ],
+)
+def test_what_files_can_not_hold_of_lights_is_said(scene, tmp_path, suffix, code, kind, settings):
+    add_light(scene, "Odd", kind, settings)
+    add_light(scene, "Even", "AREA", {})
+    bpy.context.view_layer.update()
+    said = {each["code"]: each["text"] for each in export_room(scene, tmp_path / f"room{suffix}").warnings}
+    assert said[code].startswith("Odd: ")
+
+
+def test_constant_nodes_of_lights_are_in_their_power_and_others_are_said(scene, tmp_path):
+    for name, factor in (("Constant", 3.0), ("Textured", None)):
+        light = add_light(scene, name, "POINT", {}).data
+        light.use_nodes = True
+        tree = light.node_tree
+        emission = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeEmission")
+        if factor is None:
+            falloff = tree.nodes.new("ShaderNodeLightFalloff")
+            tree.links.new(falloff.outputs["Linear"], emission.inputs["Strength"])
+        else:
+            emission.inputs["Strength"].default_value = factor
+            emission.inputs["Color"].default_value = (0.5, 1.0, 1.0, 1.0)
+    bpy.context.view_layer.update()
+    exported = export_room(scene, tmp_path / "room.glb")
+    watts = punctual(gltf_json(exported.path))
+    assert np.allclose(watts["Constant"], 20.0 * 3.0 * np.array([0.5, 0.6, 0.3]), rtol=1e-3)
+    said = {each["code"]: each["text"] for each in exported.warnings}
+    assert said["export-light-nodes"].startswith("Textured: ")
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".usdc"])
+def test_names_are_the_artists_and_the_same_at_each_export(scene, tmp_path, suffix):
+    for material in [each for each in bpy.data.materials if "fipt_part" in each]:
+        bpy.data.materials.new(material["fipt_part_name"])  # as the artist's own material of that surface
+    add_light(scene, "Bulb", "POINT", {})
+    bpy.context.view_layer.update()
+    parts = {each["fipt_part_name"] for each in bpy.data.materials if "fipt_part" in each}
+    exported = [export_room(scene, tmp_path / f"{index}{suffix}").path for index in range(2)]
+    found = []
+    for path in exported:
+        objects, materials = opened(path)
+        names = {each.name for each in materials}
+        assert parts <= names, (parts, names)
+        assert {"cube", "Bulb"} <= {item.name for item in objects}
+        assert all(item.data.name == item.name for item in objects if item.type in ("MESH", "LIGHT"))
+        found.append(names)
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("how", ["object", "collection", "excluded", "viewport"])
+def test_what_renders_do_not_show_is_not_exported(scene, tmp_path, how):
+    hidden = bpy.data.collections.new("Hidden")
+    scene.collection.children.link(hidden)
+    cube, bulb = bpy.data.objects["cube"], add_light(scene, "Bulb", "POINT", {})
+    for item in (cube, bulb):
+        for each in list(item.users_collection):
+            each.objects.unlink(item)
+        hidden.objects.link(item)
+        if how == "object":
+            item.hide_render = True
+        elif how == "viewport":
+            item.hide_viewport = True
+    hidden.hide_render = how == "collection"
+    bpy.context.view_layer.layer_collection.children["Hidden"].exclude = how == "excluded"
+    names = {node["name"] for node in gltf_json(export_room(scene, tmp_path / "room.glb").path)["nodes"]}
+    assert {"panel", "Panel"} <= names
+    assert {"cube", "Bulb"} & names == ({"cube", "Bulb"} if how == "viewport" else set())
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".usdc"])
+@pytest.mark.parametrize("render, factor", [(True, 3), (False, 1)])
+def test_modifiers_are_applied_as_renders_show_them(scene, tmp_path, suffix, render, factor):
+    cube = bpy.data.objects["cube"]
+    array = cube.modifiers.new("Row", "ARRAY")
+    array.count, array.show_render, array.show_viewport = 3, render, not render
+    area = sum(face.area for face in cube.data.polygons)
+    export_room(scene, tmp_path / f"room{suffix}")
+    objects, _ = opened(tmp_path / f"room{suffix}")
+    exported = sum(face.area for face in objects["cube"].data.polygons)
+    assert exported == pytest.approx(area * factor, rel=1e-3)
+    assert len(objects["cube"].data.uv_layers) == 1
+
+
+@pytest.mark.parametrize("edited", [False, True])
+def test_converted_lamps_follow_their_lights_once_these_are_edited(scene, tmp_path, edited):
+    lamp = bpy.data.objects["Panel"]
+    (light, *_), _ = fixture_to_lights(scene, lamp)
+    name = light.name
+    if edited:
+        light.data.energy *= 4.0
+    bpy.context.view_layer.update()
+    exported = export_room(scene, tmp_path / "room.glb")
+    objects, _ = opened(exported.path)
+    codes = {each["code"] for each in exported.warnings}
+    assert (name in objects) == edited == ("export-lamps-dark" in codes)
+
+    def strength(item):
+        node = principled(item.data.materials[0])
+        return (
+            max(node.inputs["Emission Color"].default_value[:3])
+            * node.inputs["Emission Strength"].default_value
+        )
+
+    assert strength(objects["Panel"]) == pytest.approx(0.0 if edited else 8.0, rel=1e-3)
+    if edited:
+        assert strength(objects[name]) == pytest.approx(32.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["TEXTURE", "POINT", "VECTOR"])
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.7), (0.0, 0.0, -2.5), (0.4, -0.3, 1.1)])
+@pytest.mark.parametrize("strength", [1.0, 3.0])
+def test_the_environment_of_usd_shines_from_where_it_renders(scene, tmp_path, kind, turn, strength):
+    nodes = node_tree(scene.world).nodes
+    mapping = nodes["FIPT Mapping"]
+    mapping.vector_type, mapping.inputs["Rotation"].default_value = kind, turn
+    nodes["FIPT Background"].inputs["Strength"].default_value = strength
+    exported = export_room(scene, tmp_path / "room.usda")
+    assert "export-world" not in {each["code"] for each in exported.warnings}
+    text = exported.path.read_text()
+    dome = text[text.index("def DomeLight") :]
+    angles = [float(value) for value in re.search(r"rotateXYZ = \((.*?)\)", dome)[1].split(",")]
+    rotation = np.array(Euler(np.radians(angles), "XYZ").to_matrix())
+    # UsdLux: the middle of the picture is at +Z, its left quarter at +X. Cycles: at +X and at +Y.
+    inverse = np.array(Euler(turn).to_matrix())
+    inverse = inverse if kind == "TEXTURE" else inverse.T
+    assert np.allclose(rotation @ (0.0, 0.0, 1.0), inverse @ (1.0, 0.0, 0.0), atol=1e-4)
+    assert np.allclose(rotation @ (1.0, 0.0, 0.0), inverse @ (0.0, 1.0, 0.0), atol=1e-4)
+    intensity = re.search(r"inputs:intensity = (\S+)", dome)
+    picture = bpy.data.images.load(str(tmp_path / re.search(r"texture:file = @\./(.*?)@", dome)[1]))
+    radiance = np.array(picture.pixels[:3]) * float(intensity[1] if intensity else 1.0)
+    assert np.allclose(radiance, 2.0 * strength, rtol=1e-3)
+
+
+def test_a_dark_environment_is_not_written_and_one_of_other_nodes_is_said(scene, tmp_path):
+    nodes = node_tree(scene.world).nodes
+    nodes["FIPT Background"].inputs["Strength"].default_value = 0.0
+    exported = export_room(scene, tmp_path / "dark.usda")
+    assert "DomeLight" not in exported.path.read_text() and not exported.warnings
+    nodes["FIPT Background"].inputs["Strength"].default_value = 1.0
+    nodes["FIPT Mapping"].inputs["Scale"].default_value = (2.0, 1.0, 1.0)
+    exported = export_room(scene, tmp_path / "odd.usda")
+    assert "export-world" in {each["code"] for each in exported.warnings}
+
+
+def test_the_open_file_is_the_same_after_exports_and_renders(scene, tmp_path):
+    add_light(scene, "Softbox", "AREA", {"shape": "ELLIPSE"}, UNEVEN)
+    mesh = bpy.data.objects["cube"].data  # onto the second image of an atlas
+    replace_layer(mesh, corner_uvs(mesh, mesh.uv_layers["FIPT"]) + (1.0, 0.0))
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    bpy.context.view_layer.update()
+    file_state()  # loads pictures
+    before = file_state()
+    actions = [(api.export, tmp_path / f"room{suffix}") for suffix in (".glb", ".gltf", ".usdc", ".usda")]
+    for function, path in (*actions, (api.render, tmp_path / "view.exr")):
+        function(path)
+        bpy.context.view_layer.update()
+        assert differences(before, file_state()) == [], path.name
+    assert error_of(api.export, tmp_path / "room.obj").code == "export-format"
+    assert differences(before, file_state()) == []
