@@ -285,6 +285,14 @@ def test_hints_of_a_file_go_to_the_run(options, engine, tmp_path):
     assert not run.hints_json.exists() and not run.hints_again_json.exists()
 
 
+def test_a_capture_without_a_mesh_says_where_a_room_can_come_from(capture, engine, tmp_path) -> None:
+    (capture / "scene.obj").unlink()
+    last = run_main_job(MainJobOptions(capture=capture, output=tmp_path / "run"))[-1]
+    assert (last["type"], last["code"]) == ("error", "mesh-missing") and "estimate" not in engine
+    for remedy in ("--mesh", "depth images", "model the room"):
+        assert remedy in last["remedy"]
+
+
 # ------------------------------------------------------------------------------------------ placement
 
 
