@@ -13,6 +13,7 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend import marks
+from fipt_blender.blend.image_datablocks import linear_values
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running
@@ -41,14 +42,48 @@ def test_textures_of_a_saved_file_lie_beside_it(scene, tmp_path):
     assert ops.apply_results() == {"FINISHED"}
     names = sorted(image.filepath for image in textures(scene))
     maps = ("base_color", "confidence", "metallic", "roughness")
+    (folder,) = {Path(name).parent.name for name in names}
     assert names == [
-        *(f"//kitchen_textures/Room.001.{name}.exr" for name in maps),
-        "//kitchen_textures/environment.exr",
+        *(f"//kitchen_textures/{folder}/Room.001.{name}.exr" for name in maps),
+        f"//kitchen_textures/{folder}/environment.exr",
     ]
     sizes = {image.size[:] for image in textures(scene)}
     scene.fipt.materials.texel_density = 64.0
     assert ops.apply_results() == {"FINISHED"}
     assert sizes != {image.size[:] for image in textures(scene)}  # the copies are the new ones
+
+
+@pytest.mark.parametrize("keep", ["BESIDE", "PACKED", "IN_RUN"])
+@pytest.mark.parametrize("change", ["open", "undo", "save"])
+@pytest.mark.parametrize("suffix", ["EXR", "PNG"])
+def test_a_file_shows_the_results_that_it_was_saved_with(scene, tmp_path, monkeypatch, keep, change, suffix):
+    blend = str(tmp_path / "kitchen.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=blend)
+    settings = scene.fipt.materials
+    settings.texture_files, settings.texture_format = keep, suffix
+
+    def shown() -> float:
+        (image,) = (each for each in textures(bpy.context.scene) if "Base Color" in each.name)
+        return float(linear_values(image)[..., 0].max())
+
+    assert ops.apply_results("EXEC_DEFAULT", True) == {"FINISHED"}
+    before = shown()
+    if change == "save":  # the copy of an earlier state
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "earlier.blend"), copy=True)
+        blend = str(tmp_path / "earlier.blend")
+    else:
+        bpy.ops.wm.save_mainfile()
+    bpy.ops.ed.undo_push(message="before")
+    monkeypatch.setattr(ConstantFields, "base_color", (0.9, 0.3, 0.1))
+    run = RunFolder(scene.fipt.run_folder)
+    run.fields_npz.write_bytes(b"estimated again")
+    assert ops.apply_results("EXEC_DEFAULT", True) == {"FINISHED"}
+    assert shown() > before + 0.2
+    if change == "undo":
+        bpy.ops.ed.undo()
+    else:
+        bpy.ops.wm.open_mainfile(filepath=blend)
+    assert shown() == before
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".png"])

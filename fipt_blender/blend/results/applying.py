@@ -34,7 +34,7 @@ from ..room.result_meshes import clean_result_mesh, list_names, make_mesh, match
 from ..room.tiles import tiled_uvs
 from ..room.uv_layer import write_layer
 from ..slices import Slices, find_object, run_through
-from ..texture_files import IN_RUN_FOLDER, TextureFiles
+from ..texture_files import TextureFiles, in_run_folder
 from .materials import MAPS, load_maps, read_textures, remove_unused, result_materials
 from .part_materials import PartFaces, PartMaterials
 from .write_back_nodes import agree_with_model
@@ -113,14 +113,14 @@ def apply_slices(
     run: RunFolder,
     objects: Iterable[bpy.types.Object],
     scene: bpy.types.Scene,
-    files: TextureFiles = IN_RUN_FOLDER,
+    files: TextureFiles | None = None,
 ) -> Slices[Applied]:
     """`apply_results`, one object per slice; the scene changes in the last slice.
 
     Args:
         run, objects: see `apply_results`.
         scene: for the fixtures.
-        files: where the textures are kept.
+        files: where the textures are kept; in the run folder by default.
 
     Raises:
         FiptError: also ``textures-unwritable``.
@@ -163,6 +163,7 @@ def apply_slices(
         pairs = {
             target.index: (find_object(target.name), _prepared_mesh(target.mesh_name)) for target in targets
         }
+        files = files or in_run_folder(run)
         for entry in results.entries:
             for key, (_, is_data) in MAPS.items():
                 files.copy(run.resolve(entry[key]), is_data)
