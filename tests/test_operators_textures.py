@@ -10,13 +10,14 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 from fipt_blender.blend import marks
 from fipt_blender.blend.image_datablocks import linear_values
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running
+from samples import artist
 from samples.applied_rooms import ConstantFields, fingerprint, picture
 from samples.operator_calls import refused
 
@@ -177,16 +178,31 @@ def test_deleted_objects_are_left_out_with_a_warning(scene, density, mode):
     assert scene.fipt.materials.object_count == 1
 
 
-def test_an_object_with_other_faces_shows_its_own_materials(applied):
+def test_a_changed_modifier_stays_live_on_the_results(applied):
+    """Of an object with other faces than those that were estimated."""
     cube = bpy.data.objects["cube"]
     ops.show_map(shown="ORIGINAL")
     cube.modifiers["Bevel"].segments = 3
-    assert ops.apply_results() == {"FINISHED"} and "'cube'" in warned()
-    assert not marks.has_results(cube) and marks.has_results(bpy.data.objects["panel"])
-    assert [slot.material.name for slot in cube.material_slots] == ["red", "own", "blue"]
-    cube.modifiers["Bevel"].segments = 1
     assert ops.apply_results() == {"FINISHED"} and not warned()
-    assert marks.has_results(cube)
+    assert cube.modifiers["Bevel"].show_viewport and len(cube.data.polygons) == 6
+    assert {slot.material.name for slot in cube.material_slots} == {"Cube FIPT"}
+    cube.modifiers["Bevel"].segments = 1
+    ops.show_map(shown="ORIGINAL")
+    ops.show_map(shown="ESTIMATED")
+    assert ops.apply_results() == {"FINISHED"} and not warned()
+    assert not cube.modifiers["Bevel"].show_viewport and len(cube.data.polygons) == 26
+    ops.revert()
+    assert cube.modifiers["Bevel"].show_viewport and not marks.has_results(cube)
+
+
+def test_a_room_of_which_nothing_is_left_is_refused(scene):
+    for name in ("panel", "cube"):
+        mesh = bpy.data.objects[name].data
+        mesh.transform(Matrix.Translation((50.0, 0.0, 0.0)))
+        artist.subdivide(name)
+    before = fingerprint(scene)
+    assert "No face" in refused(ops.apply_results)
+    assert fingerprint(scene) == before
 
 
 def test_objects_are_found_by_their_ids_not_by_the_names_of_others(applied):

@@ -32,6 +32,11 @@ OBJECT_SLOT = "fipt_original_slot_{}"  # material of a slot that is linked to th
 ADDED = "fipt_added"  # on a mesh that the scan lacks: `FOUND`, `CLOSED` or `DRAWN`
 FOUND, CLOSED, DRAWN = "found", "closed", "drawn"  # by the engine; what closes small holes; by the artist
 RESULT_MESH = "fipt_own_mesh"  # the result mesh, while the original is shown
+MADE = "fipt_made"  # on a result mesh: digest of its geometry and layers as we made it
+LAID_OUT = "fipt_laid_out"  # on a result mesh: digest of the atlas of its UVs
+SPLIT_OFF = (
+    "fipt_split_off"  # on a result mesh: those of the object's exported triangles that became fixtures
+)
 CATCHER = "fipt_catcher"  # we made the object a shadow catcher
 
 # --- fixtures and lights -----------------------------------------------------------------------------------

@@ -119,7 +119,7 @@ def select_faces(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, key: str) -
         slots = np.array([part == key for part in _slot_parts(mesh)] or [False])
         chosen = slots[np.minimum(polygon_slots(mesh), len(slots) - 1)]
         if chosen.any():
-            _select(mesh, chosen)
+            select_polygons(mesh, chosen)
             found.append((int(chosen.sum()), item))
     if not found:
         raise FiptError(
@@ -136,7 +136,7 @@ def select_faces(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, key: str) -
     return [item for _, item in found]
 
 
-def _select(mesh: bpy.types.Mesh, chosen: np.ndarray) -> None:
+def select_polygons(mesh: bpy.types.Mesh, chosen: np.ndarray) -> None:
     """Select these polygons ((P,) bool) with their edges and vertices, and nothing else."""
     sizes = np.diff(polygon_starts(mesh), append=len(mesh.loops))
     corners = np.repeat(chosen, sizes)  # the corners of polygons follow each other

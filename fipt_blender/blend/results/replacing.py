@@ -42,6 +42,7 @@ def replace_part(scene: bpy.types.Scene, key: str, material: bpy.types.Material 
 
 def fill_slots(mesh: bpy.types.Mesh, materials: Iterable[bpy.types.Material | None]) -> None:
     """Give a new result mesh its slots; replaced estimates are kept with it."""
+    remove_marks(mesh, *[key for key in mesh.keys() if key.startswith(ESTIMATE.format(""))])
     mesh.materials.clear()
     for index, material in enumerate(materials):
         if material is not None and PART in material:

@@ -8,20 +8,26 @@ import bpy
 import numpy as np
 
 from ...core.run.errors import FiptError
-from .mesh_arrays import triangle_loops
+from .mesh_arrays import corner_uvs
 
 UV_LAYER = "FIPT"
 
 
-def write_layer(mesh: bpy.types.Mesh, mirrored: bool, corner_uv: np.ndarray) -> None:
+def layer_values(mesh: bpy.types.Mesh) -> np.ndarray:
+    """(L,2) f32 values of the FIPT layer of a result mesh; 0 without one."""
+    if UV_LAYER not in mesh.uv_layers:
+        return np.zeros((len(mesh.loops), 2), np.float32)
+    return corner_uvs(mesh, mesh.uv_layers[UV_LAYER]).astype(np.float32)
+
+
+def write_layer(mesh: bpy.types.Mesh, uv: np.ndarray) -> None:
     """Write the FIPT layer of a result mesh, and make it active, so that solid shading draws with it.
 
     The layer that renders use by default stays the artist's.
 
     Args:
         mesh: a result mesh.
-        mirrored: whether its object is mirrored.
-        corner_uv: (T,3,2), the object's rows of atlas.npz.
+        uv: (L,2) f32 of its face corners.
 
     Raises:
         FiptError: ``uv-layers-full``.
@@ -34,9 +40,6 @@ def write_layer(mesh: bpy.types.Mesh, mirrored: bool, corner_uv: np.ndarray) -> 
             f"The mesh of '{mesh.name}' already has 8 UV layers, the most that Blender allows.",
             "Remove a UV map, or set Store In to Color Attributes.",
         )
-    loops, _ = triangle_loops(mesh, mirrored)
-    uv = np.zeros((len(mesh.loops), 2), np.float32)
-    uv[loops.ravel()] = corner_uv.reshape(-1, 2)
     mesh.uv_layers[UV_LAYER].uv.foreach_set("vector", uv.ravel())
     mesh.uv_layers.active = mesh.uv_layers[UV_LAYER]
     if True in active_render:
