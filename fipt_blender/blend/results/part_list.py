@@ -18,6 +18,7 @@ from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
 from ...core.run.runfolder import RunFolder
 from ..marks import PART, has_results, room_with_results
+from ..own_materials import own_materials
 from ..ray_hits import hits
 from ..room.arrays import read_room
 from ..room.mesh_arrays import corner_vertices, polygon_slots, polygon_starts
@@ -79,6 +80,7 @@ def adjustment(scene: bpy.types.Scene, key: str) -> adjust.Adjustment:
 
 def set_adjustment(scene: bpy.types.Scene, key: str, **changes: float) -> None:
     """Change values of a part's adjustment in all its materials."""
+    own_materials(scene)
     materials = part_materials(scene, key)
     if materials:
         values = replace(adjust.read(materials[0]), **changes)
@@ -88,6 +90,7 @@ def set_adjustment(scene: bpy.types.Scene, key: str, **changes: float) -> None:
 
 def reset_adjustments(scene: bpy.types.Scene, keys: Collection[str]) -> int:
     """Remove the adjustments of parts; returns how many parts had one."""
+    own_materials(scene)
     changed = 0
     for key in keys:
         if adjustment(scene, key) != adjust.NO_ADJUSTMENT:
