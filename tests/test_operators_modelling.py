@@ -10,6 +10,7 @@ import pytest
 
 from fipt_blender.blend import marks
 from fipt_blender.blend.image_datablocks import image_values
+from fipt_blender.blend.lights.fixture_nodes import side_radiance
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
 from samples import artist
@@ -140,3 +141,37 @@ def test_modelled_surfaces_show_what_was_estimated_at_their_place(
         # Faces that were extruded or thickened show another surface, or keep the earlier results.
         assert near.all() or modelling in ("extrude", "applied solidify")
     assert found >= 6
+
+
+LAMPS = {
+    "moved": lambda lamp: setattr(lamp, "location", (1.0, 2.0, 3.0)),
+    "turned": lambda lamp: setattr(lamp, "rotation_euler", (0.1, 0.2, 0.3)),
+    "scaled": lambda lamp: setattr(lamp, "scale", (2.0, 1.0, 1.0)),
+    "hidden": lambda lamp: setattr(lamp, "hide_render", True),
+    "modelled": lambda lamp: artist.extrude(lamp.name),
+    "subdivided": lambda lamp: artist.apply_modifier(lamp.name, "SUBSURF"),
+}
+
+
+def lamp_state(item: bpy.types.Object) -> tuple:
+    bpy.context.view_layer.update()
+    matrix = np.array(item.matrix_world).round(5).tolist()
+    return artist.faces(item), matrix, item.hide_render, side_radiance(item.data.materials[0])
+
+
+@pytest.mark.parametrize("copied", [False, True])
+@pytest.mark.parametrize("change", LAMPS)
+def test_applying_again_keeps_what_the_artist_has_made_of_lamps(applied, change, copied):
+    lamp = bpy.data.objects["Panel"]
+    if copied:  # by Shift D
+        other = lamp.copy()
+        other.data = lamp.data.copy()
+        lamp.users_collection[0].objects.link(other)
+        lamp = other
+    name = lamp.name
+    LAMPS[change](lamp)
+    before = {name: lamp_state(bpy.data.objects[name]) for name in {"Panel", name}}
+    for _ in range(2):
+        assert ops.apply_results() == {"FINISHED"}
+        assert {name: lamp_state(bpy.data.objects[name]) for name in before} == before
+        assert sorted(row.name for row in applied.fipt.lights.lights) == sorted(before)

@@ -23,6 +23,8 @@ KEPT_PHOTOGRAPH = "fipt_photograph"  # the photograph, while another picture lie
 # On an image that is a smaller copy of a photograph: the file of that
 LARGE_PHOTOGRAPH = "fipt_large_photograph"
 
+COLLECTION = "fipt_collection"  # on a collection that we made: its first name
+
 # --- objects and meshes of the room ------------------------------------------------------------------------
 OBJECT_ID = "fipt_object_id"  # by which runs find the object again: the name of its first export
 IMPORTED = "fipt_imported"  # on a mesh that we imported: its file and the matrix to the alignment's space
@@ -42,6 +44,7 @@ CATCHER = "fipt_catcher"  # we made the object a shadow catcher
 # --- fixtures and lights -----------------------------------------------------------------------------------
 FIXTURE = "fipt_fixture"  # the fixture's name in emitters.json
 NAMED = "fipt_named"  # the name that we gave a fixture's object; any other is the artist's
+PLACED = "fipt_placed"  # on a fixture: its place in the world as made, metres
 FIXTURE_SOURCES = "fipt_sources"  # ids of the objects that the fixture was split off (JSON)
 FIXTURE_LIGHT = "fipt_fixture_light"  # on a Blender light that stands for a fixture, its child
 NEW_LIGHT = "fipt_light"  # on a light that the artist added

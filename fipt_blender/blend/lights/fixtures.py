@@ -21,10 +21,11 @@ from mathutils import Matrix, Vector
 
 from ...core.report.fixture_names import fixture_names
 from ...core.run.parts import RoomParts, free_name
-from ..marks import BACK, BASE, FIXTURE, FIXTURE_SOURCES, NAMED, PROBABILITY, object_id
+from ..marks import BACK, BASE, FIXTURE, FIXTURE_SOURCES, NAMED, PLACED, PROBABILITY, object_id
 from ..outliner import FIXTURES, collection
 from ..room.arrays import Room
 from ..room.mesh_arrays import is_mirrored, triangle_loops
+from ..room.mesh_digest import sign
 from .fixture_nodes import emission_material
 
 
@@ -128,12 +129,13 @@ def place(scene: bpy.types.Scene, fixtures: Sequence[NewFixture]) -> list[bpy.ty
         fixture.mesh.materials.append(emission_material(name, *light))
         item = bpy.data.objects.new(name, fixture.mesh)
         item.matrix_world = Matrix.Translation(fixture.center)
-        item[FIXTURE], item[NAMED] = entry["name"], name
+        item[FIXTURE], item[NAMED], item[PLACED] = entry["name"], name, fixture.center
         item[FIXTURE_SOURCES] = json.dumps(fixture.sources)
         item[BASE] = [float(value) for value in entry["radiance"]]
         item[PROBABILITY] = float(entry.get("probability", 1.0))
         item[BACK] = [float(value) for value in entry["back_radiance"]]
         target.objects.link(item)
+        sign(fixture.mesh)
         items.append(item)
     return items
 
