@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import os
+
 import bpy
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from fipt_blender.blend.image_datablocks import image_values
 from fipt_blender.blend.lights.fixture_nodes import side_radiance
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
-from samples import artist
+from samples import artist, artist_sequences
 from samples.applied_rooms import ConstantFields
 
 ops = bpy.ops.fipt
@@ -79,9 +81,10 @@ def test_applying_again_keeps_what_the_artist_has_modelled(scene, modelling, den
     before = state(scene)
     rendered = {item.name: artist.shown(item) for item in meshes(scene)}
     scene.fipt.materials.texel_density = density
-    assert ops.apply_results() == {"FINISHED"}
-    assert state(scene) == before
-    assert {item.name: artist.shown(item) for item in meshes(scene)} == rendered
+    for _ in range(2):
+        assert ops.apply_results() == {"FINISHED"}
+        assert state(scene) == before
+        assert {item.name: artist.shown(item) for item in meshes(scene)} == rendered
     assert all(parts for parts in rendered.values()) and all("" not in each for each in parts.values())
     assert [item.name for item in scene.objects if marks.is_fixture(item)] == ["Panel"]
     assert len(bpy.data.objects["Panel"].data.polygons) == 1
@@ -175,3 +178,13 @@ def test_applying_again_keeps_what_the_artist_has_made_of_lamps(applied, change,
         assert ops.apply_results() == {"FINISHED"}
         assert {name: lamp_state(bpy.data.objects[name]) for name in before} == before
         assert sorted(row.name for row in applied.fipt.lights.lights) == sorted(before)
+
+
+# `benchmarks`-like runs: FIPT_SEQUENCES=200 tries more of them.
+@pytest.mark.parametrize("seed", range(int(os.environ.get("FIPT_SEQUENCES", "6"))))
+def test_nothing_is_lost_in_random_sequences_of_actions(applied, tmp_path, seed):
+    sequence = artist_sequences.Sequence(seed, tmp_path)
+    try:
+        sequence.run()
+    except Exception as error:
+        raise AssertionError(f"seed {seed}: {', '.join(sequence.done)}: {error!r}") from error

@@ -13,7 +13,8 @@ import pytest
 from mathutils import Matrix, Vector
 
 from fipt_blender.blend import marks
-from fipt_blender.blend.image_datablocks import linear_values
+from fipt_blender.blend.collecting import missing_pictures, pictures_elsewhere
+from fipt_blender.blend.image_datablocks import image_values, linear_values
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running
@@ -238,3 +239,41 @@ def test_a_room_without_any_estimated_object_is_refused(applied):
     before = fingerprint(applied)
     assert "None of the estimated objects" in refused(ops.apply_results)
     assert fingerprint(applied) == before
+
+
+@pytest.mark.parametrize("pack", [False, True])
+@pytest.mark.parametrize("suffix", ["EXR", "PNG"])
+@pytest.mark.parametrize("tiled", [False, True])
+def test_a_file_saved_elsewhere_collects_its_pictures(scene, tmp_path, pack, suffix, tiled):
+    first, second = tmp_path / "first" / "room.blend", tmp_path / "second" / "shot.blend"
+    for blend in (first, second):
+        blend.parent.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(first))
+    scene = bpy.context.scene
+    settings = scene.fipt.materials
+    settings.texture_format, settings.texture_size = suffix, "512"
+    settings.texel_density = 128.0 if tiled else 8.0
+    ops.apply_results()
+    assert {image.source == "TILED" for image in textures(scene) if image.name != "FIPT World"} == {tiled}
+    bpy.ops.wm.save_mainfile()
+    assert not missing_pictures() and not pictures_elsewhere()
+    bpy.ops.wm.save_as_mainfile(filepath=str(second))
+    assert pictures_elsewhere() == 5 and not missing_pictures()
+    assert ops.collect_pictures(pack=pack) == {"FINISHED"}
+    assert not pictures_elsewhere()
+    bpy.ops.wm.save_mainfile()
+    before = [image_values(image) for image in textures(scene) if image.source != "TILED"]
+    shutil.rmtree(scene.fipt.run_folder)
+    shutil.move(second.parent, tmp_path / "third")
+    # The first file has lost nothing.
+    bpy.ops.wm.open_mainfile(filepath=str(first))
+    assert not missing_pictures()
+    shutil.rmtree(first.parent)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "third" / "shot.blend"))
+    assert not missing_pictures() and not pictures_elsewhere()
+    images = [image for image in textures(bpy.context.scene) if image.source != "TILED"]
+    assert all(np.array_equal(image_values(image), old) for image, old in zip(images, before, strict=True))
+    if not pack:
+        shutil.rmtree(tmp_path / "third" / "shot_textures")
+        assert len(missing_pictures()) == 5
+        assert "missing" in refused(ops.collect_pictures)

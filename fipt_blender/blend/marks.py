@@ -45,6 +45,7 @@ CATCHER = "fipt_catcher"  # we made the object a shadow catcher
 FIXTURE = "fipt_fixture"  # the fixture's name in emitters.json
 NAMED = "fipt_named"  # the name that we gave a fixture's object; any other is the artist's
 PLACED = "fipt_placed"  # on a fixture: its place in the world as made, metres
+CENTROID = "fipt_centroid"  # on a fixture: its centroid in emitters.json, by which it is known to be the same
 FIXTURE_SOURCES = "fipt_sources"  # ids of the objects that the fixture was split off (JSON)
 FIXTURE_LIGHT = "fipt_fixture_light"  # on a Blender light that stands for a fixture, its child
 NEW_LIGHT = "fipt_light"  # on a light that the artist added
@@ -87,6 +88,7 @@ REPLACEMENT = "fipt_replacement"  # on an estimated material: the one that the a
 ADJUSTMENT = "fipt_adjustment"  # on the node group of the artist's adjustments: its version
 SURFACE = "fipt_surface"  # what fed the output before a map was shown: node and socket, a line each
 TABLE = "fipt_table"  # on the node group that corrects Principled: digest of its table
+TEXTURE = "fipt_texture"  # marks an image of applied results, or their environment
 PICTURE = "fipt_picture"  # marks an image that we showed in an editor
 
 # --- hints ------------------------------------------------------------------------------------------------

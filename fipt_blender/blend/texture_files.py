@@ -21,6 +21,7 @@ import bpy
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder, atomic_path
 from .image_datablocks import load_texture, load_tiles, read_texture
+from .marks import TEXTURE
 from .png16 import encode_png, encode_srgb
 
 _DIGITS = 12  # of a set's digest: two of a thousand sets have the same one with a probability below 1e-8
@@ -89,6 +90,7 @@ class TextureFiles:
         path = bpy.path.relpath(image.filepath) if self.relative else image.filepath
         if image.filepath != path:  # setting it reads the file anew, without what the artist has painted
             image.filepath = path
+        image[TEXTURE] = True
         packed = image.packed_file
         if self.pack and packed is None:
             image.pack()

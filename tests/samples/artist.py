@@ -89,7 +89,10 @@ def apply_modifier(name: str, kind: str) -> None:
 
 def faces(item: bpy.types.Object) -> Faces:
     """The faces of a mesh object by the places of their corners, bit for bit."""
-    mesh = item.data
+    return faces_of(item.data)
+
+
+def faces_of(mesh: bpy.types.Mesh) -> Faces:
     positions = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", positions)
     positions = positions.reshape(-1, 3)

@@ -21,7 +21,7 @@ from mathutils import Matrix, Vector
 
 from ...core.report.fixture_names import fixture_names
 from ...core.run.parts import RoomParts, free_name
-from ..marks import BACK, BASE, FIXTURE, FIXTURE_SOURCES, NAMED, PLACED, PROBABILITY, object_id
+from ..marks import BACK, BASE, CENTROID, FIXTURE, FIXTURE_SOURCES, NAMED, PLACED, PROBABILITY, object_id
 from ..outliner import FIXTURES, collection
 from ..room.arrays import Room
 from ..room.mesh_arrays import is_mirrored, triangle_loops
@@ -130,6 +130,7 @@ def place(scene: bpy.types.Scene, fixtures: Sequence[NewFixture]) -> list[bpy.ty
         item = bpy.data.objects.new(name, fixture.mesh)
         item.matrix_world = Matrix.Translation(fixture.center)
         item[FIXTURE], item[NAMED], item[PLACED] = entry["name"], name, fixture.center
+        item[CENTROID] = [float(value) for value in entry.get("centroid", fixture.center)]
         item[FIXTURE_SOURCES] = json.dumps(fixture.sources)
         item[BASE] = [float(value) for value in entry["radiance"]]
         item[PROBABILITY] = float(entry.get("probability", 1.0))

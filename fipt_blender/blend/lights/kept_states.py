@@ -15,6 +15,7 @@ from ..marks import (
     AS_CONVERTED,
     BACK,
     BASE,
+    CENTROID,
     FIXTURE,
     FIXTURE_SOURCES,
     MERGED,
@@ -55,7 +56,7 @@ class FixtureState:
         name: the object's name if the artist has chosen it, else "".
         lights: copies of these lights if the artist has moved, reshaped or deleted some of them, else None.
         merged: names of the fixtures that the artist has merged into this one, its own first.
-        placed: where we had put it, metres in the world.
+        centroid: its centroid in the room as it was exported, metres.
         matrix: its matrix to the world if the artist has moved it, else None.
         mesh: name of its mesh if the artist has modelled that, else "". It has a fake user.
         hidden: in viewports and in renders.
@@ -67,7 +68,7 @@ class FixtureState:
     name: str = ""
     lights: list[_KeptLight] | None = None
     merged: tuple[str, ...] = ()
-    placed: tuple[float, ...] = ()
+    centroid: tuple[float, ...] = ()
     matrix: Matrix | None = None
     mesh: str = ""
     hidden: tuple[bool, bool] = (False, False)
@@ -78,7 +79,7 @@ def release_copies(scene: bpy.types.Scene) -> None:
     kept: set[str] = set()
     for item in sorted(fixtures_of(scene), key=lambda item: item.name != item.get(NAMED)):
         if item[FIXTURE] in kept:
-            remove_marks(item, FIXTURE, FIXTURE_SOURCES, MERGED, NAMED, PLACED, PROBABILITY)
+            remove_marks(item, FIXTURE, FIXTURE_SOURCES, MERGED, NAMED, PLACED, CENTROID, PROBABILITY)
             item[NEW_LIGHT] = 1
         else:
             kept.add(item[FIXTURE])
@@ -108,7 +109,7 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
             "" if item.name == item.get(NAMED, item[FIXTURE]) else item.name,
             lights,
             tuple(members_of(item)),
-            placed,
+            tuple(item.get(CENTROID, ())),
             world_matrix(item).copy() if moved else None,
             item.data.name if modelled else "",
             (item.hide_viewport, item.hide_render),
@@ -128,7 +129,7 @@ def keep_states(
     placed = _merged_again(items, states.values())
     for item in placed:
         state = states.get(item[FIXTURE])
-        if state is not None and _is_near(state.placed, item[PLACED]):
+        if state is not None and _is_near(state.centroid, item[CENTROID]):
             _keep_shape(item, state)
         if state is None or any(state.settings.get(key) != plain(item[key]) for key in (BASE, BACK)):
             continue

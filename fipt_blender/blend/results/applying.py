@@ -227,7 +227,8 @@ def _swap_in(
         remove_marks(mesh, SPLIT_OFF)
         if len(lit) and not target.is_copy:
             mesh[SPLIT_OFF] = lit.tolist()
-        sign(mesh)
+        if target.modifiers is not None:  # a modelled mesh stays one
+            sign(mesh)
     remove_unused(earlier)
     warnings += _select_kept(scene, kept_faces) + _lost_lamps(results, targets, new_fixtures)
     placed = keep_states(scene, fixtures.place(scene, new_fixtures), kept)

@@ -86,14 +86,15 @@ class TargetBuilder:
         """
         item = find_object(name)
         present = result_mesh(item)
-        split = set(present.get(SPLIT_OFF, ())) if present is not None and not is_copy else set()
+        modelled = present is not None and (is_copy or is_edited(present))
+        split = set(present.get(SPLIT_OFF, ())) if modelled and not is_copy else set()
         try:
             reference, found, modifiers = self._as_exported(index, item, split)
         except FiptError as error:
             if error.code != "room-changed":
                 raise
             reference = None
-        if present is not None and (is_copy or is_edited(present)):
+        if modelled:
             mesh = self._note(present.copy())
             found_now = self._modelled(index, item, mesh, split, reference and (reference, found))
             yield from self._search(index, name, mesh.name, found_now)

@@ -10,7 +10,7 @@ Modifiers that are part of the result mesh are switched off; others, which came 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -18,6 +18,7 @@ import bpy
 
 from ..marks import (
     FIXTURE_SOURCES,
+    OBJECT_ID,
     OBJECT_SLOT,
     ORIGINAL_MESH,
     ORIGINAL_STATE,
@@ -170,7 +171,8 @@ def _delete_slots(item: bpy.types.Object) -> None:
 def restore_original(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> list[str]:
     """Bring back the artist's meshes, slots and modifiers, and remove the fixtures split off these objects.
 
-    A result mesh that the artist has modelled stays in the file, with a fake user.
+    A result mesh that the artist has modelled stays in the file, with a fake user. What the artist has
+    separated from another object stays as a hidden object.
 
     Args:
         scene: of the fixtures: copies of it have their own.
@@ -179,8 +181,12 @@ def restore_original(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]
     Returns:
         The names of the objects that were restored.
     """
+    objects = list(objects)
     restored = []
     ids = set()
+    for item in _separated(objects):
+        remove_marks(item, ORIGINAL_MESH, ORIGINAL_STATE, RESULT_MESH, OBJECT_ID)
+        item.hide_viewport = item.hide_render = True
     unused = []
     for item in objects:
         mesh = result_mesh(item)
@@ -199,6 +205,19 @@ def restore_original(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]
     bpy.data.batch_remove(unused)
     remove_fixtures(scene, ids)
     return restored
+
+
+def _separated(objects: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
+    """Those objects that show modelled parts of another one: it gets the original mesh of both."""
+    first: set[bpy.types.Mesh] = set()
+    found = []
+    for item in sorted(objects, key=lambda item: object_id(item) != item.name):
+        mesh = item.get(ORIGINAL_MESH)
+        if mesh in first and not shows_original(item) and is_edited(item.data):
+            found.append(item)
+        elif mesh is not None:
+            first.add(mesh)
+    return found
 
 
 def remove_fixtures(scene: bpy.types.Scene, sources: set[str]) -> None:
