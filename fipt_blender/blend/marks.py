@@ -170,6 +170,18 @@ def is_split_off(item: bpy.types.Object) -> bool:
     return FIXTURE_SOURCES in item
 
 
+def is_linked(item: bpy.types.ID) -> bool:
+    """Whether data belong to another file: their changes, also of overrides, are not saved with this one."""
+    return item.library is not None or item.override_library is not None
+
+
+def is_room_linked(scene: bpy.types.Scene) -> bool:
+    """Whether results or lights of a scene belong to another file."""
+    if not len(bpy.data.libraries):
+        return False
+    return any(is_linked(item) for item in scene.objects if has_results(item) or is_our_light(item))
+
+
 def is_our_light(item: bpy.types.Object) -> bool:
     """Whether an object is a fixture, a Blender light that stands for one, or a light that we added."""
     return FIXTURE in item or FIXTURE_LIGHT in item or NEW_LIGHT in item

@@ -12,7 +12,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..api import applying
 from ..properties.materials import SHOWN
 from .job_operator import JobOperator
-from .polls import all_of, has_results, in_object_mode, needs, no_job
+from .polls import all_of, has_results, in_object_mode, is_own_room, needs, no_job
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
@@ -29,7 +29,10 @@ class FIPT_OT_apply_results(JobOperator, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     poll = all_of(
-        no_job, needs(lambda context: context.scene.fipt.run_folder, "Run Estimate first"), in_object_mode
+        no_job,
+        needs(lambda context: context.scene.fipt.run_folder, "Run Estimate first"),
+        is_own_room,
+        in_object_mode,
     )
 
     def task(self, context: bpy.types.Context) -> Task:

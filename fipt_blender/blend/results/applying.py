@@ -18,7 +18,7 @@ from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ..lights import fixtures
 from ..lights.kept_states import keep_states, states_of
-from ..marks import LAID_OUT, OBJECT_ID, SPLIT_OFF, object_id, remove_marks
+from ..marks import LAID_OUT, OBJECT_ID, SPLIT_OFF, is_linked, object_id, remove_marks
 from ..outliner import remove_object
 from ..room.arrays import Room
 from ..room.mesh_arrays import polygon_slots
@@ -97,6 +97,13 @@ def apply_slices(
     results = read_results(run)
     geometry = cleaned_scan(run, results.room)
     objects = list(objects)
+    linked = [item.name for item in objects if is_linked(item)]
+    if linked:
+        raise FiptError(
+            "room-linked",
+            f"These objects belong to another file: {list_names(linked)}.",
+            "Open that file and apply there, or use Object > Relations > Make Local.",
+        )
     matches = match_objects(results.room, objects)
     surfaces = add_surfaces(results.room, objects)
     added = [item.name for item in surfaces]

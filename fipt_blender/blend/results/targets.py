@@ -86,16 +86,16 @@ class TargetBuilder:
         """
         item = find_object(name)
         present = result_mesh(item)
-        modelled = present is not None and (is_copy or is_edited(present))
-        split = set(present.get(SPLIT_OFF, ())) if modelled and not is_copy else set()
+        modelled = present if present is not None and (is_copy or is_edited(present)) else None
+        split = set(modelled.get(SPLIT_OFF, ())) if modelled is not None and not is_copy else set()
         try:
             reference, found, modifiers = self._as_exported(index, item, split)
         except FiptError as error:
             if error.code != "room-changed":
                 raise
             reference = None
-        if modelled:
-            mesh = self._note(present.copy())
+        if modelled is not None:
+            mesh = self._note(modelled.copy())
             found_now = self._modelled(index, item, mesh, split, reference and (reference, found))
             yield from self._search(index, name, mesh.name, found_now)
             return Target(index, name, mesh.name, found_now, None, is_copy)
