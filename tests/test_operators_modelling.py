@@ -32,6 +32,7 @@ MODELLING = {
     "applied subdivision": lambda: artist.apply_modifier("cube", "SUBSURF"),
     "applied solidify": lambda: artist.apply_modifier("panel", "SOLIDIFY"),
     "live bevel": lambda: artist.add_modifier("cube", "BEVEL"),
+    "live bevel without effect": lambda: artist.add_modifier("panel", "BEVEL"),
     "live solidify": lambda: artist.add_modifier("panel", "SOLIDIFY"),
     "live subdivision": lambda: artist.add_modifier("panel", "SUBSURF"),
     "vertex group": lambda: bpy.data.objects["cube"].vertex_groups.new().add([0, 1], 0.5, "ADD"),

@@ -11,11 +11,11 @@ import bpy
 import numpy as np
 
 from ...core.run.errors import FiptError
-from ..marks import OBJECT_ID, object_id
+from ..marks import OBJECT_ID, has_results, object_id
 from .arrays import Room
 from .exporting import fresh_depsgraph
 from .mesh_arrays import corner_vertices, is_mirrored, transform_points, triangle_loops, vertex_positions
-from .originals import original_shown
+from .originals import modifiers_in_result, original_shown
 
 
 def match_objects(room: Room, objects: Iterable[bpy.types.Object]) -> list[str | None]:
@@ -97,13 +97,17 @@ def make_mesh(room: Room, index: int, item: bpy.types.Object) -> tuple[bpy.types
 def evaluations(item: bpy.types.Object) -> Iterator[tuple[bpy.types.Mesh, list[str]]]:
     """An object's own mesh as new meshes: with all of its modifiers, then without the last ones.
 
+    The first one has the modifiers of an earlier result, if there is one: others came later.
+
     Yields:
         The mesh, which the caller removes or keeps, and the names of the modifiers that are part of it.
     """
     with original_shown(item):
         names = [modifier.name for modifier in item.modifiers]
         present = [modifier.name for modifier in item.modifiers if modifier.show_viewport]
-    for count in range(len(present), -1, -1):
+    earlier = modifiers_in_result(item)
+    counts = [sum(name in earlier for name in present)] if has_results(item) else []
+    for count in dict.fromkeys([*counts, *range(len(present), -1, -1)]):
         with original_shown(item):
             for name in present[count:]:
                 item.modifiers[name].show_viewport = False
