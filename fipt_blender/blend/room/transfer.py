@@ -76,6 +76,7 @@ class Surfaces:
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray, chart: np.ndarray) -> None:
         self.corners = vertices[triangles].astype(np.float64)
+        self._vertices, self._triangles = vertices, triangles
         self.chart = chart
         self.distance = POSITION_SHARE * float(np.linalg.norm(np.ptp(vertices, axis=0)))
         self._order = np.argsort(chart, kind="stable")
@@ -89,7 +90,12 @@ class Surfaces:
         Joining objects of which one is mirrored turns faces inside out.
         """
         if self._tree is None:
-            self._tree = _tree(self.corners)
+            self._tree = _tree(self._vertices, self._triangles)
+        _, other, index, _ = self._tree.find_nearest(center, self.distance)
+        if index is None:
+            return -1
+        if normal.dot(other) >= _COSINE:
+            return int(index)
         near = self._tree.find_nearest_range(center, self.distance)
         alike = ((normal.dot(other), distance, index) for _, other, index, distance in near)
         found = [
@@ -101,7 +107,8 @@ class Surfaces:
         """The nearest triangle of a chart, and its nearest point."""
         rows = self._order[self._starts[chart] : self._starts[chart + 1]]
         if chart not in self._trees:
-            self._trees[chart] = _tree(self.corners[rows])
+            used, corners = np.unique(self._triangles[rows], return_inverse=True)
+            self._trees[chart] = _tree(self._vertices[used], corners.reshape(-1, 3))
         position, _, index, _ = self._trees[chart].find_nearest(point)
         return int(rows[index]), position
 
@@ -109,11 +116,8 @@ class Surfaces:
 _COSINE = math.cos(math.radians(NORMAL_DEGREES))
 
 
-def _tree(corners: np.ndarray) -> BVHTree:
-    points = corners.reshape(-1, 3).tolist()
-    return BVHTree.FromPolygons(
-        points, np.arange(len(points)).reshape(-1, 3).tolist(), all_triangles=True, epsilon=0.0
-    )
+def _tree(vertices: np.ndarray, triangles: np.ndarray) -> BVHTree:
+    return BVHTree.FromPolygons(vertices.tolist(), triangles.tolist(), all_triangles=True, epsilon=0.0)
 
 
 def exported(mesh: bpy.types.Mesh, mirrored: bool, rows: np.ndarray, first: np.ndarray) -> Counterparts:
