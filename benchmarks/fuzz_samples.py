@@ -265,9 +265,3 @@ def write_image_files(folder: Path) -> None:
     (folder / "a.hdr").write_bytes(header + np.dstack([pixels, pixels[..., :1]]).tobytes())
     layers = {name: dict.fromkeys("RGB", np.ones((8, 12), np.float32)) for name in ("N", "C")}
     write_exr_layers(folder / "a.exr", layers, parts=True)
-
-
-def write_depth_map(folder: Path) -> None:
-    """A depth map as dense stereo writes it."""
-    depth = np.linspace(1.0, 3.0, 48, dtype="<f4")
-    (folder / "a.geometric.bin").write_bytes(b"8&6&1&" + depth.tobytes())

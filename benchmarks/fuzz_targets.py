@@ -160,13 +160,11 @@ def _simplify(sample: Path, out: Path) -> None:
         surface.nearest_triangle(surface.points[:50] + 0.1)
 
 
-def _plane_room(sample: Path, out: Path) -> None:
-    """The room of planes of a solve's points."""
-    from fipt_blender.core.capture.formats import read_rig
-    from fipt_blender.core.capture.source import room_of_points, write_room
+def _points(sample: Path, out: Path) -> None:
+    """The sparse points of a solve."""
+    from fipt_blender.core.capture.formats import read_points
 
-    rig = read_rig(sample, "opensfm", CaptureOptions())
-    write_room(out / "planes.obj", room_of_points(sample, rig))
+    read_points(sample, "opensfm")
 
 
 def _image_files(sample: Path, out: Path) -> None:
@@ -188,15 +186,6 @@ def _image_files(sample: Path, out: Path) -> None:
                 refused = error if read is not images.read_ids else refused  # which refuses most of them
     if refused is not None:
         raise refused
-
-
-def _depth_map(sample: Path, out: Path) -> None:
-    from fipt_blender.core.capture.dense_stereo import read_depth_map
-
-    try:
-        read_depth_map(sample / "a.geometric.bin")
-    except ValueError as error:  # `stereo_depths` makes the error for users of it
-        raise FiptError("stereo-failed", str(error), "Check the photographs.") from None
 
 
 PROGRAMS: dict[str, Callable[[Path, list[rig_writers.Shot]], None]] = {
@@ -236,9 +225,8 @@ TARGETS = (
     Target("rgbd", _rgbd, fuzz_samples.import_sample),
     Target("depth-points", _rgbd, _depth_points),
     Target("meshes", fuzz_samples.write_meshes, _simplify),
-    Target("plane-room", fuzz_samples.write_points, _plane_room),
+    Target("points", fuzz_samples.write_points, _points),
     Target("images", fuzz_samples.write_image_files, _image_files),
-    Target("depth-map", fuzz_samples.write_depth_map, _depth_map),
     Target("capture", fuzz_samples.write_capture, _load_capture),
     Target("run-files", fuzz_samples.write_run_files, _read_run_files),
     Target("report", fuzz_samples.write_finished_run, _report, ("fipt_blender.core.report.page",)),

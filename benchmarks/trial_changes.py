@@ -66,7 +66,6 @@ _TABLE = (
         (SCAN, MASKS),
     ),
     ("outlines", "outlines of parts", ["scene/outlines", "scene/outline_misses"], {}, (SCAN, MASKS)),
-    ("doubt_pixels", "doubt where mask and scan disagree", ["scene/disagreement"], {}, (SCAN, MASKS)),
     ("unmix", "mixed pixels are used", ["scene/unmixing", "scene/fragments"], {}, ()),
     ("unmeshed_lamps", "lamps without a mesh are left out", ["views/unmeshed"], {}, ()),
     ("reject_views", "misaligned views are left out", ["views/misaligned", "views/registration"], {}, ()),
@@ -82,7 +81,6 @@ _TABLE = (
     ("unseen_light", "light from unseen directions", ["light/unseen_light"], {}, ()),
     ("presumed_lamps", "presumed lamps in stage 1", ["light/presumed"], {}, ()),
     ("denoise_specular", "denoised specular shadings", [], {}, ()),
-    ("lamp_outlines", "outlines of lamps", ["light/lamp_outline"], {}, (SCAN, MASKS)),
     ("shrink_detail", "detail as far as it is reliable", ["material/reliability"], {}, ()),
     ("lamp_doubt", "errors of the light of uncertain lamps", ["light/lamp_doubt"], {}, ()),
 )
@@ -92,7 +90,6 @@ MECHANISMS = {
 }
 # The paper's own steps and choices without which it has ablations (docs/method.md).
 ABLATIONS: dict[str, dict[str, Any]] = {
-    "joint-emission": {"emission": "joint"},
     "no-stage-3": {"rounds": 0},
     "no-cache": {"refine_cache": False},
     "fewer-views": {"view_share": 0.3},

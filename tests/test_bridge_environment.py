@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from fipt_blender.bridge import environment, native, pins, pip_bootstrap, places
+from fipt_blender.bridge import environment, native, pins, places, provision
 from fipt_blender.bridge.pip import PipProgress, pip_error
 from fipt_blender.bridge.plan import Plan
 from fipt_blender.bridge.torch_build import Size
@@ -187,25 +187,62 @@ def test_set_up_names_what_the_wheels_lack_and_a_package_that_breaks(
     assert stamp["installed"] and not stamp["complete"], "mended, it is completed and not made anew"
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a shell script stands for Python")
-def test_python_without_pip_takes_one_from_the_wheels_or_says_how_to_mend_it(
-    tmp_path: Path, device_works: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    base = tmp_path / "bare" / "python3"
-    base.parent.mkdir()
-    # as Debian's without python3-venv: venv works only without pip
+@pytest.fixture
+def base(tmp_path: Path) -> Path:
+    """A Python as Debian's without python3-venv: venv works only without pip."""
+    if sys.platform == "win32":
+        pytest.skip("a shell script stands for Python")
+    path = tmp_path / "bare" / "python3"
+    path.parent.mkdir()
     refuse = 'case "$*" in *"-m venv --without-pip"*) ;; *"-m venv"*) exit 1;; esac'
-    base.write_text(f'#!/bin/sh\n{refuse}\nexec {PYTHON} "$@"\n')
-    base.chmod(0o755)
-    monkeypatch.setattr(pip_bootstrap, "DEBIAN_WHEELS", tmp_path / "none")
-    monkeypatch.setattr(pip_bootstrap, "other_pythons", lambda: iter([]))
+    path.write_text(f'#!/bin/sh\n{refuse}\nexec {PYTHON} "$@"\n')
+    path.chmod(0o755)
+    return path
+
+
+@pytest.fixture
+def bundled() -> Path:
+    """The wheel of pip that Python contains."""
+    import ensurepip
+
+    return next((Path(ensurepip.__file__).parent / "_bundled").glob("pip-*.whl"))
+
+
+@pytest.mark.parametrize("has_package", [True, False])
+def test_python_without_pip_and_wheels_takes_the_systems_package(
+    has_package: bool, base: Path, bundled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Packages:
+        available = True
+
+        def __enter__(self) -> Packages:
+            return self
+
+        def __exit__(self, *exception: object) -> None:
+            pass
+
+        def unpack(self, names: list[str]) -> Path | None:
+            folder = tmp_path / "root" / "usr" / "share" / "python-wheels"
+            folder.mkdir(parents=True)
+            shutil.copy(bundled, folder)
+            return tmp_path / "root" if has_package and names == ["python3-pip-whl"] else None
+
+    monkeypatch.setattr(provision, "DebianPackages", Packages)
+    plan = make_plan(tmp_path, base=base, wheels=None)
+    if not has_package:
+        assert error_of(environment.make_environment, plan).code == "python-unfit"
+        return
+    environment.make_environment(plan)
+    assert (places.site_packages(plan.folder) / "pip").is_dir()
+
+
+def test_python_without_pip_takes_one_from_the_wheels_or_says_how_to_mend_it(
+    base: Path, bundled: Path, tmp_path: Path, device_works: None
+) -> None:
     make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
     with pytest.raises(FiptError, match="neither pip nor ensurepip") as caught:
         environment.set_up(make_plan(tmp_path, base=base), Listener())
     assert caught.value.code == "python-unfit" and not (tmp_path / "env").exists()
-    import ensurepip
-
-    bundled = next((Path(ensurepip.__file__).parent / "_bundled").glob("pip-*.whl"))
     shutil.copy(bundled, tmp_path / "wheels")
     # a forged pip never runs: refused if it has the pinned version, and passed over if it has another one
     forged = make_pip(tmp_path, "0.1")

@@ -10,24 +10,21 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks import accuracy, disturb, predict
-from fipt_blender.core.capture.views import load_capture
+from benchmarks import accuracy, disturb
 from fipt_blender.core.estimate.input import spread_views
-from fipt_blender.core.light.joint import joint_fixtures
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from samples.small_captures import (
     COLORS,
-    PANEL_RADIANCE,
     PANEL_TRIANGLES,
     SmallCapture,
     panel_capture,
     run_here,
     write_run,
 )
-from samples.small_rooms import BOX, make_room, surface_points
+from samples.small_rooms import BOX, surface_points
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -43,32 +40,11 @@ def finished(root: Path, capture: SmallCapture, **changes) -> tuple[RunFolder, l
     return run, json.loads(run.emitters_json.read_text())["fixtures"]
 
 
-def test_fitted_jointly_the_lamp_is_too_dim(capture: SmallCapture, tmp_path: Path) -> None:
-    """Some of the lamp's light is taken for reflection."""
-    _, fixtures = finished(tmp_path, capture, emission="joint", rounds=0)
-    (lamp,) = [fixture for fixture in fixtures if set(fixture["triangles"]) & set(PANEL_TRIANGLES)]
-    assert 0.0 < np.mean(lamp["radiance"]) < np.mean(PANEL_RADIANCE)
-
-
 def wall_error(run: RunFolder, capture: SmallCapture) -> float:
     """Mean absolute error of kd over the box."""
     points, _, triangle = surface_points(capture.room, 100, np.random.default_rng(0), np.arange(12))
     color, _, metallic = RoomFields.load(run).query(points, triangle)
     return float(np.abs(color * (1 - metallic[:, None]) - np.array(COLORS)[triangle // 2]).mean())
-
-
-def test_walls_that_shine_a_little_still_reflect_in_stage_3(capture: SmallCapture, tmp_path: Path) -> None:
-    """With joint fitting, noise of L_e must not blacken the walls: that would halve the light of stage 3."""
-    run, fixtures = finished(tmp_path, capture, emission="joint")
-    assert all(fixture["beside"] for fixture in fixtures)
-    walls = {triangle for fixture in fixtures for triangle in fixture["triangles"]} & set(range(12))
-    assert walls
-    assert wall_error(run, capture) < 0.1
-    # The maps of the views show their materials and their emission.
-    lit, _ = predict.load_result(run, spacing=0.1)
-    maps = [predict.predict_maps(lit, view, filtered=False, spp=1) for view in load_capture(run).train]
-    assert max((view.emission.max(axis=2) > 0.0).mean() for view in maps) > 0.02
-    assert all((view.base_color.max(axis=2) > 0.0).mean() > 0.99 for view in maps)
 
 
 def test_paths_without_a_cache_still_find_materials(capture: SmallCapture, tmp_path: Path) -> None:
@@ -84,21 +60,6 @@ def test_fewer_views_are_spread_over_the_capture() -> None:
     assert spread_views(views, 1e-3) == ["a"]
     with pytest.raises(FiptError, match="at most 1"):
         make_settings("draft", {"view_share": 1.5})
-
-
-def test_joint_fixtures_are_as_bright_as_was_fitted() -> None:
-    room = make_room(BOX)
-
-    shine = np.zeros((len(room.triangles), 1))
-    shine[[0, 1]], shine[[2, 3]] = 2.0, 6.0  # the floor and the ceiling
-    emission = shine * [1.0, 0.5, 0.25]
-    fixtures = joint_fixtures(room, emission, 0.5)
-    assert [fixture.triangles.tolist() for fixture in fixtures] == [[0, 1], [2, 3]]
-    assert fixtures[1].radiance == pytest.approx([6.0, 3.0, 1.5])
-    assert (fixtures[1].radiance == fixtures[1].back_radiance).all()
-    assert fixtures[0].area == pytest.approx(16.0)
-    assert fixtures[0].centroid == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
-    assert joint_fixtures(room, emission, 10.0) == []
 
 
 def closed(triangles: np.ndarray) -> bool:

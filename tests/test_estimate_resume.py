@@ -36,7 +36,6 @@ ALL = ["pixels", "shadings", "estimate-0", "refinement-1", "estimate-1", "traini
 # Values other than those of BASE where doubling is no legal change.
 OTHERS = {
     "masking": "smith",
-    "emission": "joint",
     "atlas_mode": "color_attribute",
     "atlas_images": "part",
     "write_back": "paper",

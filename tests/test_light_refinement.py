@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Stage 3: paths that follow gloss, weigh emitters rightly and see what a mirror shows."""
 
-from dataclasses import replace
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -120,52 +118,6 @@ def test_looking_up_the_diffuse_shading_changes_no_mean() -> None:
     (traced, noise), (looked_up, error) = found
     agree(traced - looked_up, np.hypot(noise, error))
     assert (traced.min(axis=1) < 0.99).all()  # the floor matters
-
-
-@pytest.mark.parametrize("roughness", [0.1, 1.0])
-def test_reflective_emitters_are_read_from_the_cache(roughness: float) -> None:
-    """The photographs hold its whole light: it counts once, however bright or rough it was fitted."""
-    room, materials = shiny_box(0.1)
-    grid = grid_of(room)
-    cached = lookup_by_triangle(room, grid, np.linspace(0.5, 2.0, 14)[:, None] * np.ones(3))
-    points = points_on(room, 4, [4, 6, 8])
-    counts = SampleCounts(16, 4, 16)
-    lamp = table([12, 13], [50.0, 40.0, 30.0])
-    aimed = area_lights(room, lamp)
-    expected = TracedRadiance(
-        room,
-        cached,
-        lookup_by_triangle(room, grid, materials),
-        None,
-        area_lights(room, NOTHING),
-        None,
-        0.6,
-        5,
-    )
-    materials[12:, 3] = roughness
-    lights = area_lights(room, replace(lamp, reflective=np.ones(2, bool)))
-    source = TracedRadiance(
-        room, cached, lookup_by_triangle(room, grid, materials), None, lights, None, 0.6, 5
-    )
-    found = [bake(points, each, aimed, LEVELS, counts, 3) for each in (source, expected)]
-    np.testing.assert_allclose(found[0].diffuse, found[1].diffuse, rtol=1e-5)
-    np.testing.assert_allclose(found[0].specular, found[1].specular, rtol=1e-4, atol=1e-6)
-
-
-def test_without_a_cache_reflective_emitters_light_the_room() -> None:
-    """Lamps that reflect nothing are the same either way."""
-    room, materials = shiny_box(0.3)
-    materials[12:] = [0.0, 0.0, 0.0, 1.0, 1.0]
-    grid = grid_of(room)
-    lookup = lookup_by_triangle(room, grid, materials)
-    points = points_on(room, 4, [4, 6, 8])
-    found = []
-    for reflective in (None, np.ones(2, bool)):
-        lights = area_lights(room, replace(table([12, 13], [6.0, 5.0, 4.0]), reflective=reflective))
-        source = TracedRadiance(room, None, lookup, None, lights, None, 0.6, 4)
-        found.append(mean_and_error(baked(points, source, lights, LEVELS, SampleCounts(16, 4, 16), 300)[0]))
-    (black, noise), (reflective_mean, error) = found
-    agree(black - reflective_mean, np.hypot(noise, error))
 
 
 def test_a_mirror_is_seen_by_stage_3_and_blurred_by_stage_1() -> None:

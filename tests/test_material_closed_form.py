@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The closed-form estimate on cells: colours, what white surfaces reflect, and emission fitted jointly."""
+"""The closed-form estimate on cells: colours, and what white surfaces reflect."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,6 @@ from fipt_blender.core.material.closed_form import (
     TrainingData,
     fit_cells,
     followed_by_paths,
-    triangle_emission,
     white_rows,
 )
 from fipt_blender.core.material.mixture import GroupMaterials
@@ -64,7 +63,7 @@ def test_cells_have_the_colours_of_their_parts(seen, data) -> None:
     group = cells.group
     walls = group < WALLS
     np.testing.assert_allclose(cells.color[walls], COLORS[group[walls]], atol=2e-3)
-    assert (cells.color[~walls] == 1.0).all() and not cells.emission.any()
+    assert (cells.color[~walls] == 1.0).all()
     np.testing.assert_array_equal(ROOM.triangle_object[cells.triangle], group)
     rows = reflecting(seen)
     found = cells.of_pixels(data, rows)
@@ -94,7 +93,6 @@ def test_values_of_an_entry_are_means_over_its_pixels() -> None:
     cells = CellEstimate(
         keys=np.array([9, 11, 16]),
         color=np.array([[0.2] * 3, [0.6] * 3, [0.9] * 3], np.float32),
-        emission=np.zeros((3, 3), np.float32),
         pixels=np.array([1.0, 3.0, 1.0]),
         triangle=np.array([7, 8, 9]),
         materials=np.array([[0.4, 1.0], [0.8, 0.0], [1.0, 0.0]]),
@@ -108,25 +106,8 @@ def test_paths_follow_groups_that_may_be_smooth() -> None:
     none = np.zeros(0)
     roughness = np.array([0.86, 0.86, 0.4, 1.0])  # the last is of pixels without a group
     materials = np.column_stack([roughness, np.zeros(4)])
-    cells = CellEstimate(none, np.zeros((0, 3)), np.zeros((0, 3)), none, none, materials)
+    cells = CellEstimate(none, np.zeros((0, 3)), none, none, materials)
     errors = np.array([0.3, 0.2, 0.3])
     followed = followed_by_paths(cells, errors, limit=0.6).materials[:, 0]
     assert 0.5 < followed[0] < np.float16(0.6)  # tables may be of half precision
     np.testing.assert_array_equal(followed[1:], roughness[1:])
-
-
-def test_emission_that_is_fitted_jointly_is_found_where_light_varies(seen, data) -> None:
-    shine = np.array([0.3, 0.2, 0.1])
-    on = (np.asarray(data.group) == 0) & (np.asarray(seen.pixels.triangle) >= 0)
-    seen.pixels.own[on] += shine
-    alone = fit_cells(data)
-    cells = fit_cells(data, joint=1e-6)
-    group = cells.group
-    clear = (group == 0) & (cells.pixels >= 5)
-    assert np.median(np.abs(cells.emission[clear] - shine)) < 0.01
-    assert np.median(np.abs(cells.color[clear] - COLORS[0])) < 0.01
-    assert np.median(np.abs(alone.color[clear] - COLORS[0])) > 0.05
-    mean = triangle_emission(cells, data)
-    assert np.abs(mean[:2] - shine).max() < 0.1 and mean[2:12].max() < 0.05
-    strong = fit_cells(data, joint=1e3)
-    assert not strong.emission[group < WALLS].any()

@@ -69,8 +69,8 @@ def make_data(kind: str = "part") -> TrainingData:
 
 def make_surfaces() -> Surfaces:
     """Triangle 0 is the red half, 1 the blue one and 2 the lamp; the halves are units."""
-    emitting, emission = np.array([False, False, True]), np.zeros((0, 3), np.float32)
-    return Surfaces(Box(np.full(3, -2.0), 4.0), np.array([0, 1, -1]), emitting, emission)
+    emitting = np.array([False, False, True])
+    return Surfaces(Box(np.full(3, -2.0), 4.0), np.array([0, 1, -1]), emitting)
 
 
 def do_train(
@@ -146,15 +146,9 @@ def test_a_checkpoint_that_does_not_fit_is_refused(change, tmp_path: Path) -> No
     assert error_of(read_checkpoint, checkpoint, make_networks(), 6).code == "file-damaged"
 
 
-@pytest.mark.parametrize("glow", [False, True])
-def test_colours_are_found_beside_a_lamp_that_does_not_count(glow: bool, one_thread) -> None:
-    """Emission of the red half that is known is subtracted."""
+def test_colours_are_found_beside_a_lamp_that_does_not_count(one_thread) -> None:
     networks, data, surfaces = make_networks(), make_data(), make_surfaces()
     seen, pixels = data.observations, data.observations.pixels
-    if glow:
-        emission = np.array([[0.4, 0.3, 0.2], [0.0] * 3, [0.0] * 3], np.float32)
-        pixels.own += emission[pixels.triangle]
-        surfaces, networks.emission = replace(surfaces, emission=emission), None
     train(networks, data, surfaces, replace(SETTINGS, training_steps=400), None, lambda _: None)
     inputs = torch.from_numpy(surfaces.box.normalise(pixels.position))
     with torch.no_grad():

@@ -35,7 +35,6 @@ def test_look_ups_without_emitters_have_a_value_for_each_triangle() -> None:
     assert np.array(lights.radiance(triangle, cosine)).tolist() == [[0.0] * 3] * 3
     assert np.array(lights.pdf_area(triangle)).tolist() == [0.0] * 3
     assert np.array(lights.is_emitter(triangle)).tolist() == [False] * 3
-    assert np.array(lights.is_reflective_emitter(triangle)).tolist() == [False] * 3
 
 
 def draw(count: int, seed: int) -> mi.Float:
@@ -117,7 +116,6 @@ def test_lookup_by_side() -> None:
     lights = AreaLights(VERTICES, TRIANGLES, replace(TABLE, reflective=TABLE.triangles == 4))
     assert np.array_equal(np.array(lights.radiance(triangle, side)).T, expected)
     assert np.array(lights.is_emitter(triangle)).tolist() == [False] + [True] * 4 + [False] * 2
-    assert np.array(lights.is_reflective_emitter(triangle)).tolist() == [False] * 5 + [True] * 2
 
 
 def test_a_room_without_emitters() -> None:
@@ -150,14 +148,13 @@ def test_fixtures_give_one_entry_a_triangle() -> None:
     data = {
         "fixtures": [
             {"triangles": [4, 7], "radiance": [1, 2, 3], "back_radiance": [0, 0, 0]},
-            {"triangles": [2], "radiance": [0, 0, 0], "back_radiance": [4, 5, 6], "beside": True},
+            {"triangles": [2], "radiance": [0, 0, 0], "back_radiance": [4, 5, 6]},
         ]
     }
     table = EmitterTable.from_fixtures(data)
     assert table.triangles.tolist() == [4, 7, 2]
     assert table.radiance.tolist() == [[1, 2, 3], [1, 2, 3], [0, 0, 0]]
     assert table.back_radiance[2].tolist() == [4, 5, 6]
-    assert table.reflective_mask().tolist() == [False, False, True]
     assert EmitterTable.from_fixtures({"fixtures": []}).radiance.shape == (0, 3)
 
 

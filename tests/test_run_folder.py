@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
@@ -91,6 +92,24 @@ def test_a_damaged_run_json_is_refused(run_folder: RunFolder, content: str) -> N
     caught = error_of(run_folder.read)
     assert caught.code in ("run-damaged", "setting-unknown", "setting-invalid")
     assert caught.remedy
+
+
+@pytest.mark.parametrize(
+    "name, value",
+    [("doubt_pixels", False), ("lamp_outlines", True), ("emission", "joint"), ("lambda_joint", 0.5)],
+)
+def test_a_run_with_a_setting_that_is_gone_is_read_without_it(
+    run_folder: RunFolder, name: str, value: object
+) -> None:
+    settings = make_settings("draft", {"seed": 3})
+    run_folder.create(settings)
+    data = json.loads(run_folder.run_json.read_text())
+    data["settings"][name] = value
+    run_folder.run_json.write_text(json.dumps(data))
+    assert run_folder.read() == settings
+    data["settings"]["of_a_newer_version"] = value
+    run_folder.run_json.write_text(json.dumps(data))
+    assert error_of(run_folder.read).code == "setting-unknown"
 
 
 def names(folder: Path) -> list[str]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scans: telling them from modelled rooms, parts by a random walk, segments, and pixels to doubt."""
+"""Scans: telling them from modelled rooms, parts by a random walk, and segments."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,13 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.capture.views import View
 from fipt_blender.core.geometry.adjacency import Mesh
 from fipt_blender.core.run.run_files import PANES
 from fipt_blender.core.scene.adjacency import PLACE_NOISE, find_adjacency
-from fipt_blender.core.scene.disagreement import disagreeing
-from fipt_blender.core.scene.labels import Parts, choose_source, label_parts, room_pieces
+from fipt_blender.core.scene.labels import choose_source, label_parts, room_pieces
 from fipt_blender.core.scene.segments import absorb_small
 from fipt_blender.core.scene.smooth_parts import Votes, smooth_labels, without_specks
 from samples.scans import scanned_box
@@ -132,58 +129,3 @@ def test_small_components_join_the_neighbour_with_the_longest_border() -> None:
     assert len(np.unique(joined)) == 2 and len(np.unique(joined[5:7])) == 1
     alone = absorb_small(np.zeros(40, np.int64), strip_adjacency(), np.ones(40), 100.0)
     assert not alone.any()  # without a neighbour it stays
-
-
-@pytest.fixture
-def parts() -> Parts:
-    return Parts(np.array([0, 0, 1, -1], np.int32), "part", np.array([40, 70]))
-
-
-def test_pixels_that_show_another_part_than_they_hit(parts: Parts) -> None:
-    mask = np.array([[40, 40, 40, 40, 70], [40, 40, 40, 40, 70]])
-    triangle = np.array([0, 2, 3, -1, 2, 1, 0, 2, 0, 0])
-    other, beside = disagreeing(mask, triangle, parts)
-    assert np.flatnonzero(other).tolist() == [1, 7, 9]  # no part and no surface: nothing to say
-    assert np.flatnonzero(beside).tolist() == [4, 8, 9]
-
-
-def test_doubted_pixels_lose_their_weight_on_scans_only(tmp_path: Path) -> None:
-    from fipt_blender.core.scene.disagreement import doubt_pixels
-    from fipt_blender.core.scene.pixels import open_pixels
-
-    room, side = scanned_box()
-    write_exr(tmp_path / "parts.exr", np.array([[1, 1, 1, 2], [1, 1, 1, 2]], np.float32))
-    view = View(
-        name="a", split="train", image=tmp_path / "none.exr", width=4, height=2, fx=1.0, fy=1.0, cx=2.0,
-        cy=1.0, camera_to_world=np.eye(4), parts=tmp_path / "parts.exr",
-    )  # fmt: skip
-    store = open_pixels(tmp_path / "pixels", [view], create=True)
-    store.triangle[:] = [0, 0, 0, 0, 0, np.flatnonzero(side == 1)[0], 0, -1]
-    parts = Parts(np.minimum(side, 1).astype(np.int32), "part", np.array([1, 2]))
-    store.weight[:], store.pure[:] = 0.5, True
-    assert doubt_pixels(store, replace(room), replace(parts, ids=np.zeros(0, np.int64))) == 0
-    assert doubt_pixels(store, make_room(BOX), parts) == 0 and store.pure.all()
-    assert doubt_pixels(store, room, parts) == 2
-    assert np.allclose(store.weight, [0.5, 0.5, 0.05, 0.0, 0.5, 0.0, 0.05, 0.5])
-    assert store.pure.tolist() == [True, True, False, False, True, False, False, True]
-
-
-def test_thin_parts_keep_the_pixels_at_their_borders(tmp_path: Path) -> None:
-    """Part 2 is one pixel wide: it has no pixel off its borders."""
-    from fipt_blender.core.scene.disagreement import doubt_pixels
-    from fipt_blender.core.scene.pixels import open_pixels
-
-    room, side = scanned_box()
-    ids = np.tile([1, 1, 1, 1, 2, 1, 1, 1, 1], (3, 1))
-    write_exr(tmp_path / "parts.exr", ids.astype(np.float32))
-    view = View(
-        name="a", split="train", image=tmp_path / "none.exr", width=9, height=3, fx=1.0, fy=1.0, cx=4.5,
-        cy=1.5, camera_to_world=np.eye(4), parts=tmp_path / "parts.exr",
-    )  # fmt: skip
-    store = open_pixels(tmp_path / "pixels", [view], create=True)
-    store.triangle[:] = np.where(ids.ravel() == 2, np.flatnonzero(side == 1)[0], 0)
-    store.weight[:], store.pure[:] = 1.0, True
-    parts = Parts(np.minimum(side, 1).astype(np.int32), "part", np.array([1, 2]))
-    assert doubt_pixels(store, room, parts) == 0
-    weight = np.tile([1.0, 1.0, 1.0, 0.1, 1.0, 0.1, 1.0, 1.0, 1.0], 3)
-    assert np.allclose(store.weight, weight) and np.array_equal(store.pure, weight == 1.0)

@@ -222,19 +222,6 @@ def test_walls_that_emit_and_reflect_are_a_furnace() -> None:
     np.testing.assert_allclose(whole, emitted / (1.0 - albedo.mean()), rtol=0.03)
 
 
-def test_a_reflective_lamp_without_its_light_is_a_wall_like_the_others() -> None:
-    room = make_room(BOX)
-    shining = replace(emitters([2, 3], [3.0, 3.0, 3.0]), reflective=np.ones(2, bool))
-    panel = emitters([12, 13], [5.0, 5.0, 5.0])
-    toward = np.array([0.0, 0.6, 0.8])
-    found = []
-    for table in (joined(switched_off(shining), panel), panel):
-        lights = AreaLights(room.vertices, room.triangles, table)
-        radiance = look(LitRoom(room, uniform(room, 0.4, 1.0, 0.0), lights), toward, 40_000, depth=8)
-        found.append(radiance.mean(axis=0))
-    np.testing.assert_allclose(*found, rtol=0.02)
-
-
 def test_same_seed_same_image_other_stream_other_noise() -> None:
     room = make_room(BOX)
     lights = AreaLights(room.vertices, room.triangles, emitters([12, 13], [5.0, 5.0, 5.0]))

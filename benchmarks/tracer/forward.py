@@ -326,9 +326,9 @@ def add_light(
 
 
 def switched_off(table: EmitterTable) -> EmitterTable:
-    """The same emitters without emission; the `reflective` ones reflect as before."""
+    """The same emitters without emission."""
     black = np.zeros_like(table.radiance), np.zeros_like(table.back_radiance)
-    return EmitterTable(table.triangles, *black, table.reflective)
+    return EmitterTable(table.triangles, *black)
 
 
 def joined(first: EmitterTable, second: EmitterTable) -> EmitterTable:
@@ -337,7 +337,6 @@ def joined(first: EmitterTable, second: EmitterTable) -> EmitterTable:
         np.concatenate([first.triangles, second.triangles]),
         np.concatenate([first.radiance, second.radiance]),
         np.concatenate([first.back_radiance, second.back_radiance]),
-        np.concatenate([first.reflective_mask(), second.reflective_mask()]),
     )
 
 

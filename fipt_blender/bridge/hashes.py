@@ -20,12 +20,6 @@ from .pip import Teller
 from .plan import Plan
 
 
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def pinned_digests(requirements: Sequence[str]) -> set[str]:
     """All SHA-256 that the options ``--hash`` of locked requirements name, in hexadecimal."""
     return {digest for each in requirements for digest in re.findall(r"--hash=sha256:([0-9a-f]{64})\b", each)}
@@ -41,7 +35,9 @@ def check_file(path: Path, digests: Collection[str]) -> None:
     Raises:
         FiptError: ``package-hash``.
     """
-    if file_digest(path) not in digests:
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    if digest not in digests:
         raise FiptError(
             "package-hash",
             f"{path.name} is not the file that this version was made with.",

@@ -7,7 +7,6 @@ from __future__ import annotations
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +54,7 @@ def import_failure(plan: Plan) -> str:
 
 
 def provide_llvm(plan: Plan, tell: Teller) -> str | None:
-    """Find an LLVM that works, or else fetch the pinned package or Debian's.
+    """Find an LLVM that works, or else fetch the pinned package.
 
     Returns:
         Its path; None if a GPU is used instead.
@@ -63,23 +62,16 @@ def provide_llvm(plan: Plan, tell: Teller) -> str | None:
     Raises:
         FiptError: ``llvm-missing``, ``package-hash``, or the error of the engine's check.
     """
-    folder = plan.folder / "llvm"
-    reason: FiptError | None = None
-    fetchers: list[Callable[[Plan, Path, Teller], bool] | None] = [None, _fetch_llvm_package]
-    if plan.wheels is None:
-        fetchers.append(_fetch_llvm_debian)
-    for fetch in fetchers:
-        if fetch is not None:
-            tell.detail("No working LLVM was found; fetching one")
-            shutil.rmtree(folder, ignore_errors=True)
-            if not fetch(plan, folder, tell):
-                continue
-        data, problem = check_engine(plan.python)
-        if data.get("device"):
-            return data["llvm"]
-        reason = reason or problem
-    assert reason is not None
-    raise reason
+    data, problem = check_engine(plan.python)
+    if not data.get("device"):
+        tell.detail("No working LLVM was found; fetching one")
+        folder = plan.folder / "llvm"
+        shutil.rmtree(folder, ignore_errors=True)
+        if _fetch_llvm_package(plan, folder, tell):
+            data, _ = check_engine(plan.python)
+    if not data.get("device"):
+        raise problem
+    return data["llvm"]
 
 
 def check_engine(python: Path) -> tuple[dict[str, Any], FiptError]:
@@ -104,13 +96,3 @@ def _fetch_llvm_package(plan: Plan, folder: Path, tell: Teller) -> bool:
     with tempfile.TemporaryDirectory() as temporary:
         wheels = download_checked(plan, plan.llvm, Path(temporary), tell)
         return any(provision.wheel_libraries(wheel, folder, LLVM_LIBRARIES) for wheel in wheels)
-
-
-def _fetch_llvm_debian(plan: Plan, folder: Path, tell: Teller) -> bool:
-    """Take LLVM and the libraries that it needs out of Debian's packages; returns whether they were found."""
-    with provision.DebianPackages() as debian:
-        for name in provision.DEBIAN_LLVM if debian.available else ():
-            if needed := debian.needed(name):
-                root = debian.unpack(needed)
-                return root is not None and bool(provision.copy_libraries(root, folder))
-    return False

@@ -8,7 +8,6 @@ library only.
 
 from __future__ import annotations
 
-import re
 import shutil
 import subprocess
 import tempfile
@@ -16,7 +15,6 @@ import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
-DEBIAN_LLVM = ("libllvm19", "libllvm20", "libllvm21", "libllvm18", "libllvm17t64", "libllvm17")
 # Packages with the libraries that bpy and Dr.Jit link to on Linux, and the packages that those need.
 DEBIAN_LIBRARIES = (
     *("libx11-6", "libxrender1", "libxfixes3", "libxi6", "libxkbcommon0", "libsm6", "libice6", "libgl1"),
@@ -91,14 +89,6 @@ class DebianPackages:
         output = subprocess.run(command, capture_output=True, text=True, check=False).stdout
         installed = {line.split()[0] for line in output.splitlines() if line.endswith(" installed")}
         return [name for name in names if name not in installed]
-
-    def needed(self, name: str) -> list[str]:
-        """A package and its dependencies that are not installed; empty if the package is unknown."""
-        result = self._apt("install", "--simulate", "--no-install-recommends", name)
-        if result.returncode != 0:
-            return []
-        # "Inst name (version ...": new; "Inst name [old] (new ...": an upgrade, which is not needed
-        return re.findall(r"^Inst (\S+) \(", result.stdout, re.MULTILINE)
 
     def unpack(self, names: Sequence[str]) -> Path | None:
         """Download packages and unpack them into a temporary folder, which is deleted with this object.

@@ -54,8 +54,6 @@ def remember_run(scene: bpy.types.Scene, options: MainJobOptions, run: RunFolder
         state.capture.hold_back = options.hold_back
     state.capture.clamp_negative = options.clamp_negative
     state.capture.align_mesh = options.align_mesh
-    state.capture.plane_room = options.plane_room
-    state.capture.dense_stereo = options.dense_stereo
     state.capture.triangles = options.triangles
     state.capture.undo_applied_transform = options.undo_applied_transform
     fill_views(scene, run)

@@ -73,7 +73,8 @@ class RoomSteps:
             raise FiptError(
                 "mesh-missing",
                 "No mesh of the room was found beside the cameras: there is none, or there are several.",
-                "Give the room's mesh file (--mesh).",
+                "Give the room's mesh file (--mesh) or a capture with depth images, or model the room in"
+                " Blender over the photographs: there it becomes the room by From Selection.",
             )
         matrix = np.array(capture["world_from_source"], np.float64)
         mesh_import.import_room(self._run.resolve(capture["mesh"]), matrix)

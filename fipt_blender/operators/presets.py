@@ -25,8 +25,6 @@ class FIPT_OT_add_import_preset(AddPresetBase, bpy.types.Operator):
         "settings.layer",
         "settings.clamp_negative",
         "settings.align_mesh",
-        "settings.plane_room",
-        "settings.dense_stereo",
         "settings.triangles",
         "settings.undo_applied_transform",
     ]

@@ -170,16 +170,6 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         description="The mesh is from another program than the cameras. Move the cameras to it by the sparse"
         " points of the camera solve, with any rotation and scale. The mesh must be OBJ, PLY, STL or glTF",
     )
-    plane_room: bpy.props.BoolProperty(
-        name="Room from Points",
-        description="Where the capture has no mesh, fit floor, ceiling, walls and boxes to the sparse points"
-        " of the camera solve. It is a rough stand-in that you correct in Edit Mode",
-    )
-    dense_stereo: bpy.props.BoolProperty(
-        name="Dense Stereo",
-        description="Where a COLMAP capture has no mesh, make one from its photographs. Needs a pycolmap that"
-        " was built with CUDA; without one, Room from Points is used if it is enabled",
-    )
     triangles: bpy.props.IntProperty(
         name="Triangles",
         description="Simplify a mesh with more triangles to about this number: a scan when it is imported,"

@@ -238,7 +238,10 @@ def _import_room(scene: bpy.types.Scene, run: RunFolder, capture: dict[str, Any]
         if present:
             return []
         text = "No mesh of the room was found beside the cameras."
-        remedy = "Press Import Mesh, or select the room's objects and press From Selection."
+        remedy = (
+            "Press Import Mesh, or model the room over the photographs, select its objects and press From"
+            " Selection."
+        )
         return [_warning("mesh-missing", text, remedy)]
     path, matrix = run.resolve(capture["mesh"]), np.array(capture["world_from_source"], np.float64)
     imported = [item for item in present if is_imported(item)]

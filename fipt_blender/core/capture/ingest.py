@@ -115,7 +115,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         pose = conventions.transform_poses(world_from_source, view.camera_to_world)
         checks.check_view(view.name, pinhole, pose)
 
-    fusion = mesh_fusion(run_folder, capture.absolute(), source, options)
+    fusion = mesh_fusion(run_folder, source, options)
     if fusion is not None:
         reporter.plan([0.35, 0.6, 0.05])
     remedy = "use photographs whose distortion is undone already, or smaller ones"
@@ -130,8 +130,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             written = _read_views(images, views, exposures, options.clamp_negative, reporter)
             fused = None
             if fusion is not None:
-                text = "Finding depths by dense stereo" if source.stereo else "Fusing the depth images"
-                reporter.stage("fuse", text)
+                reporter.stage("fuse", "Fusing the depth images")
                 fused = None if fusion.is_kept else fusion.mesh(reporter.progress)
 
             reporter.stage("write", "Writing the capture")

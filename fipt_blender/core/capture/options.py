@@ -36,8 +36,6 @@ TEXTS = {
     "layer": "layer or part of EXR photographs that have several",
     "clamp_negative": "treat negative radiance in photographs as zero",
     "align_mesh": "align the cameras to a mesh from another program by the solve's points",
-    "plane_room": "without a mesh: fit a room of planes to the solve's points",
-    "dense_stereo": "without a mesh: one by COLMAP's dense stereo (CUDA)",
     "views": "use N photographs, evenly spread (default: all)",
     "voxel": "meters, of a mesh fused from depth images (default: 0.02)",
     "close_holes": "close holes of a fused mesh up to this width in meters",
@@ -78,8 +76,6 @@ class CaptureOptions:
     layer: str = ""
     clamp_negative: bool = False
     align_mesh: bool = False
-    plane_room: bool = False
-    dense_stereo: bool = False
     views: int = 0
     voxel: float = 0.02
     close_holes: float = 0.0

@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A capture as it is read, and where its mesh comes from: a file, a copy with fewer triangles,
-depth images, dense stereo, or the points of the solve."""
+"""A capture as it is read, and where its mesh comes from: a file, fewer of its triangles, or depth images."""
 
 from __future__ import annotations
 
@@ -13,17 +12,15 @@ import numpy as np
 
 from ..alignment.mesh_file import read_mesh
 from ..depth.extraction import FusedMesh
-from ..depth.plane_room import PlaneRoom, plane_room
 from ..depth.ply import write_ply
 from ..depth.simplification import collapsed
 from ..run.errors import FiptError
 from ..run.messages import Reporter
-from ..run.runfolder import RunFolder, atomic_path
+from ..run.runfolder import RunFolder
 from .align_mesh import aligned_to_mesh
 from .color_camera import with_color_camera
-from .dense_stereo import StereoFusion, stereo_possible
 from .depth_images import Fusion, checked_depths
-from .formats import read_points, read_rig
+from .formats import read_rig
 from .options import CaptureOptions
 from .rig import Note, Rig
 
@@ -36,22 +33,18 @@ class Source:
         rig: cameras and images, aligned to the mesh where that was asked for.
         mesh: the mesh file; None without one.
         simplified: the same with fewer triangles, which is used instead; None where that is not wanted.
-        planes: the room of planes made from the solve's points; None where that is not wanted.
-        stereo: whether the mesh is made by dense stereo.
     """
 
     rig: Rig
     mesh: Path | None
     simplified: FusedMesh | None
-    planes: PlaneRoom | None
-    stereo: bool
 
 
 def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> Source:
     """Read cameras and mesh, and warn of what the user should know of them.
 
     Raises:
-        FiptError: those of the readers, ``mesh-missing``; those of aligning, of planes and of stereo.
+        FiptError: those of the readers, ``mesh-missing``; those of aligning.
     """
     rig = _with_layer(read_rig(capture, options.format, options), options.layer)
     mesh = _mesh(rig, options)
@@ -61,28 +54,18 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
     if options.align_mesh:
         rig = aligned_to_mesh(capture, rig, mesh)
     notes = list(rig.notes)
-    stereo = options.dense_stereo and mesh is None and not rig.depths
-    if stereo and (without := stereo_possible(rig, otherwise=options.plane_room)) is not None:
-        notes.append(without)
-        stereo = False
-    planes = None
-    if options.plane_room and mesh is None and not stereo:
-        planes = room_of_points(capture, rig)
-        notes.append(room_note(planes))
     simplified, budget = None, options.triangles
     if budget and mesh is not None and (fewer := simplified_mesh(mesh, budget)) is not None:
         simplified = fewer[0]
         notes.append(fewer[1])
     for note in notes:
         reporter.warning(note.code, note.text, note.remedy)
-    return Source(rig, mesh, simplified, planes, stereo)
+    return Source(rig, mesh, simplified)
 
 
-def mesh_fusion(run: RunFolder, capture: Path, source: Source, options: CaptureOptions) -> Fusion | None:
-    """What makes the mesh of depths; None where there is another one, or no depths."""
-    if source.stereo:
-        return StereoFusion(run, (), options.fusion, options.scale, capture, source.rig.views)
-    if source.mesh is None and source.planes is None and source.rig.depths:
+def mesh_fusion(run: RunFolder, source: Source, options: CaptureOptions) -> Fusion | None:
+    """What fuses the mesh of depth images; None where there is another one, or no depths."""
+    if source.mesh is None and source.rig.depths:
         return Fusion(run, source.rig.depths, options.fusion, options.scale)
     return None
 
@@ -98,9 +81,6 @@ def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: Fus
     if source.simplified is not None:
         write_ply(run.simplified_ply, source.simplified)
         return run.simplified_ply
-    if source.planes is not None:
-        write_room(run.planes_obj, source.planes)
-        return run.planes_obj
     return source.mesh
 
 
@@ -138,44 +118,3 @@ def simplified_mesh(path: Path, triangles: int) -> tuple[FusedMesh, Note] | None
     text = f"The mesh {path} was simplified from {len(faces):,} to {len(fewer):,} triangles."
     remedy = "Its material slots, colors and UVs are not kept. Set the triangles to 0 to use the mesh itself."
     return FusedMesh(welded.astype(np.float32), fewer), Note("mesh-simplified", text, remedy)
-
-
-def room_of_points(capture: Path, rig: Rig) -> PlaneRoom:
-    """The room, in the coordinates of the rig.
-
-    Raises:
-        FiptError: ``alignment-points`` where the format has no points, ``room-points`` where they are too
-            few, or one of the reader's.
-    """
-    poses = np.array([view.camera_to_world for view in rig.views])
-    return plane_room(read_points(capture, rig.source), poses[:, :3, 3], -poses[:, :3, 1].mean(axis=0))
-
-
-def write_room(path: Path, room: PlaneRoom) -> None:
-    """Write an OBJ file with one object for each piece, completely or not at all.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
-    lines, first = [], 1
-    for piece in room.pieces:
-        lines.append(f"o {piece.name}")
-        lines += ["v {:.9g} {:.9g} {:.9g}".format(*vertex) for vertex in piece.vertices]
-        lines += ["f " + " ".join(str(first + index) for index in face) for face in piece.faces]
-        first += len(piece.vertices)
-    with atomic_path(path) as temporary:
-        temporary.write_text("\n".join([*lines, ""]), encoding="utf-8")
-
-
-def room_note(room: PlaneRoom) -> Note:
-    """What the room is, and which of its parts no points support."""
-    names = [piece.name for piece in room.pieces]
-    walls, boxes = (sum(name.startswith(kind) for name in names) for kind in ("Wall", "Box"))
-    guessed = f" No points support {', '.join(room.guessed)}." if room.guessed else ""
-    return Note(
-        "plane-room",
-        f"The room is a stand-in of {walls} walls, floor, ceiling and {boxes} boxes, fitted to the points of"
-        f" the camera solve.{guessed}",
-        "Look through some views and correct the objects in Edit Mode; what a photograph shows off them gets"
-        " wrong materials. A scan or a model gives better results.",
-    )

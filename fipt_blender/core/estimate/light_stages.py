@@ -19,7 +19,6 @@ from ..optics.lights import EmitterTable
 from ..run.checkpoints import HINTED_REFINEMENT, HINTED_SHADINGS
 from ..run.errors import FiptError
 from ..run.finished_views import FinishedViews
-from ..scene.disagreement import doubt_pixels
 from ..scene.fragments import SUBPIXELS
 from ..scene.grouped import numbered
 from ..scene.mixed_pixels import mark_pure
@@ -64,8 +63,6 @@ class LightStages(EstimationState):
             unmix_pixels(self.pixels, self.room, self._surface_labels(), progress, self.workers)
         else:
             keep_pure(self.pixels)
-        if self.settings.doubt_pixels:
-            doubt_pixels(self.pixels, self.room, self.parts)
         if found is None:
             return
         for index in range(len(self.views)):
@@ -199,9 +196,7 @@ class LightStages(EstimationState):
         settings = self.settings
         self._input = None  # its files are written over
         table, emitting = self._emitters()
-        # Emission that was fitted jointly is read from the cache: the rims of lamps then count only once.
-        lamps = None if len(self.emission) else emitting
-        cache = self.observations.cache(without=lamps) if settings.refine_cache else None
+        cache = self.observations.cache(without=emitting) if settings.refine_cache else None
         diffuse = self.diffuse if settings.refine_cache else None
         traced = TracedLight(self.materials, diffuse, settings.cache_roughness, settings.refine_depth)
         counts = SampleCounts(

@@ -12,14 +12,12 @@ import numpy as np
 from ..light.emission import emission_probability
 from ..light.evidence import brighter_than_white
 from ..light.lamp_doubt import HardlySeen, hardly_seen, light_errors, power_errors
-from ..light.lamp_outline import outlined
 from ..material.cell_errors import DrawnPixels, add_light_errors, cell_errors, draw_pixels, lit_cells
 from ..material.closed_form import (
     CellEstimate,
     TrainingData,
     fit_cells,
     followed_by_paths,
-    triangle_emission,
     white_rows,
 )
 from ..material.fields import RoomFields
@@ -70,13 +68,7 @@ class MaterialStages(EstimationState):
         if name == "estimate-0":
             self._warn_of_missing_light()
         self._find_cells(self._material_units(data))
-        told = self._told_emission()
-        if self.settings.emission == "joint":
-            self.probability = (told > 0).astype(np.float32)
-            self.emission = triangle_emission(cells, data)
-            self.emission[told < 0] = 0.0
-        else:
-            self.probability = self._emission_probability(data, told)
+        self.probability = self._emission_probability(data, self._told_emission())
         if self.hints is not None:
             self._warn_of_hints(name, self.hints, self.probability > 0.5)
         self._group_fixtures()
@@ -123,8 +115,7 @@ class MaterialStages(EstimationState):
             shadings, settings = self._open_shadings(), self.settings
             given = self.observations, self._pieces, shadings, self.levels, settings
             data = training_input(*given, self.hints)
-            joint = settings.lambda_joint if settings.emission == "joint" else None
-            self._input = (data, fit_cells(data, joint))
+            self._input = (data, fit_cells(data))
         return self._input
 
     def _told_emission(self) -> np.ndarray:
@@ -141,11 +132,7 @@ class MaterialStages(EstimationState):
         baked = (self._emitters() if self.fixtures else self._presumed_lamps())[1]
         shadings, surfaces = self._open_shadings(), self._emitter_surfaces
         white, hdr = partial(white_rows, data), not self.photometry
-        found = emission_probability(room, pixels, shadings, white, surfaces, told, baked, hdr)
-        # Patches have the evidence of their own pixels; parts end where masks do, a pixel off.
-        if room.scan is None or self.parts.kind != "part" or not self.settings.lamp_outlines:
-            return found
-        return np.where(told == 0, outlined(room.scan, pixels, found, self.observations.footprint), found)
+        return emission_probability(room, pixels, shadings, white, surfaces, told, baked, hdr)
 
     def _closed_form_colors(self, rows: np.ndarray) -> np.ndarray:
         """(R, 3) base colour of the last closed-form estimate in the pixels `rows` (R,)."""
@@ -207,8 +194,7 @@ class MaterialStages(EstimationState):
     def _surfaces(self) -> Surfaces:
         """What is known of the surfaces before a training."""
         _, emitting = self._emitters()
-        masked = np.zeros_like(emitting) if len(self.emission) else emitting
-        return Surfaces(self.box, self.units.triangle, masked, self.emission)
+        return Surfaces(self.box, self.units.triangle, emitting)
 
     def _new_networks(self, cells: CellEstimate) -> Networks:
         """Networks that are not trained yet, with the typical values of the units."""
@@ -216,7 +202,7 @@ class MaterialStages(EstimationState):
         hash_levels = useful_hash_levels(self.settings, self.box.extent, self.observations.footprint)
         typical = typical_values(cells.values, unit, len(self.units.single))
         self.brdf = self._new_network(hash_levels, typical)
-        return Networks(self.brdf, None if len(self.emission) else self._new_mask())
+        return Networks(self.brdf, self._new_mask())
 
     def _keep_training(self, name: str, networks: Networks, steps: int) -> Facts:
         """Keep trained networks."""

@@ -78,7 +78,7 @@ def write_results(
 def _describe(fixture: Fixture, name: str, scale: float) -> dict[str, Any]:
     """A fixture's entry in emitters.json, in the photographs' units; power: pi A L of both sides (watts)."""
     front, back = fixture.radiance * scale, fixture.back_radiance * scale
-    entry = {
+    return {
         "name": name,
         "triangles": fixture.triangles.tolist(),
         "radiance": front.tolist(),
@@ -88,4 +88,3 @@ def _describe(fixture: Fixture, name: str, scale: float) -> dict[str, Any]:
         "power": (np.pi * fixture.area * (front + back)).tolist(),
         "probability": round(fixture.probability, 3),
     }
-    return entry | {"beside": True} if fixture.reflective else entry

@@ -18,7 +18,6 @@ from ..light.baking import ShadingStore, open_shadings
 from ..light.cache import pool
 from ..light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
 from ..light.emitters import EmitterPixels, Fixture, bright_triangles, emitter_table, group_fixtures
-from ..light.joint import joint_fixtures
 from ..light.observations import Observations
 from ..light.presumed import presume_lamps
 from ..light.shadings import roughness_levels
@@ -53,7 +52,6 @@ Facts = dict[str, Any]  # what stages.json keeps of a stage; JSON-serialisable
 # What the checkpoint of a closed-form estimate holds; see `EstimationState._save_estimate`.
 _ESTIMATE_ARRAYS: dict[str, Layout] = {
     "probability": ("f", ("T",)),
-    "emission": ("f", ("E", 3)),
     "diffuse": ("f", ("M", 3)),
     "materials": ("f", ("M", 5)),
     "unit": ("i", ("T",)),
@@ -82,7 +80,6 @@ class EstimationState:
         units, cells: surfaces of one material, and where pixels saw them.
         fixtures: the emitters found so far.
         probability: (T,) float32 of each triangle to emit.
-        emission: (T, 3) float32 L_e of each triangle if it is fitted jointly, else (0, 3).
         diffuse: (M * 6, 3) float16 mean L_d of each cache entry in the last closed-form estimate.
         materials: (M * 6, 5) float32 base colour, roughness and metallic of each entry in that estimate. Both
             have no rows where no refinement follows it.
@@ -114,7 +111,6 @@ class EstimationState:
         self.units = Units(np.zeros(0, np.int32), np.zeros(0, bool))
         self.cells: SeenCells
         self.fixtures: list[Fixture] = []
-        self.emission = np.zeros((0, 3), np.float32)
         self.probability = np.zeros(len(self.room.triangles), np.float32)
         self.diffuse: np.ndarray
         self.materials: np.ndarray
@@ -194,7 +190,6 @@ class EstimationState:
         fixed = self.units.fixed
         arrays = {
             "probability": self.probability,
-            "emission": self.emission,
             "diffuse": self.diffuse,
             "materials": self.materials,
             "unit": self.units.triangle,
@@ -218,8 +213,8 @@ class EstimationState:
             )
         except (KeyError, AttributeError, TypeError, ValueError) as error:
             raise _unreadable(name, error) from None
-        self.emission, self.diffuse = arrays["emission"], arrays["diffuse"]
-        self.materials, self.probability = arrays["materials"], arrays["probability"]
+        self.diffuse, self.materials = arrays["diffuse"], arrays["materials"]
+        self.probability = arrays["probability"]
         fixed = arrays["fixed"] if len(arrays["fixed"]) else None
         self._find_cells(Units(arrays["unit"], arrays["single"], fixed))
 
@@ -265,16 +260,11 @@ class EstimationState:
         return replace(bright, reflective=in_cache), np.zeros(len(self.room.triangles), bool)
 
     def _group_fixtures(self) -> None:
-        """Fixtures of the triangles that probably emit, or of the jointly fitted emission."""
-        if len(self.emission):
-            self.fixtures = joint_fixtures(self.room, self.emission, self.settings.joint_threshold)
-        else:
-            parts = self.observations.parts
-            surface = parts.triangle_part if parts.kind == "part" else None
-            pixels = EmitterPixels.of(self.pixels)
-            self.fixtures = group_fixtures(
-                self.room, self.probability > 0.5, pixels, surface, self.probability
-            )
+        """Fixtures of the triangles that probably emit."""
+        parts = self.observations.parts
+        surface = parts.triangle_part if parts.kind == "part" else None
+        pixels = EmitterPixels.of(self.pixels)
+        self.fixtures = group_fixtures(self.room, self.probability > 0.5, pixels, surface, self.probability)
 
     def _emitters(self) -> tuple[EmitterTable, np.ndarray]:
         """The fixtures as a table of triangles, and the triangles that emit, (T,) bool."""

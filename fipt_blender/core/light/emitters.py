@@ -43,7 +43,6 @@ class Fixture:
         back_radiance: (3,) of the back side.
         area: square metres.
         centroid: (3,) area-weighted, metres.
-        reflective: whether the surface also reflects, with the room's material.
         probability: that it emits.
     """
 
@@ -52,7 +51,6 @@ class Fixture:
     back_radiance: np.ndarray
     area: float
     centroid: np.ndarray
-    reflective: bool = False
     probability: float = 1.0
 
 
@@ -202,7 +200,6 @@ def emitter_table(fixtures: list[Fixture]) -> EmitterTable:
         np.concatenate([fixture.triangles for fixture in fixtures]).astype(np.int32),
         np.repeat([fixture.radiance for fixture in fixtures], sizes, axis=0).astype(np.float32),
         np.repeat([fixture.back_radiance for fixture in fixtures], sizes, axis=0).astype(np.float32),
-        reflective=np.repeat([fixture.reflective for fixture in fixtures], sizes),
     )
 
 

@@ -141,9 +141,7 @@ class Vertex(NamedTuple):
 class TracedRadiance:
     """Stage 3: paths over surfaces with roughness up to `cache_roughness`, ending in emitters or the cache.
 
-    Emitters are sampled at every vertex and combined with BRDF samples by the balance heuristic. Reflective
-    emitters (`EmitterTable.reflective`) end a path in the cache, which holds the sum of emission and
-    reflection, and are not sampled. Without a cache they are sampled like the others, and paths continue.
+    Emitters are sampled at every vertex and combined with BRDF samples by the balance heuristic.
 
     Args:
         materials: base colour (3), roughness and metallic of the surface, five values.
@@ -170,7 +168,6 @@ class TracedRadiance:
         self._room, self._cache, self._materials, self._diffuse = room, cache, materials, diffuse
         self._lights, self._environment = lights, environment
         self._cache_roughness, self._depth = cache_roughness, depth
-        self._cached_light = cache is not None and lights.reflective
         self.offset = room.offset
         _make_ready(room)
 
@@ -190,11 +187,8 @@ class TracedRadiance:
         active = active & hit.valid
         cosine = -dr.dot(hit.geometric_normal, direction)
         is_emitter = lights.is_emitter(hit.triangle, active)
-        emits = is_emitter
-        if lights.reflective and not self._cached_light:
-            emits = emits | lights.is_reflective_emitter(hit.triangle, active)
-        emitted = lights.radiance(hit.triangle, cosine, emits)
-        light_pdf = lights.pdf_direction(hit.triangle, hit.distance, cosine, emits)
+        emitted = lights.radiance(hit.triangle, cosine, is_emitter)
+        light_pdf = lights.pdf_direction(hit.triangle, hit.distance, cosine, is_emitter)
         mis_weight = path.brdf_pdf / dr.maximum(path.brdf_pdf + light_pdf, 1e-20)
         radiance += emitted * dr.select(path.brdf_pdf < 0.0, 1.0, mis_weight)
         active &= ~is_emitter
@@ -209,8 +203,6 @@ class TracedRadiance:
         ends = active & (path.depth >= self._depth)
         if self._cache is not None:
             ends |= active & (roughness > self._cache_roughness)
-            if self._cached_light:
-                ends |= lights.is_reflective_emitter(hit.triangle, active)
             radiance += mi.Color3f(*self._cache.values(entry, ends))
             active &= ~ends
 
@@ -258,7 +250,7 @@ class TracedRadiance:
 
     def _sample_emitter(self, vertex: Vertex, rng: mi.PCG32, active: mi.Bool) -> mi.Color3f:
         """Reflected radiance of one emitter sample, weighted against BRDF sampling (balance heuristic)."""
-        if not self._lights.count or self._cached_light:
+        if not self._lights.count:
             return mi.Color3f(0.0)
         light = self._lights.sample_direction(
             vertex.origin, rng.next_float32(), rng.next_float32(), rng.next_float32()

@@ -51,7 +51,6 @@ class CellEstimate:
     Attributes:
         keys: (C,) int64: cache entry times the number of groups plus one, plus the group plus one.
         color: (C, 3) float32 base colour.
-        emission: (C, 3) float32 L_e in units of the capture's median; zero unless it is fitted jointly.
         pixels: (C,) number of pixels, mixed ones by their weight.
         triangle: (C,) int64 a triangle that one of them sees.
         materials: (groups + 1, 2) roughness and metallic (:attr:`.GroupMaterials.of_pixels`).
@@ -59,7 +58,6 @@ class CellEstimate:
 
     keys: np.ndarray
     color: np.ndarray
-    emission: np.ndarray
     pixels: np.ndarray
     triangle: np.ndarray
     materials: np.ndarray
@@ -98,20 +96,20 @@ class CellEstimate:
         return entries, sums.astype(np.float32) / count[:, None], self.triangle[order][first]
 
 
-def fit_cells(data: TrainingData, joint: float | None = None) -> CellEstimate:
+def fit_cells(data: TrainingData) -> CellEstimate:
     """The base colours of all cells.
 
     Args:
         data: pixels, their shadings, and the roughness and metallic of their groups.
-        joint: fit an emission of each cell too, with this weight of its L1 norm (ablation).
     """
     views = range(len(data.observations.pixels.views))
     keys, triangle = first_by_key(in_threads(partial(_cells_of_view, data), views))
-    sums = np.zeros((len(keys), 16))
+    sums = np.zeros((len(keys), 7))
     for view_keys, view_sums in in_threads(partial(_moments_of_view, data), views):
         sums[np.searchsorted(keys, view_keys)] += view_sums
-    color, emission = (values.astype(np.float32) for values in _solve(sums, joint))
-    return CellEstimate(keys, color, emission, sums[:, 15], triangle, data.materials.of_pixels)
+    # The pixels' radiance is slope a + offset: the least weighted squares of the residuals.
+    color = np.clip(sums[:, :3] / np.maximum(sums[:, 3:6], 1e-12), 0.0, 1.0).astype(np.float32)
+    return CellEstimate(keys, color, sums[:, 6], triangle, data.materials.of_pixels)
 
 
 def _keys(data: TrainingData, rows: np.ndarray) -> np.ndarray:
@@ -131,7 +129,8 @@ def _moments_of_view(data: TrainingData, view: int) -> tuple[np.ndarray, np.ndar
     """What a view adds to the C cells that it sees.
 
     Returns:
-        (C,) int64 keys, ascending; (C, 16) weighted moments of :func:`_solve`, and the sum of the weights.
+        (C,) int64 keys, ascending; (C, 7) weighted sums of slope times rest and of squared slopes, three
+        channels each, and the pixels by their weight.
     """
     observations, pixels = data.observations, data.observations.pixels
     rows = rows_with_donor(observations, view)
@@ -140,28 +139,9 @@ def _moments_of_view(data: TrainingData, view: int) -> tuple[np.ndarray, np.ndar
     slope, offset = color_lines(data.shadings, data.levels, donor, data.materials.of_pixels[data.group[rows]])
     share = np.asarray(pixels.weight[donor], np.float64)
     weight, rest = share[:, None] * residual_weight(radiance), radiance - offset
-    moments = (weight * slope * rest, weight * slope**2, weight * slope, weight * rest, weight)
+    moments = (weight * slope * rest, weight * slope**2)
     keys, place = np.unique(_keys(data, rows), return_inverse=True)
     return keys, grouped_sums(np.column_stack([*moments, share]), place)
-
-
-def _solve(sums: np.ndarray, joint: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """(C, 3) base colours in [0, 1] and (C, 3) emission of cells by the moments of their pixels.
-
-    The pixels' radiance is slope a + offset + L_e. Minimised is the sum over the pixels of the weighted
-    squared residual plus `joint` |L_e|; without `joint`, L_e is zero.
-    """
-    by_rest, by_slope, slope, rest, weight = (sums[:, 3 * k : 3 * k + 3] for k in range(5))
-    by_slope = np.maximum(by_slope, 1e-12)
-    color = np.clip(by_rest / by_slope, 0.0, 1.0)
-    if joint is None:
-        return color, np.zeros_like(color)
-    rest = rest - 0.5 * joint * sums[:, 15:]
-    determinant = np.maximum(by_slope * weight - slope**2, 1e-6 * by_slope * weight)
-    both = np.clip((weight * by_rest - slope * rest) / determinant, 0.0, 1.0)
-    emission = (rest - slope * both) / np.maximum(weight, 1e-12)
-    shines = emission > 0.0
-    return np.where(shines, both, color), np.where(shines, emission, 0.0)
 
 
 def followed_by_paths(cells: CellEstimate, errors: np.ndarray, limit: float) -> CellEstimate:
@@ -184,15 +164,3 @@ def white_rows(data: TrainingData, rows: np.ndarray) -> np.ndarray:
     slope, offset = color_lines(data.shadings, data.levels, rows, data.materials.of_pixels[data.group[rows]])
     diffuse = np.asarray(data.shadings.diffuse[rows], np.float32)
     return np.asarray(np.maximum(diffuse, slope) + offset, np.float32)
-
-
-def triangle_emission(cells: CellEstimate, data: TrainingData) -> np.ndarray:
-    """(T, 3) float32 mean emission of the pixels that see each triangle."""
-    triangles = len(data.observations.parts.triangle_part)
-    sums, count = np.zeros((triangles, 3)), np.zeros(triangles)
-    for view in range(len(data.observations.pixels.views)):
-        rows = rows_with_donor(data.observations, view)
-        on = np.asarray(data.observations.pixels.triangle[rows])
-        np.add.at(sums, on, cells.emission[cells.of_pixels(data, rows)])
-        count += np.bincount(on, minlength=triangles)
-    return (sums / np.maximum(count, 1.0)[:, None]).astype(np.float32)

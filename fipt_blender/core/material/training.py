@@ -37,15 +37,14 @@ _PARTNERS = 1024
 
 @dataclass
 class Networks:
-    """MLP_brdf, and MLP_emit unless emission is fitted jointly (ablation)."""
+    """MLP_brdf and MLP_emit."""
 
     brdf: BrdfNetwork
-    emission: EmissionNetwork | None
+    emission: EmissionNetwork
 
     def state(self) -> dict[str, Any]:
         """Weights of both."""
-        emission = {} if self.emission is None else self.emission.state_dict()
-        return {"brdf": self.brdf.state_dict(), "emission": emission}
+        return {"brdf": self.brdf.state_dict(), "emission": self.emission.state_dict()}
 
     def load(self, state: dict[str, Any]) -> None:
         """Take weights of :meth:`state`.
@@ -54,13 +53,11 @@ class Networks:
             KeyError, RuntimeError, TypeError: where they are those of other networks.
         """
         self.brdf.load_state_dict(state["brdf"])
-        if self.emission is not None:
-            self.emission.load_state_dict(state["emission"])
+        self.emission.load_state_dict(state["emission"])
 
     def trained(self) -> list[torch.nn.Parameter]:
         """All parameters in the optimiser's order, the hash grid's table first."""
-        emission = [] if self.emission is None else list(self.emission.parameters())
-        return [self.brdf.grid.table, *self.brdf.mlp.parameters(), *emission]
+        return [self.brdf.grid.table, *self.brdf.mlp.parameters(), *self.emission.parameters()]
 
 
 @dataclass(frozen=True)
@@ -71,13 +68,11 @@ class Surfaces:
         box: to which positions are normalised.
         unit: (T,) int unit of each, negative for none.
         emitting: (T,) bool, those whose pixels show emission, not only reflection.
-        emission: (T, 3) float32 radiance that is subtracted from their pixels; (0, 3) for none.
     """
 
     box: Box
     unit: np.ndarray
     emitting: np.ndarray
-    emission: np.ndarray
 
 
 @dataclass
@@ -86,7 +81,7 @@ class Batch:
 
     Attributes:
         position: (B, 3) in the unit cube. unit: (B,) int64, negative for none.
-        radiance: (B, 3) without known emission. reflects: (B,) bool, whether it is reflection alone.
+        radiance: (B, 3). reflects: (B,) bool, whether it is reflection alone.
         diffuse: (B, 3). specular: (B, K, 2, 3). levels: (K,).
         label: (B,) int64, negative for none. grouped: (B,) bool, whether it has a group.
         group_material: (B, 2) sigma' and m' of its group; 1 and 0 without.
@@ -116,16 +111,13 @@ def gather_batch(data: TrainingData, surfaces: Surfaces, rows: np.ndarray, devic
         return torch.from_numpy(np.asarray(array[donors], np.float32)).to(device)
 
     triangle = observations.pixels.triangle[rows]
-    radiance = tensor(observations.pixels.own)
-    if len(surfaces.emission):
-        radiance = radiance - torch.from_numpy(surfaces.emission[triangle]).to(device)
     label, group = (np.asarray(array[rows], np.int64) for array in (observations.part, data.group))
     material = data.materials.of_pixels[group].astype(np.float32)
     position, unit = _places(data, surfaces, rows, device)
     return Batch(
         position=position,
         unit=unit,
-        radiance=radiance,
+        radiance=tensor(observations.pixels.own),
         reflects=torch.from_numpy(~surfaces.emitting[triangle]).to(device),
         label=torch.from_numpy(label).to(device),
         grouped=torch.from_numpy(group >= 0).to(device),
@@ -159,11 +151,9 @@ def total_loss(networks: Networks, batch: Batch, settings: Settings, partners: t
     prediction = networks.brdf(batch.position, batch.unit)
     rendered = losses.factorised_rendering(prediction, batch.diffuse, batch.specular, batch.levels)
     alpha = 1.0 - batch.reflects.to(rendered.dtype)
-    emission_loss = rendered.new_zeros(())
-    if networks.emission is not None:
-        raw = networks.emission(batch.position[::_EMISSION_STRIDE])
-        alpha[::_EMISSION_STRIDE] = emission_mask(raw)
-        emission_loss = losses.emission_loss(raw) * (len(raw) / len(alpha))
+    raw = networks.emission(batch.position[::_EMISSION_STRIDE])
+    alpha[::_EMISSION_STRIDE] = emission_mask(raw)
+    emission_loss = losses.emission_loss(raw) * (len(raw) / len(alpha))
     loss = losses.rendering_loss(rendered, alpha, batch.radiance) + settings.lambda_emission * emission_loss
     loss = loss + settings.lambda_diffuse * losses.diffuse_loss(prediction)
     loss = loss + settings.lambda_part * losses.part_loss(prediction, batch.group_material, batch.grouped)

@@ -51,18 +51,15 @@ class EmitterTable:
         triangles: list[int] = []
         front: list[list[float]] = []
         back: list[list[float]] = []
-        reflective: list[bool] = []
         for fixture in data["fixtures"]:
             count = len(fixture["triangles"])
             triangles += fixture["triangles"]
             front += [fixture["radiance"]] * count
             back += [fixture["back_radiance"]] * count
-            reflective += [fixture.get("beside", False)] * count
         return cls(
             np.array(triangles, np.int32),
             np.array(front, np.float32).reshape(-1, 3),
             np.array(back, np.float32).reshape(-1, 3),
-            np.array(reflective, bool),
         )
 
 
@@ -179,13 +176,6 @@ class AreaLights:
         """Whether the room triangle is an emitter that replaces the room's material."""
         slot, found = self._slots(triangle, mi.Bool(active))
         return found & ~dr.gather(mi.Bool, self._reflective, slot, found) if self.reflective else found
-
-    def is_reflective_emitter(self, triangle: mi.UInt32, active: mi.Bool = True) -> mi.Bool:
-        """Whether the room triangle is an emitter that also reflects with the room's material."""
-        if not self.reflective:
-            return dr.zeros(mi.Bool, dr.width(triangle))
-        slot, found = self._slots(triangle, mi.Bool(active))
-        return found & dr.gather(mi.Bool, self._reflective, slot, found)
 
     def pdf_area(self, triangle: mi.UInt32, active: mi.Bool = True) -> mi.Float:
         """Density per square metre with which `sample` chooses points of the triangle; 0 without emitter."""

@@ -47,7 +47,6 @@ class RunFolder:
         self.capture_json = made_from / "capture.json"
         self.images = self.root / "images"
         self.fused_ply = self.root / "fused.ply"
-        self.planes_obj = self.root / "planes.obj"
         self.simplified_ply = self.root / "simplified.ply"
         self.fused_json = self.root / "fused.json"
         self.room_npz = made_from / "room.npz"
@@ -194,10 +193,9 @@ class RunFolder:
                 f"this version of the add-on reads {head('run')['version']}.",
                 "Start a new run in another folder, or open this one with the version that made it.",
             )
-        from .settings import make_settings
+        from .settings import stored_settings
 
-        values = dict(data.get("settings", {}))
-        return make_settings(values.pop("preset", "medium"), values)
+        return stored_settings(data.get("settings", {}))
 
     def read_estimated(self) -> Settings:
         """The settings of the finished estimate, with the present ones of textures.

@@ -24,6 +24,9 @@ REFINEMENT, TRAINING = "refinement-1", "training"
 
 Value = str | int | float | bool
 
+# Settings of earlier versions, which their runs name; what they stood for is gone.
+_REMOVED = ("doubt_pixels", "lamp_outlines", "emission", "lambda_joint", "joint_threshold")
+
 # The settings of Apply Results; no stage of an estimation reads them.
 TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_images", "atlas_mode", "write_back", "clean_mesh")
 
@@ -83,7 +86,6 @@ class Settings:
     lost_surfaces: bool = _switch("add things that photographs show and a scan lacks, as prisms", PIXELS)
     torn_parts: bool = _switch("complete parts that a scan tore", PIXELS)
     outlines: bool = _switch("move the outlines of a scan's parts to those of the masks", PIXELS)
-    doubt_pixels: bool = _switch("give little weight to pixels whose mask and scan disagree", PIXELS)
     unmix: bool = _switch("use mixed pixels by their share of each surface's radiance", PIXELS)
     unmeshed_lamps: bool = _switch("leave out pixels of lamps that the mesh lacks", PIXELS)
     clipped_lamps: bool = _switch(
@@ -213,23 +215,8 @@ class Settings:
     brdf_depth: int = _setting(2, "BRDF network: number of hidden layers", TRAINING)
     checkpoint_steps: int = _setting(500, "stage 2: steps between checkpoints of a training", None)
 
-    emission: str = _setting(
-        "mask",
-        "mask: find emitters by what reflection can't explain; joint: fit emission together with base colour"
-        " (ablation)",
-        ESTIMATE,
-    )
-    lamp_outlines: bool = _switch("give a scan's lamps the outlines that photographs show", ESTIMATE)
     shrink_detail: bool = _switch("keep detail of a part's base color as far as it is reliable", None)
     lamp_doubt: bool = _switch("count errors of the light of uncertain lamps in the confidence", None)
-    lambda_joint: float = _setting(
-        1e-2,
-        "joint emission: weight of its L1 norm, in units of the capture's median (the paper gives no value)",
-        ESTIMATE,
-    )
-    joint_threshold: float = _setting(
-        0.01, "joint emission: triangles of which it is less do not emit, in the same units", ESTIMATE
-    )
     environment_width: int = _setting(256, "width of the estimated environment map in pixels", SHADINGS)
 
     texel_density: float = _setting(128.0, "texels per metre of the textures", None)
@@ -293,6 +280,16 @@ def make_settings(preset: str = "medium", changes: Mapping[str, Value] | None = 
         )
     values: dict[str, Any] = {"preset": preset, **PRESETS[preset]}
     return Settings(**values | converted(Settings, changes or {}, _LIMITS))
+
+
+def stored_settings(values: Mapping[str, Any]) -> Settings:
+    """Settings as a run has stored them; those that versions since have removed are left out.
+
+    Raises:
+        FiptError: see `make_settings`.
+    """
+    kept = {name: value for name, value in values.items() if name not in _REMOVED}
+    return make_settings(kept.pop("preset", "medium"), kept)
 
 
 def converted(
@@ -362,8 +359,8 @@ def _converted(value: Any, default: Any, limits: Mapping[str, Any]) -> Any:
 # Largest value of any setting: counts and seeds must fit into the integers of all libraries.
 _MOST = 2**31 - 1
 _ZERO = (
-    *("seed", "kept_versions", "rounds", "lambda_joint", "lambda_diffuse", "lambda_emission", "lambda_part"),
-    *("lambda_semantic", "joint_threshold", "brdf_depth"),
+    *("seed", "kept_versions", "rounds", "lambda_diffuse", "lambda_emission", "lambda_part"),
+    *("lambda_semantic", "brdf_depth"),
 )
 _LIMITS: dict[str, dict[str, Any]] = {
     **{key: {"zero": True} for key in _ZERO},
@@ -379,5 +376,4 @@ _LIMITS: dict[str, dict[str, Any]] = {
     "atlas_mode": {"choices": ("uv", "color_attribute")},
     "write_back": {"choices": ("cycles", "paper")},
     "masking": {"choices": ("schlick", "smith")},
-    "emission": {"choices": ("mask", "joint")},
 }

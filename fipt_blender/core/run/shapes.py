@@ -123,7 +123,6 @@ EMITTERS = Fields(
                     **dict.fromkeys(("base_color", "centroid", "power"), Numbers(3)),
                     "area": _NOT_NEGATIVE,
                     "probability": _NOT_NEGATIVE,
-                    "beside": bool,
                 },
             )
         ),

@@ -24,7 +24,7 @@ from .documents import head, load_document
 from .errors import FiptError
 from .replacing import atomic_folder, link_folder, link_or_copy
 from .runfolder import RunFolder, beside, explained_write_errors, write_json
-from .settings import TEXTURE_SETTINGS, make_settings
+from .settings import TEXTURE_SETTINGS, make_settings, stored_settings
 from .shapes import RUN, STAGES, STATISTICS, VERSION
 
 HINTED = "hinted-"  # how the names of the stages of Re-estimate with Hints begin
@@ -327,16 +327,14 @@ def _describe(folder: Path, current: bool) -> Version:
 
 def _changes(settings: Mapping[str, Any]) -> tuple[str, ...]:
     """The settings that differ from those of the preset, as NAME=VALUE."""
-    values = dict(settings)
     try:
-        preset = make_settings(values.pop("preset", "medium"))
-        chosen = asdict(make_settings(preset.preset, values))
+        stored = stored_settings(settings)
+        usual = asdict(make_settings(stored.preset))
     except (FiptError, TypeError):
         return ()
-    usual = asdict(preset)
     return tuple(
         f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
-        for name, value in chosen.items()
+        for name, value in asdict(stored).items()
         if name not in _NOT_SHOWN and value != usual[name]
     )
 

@@ -21,7 +21,6 @@ from ..geometry.adjacency import Mesh, face_vectors, make_mesh
 from ..run.run_files import array_digest, read_geometry, read_outlines, read_room_files
 from ..run.runfolder import RunFolder, atomic_path
 from .camera_rays import first_hits, trace_pixels
-from .disagreement import mask_of
 from .grouped import grouped_sums
 from .labels import IMAGE_SOURCES, Parts, choose_parts, choose_source, masks_digest
 from .outline_misses import Misses, find_misses
@@ -96,7 +95,8 @@ def outlined_vertices(room: Room, views: Sequence[View], parts: Parts) -> np.nda
     mesh, welded = make_mesh(room.vertices, room.triangles)
     label = np.where(parts.triangle_part >= 0, np.append(parts.ids, 0)[parts.triangle_part], 0)
     edge = float(np.median(mesh.dual_lengths))
-    masks = [(view, mask) for view in views if (mask := mask_of(view, parts.kind)) is not None]
+    images = ((view, view.part_ids() if parts.kind == "part" else view.semantic_ids()) for view in views)
+    masks = [(view, mask) for view, mask in images if mask is not None]
     stiffness = _plane_stiffness(mesh, room.plane, OFF_PLANE * edge)
     moves = np.zeros_like(mesh.vertices)
     for _ in range(ROUNDS):
