@@ -25,6 +25,7 @@ from fipt_blender.core.light.radiance import CachedRadiance, RadianceSource, Tra
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, Shadings, bake
 from fipt_blender.core.material import losses
 from fipt_blender.core.material.emission_mask import EmissionNetwork, emission_mask, mask_at
+from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.material.groups import part_units
 from fipt_blender.core.material.networks import BrdfNetwork, Prediction
 from fipt_blender.core.material.training import Networks
@@ -304,7 +305,7 @@ class ReferenceEstimation(Estimation):
     def _material_values(self) -> np.ndarray:
         """(M * 6, 5) base colour, roughness and metallic of each cache entry, by the network."""
         entries, points, triangles = self._places
-        fields, seen = self._room_fields(), triangles < 0
+        fields, seen = RoomFields(self._fields(), self.units, self.cells), triangles < 0
         values = np.empty((len(entries), 5), np.float32)
         none = np.full(int(seen.sum()), -1)
         values[seen] = fields.fields.query(points[seen], none)

@@ -18,7 +18,7 @@ from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.lights.convert import fixture_to_lights
 from fipt_blender.blend.node_trees import node_tree
 from fipt_blender.blend.room.mesh_arrays import corner_uvs
-from fipt_blender.blend.room.uv_layer import replace_layer
+from fipt_blender.blend.room.uv_layer import write_layer
 from samples.irradiance import irradiance
 from samples.refusals import error_of
 from samples.whole_file import differences, file_state
@@ -289,7 +289,7 @@ def test_a_dark_environment_is_not_written_and_one_of_other_nodes_is_said(scene,
 def test_the_open_file_is_the_same_after_exports_and_renders(scene, tmp_path):
     add_light(scene, "Softbox", "AREA", {"shape": "ELLIPSE"}, UNEVEN)
     mesh = bpy.data.objects["cube"].data  # onto the second image of an atlas
-    replace_layer(mesh, corner_uvs(mesh, mesh.uv_layers["FIPT"]) + (1.0, 0.0))
+    write_layer(mesh, corner_uvs(mesh, mesh.uv_layers["FIPT"]) + (1.0, 0.0))
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     scene.collection.objects.link(camera)
     scene.camera = camera

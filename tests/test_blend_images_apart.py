@@ -11,8 +11,8 @@ from mathutils import Vector
 
 from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.marks import MAP
-from fipt_blender.blend.results.applying import own_images
 from fipt_blender.blend.results.materials import is_uniform
+from fipt_blender.blend.results.reading import own_images
 from fipt_blender.blend.room.atlas import file_names
 from fipt_blender.core.run.parts import read_parts
 from fipt_blender.core.run.run_files import read_room_files

@@ -99,10 +99,10 @@ def test_restoring_undoes_applying(room):
     assert (len(objects[0].data.vertices), len(objects[0].data.edges)) == (6, 7)
     again = applying.apply_results(run, objects)
     assert again == applied and len(objects[0].data.polygons) == 2
-    assert originals.restore_original(objects) == [item.name for item in objects]
+    assert originals.restore_original(bpy.context.scene, objects) == [item.name for item in objects]
     assert [snapshot(item) for item in objects] == before
     assert "Panel" not in bpy.data.objects
-    assert originals.restore_original(objects) == []
+    assert originals.restore_original(bpy.context.scene, objects) == []
 
 
 def test_material_tree(room):
@@ -375,7 +375,7 @@ def test_result_meshes_of_a_scan_are_clean(tmp_path: Path, transform: str) -> No
     own = item.data
     before = np.array([vertex.co for vertex in own.vertices])
 
-    clean = make_mesh(room, 0, item)
+    clean, _ = make_mesh(room, 0, item)
     clean_result_mesh(clean, item, room, 0, geometry)
 
     assert np.array_equal(before, [vertex.co for vertex in own.vertices])
@@ -404,12 +404,12 @@ def test_a_drawn_surface_beside_a_scan_keeps_its_vertices_and_edges(tmp_path: Pa
     assert room.triangle_exact is not None and room.triangle_exact.sum() == 12
     geometry = read_geometry(run, room.mesh)
     assert geometry is not None and read_geometry(run, replace(room, triangle_exact=None).mesh) is None
-    clean = make_mesh(room, 0, drawn)
+    clean, _ = make_mesh(room, 0, drawn)
     clean_result_mesh(clean, drawn, room, 0, geometry)
     drawn.data = clean
     shown = collect_room([drawn])
     assert np.abs(shown.vertices - before.vertices).max() < 1e-6
     assert np.abs(shown.corner_normals - before.corner_normals).max() < 1e-3
-    clean = make_mesh(room, 1, item)
+    clean, _ = make_mesh(room, 1, item)
     clean_result_mesh(clean, item, room, 1, geometry)
     assert np.abs(vertex_positions(clean) - vertex_positions(item.data)).max() > 1e-3

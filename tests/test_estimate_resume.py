@@ -146,7 +146,8 @@ def test_stages_depend_on_no_setting_that_is_said_to_be_read_later(fresh) -> Non
     assert arrays(later.stage / "shadings") == arrays(one.stage / "shadings")
     assert tensors(later, "estimate-1") == tensors(one, "estimate-1")
     assert tensors(later, "training") != tensors(one, "training")
-    assert outcome(fresh(1, None)) == outcome(one)
+    shrunk = outcome(one)
+    assert outcome(fresh(1, None)) == {key: shrunk[key] for key in shrunk if not key.startswith("detail_")}
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,15 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 from fipt_blender.blend import marks
+from fipt_blender.blend.collecting import missing_pictures, pictures_elsewhere
+from fipt_blender.blend.image_datablocks import image_values, linear_values
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running
+from samples import artist
 from samples.applied_rooms import ConstantFields, fingerprint, picture
 from samples.operator_calls import refused
 
@@ -41,14 +44,48 @@ def test_textures_of_a_saved_file_lie_beside_it(scene, tmp_path):
     assert ops.apply_results() == {"FINISHED"}
     names = sorted(image.filepath for image in textures(scene))
     maps = ("base_color", "confidence", "metallic", "roughness")
+    (folder,) = {Path(name).parent.name for name in names}
     assert names == [
-        *(f"//kitchen_textures/Room.001.{name}.exr" for name in maps),
-        "//kitchen_textures/environment.exr",
+        *(f"//kitchen_textures/{folder}/Room.001.{name}.exr" for name in maps),
+        f"//kitchen_textures/{folder}/environment.exr",
     ]
     sizes = {image.size[:] for image in textures(scene)}
     scene.fipt.materials.texel_density = 64.0
     assert ops.apply_results() == {"FINISHED"}
     assert sizes != {image.size[:] for image in textures(scene)}  # the copies are the new ones
+
+
+@pytest.mark.parametrize("keep", ["BESIDE", "PACKED", "IN_RUN"])
+@pytest.mark.parametrize("change", ["open", "undo", "save"])
+@pytest.mark.parametrize("suffix", ["EXR", "PNG"])
+def test_a_file_shows_the_results_that_it_was_saved_with(scene, tmp_path, monkeypatch, keep, change, suffix):
+    blend = str(tmp_path / "kitchen.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=blend)
+    settings = scene.fipt.materials
+    settings.texture_files, settings.texture_format = keep, suffix
+
+    def shown() -> float:
+        (image,) = (each for each in textures(bpy.context.scene) if "Base Color" in each.name)
+        return float(linear_values(image)[..., 0].max())
+
+    assert ops.apply_results("EXEC_DEFAULT", True) == {"FINISHED"}
+    before = shown()
+    if change == "save":  # the copy of an earlier state
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "earlier.blend"), copy=True)
+        blend = str(tmp_path / "earlier.blend")
+    else:
+        bpy.ops.wm.save_mainfile()
+    bpy.ops.ed.undo_push(message="before")
+    monkeypatch.setattr(ConstantFields, "base_color", (0.9, 0.3, 0.1))
+    run = RunFolder(scene.fipt.run_folder)
+    run.fields_npz.write_bytes(b"estimated again")
+    assert ops.apply_results("EXEC_DEFAULT", True) == {"FINISHED"}
+    assert shown() > before + 0.2
+    if change == "undo":
+        bpy.ops.ed.undo()
+    else:
+        bpy.ops.wm.open_mainfile(filepath=blend)
+    assert shown() == before
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".png"])
@@ -142,16 +179,31 @@ def test_deleted_objects_are_left_out_with_a_warning(scene, density, mode):
     assert scene.fipt.materials.object_count == 1
 
 
-def test_an_object_with_other_faces_shows_its_own_materials(applied):
+def test_a_changed_modifier_stays_live_on_the_results(applied):
+    """Of an object with other faces than those that were estimated."""
     cube = bpy.data.objects["cube"]
     ops.show_map(shown="ORIGINAL")
     cube.modifiers["Bevel"].segments = 3
-    assert ops.apply_results() == {"FINISHED"} and "'cube'" in warned()
-    assert not marks.has_results(cube) and marks.has_results(bpy.data.objects["panel"])
-    assert [slot.material.name for slot in cube.material_slots] == ["red", "own", "blue"]
-    cube.modifiers["Bevel"].segments = 1
     assert ops.apply_results() == {"FINISHED"} and not warned()
-    assert marks.has_results(cube)
+    assert cube.modifiers["Bevel"].show_viewport and len(cube.data.polygons) == 6
+    assert {slot.material.name for slot in cube.material_slots} == {"Cube FIPT"}
+    cube.modifiers["Bevel"].segments = 1
+    ops.show_map(shown="ORIGINAL")
+    ops.show_map(shown="ESTIMATED")
+    assert ops.apply_results() == {"FINISHED"} and not warned()
+    assert not cube.modifiers["Bevel"].show_viewport and len(cube.data.polygons) == 26
+    ops.revert()
+    assert cube.modifiers["Bevel"].show_viewport and not marks.has_results(cube)
+
+
+def test_a_room_of_which_nothing_is_left_is_refused(scene):
+    for name in ("panel", "cube"):
+        mesh = bpy.data.objects[name].data
+        mesh.transform(Matrix.Translation((50.0, 0.0, 0.0)))
+        artist.subdivide(name)
+    before = fingerprint(scene)
+    assert "No face" in refused(ops.apply_results)
+    assert fingerprint(scene) == before
 
 
 def test_objects_are_found_by_their_ids_not_by_the_names_of_others(applied):
@@ -187,3 +239,41 @@ def test_a_room_without_any_estimated_object_is_refused(applied):
     before = fingerprint(applied)
     assert "None of the estimated objects" in refused(ops.apply_results)
     assert fingerprint(applied) == before
+
+
+@pytest.mark.parametrize("pack", [False, True])
+@pytest.mark.parametrize("suffix", ["EXR", "PNG"])
+@pytest.mark.parametrize("tiled", [False, True])
+def test_a_file_saved_elsewhere_collects_its_pictures(scene, tmp_path, pack, suffix, tiled):
+    first, second = tmp_path / "first" / "room.blend", tmp_path / "second" / "shot.blend"
+    for blend in (first, second):
+        blend.parent.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(first))
+    scene = bpy.context.scene
+    settings = scene.fipt.materials
+    settings.texture_format, settings.texture_size = suffix, "512"
+    settings.texel_density = 128.0 if tiled else 8.0
+    ops.apply_results()
+    assert {image.source == "TILED" for image in textures(scene) if image.name != "FIPT World"} == {tiled}
+    bpy.ops.wm.save_mainfile()
+    assert not missing_pictures() and not pictures_elsewhere()
+    bpy.ops.wm.save_as_mainfile(filepath=str(second))
+    assert pictures_elsewhere() == 5 and not missing_pictures()
+    assert ops.collect_pictures(pack=pack) == {"FINISHED"}
+    assert not pictures_elsewhere()
+    bpy.ops.wm.save_mainfile()
+    before = [image_values(image) for image in textures(scene) if image.source != "TILED"]
+    shutil.rmtree(scene.fipt.run_folder)
+    shutil.move(second.parent, tmp_path / "third")
+    # The first file has lost nothing.
+    bpy.ops.wm.open_mainfile(filepath=str(first))
+    assert not missing_pictures()
+    shutil.rmtree(first.parent)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "third" / "shot.blend"))
+    assert not missing_pictures() and not pictures_elsewhere()
+    images = [image for image in textures(bpy.context.scene) if image.source != "TILED"]
+    assert all(np.array_equal(image_values(image), old) for image, old in zip(images, before, strict=True))
+    if not pack:
+        shutil.rmtree(tmp_path / "third" / "shot_textures")
+        assert len(missing_pictures()) == (9 if tiled else 5)
+        assert "missing" in refused(ops.collect_pictures)

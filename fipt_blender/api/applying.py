@@ -156,7 +156,7 @@ def apply_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Ste
         from ..blend.results.applying import apply_slices
         from ..blend.texture_files import texture_files
 
-        files = texture_files(bpy.data.scenes[scene_name])
+        files = texture_files(bpy.data.scenes[scene_name], run)
         applied = yield from apply_slices(run, objects(), bpy.data.scenes[scene_name], files)
         apply_environment(run, bpy.data.scenes[scene_name], files)
         return applied.warnings

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 
 from ..core.run.errors import FiptError
-from .color_spaces import encoded_space, set_encoded, set_linear, to_scene_linear
+from .color_spaces import encoded_space, linear_space, to_scene_linear
 from .png16 import decode_srgb
 
 MOST_PATH_BYTES = 1023
@@ -48,19 +48,11 @@ def load_radiance(path: Path) -> bpy.types.Image | None:
     return image
 
 
-def load_data(path: Path) -> bpy.types.Image:
-    """An image whose values are not colours (roughness, metallic, confidence)."""
-    image = bpy.data.images.load(str(path), check_existing=True)
-    image.colorspace_settings.is_data = True
-    return image
-
-
 def load_texture(path: Path, is_data: bool) -> bpy.types.Image:
-    """A texture of a run; reloaded, since an earlier bake may have had the same name."""
-    image = load_data(path) if is_data else bpy.data.images.load(str(path), check_existing=True)
-    if image.packed_file is not None:  # reloading would take the packed content
-        image.unpack(method="REMOVE")
-    image.reload()
+    """A texture of a run. One that is in the file stays, since no other content has its path."""
+    image = bpy.data.images.load(str(path), check_existing=True)
+    if not (image.has_data or image.packed_file):  # the file may have been missing
+        image.reload()
     _set_color_space(image, path, is_data)
     return image
 
@@ -85,11 +77,13 @@ def load_tiles(paths: Mapping[int, Path], is_data: bool) -> bpy.types.Image:
 
 
 def _set_color_space(image: bpy.types.Image, path: Path, is_data: bool) -> None:
-    """Set the colour space, also after a reload, which resets it in some versions."""
-    if is_data:
-        image.colorspace_settings.is_data = True
-    else:
-        (set_linear if path.suffix.lower() == ".exr" else set_encoded)(image)
+    """Set the colour space; reading a file sets it in some versions."""
+    settings = image.colorspace_settings
+    name = linear_space() if path.suffix.lower() == ".exr" else encoded_space()
+    if is_data and not settings.is_data:
+        settings.is_data = True
+    elif not is_data and settings.name != name:
+        settings.name = name
 
 
 def tile_pattern(name: str, number: int) -> str:

@@ -23,6 +23,8 @@ KEPT_PHOTOGRAPH = "fipt_photograph"  # the photograph, while another picture lie
 # On an image that is a smaller copy of a photograph: the file of that
 LARGE_PHOTOGRAPH = "fipt_large_photograph"
 
+COLLECTION = "fipt_collection"  # on a collection that we made: its first name
+
 # --- objects and meshes of the room ------------------------------------------------------------------------
 OBJECT_ID = "fipt_object_id"  # by which runs find the object again: the name of its first export
 IMPORTED = "fipt_imported"  # on a mesh that we imported: its file and the matrix to the alignment's space
@@ -32,11 +34,18 @@ OBJECT_SLOT = "fipt_original_slot_{}"  # material of a slot that is linked to th
 ADDED = "fipt_added"  # on a mesh that the scan lacks: `FOUND`, `CLOSED` or `DRAWN`
 FOUND, CLOSED, DRAWN = "found", "closed", "drawn"  # by the engine; what closes small holes; by the artist
 RESULT_MESH = "fipt_own_mesh"  # the result mesh, while the original is shown
+MADE = "fipt_made"  # on a result mesh: digest of its geometry and layers as we made it
+LAID_OUT = "fipt_laid_out"  # on a result mesh: digest of the atlas of its UVs
+SPLIT_OFF = (
+    "fipt_split_off"  # on a result mesh: those of the object's exported triangles that became fixtures
+)
 CATCHER = "fipt_catcher"  # we made the object a shadow catcher
 
 # --- fixtures and lights -----------------------------------------------------------------------------------
 FIXTURE = "fipt_fixture"  # the fixture's name in emitters.json
 NAMED = "fipt_named"  # the name that we gave a fixture's object; any other is the artist's
+PLACED = "fipt_placed"  # on a fixture: its place in the world as made, metres
+CENTROID = "fipt_centroid"  # on a fixture: its centroid in emitters.json, by which it is known to be the same
 FIXTURE_SOURCES = "fipt_sources"  # ids of the objects that the fixture was split off (JSON)
 FIXTURE_LIGHT = "fipt_fixture_light"  # on a Blender light that stands for a fixture, its child
 NEW_LIGHT = "fipt_light"  # on a light that the artist added
@@ -79,6 +88,7 @@ REPLACEMENT = "fipt_replacement"  # on an estimated material: the one that the a
 ADJUSTMENT = "fipt_adjustment"  # on the node group of the artist's adjustments: its version
 SURFACE = "fipt_surface"  # what fed the output before a map was shown: node and socket, a line each
 TABLE = "fipt_table"  # on the node group that corrects Principled: digest of its table
+TEXTURE = "fipt_texture"  # marks an image of applied results, or their environment
 PICTURE = "fipt_picture"  # marks an image that we showed in an editor
 
 # --- hints ------------------------------------------------------------------------------------------------
@@ -158,6 +168,18 @@ def is_fixture(item: bpy.types.Object) -> bool:
 def is_split_off(item: bpy.types.Object) -> bool:
     """Whether an object is a fixture split off the room's objects, or a Blender light that stands for one."""
     return FIXTURE_SOURCES in item
+
+
+def is_linked(item: bpy.types.ID) -> bool:
+    """Whether data belong to another file: their changes, also of overrides, are not saved with this one."""
+    return item.library is not None or item.override_library is not None
+
+
+def is_room_linked(scene: bpy.types.Scene) -> bool:
+    """Whether results or lights of a scene belong to another file."""
+    if not len(bpy.data.libraries):
+        return False
+    return any(is_linked(item) for item in scene.objects if has_results(item) or is_our_light(item))
 
 
 def is_our_light(item: bpy.types.Object) -> bool:

@@ -1,10 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene's collections for objects that we make, by name; selecting and removing objects."""
+"""The scene's collections for objects that we make, whatever their names; selecting and removing objects."""
 
 from __future__ import annotations
 
 import bpy
+
+from .marks import COLLECTION
 
 ROOM = "FIPT Room"
 CAMERAS = "FIPT Cameras"
@@ -15,19 +17,36 @@ EARLIER_ROOMS = "FIPT Earlier Rooms"
 
 
 def find_collection(scene: bpy.types.Scene, name: str) -> bpy.types.Collection | None:
-    """The scene's collection of that name; where the file has several ("name.001"), the one in the scene."""
-    for child in scene.collection.children_recursive:
+    """The scene's collection that was made with that name.
+
+    Those of files of earlier versions are found by name: where the file has several ("name.001"), the one in
+    the scene.
+    """
+    children = scene.collection.children_recursive
+    for child in children:
+        if child.get(COLLECTION) == name:
+            return child
+    for child in children:
         if child.name == name or (child.name[:-4] == name and child.name[-4:-3] == "."):
             return child
     return None
 
 
+def mark_collections(scene: bpy.types.Scene) -> None:
+    """Mark the scene's collections that are found by name, so that they may be renamed."""
+    for name in (ROOM, CAMERAS, FIXTURES, LIGHTS, INSERTED, EARLIER_ROOMS):
+        found = find_collection(scene, name)
+        if found is not None and found.library is None and COLLECTION not in found:
+            found[COLLECTION] = name
+
+
 def collection(scene: bpy.types.Scene, name: str) -> bpy.types.Collection:
-    """The scene's collection of that name; made and linked if it is missing."""
+    """The scene's collection made with that name (`find_collection`); made and linked if it is missing."""
     existing = find_collection(scene, name)
     if existing is not None:
         return existing
     new = bpy.data.collections.new(name)
+    new[COLLECTION] = name
     scene.collection.children.link(new)
     return new
 

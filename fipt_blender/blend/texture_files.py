@@ -2,11 +2,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where the textures of results are kept: beside the .blend file, packed into it, or in the run folder.
 
-The run folder is usually in the user's data folder, which no other machine has.
+Each set of pictures has a folder of its own, whose name is a digest of their content. No later set is written
+over it, so that a .blend file shows the results that it was saved with, and so do Undo and Revert. The run
+folder is usually in the user's data folder, which no other machine has.
 """
 
 from __future__ import annotations
 
+import hashlib
+import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,27 +19,32 @@ from pathlib import Path
 import bpy
 
 from ..core.run.errors import FiptError
-from ..core.run.runfolder import atomic_path
+from ..core.run.runfolder import RunFolder, atomic_path
 from .image_datablocks import load_texture, load_tiles, read_texture
+from .marks import TEXTURE
 from .png16 import encode_png, encode_srgb
+
+_DIGITS = 12  # of a set's digest: two of a thousand sets have the same one with a probability below 1e-8
 
 
 @dataclass(frozen=True)
 class TextureFiles:
-    """Loads textures from a run folder and keeps them elsewhere.
+    """Loads textures of a run from the folder in which they are kept.
 
     Attributes:
-        folder: folder to which the files are copied; None leaves them in the run folder.
+        folder: of this set of textures alone.
         pack: pack them into the .blend file.
         png: keep them as PNGs of 16 bits, which more programs read than EXR.
+        relative: the .blend file names them relative to itself.
     """
 
-    folder: Path | None = None
+    folder: Path
     pack: bool = False
     png: bool = False
+    relative: bool = False
 
     def copy(self, path: Path, is_data: bool | None = None) -> None:
-        """Copy a file of the run folder to `folder`, if there is one, in the chosen format.
+        """Bring a file of the run folder to `folder` in the chosen format; one that is there already stays.
 
         Args:
             path: of the file.
@@ -45,15 +54,15 @@ class TextureFiles:
             FiptError: ``textures-unwritable``.
         """
         target = self._kept(path, is_data)
-        if target == path:
+        if target.is_file():
             return
         try:
             with atomic_path(target) as temporary:
-                if target.suffix == path.suffix:
-                    shutil.copyfile(path, temporary)
-                else:
+                if target.suffix != path.suffix:
                     values = read_texture(path)
                     temporary.write_bytes(encode_png(values if is_data else encode_srgb(values)))
+                elif self.relative or not _linked(path, temporary):
+                    shutil.copyfile(path, temporary)
         except FiptError as error:
             raise FiptError(
                 "textures-unwritable",
@@ -64,9 +73,8 @@ class TextureFiles:
 
     def _kept(self, path: Path, is_data: bool | None) -> Path:
         """Where a file of the run folder is kept."""
-        if self.png and is_data is not None:
-            path = path.with_suffix(".png")
-        return path if self.folder is None else self.folder / path.name
+        name = Path(path.name)
+        return self.folder / (name.with_suffix(".png") if self.png and is_data is not None else name)
 
     def load(self, path: Path, is_data: bool | None) -> bpy.types.Image:
         """The image of a file of the run folder; `copy` comes first, with the same arguments."""
@@ -79,26 +87,58 @@ class TextureFiles:
         return self._placed(load_tiles(kept, is_data))
 
     def _placed(self, image: bpy.types.Image) -> bpy.types.Image:
-        if self.folder is not None:
-            image.filepath = bpy.path.relpath(image.filepath)
-        if self.pack:
+        path = bpy.path.relpath(image.filepath) if self.relative else image.filepath
+        if image.filepath != path:  # setting it reads the file anew, without what the artist has painted
+            image.filepath = path
+        image[TEXTURE] = True
+        packed = image.packed_file
+        if self.pack and packed is None:
             image.pack()
+        elif not self.pack and packed is not None and packed.size == _size(path):
+            image.unpack(method="REMOVE")  # it is the file's; what the artist has painted stays packed
         return image
 
 
-IN_RUN_FOLDER = TextureFiles()
+def _size(path: str) -> int:
+    """Bytes of a file that an image names; -1 where it is missing."""
+    file = Path(bpy.path.abspath(path))
+    return file.stat().st_size if file.is_file() else -1
 
 
-def texture_files(scene: bpy.types.Scene) -> TextureFiles:
+def _linked(path: Path, target: Path) -> bool:
+    """Make a hard link, where the disk can do that: the engine replaces files, it never writes to them."""
+    try:
+        os.link(path, target)
+    except OSError:
+        return False
+    return True
+
+
+def in_run_folder(run: RunFolder, pack: bool = False, png: bool = False) -> TextureFiles:
+    """The present textures of a run, kept in its folder.
+
+    Raises:
+        FiptError: ``file-missing`` for a file that disappears meanwhile.
+    """
+    return TextureFiles(run.root / "applied" / content_name(run), pack, png)
+
+
+def content_name(run: RunFolder) -> str:
+    """A name for the present textures and environment of a run, which others do not have."""
+    digest = hashlib.blake2b(digest_size=_DIGITS // 2)
+    pictures = sorted(run.textures.glob("*.exr")) if run.textures.is_dir() else []
+    for path in (*pictures, run.environment_exr):
+        if path.is_file():
+            digest.update(path.name.encode())
+            with open(path, "rb") as file:
+                digest.update(hashlib.file_digest(file, "blake2b").digest())
+    return digest.hexdigest()
+
+
+def texture_files(scene: bpy.types.Scene, run: RunFolder) -> TextureFiles:
     """Where the textures of a scene are kept: as its settings say; packed while the file has no name."""
     keep, png = scene.fipt.materials.texture_files, scene.fipt.materials.texture_format == "PNG"
-    if keep == "IN_RUN":
-        return TextureFiles(png=png)
-    if keep == "PACKED" or not bpy.data.filepath:
-        return TextureFiles(pack=True, png=png)
+    if keep == "IN_RUN" or keep == "PACKED" or not bpy.data.filepath:
+        return in_run_folder(run, keep != "IN_RUN", png)
     blend = Path(bpy.data.filepath)
-    folder = blend.with_name(f"{blend.stem}_textures")
-    # The textures of every run have the same names.
-    runs = {other.fipt.run_folder for other in bpy.data.scenes if other.fipt.run_folder}
-    folder = folder / Path(scene.fipt.run_folder).name if len(runs) > 1 else folder
-    return TextureFiles(folder, png=png)
+    return TextureFiles(blend.with_name(f"{blend.stem}_textures") / content_name(run), False, png, True)

@@ -188,7 +188,7 @@ class RoomSteps:
             return np.array([median_radiance(self._run)]), [warning]
 
     def _objects(self) -> list[bpy.types.Object]:
-        room = bpy.context.scene.collection.children.get(outliner.ROOM)
+        room = outliner.find_collection(bpy.context.scene, outliner.ROOM)
         return [] if room is None else [member for member in room.objects if member.type == "MESH"]
 
     def _view(self) -> tuple[str, Support | None]:

@@ -10,7 +10,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..blend.marks import FIXTURE, MERGED, VISIBILITY, has_light_groups
 from ..core.run.errors import FiptError
 from ..properties.lights import FIPT_Light
-from .polls import all_of, has_results, in_object_mode, needs
+from .polls import all_of, has_results, in_object_mode, is_own_room, needs
 from .reporting import reports_errors
 
 
@@ -49,7 +49,7 @@ has_lights = needs(
 class NeedsLights:
     """Mix-in of operators on the list of lights."""
 
-    poll = all_of(has_lights)
+    poll = all_of(has_lights, is_own_room)
 
 
 class FIPT_OT_switch_lights(bpy.types.Operator):

@@ -12,7 +12,8 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..api import applying
 from ..properties.materials import SHOWN
 from .job_operator import JobOperator
-from .polls import all_of, has_results, in_object_mode, needs, no_job
+from .polls import all_of, has_results, in_object_mode, is_own_room, needs, no_job
+from .reporting import reports_errors
 
 if TYPE_CHECKING:
     from ..jobs.tasks import Task
@@ -28,7 +29,10 @@ class FIPT_OT_apply_results(JobOperator, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     poll = all_of(
-        no_job, needs(lambda context: context.scene.fipt.run_folder, "Run Estimate first"), in_object_mode
+        no_job,
+        needs(lambda context: context.scene.fipt.run_folder, "Run Estimate first"),
+        is_own_room,
+        in_object_mode,
     )
 
     def task(self, context: bpy.types.Context) -> Task:
@@ -74,6 +78,28 @@ class FIPT_OT_revert(_NeedsResults, bpy.types.Operator):
 
         restored = revert(context.scene, self.new_lights)
         self.report({"INFO"}, iface_("{} objects restored").format(len(restored)))
+        return {"FINISHED"}
+
+
+class FIPT_OT_collect_pictures(bpy.types.Operator):
+    bl_idname = "fipt.collect_pictures"
+    bl_label = "Collect Pictures"
+    bl_description = (
+        "Copy the textures and the environment to the folder NAME_textures beside the .blend file, or pack"
+        " them into it, so that it can be moved to another folder or machine. Nothing is removed elsewhere"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    pack: bpy.props.BoolProperty(name="In the File", description="Pack them into the .blend file")
+
+    poll = all_of(has_results, no_job)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.collecting import collect_pictures
+
+        count = collect_pictures(self.pack)
+        self.report({"INFO"}, iface_("{} pictures collected. Save the file").format(count))
         return {"FINISHED"}
 
 

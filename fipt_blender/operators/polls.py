@@ -10,6 +10,7 @@ from typing import Any
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..blend.marks import is_room_linked
 from ..jobs import running
 
 Condition = Callable[[Any, bpy.types.Context], bool]
@@ -50,8 +51,20 @@ has_views = needs(lambda context: context.scene.fipt.capture.views, "Import a ca
 has_meshes = needs(
     lambda context: context.scene.fipt.capture.room_objects(context.scene), "The room has no meshes"
 )
+# What is changed of another file's data would be lost without a word.
+is_own_room = needs(
+    lambda context: not is_room_linked(context.scene),
+    "The room is linked from another file. Open that file, or use Object > Relations > Make Local",
+)
 views_checked = needs(lambda context: context.scene.fipt.capture.unseen_share >= 0.0, "Use Check Views first")
-has_results = needs(lambda context: context.scene.fipt.materials.object_count, "Use Apply Results first")
+
+
+def has_results(cls: Any, context: bpy.types.Context) -> bool:
+    """The scene has results of its own."""
+    applied = needs(lambda context: context.scene.fipt.materials.object_count, "Use Apply Results first")
+    return applied(cls, context) and is_own_room(cls, context)
+
+
 # A room comes into a scene of its own.
 has_no_capture = needs(
     lambda context: not context.scene.fipt.capture.views, "The scene has a capture already. Use a new scene"

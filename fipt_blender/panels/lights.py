@@ -8,7 +8,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
-from ..blend.marks import ANIMATED, FIXTURE, MERGED, NAMED, PROBABILITY, VISIBILITY
+from ..blend.marks import ANIMATED, FIXTURE, MERGED, NAMED, PROBABILITY, VISIBILITY, is_room_linked
 from .hints import ANSWER_NAMES, draw_again
 from .sidebar import Rows, Section, SubSection, draw_text
 
@@ -63,7 +63,11 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             row = layout.row(align=True)
             row.operator("fipt.switch_lights", text="All Off", icon="OUTLINER_DATA_LIGHT").on = False
             row.operator("fipt.switch_lights", text="All On", icon="LIGHT").on = True
-            _draw_light(layout, context.scene, settings.active_light())
+            if is_room_linked(context.scene):
+                text = "The room is linked from another file, which has to be opened to change its lights."
+                draw_text(layout, context, iface_(text), icon="LINKED")
+            else:
+                _draw_light(layout, context.scene, settings.active_light())
         elif context.scene.fipt.materials.object_count:
             text = "No lamps were found. The room is lit by the environment (windows) alone."
             draw_text(layout, context, text, icon="INFO")

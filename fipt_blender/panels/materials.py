@@ -124,12 +124,28 @@ def _draw_results(
     text = "{} objects, {} images" if settings.applied_mode == "uv" else "{} objects with attributes"
     text = iface_(text).format(settings.object_count, 4 * settings.image_count)
     layout.label(text=text, icon="CHECKMARK", translate=False)
+    _draw_pictures(layout, context)
     if settings.shown == "ESTIMATED":
         _draw_preview(layout, context)
         if context.scene.fipt.lights.needs_cycles():
             draw_engine_choice(layout, context)
     layout.operator("fipt.export_room", text="Export Room...", icon="EXPORT")
     layout.operator("fipt.revert", icon="LOOP_BACK")
+
+
+def _draw_pictures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Pictures that are missing or not beside the file, and what helps."""
+    from ..blend.collecting import missing_pictures, pictures_elsewhere
+
+    missing = missing_pictures()
+    if missing:
+        text = iface_("{} pictures of the results are missing, such as {}").format(len(missing), missing[0])
+        draw_text(layout, context, text, icon="ERROR", alert=True)
+        layout.operator("file.find_missing_files", icon="VIEWZOOM")
+    elif pictures_elsewhere():
+        text = "The pictures of the results are in another folder than the file."
+        draw_text(layout, context, iface_(text), icon="INFO")
+        layout.operator("fipt.collect_pictures", icon="FILE_FOLDER")
 
 
 def _draw_preview(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -27,6 +27,7 @@ from ..blend.marks import (
     WORLD,
     WORLD_FACTOR,
     WORLD_ON,
+    is_linked,
     result_world,
 )
 
@@ -55,7 +56,7 @@ def _set(key: str) -> Callable[[FIPT_Light, float], None]:
 
 
 def _change(self: FIPT_Light, values: Mapping[str, float | Sequence[float]]) -> None:
-    if self.object is not None:
+    if self.object is not None and not is_linked(self.object):
         from ..blend.lights.light_state import change
 
         change(self.id_data, self.object, values)

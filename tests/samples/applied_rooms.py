@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from fipt_blender.blend import outliner
 from fipt_blender.blend.pictures.image_files import read_pixels
 from fipt_blender.blend.room import exporting
 from fipt_blender.core.capture.images import write_exr
@@ -80,8 +81,7 @@ def panel_and_cube() -> list[bpy.types.Object]:
 def make_scene(folder: Path, environment: bool = True) -> bpy.types.Scene:
     """A file with an artist's room (`panel_and_cube`), world and lights, and the run estimated from it."""
     scene = bpy.context.scene
-    room = bpy.data.collections.new("FIPT Room")
-    scene.collection.children.link(room)
+    room = outliner.collection(scene, outliner.ROOM)
     panel, cube = panel_and_cube()
     cube.name = "cube"
     for item in (panel, cube):

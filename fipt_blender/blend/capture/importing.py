@@ -8,7 +8,7 @@ Cameras and the imported mesh are children of the empty "FIPT Alignment", in the
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,10 @@ from ...core import conventions
 from ...core.run.errors import FiptError
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder
-from ..marks import IMPORTED, VIEW, is_imported, is_view, view_cameras, was_found
+from ..image_datablocks import remove_unused_images
+from ..marks import IMPORTED, MADE, VIEW, has_results, is_imported, is_view, view_cameras, was_found
 from ..outliner import CAMERAS, EARLIER_ROOMS, ROOM, collection, move_to, remove_object
+from ..room.mesh_digest import is_edited, sign
 from ..room.result_meshes import list_names
 from . import cameras, mesh_import
 
@@ -113,7 +115,10 @@ def source_matrix(scene: bpy.types.Scene, run: RunFolder | None) -> np.ndarray:
 
 
 def import_mesh(scene: bpy.types.Scene, path: Path, matrix: np.ndarray) -> list[str]:
-    """Import a mesh file as the room, below the alignment; earlier imports go to a hidden collection.
+    """Import a mesh file as the room, below the alignment.
+
+    An earlier import of the same file that the artist has not changed is replaced; others go to a hidden
+    collection.
 
     Args:
         scene: the scene to import into.
@@ -128,7 +133,16 @@ def import_mesh(scene: bpy.types.Scene, path: Path, matrix: np.ndarray) -> list[
     """
     present = scene.fipt.capture.room_objects(scene)
     earlier = [item for item in present if is_imported(item) or was_found(item)]
-    names = mesh_import.import_room(path, matrix, scene)
+    replaced = [item for item in earlier if _is_untouched(item, path)]
+    earlier = [item for item in earlier if item not in replaced]
+    before = _rename_aside(replaced)
+    try:
+        names = mesh_import.import_room(path, matrix, scene)
+    except FiptError:
+        for block, name in before.items():
+            block.name = name
+        raise
+    _take_places(replaced, before, names)
     if earlier:
         hidden = collection(scene, EARLIER_ROOMS)
         hidden.hide_viewport = hidden.hide_render = True
@@ -140,9 +154,67 @@ def import_mesh(scene: bpy.types.Scene, path: Path, matrix: np.ndarray) -> list[
         item.parent, item.matrix_parent_inverse = parent, Matrix.Identity(4)
         item.matrix_basis = Matrix.Identity(4)
         item[IMPORTED] = _origin(path, matrix)
+        sign(item.data)
     scene.fipt.capture.room = None  # the default, FIPT Room, where the import put it
     scene.fipt.capture.completed = False
     return names
+
+
+def _is_untouched(item: bpy.types.Object, path: Path) -> bool:
+    """Whether an object of the room is an import of this file as it was made."""
+    if not is_imported(item) or json.loads(item[IMPORTED])[0] != str(path) or has_results(item):
+        return False
+    more = (item.modifiers, item.children, item.constraints, item.vertex_groups)
+    if any(map(len, more)) or item.animation_data is not None or item.data.users > 1:
+        return False
+    if item.matrix_basis != Matrix.Identity(4):
+        return False
+    return MADE in item.data and not is_edited(item.data)
+
+
+def _rename_aside(items: Sequence[bpy.types.Object]) -> dict[bpy.types.ID, str]:
+    """Give objects with their meshes and materials other names, so that new ones get theirs; their names."""
+    materials = (slot.material for item in items for slot in item.material_slots)
+    blocks = [*items, *(item.data for item in items), *(each for each in materials if each is not None)]
+    names = {block: block.name for block in blocks if block.library is None}
+    for number, block in enumerate(names):
+        block.name = f"~{number}"
+    return names
+
+
+def _take_places(
+    replaced: Sequence[bpy.types.Object], before: Mapping[bpy.types.ID, str], names: Sequence[str]
+) -> None:
+    """Put new objects in the place of those imported before, which are removed; their materials stay.
+
+    Args:
+        replaced: the objects.
+        before: the names of these, their meshes and materials.
+        names: of the new objects.
+    """
+    new = {name: bpy.data.objects[name] for name in names}
+    for item in replaced:
+        for each in item.users_collection:
+            each.objects.unlink(item)
+        if before[item] in new:
+            item.user_remap(new[before[item]])  # hints, constraints and drivers that refer to it
+    materials = {block: name for block, name in before.items() if isinstance(block, bpy.types.Material)}
+    for item in replaced:
+        remove_object(item)
+    used = {slot.material for item in new.values() for slot in item.material_slots}
+    duplicates = []
+    for material, name in materials.items():
+        duplicate = bpy.data.materials.get(name)
+        if duplicate in used:
+            duplicate.user_remap(material)
+            duplicates.append(duplicate)
+    trees = [each.node_tree for each in duplicates if each.node_tree is not None]
+    nodes = [node for tree in trees for node in tree.nodes if node.bl_idname == "ShaderNodeTexImage"]
+    images = {node.image for node in nodes if node.image is not None}
+    bpy.data.batch_remove(duplicates)
+    remove_unused_images(images)
+    for material, name in materials.items():
+        material.name = name
 
 
 def set_room(scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> None:

@@ -3,7 +3,8 @@
 """Estimated emitters as objects "Ceiling panel" ... that the artist can select, move, switch and dim.
 
 A fixture's polygons move from the room's result meshes into an object of its own;
-`originals.restore_original` undoes that.
+`originals.restore_original` undoes that. A polygon of which the fixture has some triangles is divided into
+its triangles before (`divide`).
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from mathutils import Matrix, Vector
 
 from ...core.report.fixture_names import fixture_names
 from ...core.run.parts import RoomParts, free_name
-from ..marks import BACK, BASE, FIXTURE, FIXTURE_SOURCES, NAMED, PROBABILITY, object_id
+from ..marks import BACK, BASE, CENTROID, FIXTURE, FIXTURE_SOURCES, NAMED, PLACED, PROBABILITY, object_id
 from ..outliner import FIXTURES, collection
 from ..room.arrays import Room
-from ..room.mesh_arrays import is_mirrored
-from ..room.originals import number_polygons, original_polygons
+from ..room.mesh_arrays import is_mirrored, triangle_loops
+from ..room.mesh_digest import sign
 from .fixture_nodes import emission_material
 
 
@@ -48,6 +49,21 @@ class NewFixture:
 
 
 @dataclass(frozen=True)
+class Source:
+    """An object of the room with its new result mesh.
+
+    Attributes:
+        item: the object.
+        mesh: its new result mesh.
+        triangle: (P,) triangle of the room that each polygon shows, -1 for none.
+    """
+
+    item: bpy.types.Object
+    mesh: bpy.types.Mesh
+    triangle: np.ndarray
+
+
+@dataclass(frozen=True)
 class _Piece:
     """Polygons of one object of the room that belong to a fixture."""
 
@@ -56,10 +72,23 @@ class _Piece:
     polygons: np.ndarray  # indices into the mesh
 
 
+def triangle_fixtures(entries: Sequence[Mapping[str, Any]], count: int) -> np.ndarray:
+    """(T,) index of the fixture of each of the room's triangles, -1 for none.
+
+    Args:
+        entries: the fixtures of emitters.json.
+        count: T.
+    """
+    fixture = np.full(count, -1)
+    for index, entry in enumerate(entries):
+        fixture[np.array(entry["triangles"], np.int64)] = index
+    return fixture
+
+
 def split_off(
     room: Room,
     entries: Sequence[Mapping[str, Any]],
-    targets: Mapping[int, tuple[bpy.types.Object, bpy.types.Mesh]],
+    sources: Sequence[Source],
     parts: RoomParts | None = None,
 ) -> list[NewFixture]:
     """Move the emitters' polygons out of the result meshes.
@@ -67,25 +96,25 @@ def split_off(
     Args:
         room: the run's room.
         entries: the fixtures of emitters.json.
-        targets: objects with their new result meshes, by their indices in the room.
+        sources: the objects; each mesh once.
         parts: the room's parts, for the fixtures' names.
     """
-    polygon_fixtures = {
-        index: fixture for index, fixture in _polygon_fixtures(room, entries).items() if index in targets
-    }
+    # The last one stands for -1.
+    of_triangle = np.append(triangle_fixtures(entries, len(room.triangles)), -1)
     pieces: list[list[_Piece]] = [[] for _ in entries]
-    for index, polygon_fixture in polygon_fixtures.items():
-        item, mesh = targets[index]
-        fixture = polygon_fixture[original_polygons(mesh)]
+    for source in sources:
+        fixture = of_triangle[source.triangle]
         for number in np.unique(fixture[fixture >= 0]):
-            pieces[number].append(_Piece(item, mesh, np.flatnonzero(fixture == number)))
+            polygons = np.flatnonzero(fixture == number)
+            pieces[number].append(_Piece(source.item, source.mesh, polygons))
     names = fixture_names(room, entries, parts)
     made = [
         _make(entry, name, parts) for entry, name, parts in zip(entries, names, pieces, strict=True) if parts
     ]
-    for index, polygon_fixture in polygon_fixtures.items():
-        mesh = targets[index][1]
-        _remove_polygons(mesh, np.flatnonzero(polygon_fixture[original_polygons(mesh)] >= 0))
+    for source in sources:
+        lit = np.flatnonzero(of_triangle[source.triangle] >= 0)
+        if len(lit):
+            _remove_polygons(source.mesh, lit)
     return made
 
 
@@ -100,36 +129,16 @@ def place(scene: bpy.types.Scene, fixtures: Sequence[NewFixture]) -> list[bpy.ty
         fixture.mesh.materials.append(emission_material(name, *light))
         item = bpy.data.objects.new(name, fixture.mesh)
         item.matrix_world = Matrix.Translation(fixture.center)
-        item[FIXTURE], item[NAMED] = entry["name"], name
+        item[FIXTURE], item[NAMED], item[PLACED] = entry["name"], name, fixture.center
+        item[CENTROID] = [float(value) for value in entry.get("centroid", fixture.center)]
         item[FIXTURE_SOURCES] = json.dumps(fixture.sources)
         item[BASE] = [float(value) for value in entry["radiance"]]
         item[PROBABILITY] = float(entry.get("probability", 1.0))
         item[BACK] = [float(value) for value in entry["back_radiance"]]
         target.objects.link(item)
+        sign(fixture.mesh)
         items.append(item)
     return items
-
-
-def _polygon_fixtures(room: Room, entries: Sequence[Mapping[str, Any]]) -> dict[int, np.ndarray]:
-    """By index of each object with emitters: the fixture of each of its polygons, -1 for none.
-
-    A polygon belongs to a fixture that holds at least half of its triangles.
-    """
-    triangle_fixture = np.full(len(room.triangles), -1)
-    for index, fixture in enumerate(entries):
-        triangle_fixture[np.array(fixture["triangles"], np.int64)] = index
-    polygon_fixtures = {}
-    for index in np.unique(room.triangle_object[triangle_fixture >= 0]):
-        of_object = room.triangle_object == index
-        polygon, fixture = room.triangle_polygon[of_object], triangle_fixture[of_object]
-        count = int(polygon.max()) + 1
-        total = np.bincount(polygon, minlength=count)
-        polygon_fixture = np.full(count, -1)
-        for number in np.unique(fixture[fixture >= 0]):
-            most = np.bincount(polygon[fixture == number], minlength=count) * 2 >= np.maximum(total, 1)
-            polygon_fixture[most] = number
-        polygon_fixtures[int(index)] = polygon_fixture
-    return polygon_fixtures
 
 
 def _make(entry: Mapping[str, Any], name: str, pieces: list[_Piece]) -> NewFixture:
@@ -153,9 +162,53 @@ def _make(entry: Mapping[str, Any], name: str, pieces: list[_Piece]) -> NewFixtu
     return NewFixture(entry, name, mesh, center, [object_id(piece.item) for piece in pieces])
 
 
+def divide(mesh: bpy.types.Mesh, label: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Replace polygons whose triangles have different labels by their triangles.
+
+    Args:
+        mesh: changed.
+        label: (T,) int of the mesh's triangles (`triangle_loops`).
+        first: (P,) first triangle of each polygon.
+
+    Returns:
+        (P,) triangle before the division that is the first of each polygon after it.
+    """
+    loops, polygon = triangle_loops(mesh, False)
+    mixed = np.unique(polygon[label != label[first[polygon]]])
+    if not len(mixed):
+        return first
+    bm = bmesh.new()
+    bm.from_mesh(mesh)
+    layer = bm.faces.layers.int.new("fipt_triangle")
+    bm.faces.ensure_lookup_table()
+    faces = list(bm.faces)
+    for face, triangle in zip(faces, first.tolist(), strict=True):
+        face[layer] = triangle
+    start = np.array([face.loops[0].index for face in faces])
+    for number in mixed.tolist():
+        corners = list(faces[number].loops)
+        begin, end = np.searchsorted(polygon, [number, number + 1])
+        for triangle in range(begin, end):
+            chosen = [corners[loop - start[number]] for loop in loops[triangle].tolist()]
+            try:
+                new = bm.faces.new([corner.vert for corner in chosen], faces[number])
+            except ValueError:  # the mesh has this face already
+                continue
+            new[layer] = triangle
+            for corner, old in zip(new.loops, chosen, strict=True):
+                corner.copy_from(old)
+    bmesh.ops.delete(bm, geom=[faces[number] for number in mixed.tolist()], context="FACES_ONLY")
+    bm.to_mesh(mesh)
+    bm.free()
+    divided = np.empty(len(mesh.polygons), np.int32)
+    mesh.attributes["fipt_triangle"].data.foreach_get("value", divided)
+    mesh.attributes.remove(mesh.attributes["fipt_triangle"])
+    mesh.update()
+    return divided
+
+
 def _remove_polygons(mesh: bpy.types.Mesh, polygons: np.ndarray) -> None:
     """Remove polygons with the edges and vertices that only they have, which Blender would draw as lines."""
-    number_polygons(mesh)
     bm = bmesh.new()
     bm.from_mesh(mesh)
     bm.faces.ensure_lookup_table()

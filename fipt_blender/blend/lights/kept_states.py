@@ -4,28 +4,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import bpy
+import numpy as np
 from mathutils import Matrix
 
 from ..marks import (
     AS_CONVERTED,
     BACK,
     BASE,
+    CENTROID,
     FIXTURE,
     FIXTURE_SOURCES,
+    MERGED,
     NAMED,
+    NEW_LIGHT,
+    PLACED,
+    PROBABILITY,
     fixture_lights,
     fixtures_of,
     remove_marks,
 )
 from ..outliner import FIXTURES, collection, remove_object
+from ..room.mesh_digest import is_edited
 from .convert import fixture_to_lights, lights_as_converted
 from .light_drivers import action_of, take_action
 from .light_state import SETTINGS, Setting, adopt, list_lights, plain, refresh
 from .merging import members_of, merge
+from .power import world_matrix
+
+_SAME_PLACE = 1e-4  # metres
 
 
 @dataclass(frozen=True)
@@ -46,6 +56,10 @@ class FixtureState:
         name: the object's name if the artist has chosen it, else "".
         lights: copies of these lights if the artist has moved, reshaped or deleted some of them, else None.
         merged: names of the fixtures that the artist has merged into this one, its own first.
+        centroid: its centroid in the room as it was exported, metres.
+        matrix: its matrix to the world if the artist has moved it, else None.
+        mesh: name of its mesh if the artist has modelled that, else "". It has a fake user.
+        hidden: in viewports and in renders.
     """
 
     settings: dict[str, Setting]
@@ -54,13 +68,36 @@ class FixtureState:
     name: str = ""
     lights: list[_KeptLight] | None = None
     merged: tuple[str, ...] = ()
+    centroid: tuple[float, ...] = ()
+    matrix: Matrix | None = None
+    mesh: str = ""
+    hidden: tuple[bool, bool] = (False, False)
+
+
+def release_copies(scene: bpy.types.Scene) -> None:
+    """Make fixtures that the artist has copied lights of the artist, which no results replace."""
+    kept: set[str] = set()
+    for item in sorted(fixtures_of(scene), key=lambda item: item.name != item.get(NAMED)):
+        if item[FIXTURE] in kept:
+            remove_marks(item, FIXTURE, FIXTURE_SOURCES, MERGED, NAMED, PLACED, CENTROID, PROBABILITY)
+            item[NEW_LIGHT] = 1
+        else:
+            kept.add(item[FIXTURE])
 
 
 def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
     """The states of all fixtures of a scene, by name. `keep_states` must follow, which removes the copies."""
     states = {}
+    release_copies(scene)
     for item in fixtures_of(scene):
         adopt(item)
+        placed = tuple(item.get(PLACED, ()))
+        moved = len(placed) == 3 and not np.allclose(
+            world_matrix(item), Matrix.Translation(placed), rtol=0.0, atol=_SAME_PLACE
+        )
+        modelled = MERGED not in item and item.type == "MESH" and is_edited(item.data)
+        if modelled:
+            item.data.use_fake_user = True
         settings = {key: plain(item[key]) for key in (*SETTINGS, BASE, BACK) if key in item}
         changed = AS_CONVERTED in item and not lights_as_converted(scene, item)
         lights = [_copied(light) for light in fixture_lights(item)] if changed else None
@@ -72,6 +109,10 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
             "" if item.name == item.get(NAMED, item[FIXTURE]) else item.name,
             lights,
             tuple(members_of(item)),
+            tuple(item.get(CENTROID, ())),
+            world_matrix(item).copy() if moved else None,
+            item.data.name if modelled else "",
+            (item.hide_viewport, item.hide_render),
         )
     return states
 
@@ -88,6 +129,8 @@ def keep_states(
     placed = _merged_again(items, states.values())
     for item in placed:
         state = states.get(item[FIXTURE])
+        if state is not None and _is_near(state.centroid, item[CENTROID]):
+            _keep_shape(item, state)
         if state is None or any(state.settings.get(key) != plain(item[key]) for key in (BASE, BACK)):
             continue
         for key in SETTINGS:
@@ -107,6 +150,30 @@ def keep_states(
     refresh(scene)
     list_lights(scene)
     return placed
+
+
+def _is_near(place: Sequence[float], other: Sequence[float]) -> bool:
+    """Whether two places in the world, metres, are the same; () for one that is not known."""
+    return len(place) == 3 and bool(np.allclose(place, other, rtol=0.0, atol=_SAME_PLACE))
+
+
+def _keep_shape(item: bpy.types.Object, state: FixtureState) -> None:
+    """Give a new fixture the place, mesh and visibility that the artist has given the earlier one."""
+    item.hide_viewport, item.hide_render = state.hidden
+    if state.matrix is not None:
+        item.matrix_world = state.matrix
+    mesh = bpy.data.meshes.get(state.mesh)
+    if mesh is None or mesh.library is not None:
+        return
+    made, name = item.data, item.data.name
+    for index, material in enumerate(made.materials):
+        if index < len(mesh.materials):
+            mesh.materials[index] = material
+        else:
+            mesh.materials.append(material)
+    item.data, mesh.use_fake_user = mesh, False
+    bpy.data.meshes.remove(made)
+    mesh.name = name
 
 
 def _merged_again(

@@ -32,6 +32,7 @@ from ..marks import (
     remove_marks,
     result_world,
 )
+from ..own_materials import own_materials
 from .fixture_nodes import node_strength, surfaces, write_radiance, write_shown
 from .light_drivers import clear as clear_animation
 from .light_drivers import drive, is_animated, take_color
@@ -59,6 +60,7 @@ def list_lights(scene: bpy.types.Scene) -> None:
 
 def change(scene: bpy.types.Scene, item: bpy.types.Object, values: Mapping[str, Setting]) -> None:
     """Change settings of one light and update its strength."""
+    own_materials(scene)
     adopt(item)
     if TINT in values:  # a new choice starts from the light's present colour
         item[COLOR], item[KELVIN] = (
@@ -118,6 +120,7 @@ def reset(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
 
 def refresh(scene: bpy.types.Scene) -> None:
     """Update the strengths of all lights and of the environment of a scene from their settings."""
+    own_materials(scene)
     items = lights_of(scene)
     solo, shown = any(item.get(SOLO, False) for item in items), _shown(scene)
     for item in items:

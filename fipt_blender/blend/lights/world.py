@@ -12,7 +12,7 @@ from ...core.run.shapes import EMITTERS
 from ..image_datablocks import remove_unused_images
 from ..marks import BACKGROUND, MAPPING, ORIGINAL_WORLD, RESULT_WORLD, WORLD, remove_marks, result_world
 from ..node_trees import node_tree
-from ..texture_files import IN_RUN_FOLDER, TextureFiles
+from ..texture_files import TextureFiles, in_run_folder
 from .light_state import refresh_world
 
 NAME = "FIPT World"
@@ -20,7 +20,7 @@ _ENVIRONMENT = "FIPT Environment"  # texture node
 
 
 def apply_environment(
-    run: RunFolder, scene: bpy.types.Scene | None = None, files: TextureFiles = IN_RUN_FOLDER
+    run: RunFolder, scene: bpy.types.Scene | None = None, files: TextureFiles | None = None
 ) -> bpy.types.World:
     """Give the scene a world with the run's environment map, or a black one.
 
@@ -30,7 +30,7 @@ def apply_environment(
     Args:
         run: the run folder; results/emitters.json and the image that it names are read.
         scene: the context's by default.
-        files: where the image is kept.
+        files: where the image is kept; in the run folder by default.
 
     Raises:
         FiptError: ``file-missing``, ``file-damaged`` or ``textures-unwritable``.
@@ -38,6 +38,7 @@ def apply_environment(
     environment = read_json(run.emitters_json, EMITTERS, "Run the estimation again.").get("environment")
     image = None
     if environment:
+        files = files or in_run_folder(run)
         files.copy(run.results / environment["image"])
         image = files.load(run.results / environment["image"], is_data=None)
     scene = scene or bpy.context.scene

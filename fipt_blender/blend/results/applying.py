@@ -9,38 +9,40 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
 
 from ...bridge.process import Message
-from ...core.run.arrays import read_arrays
 from ...core.run.errors import FiptError
-from ...core.run.parts import read_parts
-from ...core.run.run_files import read_atlas, read_emitters, read_left_alone, read_outlined
 from ...core.run.runfolder import RunFolder
-from ...core.run.shapes import CORNER_FIELDS_ARRAYS
-from ..color_spaces import to_scene_linear
 from ..lights import fixtures
 from ..lights.kept_states import keep_states, states_of
-from ..marks import MAP, OBJECT_ID, has_results, object_id
+from ..marks import LAID_OUT, OBJECT_ID, SPLIT_OFF, is_linked, object_id, remove_marks
 from ..outliner import remove_object
-from ..room.arrays import Room, read_room
-from ..room.mesh_arrays import is_mirrored, triangle_loops
-from ..room.originals import remove_fixtures, restore_original, result_meshes, set_result_mesh
+from ..room.arrays import Room
+from ..room.mesh_arrays import polygon_slots
+from ..room.mesh_digest import sign
+from ..room.originals import remove_fixtures, result_mesh, set_result_mesh
 from ..room.panes import add_surfaces
-from ..room.result_meshes import clean_result_mesh, list_names, make_mesh, match_objects
-from ..room.tiles import tiled_uvs
-from ..room.uv_layer import write_layer
+from ..room.result_meshes import copied_objects, list_names, match_objects
+from ..room.uv_layer import UV_LAYER, layer_values, write_layer
 from ..slices import Slices, find_object, run_through
-from ..texture_files import IN_RUN_FOLDER, TextureFiles
-from .materials import MAPS, load_maps, read_textures, remove_unused, result_materials
-from .part_materials import PartFaces, PartMaterials
+from ..texture_files import TextureFiles, in_run_folder
+from .materials import (
+    MAPS,
+    load_maps,
+    remove_unused,
+    result_materials,
+    slot_estimates,
+    used_alone,
+)
+from .part_list import select_polygons
+from .part_materials import PartMaterials
+from .reading import Results, cleaned_scan, read_results
+from .targets import Target, TargetBuilder, find_mesh
 from .write_back_nodes import agree_with_model
 
-_AGAIN = "Apply the results again."
 SEVERAL = "Room"  # in place of an atlas image's name, for several or for colour attributes
 
 
@@ -50,7 +52,7 @@ class Applied:
 
     Attributes:
         materials, fixtures: names of those that it put into the file.
-        warnings: objects of the room that got no results.
+        warnings: objects of the room that got no results, faces that keep what they had, and lost lamps.
     """
 
     materials: list[str] = field(default_factory=list)
@@ -58,46 +60,11 @@ class Applied:
     warnings: list[Message] = field(default_factory=list)
 
 
-@dataclass(frozen=True)
-class _Target:
-    """An object of the room, by name, with the name of its new result mesh and its index in the room."""
-
-    index: int
-    name: str
-    mesh_name: str
-
-
-@dataclass(frozen=True)
-class _Results:
-    """The results of a run.
-
-    Attributes:
-        room: the exported room.
-        faces: part of each triangle.
-        corner_uv: (T,3,2) of the atlas, in its tiles.
-        triangle_atlas: (T,) int, which of several atlases a triangle lies on; 0 where parts share one.
-        entries: the images of textures.json; empty for colour attributes.
-        apart: whether each image is an atlas of its own.
-        uniform: base colour, roughness and metallic of parts of one value, by their keys.
-        corner_fields: values of colour attributes by map; empty for UVs.
-        emitters: the fixtures of emitters.json.
-    """
-
-    room: Room
-    faces: PartFaces
-    corner_uv: np.ndarray
-    triangle_atlas: np.ndarray
-    entries: list[dict[str, str]]
-    apart: bool
-    uniform: dict[str, tuple[float, ...]]
-    corner_fields: dict[str, np.ndarray]
-    emitters: list[dict[str, Any]]
-
-
 def apply_results(run: RunFolder, objects: Iterable[bpy.types.Object]) -> Applied:
     """Put textures and emitters of a finished run onto the room, in the context's scene.
 
-    Objects of the run that are missing, or whose faces have changed, are left out with a warning.
+    Objects of the run that are missing are left out with a warning. Faces that the artist has modelled since
+    get the results of the nearest surface (`room.transfer`), or keep what they have, with a warning.
 
     Args:
         run: the run folder with atlas, textures and results/emitters.json.
@@ -114,63 +81,60 @@ def apply_slices(
     run: RunFolder,
     objects: Iterable[bpy.types.Object],
     scene: bpy.types.Scene,
-    files: TextureFiles = IN_RUN_FOLDER,
+    files: TextureFiles | None = None,
 ) -> Slices[Applied]:
     """`apply_results`, one object per slice; the scene changes in the last slice.
 
     Args:
         run, objects: see `apply_results`.
         scene: for the fixtures.
-        files: where the textures are kept.
+        files: where the textures are kept; in the run folder by default.
 
     Raises:
         FiptError: also ``textures-unwritable``.
     """
     scene_name = scene.name
-    results = _read(run)
-    geometry = _cleaned_scan(run, results.room)
+    results = read_results(run)
+    geometry = cleaned_scan(run, results.room)
     objects = list(objects)
+    linked = [item.name for item in objects if is_linked(item)]
+    if linked:
+        raise FiptError(
+            "room-linked",
+            f"These objects belong to another file: {list_names(linked)}.",
+            "Open that file and apply there, or use Object > Relations > Make Local.",
+        )
     matches = match_objects(results.room, objects)
     surfaces = add_surfaces(results.room, objects)
     added = [item.name for item in surfaces]
     if surfaces:
         objects += surfaces
         matches = match_objects(results.room, objects)
-    names = [item.name for item in objects]
-    targets: list[_Target] = []
-    changed: dict[str, FiptError] = {}
+    present = [(index, name) for index, name in enumerate(matches) if name is not None]
+    builder = TargetBuilder(results.room, geometry, results.fixture, results.charts)
+    targets: list[Target] = []
     try:
-        for index, name in enumerate(matches):
-            if name is None:
-                continue
-            item = find_object(name)
-            try:
-                mesh = make_mesh(results.room, index, item)
-            except FiptError as error:
-                if error.code != "room-changed":
-                    raise
-                changed[name] = error
-                continue
-            targets.append(_Target(index, name, mesh.name))
-            if geometry is not None:
-                clean_result_mesh(mesh, item, results.room, index, geometry)
-            _write_maps(mesh, is_mirrored(item), results, results.room.triangle_object == index)
+        shared = {mesh for name in matches if name and (mesh := result_mesh(find_object(name))) is not None}
+        copies = [
+            (index, name)
+            for index, name in copied_objects(results.room, matches, objects)
+            if result_mesh(find_object(name)) not in shared
+        ]
+        for index, name in [*present, *copies]:
+            target = yield from builder.build(index, name, is_copy=name not in matches)
+            targets.append(target)
+            _write_layers(target, results)
             yield None
-        if changed and not targets:
-            raise next(iter(changed.values()))
-        warnings = _left_out(results.room, matches, list(changed))
-        with_results = {target.name for target in targets}
-        others = [bpy.data.objects.get(name) for name in names if name not in with_results]
-        pairs = {
-            target.index: (find_object(target.name), _prepared_mesh(target.mesh_name)) for target in targets
-        }
+        _check_counterparts(targets)
+        files = files or in_run_folder(run)
         for entry in results.entries:
             for key, (_, is_data) in MAPS.items():
                 files.copy(run.resolve(entry[key]), is_data)
                 yield None
-        return _swap_in(run, results, pairs, others, bpy.data.scenes[scene_name], warnings, files)
+        warnings = _left_out(results.room, matches)
+        return _swap_in(run, results, targets, bpy.data.scenes[scene_name], warnings, files)
     except BaseException:  # including GeneratorExit: the job was cancelled
-        prepared = [bpy.data.meshes.get(target.mesh_name) for target in targets]
+        prepared = [bpy.data.meshes.get(name) for name in builder.made]
         bpy.data.batch_remove([mesh for mesh in prepared if mesh is not None and mesh.users == 0])
         for name in added:
             if name in bpy.data.objects:
@@ -178,128 +142,65 @@ def apply_slices(
         raise
 
 
-def _left_out(room: Room, matches: Sequence[str | None], changed: Sequence[str]) -> list[Message]:
-    """Warnings that name the objects of the room that get no results."""
-    missing = [name for name, match in zip(room.objects, matches, strict=True) if match is None]
-    warnings: list[Message] = []
-    if missing:
-        text = f"These objects were estimated, but are not in the room any more: {list_names(missing)}."
-        remedy = "The others got their results. Undo the removal and apply again to give them theirs."
-        warnings.append({"type": "warning", "code": "objects-missing", "text": text, "remedy": remedy})
-    if changed:
-        text = f"The faces of these objects are not those that were estimated: {list_names(changed)}."
-        remedy = (
-            "They show their own materials. Undo the change to their meshes or modifiers and apply again, or"
-            " estimate again."
-        )
-        warnings.append({"type": "warning", "code": "objects-changed", "text": text, "remedy": remedy})
-    return warnings
+def _check_counterparts(targets: Sequence[Target]) -> None:
+    """Refuse a room of which nothing is as it was estimated.
 
-
-def _prepared_mesh(name: str) -> bpy.types.Mesh:
-    mesh = bpy.data.meshes.get(name)
-    if mesh is None:
-        raise FiptError(
-            "apply-interrupted",
-            "An undo or the loading of a file interrupted applying the results.",
-            "Apply them again; the textures are kept.",
-        )
-    return mesh
-
-
-def _read(run: RunFolder) -> _Results:
-    room = read_room(run.estimated())
-    count = len(room.triangles)
-    atlas, arrays = read_atlas(run, count)
-    corner_fields: dict[str, np.ndarray] = {}
-    entries: list[dict[str, str]] = []
-    uniform: dict[str, tuple[float, ...]] = {}
-    if atlas["mode"] == "color_attribute":
-        corner_fields = _read_corner_fields(run.textures / "corner_fields.npz", count)
-    else:
-        entries, uniform = read_textures(run)
-        if len(entries) != len(atlas["images"]):
-            raise FiptError("file-damaged", f"{run.textures_json} does not fit {run.atlas_json}.", _AGAIN)
-    parts = read_parts(run, room.triangle_object, room.objects)
-    image, apart = arrays["triangle_image"], bool(atlas.get("apart", False)) and bool(entries)
-    shared = np.zeros_like(image)
-    return _Results(
-        room=room,
-        faces=PartFaces(parts, read_left_alone(run, count)),
-        corner_uv=tiled_uvs(arrays["corner_uv"], shared if apart else image),
-        triangle_atlas=own_images(image, parts.triangle, room.triangle_object) if apart else shared,
-        entries=entries,
-        apart=apart,
-        uniform=uniform,
-        corner_fields=corner_fields,
-        emitters=read_emitters(run, count)["fixtures"],
-    )
-
-
-def own_images(image: np.ndarray, part: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    """(T,) image of each triangle; those without area, which have none (-1), take that of others beside them.
-
-    Args:
-        image: (T,) int. part, owner: (T,) int, of each triangle; those of one part and object have one image.
+    Raises:
+        FiptError: ``room-changed``.
     """
-    both = part.astype(np.int64) * (int(owner.max(initial=0)) + 1) + owner
-    found = image.astype(np.int64)
-    for group in (both, part.astype(np.int64), owner.astype(np.int64)):
-        largest = np.full(int(group.max(initial=0)) + 1, -1, np.int64)
-        np.maximum.at(largest, group, found)
-        found = np.where(found < 0, largest[group], found)
-    return np.maximum(found, 0)
+    if not any((target.found.triangle >= 0).any() for target in targets):
+        names = list_names([target.name for target in targets])
+        raise FiptError(
+            "room-changed",
+            f"No face of {names} is where it was when the room was estimated.",
+            "Undo the change to the meshes or modifiers, or estimate again.",
+        )
 
 
-def _cleaned_scan(run: RunFolder, room: Room) -> dict[str, np.ndarray] | None:
-    """The cleaned copy of the run's scan, None where the mesh is no scan or the scan is to be kept."""
-    if not run.read_estimated().clean_mesh:
-        return None
-    return read_outlined(run.estimated(), room.mesh)
+def _left_out(room: Room, matches: Sequence[str | None]) -> list[Message]:
+    """A warning that names the objects of the room that get no results."""
+    missing = [name for name, match in zip(room.objects, matches, strict=True) if match is None]
+    if not missing:
+        return []
+    text = f"These objects were estimated, but are not in the room any more: {list_names(missing)}."
+    remedy = "The others got their results. Undo the removal and apply again to give them theirs."
+    return [{"type": "warning", "code": "objects-missing", "text": text, "remedy": remedy}]
 
 
-def _read_corner_fields(path: Path, count: int) -> dict[str, np.ndarray]:
-    """Values (T,3,...) of colour attributes by map; `count` is the room's number of triangles."""
-    arrays = read_arrays(path, CORNER_FIELDS_ARRAYS, remedy=_AGAIN)
-    if len(arrays["roughness"]) != count:
-        raise FiptError("file-damaged", f"{path} does not fit the room.", _AGAIN)
-    return arrays
-
-
-def _write_maps(mesh: bpy.types.Mesh, mirrored: bool, results: _Results, triangles: np.ndarray) -> None:
-    """Write the UV layer or the colour attributes of a result mesh; `triangles` (T,) marks its triangles."""
-    if not results.corner_fields:
-        write_layer(mesh, mirrored, results.corner_uv[triangles])
-        return
-    loops, _ = triangle_loops(mesh, mirrored)
-    for key, (label, is_data) in MAPS.items():
-        name = MAP.format(label)
-        old = mesh.attributes.get(name)
-        if old is not None:
-            mesh.attributes.remove(old)
-        mesh.attributes.new(name, "FLOAT_COLOR", "CORNER")
+def _write_layers(target: Target, results: Results) -> None:
+    """Write the UV layer or the colour attributes of a result mesh; faces without counterpart keep theirs."""
+    mesh = find_mesh(target.mesh_name)
+    for name, of_triangles in results.layers.items():
+        if name == UV_LAYER:
+            write_layer(mesh, target.found.values(of_triangles, layer_values(mesh)))
+            continue
+        if name not in mesh.attributes:
+            mesh.attributes.new(name, "FLOAT_COLOR", "CORNER")
         values = np.ones((len(mesh.loops), 4), np.float32)
-        # Data maps are grey colours, so that solid shading can draw them too.
-        field = results.corner_fields[key][triangles].reshape(loops.size, -1)
-        values[loops.ravel(), :3] = field if is_data else to_scene_linear(field)
+        mesh.attributes[name].data.foreach_get("color", values.ravel())
+        values = target.found.values(of_triangles, values)
         mesh.attributes[name].data.foreach_set("color", values.ravel())
 
 
 def _swap_in(
     run: RunFolder,
-    results: _Results,
-    targets: Mapping[int, tuple[bpy.types.Object, bpy.types.Mesh]],
-    others: Sequence[bpy.types.Object | None],
+    results: Results,
+    targets: Sequence[Target],
     scene: bpy.types.Scene,
     warnings: list[Message],
     files: TextureFiles,
 ) -> Applied:
-    """Give the objects in `targets` their result meshes, and the `others` of the room their original ones."""
+    """Give the objects of the targets their result meshes, and the scene the fixtures."""
     room = results.room
-    for index, (item, _) in targets.items():
-        if OBJECT_ID not in item and item.library is None:  # undone since, or a run of an earlier version
-            item[OBJECT_ID] = (room.object_ids or room.objects)[index]
-    earlier = result_materials(result_meshes(item for item, _ in targets.values()))
+    pairs = [(target, find_object(target.name), find_mesh(target.mesh_name)) for target in targets]
+    for target, item, _ in pairs:
+        if OBJECT_ID not in item:  # undone since, or a run of an earlier version
+            item[OBJECT_ID] = (room.object_ids or room.objects)[target.index]
+    before = [mesh for _, item, _ in pairs if (mesh := result_mesh(item)) is not None]
+    sharing = {item.name: _sharing(scene, item) for _, item, _ in pairs}
+    earlier = result_materials(before)
+    replaced = {*before, *(mesh for _, _, mesh in pairs)}
+    stale = {material for target, _, mesh in pairs for material in _kept_materials(target, mesh, results)}
     entries = results.entries
     atlases = [[entry] for entry in entries] if results.apart else [entries]
     materials = PartMaterials(
@@ -309,22 +210,92 @@ def _swap_in(
         results.triangle_atlas,
         results.uniform,
         earlier,
+        [material for material in used_alone(earlier, replaced) if material not in stale],
     )
-    for index, (_, mesh) in targets.items():
-        materials.assign(mesh, room, index)
+    for target, _, mesh in pairs:
+        estimates = slot_estimates(mesh) if target.modifiers is None else None
+        alike = mesh.get(LAID_OUT) == results.laid_out
+        materials.assign(mesh, target.found.triangle, estimates, alike)
     warnings = [*warnings, *materials.finish()]
     settings = run.read_estimated()
     if settings.write_back == "cycles":
         for material in materials.made.values():
             agree_with_model(material, settings.masking)
-    new_fixtures = fixtures.split_off(room, results.emitters, targets, results.faces.parts)
+    sources = [fixtures.Source(item, mesh, target.found.triangle) for target, item, mesh in pairs]
+    kept_faces = {item.name: _kept_faces(target, results) for target, item, _ in pairs}
+    new_fixtures = fixtures.split_off(room, results.emitters, sources, results.faces.parts)
     kept = states_of(scene)
-    remove_fixtures({object_id(item) for item, _ in targets.values()})
-    # Earlier results of theirs would show the new textures at the UVs of the old ones.
-    restore_original(item for item in others if item is not None and has_results(item))
-    for item, mesh in targets.values():
-        set_result_mesh(item, mesh)
+    remove_fixtures(scene, {object_id(item) for _, item, _ in pairs})
+    for target, item, mesh in pairs:
+        for each in (item, *sharing[item.name]):
+            set_result_mesh(each, mesh, target.modifiers)
+        mesh[LAID_OUT] = results.laid_out
+        lit = np.flatnonzero(results.fixture[room.triangle_object == target.index] >= 0)
+        remove_marks(mesh, SPLIT_OFF)
+        if len(lit) and not target.is_copy:
+            mesh[SPLIT_OFF] = lit.tolist()
+        if target.modifiers is not None:  # a modelled mesh stays one
+            sign(mesh)
     remove_unused(earlier)
+    warnings += _select_kept(scene, kept_faces) + _lost_lamps(results, targets, new_fixtures)
     placed = keep_states(scene, fixtures.place(scene, new_fixtures), kept)
     placed_names = [item.name for item in placed]
     return Applied([material.name for material in materials.made.values()], placed_names, warnings)
+
+
+def _sharing(scene: bpy.types.Scene, item: bpy.types.Object) -> list[bpy.types.Object]:
+    """The other objects of a scene that share the result mesh of an object: linked duplicates."""
+    mesh = result_mesh(item)
+    return [each for each in scene.objects if mesh is not None and each != item and result_mesh(each) == mesh]
+
+
+def _kept_materials(target: Target, mesh: bpy.types.Mesh, results: Results) -> set[bpy.types.Material | None]:
+    """Earlier estimated materials that stay on faces, since the atlas has other UVs now."""
+    if target.modifiers is not None or mesh.get(LAID_OUT) == results.laid_out or not len(mesh.materials):
+        return set()
+    slots = np.unique(polygon_slots(mesh)[target.found.triangle < 0])
+    estimates = slot_estimates(mesh)
+    return {estimates[min(index, len(estimates) - 1)] for index in slots.tolist()}
+
+
+def _kept_faces(target: Target, results: Results) -> np.ndarray:
+    """(P,) bool of the faces that stay after the fixtures are gone: those without a counterpart."""
+    triangle = target.found.triangle
+    lit = (triangle >= 0) & (results.fixture[triangle] >= 0)
+    kept: np.ndarray = (triangle < 0)[~lit]
+    return kept
+
+
+def _select_kept(scene: bpy.types.Scene, kept_faces: Mapping[str, np.ndarray]) -> list[Message]:
+    """Select the faces that keep what they had, given by object, and warn of them."""
+    names = [name for name, kept in kept_faces.items() if kept.any()]
+    if not names:
+        return []
+    for name in names:
+        item = find_object(name)
+        select_polygons(item.data, kept_faces[name])
+        for layer in scene.view_layers:
+            if name in layer.objects:
+                item.select_set(True, view_layer=layer)
+    count = sum(int(kept_faces[name].sum()) for name in names)
+    text = f"{count:,} faces of {list_names(names)} keep what they had: no surface was estimated there."
+    remedy = "They are selected. Give them materials, or estimate again with the changed room."
+    return [{"type": "warning", "code": "surfaces-kept", "text": text, "remedy": remedy}]
+
+
+def _lost_lamps(
+    results: Results, targets: Sequence[Target], placed: Sequence[fixtures.NewFixture]
+) -> list[Message]:
+    """A warning of lamps on these objects that have no face any more."""
+    found = {fixture.entry["name"] for fixture in placed}
+    present = np.isin(results.room.triangle_object, [target.index for target in targets])
+    lost = [
+        str(entry["name"])
+        for entry in results.emitters
+        if entry["name"] not in found and present[np.array(entry["triangles"], np.int64)].any()
+    ]
+    if not lost:
+        return []
+    text = f"No face is left of these lamps: {list_names(lost)}."
+    remedy = "Undo the change to the meshes and apply again, or add lights in the section Lights."
+    return [{"type": "warning", "code": "lamps-missing", "text": text, "remedy": remedy}]

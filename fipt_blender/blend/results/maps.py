@@ -19,6 +19,7 @@ from ..lights import light_state
 from ..lights.world import show_original_world
 from ..marks import MAP, room_with_results
 from ..outliner import FIXTURES, find_collection
+from ..own_materials import own_materials
 from ..room.originals import result_meshes, show_original
 from ..shown import write_surface
 from . import adjust
@@ -51,6 +52,7 @@ def show(scene: bpy.types.Scene, shown: str) -> None:
             raise FiptError(
                 "room-edited", f"'{item.name}' is in edit mode.", "Leave edit mode, and choose again."
             )
+    own_materials(scene)
     for item in items:
         show_original(item, shown == "ORIGINAL")
     show_replacements(scene, shown)

@@ -9,7 +9,7 @@ aside.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -69,6 +69,16 @@ def slot_estimates(mesh: bpy.types.Mesh) -> list[bpy.types.Material | None]:
         own = material is not None and MATERIAL in material
         found.append(material if own else mesh.get(ESTIMATE.format(index)))
     return found
+
+
+def used_alone(
+    materials: Sequence[bpy.types.Material], meshes: Collection[bpy.types.Mesh]
+) -> list[bpy.types.Material]:
+    """Those materials that no other mesh uses, nor a slot of an object: copies of a scene keep theirs."""
+    if not materials:
+        return []
+    users = bpy.data.user_map(subset=materials, key_types={"MATERIAL"}, value_types={"MESH", "OBJECT"})
+    return [material for material in materials if users.get(material, set()) <= set(meshes)]
 
 
 def materials_by_part(materials: Iterable[bpy.types.Material]) -> dict[str, list[bpy.types.Material]]:

@@ -19,6 +19,7 @@ from ...core.run.parts import read_parts
 from ...core.run.runfolder import RunFolder
 from ..color_spaces import to_scene_linear
 from ..marks import PART, has_results, room_with_results
+from ..own_materials import own_materials
 from ..ray_hits import hits
 from ..room.arrays import read_room
 from ..room.mesh_arrays import corner_vertices, polygon_slots, polygon_starts
@@ -80,6 +81,7 @@ def adjustment(scene: bpy.types.Scene, key: str) -> adjust.Adjustment:
 
 def set_adjustment(scene: bpy.types.Scene, key: str, **changes: float) -> None:
     """Change values of a part's adjustment in all its materials."""
+    own_materials(scene)
     materials = part_materials(scene, key)
     if materials:
         values = replace(adjust.read(materials[0]), **changes)
@@ -89,6 +91,7 @@ def set_adjustment(scene: bpy.types.Scene, key: str, **changes: float) -> None:
 
 def reset_adjustments(scene: bpy.types.Scene, keys: Collection[str]) -> int:
     """Remove the adjustments of parts; returns how many parts had one."""
+    own_materials(scene)
     changed = 0
     for key in keys:
         if adjustment(scene, key) != adjust.NO_ADJUSTMENT:
@@ -120,7 +123,7 @@ def select_faces(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, key: str) -
         slots = np.array([part == key for part in _slot_parts(mesh)] or [False])
         chosen = slots[np.minimum(polygon_slots(mesh), len(slots) - 1)]
         if chosen.any():
-            _select(mesh, chosen)
+            select_polygons(mesh, chosen)
             found.append((int(chosen.sum()), item))
     if not found:
         raise FiptError(
@@ -137,7 +140,7 @@ def select_faces(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, key: str) -
     return [item for _, item in found]
 
 
-def _select(mesh: bpy.types.Mesh, chosen: np.ndarray) -> None:
+def select_polygons(mesh: bpy.types.Mesh, chosen: np.ndarray) -> None:
     """Select these polygons ((P,) bool) with their edges and vertices, and nothing else."""
     sizes = np.diff(polygon_starts(mesh), append=len(mesh.loops))
     corners = np.repeat(chosen, sizes)  # the corners of polygons follow each other

@@ -16,10 +16,8 @@ import numpy as np
 from ...bridge.process import Message
 from ...core.run.parts import RoomParts
 from ..image_datablocks import remove_unused_images
-from ..marks import PART, PART_NAME, REPLACEMENT
-from ..room.arrays import Room
+from ..marks import MATERIAL, PART, PART_NAME, REPLACEMENT
 from ..room.mesh_arrays import polygon_slots
-from ..room.originals import original_polygons
 from ..room.result_meshes import list_names
 from . import adjust
 from .materials import Surface, images_of, part_material
@@ -49,7 +47,8 @@ class PartMaterials:
         names: of the atlases.
         triangle_atlas: (T,) int, the atlas of each triangle.
         uniform: base colour, roughness and metallic of parts of one value, by their keys.
-        earlier: materials of earlier results.
+        earlier: materials of earlier results, whose adjustments and replacements are kept.
+        reused: those of them that are built anew instead of making new ones.
         made: those made so far, by the indices of part and atlas.
     """
 
@@ -59,6 +58,7 @@ class PartMaterials:
     triangle_atlas: np.ndarray
     uniform: Mapping[str, tuple[float, ...]]
     earlier: Sequence[bpy.types.Material]
+    reused: Sequence[bpy.types.Material]
     made: dict[tuple[int, int], bpy.types.Material] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -67,7 +67,7 @@ class PartMaterials:
         self._adjustments: dict[str, adjust.Adjustment] = {}
         self._replacements: dict[str, bpy.types.Material] = {}
         self._lost: list[str] = []
-        self._reused = {material.get(PART, ""): material for material in reversed(self.earlier)}
+        self._reused = {material.get(PART, ""): material for material in reversed(self.reused)}
         for material in self.earlier:
             values, replacement = adjust.read(material), material.get(REPLACEMENT)
             if values == adjust.NO_ADJUSTMENT and replacement is None:
@@ -82,19 +82,36 @@ class PartMaterials:
                     self._replacements[kept] = replacement
         self._images = images_of(self.earlier)
 
-    def assign(self, mesh: bpy.types.Mesh, room: Room, index: int) -> None:
-        """Give a result mesh of the object `index` one slot for each material that it uses."""
-        of_object = room.triangle_object == index
-        polygon = room.triangle_polygon[of_object]
-        original = original_polygons(mesh)
-        count = max(int(polygon.max(initial=-1)), int(original.max(initial=-1))) + 1
-        number = self.faces.parts.triangle.astype(np.int64) * len(self.names) + self.triangle_atlas
-        part = np.zeros(count, np.int64)
-        part[polygon[::-1]] = number[of_object][::-1]  # the first triangle's
-        kept = np.zeros(count, bool)
-        kept[polygon[self.faces.left_alone[of_object]]] = True
-        own = polygon_slots(mesh)
-        used, slot = np.unique(np.where(kept[original], -1 - own, part[original]), return_inverse=True)
+    def assign(
+        self,
+        mesh: bpy.types.Mesh,
+        triangle: np.ndarray,
+        estimates: Sequence[bpy.types.Material | None] | None = None,
+        laid_out_alike: bool = False,
+    ) -> None:
+        """Give a result mesh one slot for each material that it uses.
+
+        Args:
+            mesh: a result mesh with the artist's slots or, with `estimates`, those of earlier results.
+            triangle: (P,) triangle of the room that each polygon shows, -1 for none.
+            estimates: the estimated material of each slot; polygons of other slots keep what the artist has
+                given them.
+            laid_out_alike: whether the earlier results have the same atlas: then polygons without a triangle
+                get the new material of their part; otherwise they keep the earlier one.
+        """
+        own = np.minimum(polygon_slots(mesh), max(len(mesh.materials) - 1, 0))
+        # The last ones stand for -1.
+        part = np.append(
+            self.faces.parts.triangle.astype(np.int64) * len(self.names) + self.triangle_atlas, -1
+        )
+        kept = np.append(self.faces.left_alone, True)[triangle]
+        number = part[triangle]
+        if estimates is not None:
+            kept |= ~np.array([material is not None for material in estimates] or [False])[own]
+            earlier = np.array([self._number(material) for material in estimates] or [-1])[own]
+            again = (triangle < 0) & (earlier >= 0) & laid_out_alike
+            number, kept = np.where(again, earlier, number), kept & ~again
+        used, slot = np.unique(np.where(kept, -1 - own, number), return_inverse=True)
         originals = list(mesh.materials)
         materials = [
             self._material(*divmod(value, len(self.names))) if value >= 0 else _slot(originals, -1 - value)
@@ -103,6 +120,13 @@ class PartMaterials:
         fill_slots(mesh, materials)
         mesh.polygons.foreach_set("material_index", slot.ravel().astype(np.int32))
         mesh.update()
+
+    def _number(self, material: bpy.types.Material | None) -> int:
+        """Index of part and atlas of an earlier material, -1 where there is no such part."""
+        keys = [part.key for part in self.faces.parts.parts]
+        if material is None or material[MATERIAL] not in self.names or material.get(PART) not in keys:
+            return -1
+        return keys.index(material[PART]) * len(self.names) + self.names.index(material[MATERIAL])
 
     def _material(self, part: int, atlas: int) -> bpy.types.Material:
         found = self.made.get((part, atlas))

@@ -13,6 +13,7 @@ from collections.abc import Iterable
 import bpy
 
 from ..marks import ESTIMATE, PART, REPLACEMENT, remove_marks, room_with_results
+from ..own_materials import own_materials
 from ..room.originals import result_meshes, shows_original
 from .materials import slot_estimates
 from .part_list import part_materials
@@ -32,6 +33,7 @@ def replacement(scene: bpy.types.Scene, key: str) -> bpy.types.Material | None:
 
 def replace_part(scene: bpy.types.Scene, key: str, material: bpy.types.Material | None) -> None:
     """Give a whole part a material of the artist, or its estimate again (None)."""
+    own_materials(scene)
     for estimate in part_materials(scene, key):
         if material is None or material == estimate:
             remove_marks(estimate, REPLACEMENT)
@@ -42,6 +44,7 @@ def replace_part(scene: bpy.types.Scene, key: str, material: bpy.types.Material 
 
 def fill_slots(mesh: bpy.types.Mesh, materials: Iterable[bpy.types.Material | None]) -> None:
     """Give a new result mesh its slots; replaced estimates are kept with it."""
+    remove_marks(mesh, *[key for key in mesh.keys() if key.startswith(ESTIMATE.format(""))])
     mesh.materials.clear()
     for index, material in enumerate(materials):
         if material is not None and PART in material:

@@ -35,7 +35,7 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> list[str]:
         remove_light_groups(scene, layer)
     room = room_with_results(scene)
     materials = result_materials(result_meshes(room))
-    restored = restore_original(room)
+    restored = restore_original(scene, room)
     probe = light_probe(scene)
     if probe is not None:
         remove_object(probe)

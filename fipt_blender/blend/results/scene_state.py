@@ -19,6 +19,7 @@ from ..capture.look import cull_outside, enter_room
 from ..lights import light_state
 from ..lights.missing_lamps import note_missing
 from ..marks import MUTED, other_lights, remove_marks, room_with_results
+from ..outliner import mark_collections
 from ..render_engine import restore_engine, switch_engine
 from .part_list import note_parts
 
@@ -53,6 +54,7 @@ def finish(scene: bpy.types.Scene, run: RunFolder) -> None:
 def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
     """Fill the panel with what results of a run were applied, and list the scene's lights."""
     settings = scene.fipt.materials
+    mark_collections(scene)
     room = room_with_results(scene)
     settings.object_count = len(room)
     atlas = read_json(run.atlas_json, ATLAS, "Apply the results again.")

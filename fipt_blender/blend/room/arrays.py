@@ -30,6 +30,8 @@ class Room:
         triangle_polygon: (T,) i32 index of the polygon in its object's evaluated mesh.
         objects, materials: names.
         object_ids: by which the objects are found when they have other names; empty for none.
+        matrices: 4x4 of each object to the world when it was exported; not of those that the engine has
+            added, and none in runs of earlier versions.
         triangle_exact: (T,) bool, those that are no scan, whatever the others are; None without any.
     """
 
@@ -42,6 +44,7 @@ class Room:
     objects: list[str]
     materials: list[str]
     object_ids: list[str] = field(default_factory=list)
+    matrices: list[list[list[float]]] = field(default_factory=list)
     triangle_exact: np.ndarray | None = None
 
     @property
@@ -69,7 +72,7 @@ def write_room(room: Room, run: RunFolder, parts: str, completed: bool = False) 
         )
     with atomic_path(run.room_npz) as temporary:
         np.savez(temporary, **{name: getattr(room, name) for name in ROOM_ARRAYS} | room.mesh)
-    names = {"objects": room.objects, "object_ids": room.object_ids, "materials": room.materials}
+    names = {key: getattr(room, key) for key in ("objects", "object_ids", "materials", "matrices")}
     write_json(run.room_json, {**names, "parts": parts, **({"completed": True} if completed else {})})
 
 
@@ -85,5 +88,6 @@ def read_room(run: RunFolder) -> Room:
         objects=names["objects"],
         materials=names["materials"],
         object_ids=names.get("object_ids", []),
+        matrices=names.get("matrices", []),
         triangle_exact=arrays.get("triangle_exact"),
     )

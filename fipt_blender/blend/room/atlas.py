@@ -93,7 +93,7 @@ def make_atlas(
         max_images: where more were needed, all islands are scaled down instead.
 
     Raises:
-        FiptError: ``room-changed`` where no object is as it was exported; ``mesh-empty``.
+        FiptError: ``room-changed`` where none of the objects is there; ``mesh-empty``.
     """
     return run_through(atlas_slices(objects, run, settings, max_images))
 
@@ -116,7 +116,6 @@ def atlas_slices(
     kept: list[str] = []
     unwrapped: list[str] = []
     tasks: list[_UnwrapTask] = []
-    change: FiptError | None = None
     for index, (name, match) in enumerate(zip(room.objects, matches, strict=True)):
         triangles = np.flatnonzero(room.triangle_object == index)
         source = None
@@ -127,7 +126,6 @@ def atlas_slices(
             except FiptError as error:
                 if error.code != "room-changed":
                     raise
-                change, matches[index] = error, None
         if source is None:
             source = exported_source(room, index)
         if source.uv is not None and uvs_in_range(source.uv):
@@ -148,8 +146,6 @@ def atlas_slices(
             continue
         tasks.append(_UnwrapTask(name, triangles, source))
         yield None
-    if change is not None and not any(matches):
-        raise change
     for batch in _batches(tasks):
         for task, uv in zip(batch, unwrap([task.source for task in batch]), strict=True):
             islands.uv[task.triangles] = uv

@@ -97,7 +97,10 @@ def collect_slices(objects: Iterable[bpy.types.Object]) -> Slices[Room]:
     }
     exact = np.array([is_exact(find_object(name)) for name in names], bool)
     marked = exact[joined["triangle_object"]] if exact.any() else None
-    return Room(**joined, objects=names, materials=list(material_ids), triangle_exact=marked)
+    matrices = [[list(row) for row in find_object(name).matrix_world] for name in names]
+    return Room(
+        **joined, objects=names, materials=list(material_ids), matrices=matrices, triangle_exact=marked
+    )
 
 
 def give_ids(names: Iterable[str]) -> list[str]:

@@ -4,19 +4,21 @@
 
 Every object of the room gets a result mesh of its own, made from its evaluated mesh, so that instances and
 modifiers don't share texels. The original mesh with its slots, UVs and material indices is never written to.
+Modifiers that are part of the result mesh are switched off; others, which came later, stay as they are.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import bpy
-import numpy as np
 
 from ..marks import (
     FIXTURE_SOURCES,
+    OBJECT_ID,
     OBJECT_SLOT,
     ORIGINAL_MESH,
     ORIGINAL_STATE,
@@ -26,27 +28,7 @@ from ..marks import (
     object_id,
     remove_marks,
 )
-
-POLYGON_ATTRIBUTE = "fipt_polygon"
-
-
-def number_polygons(mesh: bpy.types.Mesh) -> None:
-    """Store each polygon's index in the attribute ``fipt_polygon``, before polygons are split off the mesh.
-
-    Meshes that keep all polygons do without, since the attribute has a share in the size of the file.
-    """
-    attribute = mesh.attributes.new(POLYGON_ATTRIBUTE, "INT", "FACE")
-    attribute.data.foreach_set("value", np.arange(len(mesh.polygons), dtype=np.int32))
-
-
-def original_polygons(mesh: bpy.types.Mesh) -> np.ndarray:
-    """Index that each polygon of a result mesh had when the room was exported, (P,) i32."""
-    attribute = mesh.attributes.get(POLYGON_ATTRIBUTE)
-    if attribute is None:
-        return np.arange(len(mesh.polygons), dtype=np.int32)
-    index = np.empty(len(mesh.polygons), np.int32)
-    attribute.data.foreach_get("value", index)
-    return index
+from .mesh_digest import is_edited
 
 
 def shows_original(item: bpy.types.Object) -> bool:
@@ -64,14 +46,27 @@ def result_meshes(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Mesh]:
     return [mesh for mesh in map(result_mesh, objects) if mesh is not None]
 
 
-def set_result_mesh(item: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
+def set_result_mesh(
+    item: bpy.types.Object, mesh: bpy.types.Mesh, modifiers: Collection[str] | None = None
+) -> None:
     """Show a result mesh on an object; an earlier result mesh is removed.
 
-    The artist's mesh, slots and modifiers are stored with the object, and its modifiers switched off.
+    The artist's mesh and slots are stored with the object.
+
+    Args:
+        item: the object.
+        mesh: its new result mesh.
+        modifiers: names of those that are part of the mesh; by default those of the earlier result mesh.
     """
     old = result_mesh(item)
+    if modifiers is None:
+        modifiers = modifiers_in_result(item)
     if shows_original(item):
-        _set_aside(item)
+        _set_aside(item, modifiers)
+    else:
+        state = json.loads(item[ORIGINAL_STATE])
+        _switch_on(item, state)
+        item[ORIGINAL_STATE] = json.dumps({**state, "modifiers": _visibility(item, modifiers)})
     _show_mesh(item, mesh)
     remove_marks(item, RESULT_MESH)
     if old is not None and old != mesh and old.users == 0:
@@ -88,7 +83,7 @@ def show_original(item: bpy.types.Object, on: bool) -> None:
         _bring_back(item)
     elif not on and RESULT_MESH in item:
         mesh = item[RESULT_MESH]
-        _set_aside(item)  # again, since the artist may have changed the original
+        _set_aside(item, modifiers_in_result(item))  # again: the artist may have changed the original
         _show_mesh(item, mesh)
         del item[RESULT_MESH]
 
@@ -105,12 +100,39 @@ def original_shown(item: bpy.types.Object) -> Iterator[None]:
             show_original(item, False)
 
 
-def _set_aside(item: bpy.types.Object) -> None:
+def modifiers_in_result(item: bpy.types.Object) -> list[str]:
+    """Names of the modifiers that are part of an object's result mesh."""
+    return [modifier.name for modifier, *_ in _kept(item, json.loads(item.get(ORIGINAL_STATE, "{}")))]
+
+
+def _kept(item: bpy.types.Object, state: dict[str, Any]) -> Iterator[tuple[bpy.types.Modifier, bool, bool]]:
+    """The modifiers of a stored state with their visibility in viewports and renders."""
+    found = {_modifier_id(modifier): modifier for modifier in item.modifiers}
+    for key, show_viewport, show_render in state.get("modifiers", []):
+        modifier = found.get(key) or item.modifiers.get(str(key))  # files of earlier versions have names
+        if modifier is not None:
+            yield modifier, show_viewport, show_render
+
+
+def _modifier_id(modifier: bpy.types.Modifier) -> int | str:
+    """What identifies a modifier when it is renamed; its name in Blender versions without ids."""
+    return getattr(modifier, "persistent_uid", 0) or modifier.name
+
+
+def _visibility(item: bpy.types.Object, modifiers: Collection[str]) -> list[list[Any]]:
+    chosen = [each for each in item.modifiers if each.name in modifiers]
+    return [[_modifier_id(each), each.show_viewport, each.show_render] for each in chosen]
+
+
+def _switch_on(item: bpy.types.Object, state: dict[str, Any]) -> None:
+    for modifier, show_viewport, show_render in _kept(item, state):
+        modifier.show_viewport, modifier.show_render = show_viewport, show_render
+
+
+def _set_aside(item: bpy.types.Object, modifiers: Collection[str]) -> None:
     _delete_slots(item)
     state = {
-        "modifiers": [
-            [modifier.name, modifier.show_viewport, modifier.show_render] for modifier in item.modifiers
-        ],
+        "modifiers": _visibility(item, modifiers),
         "links": [slot.link for slot in item.material_slots],
         "active_slot": item.active_material_index,
     }
@@ -124,7 +146,7 @@ def _set_aside(item: bpy.types.Object) -> None:
 
 
 def _show_mesh(item: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
-    for modifier in item.modifiers:
+    for modifier, *_ in _kept(item, json.loads(item[ORIGINAL_STATE])):
         modifier.show_viewport = modifier.show_render = False
     item.data = mesh
     for slot in item.material_slots:
@@ -134,10 +156,7 @@ def _show_mesh(item: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
 def _bring_back(item: bpy.types.Object) -> None:
     state = json.loads(item[ORIGINAL_STATE])
     item.data = item[ORIGINAL_MESH]
-    for name, show_viewport, show_render in state["modifiers"]:
-        if name in item.modifiers:
-            item.modifiers[name].show_viewport = show_viewport
-            item.modifiers[name].show_render = show_render
+    _switch_on(item, state)
     for index, (slot, link) in enumerate(zip(item.material_slots, state["links"], strict=False)):
         slot.link = link
         if link == "OBJECT":
@@ -149,14 +168,25 @@ def _delete_slots(item: bpy.types.Object) -> None:
     remove_marks(item, *[key for key in item.keys() if key.startswith(OBJECT_SLOT.format(""))])
 
 
-def restore_original(objects: Iterable[bpy.types.Object]) -> list[str]:
+def restore_original(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> list[str]:
     """Bring back the artist's meshes, slots and modifiers, and remove the fixtures split off these objects.
+
+    A result mesh that the artist has modelled stays in the file, with a fake user. What the artist has
+    separated from another object stays as a hidden object.
+
+    Args:
+        scene: of the fixtures: copies of it have their own.
+        objects: those without results are skipped.
 
     Returns:
         The names of the objects that were restored.
     """
+    objects = list(objects)
     restored = []
     ids = set()
+    for item in _separated(objects):
+        remove_marks(item, ORIGINAL_MESH, ORIGINAL_STATE, RESULT_MESH, OBJECT_ID)
+        item.hide_viewport = item.hide_render = True
     unused = []
     for item in objects:
         mesh = result_mesh(item)
@@ -166,18 +196,33 @@ def restore_original(objects: Iterable[bpy.types.Object]) -> list[str]:
             _bring_back(item)
         _delete_slots(item)
         remove_marks(item, ORIGINAL_MESH, ORIGINAL_STATE, RESULT_MESH)
-        if mesh.users == 0:
+        if mesh.users == 0 and is_edited(mesh):
+            mesh.use_fake_user = True
+        elif mesh.users == 0:
             unused.append(mesh)
         restored.append(item.name)
         ids.add(object_id(item))
     bpy.data.batch_remove(unused)
-    remove_fixtures(ids)
+    remove_fixtures(scene, ids)
     return restored
 
 
-def remove_fixtures(sources: set[str]) -> None:
-    """Remove the fixtures split off objects with these ids, and the lights that stand for the fixtures."""
-    for name in [item.name for item in bpy.data.objects if is_split_off(item)]:
+def _separated(objects: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
+    """Those objects that show modelled parts of another one: it gets the original mesh of both."""
+    first: set[bpy.types.Mesh] = set()
+    found = []
+    for item in sorted(objects, key=lambda item: object_id(item) != item.name):
+        mesh = item.get(ORIGINAL_MESH)
+        if mesh in first and not shows_original(item) and is_edited(item.data):
+            found.append(item)
+        elif mesh is not None:
+            first.add(mesh)
+    return found
+
+
+def remove_fixtures(scene: bpy.types.Scene, sources: set[str]) -> None:
+    """Remove a scene's fixtures split off objects with these ids, and the lights that stand for them."""
+    for name in [item.name for item in scene.objects if is_split_off(item)]:
         item = bpy.data.objects[name]
         if sources & set(json.loads(item[FIXTURE_SOURCES])):
             _remove_fixture(item)

@@ -5,17 +5,17 @@ the cleaned vertices of scans."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import bpy
 import numpy as np
 
 from ...core.run.errors import FiptError
-from ..marks import object_id
+from ..marks import OBJECT_ID, has_results, object_id
 from .arrays import Room
 from .exporting import fresh_depsgraph
 from .mesh_arrays import corner_vertices, is_mirrored, transform_points, triangle_loops, vertex_positions
-from .originals import original_shown
+from .originals import modifiers_in_result, original_shown
 
 
 def match_objects(room: Room, objects: Iterable[bpy.types.Object]) -> list[str | None]:
@@ -58,35 +58,69 @@ def list_names(names: Sequence[str]) -> str:
     return ", ".join(f"'{name}'" for name in names[:3]) + more
 
 
-def make_mesh(room: Room, index: int, item: bpy.types.Object) -> bpy.types.Mesh:
-    """A new result mesh for one object of the room, evaluated with its modifiers.
+def copied_objects(
+    room: Room, matches: Sequence[str | None], objects: Iterable[bpy.types.Object]
+) -> list[tuple[int, str]]:
+    """Index in the room and name of the objects that the artist has copied or separated from matched ones."""
+    index = {name: number for number, name in enumerate(room.object_ids or room.objects)}
+    others = [item for item in objects if item.name not in matches and OBJECT_ID in item]
+    return [(index[object_id(item)], item.name) for item in others if object_id(item) in index]
+
+
+def make_mesh(room: Room, index: int, item: bpy.types.Object) -> tuple[bpy.types.Mesh, list[str]]:
+    """A new result mesh for an object of the room: its own mesh with the modifiers of the export.
 
     Args:
         room: the run's room.
         index: index of the object in the room.
         item: the object; it is not changed.
 
+    Returns:
+        The mesh, and the names of the modifiers that are part of it: the first ones.
+
     Raises:
         FiptError: ``room-changed`` where its faces are no longer those that were exported.
     """
-    with original_shown(item):
-        depsgraph = fresh_depsgraph([item])
-        mesh = bpy.data.meshes.new_from_object(
-            item.evaluated_get(depsgraph), preserve_all_data_layers=True, depsgraph=depsgraph
-        )
-        for index_of_slot, slot in enumerate(item.material_slots):
-            mesh.materials[index_of_slot] = slot.material  # it may be linked to the object
-    _, polygons = triangle_loops(mesh, is_mirrored(item))
     exported = room.triangle_polygon[room.triangle_object == index]
-    if not np.array_equal(polygons, exported):
+    for mesh, modifiers in evaluations(item):
+        _, polygons = triangle_loops(mesh, is_mirrored(item))
+        if np.array_equal(polygons, exported):
+            return mesh, modifiers
         bpy.data.meshes.remove(mesh)
-        raise FiptError(
-            "room-changed",
-            f"The faces of '{item.name}' are not those that were estimated"
-            f" ({len(polygons):,} triangles instead of {len(exported):,}).",
-            "Undo the change to its mesh or modifiers, or estimate again.",
-        )
-    return mesh
+    raise FiptError(
+        "room-changed",
+        f"The faces of '{item.name}' are not those that were estimated ({len(exported):,} triangles).",
+        "Undo the change to its mesh or modifiers, or estimate again.",
+    )
+
+
+def evaluations(item: bpy.types.Object) -> Iterator[tuple[bpy.types.Mesh, list[str]]]:
+    """An object's own mesh as new meshes: with all of its modifiers, then without the last ones.
+
+    The first one has the modifiers of an earlier result, if there is one: others came later.
+
+    Yields:
+        The mesh, which the caller removes or keeps, and the names of the modifiers that are part of it.
+    """
+    with original_shown(item):
+        names = [modifier.name for modifier in item.modifiers]
+        present = [modifier.name for modifier in item.modifiers if modifier.show_viewport]
+    earlier = modifiers_in_result(item)
+    counts = [sum(name in earlier for name in present)] if has_results(item) else []
+    for count in dict.fromkeys([*counts, *range(len(present), -1, -1)]):
+        with original_shown(item):
+            for name in present[count:]:
+                item.modifiers[name].show_viewport = False
+            depsgraph = fresh_depsgraph([item])
+            mesh = bpy.data.meshes.new_from_object(
+                item.evaluated_get(depsgraph), preserve_all_data_layers=True, depsgraph=depsgraph
+            )
+            for slot_index, slot in enumerate(item.material_slots):
+                mesh.materials[slot_index] = slot.material  # it may be linked to the object
+            for name in present[count:]:
+                item.modifiers[name].show_viewport = True
+        live = present[count:]
+        yield mesh, names[: names.index(live[0])] if live else names
 
 
 def clean_result_mesh(

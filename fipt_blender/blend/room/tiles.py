@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from .mesh_arrays import corner_uvs, polygon_slots, polygon_starts
-from .uv_layer import UV_LAYER, replace_layer
+from .uv_layer import UV_LAYER, write_layer
 
 _ROW = 10  # tiles side by side
 
@@ -53,7 +53,7 @@ def split_tiles(mesh: bpy.types.Mesh) -> list[int]:
     materials = [mesh.materials[index] for index, _ in used] if len(mesh.materials) else []
     corners = np.repeat(image, np.diff(polygon_starts(mesh), append=len(mesh.loops)))
     uv = corner_uvs(mesh, mesh.uv_layers[UV_LAYER])
-    replace_layer(mesh, uv - np.stack([corners % _ROW, corners // _ROW], axis=1))
+    write_layer(mesh, uv - np.stack([corners % _ROW, corners // _ROW], axis=1))
     mesh.materials.clear()
     for material in materials:
         mesh.materials.append(material)

@@ -45,7 +45,7 @@ def read_source(room: Room, index: int, item: bpy.types.Object) -> UnwrapSource:
     Raises:
         FiptError: ``room-changed`` where its faces are no longer those that were exported.
     """
-    mesh = make_mesh(room, index, item)
+    mesh, _ = make_mesh(room, index, item)
     try:
         layer = mesh.uv_layers.active
         loops, _ = triangle_loops(mesh, is_mirrored(item))

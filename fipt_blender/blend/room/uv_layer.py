@@ -8,35 +8,28 @@ import bpy
 import numpy as np
 
 from ...core.run.errors import FiptError
-from .mesh_arrays import triangle_loops
+from .mesh_arrays import corner_uvs
 
 UV_LAYER = "FIPT"
 
 
-def write_layer(mesh: bpy.types.Mesh, mirrored: bool, corner_uv: np.ndarray) -> None:
+def layer_values(mesh: bpy.types.Mesh) -> np.ndarray:
+    """(L,2) f32 values of the FIPT layer of a result mesh; 0 without one."""
+    if UV_LAYER not in mesh.uv_layers:
+        return np.zeros((len(mesh.loops), 2), np.float32)
+    return corner_uvs(mesh, mesh.uv_layers[UV_LAYER]).astype(np.float32)
+
+
+def write_layer(mesh: bpy.types.Mesh, uv: np.ndarray) -> None:
     """Write the FIPT layer of a result mesh, and make it active, so that solid shading draws with it.
 
-    The layer that renders use by default stays the artist's.
+    The layer that renders use by default stays the artist's. The FIPT layer is made anew: up to Blender 4.5
+    writing to an existing one also changes the meshes that were copied from this mesh, or this one from them,
+    since copies share their arrays.
 
     Args:
         mesh: a result mesh.
-        mirrored: whether its object is mirrored.
-        corner_uv: (T,3,2), the object's rows of atlas.npz.
-
-    Raises:
-        FiptError: ``uv-layers-full``.
-    """
-    loops, _ = triangle_loops(mesh, mirrored)
-    uv = np.zeros((len(mesh.loops), 2), np.float32)
-    uv[loops.ravel()] = corner_uv.reshape(-1, 2)
-    replace_layer(mesh, uv)
-
-
-def replace_layer(mesh: bpy.types.Mesh, uv: np.ndarray) -> None:
-    """Write the FIPT layer (L,2) and make it active.
-
-    The layer is made anew: up to Blender 4.5 writing to an existing one also changes the meshes that were
-    copied from this mesh, or this one from them, since copies share their arrays.
+        uv: (L,2) of its face corners.
 
     Raises:
         FiptError: ``uv-layers-full``.

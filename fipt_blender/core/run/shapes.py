@@ -50,7 +50,7 @@ CAPTURE = Fields(
 )
 ROOM = Fields(
     {"objects": Items(str), "materials": Items(str)},
-    {"object_ids": Items(str), "parts": str, "completed": bool},
+    {"object_ids": Items(str), "matrices": Items(Numbers(4, 4)), "parts": str, "completed": bool},
 )
 MATRICES = Entries(Numbers(4, 4))
 

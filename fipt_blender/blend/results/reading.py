@@ -1,0 +1,158 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The results of a run as Apply Results reads them: parts, atlas, textures and emitters."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.run.arrays import read_arrays
+from ...core.run.errors import FiptError
+from ...core.run.parts import read_parts
+from ...core.run.run_files import read_atlas, read_emitters, read_left_alone, read_outlined
+from ...core.run.runfolder import RunFolder
+from ...core.run.shapes import CORNER_FIELDS_ARRAYS
+from ..color_spaces import to_scene_linear
+from ..lights.fixtures import triangle_fixtures
+from ..marks import MAP
+from ..room.arrays import Room, read_room
+from ..room.islands import uv_islands
+from ..room.tiles import tiled_uvs
+from ..room.uv_layer import UV_LAYER
+from .materials import MAPS, read_textures
+from .part_materials import PartFaces
+
+_AGAIN = "Apply the results again."
+
+
+@dataclass(frozen=True)
+class Results:
+    """The results of a run.
+
+    Attributes:
+        room: the exported room.
+        faces: part of each triangle.
+        corner_uv: (T,3,2) of the atlas, in its tiles.
+        triangle_atlas: (T,) int, which of several atlases a triangle lies on; 0 where parts share one.
+        entries: the images of textures.json; empty for colour attributes.
+        apart: whether each image is an atlas of its own.
+        uniform: base colour, roughness and metallic of parts of one value, by their keys.
+        corner_fields: values of colour attributes by map; empty for UVs.
+        emitters: the fixtures of emitters.json.
+    """
+
+    room: Room
+    faces: PartFaces
+    corner_uv: np.ndarray
+    triangle_atlas: np.ndarray
+    entries: list[dict[str, str]]
+    apart: bool
+    uniform: dict[str, tuple[float, ...]]
+    corner_fields: dict[str, np.ndarray]
+    emitters: list[dict[str, Any]]
+
+    @cached_property
+    def laid_out(self) -> str:
+        """A digest of the atlas."""
+        digest = hashlib.blake2b(self.corner_uv.tobytes(), digest_size=16)
+        digest.update(repr((sorted(self.corner_fields), [each["name"] for each in self.entries])).encode())
+        return digest.hexdigest()
+
+    @cached_property
+    def layers(self) -> dict[str, np.ndarray]:
+        """(T,3,C) values of the face corners by layer."""
+        if not self.corner_fields:
+            return {UV_LAYER: self.corner_uv}
+        layers = {}
+        for key, (label, is_data) in MAPS.items():
+            values = np.ones((len(self.corner_uv), 3, 4), np.float32)
+            # Data maps are grey colours, so that solid shading can draw them too.
+            field = self.corner_fields[key].reshape(len(values), 3, -1)
+            values[..., :3] = field if is_data else to_scene_linear(field)
+            layers[MAP.format(label)] = values
+        return layers
+
+    @cached_property
+    def fixture(self) -> np.ndarray:
+        """(T,) index of the fixture of each triangle, -1 for none."""
+        return triangle_fixtures(self.emitters, len(self.corner_uv))
+
+    def charts(self) -> np.ndarray:
+        """(T,) number of the surface on which each triangle's values are continuous."""
+        if self.corner_fields:
+            return self.faces.parts.triangle + 1
+        return uv_islands(self.room.triangles, self.corner_uv)
+
+
+def read_results(run: RunFolder) -> Results:
+    room = read_room(run.estimated())
+    count = len(room.triangles)
+    atlas, arrays = read_atlas(run, count)
+    corner_fields: dict[str, np.ndarray] = {}
+    entries: list[dict[str, str]] = []
+    uniform: dict[str, tuple[float, ...]] = {}
+    if atlas["mode"] == "color_attribute":
+        corner_fields = _read_corner_fields(run.textures / "corner_fields.npz", count)
+    else:
+        entries, uniform = read_textures(run)
+        if len(entries) != len(atlas["images"]):
+            raise FiptError("file-damaged", f"{run.textures_json} does not fit {run.atlas_json}.", _AGAIN)
+    parts = read_parts(run, room.triangle_object, room.objects)
+    left_alone = of_whole_polygons(room, read_left_alone(run, count))
+    image, apart = arrays["triangle_image"], bool(atlas.get("apart", False)) and bool(entries)
+    shared = np.zeros_like(image)
+    return Results(
+        room=room,
+        faces=PartFaces(parts, left_alone),
+        corner_uv=tiled_uvs(arrays["corner_uv"], shared if apart else image),
+        triangle_atlas=own_images(image, parts.triangle, room.triangle_object) if apart else shared,
+        entries=entries,
+        apart=apart,
+        uniform=uniform,
+        corner_fields=corner_fields,
+        emitters=read_emitters(run, count)["fixtures"],
+    )
+
+
+def of_whole_polygons(room: Room, chosen: np.ndarray) -> np.ndarray:
+    """(T,) bool, the triangles of polygons of which some triangle is chosen, (T,) bool."""
+    both = np.stack([room.triangle_object, room.triangle_polygon], axis=1)
+    _, polygon = np.unique(both, axis=0, return_inverse=True)
+    result: np.ndarray = np.bincount(polygon.ravel(), chosen)[polygon.ravel()] > 0
+    return result
+
+
+def own_images(image: np.ndarray, part: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """(T,) image of each triangle; those without area, which have none (-1), take that of others beside them.
+
+    Args:
+        image: (T,) int. part, owner: (T,) int, of each triangle; those of one part and object have one image.
+    """
+    both = part.astype(np.int64) * (int(owner.max(initial=0)) + 1) + owner
+    found = image.astype(np.int64)
+    for group in (both, part.astype(np.int64), owner.astype(np.int64)):
+        largest = np.full(int(group.max(initial=0)) + 1, -1, np.int64)
+        np.maximum.at(largest, group, found)
+        found = np.where(found < 0, largest[group], found)
+    return np.maximum(found, 0)
+
+
+def cleaned_scan(run: RunFolder, room: Room) -> dict[str, np.ndarray] | None:
+    """The cleaned copy of the run's scan, None where the mesh is no scan or the scan is to be kept."""
+    if not run.read_estimated().clean_mesh:
+        return None
+    return read_outlined(run.estimated(), room.mesh)
+
+
+def _read_corner_fields(path: Path, count: int) -> dict[str, np.ndarray]:
+    """Values (T,3,...) of colour attributes by map; `count` is the room's number of triangles."""
+    arrays = read_arrays(path, CORNER_FIELDS_ARRAYS, remedy=_AGAIN)
+    if len(arrays["roughness"]) != count:
+        raise FiptError("file-damaged", f"{path} does not fit the room.", _AGAIN)
+    return arrays

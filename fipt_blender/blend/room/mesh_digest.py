@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whether the artist has changed a result mesh since we made it, by a digest of its geometry and layers."""
+
+from __future__ import annotations
+
+import hashlib
+
+import bpy
+import numpy as np
+
+from ..marks import MADE
+from .mesh_arrays import polygon_starts
+
+_OURS = ("FIPT", "fipt_")  # layers that results write
+_TOPOLOGY = (".corner_vert", ".corner_edge", ".edge_verts")
+# data type -> property, numbers of an element, their type
+_KINDS = {
+    "FLOAT": ("value", 1, np.float32),
+    "FLOAT2": ("vector", 2, np.float32),
+    "FLOAT_VECTOR": ("vector", 3, np.float32),
+    "FLOAT_COLOR": ("color", 4, np.float32),
+    "BYTE_COLOR": ("color", 4, np.float32),
+    "QUATERNION": ("value", 4, np.float32),
+    "FLOAT4X4": ("value", 16, np.float32),
+    "INT": ("value", 1, np.int32),
+    "INT8": ("value", 1, np.int32),
+    "INT16_2D": ("value", 2, np.int32),
+    "INT32_2D": ("value", 2, np.int32),
+    "BOOLEAN": ("value", 1, np.bool_),
+}
+
+
+def sign(mesh: bpy.types.Mesh) -> None:
+    """Remember a result mesh as it is."""
+    mesh[MADE] = _digest(mesh)
+
+
+def is_edited(mesh: bpy.types.Mesh) -> bool:
+    """Whether a result mesh was changed since `sign`; not known, and taken for no, of earlier versions."""
+    return MADE in mesh and mesh[MADE] != _digest(mesh)
+
+
+def _digest(mesh: bpy.types.Mesh) -> str:
+    """Of positions, topology, all layers but ours, and what Blender stores beside them; not of selections."""
+    digest = hashlib.blake2b(polygon_starts(mesh).tobytes(), digest_size=16)
+    for layer in sorted(mesh.attributes, key=lambda each: each.name):
+        if layer.name.startswith(_OURS) or (layer.name.startswith(".") and layer.name not in _TOPOLOGY):
+            continue
+        digest.update(f"{layer.name} {layer.data_type} {layer.domain} {len(layer.data)}".encode())
+        name, width, kind = _KINDS.get(layer.data_type, ("", 0, np.float32))
+        if name and len(layer.data):
+            values = np.empty(width * len(layer.data), kind)
+            layer.data.foreach_get(name, values)
+            digest.update(values.tobytes())
+    groups = [(each.group, each.weight) for vertex in mesh.vertices for each in vertex.groups]
+    keys = [] if mesh.shape_keys is None else [key.name for key in mesh.shape_keys.key_blocks]
+    digest.update(repr((groups, keys)).encode())
+    return digest.hexdigest()

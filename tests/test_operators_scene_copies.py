@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Full copies of a scene are rooms of their own: what is done in one changes nothing in the other."""
+
+from __future__ import annotations
+
+import bpy
+import pytest
+
+from fipt_blender.blend import marks
+from fipt_blender.blend.lights import light_state
+from fipt_blender.blend.lights.fixture_nodes import is_emission_material, side_radiance
+from fipt_blender.blend.results import adjust
+from samples import artist
+
+ops = bpy.ops.fipt
+
+pytestmark = pytest.mark.usefixtures("registered")
+
+
+def full_copy(scene: bpy.types.Scene) -> bpy.types.Scene:
+    before = set(bpy.data.scenes)
+    with bpy.context.temp_override(scene=scene):
+        bpy.ops.scene.new(type="FULL_COPY")
+    (copy,) = set(bpy.data.scenes) - before
+    return copy
+
+
+def look(scene: bpy.types.Scene) -> dict[str, tuple]:
+    """All that a scene shows: objects with their faces, materials' values and lights."""
+    bpy.context.window.scene = scene
+    bpy.context.view_layer.update()
+    found = {}
+    for item in scene.objects:
+        materials = [slot.material for slot in item.material_slots]
+        found[item.name] = (
+            artist.faces(item) if item.type == "MESH" else None,
+            [material and values_of(material) for material in materials],
+            item.data.energy if item.type == "LIGHT" else None,
+            [tuple(row) for row in item.matrix_world],
+            item.hide_render,
+        )
+    background = scene.world.node_tree.nodes["FIPT Background"]
+    found["world"] = (scene.world.name, background.inputs["Strength"].default_value)
+    return found
+
+
+def values_of(material: bpy.types.Material) -> tuple:
+    if not (marks.MATERIAL in material or is_emission_material(material)):
+        return (material.name,)
+    nodes = material.node_tree.nodes
+    images = [node.image.filepath for node in nodes if getattr(node, "image", None) is not None]
+    surface = nodes["FIPT Output"].inputs["Surface"].links[0].from_node.name if "FIPT Output" in nodes else ""
+    return side_radiance(material), adjust.read(material), images, surface
+
+
+def change_part(scene, **values):
+    part = next(row for row in scene.fipt.materials.parts if row.name == "Cube")
+    for name, value in values.items():
+        setattr(part, name, value)
+
+
+def replace_part(scene):
+    keys = [row.name for row in scene.fipt.materials.parts]
+    scene.fipt.materials.active_part = keys.index("Cube")
+    bpy.data.materials.new("velvet")
+    ops.replace_part_material(material="velvet")
+
+
+def finer(scene):
+    scene.fipt.materials.texel_density = 48.0
+    ops.apply_results()
+
+
+ACTIONS = {
+    "switch off": lambda scene: ops.switch_lights(on=False),
+    "environment": lambda scene: setattr(scene.fipt.lights, "environment_on", False),
+    "apply": lambda scene: ops.apply_results(),
+    "apply finer": finer,
+    "adjust": lambda scene: change_part(scene, roughness_offset=0.2, hue=0.1),
+    "replace": replace_part,
+    "show a map": lambda scene: ops.show_map(shown="ROUGHNESS"),
+    "convert": lambda scene: ops.fixture_to_area_light(fixture="Fixture.001"),
+    "revert": lambda scene: ops.revert(),
+    "revert all": lambda scene: ops.revert(new_lights=True),
+}
+
+
+@pytest.mark.parametrize("in_copy", [True, False])
+@pytest.mark.parametrize("action", ACTIONS)
+def test_what_is_done_in_one_scene_changes_nothing_in_its_copy(applied, action, in_copy):
+    copy = full_copy(applied)
+    acted, other = (copy, applied) if in_copy else (applied, copy)
+    before, own = look(other), look(acted)
+    bpy.context.window.scene = acted
+    ACTIONS[action](acted)
+    changed = look(acted) if marks.room_with_results(acted) else {}
+    assert look(other) == before
+    for shown in ("ROUGHNESS", "ESTIMATED"):  # which writes to all materials
+        ops.show_map(shown=shown)
+    assert look(other) == before or action == "show a map"
+    assert changed != own or action == "apply"
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+def test_both_scenes_work_afterwards(applied, action):
+    copy = full_copy(applied)
+    bpy.context.window.scene = copy
+    ACTIONS[action](copy)
+    for scene in (applied, copy):
+        bpy.context.window.scene = scene
+        assert ops.apply_results() == {"FINISHED"}
+        assert [item[marks.FIXTURE] for item in scene.objects if marks.is_fixture(item)] == ["Fixture.001"]
+        assert len(scene.fipt.lights.lights) == 1
+        assert ops.revert() == {"FINISHED"}
+        assert not [item for item in scene.objects if marks.is_fixture(item)]
+
+
+def test_a_copied_lamp_has_a_switch_of_its_own(applied):
+    """Duplicated by Shift D, which shares the material."""
+    lamp = bpy.data.objects["Panel"]
+    other = lamp.copy()
+    other.data = lamp.data.copy()
+    lamp.users_collection[0].objects.link(other)
+    before = side_radiance(lamp.data.materials[0])
+    light_state.change(applied, other, {marks.ON: False})
+    assert side_radiance(lamp.data.materials[0]) == before
+    assert side_radiance(other.data.materials[0])[0] == (0.0, 0.0, 0.0)
