@@ -75,7 +75,7 @@ def scene(run, tmp_path, monkeypatch):
 @pytest.fixture
 def quick(monkeypatch) -> dict:
     """Settings below those that the panel offers, for a run of seconds."""
-    changes = {**QUICK, "training_steps": 20}
+    changes = {**QUICK, "device": "llvm", "training_steps": 20}
     monkeypatch.setattr(estimating, "scene_settings", lambda *_: make_settings("draft", changes))
     return changes
 
