@@ -23,9 +23,9 @@ def layer_values(mesh: bpy.types.Mesh) -> np.ndarray:
 def write_layer(mesh: bpy.types.Mesh, uv: np.ndarray) -> None:
     """Write the FIPT layer of a result mesh, and make it active, so that solid shading draws with it.
 
-    The layer that renders use by default stays the artist's. The FIPT layer is made anew: up to Blender 4.5
-    writing to an existing one also changes the meshes that were copied from this mesh, or this one from them,
-    since copies share their arrays.
+    The layer that renders use by default stays the artist's. The values are written as those of an attribute: up
+    to Blender 4.5 writing to a UV layer also changes the meshes that were copied from this mesh, or this one
+    from them, since copies share their arrays.
 
     Args:
         mesh: a result mesh.
@@ -34,17 +34,15 @@ def write_layer(mesh: bpy.types.Mesh, uv: np.ndarray) -> None:
     Raises:
         FiptError: ``uv-layers-full``.
     """
-    rendered = [layer.name for layer in mesh.uv_layers if layer.active_render]
-    if UV_LAYER in mesh.uv_layers:
-        mesh.uv_layers.remove(mesh.uv_layers[UV_LAYER])
-    layer = mesh.uv_layers.new(name=UV_LAYER, do_init=False)
+    active_render = [layer.active_render for layer in mesh.uv_layers]
+    layer = mesh.uv_layers.get(UV_LAYER) or mesh.uv_layers.new(name=UV_LAYER, do_init=False)
     if layer is None:
         raise FiptError(
             "uv-layers-full",
             f"The mesh of '{mesh.name}' already has 8 UV layers, the most that Blender allows.",
             "Remove a UV map, or set Store In to Color Attributes.",
         )
-    layer.uv.foreach_set("vector", uv.astype(np.float32).ravel())
+    mesh.attributes[UV_LAYER].data.foreach_set("vector", uv.astype(np.float32).ravel())
     mesh.uv_layers.active = mesh.uv_layers[UV_LAYER]
-    for name in rendered:
-        mesh.uv_layers[name].active_render = True
+    if True in active_render:
+        mesh.uv_layers[active_render.index(True)].active_render = True
