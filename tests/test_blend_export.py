@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import struct
 import subprocess
 
 import bpy
@@ -18,6 +17,7 @@ from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.export.lamps import GAP
 from fipt_blender.blend.export.textures import texel_parts
 from samples.applied_rooms import RADIANCE, ConstantFields, fingerprint
+from samples.exported_files import gltf_json, opened, principled
 from samples.refusals import error_of
 
 ops = bpy.ops.fipt
@@ -31,15 +31,6 @@ validator.validateBytes(bytes).then(report => console.log(JSON.stringify(report.
 """
 
 
-def gltf_json(path):
-    """The JSON chunk of a .glb file (glTF 2.0, chapter 4)."""
-    content = path.read_bytes()
-    magic, version, length = struct.unpack("<4sII", content[:12])
-    size, kind = struct.unpack("<I4s", content[12:20])
-    assert (magic, version, length, kind) == (b"glTF", 2, len(content), b"JSON")
-    return json.loads(content[20 : 20 + size])
-
-
 def encoded(linear):
     linear = np.asarray(linear)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
@@ -49,20 +40,6 @@ def pixels(image):
     values = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(values)
     return values.reshape(-1, 4)[:, :3]
-
-
-def opened(path):
-    """The objects and materials of an exported file in an empty Blender."""
-    bpy.ops.wm.read_homefile(use_empty=True)
-    if path.suffix == ".glb":
-        bpy.ops.import_scene.gltf(filepath=str(path))
-    else:
-        bpy.ops.wm.usd_import(filepath=str(path))
-    return bpy.data.objects, bpy.data.materials
-
-
-def principled(material):
-    return next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
 
 
 def texture_behind(socket):

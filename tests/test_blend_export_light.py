@@ -19,10 +19,10 @@ from fipt_blender.blend.lights.convert import fixture_to_lights
 from fipt_blender.blend.node_trees import node_tree
 from fipt_blender.blend.room.mesh_arrays import corner_uvs
 from fipt_blender.blend.room.uv_layer import write_layer
+from samples.exported_files import gltf_json, opened, principled
 from samples.irradiance import irradiance
 from samples.refusals import error_of
 from samples.whole_file import differences, file_state
-from test_blend_export import gltf_json, opened, principled
 
 pytestmark = pytest.mark.usefixtures("registered", "applied")
 

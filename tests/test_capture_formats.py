@@ -68,14 +68,17 @@ def test_colmap_reads_the_largest_model_unless_one_is_named(tmp_path, text):
     assert len(read(tmp_path / "small" / "sparse" / "0").views) == 2
 
 
+PLACE = "property float x\nproperty float y\nproperty float z\n"
+
+
 def test_colmap_point_cloud_is_no_mesh(tmp_path):
     write_colmap(tmp_path, make_samples(2), text=True)
-    header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\n{}end_header\n0\n"
+    header = "ply\nformat ascii 1.0\nelement vertex 1\n{}end_header\n0 0 0\n"
     (tmp_path / "dense").mkdir()
-    (tmp_path / "dense" / "fused.ply").write_text(header.format(""))
+    (tmp_path / "dense" / "fused.ply").write_text(header.format(PLACE))
     assert read(tmp_path).mesh is None
     faces = "element face 1\nproperty list uchar int vertex_indices\n"
-    (tmp_path / "dense" / "meshed-poisson.ply").write_text(header.format(faces))
+    (tmp_path / "dense" / "meshed-poisson.ply").write_text(header.format(PLACE + faces))
     assert read(tmp_path).mesh == tmp_path / "dense" / "meshed-poisson.ply"
 
 

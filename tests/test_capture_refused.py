@@ -285,7 +285,6 @@ def test_a_prepare_json_names_photographs_of_its_folder_only(tmp_path: Path) -> 
         changed["photographs"][0]["path"] = changed["groups"][0]["photographs"][0] = path
         folder.prepare_json.write_text(json.dumps(changed))
         assert "leads out of" in str(error_of(read_preparation, folder))
-    for key in ("cameras", "masks"):
-        changed = {**data, "settings": {**data["settings"], key: "//server/share"}}
-        folder.prepare_json.write_text(json.dumps(changed))
-        assert error_of(read_preparation, folder).code == "path-network"
+    changed = {**data, "settings": {**data["settings"], "cameras": "//server/share"}}
+    folder.prepare_json.write_text(json.dumps(changed))
+    assert error_of(read_preparation, folder).code == "path-network"

@@ -219,8 +219,9 @@ def _has_faces(path: Path) -> bool:
     if path.suffix.lower() != ".ply":
         return True
     with path.open("rb") as file:
-        try:
-            elements = read_header(file.read(65536)).elements
-        except ValueError:
-            return False
+        start = file.read(65536)
+    try:
+        elements = read_header(start).elements
+    except ValueError:  # whoever reads the mesh says what is wrong with it
+        return b"\nelement face" in start
     return any(element.name in ("face", "tristrips") and element.count for element in elements)

@@ -1,0 +1,33 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is in exported files: the JSON of glTF, and what Blender reads back."""
+
+from __future__ import annotations
+
+import json
+import struct
+
+import bpy
+
+
+def gltf_json(path):
+    """The JSON chunk of a .glb file (glTF 2.0, chapter 4)."""
+    content = path.read_bytes()
+    magic, version, length = struct.unpack("<4sII", content[:12])
+    size, kind = struct.unpack("<I4s", content[12:20])
+    assert (magic, version, length, kind) == (b"glTF", 2, len(content), b"JSON")
+    return json.loads(content[20 : 20 + size])
+
+
+def opened(path):
+    """The objects and materials of an exported file in an empty Blender."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    if path.suffix == ".glb":
+        bpy.ops.import_scene.gltf(filepath=str(path))
+    else:
+        bpy.ops.wm.usd_import(filepath=str(path))
+    return bpy.data.objects, bpy.data.materials
+
+
+def principled(material):
+    return next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
