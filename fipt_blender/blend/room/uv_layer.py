@@ -23,9 +23,9 @@ def layer_values(mesh: bpy.types.Mesh) -> np.ndarray:
 def write_layer(mesh: bpy.types.Mesh, uv: np.ndarray) -> None:
     """Write the FIPT layer of a result mesh, and make it active, so that solid shading draws with it.
 
-    The layer that renders use by default stays the artist's. The values are written as those of an attribute: up
-    to Blender 4.5 writing to a UV layer also changes the meshes that were copied from this mesh, or this one
-    from them, since copies share their arrays.
+    The layer that renders use by default stays the artist's. The values are written as those of an attribute:
+    up to Blender 4.5 writing to a UV layer also changes the meshes that were copied from this mesh, or this
+    one from them, since copies share their arrays.
 
     Args:
         mesh: a result mesh.

@@ -29,8 +29,8 @@ def room_detail(
     fields: Fields,
     cells: SeenCells,
     errors: np.ndarray,
-) -> PartDetail:
-    """The reliable detail of all units of one material.
+) -> PartDetail | None:
+    """The reliable detail of all units of one material; None where no pixel sees such a unit.
 
     Args:
         drawn: pixels of :func:`.cell_errors.draw_pixels`. data: with the last shadings.
@@ -38,6 +38,8 @@ def room_detail(
     """
     median = part_medians(units, fields, cells, errors)
     rows = np.flatnonzero(np.append(np.isfinite(median[:, 0]), False)[np.maximum(drawn.unit, NO_PART)])
+    if not len(rows):
+        return None
     pixels, box = drawn.rows[rows], fields.box
     position, unit = drawn.position[rows], drawn.unit[rows]
     footprint = data.observations.footprint
