@@ -131,10 +131,12 @@ def test_a_tilt_is_told_and_a_mesh_without_a_vertical_leaves_the_cameras(tmp_pat
     for name, points in (("room", vertices @ rotation.T), ("cloud", rng.normal(size=vertices.shape))):
         write_ply(tmp_path / f"{name}.ply", FusedMesh(points.astype(np.float32), triangles.astype(np.int32)))
     (tmp_path / "broken.ply").write_text("ply")
+    for name, number in (("nan.obj", "nan"), ("far.obj", "1e200")):
+        (tmp_path / name).write_text(f"v 0 0 0\nv {number} 0 0\nv 0 1 0\nf 1 2 3\n")
     (tmp_path / "flat.obj").write_text("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n")
     found = find_upright(poses, tmp_path / "room.ply")
     assert (found.axis, found.source) == ("z", "planes") and found.angle == pytest.approx(10.3, abs=0.3)
-    for name in ("cloud.ply", "broken.ply", "flat.obj", "room.fbx"):
+    for name in ("nan.obj", "far.obj", "cloud.ply", "broken.ply", "flat.obj", "room.fbx"):
         found = find_upright(poses, tmp_path / name)
         assert (found.axis, found.source) == ("z", "cameras") and off(found, rotation[:, 2]) < 3.0
     wild = np.array([turned(pose, random_rotation(rng)) for pose in poses])

@@ -85,7 +85,7 @@ def check_view(name: str, pinhole: Pinhole, camera_to_world: np.ndarray) -> None
         FiptError: ``intrinsics-invalid``, ``pose-not-rotation`` or ``pose-far``.
     """
     check_intrinsics(name, pinhole)
-    distance = float(np.linalg.norm(nearest_rotation(name, camera_to_world)[:3, 3]))
+    distance = float(np.abs(nearest_rotation(name, camera_to_world)[:3, 3]).max())
     if distance > FARTHEST:
         raise FiptError(
             "pose-far",

@@ -6,14 +6,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from .. import conventions
 from ..alignment.mesh_file import read_mesh
-from ..alignment.turns import rotation_between
+from ..alignment.turns import rotation_between, turn_by
 from ..robust import deviation, student_weights
 from ..run.errors import FiptError
+from ..run.shapes import FARTHEST_UNITS
 from .rig import Note
 
 # Length of the mean up direction of the cameras' images above which it tells which way is up; it is short
@@ -60,19 +62,12 @@ class Upright:
         return similarity
 
 
-@dataclass(frozen=True)
-class HeldLevel:
-    """How cameras were held.
+class HeldLevel(NamedTuple):
+    """How cameras were held."""
 
-    Attributes:
-        up: (3,) their common up direction.
-        error: degrees by which it may be off, 180 where they were not held level.
-        is_clear: whether its sign is known; otherwise it is that of phones turned to the left.
-    """
-
-    up: np.ndarray
-    error: float
-    is_clear: bool
+    up: np.ndarray  # (3,) their common up direction
+    error: float  # degrees by which it may be off, 180 where they were not held level
+    is_clear: bool  # whether its sign is known; otherwise it is that of phones turned to the left
 
 
 def find_upright(poses: np.ndarray, mesh: Path | None) -> Upright:
@@ -155,11 +150,12 @@ def _by_planes(mesh: Path, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
         None where the mesh is unreadable, or less than `MOST` of its area stands or lies.
     """
     try:
-        normals, areas = _mean_normals(*read_mesh(mesh), near)
+        vertices, triangles = read_mesh(mesh)
     except FiptError:
         return None
-    if not areas.sum() > 0.0:
+    if not len(triangles) or not np.abs(vertices).max() < FARTHEST_UNITS:
         return None
+    normals, areas = _mean_normals(vertices, triangles, near)
     up = near
     for limit in LIMITS:
         stands = np.abs(normals @ up) < np.sqrt(0.5)
@@ -182,20 +178,15 @@ def _mean_normals(
         up: (3,) roughly; what faces it, what faces down and what stands are averaged apart.
     """
     corners = vertices[triangles]
-    vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(vectors, axis=1)
-    corners, vectors, lengths = corners[lengths > 0.0], vectors[lengths > 0.0], lengths[lengths > 0.0]
-    if not len(vectors):
-        return vectors, lengths
-    places = corners.mean(axis=1) - corners.min(axis=(0, 1))
-    cells = (places / (np.linalg.norm(np.ptp(corners, axis=(0, 1))) / CELLS)).astype(np.int64)
-    cosine = vectors @ up / lengths
-    facing = np.where(np.abs(cosine) > np.sqrt(0.5), np.sign(cosine), 0.0).astype(np.int64)
-    keys = np.ravel_multi_index((*cells.T, facing + 1), (CELLS + 1, CELLS + 1, CELLS + 1, 3))
-    _, group = np.unique(keys, return_inverse=True)
-    sums = np.stack([np.bincount(group.reshape(-1), column) for column in vectors.T], axis=1)
+    vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facing = np.rint(vectors @ up / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300))
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    places = (corners.mean(axis=1) - low) / max(float(np.linalg.norm(high - low)), 1e-300)
+    keys = np.floor(CELLS * places) @ [CELLS**2 * 9.0, CELLS * 6.0, 3.0] + facing
+    group = np.unique(keys, return_inverse=True)[1].reshape(-1)
+    sums = np.stack([np.bincount(group, 0.5 * column) for column in vectors.T], axis=1)
     areas = np.linalg.norm(sums, axis=1)
-    return sums[areas > 0.0] / areas[areas > 0.0, None], areas[areas > 0.0]
+    return sums / np.maximum(areas, 1e-300)[:, None], areas
 
 
 def _along_walls(rotation: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> np.ndarray:
@@ -205,14 +196,12 @@ def _along_walls(rotation: np.ndarray, normals: np.ndarray, areas: np.ndarray) -
         rotation: (3, 3) by which the normals get Z up.
     """
     turned = normals @ rotation.T
-    walls = _off(turned, _Z) <= LIMITS[-1]
-    walls &= np.abs(turned[:, 2]) < np.sqrt(0.5)
+    walls = areas * (np.abs(turned[:, 2]) < np.sin(np.radians(LIMITS[-1])))
     # Four times the azimuth is the same for all walls of a room with right angles.
-    common = areas[walls] @ np.exp(4j * np.arctan2(turned[walls, 1], turned[walls, 0]))
-    if np.abs(common) <= MOST * areas[walls].sum():
+    common = walls @ np.exp(4j * np.arctan2(turned[:, 1], turned[:, 0]))
+    if np.abs(common) <= MOST * walls.sum():
         return np.eye(3)
-    cosine, sine = np.cos(np.angle(common) / 4.0), np.sin(np.angle(common) / 4.0)
-    return np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    return turn_by(np.array([0.0, 0.0, -np.angle(common) / 4.0]))
 
 
 def _off(normals: np.ndarray, up: np.ndarray) -> np.ndarray:
@@ -231,5 +220,4 @@ def _nearest_axis(up: np.ndarray) -> str:
 
 
 def _direction(axis: str) -> np.ndarray:
-    """The source's axis of a name, (3,)."""
     return conventions.world_from_source(axis)[2, :3]
