@@ -11,16 +11,20 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from mathutils import Euler, Matrix, Vector
 
 from fipt_blender import api, machine
 from fipt_blender.blend.capture import overlay
+from fipt_blender.blend.capture.importing import find_alignment
 from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.conventions import UP_AXES, world_from_source
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
 from samples.capture_files import make_samples, write_colmap, write_mesh, write_transforms
 
 ops = bpy.ops.fipt
+CORNERS = [Vector(corner) for corner in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))]
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -338,3 +342,63 @@ def test_own_cameras_become_the_capture(scene, sample, tmp_path):
     bpy.data.images[0].filepath = str(tmp_path / "photo.jpg")
     assert "not a file on disk" in refused(ops.use_scene_cameras)
     assert len(settings.views) == 3
+
+
+def places(scene) -> np.ndarray:
+    """Axes and places of the cameras and corners of the mesh in the world."""
+    bpy.context.view_layer.update()
+    settings = scene.fipt.capture
+    cameras = [view.camera_object().matrix_world @ corner for view in settings.views for corner in CORNERS]
+    (room,) = settings.room_objects(scene)
+    return np.array([*cameras, *(room.matrix_world @ vertex.co for vertex in room.data.vertices)])
+
+
+@pytest.mark.parametrize(("first", "axis"), [("auto", "y"), ("auto", "-z"), ("-y", "z"), ("x", "-x")])
+def test_the_panel_turns_the_capture_as_another_import_does(scene, sample, first, axis):
+    """Also when the artist has moved it; neither an import again nor one of another axis turns it twice."""
+    settings = scene.fipt.capture
+    assert api.import_capture(sample, options={"up_axis": first})
+    assert settings.up == settings.imported_up == ("z" if first == "auto" else first)
+    assert settings.up_source == ("format" if first == "auto" else "option")
+    untouched = places(scene)
+    moved = Matrix.Translation((1.0, 2.0, 0.5)) @ Matrix.Rotation(0.4, 4, "Z") @ Matrix.Scale(2.0, 4)
+    settings.alignment.matrix_basis = moved
+    settings.up = axis
+    assert settings.up == axis
+    turned = places(scene)
+    assert api.import_capture(sample, options={"up_axis": first})
+    assert settings.up == axis
+    np.testing.assert_allclose(places(scene), turned, atol=1e-4)
+    assert api.import_capture(sample, options={"up_axis": axis})
+    assert settings.up == settings.imported_up == axis
+    np.testing.assert_allclose(places(scene), turned, atol=1e-4)
+    settings.alignment.matrix_basis = Matrix.Identity(4)
+    assert api.import_capture(sample, options={"up_axis": first})
+    np.testing.assert_allclose(places(scene), untouched, atol=1e-4)
+
+
+@pytest.mark.parametrize("imported_up", UP_AXES)
+@pytest.mark.parametrize("axis", UP_AXES)
+def test_each_direction_can_be_chosen_and_taken_back(scene, imported_up, axis):
+    settings = scene.fipt.capture
+    moved = Matrix.LocRotScale((1.0, 2.0, 3.0), Euler((0.1, -0.2, 2.0)), (0.5, 0.5, 0.5))
+    find_alignment(scene).matrix_basis = moved
+    settings.imported_up = imported_up
+    assert settings.up == imported_up
+    settings.up = axis
+    assert settings.up == axis
+    before = np.array(moved) @ world_from_source(axis)
+    after = np.array(settings.alignment.matrix_basis) @ world_from_source(imported_up)
+    np.testing.assert_allclose(after, before, atol=1e-5)
+    settings.up = imported_up
+    np.testing.assert_allclose(np.array(settings.alignment.matrix_basis), np.array(moved), atol=1e-5)
+
+
+def test_another_capture_is_not_turned_by_the_choice_for_the_last_one(imported, tmp_path):
+    imported.fipt.capture.up = "-x"
+    other = tmp_path / "other"
+    write_transforms(other, make_samples(4))
+    write_mesh(other / "scene.obj")
+    assert ops.import_capture(filepath=str(other)) == {"FINISHED"}
+    assert imported.fipt.capture.up == "z"
+    np.testing.assert_allclose(np.array(imported.fipt.capture.alignment.matrix_world), np.eye(4), atol=1e-6)

@@ -91,3 +91,20 @@ def test_few_import_settings_are_shown_at_first():
     every = drawn_by(capture.FIPT_PT_capture_import, is_open=True)[1]
     assert 1 <= len(first) <= 5 and len(every) > len(first)
     assert all(hasattr(settings, name) for name in every)
+
+
+@pytest.mark.parametrize(
+    ("source", "told"),
+    [
+        ("format", "-Y is up by the format"),
+        ("option", "-Y is up by the import settings"),
+        ("planes", "10.3° from -Y is up by the planes of the room"),
+        ("cameras", "10.3° from -Y is up by the cameras"),
+    ],
+)
+def test_what_is_up_is_told_with_a_choice_of_the_others(source, told):
+    settings = bpy.context.scene.fipt.capture
+    assert "up" not in drawn_by(capture.FIPT_PT_capture)[1]
+    settings.imported_up, settings.up_source, settings.up_angle = "-y", source, 10.3
+    texts, properties = drawn_by(capture.FIPT_PT_capture)[:2]
+    assert told in " ".join(texts) and "up" in properties

@@ -12,6 +12,8 @@ import pycolmap
 import pytest
 from PIL import Image
 
+from fipt_blender.core.alignment.turns import rotation_between
+from fipt_blender.core.capture.upright import common_up
 from fipt_blender.core.photographs import scale
 from fipt_blender.core.photographs.models import poses, read_model, write_model
 from fipt_blender.core.photographs.preparation import (
@@ -53,7 +55,7 @@ def test_up_of_level_cameras_in_any_frame(around: bool, sideways: int) -> None:
         poses.append(turned(pose, 1) if index < sideways else pose)
     frame = np.eye(4)
     frame[:3, :3] = random_rotation(generator)
-    up = scale.up_direction(frame @ np.array(poses))
+    up = common_up(frame @ np.array(poses)).up
     # Along one line, only the mean of the tilts tells up from forward.
     assert np.degrees(np.arccos(min(1.0, up @ frame[:3, 2]))) < (0.5 if around else 8.0)
 
@@ -79,7 +81,7 @@ def test_the_room_frame_stands_on_the_floor_and_is_in_meters() -> None:
 
 @pytest.mark.parametrize("up", [[0, 0, 1], [0, 0, -1], [1, 0, 0], [0.6, 0.0, -0.8]])
 def test_rotation_to_z(up: list[float]) -> None:
-    matrix = scale.rotation_to_z(np.array(up, float))
+    matrix = rotation_between(np.array(up, float), np.array([0.0, 0.0, 1.0]))
     assert np.allclose(matrix @ up, [0, 0, 1]) and np.linalg.det(matrix) == pytest.approx(1.0)
     assert np.allclose(matrix @ matrix.T, np.eye(3))
 

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .run.shapes import SCALES
+from .run.shapes import UP_AXES as UP_AXES
 
 FloatArray = NDArray[np.floating]
-
-UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 
 # Other camera axes, expressed in OpenCV's; each matrix is its own inverse.
 _OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])  # X right, Y up, Z backward: Blender, OpenGL, NeRF

@@ -74,8 +74,23 @@ class FIPT_PT_capture(Section, bpy.types.Panel):
         column = layout.column(align=True)
         column.prop(settings, "path", text="Folder")
         column.operator("fipt.import_capture", text="Import Again", icon="FILE_REFRESH")
+        if settings.imported_up:
+            _draw_up(layout, context, settings)
         draw_import(layout, context)
         draw_warnings(layout, context, "capture", job_warnings(context, "capture"))
+
+
+def _draw_up(layout: UILayout, context: Context, settings: PropertyGroup) -> None:
+    """Which axis of the capture points up, and what told the import."""
+    layout.prop(settings, "up")
+    text = {
+        "option": "{axis} is up by the import settings",
+        "format": "{axis} is up by the format",
+        "planes": "{angle:.1f}\u00b0 from {axis} is up by the planes of the room",
+        "cameras": "{angle:.1f}\u00b0 from {axis} is up by the cameras",
+    }[settings.up_source]
+    text = iface_(text).format(axis=settings.imported_up.upper(), angle=settings.up_angle)
+    draw_text(layout, context, text, icon="INFO")
 
 
 class FIPT_PT_capture_import(SubSection, bpy.types.Panel):

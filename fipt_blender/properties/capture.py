@@ -35,7 +35,7 @@ FORMATS = (
     ("fipt-real", "FIPT Real", "Files cam.txt and K_list.txt beside the folder Image"),
 )
 UP_AXES = (
-    ("auto", "Automatic", "Use the format's up axis, otherwise the one nearest to the cameras' up direction"),
+    ("auto", "Automatic", "Use the format's up axis, otherwise find it by the room's planes and the cameras"),
     *((axis, axis.upper(), f"The capture's {axis.upper()} axis points up") for axis in
       ("x", "y", "z", "-x", "-y", "-z")),
 )  # fmt: skip
@@ -70,6 +70,18 @@ def _get_alignment_scale(self: FIPT_CaptureSettings) -> float:
 def _set_alignment_scale(self: FIPT_CaptureSettings, value: float) -> None:
     if self.alignment is not None:
         self.alignment.scale = (value,) * 3
+
+
+def _get_up(self: FIPT_CaptureSettings) -> int:
+    from ..blend.capture.importing import up_axis
+
+    return [axis for axis, *_ in UP_AXES].index(up_axis(self)) - 1
+
+
+def _set_up(self: FIPT_CaptureSettings, value: int) -> None:
+    from ..blend.capture.importing import turn_up
+
+    turn_up(self, UP_AXES[value + 1][0])
 
 
 class FIPT_CaptureView(bpy.types.PropertyGroup):
@@ -205,6 +217,17 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         get=_get_alignment_scale,
         set=_set_alignment_scale,
     )
+    up: bpy.props.EnumProperty(
+        name="Up",
+        description="The capture's axis that points up in the scene. Another one turns FIPT Alignment with"
+        " the cameras and the imported mesh",
+        items=UP_AXES[1:],
+        get=_get_up,
+        set=_set_up,
+    )
+    imported_up: bpy.props.StringProperty(description="The axis of the capture that the import turned up")
+    up_source: bpy.props.StringProperty(description="What told the import which axis is up")
+    up_angle: bpy.props.FloatProperty(description="Degrees between that axis and up")
     imported_path: bpy.props.StringProperty(description="Source of the imported views")
     previous_run: bpy.props.StringProperty(description="Run folder before the import, restored if that fails")
     views: bpy.props.CollectionProperty(type=FIPT_CaptureView)

@@ -49,6 +49,7 @@ def export_capture(scene: bpy.types.Scene, run: RunFolder) -> int:
             "Tick more views in the list, or change some from Held Back to Estimation.",
         )
     data = {**source, "views": entries}
+    data.pop("up", None)  # what the panel tells of the import
     if not run.capture_json.exists() or read_capture(run.capture_json) != data:
         write_json(run.capture_json, data)
     return len(entries)

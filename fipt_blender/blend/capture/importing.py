@@ -28,6 +28,7 @@ from ..outliner import CAMERAS, EARLIER_ROOMS, ROOM, collection, move_to, remove
 from ..room.mesh_digest import is_edited, sign
 from ..room.result_meshes import list_names
 from . import cameras, mesh_import
+from .exporting import world_matrix
 
 ALIGNMENT = "FIPT Alignment"
 # Types of objects with surfaces besides meshes.
@@ -58,6 +59,7 @@ def import_capture(run: RunFolder, path: str) -> Slices[list[Message]]:
         item.data.display_size = size
         yield 0.5 * index / len(capture["views"])
     warnings = _import_room(bpy.context.scene, run, capture)
+    _note_up(bpy.context.scene.fipt.capture, capture.get("up"), is_reimport)
     yield 0.9
     fill_views(bpy.context.scene, run, keep=is_reimport)
     bpy.context.scene.fipt.capture.imported_path = path
@@ -98,6 +100,31 @@ def find_alignment(scene: bpy.types.Scene) -> bpy.types.Object:
         scene.collection.objects.link(item)
         settings.alignment = item
     return item
+
+
+def _note_up(settings: bpy.types.PropertyGroup, up: dict[str, Any] | None, is_reimport: bool) -> None:
+    """Remember what ingest.json says of the up axis, and turn it up unless the alignment knows it already."""
+    before, settings.imported_up = settings.imported_up, ""
+    if up is None:  # of a run of the command line, or of an earlier version
+        return
+    settings.imported_up, settings.up_source, settings.up_angle = up["axis"], up["source"], up["angle"]
+    if not is_reimport or before not in ("", up["axis"]):
+        settings.up = up["axis"]
+
+
+def up_axis(settings: bpy.types.PropertyGroup) -> str:
+    """The capture's axis that is nearest to up in the scene, with the present rotation of the alignment."""
+    imported = conventions.world_from_source(settings.imported_up or "z")[:3, :3]
+    up = imported[2] if settings.alignment is None else world_matrix(settings.alignment)[2, :3] @ imported
+    return max(conventions.UP_AXES, key=lambda axis: float(up @ conventions.world_from_source(axis)[2, :3]))
+
+
+def turn_up(settings: bpy.types.PropertyGroup, axis: str) -> None:
+    """Rotate the alignment, so that the scene becomes what importing with another up axis makes of it."""
+    imported = conventions.world_from_source(settings.imported_up or "z")
+    present, wanted = (conventions.world_from_source(each) for each in (up_axis(settings), axis))
+    if settings.alignment is not None and not np.array_equal(present, wanted):
+        settings.alignment.matrix_basis @= Matrix(imported @ present.T @ wanted @ imported.T)
 
 
 def source_matrix(scene: bpy.types.Scene, run: RunFolder | None) -> np.ndarray:

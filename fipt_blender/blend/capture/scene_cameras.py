@@ -86,7 +86,7 @@ def adopt_cameras(run: RunFolder) -> None:
         cameras.set_lens(item.data, lens)
         cameras.mark_camera(item, view, lens)
     fill_views(scene, run)
-    scene.fipt.capture.imported_path = SCENE_SOURCE
+    scene.fipt.capture.imported_path, scene.fipt.capture.imported_up = SCENE_SOURCE, ""
 
 
 def photograph_of(item: bpy.types.Object) -> bpy.types.CameraBackgroundImage | None:

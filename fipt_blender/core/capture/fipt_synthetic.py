@@ -8,8 +8,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from ..conventions import fipt_to_opencv_camera
-from ..run.documents import Fields, Items, Maybe, Number
+from ..conventions import UP_AXES, fipt_to_opencv_camera
+from ..run.documents import Choice, Fields, Items, Maybe, Number
 from ..run.shapes import MOST_SIDE
 from .files import name_parts, stem_of, suffix_of
 from .options import CaptureOptions
@@ -35,7 +35,7 @@ RIG = Fields(
         "camera_angle_x": Number(),
         "frames": Items(Fields({"transform_matrix": list}, {"file_path": Maybe(str)})),
     },
-    {"width": Number(1, MOST_SIDE), "height": Number(1, MOST_SIDE), "up_axis": str},
+    {"width": Number(1, MOST_SIDE), "height": Number(1, MOST_SIDE), "up_axis": Choice(*UP_AXES)},
 )
 
 

@@ -53,6 +53,7 @@ from .photograph_poses import with_photograph_poses
 from .places import MISSING_REMEDY
 from .rig import Pinhole, RigView
 from .source import mesh_fusion, read_source, write_mesh
+from .upright import Upright, doubts, find_upright
 
 # Photographs with more pixels than these are rewritten with 8 bits (JPEG) or 16 (HDR) instead of 32: of 12
 # megapixels 144 MB would be written. Smaller ones keep all bits.
@@ -104,16 +105,22 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         views, note = with_photograph_poses(rig, views, options.scale)
         if note is not None:
             reporter.warning(note.code, note.text, note.remedy)
-    up_axis = options.up_axis if options.up_axis != "auto" else rig.up_axis or guess_up_axis(views)
-    world_from_source = _world_from_source(up_axis, options.scale)
     views = [
         replace(view, camera_to_world=checks.nearest_rotation(view.name, view.camera_to_world))
         for view in views
     ]
     pinholes = [_checked_pinhole(view) for view in views]
-    for view, pinhole in zip(views, pinholes, strict=True):
-        pose = conventions.transform_poses(world_from_source, view.camera_to_world)
-        checks.check_view(view.name, pinhole, pose)
+    poses = np.array([view.camera_to_world for view in views])
+    in_metres = conventions.world_from_source("z", options.scale)  # distances do not depend on what is up
+    for view, pinhole, pose in zip(views, pinholes, poses, strict=True):
+        checks.check_view(view.name, pinhole, conventions.transform_poses(in_metres, pose))
+    upright = None
+    if options.up_axis != "auto":
+        upright = Upright(options.up_axis, "option")
+    elif rig.up_axis is not None:
+        upright = Upright(rig.up_axis, "format")
+        for note in doubts(rig.up_axis, poses):
+            reporter.warning(note.code, note.text, note.remedy)
 
     fusion = mesh_fusion(run_folder, source, options)
     if fusion is not None:
@@ -135,6 +142,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
 
             reporter.stage("write", "Writing the capture")
             mesh = write_mesh(run_folder, source, fusion, fused)
+            upright = upright or find_upright(poses, mesh)
     except FiptError:
         if is_new:
             _remove_empty(run_folder)
@@ -144,6 +152,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     files = [
         {kind: run_folder.images / path.relative_to(images) for kind, path in one.items()} for one in written
     ]
+    world_from_source = upright.world_from_source(options.scale)
     entries = [
         _entry(run_folder, *one, world_from_source)
         for one in zip(views, pinholes, exposures, files, strict=True)
@@ -155,8 +164,9 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         "mesh": None if mesh is None else str(mesh),
         "views": entries,
     }
+    up = {"axis": upright.axis, "source": upright.source, "angle": upright.angle}
     # The add-on rewrites capture.json with the views that the artist selects; ingest.json keeps all of them.
-    write_json(run_folder.ingest_json, data)
+    write_json(run_folder.ingest_json, {**data, "up": up})
     write_json(run_folder.capture_json, data)
     counts = Counter(view.split for view in views)
     reporter.done(
@@ -165,7 +175,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             "source": rig.source,
             "train": counts["train"],
             "held_back": counts["held_back"],
-            "up_axis": up_axis,
+            "up_axis": upright.axis,
             "mesh": None if mesh is None else str(mesh),
             "undistorted": sum(is_distorted(view.lens, view.width, view.height) for view in views),
         },
@@ -182,13 +192,6 @@ def _remove_empty(run_folder: RunFolder) -> None:
             run_folder.root.rmdir()
 
 
-def guess_up_axis(views: list[RigView]) -> str:
-    """The source axis closest to the mean up direction of the cameras, which are usually held level."""
-    up = -np.mean([view.camera_to_world[:3, 1] for view in views], axis=0)
-    axis = int(np.argmax(np.abs(up)))
-    return ("-" if up[axis] < 0.0 else "") + "xyz"[axis]
-
-
 def _chosen(views: list[RigView], count: int) -> list[RigView]:
     """At most `count` views, evenly spread over those that are not held back; all with 0."""
     if not 0 < count < len(views):
@@ -196,15 +199,6 @@ def _chosen(views: list[RigView], count: int) -> list[RigView]:
     held_back = [view for view in views if view.split == "held_back"]
     rest = [view for view in views if view.split != "held_back"]
     return [rest[index * len(rest) // count] for index in range(min(count, len(rest)))] + held_back
-
-
-def _world_from_source(up_axis: str, scale: float) -> np.ndarray:
-    try:
-        return conventions.world_from_source(up_axis, scale)
-    except ValueError as error:
-        raise FiptError(
-            "setting-invalid", f"The {error}.", "Set a scale above zero and a known up axis."
-        ) from None
 
 
 def distinct_views(views: Sequence[RigView]) -> list[RigView]:

@@ -64,7 +64,7 @@ class FusionOptions:
 class CaptureOptions:
     """How a capture is read; `TEXTS` says what the fields mean. Lengths are in metres.
 
-    `up_axis` "auto" is that of the format, else the axis closest to the cameras' mean up direction.
+    `up_axis` "auto" is that of the format, else what `upright.find_upright` finds.
     """
 
     mesh: Path | None = None

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..conventions import opengl_to_opencv_camera, transform_poses
-from ..run.documents import Fields, Items, Maybe, Number
+from ..conventions import UP_AXES, opengl_to_opencv_camera, transform_poses
+from ..run.documents import Choice, Fields, Items, Maybe, Number
 from ..run.errors import FiptError
 from ..run.shapes import MOST_SIDE
 from .files import key, name_parts, stem_of
@@ -50,7 +50,7 @@ RIG = Fields(
     {
         **_COMMON,
         **dict.fromkeys(SPLIT_LISTS, Maybe(Items(str))),
-        "up_axis": str,
+        "up_axis": Choice(*UP_AXES),
         "applied_transform": Maybe(list),
         "applied_scale": Number(),
     },

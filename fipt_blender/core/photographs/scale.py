@@ -14,6 +14,8 @@ from itertools import combinations
 import numpy as np
 
 from .. import conventions
+from ..alignment.turns import rotation_between
+from ..capture.upright import common_up
 from ..run.errors import FiptError
 
 FLOOR_PERCENTILE = 2.0  # of the heights of points; below the floor are only wrong points
@@ -32,41 +34,6 @@ class Pick:
     y: float
 
 
-def up_direction(poses: np.ndarray) -> np.ndarray:
-    """The direction (3,) that is up for cameras that were held level, in either format, tilted or not.
-
-    A level camera has a horizontal X axis, or Y axis if it was turned on its side. The direction is the one
-    most perpendicular to these axes.
-
-    Args:
-        poses: (V, 4, 4).
-    """
-    mean = -poses[:, :3, 1].mean(axis=0)
-    length = np.linalg.norm(mean)
-    mean = mean / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
-    up = mean
-    for _ in range(5):  # which axis is the horizontal one depends on the direction; it settles at once
-        axes = np.swapaxes(poses[:, :3, :2], 1, 2)  # (V, 2, 3)
-        level = np.abs(axes @ up).argmin(axis=1)
-        horizontal = axes[np.arange(len(axes)), level]
-        spread = horizontal.T @ horizontal / len(horizontal)
-        # Decides only where all cameras look along one line.
-        spread += 1e-3 * (np.eye(3) - np.outer(mean, mean))
-        up = np.linalg.eigh(spread)[1][:, 0]
-        up = up if up @ mean >= 0.0 else -up
-    return np.asarray(up)
-
-
-def rotation_to_z(up: np.ndarray) -> np.ndarray:
-    """The smallest rotation (3, 3) that turns a unit direction (3,) to +Z."""
-    axis = np.cross(up, [0.0, 0.0, 1.0])
-    cosine = float(up[2])
-    if cosine < -1.0 + 1e-9:
-        return np.diag([1.0, -1.0, -1.0])
-    skew = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    return np.eye(3) + skew + skew @ skew / (1.0 + cosine)
-
-
 def room_frame(poses: np.ndarray, points: np.ndarray, meters_per_unit: float) -> np.ndarray:
     """The similarity (4, 4) from the solve's frame to the room's: Z up, metres, floor at zero.
 
@@ -78,7 +45,7 @@ def room_frame(poses: np.ndarray, points: np.ndarray, meters_per_unit: float) ->
         meters_per_unit: length of the solve's unit.
     """
     similarity = np.eye(4)
-    similarity[:3, :3] = meters_per_unit * rotation_to_z(up_direction(poses))
+    similarity[:3, :3] = meters_per_unit * rotation_between(common_up(poses).up, np.array([0.0, 0.0, 1.0]))
     centers = conventions.transform_points(similarity, poses[:, :3, 3])
     heights = conventions.transform_points(similarity, points)[:, 2] if len(points) else centers[:, 2]
     floor = float(np.percentile(heights, FLOOR_PERCENTILE))

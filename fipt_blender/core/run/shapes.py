@@ -16,6 +16,8 @@ SCALES = (1e-6, 1e6)  # meters per unit of a capture: from micrometers to a thou
 # of maps up to 1e7; squares of much larger ones are beyond single precision.
 FARTHEST = 1e8
 FARTHEST_UNITS = FARTHEST / SCALES[0]  # the same in a capture's own units
+UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
+UP_SOURCES = ("option", "format", "planes", "cameras")  # what tells which axis of a capture is up
 _NOT_NEGATIVE = Number(low=0.0)
 
 
@@ -46,7 +48,8 @@ CAPTURE = Fields(
         "world_from_source": Numbers(4, 4, most=FARTHEST_UNITS),
         "mesh": Maybe(str),
         "views": Items(_VIEW),
-    }
+    },
+    {"up": Fields({"axis": Choice(*UP_AXES), "source": Choice(*UP_SOURCES), "angle": _NOT_NEGATIVE})},
 )
 ROOM = Fields(
     {"objects": Items(str), "materials": Items(str)},
