@@ -10,6 +10,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..api import applying
+from ..panels.sidebar import size_text
 from ..properties.materials import SHOWN
 from .job_operator import JobOperator
 from .polls import all_of, has_results, in_object_mode, is_own_room, needs, no_job
@@ -100,6 +101,56 @@ class FIPT_OT_collect_pictures(bpy.types.Operator):
 
         count = collect_pictures(self.pack)
         self.report({"INFO"}, iface_("{} pictures collected. Save the file").format(count))
+        return {"FINISHED"}
+
+
+def _no_undo(context: bpy.types.Context) -> bool:
+    return not (bpy.ops.ed.undo.poll() or bpy.ops.ed.redo.poll())
+
+
+class FIPT_OT_clean_up_pictures(bpy.types.Operator):
+    bl_idname = "fipt.clean_up_pictures"
+    bl_label = "Clean Up Pictures"
+    bl_description = (
+        "List the folders of textures of earlier results, in NAME_textures and in the run folder, that no"
+        " .blend file uses which Blender knows: this one, those beside it and their backups, recent files."
+        " They are deleted after you have confirmed"
+    )
+
+    poll = all_of(
+        no_job,
+        # Undo brings back results whose pictures no file may name.
+        needs(_no_undo, "Undo may need the pictures. Save the file, then use File > Revert"),
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        from ..blend.unused_pictures import unused_pictures
+
+        self._unused = unused_pictures()
+        if bpy.app.background or not self._unused.folders:
+            return self.execute(context)
+        text = iface_("Delete {}").format(size_text(self._unused.size))
+        return context.window_manager.invoke_props_dialog(self, width=640, confirm_text=text)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = self.layout.column(align=True)
+        column.label(text="Delete these folders permanently?", icon="TRASH")
+        for folder in self._unused.folders:
+            column.label(text=str(folder), translate=False)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.unused_pictures import remove_pictures, unused_pictures
+
+        listed = getattr(self, "_unused", None) or unused_pictures()
+        removed = remove_pictures(listed.folders)
+        if removed.unread:
+            text = iface_("Nothing was deleted: {} can't be read and may use the pictures")
+            self.report({"WARNING"}, text.format(removed.unread[0]))
+        for folder in removed.folders:
+            self.report({"INFO"}, iface_("Deleted {}").format(folder))
+        text = iface_("{} folders of pictures deleted, {}")
+        self.report({"INFO"}, text.format(len(removed.folders), size_text(removed.size)))
         return {"FINISHED"}
 
 

@@ -112,6 +112,7 @@ class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
         column.prop(settings, "mute_lights")
         column.prop(settings, "use_cycles")
         layout.operator("fipt.apply_results", text="Apply Again", icon="MATERIAL")
+        layout.operator("fipt.clean_up_pictures", text="Clean Up Pictures...", icon="TRASH")
 
 
 def _draw_results(
