@@ -17,7 +17,7 @@ from .marks import TEXTURE
 
 def missing_pictures() -> list[str]:
     """Names of the files that pictures of results in the open file name and that are not there."""
-    return sorted({path.name for image in _outside() for path in _files(image) if not path.is_file()})
+    return sorted({path.name for image in _outside() for path in image_files(image) if not path.is_file()})
 
 
 def pictures_elsewhere() -> int:
@@ -28,7 +28,7 @@ def pictures_elsewhere() -> int:
     if not bpy.data.filepath or not _beside():
         return 0
     folder = Path(bpy.data.filepath).parent
-    return sum(not path.is_relative_to(folder) for image in _outside() for path in _files(image)[:1])
+    return sum(not path.is_relative_to(folder) for image in _outside() for path in image_files(image)[:1])
 
 
 def collect_pictures(pack: bool) -> int:
@@ -55,10 +55,10 @@ def collect_pictures(pack: bool) -> int:
         if pack or image.is_dirty:  # what was painted is in no file yet
             image.pack()
             continue
-        files = _files(image)
+        files = image_files(image)
         folder = blend.with_name(f"{blend.stem}_textures") / files[0].parent.name
         for path in files:
-            _copy(path, folder / path.name)
+            copy_picture(path, folder / path.name)
         name = files[0].name if image.source != "TILED" else Path(image.filepath).name
         image.filepath = bpy.path.relpath(str(folder / name))
     return len(images)
@@ -70,7 +70,7 @@ def _outside() -> list[bpy.types.Image]:
     return [image for image in images if image.packed_file is None]
 
 
-def _files(image: bpy.types.Image) -> list[Path]:
+def image_files(image: bpy.types.Image) -> list[Path]:
     """The files of an image: one for each tile."""
     path = Path(os.path.normpath(bpy.path.abspath(image.filepath)))
     if image.source != "TILED":
@@ -83,7 +83,12 @@ def _beside() -> bool:
     return str(settings.texture_files) == "BESIDE"
 
 
-def _copy(path: Path, target: Path) -> None:
+def copy_picture(path: Path, target: Path) -> None:
+    """Copy a file; one that is there already stays.
+
+    Raises:
+        FiptError: ``textures-unwritable``.
+    """
     if target.is_file():
         return
     try:

@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..api import applying
+from ..core.run.errors import FiptError
 from ..panels.sidebar import size_text
 from ..properties.materials import SHOWN
 from .job_operator import JobOperator
@@ -101,6 +103,42 @@ class FIPT_OT_collect_pictures(bpy.types.Operator):
 
         count = collect_pictures(self.pack)
         self.report({"INFO"}, iface_("{} pictures collected. Save the file").format(count))
+        return {"FINISHED"}
+
+
+class FIPT_OT_collect_room(bpy.types.Operator):
+    bl_idname = "fipt.collect_room"
+    bl_label = "Collect Room"
+    bl_description = (
+        "Save a copy of the file into a folder of its own, with all images that it uses and the exports"
+        " beside it, or as one packed file. It opens on another machine without this add-on"
+    )
+
+    directory: bpy.props.StringProperty(name="Folder", description="An empty folder", subtype="DIR_PATH")
+    pack: bpy.props.BoolProperty(name="One File", description="Pack the images into the copy", default=False)
+    photographs: bpy.props.BoolProperty(
+        name="Photographs", description="Also collect the photographs of the views", default=True
+    )
+
+    poll = all_of(has_results, no_job, in_object_mode)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.export.collecting import collect_room
+
+        if not self.directory:
+            raise FiptError("export-file", "No folder is chosen.", "Choose an empty folder.")
+        folder = Path(bpy.path.abspath(self.directory))
+        done = collect_room(folder, self.pack, self.photographs)
+        if done.left:
+            text = iface_("{} other files stay where they are, the first is {}")
+            self.report({"WARNING"}, text.format(len(done.left), done.left[0]))
+        text = iface_("{} written with {} images and {} files of exports")
+        self.report({"INFO"}, text.format(done.path, done.images, len(done.exports)))
         return {"FINISHED"}
 
 

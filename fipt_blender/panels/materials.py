@@ -131,6 +131,7 @@ def _draw_results(
         if context.scene.fipt.lights.needs_cycles():
             draw_engine_choice(layout, context)
     layout.operator("fipt.export_room", text="Export Room...", icon="EXPORT")
+    layout.operator("fipt.collect_room", text="Collect Room...", icon="PACKAGE")
     layout.operator("fipt.revert", icon="LOOP_BACK")
 
 
