@@ -14,7 +14,7 @@ from fipt_blender.blend.marks import FIXTURE, NAMED
 from fipt_blender.blend.results import part_list
 from fipt_blender.blend.results.adjust import Adjustment
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.jobs import running, runstate, setup_size
+from fipt_blender.jobs import running, runstate, session, setup_size
 from fipt_blender.panels import estimate, materials, path, start
 from fipt_blender.panels.lights import report_name
 from samples.layouts import Layout, drawn_by, tab_count
@@ -138,6 +138,21 @@ def test_photographs_without_cameras_lead_to_make_capture(tmp_path):
     assert scene.fipt.photographs.path == str(tmp_path) and tab_count().sections == ("Photographs",)
     assert bpy.ops.fipt.leave_photographs() == {"FINISHED"}
     assert tab_count().sections == ("Start",)
+    assert "Photographs without cameras." not in drawn_by(start.FIPT_PT_start)[0]
+
+
+@pytest.mark.usefixtures("ready")
+def test_chosen_photographs_without_cameras_become_a_capture(tmp_path):
+    scene = bpy.context.scene
+    scene.fipt.capture.path, scene.fipt.run_folder = str(tmp_path / "photos"), str(tmp_path / "run")
+    info = running.RunningJob("Import Capture", "capture", scene.name, tmp_path / "run")
+    running.refuse(info, FiptError("other", "Another error.", "Another remedy."))
+    session.after_job(info)
+    assert not scene.fipt.photographs.path
+    running.refuse(info, FiptError("cameras-missing", "Photographs without cameras.", "Make a capture."))
+    session.after_job(info)
+    assert scene.fipt.photographs.path == str(tmp_path / "photos") and running.last("capture") is None
+    assert tab_count().sections == ("Photographs",)
 
 
 def test_a_finished_estimate_is_one_line_once_it_is_applied(monkeypatch):
