@@ -105,6 +105,16 @@ def test_online_access_is_explained_and_asked_for_where_it_is_needed(monkeypatch
     assert "use_online_access" not in properties and "fipt.set_up_engine" in drawn
 
 
+@pytest.mark.parametrize("there", [False, True])
+def test_a_python_that_can_not_make_environments_is_told_before_the_set_up(monkeypatch, there):
+    monkeypatch.setattr(machine, "has_engine", lambda: False)
+    # What Debian's Python is without the package python3-venv.
+    monkeypatch.setattr(setup_size, "find_spec", lambda name: object() if there or name != "venv" else None)
+    drawn = drawn_by(start.FIPT_PT_start)[0]
+    before = " ".join(drawn[: drawn.index("fipt.set_up_engine")])
+    assert ("apt-get install python3-venv" in before) is not there
+
+
 def test_the_size_of_the_download_is_told_where_it_is_known(monkeypatch):
     monkeypatch.setattr(machine, "has_engine", lambda: False)
     monkeypatch.setattr(machine.DEFAULTS, "device", "llvm")
