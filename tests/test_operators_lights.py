@@ -354,3 +354,14 @@ def test_names_of_fixtures_stay_on_another_apply_and_so_do_the_artists(scene):
     assert ops.apply_results() == {"FINISHED"}
     assert [row.object.name for row in scene.fipt.lights.lights] == ["Window"]
     assert ops.reset_light(light="Fixture.001") == {"FINISHED"}  # scripts also use the run's name
+
+
+@pytest.mark.parametrize("transparent", [False, True])
+def test_revert_leaves_no_shadow_catchers(scene, transparent):
+    scene.render.film_transparent = transparent
+    before = {item.name for item in scene.objects if item.is_shadow_catcher}
+    bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
+    assert scene.objects["cube"].is_shadow_catcher and scene.render.film_transparent
+    assert ops.revert() == {"FINISHED"}
+    assert {item.name for item in scene.objects if item.is_shadow_catcher} == before
+    assert scene.render.film_transparent is transparent and scene.fipt.insert.backdrop == "ROOM"

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..capture.backdrop import set_backdrop
 from ..capture.compare import refresh
 from ..lights import light_state
 from ..lights.eevee import restore_eevee
@@ -31,6 +32,7 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> list[str]:
     """
     settings = scene.fipt.materials
     settings.shown = "ESTIMATED"  # restores view settings, world and collections
+    set_backdrop(scene, "ROOM", ())
     for layer in scene.view_layers:
         remove_light_groups(scene, layer)
     room = room_with_results(scene)
