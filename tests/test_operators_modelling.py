@@ -224,3 +224,20 @@ def test_a_deleted_lamp_stays_deleted_until_revert(applied, modelled, density, h
     assert ops.revert() == {"FINISHED"} and lamps() == []
     assert ops.apply_results() == {"FINISHED"}
     assert len(lamps()) == 1 and "lamps-deleted" not in warnings()
+
+
+@pytest.mark.parametrize("again", [False, True])
+@pytest.mark.parametrize("separated", [(), ("panel",), ("cube",), ("panel", "cube")])
+def test_revert_names_the_separated_pieces_that_it_hides(applied, capfd, again, separated):
+    before = {item.name for item in meshes(applied)}
+    for name in separated:
+        artist.separate(name)
+    if again:
+        assert ops.apply_results() == {"FINISHED"}
+    pieces = {item.name for item in meshes(applied)} - before
+    assert len(pieces) == len(separated)
+    capfd.readouterr()
+    assert ops.revert() == {"FINISHED"}
+    said = [line for line in capfd.readouterr().out.splitlines() if "Hidden" in line]
+    assert {name for name in pieces if bpy.data.objects[name].hide_render} == pieces
+    assert len(said) == bool(pieces) and all(f"'{name}'" in said[0] for name in pieces)

@@ -78,8 +78,12 @@ class FIPT_OT_revert(_NeedsResults, bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.results.reverting import revert
+        from ..blend.room.result_meshes import list_names
 
-        restored = revert(context.scene, self.new_lights)
+        restored, hidden = revert(context.scene, self.new_lights)
+        if hidden:
+            text = iface_("Hidden, since the restored meshes hold the faces that were separated: {}")
+            self.report({"WARNING"}, text.format(list_names(hidden)))
         self.report({"INFO"}, iface_("{} objects restored").format(len(restored)))
         return {"FINISHED"}
 
