@@ -127,7 +127,10 @@ def test_a_set_up_that_runs_is_shown_with_its_way_to_stop_it(monkeypatch, tmp_pa
     job = running.RunningJob("Set Up Engine", running.DATA_KIND, "", tmp_path, fraction=0.25)
     monkeypatch.setattr(running, "current", lambda: job)
     drawn = drawn_by(start.FIPT_PT_start)[0]
-    assert drawn.index("25%") + 1 == drawn.index("fipt.cancel") and "fipt.set_up_engine" not in drawn
+    assert (
+        drawn.index("Set Up Engine: 25%") + 1 == drawn.index("fipt.cancel")
+        and "fipt.set_up_engine" not in drawn
+    )
 
 
 def test_without_an_engine_an_error_leads_to_its_set_up(tmp_path):
@@ -191,7 +194,7 @@ def test_a_running_example_does_not_call_the_estimate_stopped(monkeypatch, tmp_p
     job = running.RunningJob("Apply Results", "materials", scene.name, tmp_path, fraction=0.5)
     monkeypatch.setattr(running, "current", lambda: job)
     text = " ".join(drawn_by(estimate.FIPT_PT_estimate)[0])
-    assert "50%" in text and "Stopped" not in text
+    assert "Apply Results: 50%" in text and "Stopped" not in text
 
 
 def test_no_process_is_started_while_drawing(monkeypatch):
