@@ -140,7 +140,7 @@ def test_a_file_that_can_not_be_read_may_use_all(scene, tmp_path, estimate_again
     damaged.write_bytes(content[fault])
     estimate_again()
     before = sets(tmp_path / "kitchen_textures")
-    assert unused_pictures().unread == (damaged,)
+    assert unused_pictures() == ([], [damaged])
     assert ops.clean_up_pictures() == {"FINISHED"}
     assert sets(tmp_path / "kitchen_textures") == before and len(before) == 2
 

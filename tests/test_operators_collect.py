@@ -64,7 +64,7 @@ def test_a_collected_room_opens_elsewhere(scene, tmp_path, pack, keep, tiled):
     settings.texture_files, settings.texture_size = keep, "512"
     settings.texel_density = 128.0 if tiled else 8.0
     assert ops.apply_results() == {"FINISHED"}
-    for index, place in enumerate((tmp_path / "a" / "wood", tmp_path / "b" / "wood", first / "wood")):
+    for index, place in enumerate((tmp_path / "a" / "wood", tmp_path / "b" / "wood", first / "2-wood")):
         place.parent.mkdir(exist_ok=True)
         own_image(place / "oak.png", 0.25 * (index + 1)).name = f"oak {index}"
     (first / "shot.glb").write_bytes(b"glTF")

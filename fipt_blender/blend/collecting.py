@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 
 import bpy
@@ -13,6 +14,7 @@ import bpy
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import atomic_path
 from .marks import TEXTURE
+from .texture_files import SET_NAME
 
 
 def missing_pictures() -> list[str]:
@@ -43,25 +45,46 @@ def collect_pictures(pack: bool) -> int:
     Raises:
         FiptError: ``file-unsaved``, ``file-missing`` or ``textures-unwritable``.
     """
-    if not pack and not bpy.data.filepath:
-        raise FiptError("file-unsaved", "The file has no name yet.", "Save it first.")
-    missing = missing_pictures()
-    if missing:
-        text = f"{len(missing)} pictures are missing, the first is {missing[0]}."
-        raise FiptError("file-missing", text, "Use Find Missing Files, or apply the results again.")
-    blend = Path(bpy.data.filepath)
+    check_pictures(needs_name=not pack)
     images = _outside()
     for image in images:
         if pack or image.is_dirty:  # what was painted is in no file yet
             image.pack()
-            continue
+    bring(_outside(), Path(bpy.data.filepath))
+    return len(images)
+
+
+def check_pictures(needs_name: bool = True) -> None:
+    """Check that the open file has a name, and its pictures.
+
+    Raises:
+        FiptError: ``file-unsaved`` or ``file-missing``.
+    """
+    if needs_name and not bpy.data.filepath:
+        raise FiptError("file-unsaved", "The file has no name yet.", "Save it first.")
+    if missing := missing_pictures():
+        text = f"{len(missing)} pictures are missing, the first is {missing[0]}."
+        raise FiptError("file-missing", text, "Use Find Missing Files, or apply the results again.")
+
+
+def bring(images: Iterable[bpy.types.Image], blend: Path) -> None:
+    """Copy images' files to folders in NAME_textures beside a .blend file NAME, and let the images name them.
+
+    Raises:
+        FiptError: ``textures-unwritable``.
+    """
+    folders: dict[Path, str] = {}
+    for image in images:
         files = image_files(image)
-        folder = blend.with_name(f"{blend.stem}_textures") / files[0].parent.name
+        source = files[0].parent
+        # A set of results has a name that no other one has; other folders are numbered.
+        name = source.name if SET_NAME.fullmatch(source.name) else f"{len(folders) + 1}-{source.name}"
+        name = folders.setdefault(source, name)
+        folder = blend.with_name(f"{blend.stem}_textures") / name
         for path in files:
             copy_picture(path, folder / path.name)
-        name = files[0].name if image.source != "TILED" else Path(image.filepath).name
-        image.filepath = bpy.path.relpath(str(folder / name))
-    return len(images)
+        pattern = image.filepath_raw.replace("\\", "/").rpartition("/")[2]
+        image.filepath_raw = bpy.path.relpath(str(folder / pattern))
 
 
 def _outside() -> list[bpy.types.Image]:

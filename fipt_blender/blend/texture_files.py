@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,7 +25,8 @@ from .image_datablocks import load_texture, load_tiles, read_texture
 from .marks import TEXTURE
 from .png16 import encode_png, encode_srgb
 
-DIGITS = 12  # of a set's digest: two of a thousand sets have the same one with a probability below 1e-8
+_DIGITS = 12  # of a set's digest: two of a thousand sets have the same one with a probability below 1e-8
+SET_NAME = re.compile(rf"[0-9a-f]{{{_DIGITS}}}")
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,7 @@ def in_run_folder(run: RunFolder, pack: bool = False, png: bool = False) -> Text
 
 def content_name(run: RunFolder) -> str:
     """A name for the present textures and environment of a run, which others do not have."""
-    digest = hashlib.blake2b(digest_size=DIGITS // 2)
+    digest = hashlib.blake2b(digest_size=_DIGITS // 2)
     pictures = sorted(run.textures.glob("*.exr")) if run.textures.is_dir() else []
     for path in (*pictures, run.environment_exr):
         if path.is_file():

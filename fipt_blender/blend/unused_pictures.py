@@ -11,44 +11,28 @@ import gzip
 import re
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
 import bpy
 
 from ..core.run.errors import FiptError
-from .texture_files import DIGITS
+from .texture_files import SET_NAME
 
-_SET = re.compile(rf"[0-9a-f]{{{DIGITS}}}")
 _BLEND = re.compile(r"\.blend\d*@?$")  # with backups, and files that are being saved
 _PIECE = 1 << 22  # bytes that are searched at once
 
 
-@dataclass(frozen=True)
-class Unused:
-    """What Clean Up may remove.
-
-    Attributes:
-        folders: of pictures that no known .blend file uses; none if one of these files can't be read.
-        size: of the pictures in them, bytes.
-        unread: the .blend files that can't be read.
-    """
-
-    folders: tuple[Path, ...] = ()
-    size: int = 0
-    unread: tuple[Path, ...] = ()
-
-
-def unused_pictures() -> Unused:
+def unused_pictures() -> tuple[list[Path], list[Path]]:
     """Picture folders of the open file and of its runs that no known .blend file uses.
 
     Known are the open file, those beside it and in its run folders with their backups, its libraries,
     Blender's list of recent files, and the files that Blender saves by itself.
+
+    Returns:
+        The folders, and the .blend files that can't be read: if there is one, it may use all of them.
     """
-    runs = {
-        Path(bpy.path.abspath(scene.fipt.run_folder)) for scene in bpy.data.scenes if scene.fipt.run_folder
-    }
+    runs = {Path(bpy.path.abspath(scene.fipt.run_folder)) for scene in bpy.data.scenes} - {Path()}
     blend = Path(bpy.data.filepath) if bpy.data.filepath else None
     stores = [run / "applied" for run in runs]
     if blend is not None:
@@ -62,41 +46,31 @@ def unused_pictures() -> Unused:
             left -= _named_in(path, left)
         except Exception:  # each format has its own errors of damaged files
             unread.append(path)
-    if unread:
-        return Unused(unread=tuple(unread))
-    folders = tuple(folder for store in stores for folder in _sets(store) if folder.name in left)
-    return Unused(folders, sum(file.stat().st_size for folder in folders for file in folder.iterdir()))
+    unused = [folder for store in stores for folder in _sets(store) if folder.name in left]
+    return [] if unread else unused, unread
 
 
-def remove_pictures(folders: tuple[Path, ...]) -> Unused:
-    """Remove those of some folders that are unused still; returns them.
+def remove_pictures(folder: Path) -> None:
+    """Remove a folder of `unused_pictures`.
 
     Raises:
         FiptError: ``run-unwritable``.
     """
-    found = unused_pictures()
-    chosen = tuple(folder for folder in found.folders if folder in folders)
-    size = 0
-    for folder in chosen:
-        try:
-            for file in list(folder.iterdir()):
-                size += file.stat().st_size
-                file.unlink()
-            folder.rmdir()
-        except OSError as error:
-            raise FiptError(
-                "run-unwritable",
-                f"{folder} can't be deleted ({error.strerror}).",
-                "Close programs that use it, or delete it yourself.",
-            ) from error
-    return Unused(chosen, size, found.unread)
+    try:
+        for file in list(folder.iterdir()):
+            file.unlink()
+        folder.rmdir()
+    except OSError as error:
+        text = f"{folder} can't be deleted ({error.strerror})."
+        remedy = "Close programs that use it, or delete it yourself."
+        raise FiptError("run-unwritable", text, remedy) from error
 
 
 def _sets(store: Path) -> list[Path]:
     """Folders that `texture_files` has made; one that holds anything but pictures is not ours to remove."""
     if not store.is_dir() or store.is_symlink():
         return []
-    folders = [path for path in store.iterdir() if _SET.fullmatch(path.name) and not path.is_symlink()]
+    folders = [path for path in store.iterdir() if SET_NAME.fullmatch(path.name) and not path.is_symlink()]
     return sorted(
         folder
         for folder in folders

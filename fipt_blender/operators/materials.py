@@ -12,7 +12,6 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..api import applying
 from ..core.run.errors import FiptError
-from ..panels.sidebar import size_text
 from ..properties.materials import SHOWN
 from .job_operator import JobOperator
 from .polls import all_of, has_results, in_object_mode, is_own_room, needs, no_job
@@ -119,10 +118,7 @@ class FIPT_OT_collect_room(bpy.types.Operator):
     )
 
     directory: bpy.props.StringProperty(name="Folder", description="An empty folder", subtype="DIR_PATH")
-    pack: bpy.props.BoolProperty(name="One File", description="Pack the images into the copy", default=False)
-    photographs: bpy.props.BoolProperty(
-        name="Photographs", description="Also collect the photographs of the views", default=True
-    )
+    pack: bpy.props.BoolProperty(name="One File", description="Pack the images into the copy")
 
     poll = all_of(has_results, no_job, in_object_mode)
 
@@ -137,12 +133,12 @@ class FIPT_OT_collect_room(bpy.types.Operator):
         if not self.directory:
             raise FiptError("export-file", "No folder is chosen.", "Choose an empty folder.")
         folder = Path(bpy.path.abspath(self.directory))
-        done = collect_room(folder, self.pack, self.photographs)
+        done = collect_room(folder, self.pack)
         if done.left:
             text = iface_("{} other files stay where they are, the first is {}")
             self.report({"WARNING"}, text.format(len(done.left), done.left[0]))
-        text = iface_("{} written with {} images and {} files of exports")
-        self.report({"INFO"}, text.format(done.path, done.images, len(done.exports)))
+        text = iface_("{} written, with {} files of exports").format(done.path, len(done.exports))
+        self.report({"INFO"}, text)
         return {"FINISHED"}
 
 
@@ -168,31 +164,30 @@ class FIPT_OT_clean_up_pictures(bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         from ..blend.unused_pictures import unused_pictures
 
-        self._unused = unused_pictures()
-        if bpy.app.background or not self._unused.folders:
+        self._listed, _ = unused_pictures()
+        if bpy.app.background or not self._listed:
             return self.execute(context)
-        text = iface_("Delete {}").format(size_text(self._unused.size))
-        return context.window_manager.invoke_props_dialog(self, width=640, confirm_text=text)
+        return context.window_manager.invoke_props_dialog(self, width=640, confirm_text=iface_("Delete"))
 
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column(align=True)
         column.label(text="Delete these folders permanently?", icon="TRASH")
-        for folder in self._unused.folders:
+        for folder in self._listed:
             column.label(text=str(folder), translate=False)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.unused_pictures import remove_pictures, unused_pictures
 
-        listed = getattr(self, "_unused", None) or unused_pictures()
-        removed = remove_pictures(listed.folders)
-        if removed.unread:
+        folders, unread = unused_pictures()
+        if unread:
             text = iface_("Nothing was deleted: {} can't be read and may use the pictures")
-            self.report({"WARNING"}, text.format(removed.unread[0]))
-        for folder in removed.folders:
+            self.report({"WARNING"}, text.format(unread[0]))
+        removed = [folder for folder in folders if folder in getattr(self, "_listed", folders)]
+        for folder in removed:
+            remove_pictures(folder)
             self.report({"INFO"}, iface_("Deleted {}").format(folder))
-        text = iface_("{} folders of pictures deleted, {}")
-        self.report({"INFO"}, text.format(len(removed.folders), size_text(removed.size)))
+        self.report({"INFO"}, iface_("{} folders of pictures deleted").format(len(removed)))
         return {"FINISHED"}
 
 
