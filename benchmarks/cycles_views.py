@@ -51,14 +51,14 @@ def render_views(
     import bpy
 
     from fipt_blender.blend.lights.area_lights import Rectangle, add_area_light
-    from fipt_blender.blend.lights.light_state import set_estimated_lights
+    from fipt_blender.blend.lights.light_state import switch_all
     from fipt_blender.blend.pictures.renders import render_list
 
     bpy.ops.wm.open_mainfile(filepath=str(blend_file), load_ui=False, use_scripts=False)
     scene = bpy.context.scene
     if relight is None:
         return render_list(run, scene, "rerender", views, options)
-    set_estimated_lights(False)
+    switch_all(False)
     rectangle = Rectangle.of_corners(relight["vertices"])
     add_area_light("FIPT Relight", relight["radiance"], rectangle, scene)
     return render_list(run, scene, "relight", views, options)

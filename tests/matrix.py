@@ -37,7 +37,7 @@ TESTS = (
     "test_blend_room.py",
     "test_blend_scene_cameras.py",
     "test_operators_materials.py",
-    "test_operators_room_changes.py",
+    "test_operators_modelling.py",
     "test_operators_textures.py",
     "test_textures_write_back.py",
 )

@@ -165,7 +165,7 @@ def test_fixture_emits_its_radiance_on_each_side(room):
     assert np.allclose(back, [0.0, 1.0, 0.0], atol=1e-4)
     light_state.change(bpy.context.scene, fixture, {ON: False})
     assert not spot(centre + 2 * normal, centre).any()
-    light_state.set_estimated_lights(True)
+    light_state.switch_all(True)
     assert np.allclose(spot(centre + 2 * normal, centre), front, rtol=1e-4)
 
 

@@ -120,6 +120,18 @@ def test_a_copy_does_not_move_the_original(scene):
     assert "Floor.001" in scene.objects and "fipt_inserted" not in bpy.data.objects["Floor"]
 
 
+@pytest.mark.parametrize("own", [False, True])
+def test_a_copy_of_the_room_is_no_shadow_catcher_unless_the_artist_made_it_one(scene, own):
+    floor = bpy.data.objects["Floor"]
+    floor.is_shadow_catcher = own
+    bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
+    assert floor.is_shadow_catcher
+    place(kind="OBJECT", object_name="Floor", copy=True, location=(0, 0, 0))
+    assert bpy.data.objects["Floor.001"].is_shadow_catcher is own
+    bpy.ops.fipt.set_backdrop(mode="ROOM")
+    assert floor.is_shadow_catcher is bpy.data.objects["Floor.001"].is_shadow_catcher is own
+
+
 def test_an_object_of_another_scene_is_copied(scene):
     mesh = bpy.data.meshes.new("asset")
     mesh.from_pydata([(0, 0, 1), (1, 0, 1), (0, 1, 2)], [], [(0, 1, 2)])

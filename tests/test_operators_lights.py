@@ -13,6 +13,7 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend.lights.color import blackbody, luminance, temperature_of
+from fipt_blender.panels import lights, path
 from samples.applied_rooms import (
     RADIANCE,
     front,
@@ -21,6 +22,7 @@ from samples.applied_rooms import (
     use_fake_engine,
     world_strength,
 )
+from samples.layouts import drawn_by
 from samples.operator_calls import refused
 from samples.spots import spot
 
@@ -58,16 +60,15 @@ def test_black_body_agrees_with_blender_and_daylight():
         assert np.allclose(theirs / luminance(theirs), blackbody(kelvin), rtol=0.03, atol=0.01), kelvin
 
 
-def test_power_in_stops_watts_lumens_and_radiance(scene):
+def test_power_in_stops_watts_and_radiance(scene):
     row = scene.fipt.lights.lights[0]
     assert (row.on, row.solo, row.stops) == (True, False, 0.0)
     # One square metre of radiance 8, 4, 2 sends out pi A L.
     assert row.watts == pytest.approx(math.pi * 8.0, rel=1e-5) and row.radiance == pytest.approx(8.0)
-    assert row.lumens == pytest.approx(683.0 * math.pi * luminance(RADIANCE), rel=1e-5)
     row.stops = 1.5
     assert row.watts == pytest.approx(math.pi * 8.0 * 2.0**1.5, rel=1e-5)
     assert np.allclose(front(row.object), np.array(RADIANCE) * 2.0**1.5)
-    for name in ("watts", "lumens", "radiance"):
+    for name in ("watts", "radiance"):
         row.stops = 0.0
         setattr(row, name, 0.25 * getattr(row, name))
         assert row.stops == pytest.approx(-2.0, abs=1e-5), name
@@ -84,9 +85,9 @@ def test_watts_are_those_of_the_blender_light_that_stands_for_a_fixture(scene):
     assert light.data.energy == pytest.approx(row.watts, rel=1e-4)
     ops.add_light(location=(0, 0, 3), size=1.0, power=50.0)
     added = scene.fipt.lights.active_light()
-    assert added.watts == pytest.approx(50.0) and added.has_flux()
+    assert added.watts == pytest.approx(50.0)
     added.object.data.type = "SUN"
-    assert not added.has_power() and not added.has_flux()
+    assert not added.has_power()
 
 
 def test_colour_and_temperature_keep_the_luminance(scene):
@@ -121,10 +122,49 @@ def test_on_solo_and_all(scene):
     assert new.object.data.energy == 0.0 and world_strength() == 0.0
     lamp.solo = False
     assert not front(lamp.object).any() and new.object.data.energy == energy and world_strength() == 1.0
-    assert ops.switch_lights(on=True) == {"FINISHED"} and front(lamp.object).any()
     assert ops.switch_lights(on=False) == {"FINISHED"}
-    assert not front(lamp.object).any() and world_strength() == 0.0 and new.object.data.energy == energy
-    assert not scene.fipt.lights.environment_on
+    assert not front(lamp.object).any() and world_strength() == 0.0 and new.object.data.energy == 0.0
+    assert not scene.fipt.lights.environment_on and not lamp.on and not new.on
+    assert ops.switch_lights(on=True) == {"FINISHED"} and front(lamp.object).any()
+    assert lamp.on and new.on and new.object.data.energy == energy and world_strength() == 1.0
+
+
+def test_the_header_counts_the_lights_of_the_list(scene):
+    for _ in range(3):
+        ops.add_light(location=(0, 0, 3), size=1.0, power=50.0)
+    place = path.PLACES["FIPT_PT_lights"]
+    assert place.state(bpy.context) == ("4 lights",)
+    bpy.ops.object.select_all(action="DESELECT")
+    scene.fipt.lights.lights[1].object.select_set(True)
+    assert bpy.ops.object.delete() == {"FINISHED"}
+    assert sum(light.is_alive() for light in scene.fipt.lights.lights) == 3
+    assert place.state(bpy.context) == ("3 lights",)
+
+
+@pytest.mark.parametrize(
+    ("color", "has"),
+    [
+        *[(blackbody(kelvin), True) for kelvin in (1200.0, 1900.0, 2700.0, 4000.0, 6504.0, 20000.0)],
+        ((1.0, 1.0, 1.0), True),
+        ((0.2, 1.0, 0.2), False),
+        ((0.7, 1.0, 0.6), False),
+        ((1.0, 0.3, 1.0), False),
+        ((0.1, 0.2, 1.0), False),
+        ((1.0, 0.8, 0.0), False),
+        ((1.0, 0.0, 0.0), False),
+    ],
+)
+def test_a_temperature_is_shown_for_colours_of_black_bodies(scene, color, has):
+    row = scene.fipt.lights.lights[0]
+    row.color = np.array(color) / max(color)
+    assert row.has_temperature() == has
+    row.tint = "ESTIMATED"
+    row.object["fipt_base"] = color
+    assert row.has_temperature() == has
+    _, properties = drawn_by(lights.FIPT_PT_lights)
+    assert ("kelvin" in properties, "color" in properties) == (has, not has)
+    row.tint = "TEMPERATURE"
+    assert row.has_temperature() and "kelvin" in drawn_by(lights.FIPT_PT_lights)[1]
 
 
 def test_strengths_entered_in_blenders_fields_become_settings(scene):
@@ -170,7 +210,8 @@ def test_choosing_and_bad_names(scene):
     bpy.context.view_layer.update()
     assert "hidden" in refused(ops.select_light, light="Fixture.001")
     ops.revert()
-    assert not ops.switch_lights.poll() and not ops.match_exposure.poll()
+    assert ops.switch_lights.poll()  # the new light is left
+    assert not ops.match_exposure.poll()
 
 
 def test_new_light(scene):
@@ -313,3 +354,14 @@ def test_names_of_fixtures_stay_on_another_apply_and_so_do_the_artists(scene):
     assert ops.apply_results() == {"FINISHED"}
     assert [row.object.name for row in scene.fipt.lights.lights] == ["Window"]
     assert ops.reset_light(light="Fixture.001") == {"FINISHED"}  # scripts also use the run's name
+
+
+@pytest.mark.parametrize("transparent", [False, True])
+def test_revert_leaves_no_shadow_catchers(scene, transparent):
+    scene.render.film_transparent = transparent
+    before = {item.name for item in scene.objects if item.is_shadow_catcher}
+    bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
+    assert scene.objects["cube"].is_shadow_catcher and scene.render.film_transparent
+    assert ops.revert() == {"FINISHED"}
+    assert {item.name for item in scene.objects if item.is_shadow_catcher} == before
+    assert scene.render.film_transparent is transparent and scene.fipt.insert.backdrop == "ROOM"

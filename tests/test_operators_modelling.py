@@ -189,3 +189,55 @@ def test_nothing_is_lost_in_random_sequences_of_actions(applied, tmp_path, seed)
         sequence.run()
     except Exception as error:
         raise AssertionError(f"seed {seed}: {', '.join(sequence.done)}: {error!r}") from error
+
+
+@pytest.mark.parametrize("modelled", [False, True])
+@pytest.mark.parametrize("density", [16.0, 32.0])
+@pytest.mark.parametrize("how", ["delete", "remove", "hide"])
+def test_a_deleted_lamp_stays_deleted_until_revert(applied, modelled, density, how):
+    def lamps() -> list[str]:
+        return [item.name for item in applied.objects if marks.is_fixture(item)]
+
+    def warnings() -> list[str]:
+        return [message["code"] for message in running.last("materials").warnings]
+
+    (lamp,) = (bpy.data.objects[name] for name in lamps())
+    faces = {name: len(bpy.data.objects[name].data.polygons) for name in ("panel", "cube")}
+    lamp.name = "my lamp"
+    if how == "hide":
+        lamp.hide_viewport = lamp.hide_render = True
+    elif how == "delete":
+        artist.only(lamp)
+        assert bpy.ops.object.delete() == {"FINISHED"}
+    else:
+        bpy.data.objects.remove(lamp)
+    if modelled:
+        artist.subdivide("panel")
+    kept = ["my lamp"] if how == "hide" else []
+    meshes = len(bpy.data.meshes)
+    for _ in range(2):
+        applied.fipt.materials.texel_density = density
+        assert ops.apply_results() == {"FINISHED"}
+        assert lamps() == kept and ("lamps-deleted" in warnings()) is (how != "hide")
+        assert modelled or faces == {name: len(bpy.data.objects[name].data.polygons) for name in faces}
+    assert len(bpy.data.meshes) <= meshes + 1
+    assert ops.revert() == {"FINISHED"} and lamps() == []
+    assert ops.apply_results() == {"FINISHED"}
+    assert len(lamps()) == 1 and "lamps-deleted" not in warnings()
+
+
+@pytest.mark.parametrize("again", [False, True])
+@pytest.mark.parametrize("separated", [(), ("panel",), ("cube",), ("panel", "cube")])
+def test_revert_names_the_separated_pieces_that_it_hides(applied, capfd, again, separated):
+    before = {item.name for item in meshes(applied)}
+    for name in separated:
+        artist.separate(name)
+    if again:
+        assert ops.apply_results() == {"FINISHED"}
+    pieces = {item.name for item in meshes(applied)} - before
+    assert len(pieces) == len(separated)
+    capfd.readouterr()
+    assert ops.revert() == {"FINISHED"}
+    said = [line for line in capfd.readouterr().out.splitlines() if "Hidden" in line]
+    assert {name for name in pieces if bpy.data.objects[name].hide_render} == pieces
+    assert len(said) == bool(pieces) and all(f"'{name}'" in said[0] for name in pieces)

@@ -75,7 +75,7 @@ def test_warnings_of_an_estimation_that_another_blender_has_run(monkeypatch, tmp
 def test_while_an_estimation_runs_only_its_own_warnings_are_counted(monkeypatch, tmp_path):
     job = set_running(monkeypatch, "estimate", "Estimate", tmp_path)
     drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
-    assert "42%" in drawn and "fipt.estimate" not in drawn and "2 warnings" not in drawn
+    assert "Estimate: 42%" in drawn and "fipt.estimate" not in drawn and "2 warnings" not in drawn
     job.warnings += WARNINGS
     assert drawn_by(estimate.FIPT_PT_estimate)[0][-1] == "2 warnings"
 

@@ -14,7 +14,7 @@ from fipt_blender.blend.marks import FIXTURE, NAMED
 from fipt_blender.blend.results import part_list
 from fipt_blender.blend.results.adjust import Adjustment
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.jobs import running, runstate, setup_size
+from fipt_blender.jobs import running, runstate, session, setup_size
 from fipt_blender.panels import estimate, materials, path, start
 from fipt_blender.panels.lights import report_name
 from samples.layouts import Layout, drawn_by, tab_count
@@ -105,6 +105,16 @@ def test_online_access_is_explained_and_asked_for_where_it_is_needed(monkeypatch
     assert "use_online_access" not in properties and "fipt.set_up_engine" in drawn
 
 
+@pytest.mark.parametrize("there", [False, True])
+def test_a_python_that_can_not_make_environments_is_told_before_the_set_up(monkeypatch, there):
+    monkeypatch.setattr(machine, "has_engine", lambda: False)
+    # What Debian's Python is without the package python3-venv.
+    monkeypatch.setattr(setup_size, "find_spec", lambda name: object() if there or name != "venv" else None)
+    drawn = drawn_by(start.FIPT_PT_start)[0]
+    before = " ".join(drawn[: drawn.index("fipt.set_up_engine")])
+    assert ("apt-get install python3-venv" in before) is not there
+
+
 def test_the_size_of_the_download_is_told_where_it_is_known(monkeypatch):
     monkeypatch.setattr(machine, "has_engine", lambda: False)
     monkeypatch.setattr(machine.DEFAULTS, "device", "llvm")
@@ -117,7 +127,10 @@ def test_a_set_up_that_runs_is_shown_with_its_way_to_stop_it(monkeypatch, tmp_pa
     job = running.RunningJob("Set Up Engine", running.DATA_KIND, "", tmp_path, fraction=0.25)
     monkeypatch.setattr(running, "current", lambda: job)
     drawn = drawn_by(start.FIPT_PT_start)[0]
-    assert drawn.index("25%") + 1 == drawn.index("fipt.cancel") and "fipt.set_up_engine" not in drawn
+    assert (
+        drawn.index("Set Up Engine: 25%") + 1 == drawn.index("fipt.cancel")
+        and "fipt.set_up_engine" not in drawn
+    )
 
 
 def test_without_an_engine_an_error_leads_to_its_set_up(tmp_path):
@@ -138,6 +151,21 @@ def test_photographs_without_cameras_lead_to_make_capture(tmp_path):
     assert scene.fipt.photographs.path == str(tmp_path) and tab_count().sections == ("Photographs",)
     assert bpy.ops.fipt.leave_photographs() == {"FINISHED"}
     assert tab_count().sections == ("Start",)
+    assert "Photographs without cameras." not in drawn_by(start.FIPT_PT_start)[0]
+
+
+@pytest.mark.usefixtures("ready")
+def test_chosen_photographs_without_cameras_become_a_capture(tmp_path):
+    scene = bpy.context.scene
+    scene.fipt.capture.path, scene.fipt.run_folder = str(tmp_path / "photos"), str(tmp_path / "run")
+    info = running.RunningJob("Import Capture", "capture", scene.name, tmp_path / "run")
+    running.refuse(info, FiptError("other", "Another error.", "Another remedy."))
+    session.after_job(info)
+    assert not scene.fipt.photographs.path
+    running.refuse(info, FiptError("cameras-missing", "Photographs without cameras.", "Make a capture."))
+    session.after_job(info)
+    assert scene.fipt.photographs.path == str(tmp_path / "photos") and running.last("capture") is None
+    assert tab_count().sections == ("Photographs",)
 
 
 def test_a_finished_estimate_is_one_line_once_it_is_applied(monkeypatch):
@@ -166,7 +194,7 @@ def test_a_running_example_does_not_call_the_estimate_stopped(monkeypatch, tmp_p
     job = running.RunningJob("Apply Results", "materials", scene.name, tmp_path, fraction=0.5)
     monkeypatch.setattr(running, "current", lambda: job)
     text = " ".join(drawn_by(estimate.FIPT_PT_estimate)[0])
-    assert "50%" in text and "Stopped" not in text
+    assert "Apply Results: 50%" in text and "Stopped" not in text
 
 
 def test_no_process_is_started_while_drawing(monkeypatch):

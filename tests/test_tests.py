@@ -8,6 +8,8 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+import matrix
+
 TESTS = Path(__file__).resolve().parent
 _CLOCKS = ("process_time", "thread_time", "perf_counter", "process_time_ns", "perf_counter_ns")
 
@@ -77,3 +79,7 @@ def test_the_check_finds_what_it_forbids() -> None:
     assert imported_test_modules(tree) == {"test_a"}
     assert set(private_names(tree)) == {"_c", "d._e", "_i", "fipt_blender.cli._j"}
     assert list(measured_times(tree)) == [statement, clock]
+
+
+def test_the_tests_of_the_matrix_are_there() -> None:
+    assert [name for name in matrix.TESTS if not (TESTS / name).is_file()] == []

@@ -122,7 +122,7 @@ def apply(scene: bpy.types.Scene | None = None) -> Outcome:
 def fixtures(scene: bpy.types.Scene | None = None) -> list[FIPT_Light]:
     """The estimated lamps of applied results: rows of the section Lights.
 
-    Set ``on``, ``stops`` (0 is as estimated), ``watts``, ``lumens`` or ``radiance``, ``color`` or ``kelvin``.
+    Set ``on``, ``stops`` (0 is as estimated), ``watts`` or ``radiance``, ``color`` or ``kelvin``.
     They are valid until the lights of the scene change.
     """
     from ..blend.lights.light_state import list_lights

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 
 import bpy
@@ -13,11 +14,12 @@ import bpy
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import atomic_path
 from .marks import TEXTURE
+from .texture_files import SET_NAME
 
 
 def missing_pictures() -> list[str]:
     """Names of the files that pictures of results in the open file name and that are not there."""
-    return sorted({path.name for image in _outside() for path in _files(image) if not path.is_file()})
+    return sorted({path.name for image in _outside() for path in image_files(image) if not path.is_file()})
 
 
 def pictures_elsewhere() -> int:
@@ -28,7 +30,7 @@ def pictures_elsewhere() -> int:
     if not bpy.data.filepath or not _beside():
         return 0
     folder = Path(bpy.data.filepath).parent
-    return sum(not path.is_relative_to(folder) for image in _outside() for path in _files(image)[:1])
+    return sum(not path.is_relative_to(folder) for image in _outside() for path in image_files(image)[:1])
 
 
 def collect_pictures(pack: bool) -> int:
@@ -43,25 +45,46 @@ def collect_pictures(pack: bool) -> int:
     Raises:
         FiptError: ``file-unsaved``, ``file-missing`` or ``textures-unwritable``.
     """
-    if not pack and not bpy.data.filepath:
-        raise FiptError("file-unsaved", "The file has no name yet.", "Save it first.")
-    missing = missing_pictures()
-    if missing:
-        text = f"{len(missing)} pictures are missing, the first is {missing[0]}."
-        raise FiptError("file-missing", text, "Use Find Missing Files, or apply the results again.")
-    blend = Path(bpy.data.filepath)
+    check_pictures(needs_name=not pack)
     images = _outside()
     for image in images:
         if pack or image.is_dirty:  # what was painted is in no file yet
             image.pack()
-            continue
-        files = _files(image)
-        folder = blend.with_name(f"{blend.stem}_textures") / files[0].parent.name
-        for path in files:
-            _copy(path, folder / path.name)
-        name = files[0].name if image.source != "TILED" else Path(image.filepath).name
-        image.filepath = bpy.path.relpath(str(folder / name))
+    bring(_outside(), Path(bpy.data.filepath))
     return len(images)
+
+
+def check_pictures(needs_name: bool = True) -> None:
+    """Check that the open file has a name, and its pictures.
+
+    Raises:
+        FiptError: ``file-unsaved`` or ``file-missing``.
+    """
+    if needs_name and not bpy.data.filepath:
+        raise FiptError("file-unsaved", "The file has no name yet.", "Save it first.")
+    if missing := missing_pictures():
+        text = f"{len(missing)} pictures are missing, the first is {missing[0]}."
+        raise FiptError("file-missing", text, "Use Find Missing Files, or apply the results again.")
+
+
+def bring(images: Iterable[bpy.types.Image], blend: Path) -> None:
+    """Copy images' files to folders in NAME_textures beside a .blend file NAME, and let the images name them.
+
+    Raises:
+        FiptError: ``textures-unwritable``.
+    """
+    folders: dict[Path, str] = {}
+    for image in images:
+        files = image_files(image)
+        source = files[0].parent
+        # A set of results has a name that no other one has; other folders are numbered.
+        name = source.name if SET_NAME.fullmatch(source.name) else f"{len(folders) + 1}-{source.name}"
+        name = folders.setdefault(source, name)
+        folder = blend.with_name(f"{blend.stem}_textures") / name
+        for path in files:
+            copy_picture(path, folder / path.name)
+        pattern = image.filepath_raw.replace("\\", "/").rpartition("/")[2]
+        image.filepath_raw = bpy.path.relpath(str(folder / pattern))
 
 
 def _outside() -> list[bpy.types.Image]:
@@ -70,7 +93,7 @@ def _outside() -> list[bpy.types.Image]:
     return [image for image in images if image.packed_file is None]
 
 
-def _files(image: bpy.types.Image) -> list[Path]:
+def image_files(image: bpy.types.Image) -> list[Path]:
     """The files of an image: one for each tile."""
     path = Path(os.path.normpath(bpy.path.abspath(image.filepath)))
     if image.source != "TILED":
@@ -83,7 +106,12 @@ def _beside() -> bool:
     return str(settings.texture_files) == "BESIDE"
 
 
-def _copy(path: Path, target: Path) -> None:
+def copy_picture(path: Path, target: Path) -> None:
+    """Copy a file; one that is there already stays.
+
+    Raises:
+        FiptError: ``textures-unwritable``.
+    """
     if target.is_file():
         return
     try:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from .marks import TEXTURE
 from .png16 import encode_png, encode_srgb
 
 _DIGITS = 12  # of a set's digest: two of a thousand sets have the same one with a probability below 1e-8
+SET_NAME = re.compile(rf"[0-9a-f]{{{_DIGITS}}}")
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from ..blend.capture.view_geometry import view_geometry
 from ..blend.insert.sample_objects import insert_object
 from ..blend.insert.support import Support, choose_view
 from ..blend.lights.area_lights import Rectangle, add_area_light, area_light_watts
-from ..blend.lights.light_state import set_estimated_lights
+from ..blend.lights.light_state import switch_all
 from ..blend.lights.placement import find_light_place, room_light_power
 from ..blend.lights.world import apply_environment
 from ..blend.pictures.cycles import RenderOptions, exposure_of, set_up_scene
@@ -136,13 +136,13 @@ class RoomSteps:
         radiance = power / area_light_watts(1.0, place.size**2)
         matrix = np.eye(4)
         matrix[:3, 3] = place.center
-        set_estimated_lights(False)
+        switch_all(False)
         light = add_area_light(NEW_LIGHT, [radiance] * 3, Rectangle((place.size, place.size), matrix))
         try:
             self._render("relight", [self._view()[0]])
         finally:
             bpy.data.objects.remove(light)
-            set_estimated_lights(True)
+            switch_all(True)
         return warnings
 
     def insert(self) -> list[Message]:

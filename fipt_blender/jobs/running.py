@@ -151,10 +151,13 @@ def refuse(info: RunningJob, error: FiptError) -> None:
 
 
 def settle(kind: str, code: str) -> None:
-    """Drop a warning of the last job of a kind, once its remedy was followed."""
+    """Drop a warning or the error of the last job of a kind, once its remedy was followed."""
     info = _last.get(kind)
-    if info is not None:
-        info.warnings[:] = [message for message in info.warnings if message["code"] != code]
+    if info is None:
+        return
+    info.warnings[:] = [message for message in info.warnings if message["code"] != code]
+    if info.error is not None and info.error["code"] == code:
+        del _last[kind]
 
 
 def cancel() -> None:

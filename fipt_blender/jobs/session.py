@@ -11,12 +11,13 @@ from contextlib import suppress
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from . import previews, recovery, running, runstate
 from .job_scene import find_scene, scene_context, uses_run_folder
-from .window import redraw
+from .window import redraw, show_notice
 
 # Title and kind of the job by the command of an engine that is found at work.
 _TITLES = {
@@ -99,9 +100,17 @@ def attach(scene: bpy.types.Scene) -> bool:
 
 
 def after_job(info: running.RunningJob) -> None:
-    """Apply the results of an estimation, unless the artist does not want that or is in Edit Mode."""
+    """What follows a job: photographs without cameras become a capture; results of an estimation are applied,
+    unless the artist does not want that or is in Edit Mode.
+    """
     title, _ = _TITLES["estimate"]  # other jobs of that kind apply their results themselves
     scene = find_scene(info.scene_name, info.run_folder)
+    if info.error is not None and info.error["code"] == "cameras-missing" and scene is not None:
+        with scene_context(scene.name, info.run_folder):
+            if bpy.ops.fipt.photographs_of_capture.poll():
+                bpy.ops.fipt.photographs_of_capture("INVOKE_DEFAULT")
+                show_notice(iface_("These are photographs without cameras, which come next"), "INFO")
+        return
     if info.title != title or info.state != "finished" or scene is None:
         return
     if scene.fipt.estimate.apply_when_finished:

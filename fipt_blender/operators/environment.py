@@ -53,6 +53,8 @@ class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
         message = iface_("Downloads about {:.1f} GB and needs {:.1f} GB on the disk").format(
             size.download_gb, size.disk_gb
         )
+        if failure := setup_size.likely_failure():
+            message = f"{failure} {message}"
         return context.window_manager.invoke_confirm(
             self, event, title=iface_(self.title), message=message, confirm_text=iface_("Set Up")
         )

@@ -10,7 +10,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..blend.marks import FIXTURE, MERGED, VISIBILITY, has_light_groups
 from ..core.run.errors import FiptError
 from ..properties.lights import FIPT_Light
-from .polls import all_of, has_results, in_object_mode, is_own_room, needs
+from .polls import all_of, in_object_mode, is_own_room, needs
 from .reporting import reports_errors
 
 
@@ -52,21 +52,19 @@ class NeedsLights:
     poll = all_of(has_lights, is_own_room)
 
 
-class FIPT_OT_switch_lights(bpy.types.Operator):
-    """Switch all estimated lights and the environment on or off. Lights that you added are not changed"""
+class FIPT_OT_switch_lights(NeedsLights, bpy.types.Operator):
+    """Switch all lights of the list and the environment on or off"""
 
     bl_idname = "fipt.switch_lights"
-    bl_label = "Switch Estimated Lights"
+    bl_label = "Switch All Lights"
     bl_options = {"REGISTER", "UNDO"}
 
     on: bpy.props.BoolProperty(name="On", description="Switch the lights on or off", default=True)
 
-    poll = all_of(has_results)
-
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.light_state import set_estimated_lights
+        from ..blend.lights.light_state import switch_all
 
-        set_estimated_lights(self.on, context.scene)
+        switch_all(self.on, context.scene)
         return {"FINISHED"}
 
 

@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..api import applying
+from ..core.run.errors import FiptError
 from ..properties.materials import SHOWN
 from .job_operator import JobOperator
 from .polls import all_of, has_results, in_object_mode, is_own_room, needs, no_job
@@ -75,8 +77,12 @@ class FIPT_OT_revert(_NeedsResults, bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.results.reverting import revert
+        from ..blend.room.result_meshes import list_names
 
-        restored = revert(context.scene, self.new_lights)
+        restored, hidden = revert(context.scene, self.new_lights)
+        if hidden:
+            text = iface_("Hidden, since the restored meshes hold the faces that were separated: {}")
+            self.report({"WARNING"}, text.format(list_names(hidden)))
         self.report({"INFO"}, iface_("{} objects restored").format(len(restored)))
         return {"FINISHED"}
 
@@ -100,6 +106,88 @@ class FIPT_OT_collect_pictures(bpy.types.Operator):
 
         count = collect_pictures(self.pack)
         self.report({"INFO"}, iface_("{} pictures collected. Save the file").format(count))
+        return {"FINISHED"}
+
+
+class FIPT_OT_collect_room(bpy.types.Operator):
+    bl_idname = "fipt.collect_room"
+    bl_label = "Collect Room"
+    bl_description = (
+        "Save a copy of the file into a folder of its own, with all images that it uses and the exports"
+        " beside it, or as one packed file. It opens on another machine without this add-on"
+    )
+
+    directory: bpy.props.StringProperty(name="Folder", description="An empty folder", subtype="DIR_PATH")
+    pack: bpy.props.BoolProperty(name="One File", description="Pack the images into the copy")
+
+    poll = all_of(has_results, no_job, in_object_mode)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.export.collecting import collect_room
+
+        if not self.directory:
+            raise FiptError("export-file", "No folder is chosen.", "Choose an empty folder.")
+        folder = Path(bpy.path.abspath(self.directory))
+        done = collect_room(folder, self.pack)
+        if done.left:
+            text = iface_("{} other files stay where they are, the first is {}")
+            self.report({"WARNING"}, text.format(len(done.left), done.left[0]))
+        text = iface_("{} written, with {} files of exports").format(done.path, len(done.exports))
+        self.report({"INFO"}, text)
+        return {"FINISHED"}
+
+
+def _no_undo(context: bpy.types.Context) -> bool:
+    return not (bpy.ops.ed.undo.poll() or bpy.ops.ed.redo.poll())
+
+
+class FIPT_OT_clean_up_pictures(bpy.types.Operator):
+    bl_idname = "fipt.clean_up_pictures"
+    bl_label = "Clean Up Pictures"
+    bl_description = (
+        "List the folders of textures of earlier results, in NAME_textures and in the run folder, that no"
+        " .blend file uses which Blender knows: this one, those beside it and their backups, recent files."
+        " They are deleted after you have confirmed"
+    )
+
+    poll = all_of(
+        no_job,
+        # Undo brings back results whose pictures no file may name.
+        needs(_no_undo, "Undo may need the pictures. Save the file, then use File > Revert"),
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        from ..blend.unused_pictures import unused_pictures
+
+        self._listed, _ = unused_pictures()
+        if bpy.app.background or not self._listed:
+            return self.execute(context)
+        return context.window_manager.invoke_props_dialog(self, width=640, confirm_text=iface_("Delete"))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = self.layout.column(align=True)
+        column.label(text="Delete these folders permanently?", icon="TRASH")
+        for folder in self._listed:
+            column.label(text=str(folder), translate=False)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.unused_pictures import remove_pictures, unused_pictures
+
+        folders, unread = unused_pictures()
+        if unread:
+            text = iface_("Nothing was deleted: {} can't be read and may use the pictures")
+            self.report({"WARNING"}, text.format(unread[0]))
+        removed = [folder for folder in folders if folder in getattr(self, "_listed", folders)]
+        for folder in removed:
+            remove_pictures(folder)
+            self.report({"INFO"}, iface_("Deleted {}").format(folder))
+        self.report({"INFO"}, iface_("{} folders of pictures deleted").format(len(removed)))
         return {"FINISHED"}
 
 

@@ -134,6 +134,7 @@ class FIPT_OT_photographs_of_capture(bpy.types.Operator):
         state.photographs.path, state.photographs.chosen = state.capture.path, ""
         state.photographs.groups.clear()
         state.capture.path = ""
+        running.settle("capture", "cameras-missing")
         return {"FINISHED"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

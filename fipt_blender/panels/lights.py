@@ -132,15 +132,15 @@ def _draw_light(
     column.prop(light, "stops")
     if light.has_power():
         column.prop(light, "watts")
-    if light.has_flux():
-        column.prop(light, "lumens")
     if FIXTURE in light.object:
         column.prop(light, "radiance")
     column = layout.column()
     column.prop(light, "tint")
-    if light.tint == "COLOR":
+    is_temperature = light.has_temperature()
+    if light.tint == "COLOR" or not is_temperature:
         column.prop(light, "color")
-    column.prop(light, "kelvin")
+    if is_temperature:
+        column.prop(light, "kelvin")
     row = layout.row(align=True)
     row.operator("fipt.keyframe_lights", text="Keyframe", icon="KEY_HLT")
     if ANIMATED in light.object:

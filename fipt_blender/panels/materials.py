@@ -112,6 +112,7 @@ class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
         column.prop(settings, "mute_lights")
         column.prop(settings, "use_cycles")
         layout.operator("fipt.apply_results", text="Apply Again", icon="MATERIAL")
+        layout.operator("fipt.clean_up_pictures", text="Clean Up Pictures...", icon="TRASH")
 
 
 def _draw_results(
@@ -130,6 +131,7 @@ def _draw_results(
         if context.scene.fipt.lights.needs_cycles():
             draw_engine_choice(layout, context)
     layout.operator("fipt.export_room", text="Export Room...", icon="EXPORT")
+    layout.operator("fipt.collect_room", text="Collect Room...", icon="PACKAGE")
     layout.operator("fipt.revert", icon="LOOP_BACK")
 
 

@@ -118,7 +118,8 @@ def _materials_state(context: bpy.types.Context) -> Sequence[str]:
 
 
 def _lights_state(context: bpy.types.Context) -> Sequence[str]:
-    return (iface_("{} lights").format(len(context.scene.fipt.lights.lights)),)
+    count = sum(light.is_alive() for light in context.scene.fipt.lights.lights)  # as the list shows them
+    return (iface_("{} lights").format(count),)
 
 
 def _check_state(context: bpy.types.Context) -> Sequence[str]:

@@ -16,7 +16,9 @@ def draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, job: r
     """A progress bar with a cancel button, the stage, the remaining time and the largest memory."""
     column = layout.column(align=True)
     row = column.row(align=True)  # above all text that may wrap, so that the button stays under the pointer
-    row.progress(factor=job.fraction, text=f"{100.0 * job.fraction:.0f}%")
+    # Named, since Apply Results follows Estimate in the same place and starts at 0.
+    text = iface_("{}: {:.0f}%").format(iface_(job.title), 100.0 * job.fraction)
+    row.progress(factor=job.fraction, text=text)
     row.operator("fipt.cancel", text="", icon="X")
     draw_text(column, context, iface_("Stopping...") if job.stopping else iface_(job.stage_text))
     if job.scene_name and not uses_run_folder(context.scene, job.run_folder):

@@ -139,13 +139,6 @@ class FIPT_Light(bpy.types.PropertyGroup):
         100,
         2,
     )
-    lumens: _quantity(
-        "lumens",
-        "Flux (lm)",
-        "Luminous flux at 683 lm/W, as glTF counts it. A 60 W bulb has about 800 lm",
-        1000,
-        0,
-    )
     radiance: _quantity(
         "radiance",
         "Radiance",
@@ -192,11 +185,11 @@ class FIPT_Light(bpy.types.PropertyGroup):
 
         return has_power(self.object)
 
-    def has_flux(self) -> bool:
-        """Whether the light has a luminous flux."""
-        from ..blend.lights.power import has_flux
+    def has_temperature(self) -> bool:
+        """Whether the light's color is that of a temperature."""
+        from ..blend.lights.tint import has_temperature
 
-        return has_flux(self.object)
+        return has_temperature(self.object)
 
     def is_here(self) -> bool:
         """Whether the light is still in the list's scene."""

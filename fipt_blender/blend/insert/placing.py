@@ -16,7 +16,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ...core.run.errors import FiptError
-from ..marks import MADE, MOVED, inserted_objects, remove_marks
+from ..marks import CATCHER, MADE, MOVED, inserted_objects, remove_marks
 from ..outliner import INSERTED, collection
 from ..room.mesh_arrays import transform_points
 from .surfaces import Surface
@@ -195,6 +195,8 @@ def _copy_family(root: bpy.types.Object, target: bpy.types.Collection) -> bpy.ty
     copies = {}
     for item in (root, *root.children_recursive):
         copy = copies[item] = item.copy()
+        if CATCHER in item:  # a copy of what the photograph shows is not in the photograph
+            copy.is_shadow_catcher = False
         remove_marks(copy, *[key for key in copy.keys() if key.startswith("fipt_")])
         target.objects.link(copy)
     for item, copy in copies.items():

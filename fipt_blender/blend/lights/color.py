@@ -15,6 +15,8 @@ from functools import lru_cache
 Rgb = tuple[float, float, float]
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of Rec.709's primaries (ITU-R BT.709)
 KELVIN_MIN, KELVIN_MAX = 1000.0, 20000.0
+# Distance in CIE 1960 uv up to which a temperature describes a colour; the 0.05 of CIE 15 include pale green.
+MAX_DUV = 0.02
 _RGB_FROM_XYZ = (
     (3.2404542, -1.5371385, -0.4985314),
     (-0.9692660, 1.8760108, 0.0415560),
@@ -55,15 +57,25 @@ def blackbody(kelvin: float) -> Rgb:
     return with_luminance((red, green, blue), 1.0)
 
 
-@lru_cache(maxsize=256)
 def temperature_of(rgb: Rgb) -> float:
     """Correlated colour temperature in kelvin: the nearest black body in the CIE 1960 diagram.
 
     Colours far from the black bodies get the nearer end of the scale, 1,000 or 20,000.
     """
+    return _nearest(rgb)[0]
+
+
+def near_blackbody(rgb: Rgb) -> bool:
+    """Whether a colour is so near to a black body's that a temperature describes it."""
+    return _nearest(rgb)[1] <= MAX_DUV
+
+
+@lru_cache(maxsize=256)
+def _nearest(rgb: Rgb) -> tuple[float, float]:
+    """Temperature in kelvin of the nearest black body, and the distance to it (Duv)."""
     xyz = [sum(map(operator.mul, row, rgb)) for row in _XYZ_FROM_RGB]
     if xyz[1] <= 0.0 or not all(map(math.isfinite, xyz)):
-        return 6504.0
+        return 6504.0, 0.0
     uv = _uv(xyz)
     points = _locus()
     distances = [math.dist(uv, point) for _, point in points]
@@ -74,7 +86,8 @@ def temperature_of(rgb: Rgb) -> float:
     segment = (end[0] - start[0], end[1] - start[1])
     along = (uv[0] - start[0]) * segment[0] + (uv[1] - start[1]) * segment[1]
     share = min(max(along / (segment[0] ** 2 + segment[1] ** 2), 0.0), 1.0)
-    return 1.0e6 / (mired + share * (mired_end - mired))
+    foot = (start[0] + share * segment[0], start[1] + share * segment[1])
+    return 1.0e6 / (mired + share * (mired_end - mired)), math.dist(uv, foot)
 
 
 @lru_cache(maxsize=1)

@@ -27,7 +27,6 @@ from ..marks import (
     WORLD_ON,
     WRITTEN,
     fixture_lights,
-    fixtures_of,
     lights_of,
     remove_marks,
     result_world,
@@ -97,17 +96,16 @@ def plain(value: Setting) -> Setting:
     return value if isinstance(value, bool | int | float | str) else list(value)
 
 
-def set_estimated_lights(on: bool, scene: bpy.types.Scene | None = None) -> None:
-    """Switch all fixtures and the estimated environment of a scene (the context's by default) on or off.
+def switch_all(on: bool, scene: bpy.types.Scene | None = None) -> None:
+    """Switch all lights of the list and the environment of a scene (the context's by default) on or off.
 
-    A fixture that is off is black. Lights that were added stay as they are, but no light is soloed any more.
+    A fixture that is off is black. No light is soloed any more.
     """
     scene = scene or bpy.context.scene
     world = result_world(scene)
     if world is not None:
         world[WORLD_ON] = on
-    change_all(scene, lights_of(scene), {SOLO: False})
-    change_all(scene, fixtures_of(scene), {ON: on})
+    change_all(scene, lights_of(scene), {SOLO: False, ON: on})
 
 
 def reset(scene: bpy.types.Scene, item: bpy.types.Object) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A light's power as Blender counts it, in watts, and its luminous flux. Imported while panels draw."""
+"""A light's power as Blender counts it, in watts. Imported while panels draw."""
 
 from __future__ import annotations
 
@@ -10,26 +10,16 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..marks import BASE, STOPS
+from ..marks import BASE
 from ..room.mesh_arrays import polygon_slots
-from .color import Rgb, luminance
+from .color import Rgb
 from .fixture_nodes import surfaces
 from .tint import base_of, blender_color, powered, split
-
-# Luminous efficacy at 555 nm, by which glTF and Blender's exporter turn watts into lumens.
-LUMENS_PER_WATT = 683.0
-# Blender lights whose power is a flux: a spot's is that of a point light, a sun's an irradiance.
-_FLUX = ("POINT", "AREA")
 
 
 def has_power(item: bpy.types.Object) -> bool:
     """Whether a light has a power in watts."""
     return item.type == "MESH" or (item.type == "LIGHT" and item.data.type != "SUN")
-
-
-def has_flux(item: bpy.types.Object) -> bool:
-    """Whether this power is all that the light sends out, so that it has lumens."""
-    return item.type == "MESH" or (item.type == "LIGHT" and item.data.type in _FLUX)
 
 
 def world_matrix(item: bpy.types.Object) -> Matrix:
@@ -67,11 +57,6 @@ def watts(item: bpy.types.Object) -> float:
 def radiance(item: bpy.types.Object) -> float:
     """Radiance of a fixture's brighter side, of its strongest channel, W/(m² sr); mean of merged lamps."""
     return split(powered(item, base_of(item)))[1]
-
-
-def lumens(item: bpy.types.Object) -> float:
-    """A light's luminous flux."""
-    return 2.0 ** float(item.get(STOPS, 0.0)) * LUMENS_PER_WATT * luminance(base_power(item))
 
 
 def stops_for(value: float, present: float, stops: float) -> float:

@@ -10,7 +10,7 @@ import bpy
 
 from ..color_spaces import to_scene_linear
 from ..marks import BACK, BASE, COLOR, KELVIN, STOPS, TINT
-from .color import Rgb, blackbody, luminance, temperature_of, with_luminance
+from .color import Rgb, blackbody, luminance, near_blackbody, temperature_of, with_luminance
 
 _ESTIMATED, _COLOR, _TEMPERATURE = 0, 1, 2
 
@@ -49,6 +49,11 @@ def shown_temperature(item: bpy.types.Object) -> float:
     if item.get(TINT, _ESTIMATED) == _TEMPERATURE:
         return float(item.get(KELVIN, 6504.0))
     return temperature_of(shown_color(item))
+
+
+def has_temperature(item: bpy.types.Object) -> bool:
+    """Whether a temperature was chosen for the light, or describes its colour."""
+    return item.get(TINT, _ESTIMATED) == _TEMPERATURE or near_blackbody(shown_color(item))
 
 
 def blender_color(rgb: Sequence[float]) -> tuple[Rgb, float]:

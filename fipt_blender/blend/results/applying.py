@@ -16,9 +16,20 @@ import numpy as np
 from ...bridge.process import Message
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
+from ...core.run.versions import present_version
 from ..lights import fixtures
 from ..lights.kept_states import keep_states, states_of
-from ..marks import LAID_OUT, OBJECT_ID, SPLIT_OFF, is_linked, object_id, remove_marks
+from ..lights.merging import members_of
+from ..marks import (
+    FIXTURE,
+    LAID_OUT,
+    OBJECT_ID,
+    SPLIT_OFF,
+    fixtures_of,
+    is_linked,
+    object_id,
+    remove_marks,
+)
 from ..outliner import remove_object
 from ..room.arrays import Room
 from ..room.mesh_arrays import polygon_slots
@@ -224,6 +235,7 @@ def _swap_in(
     sources = [fixtures.Source(item, mesh, target.found.triangle) for target, item, mesh in pairs]
     kept_faces = {item.name: _kept_faces(target, results) for target, item, _ in pairs}
     new_fixtures = fixtures.split_off(room, results.emitters, sources, results.faces.parts)
+    deleted = _deleted_lamps(run, results, targets, scene)
     kept = states_of(scene)
     remove_fixtures(scene, {object_id(item) for _, item, _ in pairs})
     for target, item, mesh in pairs:
@@ -238,7 +250,11 @@ def _swap_in(
             sign(mesh)
     remove_unused(earlier)
     warnings += _select_kept(scene, kept_faces) + _lost_lamps(results, targets, new_fixtures)
-    placed = keep_states(scene, fixtures.place(scene, new_fixtures), kept)
+    absent = [fixture for fixture in new_fixtures if fixture.entry["name"] in deleted]
+    warnings += _still_deleted(absent)
+    bpy.data.batch_remove([fixture.mesh for fixture in absent])
+    wanted = [fixture for fixture in new_fixtures if fixture not in absent]
+    placed = keep_states(scene, fixtures.place(scene, wanted), kept)
     placed_names = [item.name for item in placed]
     return Applied([material.name for material in materials.made.values()], placed_names, warnings)
 
@@ -281,6 +297,31 @@ def _select_kept(scene: bpy.types.Scene, kept_faces: Mapping[str, np.ndarray]) -
     text = f"{count:,} faces of {list_names(names)} keep what they had: no surface was estimated there."
     remedy = "They are selected. Give them materials, or estimate again with the changed room."
     return [{"type": "warning", "code": "surfaces-kept", "text": text, "remedy": remedy}]
+
+
+def _deleted_lamps(
+    run: RunFolder, results: Results, targets: Sequence[Target], scene: bpy.types.Scene
+) -> set[str]:
+    """Names in emitters.json of lamps of these same results that the artist has deleted."""
+    if not hasattr(scene, "fipt") or scene.fipt.materials.applied_version != present_version(run):
+        return set()
+    placed = set[int]()
+    for target in targets:
+        mesh = result_mesh(find_object(target.name))
+        if mesh is not None and not target.is_copy:
+            of_object = results.fixture[results.room.triangle_object == target.index]
+            placed |= set(of_object[list(mesh.get(SPLIT_OFF, ()))].tolist())
+    present = {name for item in fixtures_of(scene) for name in (item[FIXTURE], *members_of(item))}
+    return {str(results.emitters[index]["name"]) for index in placed} - present
+
+
+def _still_deleted(absent: Sequence[fixtures.NewFixture]) -> list[Message]:
+    """A note on lamps that stay deleted."""
+    if not absent:
+        return []
+    text = f"These lamps, which you have deleted, stay so: {list_names([each.name for each in absent])}."
+    remedy = "To get them back, use Revert and apply the results again."
+    return [{"type": "warning", "code": "lamps-deleted", "text": text, "remedy": remedy}]
 
 
 def _lost_lamps(

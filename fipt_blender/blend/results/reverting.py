@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..capture.backdrop import set_backdrop
 from ..capture.compare import refresh
 from ..lights import light_state
 from ..lights.eevee import restore_eevee
@@ -13,13 +14,13 @@ from ..lights.light_groups import remove_light_groups
 from ..lights.world import restore_world
 from ..marks import added_lights, is_split_off, light_probe, room_with_results
 from ..outliner import FIXTURES, find_collection, remove_object
-from ..room.originals import restore_original, result_meshes
+from ..room.originals import restore_original, result_meshes, separated
 from .maps import restore_solid_views
 from .materials import remove_unused, result_materials
 from .scene_state import mute_other_lights, restore_scene
 
 
-def revert(scene: bpy.types.Scene, new_lights: bool = False) -> list[str]:
+def revert(scene: bpy.types.Scene, new_lights: bool = False) -> tuple[list[str], list[str]]:
     """Remove everything from a scene that results have brought.
 
     Args:
@@ -27,14 +28,17 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> list[str]:
         new_lights: also remove the lights that the artist has added with our tools.
 
     Returns:
-        Names of the objects that were restored.
+        Names of the objects that were restored, and of those that are hidden now: the artist has separated
+        them from others, whose original meshes hold the same faces.
     """
     settings = scene.fipt.materials
     settings.shown = "ESTIMATED"  # restores view settings, world and collections
+    set_backdrop(scene, "ROOM", ())
     for layer in scene.view_layers:
         remove_light_groups(scene, layer)
     room = room_with_results(scene)
     materials = result_materials(result_meshes(room))
+    hidden = [item.name for item in separated(room)]
     restored = restore_original(scene, room)
     probe = light_probe(scene)
     if probe is not None:
@@ -61,4 +65,4 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> list[str]:
     restore_solid_views(scene)
     refresh(scene)
     light_state.list_lights(scene)
-    return restored
+    return restored, hidden

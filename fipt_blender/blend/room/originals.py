@@ -184,7 +184,7 @@ def restore_original(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]
     objects = list(objects)
     restored = []
     ids = set()
-    for item in _separated(objects):
+    for item in separated(objects):
         remove_marks(item, ORIGINAL_MESH, ORIGINAL_STATE, RESULT_MESH, OBJECT_ID)
         item.hide_viewport = item.hide_render = True
     unused = []
@@ -207,7 +207,7 @@ def restore_original(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]
     return restored
 
 
-def _separated(objects: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
+def separated(objects: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
     """Those objects that show modelled parts of another one: it gets the original mesh of both."""
     first: set[bpy.types.Mesh] = set()
     found = []

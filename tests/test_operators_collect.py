@@ -1,0 +1,120 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Collect Room: a copy that opens on another machine, without the add-on and without the first files."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from fipt_blender.blend.image_datablocks import image_values
+from samples.operator_calls import refused
+
+ops = bpy.ops.fipt
+
+pytestmark = pytest.mark.usefixtures("registered")
+
+# What a Blender without the add-on sees of a file: each image's means, or null where it is missing.
+_OPENED = """
+import json, sys, bpy
+import numpy as np
+bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
+found = {}
+for image in bpy.data.images:
+    if image.source in ("FILE", "TILED"):
+        pixels = np.array(image.pixels[:]) if image.size[0] else None
+        found[image.name] = [None if pixels is None else float(pixels.mean()), image.filepath]
+print("FOUND" + json.dumps(found))
+"""
+
+
+def own_image(path: Path, color: float) -> bpy.types.Image:
+    path.parent.mkdir(exist_ok=True)
+    image = bpy.data.images.new(path.stem, 4, 4)
+    image.pixels[:] = [color] * 64
+    image.filepath_raw, image.file_format = str(path), "PNG"
+    image.save()
+    bpy.data.images.remove(image)
+    image = bpy.data.images.load(str(path))
+    image.name, image.use_fake_user = f"{path.parent.name} {path.stem}", True
+    return image
+
+
+def state() -> dict[str, tuple[object, ...]]:
+    return {
+        image.name: (image.filepath, image.packed_file is None, image.is_dirty) for image in bpy.data.images
+    }
+
+
+@pytest.mark.parametrize("pack", [False, True])
+@pytest.mark.parametrize("keep", ["BESIDE", "PACKED", "IN_RUN"])
+@pytest.mark.parametrize("tiled", [False, True])
+def test_a_collected_room_opens_elsewhere(scene, tmp_path, pack, keep, tiled):
+    first, target = tmp_path / "first", tmp_path / "second" / "room"
+    first.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(first / "shot.blend"))
+    settings = bpy.context.scene.fipt.materials
+    settings.texture_files, settings.texture_size = keep, "512"
+    settings.texel_density = 128.0 if tiled else 8.0
+    assert ops.apply_results() == {"FINISHED"}
+    for index, place in enumerate((tmp_path / "a" / "wood", tmp_path / "b" / "wood", first / "2-wood")):
+        place.parent.mkdir(exist_ok=True)
+        own_image(place / "oak.png", 0.25 * (index + 1)).name = f"oak {index}"
+    (first / "shot.glb").write_bytes(b"glTF")
+    document = {"buffers": [{"uri": "shot.bin"}], "images": [{"uri": "../../secret.png"}, {"uri": "a.png"}]}
+    (first / "shot.gltf").write_text(json.dumps(document))
+    for name in ("shot.bin", "a.png", "other.glb"):
+        (first / name).write_bytes(b"data")
+    (tmp_path / "secret.png").write_bytes(b"data")
+    bpy.ops.wm.save_mainfile()
+    before, saved = state(), (first / "shot.blend").read_bytes()
+    means = {
+        image.name: float(np.array(image.pixels[:]).mean())
+        for image in bpy.data.images
+        if image.source in ("FILE", "TILED")
+    }
+    assert len(means) > 5 and {f"oak {index}" for index in range(3)} <= set(means)
+    assert ops.collect_room(directory=str(target), pack=pack) == {"FINISHED"}
+    assert state() == before and (first / "shot.blend").read_bytes() == saved
+    assert "exists" in refused(ops.collect_room, directory=str(target), pack=pack)
+    beside = sorted(path.name for path in target.iterdir() if path.is_file())
+    exports = [] if pack else ["a.png", "shot.bin", "shot.glb", "shot.gltf"]
+    assert beside == sorted([*exports, "shot.blend"])
+    assert pack != (target / "shot_textures").is_dir()
+    shutil.rmtree(bpy.context.scene.fipt.run_folder)
+    for folder in (first, tmp_path / "a", tmp_path / "b"):
+        shutil.rmtree(folder)
+    shutil.move(target, tmp_path / "third")
+    command = [sys.executable, "-c", _OPENED, str(tmp_path / "third" / "shot.blend")]
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    found = json.loads(output.partition("FOUND")[2].splitlines()[0])
+    assert {name: value for name, (value, _) in found.items()} == pytest.approx(means)
+    paths = {path for _, path in found.values() if path}  # images that are only packed have none
+    assert pack or keep == "PACKED" or all(path.startswith("//shot_textures/") for path in paths)
+
+
+def test_what_was_painted_comes_along(applied, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    image = own_image(tmp_path / "wood" / "oak.png", 0.25)
+    image.pixels[:] = [1.0] * 64
+    assert image.is_dirty
+    assert ops.collect_room(directory=str(tmp_path / "out")) == {"FINISHED"}
+    assert image_values(image).min() == 1.0
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out" / "shot.blend"))
+    assert image_values(bpy.data.images["wood oak"]).min() == 1.0
+
+
+def test_what_can_not_be_collected_is_said(applied, tmp_path, capfd):
+    assert "Save it first" in refused(ops.collect_room, directory=str(tmp_path / "out"))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    image = own_image(tmp_path / "wood" / "gone.png", 0.25)
+    shutil.rmtree(tmp_path / "wood")
+    assert ops.collect_room(directory=str(tmp_path / "out")) == {"FINISHED"}
+    assert "gone.png" in capfd.readouterr().out and image.filepath
