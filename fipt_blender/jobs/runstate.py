@@ -40,6 +40,7 @@ class RunState:
         engine: the command of the engine at work there, or "".
         warnings, error: warnings of the last run, and the error that ended it.
         pictures: the newest preview images.
+        missing: names of files that pictures of applied results in the open file name and that are not there.
     """
 
     stages: int = 0
@@ -53,6 +54,7 @@ class RunState:
     warnings: tuple[Message, ...] = ()
     error: Message | None = None
     pictures: tuple[Path, ...] = ()
+    missing: tuple[str, ...] = ()
 
 
 # Time of the last look (monotonic seconds) and state, by folder.
@@ -100,6 +102,7 @@ def forget(folder: Path) -> None:
 
 def look(run: RunFolder) -> RunState:
     """Read the state of a run folder from the disk."""
+    from ..blend.collecting import missing_pictures
     from ..bridge.attached import find_engine
     from ..core.run import versions
 
@@ -129,6 +132,7 @@ def look(run: RunFolder) -> RunState:
         warnings=tuple(warnings),
         error=error,
         pictures=pictures,
+        missing=tuple(missing_pictures()),
     )
 
 

@@ -8,7 +8,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
-from ..jobs import running
+from ..jobs import running, runstate
 from . import swatches
 from .job import draw_job, draw_warnings, job_warnings
 from .lights import draw_engine_choice
@@ -137,9 +137,9 @@ def _draw_results(
 
 def _draw_pictures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Pictures that are missing or not beside the file, and what helps."""
-    from ..blend.collecting import missing_pictures, pictures_elsewhere
+    from ..blend.collecting import pictures_elsewhere
 
-    missing = missing_pictures()
+    missing = runstate.known(context.scene.fipt.run_folder).missing
     if missing:
         text = iface_("{} pictures of the results are missing, such as {}").format(len(missing), missing[0])
         draw_text(layout, context, text, icon="ERROR", alert=True)
