@@ -28,7 +28,8 @@ from fipt_blender.bridge.pins import read_pins  # noqa: E402
 VERSIONS = {"4.2.23": "3.11", "4.5.15": "3.11", "5.0.1": "3.11", "5.2.3": "3.13"}
 # What the tests need besides bpy; the versions are those pinned for the engine.
 PACKAGES = ("numpy", "OpenEXR", "pillow", "jinja2", "psutil", "pytest")
-# Sockets, colour spaces, exported files, UVs, cameras, write-back, revert: these import none of the engine's packages.
+# Sockets, colour spaces, exported files, UVs, cameras, write-back, revert: these import none of the engine's
+# packages.
 TESTS = (
     "test_blend_atlas.py",
     "test_blend_cameras.py",

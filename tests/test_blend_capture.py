@@ -74,7 +74,7 @@ def test_round_trip_with_a_moved_rotated_and_scaled_alignment(run, scene, evalua
     if evaluated:
         bpy.context.view_layer.update()
     else:  # Blender does not evaluate hidden collections
-        scene.view_layers[0].layer_collection.children["FIPT Cameras"].hide_viewport = True
+        scene.view_layers[0].layer_collection.children["Room"].children["Photographs"].hide_viewport = True
     export_capture(scene, run)
     move = np.array(ALIGNED, np.float64)
     for before in read_json(run.ingest_json)["views"]:
@@ -192,7 +192,7 @@ def test_chosen_objects_stay_the_room_and_are_not_changed(run, scene):
     assert [message["code"] for message in warnings] == ["mesh-kept"]
     assert scene.fipt.capture.room_objects(scene) == [cube]
     assert (cube.parent, cube.matrix_basis) == before[:2]
-    assert {each.name for each in cube.users_collection} == {*before[2], "FIPT Room"}
+    assert {each.name for each in cube.users_collection} == {*before[2], "Parts"}
     plane = bpy.data.objects.new("plane", cube.data)
     scene.collection.objects.link(plane)
     importing.set_room(scene, [plane])

@@ -17,11 +17,11 @@ from fipt_blender import api
 from fipt_blender.blend.export.exporting import ExportOptions, export_room
 from fipt_blender.blend.lights.color import LUMENS_PER_WATT
 from fipt_blender.blend.lights.convert import fixture_to_lights
+from fipt_blender.blend.lights.irradiance import irradiance
 from fipt_blender.blend.node_trees import node_tree
 from fipt_blender.blend.room.mesh_arrays import corner_uvs
 from fipt_blender.blend.room.uv_layer import write_layer
 from samples.exported_files import gltf_json, opened, principled
-from samples.irradiance import irradiance
 from samples.refusals import error_of
 from samples.whole_file import differences, file_state
 
