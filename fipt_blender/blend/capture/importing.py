@@ -67,7 +67,7 @@ def import_capture(run: RunFolder, path: str) -> Slices[list[Message]]:
     yield 0.9
     fill_views(bpy.context.scene, run, keep=is_reimport)
     bpy.context.scene.fipt.capture.imported_path = path
-    if not is_reimport:
+    if not is_reimport and not bpy.app.background:
         stand_in_photograph(bpy.context.scene, bpy.context)
     return warnings + others
 

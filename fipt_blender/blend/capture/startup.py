@@ -18,11 +18,11 @@ _OBJECTS = {
 
 
 def startup_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """Those of the start-up file's objects that nobody has moved, modelled, parented or hidden."""
-    found = []
+    """Those of the start-up file's objects that nobody has moved, modelled, parented, hidden or chosen."""
+    found, room = [], scene.fipt.capture.room_objects(scene)
     for name, (kind, place) in _OBJECTS.items():
         item = scene.objects.get(name)
-        if item is None or item.type != kind or item.parent is not None or item.hide_render:
+        if item is None or item.type != kind or item.parent or item.hide_render or item in room:
             continue
         is_cube = kind != "MESH" or (len(item.data.polygons) == 6 and not item.modifiers)
         if is_cube and (item.location - Vector(place)).length < 2e-3:

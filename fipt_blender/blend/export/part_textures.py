@@ -81,6 +81,8 @@ def make_part_textures(
     Raises:
         FiptError: ``file-missing``.
     """
+    if not names:
+        return {}
     owners = list(dict.fromkeys((material[PART], name) for material, name in names.items()))
     faces = _faces(meshes, {each: owners.index((each[PART], name)) for each, name in names.items()})
     low, extent = island_bounds(faces.corners, faces.island)
@@ -91,6 +93,7 @@ def make_part_textures(
     box = box.ravel()[faces.island]
     packing = pack_apart(boxes[:, 4:] - boxes[:, 2:4], boxes[:, 0], size)
     texels = [np.zeros((height, width, 5), np.uint8) for width, height in packing.sizes]
+    filled = [np.zeros((height, width), bool) for width, height in packing.sizes]
     adjustments = {owners.index((each[PART], name)): adjust.read(each) for each, name in names.items()}
     for number, (material, image) in enumerate(faces.sources):
         maps = _read_maps(material, image)
@@ -100,8 +103,11 @@ def make_part_textures(
             values = adjust.adjusted(adjustments[boxes[index, 0]], region.reshape(-1, 5))
             encoded = np.concatenate([encode_srgb(from_scene_linear(values[:, :3])), values[:, 3:]], axis=1)
             x, y = (packing.offset[index] - pad).astype(int).tolist()
-            target = texels[packing.image[index]][y : y + region.shape[0], x : x + region.shape[1]]
-            target[:] = np.round(np.clip(encoded, 0.0, 1.0) * 255.0).reshape(region.shape)
+            place = np.s_[y : y + region.shape[0], x : x + region.shape[1]]
+            codes = np.round(np.clip(encoded, 0.0, 1.0) * 255.0).reshape(region.shape)
+            texels[packing.image[index]][place], filled[packing.image[index]][place] = codes, True
+    for pixels, has_island in zip(texels, filled, strict=True):  # what small mip levels mix in
+        pixels[~has_island] = pixels[has_island].mean(axis=0)
     placed = (faces.corners - boxes[box][:, None, 2:4]) * packing.scale[box][:, None, None]
     sizes = np.array(packing.sizes, np.float64).reshape(-1, 2)[packing.image[box]]
     _write_uvs(meshes, faces.loops, (placed + packing.offset[box][:, None]) / sizes[:, None])
