@@ -68,9 +68,11 @@ def test_gltf_has_textures_emission_and_names_and_is_valid(scene, tmp_path):
     nits = LUMENS_PER_WATT * np.array(RADIANCE)
     assert np.allclose(strength * np.array(lamp["emissiveFactor"]), nits, rtol=1e-4)
     (light,) = document["extensions"]["KHR_lights_punctual"]["lights"]
-    # A surface of 1 m² sends that many candelas along its normal.
-    assert np.allclose(light["intensity"] * np.array(light["color"]), nits, rtol=1e-4)
-    assert light["type"] == "spot" and light["spot"]["outerConeAngle"] == pytest.approx(np.pi / 2)
+    # The lumens of a surface of 1 m², where the light falls off to the edge of its cone by a smoothstep.
+    edge = np.cos(light["spot"]["outerConeAngle"])
+    assert light["type"] == "spot" and light["spot"]["innerConeAngle"] == pytest.approx(0.0, abs=1e-3)
+    lumens = np.pi * (1.0 - edge) * light["intensity"] * np.array(light["color"])
+    assert np.allclose(lumens, np.pi * nits, rtol=1e-4)
     images = {"Panel_base_color", "Panel_orm", "Cube_base_color", "Cube_orm"}
     assert {image["name"] for image in document["images"]} == images
     accessors = {

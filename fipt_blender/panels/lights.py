@@ -94,7 +94,7 @@ def _draw_calibration(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> Non
         return
     from ..blend.lights.calibration import exposure_value
 
-    text = iface_("In watts and lumens; exposure EV {:.1f}").format(exposure_value(scene))
+    text = iface_("Calibrated, EV {:.1f}").format(exposure_value(scene))
     row.label(text=text, icon="CHECKMARK", translate=False)
     row.operator("fipt.calibrate_light", text="", icon="DRIVER_DISTANCE")
 

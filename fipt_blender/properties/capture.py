@@ -68,11 +68,13 @@ def _view_pictures(
 
     from ..jobs.previews import view_pictures
 
-    _pictures[:] = [
+    found = [
         (view.name, view.name.removeprefix(self.name_prefix) or view.name, "", icon, index)
         for index, view in enumerate(self.views)
         for icon in (view_pictures.add(Path(bpy.path.abspath(view.image))),)
     ]
+    if found != _pictures:
+        _pictures[:] = found
     return _pictures
 
 

@@ -22,6 +22,8 @@ from .materials import glowing_material
 GAP = 5e-4
 # Metres by which the light of a lamp stands before its surface, which shadow maps would take for a blocker.
 _BEFORE = 0.01
+# Angle of the cone of a lamp's spot: browsers draw shadow maps of no hemisphere.
+_CONE = math.radians(170.0)
 # A lamp is a spot if its mean normal, weighted by power, is longer than this; a hemisphere's has 0.5.
 _DIRECTED = 0.8
 _BLACK = (0.0, 0.0, 0.0)
@@ -58,14 +60,15 @@ def lamp_light(item: bpy.types.Object) -> tuple[bpy.types.Light, Matrix] | None:
 
 
 def wide_spot(watts: np.ndarray) -> bpy.types.Light:
-    """A new spot in place of a surface that sends so many watts (rgb) to its front.
+    """A new spot that sends out so many watts (rgb), as a surface sends them to its front.
 
-    It covers the hemisphere, and its edge is blended over all of it: readers then show about the cosine of a
-    surface. Blender's spots have the intensity of a point light of their power, a surface four times that.
+    Its edge is blended over the whole cone: readers then show about the cosine of a surface. With a
+    smoothstep of the cosine from that of the edge, e, to 1, a spot of intensity I sends out pi I (1 - e).
+    Blender takes the power of a spot for that of a point light, 4 pi I.
     """
     light = bpy.data.lights.new("Light", "SPOT")
-    light.color, light.energy = split((4.0 * watts).tolist())
-    light.spot_size, light.spot_blend, light.shadow_soft_size = math.pi, 1.0, 0.0
+    light.color, light.energy = split((4.0 * watts / (1.0 - math.cos(0.5 * _CONE))).tolist())
+    light.spot_size, light.spot_blend, light.shadow_soft_size = _CONE, 1.0, 0.0
     return _without_nodes(light)
 
 
