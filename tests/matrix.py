@@ -27,7 +27,7 @@ from fipt_blender.bridge.pins import read_pins  # noqa: E402
 # bpy by version, and the Python that it is built for; 4.2 is the oldest that is supported.
 VERSIONS = {"4.2.23": "3.11", "4.5.15": "3.11", "5.0.1": "3.11", "5.2.3": "3.13"}
 # What the tests need besides bpy; the versions are those pinned for the engine.
-PACKAGES = ("numpy", "OpenEXR", "OpenImageIO", "pillow", "jinja2", "psutil", "pytest")
+PACKAGES = ("numpy", "OpenEXR", "OpenImageIO", "exifread", "pillow", "jinja2", "psutil", "pytest")
 # Sockets, colour spaces, exported files, UVs, cameras, write-back, revert: these import none of the engine's
 # packages.
 TESTS = (

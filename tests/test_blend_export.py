@@ -8,14 +8,16 @@ import json
 import shutil
 import subprocess
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
 
 from fipt_blender import cli
 from fipt_blender.blend.export.exporting import export_room
-from fipt_blender.blend.export.lamps import GAP
+from fipt_blender.blend.export.lamps import GAP, lamp_light
 from fipt_blender.blend.lights.color import LUMENS_PER_WATT
+from fipt_blender.blend.lights.fixture_nodes import emission_material
 from samples.applied_rooms import RADIANCE, ConstantFields, fingerprint
 from samples.exported_files import gltf_json, opened, principled
 from samples.refusals import error_of
@@ -164,6 +166,23 @@ def test_area_lights_of_gltf_are_surfaces_of_the_same_radiance(scene, tmp_path):
     assert np.allclose(emitted, LUMENS_PER_WATT * radiance, rtol=1e-3)
     normal = objects["Softbox"].matrix_world.to_3x3() @ objects["Softbox"].data.polygons[0].normal
     assert normal.z < -0.99 and objects["Softbox"].matrix_world.translation.z == pytest.approx(2.0)
+
+
+def test_a_ball_has_a_point_light_of_its_power():
+    mesh = bpy.data.meshes.new("Ball")
+    ball = bmesh.new()
+    bmesh.ops.create_icosphere(ball, subdivisions=2, radius=0.1)
+    ball.to_mesh(mesh)
+    ball.free()
+    mesh.materials.append(emission_material("Ball", [3.0, 2.0, 1.0], [9.0, 9.0, 9.0]))
+    item = bpy.data.objects.new("Ball", mesh)
+    item.matrix_world.translation = (1.0, 2.0, 3.0)
+    light, matrix = lamp_light(item)
+    area = sum(face.area for face in mesh.polygons)
+    assert light.type == "POINT" and np.allclose(matrix.translation, (1.0, 2.0, 3.0), atol=1e-3)
+    assert np.allclose(
+        light.energy * np.array(light.color), np.pi * area * np.array([3.0, 2.0, 1.0]), rtol=1e-3
+    )
 
 
 def test_what_can_not_be_exported_is_refused_and_changes_nothing(scene, tmp_path):

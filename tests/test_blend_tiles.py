@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from fipt_blender.blend.export.exporting import export_room
+from fipt_blender.blend.export.exporting import ExportOptions, export_room
 from fipt_blender.blend.image_datablocks import tile_values
 from fipt_blender.blend.room.tiles import polygon_images, tile_number
 from samples.applied_rooms import ConstantFields, make_scene, picture, use_fake_engine
@@ -76,10 +76,10 @@ def test_applying_again_keeps_the_material_and_its_name(scene):
     assert len([image for image in bpy.data.images if image.source == "TILED"]) == 4
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".usdc"])
-def test_other_programs_get_images_without_tiles(scene, tmp_path, suffix):
+@pytest.mark.parametrize("suffix, size", [(".glb", 4096), (".glb", 256), (".usdc", 4096)])
+def test_other_programs_get_one_material_of_the_chosen_size(scene, tmp_path, suffix, size):
     path = tmp_path / f"room{suffix}"
-    export_room(scene, path)
+    export_room(scene, path, ExportOptions(size))
     assert len(bpy.data.objects["cube"].data.materials) == 1  # the original stays
     bpy.ops.wm.read_homefile(use_empty=True)
     read = bpy.ops.import_scene.gltf if suffix == ".glb" else bpy.ops.wm.usd_import
@@ -101,6 +101,7 @@ def test_other_programs_get_images_without_tiles(scene, tmp_path, suffix):
         while node.bl_idname != "ShaderNodeTexImage":
             node = node.inputs[0].links[0].from_node
         width, height = node.image.size
+        assert 128 < max(width, height) <= size
         values = pictures.get(node.image.name)
         if values is None:
             values = np.empty(4 * width * height, np.float32)

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..blend.previews import estimate_pictures
 from ..core.run.runfolder import RunFolder
 from ..jobs import running, runstate
 from ..jobs.job_scene import uses_run_folder
-from ..jobs.previews import estimate_pictures
 from . import path
 from .capture import draw_thumbnail
 from .job import draw_error, draw_job, draw_warnings, job_warnings

@@ -66,7 +66,7 @@ def _view_pictures(
     """The views with their photographs as thumbnails."""
     from pathlib import Path
 
-    from ..jobs.previews import view_pictures
+    from ..blend.previews import view_pictures
 
     found = [
         (view.name, view.name.removeprefix(self.name_prefix) or view.name, "", icon, index)
