@@ -35,7 +35,10 @@ from samples.small_rooms import BOX
 
 ops = bpy.ops.fipt
 posix = pytest.mark.skipif(os.name == "nt", reason="signals")
-STAGES = ["pixels", "shadings", "estimate-0", "refinement-1", "estimate-1", "training"]
+STAGES = [
+    *("pixels", "checks", "unmixing", "outside", "shadings", "estimate-0"),
+    *("reflection-1", "refinement-1", "estimate-1", "training"),
+]
 
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -148,13 +151,13 @@ def test_estimate_works_on_the_scene_as_it_is_and_starts_anew_unless_stages_are_
 @posix
 def test_killed_at_every_stage_it_resumes_and_blender_lives_on(scene, run, quick):
     quick |= {"refine_diffuse_spp": 512, "training_steps": 300}  # long enough to be met
-    for number, stage in enumerate(STAGES):
+    for number, stage in enumerate(["pixels", "shadings", "refinement-1", "training"]):
         info = start(resume=number > 0)
         tick_to_stage(run, stage)
         os.kill(find_engine(run).pid, signal.SIGKILL)
         tick_to_end()
         assert info.state == "failed" and info.error["code"] == "out-of-memory" and info.error["remedy"]
-        assert done(run)[:number] == STAGES[:number] and not run.fields_npz.exists()
+        assert {*done(run)} >= {*STAGES[: STAGES.index(stage)]} and not run.fields_npz.exists()
         bpy.data.objects.new(f"still alive {number}", None)
         assert number == 0 or ops.resume.poll()
     assert ops.resume() == {"FINISHED"}
@@ -164,8 +167,8 @@ def test_killed_at_every_stage_it_resumes_and_blender_lives_on(scene, run, quick
 @posix
 def test_cancelled_while_baking_and_while_training(scene, run, quick):
     quick |= {"diffuse_spp": 2048, "training_steps": 5000}
-    for stage, kept in (("shadings", 1), ("training", 5)):
-        info = start(resume=kept > 1)
+    for stage, kept in (("shadings", 4), ("training", 9)):
+        info = start(resume=kept > 4)
         tick_to_stage(run, stage)
         ops.cancel()
         assert info.state == "running" and info.stopping
@@ -195,7 +198,7 @@ def test_a_second_estimate_that_is_stopped_leaves_the_first_one_usable(scene, ru
     assert info.state == ("failed" if killed else "cancelled")
     assert {path: path.read_bytes() for path in before} == before
     state = runstate.look(run)
-    assert state.results and not state.finished and state.stages == 1 and ops.resume.poll()
+    assert state.results and not state.finished and state.stages == 4 and ops.resume.poll()
     assert not ops.reestimate.poll()  # its stages are those of the new one
     bpy.data.objects["wall 0"].location.x -= 5.0
     scene.fipt.materials.texel_density = 20.0  # so that the textures are baked again, from the first results

@@ -29,7 +29,7 @@ from .per_view import LocalWorkers, Workers
 from .runfolder import explained_write_errors, write_json
 from .settings import Settings
 from .shapes import STAGES
-from .stage_files import loaded, saved
+from .stage_files import UnreadableArray, loaded, saved
 from .stage_settings import chosen
 
 START_AGAIN = "Start the estimation again without resuming it."
@@ -387,8 +387,10 @@ class Chain:
         try:
             return loaded(json.loads(path.read_text("utf-8")), stage.types[2], self._root, self._values)
         except (OSError, ValueError, RecursionError) as error:
-            text = f"The outputs of the stage {stage.name} can't be read ({error})."
-            raise DamagedStage(stage.name, text) from None
+            # It may have passed on an array of a stage before it.
+            name = error.stage if isinstance(error, UnreadableArray) else stage.name
+            name = name if name in self._data["stages"] else stage.name
+            raise DamagedStage(name, f"The outputs of the stage {name} can't be read ({error}).") from None
 
     def _warn_of_damage(self, text: str) -> None:
         self._reporter.warning(
