@@ -72,7 +72,7 @@ def adopt_cameras(run: RunFolder) -> None:
     scene = bpy.context.scene
     path = run.scene_cameras / "transforms.json"
     frames = read_json(path, _FRAMES, "Import the cameras again.")["frames"]
-    views = read_capture(run.ingest_json)["views"]
+    views = read_capture(run.ingest_json).views
     if len(frames) != len(views):
         text = f"{path} does not fit {run.ingest_json}."
         raise FiptError("file-damaged", text, "Import the cameras again.")

@@ -261,8 +261,7 @@ class MaterialStages(EstimationState):
 
     def _warn_of_lamps(self, doubted: Sequence[HardlySeen]) -> None:
         """Say which lamps photographs hardly show."""
-        entries = [{"triangles": fixture.triangles} for fixture in self.fixtures]
-        names = fixture_names(self.room, entries)
+        names = fixture_names(self.room, self.fixtures)
         listed = ", ".join(f"{names[lamp.index]} ({lamp.pixels} pixels)" for lamp in doubted)
         self.reporter.warning(
             "lamp-hardly-seen",

@@ -22,18 +22,11 @@ from pathlib import Path
 from typing import Any
 
 from .errors import FiptError
+from .kinds import HeadError, ShapeError, T, as_kind
+from .kinds import head as head
 
 MOST_BYTES = 256_000_000  # of a JSON document
 _UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-
-
-def head(name: str) -> dict[str, Any]:
-    """How a document of ours begins: with its format and the format's version."""
-    return {"format": f"fipt-{name}", "version": 1}
-
-
-class ShapeError(ValueError):
-    """What is wrong with a value, and where."""
 
 
 @dataclass(frozen=True)
@@ -146,8 +139,34 @@ def load_document(path: Path, shape: Any = dict, strict: bool = True) -> Any:
         ValueError: what is wrong with the content.
     """
     data = parse_document(decoded(read_limited(path, MOST_BYTES)), strict)
+    if not isinstance(shape, (Fields, Items, Entries)):
+        return as_kind(data, shape)
     check_shape(data, shape)
     return data
+
+
+def read_document(
+    path: Path, kind: type[T], remedy: str = "Write it again.", other: str = "file-damaged"
+) -> T:
+    """A JSON file as what it should be, with errors for the user.
+
+    Args:
+        path: of the file.
+        kind: see `kinds`.
+        remedy: what the user can do where the file is damaged.
+        other: code of the error for another document, or another version of its format.
+
+    Raises:
+        FiptError: ``file-missing``, ``file-damaged`` or `other`.
+    """
+    try:
+        result: T = load_document(path, kind)
+        return result
+    except FileNotFoundError:
+        raise FiptError("file-missing", f"{path} does not exist.", "Run the step that writes it.") from None
+    except (OSError, ValueError) as error:
+        code = other if isinstance(error, HeadError) else "file-damaged"
+        raise FiptError(code, f"{path} can't be read ({error}).", remedy) from None
 
 
 def decoded(data: bytes, errors: str = "strict") -> str:

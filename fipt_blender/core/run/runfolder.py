@@ -15,10 +15,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .documents import head, read_json
+from .contents import RunNote
+from .documents import load_document
 from .errors import FiptError
+from .kinds import HeadError, as_json
 from .paths import foreign_fault, is_network, leads_outside
-from .shapes import RUN
 
 if TYPE_CHECKING:
     from .settings import Settings
@@ -164,9 +165,7 @@ class RunFolder:
         with explained_write_errors(self.root):
             for folder in (self.root, self.stage, self.results):
                 folder.mkdir(parents=True, exist_ok=True)
-        write_json(
-            self.run_json, {**head("run"), "product_version": PRODUCT_VERSION, "settings": asdict(settings)}
-        )
+        write_json(self.run_json, RunNote(PRODUCT_VERSION, asdict(settings)))
 
     def read(self) -> Settings:
         """Read the settings of the run.
@@ -179,23 +178,19 @@ class RunFolder:
                 "run-missing", f"{self.root} is not a run folder: it has no run.json.", "Start a new run."
             )
         try:
-            data = read_json(self.run_json, RUN)
-        except FiptError as error:
-            raise FiptError("run-damaged", error.text, "Choose another folder, or start a new run.") from None
-        if data["format"] != head("run")["format"]:
-            raise FiptError(
-                "run-damaged", f"{self.run_json} does not describe a run.", "Choose another folder."
-            )
-        if data.get("version") != head("run")["version"]:
-            raise FiptError(
-                "run-version",
-                f"The run folder {self.root} has the format version {data.get('version')}; "
-                f"this version of the add-on reads {head('run')['version']}.",
-                "Start a new run in another folder, or open this one with the version that made it.",
-            )
+            note = load_document(self.run_json, RunNote)
+        except (OSError, ValueError) as error:
+            if isinstance(error, HeadError) and error.field == "version":
+                raise FiptError(
+                    "run-version",
+                    f"The run folder {self.root} is of another version of the add-on ({error}).",
+                    "Start a new run in another folder, or open this one with the version that made it.",
+                ) from None
+            text = f"{self.run_json} does not describe a run ({error})."
+            raise FiptError("run-damaged", text, "Choose another folder, or start a new run.") from None
         from .settings import stored_settings
 
-        return stored_settings(data.get("settings", {}))
+        return stored_settings(note.settings)
 
     def read_estimated(self) -> Settings:
         """The settings of the finished estimate, with the present ones of textures.
@@ -288,7 +283,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write a JSON file, completely or not at all.
+    """Write a JSON file, completely or not at all; dataclasses as `kinds.as_json` does.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
@@ -296,7 +291,7 @@ def write_json(path: Path, data: Any) -> None:
     import json
 
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(data, indent=1), encoding="utf-8")
+        temporary.write_text(json.dumps(data, indent=1, default=as_json), encoding="utf-8")
 
 
 def beside(folder: Path) -> tuple[Path, Path]:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -27,7 +28,9 @@ from ..light.shadings import roughness_levels
 from ..optics.lights import LUMINANCE
 from ..parts.labels import NO_PART
 from ..pixels.store import PixelStore, open_pixels
-from ..run.documents import read_json
+from ..run.contents import Pixels, Statistics
+from ..run.documents import read_document
+from ..run.kinds import FileName
 from ..run.runfolder import RunFolder, atomic_path, write_json
 from ..surface.room import Room, triangle_normals
 from ..surface.smoothing import SmoothingGrid
@@ -72,6 +75,23 @@ class DetailInput:
         ]
 
 
+@dataclass(frozen=True)
+class _UsedView:
+    """A view at light resolution."""
+
+    name: str
+    width: Pixels
+    height: Pixels
+
+
+@dataclass(frozen=True)
+class _UsedViews:
+    """stage/views.json: the views of pixels and shadings, and the folder of the last shadings."""
+
+    views: tuple[_UsedView, ...]
+    shadings: Annotated[str, FileName()]
+
+
 def remember_views(run: RunFolder, views: list[View], shadings: str) -> None:
     """Write which views the pixels and shadings of an estimation belong to.
 
@@ -79,8 +99,8 @@ def remember_views(run: RunFolder, views: list[View], shadings: str) -> None:
         views: at light resolution.
         shadings: name of the folder of the last shadings in the stage folder.
     """
-    listed = [{"name": view.name, "width": view.width, "height": view.height} for view in views]
-    write_json(run.stage / "views.json", {"views": listed, "shadings": shadings})
+    listed = tuple(_UsedView(view.name, view.width, view.height) for view in views)
+    write_json(run.stage / "views.json", _UsedViews(listed, shadings))
 
 
 def load_input(run: RunFolder) -> DetailInput | None:
@@ -96,23 +116,22 @@ def load_input(run: RunFolder) -> DetailInput | None:
     kept = run.results / run.stages_json.name
     if kept.exists() and kept.read_bytes() != run.stages_json.read_bytes():
         return None  # another estimation has begun; its pixels do not belong to these results
-    table = read_json(path)
+    used = read_document(path, _UsedViews)
     by_name = {view.name: view for view in load_capture(run).train}
-    if any(entry["name"] not in by_name for entry in table["views"]):
+    if any(view.name not in by_name for view in used.views):
         return None  # the capture has changed since
-    photographs = [by_name[entry["name"]] for entry in table["views"]]
-    lights = [
-        view.resized(int(entry["width"]), int(entry["height"]))
-        for view, entry in zip(photographs, table["views"], strict=True)
-    ]
+    photographs = [by_name[view.name] for view in used.views]
+    lights = [by_name[view.name].resized(view.width, view.height) for view in used.views]
     pairs = zip(photographs, lights, strict=True)
     if all(view.width * view.height <= light.width * light.height for view, light in pairs):
         return None
     levels = roughness_levels(settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
     pixels = open_pixels(run.stage / "pixels", lights)
-    shadings = open_shadings(run.stage / str(table["shadings"]), len(pixels), len(levels))
-    found = read_json(run.statistics_json).get("photometry") if run.statistics_json.exists() else None
-    response = np.array(found["log_curve"], np.float64) if found else None
+    shadings = open_shadings(run.stage / used.shadings, len(pixels), len(levels))
+    photometry = None
+    if run.statistics_json.exists():
+        photometry = read_document(run.statistics_json, Statistics).photometry
+    response = np.array(photometry.log_curve) if photometry else None
     return DetailInput(photographs, pixels, shadings, levels, response)
 
 
