@@ -307,7 +307,7 @@ def test_closed_holes_become_an_object_with_the_cleaned_vertices(room):
     )
     with_panes(run)
     found, names = read_room_files(run)
-    assert names["objects"][2:] == [CLOSING, PANES]
+    assert names.objects[2:] == (CLOSING, PANES)
     assert found["triangle_material"][-3:].tolist() == [arrays["triangle_material"][0], -1, -1]
     # As if the mesh were a scan whose cleaned copy lies a metre higher.
     store_geometry(

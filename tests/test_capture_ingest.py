@@ -297,7 +297,7 @@ def test_large_photographs_are_decoded_once_and_get_a_small_copy(tmp_path, run, 
     run_ingest(tmp_path / "in", run)
     assert len(decoded) == 2
     for view, entry in zip(load_capture(run).views, read_capture(run.capture_json).views, strict=True):
-        shown = read_radiance(run.resolve(entry["preview"]))
+        shown = read_radiance(run.resolve(entry.preview))
         assert max(shown.shape) == 40 < max(view.width, view.height)
         assert shown.mean() == pytest.approx(view.radiance().mean(), rel=0.02)  # compressed with losses
     assert not load_capture(run).views[1].image.is_relative_to(run.root)  # needed no change

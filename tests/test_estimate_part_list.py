@@ -90,7 +90,7 @@ def test_semantic_masks_give_classes(tmp_path):
     _, found = listed(tmp_path, room, parts, [view], Units(parts.triangle_part, np.zeros(2, bool)))
     assert [(each.name, each.class_name, each.single) for each in found] == [
         ("Painted wall", "painted wall", False),
-        ("Class 9", "", False),
+        ("Class 9", None, False),
     ]
 
 
