@@ -66,7 +66,7 @@ def truth(tmp_path):
         parent = find_alignment(scene)
         cameras.add_camera(scene, run, solved, photograph=False, parent=parent)
         listed = scene.fipt.capture.views.add()
-        listed.name = listed.camera = view.name
+        listed.name = listed.camera = solved.name
     scene.fipt.capture.alignment.scale = (2.0, 2.0, 2.0)  # the artist's own; the mesh is not its child
     return views
 

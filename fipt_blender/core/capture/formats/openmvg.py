@@ -7,13 +7,14 @@ Source: OpenMVG's documentation, "SfM data format"; rotations are from the world
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ...run.documents import Fields, Items, Number, Numbers
 from ...run.errors import FiptError
+from ...run.kinds import Vector
 from ..options import CaptureOptions
 from ..places import Places
 from ..rig import Lens, Rig, WellFormed, read_json_rig
@@ -26,15 +27,54 @@ FOLDERS = (".", "reconstruction", "reconstruction_sequential", "reconstruction_g
 _COUNTS = {"disto_k1": 1, "disto_k3": 3, "disto_t2": 5, "fisheye": 4}
 # Cereal numbers the types in the order of their first appearance, with the highest bit set there.
 _NEW_TYPE = 1 << 31
-_WRAPPED = Fields({"ptr_wrapper": Fields({"data": dict})})
-_POSE = Fields({"rotation": Numbers(3, 3), "center": Numbers(3)})
-SFM_DATA = Fields(
-    {
-        "views": Items(Fields({"value": _WRAPPED})),
-        "intrinsics": Items(Fields({"key": Number(whole=True), "value": _WRAPPED})),
-        "extrinsics": Items(Fields({"key": Number(whole=True), "value": _POSE})),
-    }
-)
+
+
+@dataclass(frozen=True)
+class _Data:
+    data: dict
+
+
+@dataclass(frozen=True)
+class _Wrapped:
+    ptr_wrapper: _Data
+    polymorphic_id: int = 0
+    polymorphic_name: str | None = None
+
+
+@dataclass(frozen=True)
+class _View:
+    value: _Wrapped
+
+
+@dataclass(frozen=True)
+class _Intrinsic:
+    key: int
+    value: _Wrapped
+
+
+@dataclass(frozen=True)
+class _Pose:
+    rotation: tuple[Vector, Vector, Vector]
+    center: Vector
+
+
+@dataclass(frozen=True)
+class _Extrinsic:
+    key: int
+    value: _Pose
+
+
+@dataclass(frozen=True)
+class _Scene:
+    views: tuple[_View, ...]
+    intrinsics: tuple[_Intrinsic, ...]
+    extrinsics: tuple[_Extrinsic, ...]
+    root_path: str | None = None
+
+
+@dataclass(frozen=True)
+class _Structure:
+    structure: list = field(default_factory=list)
 
 
 def find(path: Path) -> Path | None:
@@ -49,24 +89,21 @@ def read(file: Path, options: CaptureOptions) -> Rig:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
     places = Places.around(file, options, folders=FOLDERS)
-    data = read_json_rig(file, SFM_DATA)
+    scene = read_json_rig(file, _Scene)
     with WellFormed(file):
-        kinds = _kinds(data["intrinsics"])
         lenses = {
-            entry["key"]: _lens(file, kind, entry["value"]["ptr_wrapper"]["data"])
-            for entry, kind in zip(data["intrinsics"], kinds, strict=True)
+            entry.key: _lens(file, kind, entry.value.ptr_wrapper.data)
+            for entry, kind in zip(scene.intrinsics, _kinds(scene.intrinsics), strict=True)
         }
-        poses = {entry["key"]: entry["value"] for entry in data["extrinsics"]}
+        poses = {entry.key: entry.value for entry in scene.extrinsics}
         views = []
-        for entry in data["views"]:
-            view = entry["value"]["ptr_wrapper"]["data"]
+        for entry in scene.views:
+            view = entry.value.ptr_wrapper.data
             if view["id_pose"] in poses and view["id_intrinsic"] in lenses:
                 pose = poses[view["id_pose"]]
-                matrix = camera_pose(
-                    np.array(pose["rotation"], np.float64), np.array(pose["center"], np.float64)
-                )
+                matrix = camera_pose(np.array(pose.rotation), np.array(pose.center))
                 size, lens = lenses[view["id_intrinsic"]]
-                parts = (data.get("root_path"), view.get("local_path"), view["filename"])
+                parts = (scene.root_path, view.get("local_path"), view["filename"])
                 name = "/".join(str(part) for part in parts if part)
                 views.append(places.view(name, size, lens, matrix))
     views.sort(key=lambda view: view.name)
@@ -79,25 +116,24 @@ def points(file: Path) -> np.ndarray:
     Raises:
         FiptError: ``rig-damaged``.
     """
-    stored = read_json_rig(file, SFM_DATA).get("structure", [])
+    stored = read_json_rig(file, _Structure).structure
     with WellFormed(file):
         return np.array([numbers(entry["value"]["X"], 3) for entry in stored]).reshape(-1, 3)
 
 
-def _kinds(intrinsics: list[dict[str, Any]]) -> list[str]:
+def _kinds(intrinsics: Sequence[_Intrinsic]) -> list[str]:
     """The type of each camera."""
     names: dict[int, str] = {}
     kinds = []
     for entry in intrinsics:
-        value = entry["value"]
-        identifier = int(value.get("polymorphic_id", 0))
-        if "polymorphic_name" in value:
-            names[identifier % _NEW_TYPE] = str(value["polymorphic_name"])
-        kinds.append(names.get(identifier % _NEW_TYPE, "pinhole"))
+        identifier = entry.value.polymorphic_id % _NEW_TYPE
+        if entry.value.polymorphic_name is not None:
+            names[identifier] = entry.value.polymorphic_name
+        kinds.append(names.get(identifier, "pinhole"))
     return kinds
 
 
-def _lens(file: Path, kind: str, data: dict[str, Any]) -> tuple[tuple[int, int], Lens]:
+def _lens(file: Path, kind: str, data: dict) -> tuple[tuple[int, int], Lens]:
     """Image size and lens of a camera; older files have the values of a pinhole one level deeper."""
     data = {**data.get("value0", {}), **data}
     size = pixel_size(data["width"], data["height"])
