@@ -10,10 +10,10 @@ import math
 import bpy
 
 from ...core.run.contents import AtlasImages, Statistics
-from ...core.run.documents import read_document
+from ...core.run.documents import optional_document, read_document
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
-from ...core.run.versions import optional_document, present_version
+from ...core.run.versions import present_version
 from ..capture.backdrop import set_backdrop
 from ..capture.look import cull_outside, enter_room
 from ..lights import light_state

@@ -222,6 +222,14 @@ def check_size(path: Path, most: int) -> int:
     return status.st_size
 
 
+def optional_document(path: Path, kind: type[T]) -> T | None:
+    """A JSON file as what it should be, None where it is missing or damaged; see `kinds`."""
+    try:
+        return load_document(path, kind)
+    except (OSError, ValueError):
+        return None
+
+
 def read_json(path: Path, shape: Any = dict, remedy: str = "Write it again.") -> Any:
     """The same, with an error for the user.
 

@@ -8,8 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from .contents import Doubts, Emitters, PartList, Statistics
+from .documents import optional_document
 from .runfolder import RunFolder
-from .versions import Version, list_versions, optional_document, version_folder
+from .versions import Version, list_versions, version_folder
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from .contents import RunNote, Statistics, VersionNote
-from .documents import load_document
+from .documents import load_document, optional_document
 from .errors import FiptError
-from .kinds import T
 from .replacing import atomic_folder, link_folder, link_or_copy
 from .runfolder import RunFolder, beside, explained_write_errors, write_json
 from .settings import TEXTURE_SETTINGS, make_settings, stored_settings
@@ -410,14 +409,6 @@ def _time(folder: Path) -> float:
     with suppress(OSError):
         return (folder / "fields.npz").stat().st_mtime
     return 0.0
-
-
-def optional_document(path: Path, kind: type[T]) -> T | None:
-    """A JSON document of a run, None where it is missing or damaged."""
-    try:
-        return load_document(path, kind)
-    except (OSError, ValueError):
-        return None
 
 
 def _statuses(folder: Path) -> Iterator[os.stat_result]:
