@@ -25,7 +25,7 @@ from benchmarks import metrics, truth
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.run.arrays import read_arrays
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.hints import DIELECTRIC, METAL, Hint, write_hints
 from fipt_blender.core.run.runfolder import RunFolder, write_json
@@ -119,7 +119,7 @@ def true_answers(run: RunFolder, count: int, answers: str) -> list[Hint]:
     from fipt_blender.core.estimate.input import estimation_views
     from fipt_blender.core.pixels.store import open_pixels
 
-    doubts = read_json(run.doubts_json, DOUBTS)["doubts"][:count]
+    doubts = read_document(run.doubts_json, DOUBTS, dict)["doubts"][:count]
     views = estimation_views(run, run.read())
     pixels = open_pixels(run.stage / "pixels", views)
     part = read_arrays(run.parts_npz, PARTS_ARRAYS)["triangle_part"]

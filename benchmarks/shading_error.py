@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "examples"))
 from benchmarks.prepared import copy_input
 from fipt_blender.bridge.interpreter import engine_command
 from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 
@@ -87,7 +87,9 @@ def evaluate(capture: Path, run: RunFolder, count: int) -> dict[str, Any]:
     levels = roughness_levels(settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
     train = load_capture(run).train
     pixels = open_pixels(run.stage / "pixels", train)
-    emitting = [t for fixture in read_json(run.emitters_json)["fixtures"] for t in fixture["triangles"]]
+    emitting = [
+        t for fixture in read_document(run.emitters_json, dict)["fixtures"] for t in fixture["triangles"]
+    ]
     lit = true_room(capture, load_capture(run).world_from_source)
     stages = {"stage 1": bake_stage_1(run), "stage 3": run}
     names = (*stages, "truth, other seed")
@@ -150,7 +152,7 @@ def read_shadings(run: RunFolder, rows: np.ndarray, levels: int) -> Views:
     """Baked shadings of some pixels in the photographs' units."""
     from fipt_blender.core.light.baking import open_shadings
 
-    scale = float(read_json(run.statistics_json)["radiance_scale"])
+    scale = float(read_document(run.statistics_json, dict)["radiance_scale"])
     total = len(np.load(run.stage / "shadings" / "diffuse.npy", mmap_mode="r"))
     store = open_shadings(run.stage / "shadings", total, levels)
     diffuse, specular = (
@@ -326,7 +328,9 @@ def has_true_materials(capture: Path) -> bool:
     """Whether a capture has true materials with all of their textures."""
     if not (capture / "scene.npz").is_file() or not (capture / "materials.json").is_file():
         return False
-    textures = [entry.get("texture") for entry in read_json(capture / "materials.json")["materials"]]
+    textures = [
+        entry.get("texture") for entry in read_document(capture / "materials.json", dict)["materials"]
+    ]
     return all((capture / texture).is_file() for texture in textures if texture)
 
 
@@ -350,7 +354,9 @@ def baked_errors(
 
     captured = load_capture(run)
     pixels = open_pixels(run.stage / "pixels", estimation_views(run, run.read()))
-    emitting = [t for fixture in read_json(run.emitters_json)["fixtures"] for t in fixture["triangles"]]
+    emitting = [
+        t for fixture in read_document(run.emitters_json, dict)["fixtures"] for t in fixture["triangles"]
+    ]
     triangle = np.asarray(pixels.triangle[kept])
     usable = (triangle >= 0) & np.asarray(pixels.pure[kept]) & ~np.isin(triangle, emitting)
     chosen = np.random.default_rng(0).permutation(np.flatnonzero(usable))[:count]

@@ -19,7 +19,7 @@ from fipt_blender.core.alignment.turns import cross_matrix, turn_by
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.checks import align
 from fipt_blender.core.conventions import split_similarity, transform_points, transform_poses
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.shapes import ALIGN
@@ -96,7 +96,7 @@ def run_align(folder: Path, how: str, capture: Path | None) -> tuple[dict, list[
     arguments = Namespace(folder=folder, how=how, capture=capture, format="auto", device="llvm")
     align.run(arguments, Reporter(stream))
     messages = [json.loads(line) for line in stream.getvalue().splitlines()]
-    return read_json(folder / "align.json", ALIGN, "Again."), messages
+    return read_document(folder / "align.json", ALIGN, "Again.", dict), messages
 
 
 def level_poses() -> dict[str, np.ndarray]:

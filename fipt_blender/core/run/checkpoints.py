@@ -19,13 +19,13 @@ from typing import Any
 
 import torch
 
-from .documents import read_json
+from .contents import Stages
+from .documents import read_document
 from .errors import FiptError
 from .finished_views import FinishedViews
 from .method import method_digest
 from .runfolder import atomic_path, write_json
 from .settings import Settings
-from .shapes import STAGES
 
 # The stages of Re-estimate with Hints; the first two only where the light changes, too.
 HINTED_LAMPS, HINTED_REFINEMENT = "hinted-lamps", "hinted-refinement"
@@ -145,7 +145,8 @@ class Checkpoints:
     def _read(self) -> dict[str, Any]:
         try:
             if self._path.exists():
-                return read_json(self._path, STAGES)
+                read_document(self._path, Stages)
+                return read_document(self._path, dict)
         except FiptError as error:
             self.problem = error.text
         return {name: {} for name in self._data}

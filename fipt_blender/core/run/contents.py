@@ -301,6 +301,15 @@ class StageFigures:
 
 
 @dataclass(frozen=True)
+class Stages:
+    """stages.json: the key of each stage of an estimation, and figures and warnings of the finished ones."""
+
+    keys: Mapping[str, str]
+    stages: Mapping[str, StageFigures]
+    warnings: Mapping[str, tuple[Problem, ...]]
+
+
+@dataclass(frozen=True)
 class HintFigures:
     """What became of a hint: its triangles, and the values that it has decided; None for others."""
 

@@ -20,14 +20,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from .contents import RunNote, Statistics, VersionNote
-from .documents import load_document, optional_document
+from .contents import RunNote, Stages, Statistics, VersionNote
+from .documents import optional_document
 from .errors import FiptError
 from .replacing import atomic_folder, link_folder, link_or_copy
 from .runfolder import RunFolder, beside, explained_write_errors, write_json
 from .settings import TEXTURE_SETTINGS, make_settings, stored_settings
-from .shapes import STAGES
 
+_STAGES = "stages.json"
 HINTED = "hinted-"  # how the names of the stages of Re-estimate with Hints begin
 _NOT_SHOWN = {*TEXTURE_SETTINGS, "preset", "device", "detail", "kept_versions"}
 
@@ -214,18 +214,18 @@ def present_version(run: RunFolder) -> str:
 
 def stages_last(run: RunFolder) -> str:
     """The id that the estimate has of which the stages are; "" without stages."""
-    return _digest(_stages(run.stages_json))
+    return _digest(run.stage)
 
 
 def can_continue(run: RunFolder) -> bool:
     """Whether the stages are those of the results, so that Re-estimate with Hints can go on from them."""
-    stages, made = _stages(run.stages_json), _stages(run.results / run.stages_json.name)
-    if not stages:
+    stages, made = (optional_document(folder / _STAGES, Stages) for folder in (run.stage, run.results))
+    if stages is None:
         return False
-    keys = _before_hints(stages["keys"])
-    if not keys.keys() <= stages["stages"].keys():
+    keys = _before_hints(stages.keys)
+    if not keys.keys() <= stages.stages.keys():
         return False
-    return not made or _before_hints(made["keys"]) == keys
+    return made is None or _before_hints(made.keys) == keys
 
 
 def refuse_other_stages(run: RunFolder) -> None:
@@ -364,29 +364,23 @@ def _holds_results(folder: Path) -> bool:
 
 def _id(folder: Path) -> str:
     """The digest of the stages' keys; of results of earlier versions, that of their files' size and time."""
-    digest = _digest(_stages(folder / "stages.json"))
+    digest = _digest(folder)
     if digest:
         return digest
     status = (folder / "fields.npz").stat()
     return hashlib.sha256(f"{status.st_size} {status.st_mtime_ns}".encode()).hexdigest()[:12]
 
 
-def _digest(stages: Mapping[str, Any]) -> str:
-    if not stages:
+def _digest(folder: Path) -> str:
+    """Of the keys in a folder's stages.json; "" without one."""
+    stages = optional_document(folder / _STAGES, Stages)
+    if stages is None:
         return ""
-    return hashlib.sha256(json.dumps(stages["keys"], sort_keys=True).encode()).hexdigest()[:12]
+    return hashlib.sha256(json.dumps(stages.keys, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def _before_hints(keys: Mapping[str, str]) -> dict[str, str]:
     return {name: key for name, key in keys.items() if not name.startswith(HINTED)}
-
-
-def _stages(path: Path) -> dict[str, Any]:
-    try:
-        stages: dict[str, Any] = load_document(path, STAGES)
-        return stages
-    except (OSError, ValueError):
-        return {}
 
 
 def _note(folder: Path) -> VersionNote | None:
