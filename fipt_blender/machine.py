@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Protocol, TypedDict, cast
 import bpy
 
 from .bridge import places
-from .core.run.documents import optional_document
 from .core.run.errors import FiptError
 from .core.run.runfolder import RunFolder, write_json
 
@@ -220,6 +219,8 @@ def recall() -> None:
     preferences: Any = get_preferences()
     if preferences is DEFAULTS or any(preferences.is_property_set(name) for name in asdict(DEFAULTS)):
         return
+    from .core.run.documents import optional_document
+
     kept = optional_document(places.default_data_folder() / KEPT_NAME, dict) or {}
     for name, default in asdict(DEFAULTS).items():
         value = kept.get(name)

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.tracer.forward import power_heuristic
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
-from fipt_blender.core.run.contents import EmitterFixture
+from fipt_blender.core.run.result_contents import EmitterFixture
 
 # triangle 0 emits nothing, 1 both sides, 2 its back, 3 its front but has no area, 4 its front
 VERTICES = np.array(

@@ -20,7 +20,7 @@ from ..core.run.runfolder import RunFolder
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
-    from ..core.run.contents import Stages
+    from ..core.run.result_contents import Stages
     from ..core.run.versions import Version
 
 _FRESH_SECONDS = 2.0
@@ -106,8 +106,8 @@ def look(run: RunFolder) -> RunState:
     from ..blend.collecting import missing_pictures
     from ..bridge.attached import find_engine
     from ..core.run import versions
-    from ..core.run.contents import Stages
     from ..core.run.documents import optional_document
+    from ..core.run.result_contents import Stages
 
     engine = find_engine(run)
     warnings, pictures, error = [], (), None
@@ -151,8 +151,8 @@ def _look_soon() -> None:
 
 def _of_last_estimation(run: RunFolder, stages: Stages | None) -> bool:
     """Whether the results come from the last estimation, which has done `stages`."""
-    from ..core.run.contents import Stages
     from ..core.run.documents import optional_document
+    from ..core.run.result_contents import Stages
 
     done = optional_document(run.results / run.stages_json.name, Stages)
     if done is None:  # results of an earlier version

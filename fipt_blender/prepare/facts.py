@@ -44,16 +44,7 @@ class ReadFacts:
 
 @dataclass(frozen=True)
 class MergedImage:
-    """A merged group.
-
-    Attributes:
-        image: file, relative to the capture.
-        clipped_share, moved_share: of its pixels.
-        shift_pixels: largest, between photographs.
-        exposures: of those that were merged; `left_out` are the paths of the others.
-        width, height: pixels.
-        reduction: of the photographs' width.
-    """
+    """A merged group: `image` relative to the capture, `exposures` of what was merged, `left_out` paths."""
 
     name: str
     image: str = ""

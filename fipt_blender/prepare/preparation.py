@@ -13,10 +13,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from ..core.run.contents import Pixels
 from ..core.run.documents import read_document
 from ..core.run.errors import FiptError
-from ..core.run.kinds import Choice, FileName, Least, Number
+from ..core.run.kinds import Choice, FileName, Least, Number, Pixels
 from ..core.run.paths import is_network, leads_outside
 from ..core.run.runfolder import write_json
 from ..core.run.shapes import MOST_SIDE

@@ -9,8 +9,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...core.run.contents import Maps
 from ...core.run.documents import load_document
+from ...core.run.result_contents import Maps
 from ...core.run.runfolder import RunFolder
 from ...core.run.versions import version_folder
 from ..image_datablocks import load_radiance

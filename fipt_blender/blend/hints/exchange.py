@@ -10,10 +10,10 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ...core.run.contents import Doubt, Doubts
 from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
 from ...core.run.hints import MOST_HINTS, MOST_POINTS, Hint, write_hints
+from ...core.run.result_contents import Doubt, Doubts
 from ...core.run.runfolder import RunFolder
 from .anchors import in_scene, kept_object, set_area, surface_at_point, world_points
 

@@ -19,8 +19,8 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ...core.report.fixture_names import fixture_names
-from ...core.run.contents import EmitterFixture
 from ...core.run.parts import RoomParts, free_name
+from ...core.run.result_contents import EmitterFixture
 from ..marks import BACK, BASE, CENTROID, FIXTURE, FIXTURE_SOURCES, NAMED, PLACED, PROBABILITY, object_id
 from ..outliner import FIXTURES, collection
 from ..room.arrays import Room

@@ -11,9 +11,9 @@ from typing import Any
 
 import bpy
 
-from ...core.run.contents import Emitters
 from ...core.run.documents import read_document
 from ...core.run.kinds import as_json
+from ...core.run.result_contents import Emitters
 from ...core.run.runfolder import RunFolder
 from ..marks import BASE, MISSING_LAMP, NEW_LIGHT
 from ..outliner import LIGHTS, collection

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import bpy
 
-from ...core.run.contents import Emitters
 from ...core.run.documents import read_document
+from ...core.run.result_contents import Emitters
 from ...core.run.runfolder import RunFolder
 from ..image_datablocks import remove_unused_images
 from ..marks import BACKGROUND, MAPPING, ORIGINAL_WORLD, RESULT_WORLD, WORLD, remove_marks, result_world

@@ -12,9 +12,10 @@ from pathlib import Path
 import bpy
 
 from ...bridge.process import Message
-from ...core.run.contents import CapturedView, CapturedViews, Renders
+from ...core.run.contents import CapturedView, CapturedViews
 from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
+from ...core.run.result_contents import Renders
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder
 from ..capture.cameras import find_camera

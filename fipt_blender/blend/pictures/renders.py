@@ -9,8 +9,8 @@ from pathlib import Path
 
 import bpy
 
-from ...core.run.contents import Render, Renders
 from ...core.run.documents import read_document
+from ...core.run.result_contents import Render, Renders
 from ...core.run.runfolder import RunFolder, write_json
 from ..capture.cameras import find_camera, use_view
 from ..changed import changed

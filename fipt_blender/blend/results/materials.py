@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...core.run.contents import TextureImage, Textures
 from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
+from ...core.run.result_contents import TextureImage, Textures
 from ...core.run.runfolder import RunFolder
 from ..color_spaces import to_scene_linear
 from ..image_datablocks import remove_unused_images, tile_pattern

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from ...core.run.arrays import read_arrays
-from ...core.run.contents import EmitterFixture, TextureImage
 from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
+from ...core.run.result_contents import EmitterFixture, TextureImage
 from ...core.run.run_files import read_atlas, read_emitters, read_left_alone, read_outlined
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import CORNER_FIELDS_ARRAYS

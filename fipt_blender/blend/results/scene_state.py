@@ -9,9 +9,9 @@ import math
 
 import bpy
 
-from ...core.run.contents import AtlasImages, Statistics
 from ...core.run.documents import optional_document, read_document
 from ...core.run.errors import FiptError
+from ...core.run.result_contents import AtlasImages, Statistics
 from ...core.run.runfolder import RunFolder
 from ...core.run.versions import present_version
 from ..capture.backdrop import set_backdrop

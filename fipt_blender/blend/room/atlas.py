@@ -16,9 +16,9 @@ import bpy
 import numpy as np
 
 from ...bridge.step import Slices
-from ...core.run.contents import AtlasImage, AtlasImages
 from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
+from ...core.run.result_contents import AtlasImage, AtlasImages
 from ...core.run.run_files import read_resolution
 from ...core.run.runfolder import RunFolder, atomic_path, write_json
 from ...core.run.settings import Settings

@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..run.contents import EmitterFixture
+from ..run.result_contents import EmitterFixture
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 

@@ -19,7 +19,11 @@ import numpy as np
 from ..capture.averaging import means, narrowed
 from ..capture.images import read_radiance
 from ..capture.views import Capture, View, load_capture
-from ..run.contents import (
+from ..run.contents import Steps
+from ..run.documents import read_document
+from ..run.kinds import T
+from ..run.messages import Reporter
+from ..run.result_contents import (
     EmitterEnvironment,
     EmitterFixture,
     Emitters,
@@ -28,11 +32,7 @@ from ..run.contents import (
     Renders,
     StageFigures,
     Statistics,
-    Steps,
 )
-from ..run.documents import read_document
-from ..run.kinds import T
-from ..run.messages import Reporter
 from ..run.runfolder import PRODUCT_VERSION, RunFolder
 from ..run.settings import Settings
 from .comparison import ERROR_FULL, choose_exposure, error_picture, psnr, to_display

@@ -19,11 +19,11 @@ from typing import Any
 
 import torch
 
-from .contents import Stages
 from .documents import read_document
 from .errors import FiptError
 from .finished_views import FinishedViews
 from .method import method_digest
+from .result_contents import Stages
 from .runfolder import atomic_path, write_json
 from .settings import Settings
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .arrays import read_arrays
-from .contents import PartList, RoomPart
 from .documents import read_document
 from .errors import FiptError
+from .result_contents import PartList, RoomPart
 from .runfolder import RunFolder
 from .shapes import PARTS_ARRAYS
 

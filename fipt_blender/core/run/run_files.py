@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from .arrays import check_layouts, read_arrays
-from .contents import AtlasImages, CapturedViews, Emitters, RoomNames
+from .contents import CapturedViews, RoomNames
 from .documents import read_document
 from .errors import FiptError
+from .result_contents import AtlasImages, Emitters
 from .runfolder import RunFolder
 from .shapes import (
     ATLAS_ARRAYS,

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The run folder: the paths of its files, and writing files completely or not at all.
 
-Standard library only: both processes import it. Blender imports it while starting, therefore json and the
-settings are imported in the functions that use them. docs/architecture.md describes the formats.
+Standard library only: both processes import it. Blender imports it while starting, therefore json, settings
+and documents are imported in the functions that use them. docs/architecture.md describes the formats.
 """
 
 from __future__ import annotations
@@ -15,10 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .contents import RunNote
-from .documents import load_document
 from .errors import FiptError
-from .kinds import HeadError, as_json
 from .paths import foreign_fault, is_network, leads_outside
 
 if TYPE_CHECKING:
@@ -152,6 +149,8 @@ class RunFolder:
         """
         from dataclasses import asdict
 
+        from .contents import RunNote
+
         if self.run_json.exists():
             self.read()
         elif self.root.exists() and any(self.root.iterdir()):
@@ -177,6 +176,11 @@ class RunFolder:
             raise FiptError(
                 "run-missing", f"{self.root} is not a run folder: it has no run.json.", "Start a new run."
             )
+        from .contents import RunNote
+        from .documents import load_document
+        from .kinds import HeadError
+        from .settings import stored_settings
+
         try:
             note = load_document(self.run_json, RunNote)
         except (OSError, ValueError) as error:
@@ -188,8 +192,6 @@ class RunFolder:
                 ) from None
             text = f"{self.run_json} does not describe a run ({error})."
             raise FiptError("run-damaged", text, "Choose another folder, or start a new run.") from None
-        from .settings import stored_settings
-
         return stored_settings(note.settings)
 
     def read_estimated(self) -> Settings:
@@ -289,6 +291,8 @@ def write_json(path: Path, data: Any) -> None:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     import json
+
+    from .kinds import as_json
 
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(data, indent=1, default=as_json), encoding="utf-8")

@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from .contents import Doubts, Emitters, PartList, Statistics
 from .documents import optional_document
+from .result_contents import Doubts, Emitters, PartList, Statistics
 from .runfolder import RunFolder
 from .versions import Version, list_versions, version_folder
 

@@ -20,10 +20,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from .contents import RunNote, Stages, Statistics, VersionNote
+from .contents import RunNote
 from .documents import optional_document
 from .errors import FiptError
 from .replacing import atomic_folder, link_folder, link_or_copy
+from .result_contents import Stages, Statistics, VersionNote
 from .runfolder import RunFolder, beside, explained_write_errors, write_json
 from .settings import TEXTURE_SETTINGS, make_settings, stored_settings
 

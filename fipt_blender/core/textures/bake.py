@@ -20,11 +20,11 @@ import numpy as np
 
 from ..capture.views import load_capture
 from ..device.variant import set_variant
-from ..run.contents import AtlasImage, AtlasImages, TextureImage, Textures, UniformPart
 from ..run.documents import read_document
 from ..run.messages import Reporter
 from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
+from ..run.result_contents import AtlasImage, AtlasImages, TextureImage, Textures, UniformPart
 from ..run.run_files import read_atlas, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, write_json
 from ..surface.stored import stored_geometry

@@ -28,9 +28,9 @@ from ..light.shadings import roughness_levels
 from ..optics.lights import LUMINANCE
 from ..parts.labels import NO_PART
 from ..pixels.store import PixelStore, open_pixels
-from ..run.contents import Pixels, Statistics
 from ..run.documents import read_document
-from ..run.kinds import FileName
+from ..run.kinds import FileName, Pixels
+from ..run.result_contents import Statistics
 from ..run.runfolder import RunFolder, atomic_path, write_json
 from ..surface.room import Room, triangle_normals
 from ..surface.smoothing import SmoothingGrid

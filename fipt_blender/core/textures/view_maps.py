@@ -19,7 +19,7 @@ from ..light.baking import SUBPIXELS
 from ..material.fields import RoomFields
 from ..optics.lights import AreaLights, EmitterTable
 from ..pixels.camera_rays import trace_pixels
-from ..run.contents import Maps, ViewMaps
+from ..run.result_contents import Maps, ViewMaps
 from ..run.run_files import read_emitters
 from ..run.runfolder import RunFolder, write_json
 from ..surface.room import Room, load_room

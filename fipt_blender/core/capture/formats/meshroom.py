@@ -8,9 +8,7 @@ leads from the camera to the world. Meshes are written with Y and Z negated, whi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -36,83 +34,6 @@ _OLD_TYPES = {
 _COUNTS = {"none": 0, "radialk1": 1, "radialk3": 3, "brown": 5, "fisheye": 4, "fisheye1": 1}
 
 
-# Fields are named as in the files; Any is a number, a text with numbers, or a list of such.
-
-
-@dataclass(frozen=True)
-class _Transform:
-    rotation: Any
-    center: Any
-
-
-@dataclass(frozen=True)
-class _Placed:
-    transform: _Transform
-
-
-@dataclass(frozen=True)
-class _Pose:
-    poseId: Any
-    pose: _Placed
-
-
-@dataclass(frozen=True)
-class _SubPose:
-    pose: _Transform
-
-
-@dataclass(frozen=True)
-class _Rig:
-    rigId: Any
-    subPoses: tuple[_SubPose, ...]
-
-
-@dataclass(frozen=True)
-class _View:
-    viewId: Any
-    path: str
-    poseId: Any = None
-    intrinsicId: Any = None
-    rigId: Any = None
-    subPoseId: Any = None
-    isPoseIndependant: Any = "true"
-
-
-@dataclass(frozen=True)
-class _Intrinsic:
-    intrinsicId: Any
-    width: Any
-    height: Any
-    type: str
-    principalPoint: Any
-    pxFocalLength: Any = None
-    focalLength: Any = None
-    sensorWidth: Any = 36.0
-    pixelRatio: Any = 1.0
-    distortionType: str = "none"
-    distortionParams: Any = None
-    undistortionType: str = "none"
-
-
-@dataclass(frozen=True)
-class _Sfm:
-    version: Any
-    views: tuple[_View, ...]
-    intrinsics: tuple[_Intrinsic, ...]
-    poses: tuple[_Pose, ...] = ()
-    rigs: tuple[_Rig, ...] = ()
-
-
-@dataclass(frozen=True)
-class _Landmark:
-    X: Any
-
-
-@dataclass(frozen=True)
-class _Structure:
-    structure: tuple[_Landmark, ...] = ()
-
-
 def find(path: Path) -> Path | None:
     """The camera file at a path or in a folder, None without one."""
     keys = ('"version"', '"views"', '"viewId"')
@@ -125,14 +46,17 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
-    sfm = read_json_rig(file, _Sfm)
+    data = read_json_rig(file, dict)
     places = Places.around(file, options)
     with WellFormed(file):
-        version = tuple(int(value) for value in numbers(sfm.version, 3))
-        lenses = {str(each.intrinsicId): _lens(file, each, version) for each in sfm.intrinsics}
-        poses = {str(each.poseId): _pose(each.pose.transform) for each in sfm.poses}
-        rigs = {str(rig.rigId): [_pose(part.pose) for part in rig.subPoses] for rig in sfm.rigs}
-        views = [view for each in sfm.views for view in _view(each, lenses, poses, rigs, places)]
+        version = tuple(int(value) for value in numbers(data["version"], 3))
+        lenses = {str(entry["intrinsicId"]): _lens(file, entry, version) for entry in data["intrinsics"]}
+        poses = {str(entry["poseId"]): _pose(entry["pose"]["transform"]) for entry in data.get("poses", [])}
+        rigs = {
+            str(entry["rigId"]): [_pose(part["pose"]) for part in entry["subPoses"]]
+            for entry in data.get("rigs", [])
+        }
+        views = [view for entry in data["views"] for view in _view(entry, lenses, poses, rigs, places)]
     views.sort(key=lambda view: view.name)
     return places.rig(NAME, views, "y", places.mesh())
 
@@ -144,47 +68,47 @@ def points(file: Path) -> np.ndarray:
         FiptError: ``rig-damaged``.
     """
     with WellFormed(file):
-        stored = [numbers(landmark.X, 3) for landmark in read_json_rig(file, _Structure).structure]
+        stored = [numbers(entry["X"], 3) for entry in read_json_rig(file, dict).get("structure", [])]
     return np.array(stored).reshape(-1, 3) @ _MESH_FROM_SFM[:3, :3].T
 
 
-def _pose(transform: _Transform) -> np.ndarray:
+def _pose(transform: dict) -> np.ndarray:
     """Camera-to-world (4, 4) with OpenCV axes."""
     pose = np.eye(4)
-    pose[:3, :3] = numbers(transform.rotation, 9).reshape(3, 3)
-    pose[:3, 3] = numbers(transform.center, 3)
+    pose[:3, :3] = numbers(transform["rotation"], 9).reshape(3, 3)
+    pose[:3, 3] = numbers(transform["center"], 3)
     return pose
 
 
 def _view(
-    view: _View,
+    entry: dict,
     lenses: dict[str, tuple[tuple[int, int], Lens]],
     poses: dict[str, np.ndarray],
     rigs: dict[str, list[np.ndarray]],
     places: Places,
 ) -> list[RigView]:
-    """The view, none where it has no pose or no camera."""
-    pose = poses.get(str(view.viewId if view.poseId is None else view.poseId))
-    camera = lenses.get(str(view.intrinsicId))
+    """The view of an entry, none where it has no pose or no camera."""
+    pose = poses.get(str(entry.get("poseId", entry["viewId"])))
+    camera = lenses.get(str(entry.get("intrinsicId")))
     if pose is None or camera is None:
         return []
-    if view.rigId is not None and str(view.isPoseIndependant).lower() == "false":
-        pose = pose @ rigs[str(view.rigId)][int(number(view.subPoseId))]
-    return [places.view(view.path, *camera, _MESH_FROM_SFM @ pose)]
+    if "rigId" in entry and str(entry.get("isPoseIndependant", "true")).lower() == "false":
+        pose = pose @ rigs[str(entry["rigId"])][int(number(entry["subPoseId"]))]
+    return [places.view(str(entry["path"]), *camera, _MESH_FROM_SFM @ pose)]
 
 
-def _lens(file: Path, entry: _Intrinsic, version: tuple[int, ...]) -> tuple[tuple[int, int], Lens]:
+def _lens(file: Path, entry: dict, version: tuple[int, ...]) -> tuple[tuple[int, int], Lens]:
     """Image size and lens of a camera."""
-    size = pixel_size(entry.width, entry.height)
+    size = pixel_size(entry["width"], entry["height"])
     fx, fy = _focal_lengths(entry, version, size)
-    centre = numbers(entry.principalPoint, 2)
+    centre = numbers(entry["principalPoint"], 2)
     if version >= (1, 2, 1):
         centre = centre + [0.5 * size[0], 0.5 * size[1]]
     intrinsics = (fx, fy, float(centre[0]), float(centre[1]))
-    kind, distortion = entry.type, entry.distortionType
+    kind, distortion = str(entry["type"]), str(entry.get("distortionType", "none"))
     if version < (1, 2, 8):
         kind, distortion = ("pinhole", _OLD_TYPES[kind]) if kind in _OLD_TYPES else (kind, distortion)
-    undone = entry.undistortionType
+    undone = str(entry.get("undistortionType", "none"))
     if kind != "pinhole" or distortion not in _COUNTS or undone != "none":
         raise FiptError(
             "camera-model",
@@ -192,7 +116,7 @@ def _lens(file: Path, entry: _Intrinsic, version: tuple[int, ...]) -> tuple[tupl
             f"and the undistortion {undone[:40]!r}, which is not supported.",
             "Use the camera models pinhole, radial, brown or fisheye in Meshroom (node CameraInit).",
         )
-    stored = entry.distortionParams or [0.0] * _COUNTS[distortion]
+    stored = entry.get("distortionParams") or [0.0] * _COUNTS[distortion]
     values = (
         tuple(float(value) for value in numbers(stored, _COUNTS[distortion])) if _COUNTS[distortion] else ()
     )
@@ -204,18 +128,18 @@ def _lens(file: Path, entry: _Intrinsic, version: tuple[int, ...]) -> tuple[tupl
     return size, distorting_lens(intrinsics, size, values[:3], tangential)
 
 
-def _focal_lengths(entry: _Intrinsic, version: tuple[int, ...], size: tuple[int, int]) -> tuple[float, float]:
+def _focal_lengths(entry: dict, version: tuple[int, ...], size: tuple[int, int]) -> tuple[float, float]:
     """Focal lengths fx, fy in pixels, which each version stores in another way."""
     if version < (1, 2, 0):
-        focal = number(entry.pxFocalLength)
+        focal = number(entry["pxFocalLength"])
         return focal, focal
     if version < (1, 2, 2):
-        both = numbers(entry.pxFocalLength, 2)
+        both = numbers(entry["pxFocalLength"], 2)
         return float(both[0]), float(both[1])
-    sensor, ratio = number(entry.sensorWidth), number(entry.pixelRatio)
+    sensor, ratio = number(entry.get("sensorWidth", 36.0)), number(entry.get("pixelRatio", 1.0))
     if not (sensor > 0.0 and ratio > 0.0):
         raise ValueError("a camera has no sensor width, or an impossible pixel ratio")
-    focal = number(entry.focalLength) / sensor * size[0]
+    focal = number(entry["focalLength"]) / sensor * size[0]
     if version < (1, 2, 5):
         return focal, focal / ratio
     if version < (1, 2, 11):

@@ -7,14 +7,11 @@ Source: OpenMVG's documentation, "SfM data format"; rotations are from the world
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from ...run.errors import FiptError
-from ...run.kinds import Vector
 from ..options import CaptureOptions
 from ..places import Places
 from ..rig import Lens, Rig, WellFormed, read_json_rig
@@ -29,54 +26,6 @@ _COUNTS = {"disto_k1": 1, "disto_k3": 3, "disto_t2": 5, "fisheye": 4}
 _NEW_TYPE = 1 << 31
 
 
-@dataclass(frozen=True)
-class _Data:
-    data: dict
-
-
-@dataclass(frozen=True)
-class _Wrapped:
-    ptr_wrapper: _Data
-    polymorphic_id: int = 0
-    polymorphic_name: str | None = None
-
-
-@dataclass(frozen=True)
-class _View:
-    value: _Wrapped
-
-
-@dataclass(frozen=True)
-class _Intrinsic:
-    key: int
-    value: _Wrapped
-
-
-@dataclass(frozen=True)
-class _Pose:
-    rotation: tuple[Vector, Vector, Vector]
-    center: Vector
-
-
-@dataclass(frozen=True)
-class _Extrinsic:
-    key: int
-    value: _Pose
-
-
-@dataclass(frozen=True)
-class _Scene:
-    views: tuple[_View, ...]
-    intrinsics: tuple[_Intrinsic, ...]
-    extrinsics: tuple[_Extrinsic, ...]
-    root_path: str | None = None
-
-
-@dataclass(frozen=True)
-class _Structure:
-    structure: list = field(default_factory=list)
-
-
 def find(path: Path) -> Path | None:
     """The camera file at a path or in a folder, None without one."""
     return camera_file(path, (".json",), lambda text: '"sfm_data_version"' in text, FOLDERS)
@@ -89,21 +38,23 @@ def read(file: Path, options: CaptureOptions) -> Rig:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
     places = Places.around(file, options, folders=FOLDERS)
-    scene = read_json_rig(file, _Scene)
+    data = read_json_rig(file, dict)
     with WellFormed(file):
+        kinds = _kinds(data["intrinsics"])
         lenses = {
-            entry.key: _lens(file, kind, entry.value.ptr_wrapper.data)
-            for entry, kind in zip(scene.intrinsics, _kinds(scene.intrinsics), strict=True)
+            entry["key"]: _lens(file, kind, entry["value"]["ptr_wrapper"]["data"])
+            for entry, kind in zip(data["intrinsics"], kinds, strict=True)
         }
-        poses = {entry.key: entry.value for entry in scene.extrinsics}
+        poses = {entry["key"]: entry["value"] for entry in data["extrinsics"]}
         views = []
-        for entry in scene.views:
-            view = entry.value.ptr_wrapper.data
+        for entry in data["views"]:
+            view = entry["value"]["ptr_wrapper"]["data"]
             if view["id_pose"] in poses and view["id_intrinsic"] in lenses:
                 pose = poses[view["id_pose"]]
-                matrix = camera_pose(np.array(pose.rotation), np.array(pose.center))
+                rotation = np.array([numbers(row, 3) for row in pose["rotation"]])
+                matrix = camera_pose(rotation.reshape(3, 3), numbers(pose["center"], 3))
                 size, lens = lenses[view["id_intrinsic"]]
-                parts = (scene.root_path, view.get("local_path"), view["filename"])
+                parts = (data.get("root_path"), view.get("local_path"), view["filename"])
                 name = "/".join(str(part) for part in parts if part)
                 views.append(places.view(name, size, lens, matrix))
     views.sort(key=lambda view: view.name)
@@ -116,20 +67,21 @@ def points(file: Path) -> np.ndarray:
     Raises:
         FiptError: ``rig-damaged``.
     """
-    stored = read_json_rig(file, _Structure).structure
     with WellFormed(file):
+        stored = read_json_rig(file, dict).get("structure", [])
         return np.array([numbers(entry["value"]["X"], 3) for entry in stored]).reshape(-1, 3)
 
 
-def _kinds(intrinsics: Sequence[_Intrinsic]) -> list[str]:
+def _kinds(intrinsics: list[dict]) -> list[str]:
     """The type of each camera."""
     names: dict[int, str] = {}
     kinds = []
     for entry in intrinsics:
-        identifier = entry.value.polymorphic_id % _NEW_TYPE
-        if entry.value.polymorphic_name is not None:
-            names[identifier] = entry.value.polymorphic_name
-        kinds.append(names.get(identifier, "pinhole"))
+        value = entry["value"]
+        identifier = int(value.get("polymorphic_id", 0))
+        if "polymorphic_name" in value:
+            names[identifier % _NEW_TYPE] = str(value["polymorphic_name"])
+        kinds.append(names.get(identifier % _NEW_TYPE, "pinhole"))
     return kinds
 
 
