@@ -20,15 +20,15 @@ from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-from .documents import read_json
+from .documents import read_document
 from .errors import FiptError
 from .finished_views import FinishedViews
 from .messages import Reporter
 from .method import method_digest
 from .per_view import LocalWorkers, Workers
+from .result_contents import Stages
 from .runfolder import explained_write_errors, write_json
 from .settings import Settings
-from .shapes import STAGES
 from .stage_files import UnreadableArray, loaded, saved
 from .stage_settings import chosen
 
@@ -204,7 +204,8 @@ class Chain:
         before: dict[str, Any] = {"keys": {}, "stages": {}, "warnings": {}}
         try:
             if self._path.exists():
-                before = read_json(self._path, STAGES)
+                read_document(self._path, Stages)
+                before = read_document(self._path, dict)  # with all facts of the stages
         except FiptError as error:
             self._warn_of_damage(error.text)
         valid = {name: key for name, key in keys.items() if before["keys"].get(name) == key}
