@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from benchmarks import ldr
-from benchmarks.metrics import Maps
 from fipt_blender.core.capture.formats import read_rig
 from fipt_blender.core.capture.images import file_exposure, read_radiance
 from fipt_blender.core.capture.options import CaptureOptions
@@ -49,14 +48,6 @@ def test_a_capture_is_readable_and_its_truth_apart(tmp_path, source):
         assert (tmp_path / "again" / path.relative_to(tmp_path / "out")).read_bytes() == content
 
 
-def test_exact_exposures_are_exact(tmp_path, source):
-    ldr.make_capture(source, tmp_path / "out", seed=3, exif="exact")
-    views = read_rig(tmp_path / "out", "auto", CaptureOptions()).views
-    truth = json.loads((tmp_path / "out" / ldr.TRUTH).read_text())["views"]
-    ratio = [file_exposure(view.image) / truth[view.name]["gains"][1] for view in views]
-    assert np.array(ratio) / ratio[0] == pytest.approx(1.0, abs=1e-4)
-
-
 def test_the_photographs_of_a_bracket_are_views_of_one_pose(tmp_path, source):
     ldr.make_capture(source, tmp_path / "one", seed=3, exif="exact")
     ldr.make_capture(source, tmp_path / "out", seed=3, exif="exact", bracket=ldr.Bracket(3, 1.5))
@@ -72,18 +63,6 @@ def test_the_photographs_of_a_bracket_are_views_of_one_pose(tmp_path, source):
             assert view.parts.resolve() == before.parts.resolve()
     truth = json.loads((tmp_path / "out" / ldr.TRUTH).read_text())["views"]
     assert set(truth) == {view.name for view in views}
-
-
-@pytest.mark.parametrize("exif", ["none", "exact"])
-def test_photographs_without_adjustment_are_decoded_codes(tmp_path, source, exif):
-    ldr.make_capture(source, tmp_path / "jpg", seed=3, suffix=".png", exif=exif)
-    ldr.make_capture(source, tmp_path / "exr", seed=3, suffix=".exr", exif=exif)
-    truth = json.loads((tmp_path / "exr" / ldr.TRUTH).read_text())["views"]
-    views = [read_rig(tmp_path / name, "auto", CaptureOptions()).views for name in ("jpg", "exr")]
-    for encoded, plain in zip(*views, strict=True):
-        exposure = truth[plain.name]["gains"][1] if exif == "exact" else 1.0
-        expected = read_radiance(encoded.image) / exposure
-        assert read_radiance(plain.image) == pytest.approx(expected, rel=2e-3, abs=1e-4)
 
 
 def test_responses_increase_and_clip(tmp_path):
@@ -134,35 +113,3 @@ def test_renders_are_compared_in_the_cameras_values(tmp_path):
     (same,) = ldr.as_photographed([radiance], run, [replace(view, encoded=False)])
     assert same is radiance
     assert ldr.as_photographed([radiance], RunFolder(tmp_path / "hdr"), [view])[0] is radiance
-
-
-def test_errors_of_the_camera(tmp_path):
-    run, camera = RunFolder(tmp_path / "run"), ldr.Camera(2.2, 0.1, 0.2, 0.0)
-    assert ldr.camera_errors(run, tmp_path) is None
-    statistics(run, camera, 1.0)
-    photometry = json.loads(run.statistics_json.read_text())["photometry"]
-    photometry["views"]["train/001"] = {"exposure_ev": 2.1}
-    light = np.linspace(0.0, 1.0, ldr.CURVE_STEPS)
-    gains = {"train/000": {"gains": [0.5] * 3}, "train/001": {"gains": [1.0] * 3}}
-    truth = {"views": gains, "light": light.tolist(), "values": camera.respond(light).tolist()}
-    write_json(tmp_path / ldr.TRUTH, truth)
-    write_json(run.statistics_json, {"photometry": photometry})
-    found = ldr.camera_errors(run, tmp_path)
-    assert found["response"] < 1e-3 and found["contrast"] == pytest.approx(1.0, abs=1e-2)
-    assert found["exposures"] == pytest.approx(0.05) and found["exposures_most"] == pytest.approx(0.05)
-    photometry["log_curve"] = [1.1 * value for value in photometry["log_curve"]]
-    write_json(run.statistics_json, {"photometry": photometry})
-    found = ldr.camera_errors(run, tmp_path)
-    assert found["contrast"] == pytest.approx(1.1, abs=1e-2) and found["response"] > 0.01
-
-
-def test_emission_is_compared_after_one_scale(tmp_path):
-    run = RunFolder(tmp_path / "run")
-    statistics(run, ldr.Camera(2.2, 0.0, 0.0, 0.0), 1.0)
-    write_json(tmp_path / ldr.TRUTH, {"views": {"train/000": {"gains": [0.5, 0.5, 0.5]}}})
-    empty = np.zeros((1, 1, 3))
-    maps = Maps(empty, empty, empty, empty[..., 0], empty[..., 0], empty + 3.0, empty[..., 0] > 0)
-    (found,) = ldr.in_true_units([maps], run, tmp_path)
-    assert found.emission == pytest.approx(3.0 * 2.0 / 0.5)
-    (same,) = ldr.in_true_units([maps], RunFolder(tmp_path / "none"), tmp_path)
-    assert same is maps

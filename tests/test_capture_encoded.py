@@ -37,14 +37,6 @@ from samples.small_rooms import BOX, make_room
 CODES = np.random.default_rng(3).integers(0, 256, (6, 8, 3)).astype(np.uint8)
 
 
-@pytest.mark.parametrize("name", ["a.png", "a.tif", "a.TIFF"])
-def test_codes_come_back(tmp_path, name):
-    Image.fromarray(CODES).save(tmp_path / name)
-    pixels = read_radiance(tmp_path / name)
-    assert pixels.dtype == np.float32 and read_size(tmp_path / name) == (8, 6)
-    assert np.array_equal(np.round(srgb_encoded(pixels) * 255.0), CODES)
-
-
 def test_grey_alpha_palette_and_sixteen_bits(tmp_path):
     grey = CODES[..., 0]
     alpha = np.dstack([CODES, grey])
@@ -181,18 +173,6 @@ def test_half_round_trip_keeps_eleven_bits_and_the_range(tmp_path):
 def test_one_channel_is_luminance(tmp_path):
     write_exr(tmp_path / "y.exr", PIXELS[..., 0])
     np.testing.assert_array_equal(read_radiance(tmp_path / "y.exr"), np.repeat(PIXELS[..., :1], 3, axis=2))
-
-
-@pytest.mark.parametrize("prefix", ["Combined.", "ViewLayer.Combined.", "layer."])
-def test_layers(tmp_path, prefix):
-    write_channels(tmp_path / "a.exr", {**planes(prefix), "Depth.Z": PIXELS[..., 0].copy()})
-    np.testing.assert_array_equal(read_radiance(tmp_path / "a.exr"), PIXELS)
-
-
-def test_unnamed_layer_wins_and_alpha_is_left_out(tmp_path):
-    channels = {**planes("AO.", PIXELS * 0.5), **planes(), "A": np.ones((5, 7), np.float32)}
-    write_channels(tmp_path / "a.exr", channels)
-    np.testing.assert_array_equal(read_radiance(tmp_path / "a.exr"), PIXELS)
 
 
 def test_data_window_is_placed_on_the_display_window(tmp_path):

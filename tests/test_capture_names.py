@@ -363,16 +363,6 @@ def test_id_images_are_found_like_photographs(tmp_path: Path, file: str) -> None
     assert [view.parts for view in rig.views] == [path, None] and not rig.notes
 
 
-@pytest.mark.parametrize("suffix", [".tif", ".jpg", ".JPEG"])
-def test_id_images_of_other_formats_are_refused(tmp_path: Path, suffix: str) -> None:
-    files = ["images/0.jpg", "images/1.jpg"]
-    write_capture("transforms", tmp_path / "in", files, files)
-    (tmp_path / "in" / "parts").mkdir()
-    Image.new("L", (480, 320)).save(tmp_path / "in" / "parts" / f"0{suffix}")
-    error = error_of(run_ingest, tmp_path / "in", RunFolder(tmp_path / "run"), hold_back=0)
-    assert error.code == "mask-not-ids" and f"0{suffix}" in error.text
-
-
 def test_id_images_of_other_folders_are_not_taken(tmp_path: Path) -> None:
     files = ["train/r_0.png", "val/r_0.png", "r_1.png"]
     write_capture("transforms", tmp_path / "in", ["./train/r_0", "./val/r_0", "./r_1"], files)

@@ -18,7 +18,7 @@ BLENDER = os.environ.get("FIPT_TEST_BLENDER", "")
 
 
 @pytest.mark.skipif(not BLENDER, reason="FIPT_TEST_BLENDER is not set")
-@pytest.mark.skipif(not shutil.which("Xvfb"), reason="Xvfb is not installed")
+@pytest.mark.skipif(not shutil.which("xvfb-run"), reason="xvfb-run is not installed")
 def test_from_an_empty_scene_to_a_relit_render(tmp_path):
     shots = Path(os.environ.get("FIPT_TEST_SHOTS") or tmp_path)
     command = [sys.executable, str(RUN), "--blender", BLENDER, "--shots", str(shots)]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs inside Blender and answers the driver's questions from a timer; it only observes.
+"""Runs inside Blender and answers the driver's questions from a timer; only `simulate` acts, by events.
 
 Started by `blender --python`. Questions are names of functions of this module, or `module.function` of the
 modules named in $FIPT_GUI_INSIDE, with JSON arguments; they come over the socket named in $FIPT_GUI_SOCKET.
@@ -12,6 +12,7 @@ import importlib.util
 import json
 import os
 import socket
+import subprocess
 import sys
 import traceback
 from collections.abc import Callable, Iterator
@@ -233,6 +234,19 @@ def draw_requests() -> dict[str, list[int]]:
     """Files, folders, processes and imports that each draw call asked for, by panel; clears the record."""
     requests, _watch.requests = _watch.requests, {}
     return requests
+
+
+def simulate(kind: str, value: str, x: int, y: int, more: dict[str, Any]) -> None:
+    """An event of pointer or keyboard in the newest window at a pixel of the screen, from its top left."""
+    windows = bpy.context.window_manager.windows
+    y = windows[0].y + windows[0].height - 1 - y
+    at = [w for w in windows if 0 <= x - w.x < w.width and 0 <= y - w.y < w.height]
+    at[-1].event_simulate(kind, value, x=x - at[-1].x, y=y - at[-1].y, **more)
+
+
+def picture(path: str) -> None:
+    """Write a PNG of the screen, by ImageMagick: Blender's own screenshots are black without a compositor."""
+    subprocess.run(["import", "-window", "root", path], check=True)
 
 
 def settings(values: dict[str, Any]) -> None:

@@ -1,11 +1,13 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A real Blender in a window on a separate screen; it answers questions through the agent."""
+"""A real Blender in a window on a separate screen (Xvfb); it answers questions through the agent."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import signal
 import socket
 import subprocess
 import tempfile
@@ -13,8 +15,6 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
-
-import x11
 
 _AGENT = Path(__file__).with_name("agent.py")
 _START_SECONDS = 120.0
@@ -53,14 +53,13 @@ class Blender:
         self._blender, self._extension = blender, extension
         self._inside = [str(Path(file).resolve()) for file in inside]
         self._environment, self._arguments = environment or {}, list(arguments)
-        self._screen = x11.Screen(*size)
+        self.width, self.height = size
         self._folder = tempfile.TemporaryDirectory(prefix="fipt-gui-")
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Blender:
         self.shots.mkdir(parents=True, exist_ok=True)
         self._log = (self.shots / "blender.log").open("wb")
-        self._screen.__enter__()
         try:
             self._start()
         except BaseException:
@@ -70,15 +69,15 @@ class Blender:
 
     def __exit__(self, *error: object) -> None:
         if error and error[0] is not None and self._process is not None:
-            self.display.save(self.shots / "failed.png")
+            with contextlib.suppress(Lost):
+                self.ask("picture", str(self.shots.resolve() / "failed.png"))
         if self._process is not None and self._process.poll() is None:
             try:
                 self.ask("leave")
                 self._process.wait(_LEAVE_SECONDS)
             except (OSError, Lost, subprocess.TimeoutExpired):
-                self._process.kill()
+                os.killpg(self._process.pid, signal.SIGTERM)  # the screen as well
                 self._process.wait()
-        self._screen.__exit__()
         self._log.close()
         self._folder.cleanup()
 
@@ -132,7 +131,6 @@ class Blender:
         address = str(folder / "socket")
         variables = {
             **os.environ,
-            "DISPLAY": self._screen.name,
             "BLENDER_USER_RESOURCES": str(folder / "blender"),
             "FIPT_GUI_SOCKET": address,
             "FIPT_GUI_INSIDE": os.pathsep.join(self._inside),
@@ -154,10 +152,12 @@ class Blender:
         listener.bind(address)
         listener.listen(1)
         listener.settimeout(1.0)
-        size = (str(self._screen.width), str(self._screen.height))
+        screen = ["xvfb-run", "-a", "-s", f"-screen 0 {self.width}x{self.height}x24 +extension GLX"]
+        window = ["--window-geometry", "0", "0", str(self.width), str(self.height), "--enable-event-simulate"]
         self._process = subprocess.Popen(
-            [self._blender, "--window-geometry", "0", "0", *size, *self._arguments, "--python", str(_AGENT)],
+            [*screen, self._blender, *window, *self._arguments, "--python", str(_AGENT)],
             env=variables,
+            start_new_session=True,
             stdin=subprocess.DEVNULL,
             stdout=self._log,
             stderr=subprocess.STDOUT,
@@ -172,5 +172,4 @@ class Blender:
                     raise Lost(f"Blender did not start; see {self.shots / 'blender.log'}") from None
         listener.close()
         self._stream = connection.makefile("rw", encoding="utf-8")
-        self.display = x11.Display(self._screen.name)
         self.ask("redraws", ticks=5)

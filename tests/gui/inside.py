@@ -54,6 +54,16 @@ def photographs() -> dict[str, Any]:
     }
 
 
+def drop(files: list[str]) -> None:
+    """Run the operator that Blender runs where files are dropped on the sidebar, as it does."""
+    handler = bpy.types.FIPT_FH_photographs
+    module, _, name = handler.bl_import_operator.partition(".")
+    names = [{"name": Path(file).name} for file in files]
+    with bpy.context.temp_override(**_view()):
+        operator = getattr(getattr(bpy.ops, module), name)
+        operator("INVOKE_DEFAULT", directory=str(Path(files[0]).parent), files=names)
+
+
 def job(kind: str) -> dict[str, Any]:
     """State of the running job of a kind, or of the last one; an empty state if there was none."""
     running = _ours("jobs.running")

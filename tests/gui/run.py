@@ -18,8 +18,6 @@ sys.path[:0] = [str(HERE), str(ROOT)]
 
 import chapters  # noqa: E402
 import story  # noqa: E402
-import x11  # noqa: E402
-from hand import SIDEBAR  # noqa: E402
 from window import Window  # noqa: E402
 
 import dev  # noqa: E402
@@ -29,7 +27,7 @@ def look(window: Window, sections: list[str]) -> None:
     """Open sections one by one and take a screenshot of each."""
     for label in sections or window.sections():
         window.open_section(label)
-        window.shot(f"section_{label.lower()}", SIDEBAR)
+        window.shot(f"section_{label.lower()}")
 
 
 def main(argv: list[str]) -> int:
@@ -49,37 +47,28 @@ def main(argv: list[str]) -> int:
     chosen = parser.add_mutually_exclusive_group()
     chosen.add_argument("--only", type=_names, default=[], metavar="CHAPTER,...", help=", ".join(names))
     chosen.add_argument("--from", dest="first", choices=names, help="a chapter and all after it")
-    parser.add_argument("--base", type=Path, metavar="SHOTS", help="earlier run of which to continue a copy")
     options = parser.parse_args(argv)
     if options.look is None and options.engine is None:
         parser.error("--engine is needed, or --look")
-    if lacking := x11.missing():
-        print(f"{lacking} is needed for a window without a screen.", file=sys.stderr)
+    if not shutil.which("xvfb-run"):
+        print("xvfb-run is needed for a window without a screen.", file=sys.stderr)
         return 2
     if options.look is not None:
         arguments = [str(options.open.resolve())] if options.open else []
         arguments += ["--python", str(options.before.resolve())] if options.before else []
-        return _drive(options, arguments, {}, lambda window: look(window, options.look))
+        return _drive(options, arguments, lambda window: look(window, options.look))
     only = names[names.index(options.first) :] if options.first else options.only
     options.shots.mkdir(parents=True, exist_ok=True)
-    if options.base is not None:
-        _copy(options.base, options.shots)
     start, rest = chapters.plan(
         story.CHAPTERS, only, lambda name: (options.shots / f"{name}.blend").is_file()
     )
-    arguments, moved = [], {}
+    arguments = []
     if start:
         arguments = [str(options.shots.resolve() / f"{start}.blend")]
     else:
         shutil.rmtree(options.shots / "data", ignore_errors=True)
-    if start and options.base is not None:
-        arguments += ["--python", str(HERE / "moved.py")]
-        moved = {
-            "FIPT_GUI_BASE": str(options.base.resolve()),
-            "FIPT_GUI_SHOTS": str(options.shots.resolve()),
-        }
     told = chapters.Options(options.capture.resolve(), options.engine, options.fast)
-    return _drive(options, arguments, moved, lambda window: chapters.act(window, told, rest))
+    return _drive(options, arguments, lambda window: chapters.act(window, told, rest))
 
 
 def _names(text: str) -> list[str]:
@@ -90,19 +79,9 @@ def _names(text: str) -> list[str]:
     return names
 
 
-def _copy(base: Path, shots: Path) -> None:
-    """Bring an earlier run's scenes, their textures and data, in place of those that are there."""
-    for folder in (base / "data", *base.glob("*_textures")):
-        shutil.rmtree(shots / folder.name, ignore_errors=True)
-        shutil.copytree(folder, shots / folder.name)
-    for file in base.glob("*.blend"):
-        shutil.copyfile(file, shots / file.name)
-
-
 def _drive(
     options: argparse.Namespace,
     arguments: list[str],
-    environment: dict[str, str],
     act: Callable[[Window], None],
 ) -> int:
     """Open a window with the extension and act in it; the exit status."""
@@ -116,7 +95,7 @@ def _drive(
                 extension=extension,
                 inside=[HERE / "inside.py"],
                 arguments=arguments,
-                environment={"FIPT_DATA": str(data), **environment},
+                environment={"FIPT_DATA": str(data)},
             ) as window:
                 act(window)
         except AssertionError as error:

@@ -41,7 +41,7 @@ _MAPS = ("ORIGINAL", "BASE_COLOR", "ROUGHNESS", "METALLIC", "EMISSION", "CONFIDE
 def empty_scene(window: Window, options: Options) -> None:
     """Select all with the keyboard and delete it."""
     window.point_in_view()
-    window.key("a", "Delete")
+    window.key("A", "DEL")
     window.wait("inside.counts", until=lambda counts: counts["objects"] == 0)
     window.open_tab()
     window.settle()
@@ -53,10 +53,9 @@ def preferences(window: Window, options: Options) -> None:
     """Find the extension in the preferences, name the interpreter, press Check."""
     module = window.ask("inside.module_name")
     window.point_in_view()
-    window.key("ctrl+comma")
+    window.key("ctrl+COMMA")
     window.wait("is_open", *PREFERENCES)
     window.settle()
-    window.display.arrange()
     pages = next(where for where in _PREFERENCES_PAGES if window.ask("is_open", *where))
     window.pick("preferences.active_section", "ADDONS", pages)
     window.set_text("addon_search", "fipt", PREFERENCES)
@@ -107,9 +106,7 @@ def photographs(window: Window, options: Options) -> None:
     script = Path(__file__).with_name("brackets.py")
     subprocess.run([options.engine, script, options.capture, folder], check=True)
     window.open_section("Start")
-    window.drop_files(sorted((folder / "card").iterdir()))
-    if not window.ask("inside.photographs")["path"]:
-        window.press()  # a menu under the pointer asks what to do with images
+    window.ask("inside.drop", [str(file) for file in sorted((folder / "card").iterdir())])
     finish(window, "photographs")
     window.open_section("Photographs")
     found = window.ask("inside.photographs")
@@ -201,10 +198,10 @@ def estimate(window: Window, options: Options) -> None:
         seconds=_ENGINE_SECONDS,
     )
     window.shot("08_estimate_running")
-    window.key("Escape")
+    window.key("ESC")
     if not _stops(window):  # a run of more than a minute asks first
         window.shot("08_estimate_asked")
-        window.key("Return")
+        window.key("RET")
     job = window.wait("inside.job", "estimate", until=lambda job: job["state"] != "running", seconds=300)
     assert job["state"] == "cancelled", job
     window.settle()
@@ -309,7 +306,6 @@ def insert(window: Window, options: Options) -> None:
     window.shot("20_relit_panel")
     window.click("fipt.open_picture")
     window.wait("is_open", *_PICTURE)
-    window.display.arrange()
     window.settle()
     window.shot("21_relit_render")
     window.ask("close_window", _PICTURE[0])

@@ -20,8 +20,8 @@ def align(window: Window, options: Options) -> None:
     window.open_section("Capture", "Alignment", "Cameras to Mesh")
     window.point_in_view()
     if window.ask("inside.view_through"):
-        window.key("KP_0")
-    window.key("Home")  # all in the picture
+        window.key("NUMPAD_0")
+    window.key("HOME")  # all in the picture
     for number, corner in enumerate(corners[:_CORNERS]):
         _pick(window, corner, _SIGHTS[number], pictures=number == 0)
         window.wait("inside.pairs", until=lambda pairs, count=number + 1: pairs["count"] == count)
@@ -43,11 +43,11 @@ def align(window: Window, options: Options) -> None:
     window.click("fipt.remove_pair", index=0)
     window.wait("inside.pairs", until=lambda pairs: pairs["count"] == _CORNERS - 1)
     window.point_in_view()
-    window.key("ctrl+z")
+    window.key("ctrl+Z")
     window.wait("inside.pairs", until=lambda pairs: pairs["count"] == _CORNERS)
     window.click("fipt.pick_pair")
     window.point_in_view()
-    window.key("Escape")
+    window.key("ESC")
     assert window.ask("inside.pairs") == fit
 
 
@@ -68,7 +68,7 @@ def _pick(window: Window, corner: dict[str, Any], sights: int, pictures: bool) -
         index = (active + steps) % len(cameras)
         views.remove(index)
         for _ in range(abs(steps)):
-            window.key("Next" if steps > 0 else "Prior")
+            window.key("PAGE_DOWN" if steps > 0 else "PAGE_UP")
         window.wait("inside.view_through", until=cameras[index].__eq__, seconds=60.0)
         window.point_at(corner["point"])
         window.settle()
@@ -76,7 +76,7 @@ def _pick(window: Window, corner: dict[str, Any], sights: int, pictures: bool) -
             window.shot("06_align_photograph")
         window.press()
     if sights < 2:
-        window.key("Return")
+        window.key("RET")
 
 
 def _steps(start: int, end: int, count: int) -> int:

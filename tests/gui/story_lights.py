@@ -62,7 +62,6 @@ def seeing(window: Window, options: Options) -> None:
     window.shot("32_compare_dragged")
     window.click("fipt.compare", mode="RENDER", window=True)
     window.wait("is_open", *_PICTURE)
-    window.display.arrange()
     window.settle()
     window.shot("32_compare_picture")
     window.ask("close_window", _PICTURE[0])
@@ -74,10 +73,10 @@ def seeing(window: Window, options: Options) -> None:
 def menus(window: Window, options: Options) -> None:
     """The pie menu on its key, the menu search, and the shortcut in the preferences."""
     window.point_in_view(0.45, 0.5)
-    window.key("shift+alt+f")
+    window.key("shift+alt+F")
     window.settle()
     window.shot("33_pie")
-    window.key("Escape")
+    window.key("ESC")
     window.point_in_view(0.45, 0.5)
     window.search("Exposure from Photographs")
     window.shot("33_searched")
@@ -99,7 +98,7 @@ def aim(window: Window, options: Options) -> None:
     window.settle()
     window.shot("34_light_aimed")
     window.point_in_view(0.9, 0.9)
-    window.key("ctrl+z")
+    window.key("ctrl+Z")
     window.wait("inside.beam", until=lambda now: now["turn"] == before["turn"])
 
 
@@ -115,11 +114,11 @@ def eevee(window: Window, options: Options) -> None:
 def _drag(window: Window, place: tuple[int, int], by: tuple[int, int]) -> None:
     """Drag with the left button from a place of the 3D viewport, in pixels of its region."""
     window.point(VIEW, *place)
-    x, y = window.display.pointer
+    x, y = window.pointer
     window.settle()
-    window.display.button(1, True)
+    window.event("LEFTMOUSE", "PRESS")
     for step in range(1, 9):
-        window.display.move(x + by[0] * step // 8, y + by[1] * step // 8)
+        window.move(x + by[0] * step // 8, y + by[1] * step // 8)
         window.settle()
-    window.display.button(1, False)
+    window.event("LEFTMOUSE", "RELEASE")
     window.settle()

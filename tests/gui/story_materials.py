@@ -44,7 +44,7 @@ def part_materials(window: Window, options: Options) -> None:
     window.settle()
     window.shot("23_part_faces")
     window.point_in_view(0.5, 0.5)
-    window.key("Tab")
+    window.key("TAB")
     window.wait("inside.part_rows", until=lambda now: now["mode"] == "OBJECT")
     window.open_section(*_LIST)
     window.click("fipt.mark_part_assets", all_parts=False)

@@ -34,11 +34,11 @@ class Window(Hand):
             self.press()
         else:
             first, last = self.extent(path, where, 0)
-            self.display.move((first + last) // 2, self.display.pointer[1])  # its ends are arrows
-            self.key("Return")  # a click would start dragging the number
-        self.key("ctrl+a")
+            self.move((first + last) // 2, self.pointer[1])  # its ends are arrows
+            self.key("RET")  # a click would start dragging the number
+        self.key("ctrl+A")
         self.type(text)
-        self.key("Return")
+        self.key("RET")
         wanted = type(before)(text)
         near = (lambda v: abs(v - wanted) < 1e-4) if isinstance(wanted, float) else wanted.__eq__
         self.wait("value", path, until=near, seconds=60)
@@ -57,7 +57,7 @@ class Window(Hand):
         index = self.ask("items", path).index(item)
         if self.ask("value", path) != item:
             self.press()
-            self.key("Home", *["Down"] * index, "Return")
+            self.key("HOME", *["DOWN_ARROW"] * index, "RET")
         self.wait("value", path, until=item.__eq__, seconds=60)
         self.settle()
 
@@ -65,14 +65,14 @@ class Window(Hand):
         """Click an item, by its identifier, of an enumeration that shows all items in a row or column."""
         path = self.hover(target, where)
         names = self.ask("items", path)
-        x, y = self.display.pointer
+        x, y = self.pointer
         (left, right), (upper, lower) = self.extent(path, where, 0), self.extent(path, where, 1)
         column = lower - upper > 2 * UNIT * self.scale()
         start, end = (upper, lower) if column else (left, right)
         step = (end - start) / len(names)
         place = start + step * (names.index(item) + 0.5)
         for _ in range(_TRIES):
-            self.display.move(*((x, round(place)) if column else (round(place), y)))
+            self.move(*((x, round(place)) if column else (round(place), y)))
             if self.under(where)["property"] != path:  # a gap
                 place += step / 3.0
                 continue
@@ -86,10 +86,10 @@ class Window(Hand):
     def click_row(self, target: str, index: int, where: Where = SIDEBAR) -> None:
         """Click one of the first rows of a list, named by the property of the active row's index."""
         path = self.hover(target, where)
-        self.turn_wheel(4, self.ask("value", path))  # the list shows its first row
+        self.turn_wheel("UP", self.ask("value", path))  # the list shows its first row
         if self.under(where)["property"] != path:  # the region has moved as well
             self.hover(target, where)
-        x, _ = self.display.pointer
+        x, _ = self.pointer
         row = UNIT * self.scale()
         first, last = self.extent(path, where, 1)
         y = first + row * (index + 0.5)
@@ -97,7 +97,7 @@ class Window(Hand):
         for _ in range(_TRIES):
             if not first <= y <= last:
                 break
-            self.display.move(x, round(y))
+            self.move(x, round(y))
             self.press()
             got = self.ask("value", path)
             if got == index:
@@ -112,14 +112,14 @@ class Window(Hand):
         self.settle()
         self.type(text)
         self.settle()
-        self.key("Return")
+        self.key("RET")
         self.settle()
 
     def open_tab(self, tab: str = TAB) -> None:
         """Open the sidebar with its shortcut and one of its tabs with the mouse."""
         if not self.ask("is_open", *SIDEBAR):
             self.point_in_view()
-            self.key("n")
+            self.key("N")
             self.wait("is_open", *SIDEBAR)
             self.settle()
         if self.ask("tab") == tab:
@@ -127,7 +127,7 @@ class Window(Hand):
         left, top, width, height = self.box(SIDEBAR)
         scale = self.scale()
         for offset in range(10, height, round(UNIT * scale * 0.7)):
-            self.display.move(left + width - round(TABS * scale / 2), top + offset)
+            self.move(left + width - round(TABS * scale / 2), top + offset)
             self.press()
             if self.ask("tab") == tab:
                 return
@@ -194,7 +194,7 @@ class Window(Hand):
         return left + round(110 * scale), top + round((14.0 + index * _HEADER) * scale)
 
     def _press_header(self, index: int) -> None:
-        self.display.move(*self._header(index))
+        self.move(*self._header(index))
         self.press()
 
     def _open_part(self, name: str, below: int) -> int:
@@ -221,7 +221,7 @@ class Window(Hand):
         before = self._drawn()
         places = range(below + 2 * step, top + height, step)
         for y in reversed(places) if upwards else places:
-            self.display.move(x, y)
+            self.move(x, y)
             if any(self.under().values()):
                 continue
             self.press()
