@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks import ldr
-from fipt_blender.core.capture.formats import read_rig
+from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.images import file_exposure, read_radiance
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View

@@ -22,7 +22,7 @@ from benchmarks.tracer.surfaces import LatticeMaterials, TriangleMaterials
 from fipt_blender.core.optics import brdf
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.surface.room import Room
 from samples.small_rooms import BOX as WALLS
 from samples.small_rooms import make_room, mesh_room
 
