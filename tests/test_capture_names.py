@@ -142,7 +142,7 @@ STYLES = [
 ]
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("kind", WRITERS)
 def test_names_of_any_style(tmp_path: Path, kind: str, seed: int) -> None:
     """Slashes, drives, dots, blanks, case, accents, suffix given or not or another one, and subfolders."""
