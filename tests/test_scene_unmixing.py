@@ -163,9 +163,8 @@ def test_the_posterior_is_calibrated(rng: np.random.Generator) -> None:
         error, claimed = (found - true)[label == each], spread[label == each].mean()
         assert abs(error.mean()) < 4.0 * np.sqrt(claimed / error.size)
         assert 0.8 < (error**2).mean() / claimed < 1.1
-        assert (error**2).mean() < (0.3, 0.85, 1.05)[each] * variance[
-            each, 0
-        ]  # the least certain learns most
+        # The least certain learns most.
+        assert (error**2).mean() < (0.3, 0.85, 1.05)[each] * variance[each, 0]
 
 
 def test_weights_and_standard_errors_are_inverse() -> None:

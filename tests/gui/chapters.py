@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the story's chapters share, and the order in which some of them are told."""
+"""What the story's chapters share."""
 
 from __future__ import annotations
 
@@ -49,34 +49,6 @@ class Chapter:
     def name(self) -> str:
         """The function's name."""
         return self.act.__name__
-
-
-def plan(
-    chapters: Iterable[Chapter], only: Iterable[str], told: Callable[[str], bool]
-) -> tuple[str, list[Chapter]]:
-    """The chapters that must be acted, in order, so that some of them can be.
-
-    Args:
-        chapters: all, in the order of the story.
-        only: names of the chapters that are wanted; none for all.
-        told: whether the scene that a chapter has left behind is at hand.
-
-    Returns:
-        The chapter whose scene is opened first ("" for none), and the chapters to act.
-    """
-    order = list(chapters)
-    wanted = set(only) or {chapter.name for chapter in order}
-    after = {chapter.name: chapter.after for chapter in order}
-    needed = set(wanted)
-    for name in wanted:
-        while name := after[name]:
-            needed.add(name)
-    names = [chapter.name for chapter in order if chapter.name in needed]
-    first = min(names.index(name) for name in wanted)
-    # A scene will do that holds all that comes before the first wanted chapter.
-    start = next((name for name in reversed(names[:first]) if told(name)), "")
-    rest = names[names.index(start) + 1 :] if start else names
-    return start, [chapter for chapter in order if chapter.name in rest]
 
 
 def act(window: Window, options: Options, chapters: Iterable[Chapter]) -> None:

@@ -9,7 +9,6 @@ import argparse
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -23,68 +22,35 @@ from window import Window  # noqa: E402
 import dev  # noqa: E402
 
 
-def look(window: Window, sections: list[str]) -> None:
-    """Open sections one by one and take a screenshot of each."""
-    for label in sections or window.sections():
-        window.open_section(label)
-        window.shot(f"section_{label.lower()}")
-
-
 def main(argv: list[str]) -> int:
-    """Run the test, or only take screenshots; returns the exit status."""
+    """Run the test, or some of its chapters; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--blender", default="blender", help="Blender's executable")
     parser.add_argument("--shots", type=Path, required=True, help="folder of the pictures")
-    parser.add_argument("--look", nargs="*", metavar="SECTION", help="only open sections and picture them")
-    parser.add_argument("--open", type=Path, metavar="BLEND", help="a file to open first")
-    parser.add_argument("--before", type=Path, metavar="PY", help="with --look: a script to run first")
     parser.add_argument(
-        "--engine", type=Path, metavar="PYTHON", help="interpreter with the engine's packages"
+        "--engine", type=Path, required=True, metavar="PYTHON", help="interpreter with the engine's packages"
     )
     parser.add_argument("--capture", type=Path, default=ROOT / "examples" / "room", help="the capture")
     parser.add_argument("--fast", action="store_true", help="few rays and steps: for work on the test itself")
     names = [chapter.name for chapter in story.CHAPTERS]
     chosen = parser.add_mutually_exclusive_group()
-    chosen.add_argument("--only", type=_names, default=[], metavar="CHAPTER,...", help=", ".join(names))
-    chosen.add_argument("--from", dest="first", choices=names, help="a chapter and all after it")
+    chosen.add_argument("--only", nargs="+", choices=names, metavar="CHAPTER", help=", ".join(names))
+    chosen.add_argument("--from", dest="first", choices=names, metavar="CHAPTER", help="and all after it")
     options = parser.parse_args(argv)
-    if options.look is None and options.engine is None:
-        parser.error("--engine is needed, or --look")
     if not shutil.which("xvfb-run"):
         print("xvfb-run is needed for a window without a screen.", file=sys.stderr)
         return 2
-    if options.look is not None:
-        arguments = [str(options.open.resolve())] if options.open else []
-        arguments += ["--python", str(options.before.resolve())] if options.before else []
-        return _drive(options, arguments, lambda window: look(window, options.look))
-    only = names[names.index(options.first) :] if options.first else options.only
+    only = options.only or names[names.index(options.first or names[0]) :]
+    acted = [chapter for chapter in story.CHAPTERS if chapter.name in only]
     options.shots.mkdir(parents=True, exist_ok=True)
-    start, rest = chapters.plan(
-        story.CHAPTERS, only, lambda name: (options.shots / f"{name}.blend").is_file()
-    )
     arguments = []
-    if start:
+    if start := acted[0].after:
         arguments = [str(options.shots.resolve() / f"{start}.blend")]
+        if not Path(arguments[0]).is_file():
+            parser.error(f"{arguments[0]} is missing: act the chapter {start} first")
     else:
         shutil.rmtree(options.shots / "data", ignore_errors=True)
     told = chapters.Options(options.capture.resolve(), options.engine, options.fast)
-    return _drive(options, arguments, lambda window: chapters.act(window, told, rest))
-
-
-def _names(text: str) -> list[str]:
-    """Names of chapters, of a list with commas."""
-    names = text.split(",")
-    if unknown := set(names) - {chapter.name for chapter in story.CHAPTERS}:
-        raise argparse.ArgumentTypeError(f"there is no chapter {', '.join(sorted(unknown))}")
-    return names
-
-
-def _drive(
-    options: argparse.Namespace,
-    arguments: list[str],
-    act: Callable[[Window], None],
-) -> int:
-    """Open a window with the extension and act in it; the exit status."""
     data = options.shots.resolve() / "data"  # the run and the saved preferences
     with tempfile.TemporaryDirectory() as folder:
         extension = dev.build_extension(Path(folder))
@@ -97,7 +63,7 @@ def _drive(
                 arguments=arguments,
                 environment={"FIPT_DATA": str(data)},
             ) as window:
-                act(window)
+                chapters.act(window, told, acted)
         except AssertionError as error:
             print(f"FAILED: {error}", file=sys.stderr)
             return 1
