@@ -25,6 +25,7 @@ from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.prepare.models import WantedView, model_from_rig
 from samples import rig_writers as write
 from samples.child_processes import posix
+from samples.combinations import pairs
 from samples.ingesting import run_ingest, warnings
 from samples.metashape_writers import (
     Chunk,
@@ -307,9 +308,14 @@ def test_byte_order_marks(tmp_path: Path, kind: str, encoding: str) -> None:
 # ----------------------------------------------------------------------------------------------------- splits
 
 
-@pytest.mark.parametrize("frame", ["images/{}.jpg", "./images/{}.jpg", "images\\{}.JPG", "images/{}"])
-@pytest.mark.parametrize("listed", ["images/{}.jpg", "./images/{}.jpg", ".\\images\\{}.jpg", "images/{}"])
-@pytest.mark.parametrize("missing", [False, True])
+@pytest.mark.parametrize(
+    ("frame", "listed", "missing"),
+    pairs(
+        ("images/{}.jpg", "./images/{}.jpg", "images\\{}.JPG", "images/{}"),
+        ("images/{}.jpg", "./images/{}.jpg", ".\\images\\{}.jpg", "images/{}"),
+        (False, True),
+    ),
+)
 def test_splits_name_photographs_in_any_style(tmp_path: Path, frame: str, listed: str, missing: bool) -> None:
     names = [frame.format(index) for index in range(4)]
     write_capture("transforms", tmp_path / "in", names, [f"images/{index}.jpg" for index in range(4)])
