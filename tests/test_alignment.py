@@ -14,11 +14,7 @@ import pytest
 
 from fipt_blender.core.alignment.pairs import fit_pairs
 from fipt_blender.core.alignment.registration import refine, register
-from fipt_blender.core.alignment.surface import (
-    closest_points,
-    sample_surface,
-    unit_normals,
-)
+from fipt_blender.core.alignment.surface import closest_points, sample_surface, unit_normals
 from fipt_blender.core.capture.align_mesh import align_rig
 from fipt_blender.core.capture.formats.registry import read_points, read_rig
 from fipt_blender.core.capture.images import write_exr

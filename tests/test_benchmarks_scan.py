@@ -10,15 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.scan import (
-    MESH,
-    Scanner,
-    believed_pose,
-    disturbed,
-    link_capture,
-    read_truth,
-    smoothed,
-)
+from benchmarks.scan import MESH, Scanner, believed_pose, disturbed, link_capture, read_truth, smoothed
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.depth.extraction import FusedMesh

@@ -265,8 +265,7 @@ def test_the_content_of_a_file_decides_not_its_suffix(tmp_path, kind, suffix):
 
 
 @pytest.mark.parametrize(
-    ("planar", "channels", "kind"),
-    pairs((False, True), (1, 2, 3, 4), ("uint8", "uint16", "float32")),
+    ("planar", "channels", "kind"), pairs((False, True), (1, 2, 3, 4), ("uint8", "uint16", "float32"))
 )
 def test_tiff_of_any_depth_planes_apart_or_not(tmp_path, planar, channels, kind):
     values = np.random.default_rng(channels).random((HEIGHT, WIDTH, channels), np.float32)

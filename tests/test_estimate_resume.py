@@ -20,14 +20,7 @@ from fipt_blender.core.material import training
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.core.run.settings import (
-    ESTIMATE,
-    REFINEMENT,
-    SHADINGS,
-    TRAINING,
-    Settings,
-    make_settings,
-)
+from fipt_blender.core.run.settings import ESTIMATE, REFINEMENT, SHADINGS, TRAINING, Settings, make_settings
 from samples.small_captures import QUICK, panel_capture, run_here, write_run
 
 # Small enough to be quick, and such that each setting has an effect.

@@ -9,12 +9,7 @@ import torch
 from fipt_blender.core.material import losses
 from fipt_blender.core.material.emission_mask import EmissionNetwork, emission_mask, positional_encoding
 from fipt_blender.core.material.hashgrid import HashGrid
-from fipt_blender.core.material.networks import (
-    BrdfNetwork,
-    Prediction,
-    typical_values,
-    useful_hash_levels,
-)
+from fipt_blender.core.material.networks import BrdfNetwork, Prediction, typical_values, useful_hash_levels
 from fipt_blender.core.optics.factorised import level_roughness
 from fipt_blender.core.run.settings import Settings
 

@@ -11,13 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.tracer import bsdf
-from benchmarks.tracer.forward import (
-    LitRoom,
-    RenderSettings,
-    denoise,
-    render_view,
-    trace_paths,
-)
+from benchmarks.tracer.forward import LitRoom, RenderSettings, denoise, render_view, trace_paths
 from benchmarks.tracer.surfaces import LatticeMaterials, TriangleMaterials
 from fipt_blender.core.optics import brdf
 from fipt_blender.core.optics.environment import EnvironmentLight

@@ -4,11 +4,15 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import agent
+import inside
 
 if TYPE_CHECKING:
     from window import Window
@@ -57,23 +61,23 @@ def act(window: Window, options: Options, chapters: Iterable[Chapter]) -> None:
     Raises:
         AssertionError: something is not as it should be.
     """
-    for chapter in chapters:
+    for number, chapter in enumerate(chapters):
         start = time.monotonic()
-        if chapter.anew:
-            window.ask("open_file", str(window.shots / f"{chapter.after}.blend"))
+        if chapter.anew or (chapter.after and number == 0):
+            window.ask(agent.open_file, str(window.shots / f"{chapter.after}.blend"))
             window.settle()
         chapter.act(window, options)
-        print(f"{chapter.name}: {time.monotonic() - start:.0f} s", flush=True)
-        window.ask("save_copy", str(window.shots / f"{chapter.name}.blend"))
+        print(f"{chapter.name}: {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
+        window.ask(agent.save_copy, str(window.shots / f"{chapter.name}.blend"))
 
 
 def finish(window: Window, kind: str, seconds: float = _JOB_SECONDS) -> dict[str, Any]:
     """Wait for a job to finish without an error, with the pointer out of the way."""
     window.point_in_view()
     job = window.wait(
-        "inside.job", kind, until=lambda job: job["state"] not in ("", "running"), seconds=seconds, every=0.3
+        inside.job, kind, until=lambda job: job["state"] not in ("", "running"), seconds=seconds, every=0.3
     )
     assert job["state"] == "finished", job
-    window.wait("inside.busy", until=lambda busy: not busy, seconds=seconds)  # another job may follow
+    window.wait(inside.busy, until=lambda busy: not busy, seconds=seconds)  # another job may follow
     window.settle()
     return job

@@ -8,11 +8,14 @@ Buttons are found by moving the pointer over them and asking Blender which opera
 from __future__ import annotations
 
 import json
+import subprocess
 import time
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
-from blender import Blender, Lost
+import agent
+from agent import Blender, Lost
 
 VIEW, SIDEBAR = ("VIEW_3D", "WINDOW"), ("VIEW_3D", "UI")
 MARGIN = 10  # pixels at the left of a region: beside its edge, which is to be dragged, and without buttons
@@ -27,10 +30,10 @@ Where = tuple[str, str]  # types of an area and of its region
 
 
 class Hand(Blender):
-    """A Blender driven by pointer and keyboard; see `Blender` for the arguments."""
+    """Pointer and keyboard of Blender."""
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
+    def __init__(self, shots: Path) -> None:
+        super().__init__(shots)
         self._places: dict[tuple[Where, str], list[tuple[int, int]]] = {}
         self.pointer = (0, 0)
         self._last_press = (0, 0, 0.0)
@@ -39,18 +42,19 @@ class Hand(Blender):
     def settle(self, seconds: float = 2.0) -> None:
         """Wait until an action's effects are over: the sidebar is no longer redrawn."""
         end = time.monotonic() + seconds
-        count, since = self.ask("redraws", ticks=2), time.monotonic()
+        count, since = self.ask(agent.redraws, ticks=2), time.monotonic()
         while time.monotonic() < end and time.monotonic() - since < _CALM_SECONDS:
-            if (now := self.ask("redraws", ticks=2)) != count:
+            if (now := self.ask(agent.redraws, ticks=2)) != count:
                 count, since = now, time.monotonic()
 
     def shot(self, name: str) -> None:
         """Write a picture of the screen as NAME.png."""
-        self.ask("picture", str(self.shots.resolve() / f"{name}.png"))
+        # Blender's own pictures are black where nothing composes windows.
+        subprocess.run(["import", "-window", "root", str(self.shots / f"{name}.png")], check=True)
 
     def event(self, kind: str, value: str, **more: Any) -> None:
         """A key, a button or a motion where the pointer is, by the names of `Window.event_simulate`."""
-        self.ask("simulate", kind, value, *self.pointer, more)
+        self.ask(agent.simulate, kind, value, *self.pointer, more)
 
     def move(self, x: int, y: int) -> None:
         """Move the pointer to a pixel of the screen, from its top left."""
@@ -59,7 +63,7 @@ class Hand(Blender):
 
     def under(self, where: Where = SIDEBAR) -> dict[str, str]:
         """The button under the pointer: `operator` as Python, `property` as full path; or empty."""
-        return self.ask("button", *where, ticks=2)
+        return self.ask(agent.button, *where, ticks=2)
 
     def point(self, where: Where, x: float, y: float) -> None:
         """Move to a pixel of a region, from its lower left as in Blender."""
@@ -68,7 +72,7 @@ class Hand(Blender):
 
     def point_at(self, location: Iterable[float]) -> None:
         """Move to where the 3D viewport shows a world position."""
-        pixel = self.ask("project", list(location))
+        pixel = self.ask(agent.project, list(location))
         if pixel is None:
             raise Lost(f"the view does not show {list(location)}")
         self.point(VIEW, *pixel)
@@ -102,7 +106,7 @@ class Hand(Blender):
 
     def _let_pass(self) -> None:
         """Wait until Blender has handled all events: a click acts where Blender last saw the pointer."""
-        self.ask("redraws", ticks=2)
+        self.ask(agent.redraws, ticks=2)
 
     def type(self, text: str) -> None:
         """Type a text."""
@@ -180,7 +184,7 @@ class Hand(Blender):
 
     def to_top(self, where: Where) -> None:
         last = None
-        while (now := self.ask("scroll", *where)) != last and now < 0:
+        while (now := self.ask(agent.scroll, *where)) != last and now < 0:
             self._wheel(where, "UP", 10)
             last = now
 
@@ -196,12 +200,12 @@ class Hand(Blender):
 
     def scroll_down(self, where: Where, pixels: int) -> bool:
         """Scroll a region down by about so many pixels; False where it shows its end already."""
-        before = self.ask("scroll", *where)
+        before = self.ask(agent.scroll, *where)
         for _ in range(8):
             self._wheel(where, "DOWN", 1)
-            if abs(self.ask("scroll", *where) - before) >= pixels:
+            if abs(self.ask(agent.scroll, *where) - before) >= pixels:
                 break
-        return bool(self.ask("scroll", *where) != before)
+        return bool(self.ask(agent.scroll, *where) != before)
 
     def _wheel(self, where: Where, way: str, times: int) -> None:
         left, top, _, height = self.box(where)
@@ -216,12 +220,12 @@ class Hand(Blender):
 
     def box(self, where: Where) -> tuple[int, int, int, int]:
         """Left, top, width and height of a region in screen pixels."""
-        place = self.ask("place", *where)
+        place = self.ask(agent.place, *where)
         top = self.height - place["y"] - place["height"]
         return place["x"], top, place["width"], place["height"]
 
     def scale(self) -> float:
-        return self.ask("place", *VIEW)["scale"]
+        return self.ask(agent.place, *VIEW)["scale"]
 
 
 def _matches(report: dict[str, str], target: str, values: dict[str, Any]) -> str:
