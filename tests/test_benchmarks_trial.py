@@ -3,8 +3,6 @@
 """The trial of mechanisms: the jury, switches, numbers of the source, runs that begin with stored stages."""
 
 import dataclasses
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,24 +37,6 @@ def test_numbers_in_capitals_are_found_with_their_comments() -> None:
     )
     assert [each.comment for each in shared] == ["In metres.", "In metres.", ""]
     assert not [each.key for each in constants.all_constants(skipped=()) if not each.comment]
-
-
-def test_another_number_reaches_all_that_follows_from_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    package = tmp_path / "other_numbers"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    (package / "wall.py").write_text(SOURCE)
-    (package / "house.py").write_text("from .wall import HEIGHT\ndef high(value=HEIGHT): return value\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(sys, "meta_path", list(sys.meta_path))
-    constants.use({"wall.HEIGHT": 3.0, "wall._COUNT": 9}, package, "other_numbers")
-    from other_numbers import house, wall
-
-    assert (wall.WIDTH, wall.HEIGHT, vars(wall)["_COUNT"], wall.AREA, house.high()) == (2.0, 3.0, 9, 6.0, 3.0)
-    with pytest.raises(ValueError, match="imported already"):
-        constants.use({"wall.WIDTH": 1.0}, package, "other_numbers")
 
 
 def test_every_switch_is_on_and_is_tried() -> None:

@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import agent
+import bpy
 import inside
 import story_align
 import story_hints
@@ -53,7 +54,7 @@ def empty_scene(window: Window, options: Options) -> None:
 
 def preferences(window: Window, options: Options) -> None:
     """Find the extension in the preferences, name the interpreter, press Check."""
-    module = window.ask(inside.module_name)
+    module = window.ask(lambda: inside.ours("machine").ADDON)
     window.point_in_view()
     window.key("ctrl+COMMA")
     window.wait(agent.is_open, *PREFERENCES)
@@ -208,7 +209,7 @@ def estimate(window: Window, options: Options) -> None:
     assert job["state"] == "cancelled", job
     window.settle()
     window.shot("09_estimate_cancelled")
-    stages = window.wait(inside.run_stages)
+    stages = window.wait(_stages)
     window.click("fipt.resume")
     _progress(window, 0.1)
     window.shot("10_estimate_resumed")
@@ -218,6 +219,11 @@ def estimate(window: Window, options: Options) -> None:
     _assert_inside(window, "train")  # the view that was looked through before
     window.settle(20.0)
     window.shot("11_estimate_applied")
+
+
+def _stages() -> int:
+    """How many stages of the estimate are finished on disk."""
+    return inside.ours("jobs.runstate").known(bpy.context.scene.fipt.run_folder).stages
 
 
 def _stops(window: Window) -> bool:
@@ -255,7 +261,7 @@ def check(window: Window, options: Options) -> None:
     window.shot("15_check_error")
     window.click("fipt.write_report")
     finish(window, "report")
-    assert Path(window.ask(inside.fit_texts)["report"]).is_file()
+    assert Path(window.ask(lambda: bpy.context.scene.fipt.check.report)).is_file()
     window.pick("check.picture", "RENDER")
 
 
@@ -287,20 +293,20 @@ def insert(window: Window, options: Options) -> None:
     """Place a ball with the mouse, and render the relit room with it."""
     window.open_section("Insert")
     window.choose("insert.kind", "GREY_BALL")
-    before = set(window.ask(inside.names))
+    before = set(window.ask(_names))
     window.click("fipt.insert_object")
     window.point_in_view(0.45, 0.35)
     window.settle()
     window.press()
-    new = window.wait(inside.names, until=lambda names: len(set(names) - before) > 0)
-    placed = [item for item in window.ask(inside.inserted) if item["name"] in set(new) - before]
-    assert placed, new
+    new = window.wait(_names, until=lambda names: len(set(names) - before) > 0)
+    selected = window.ask(lambda: [item.name for item in bpy.context.view_layer.objects.selected])
+    assert {*selected} & ({*new} - before), new
     window.shot("19_inserted")
     window.open_section("Render")
     window.set_text("check.samples", "8" if options.fast else "32")
     window.click("fipt.render_composite")
     finish(window, "insert")
-    picture = window.ask(inside.fit_texts)["picture"]
+    picture = window.ask(lambda: bpy.context.scene.fipt.insert.picture)
     assert Path(picture).is_file(), picture
     rendered = window.ask(inside.checks)[0]["render"]
     change = window.ask(inside.change, rendered, picture)
@@ -311,6 +317,11 @@ def insert(window: Window, options: Options) -> None:
     window.settle()
     window.shot("21_relit_render")
     window.ask(agent.close_window, _PICTURE[0])
+
+
+def _names() -> list[str]:
+    """All objects of the scene."""
+    return sorted(item.name for item in bpy.context.scene.objects)
 
 
 def draw_requests(window: Window, options: Options) -> None:

@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import agent
+import bpy
 import inside
 from chapters import Options
 from hand import VIEW
@@ -48,18 +51,18 @@ def seeing(window: Window, options: Options) -> None:
     window.open_section("Render")
     window.click_row("check.active", 0)  # the view that was rendered
     window.click("fipt.compare", mode="VIEWPORT")
-    window.wait(inside.comparison, until=lambda now: now["mode"] == "VIEWPORT")
+    window.wait(lambda: _check().compare == "VIEWPORT")
     window.point_in_view(0.9, 0.9)
     window.settle()
     window.shot("32_compare_viewport")
     window.click("fipt.compare", mode="RENDER")
-    window.wait(inside.comparison, until=lambda now: now["mode"] == "RENDER")
+    window.wait(lambda: _check().compare == "RENDER")
     window.settle()
     window.shot("32_compare_render")
     place = window.ask(inside.divider_pixel)
-    before = window.ask(inside.comparison)["divider"]
+    before = window.ask(lambda: _check().divider)
     _drag(window, place, (-120, 0))
-    window.wait(inside.comparison, until=lambda now: now["divider"] < before - 0.02)
+    window.wait(lambda: _check().divider < before - 0.02)
     window.settle()
     window.shot("32_compare_dragged")
     window.click("fipt.compare", mode="RENDER", window=True)
@@ -69,7 +72,11 @@ def seeing(window: Window, options: Options) -> None:
     window.ask(agent.close_window, _PICTURE[0])
     window.settle()
     window.click("fipt.compare", mode="OFF")
-    window.wait(inside.comparison, until=lambda now: now["mode"] == "OFF")
+    window.wait(lambda: _check().compare == "OFF")
+
+
+def _check() -> Any:
+    return bpy.context.scene.fipt.check
 
 
 def menus(window: Window, options: Options) -> None:
@@ -108,7 +115,8 @@ def eevee(window: Window, options: Options) -> None:
     """Set the room up for EEVEE and look at it."""
     window.open_section("Lights", "Scene and Passes")
     window.click("fipt.prepare_eevee")
-    window.wait(inside.engine, until=lambda now: "EEVEE" in now["engine"] and now["volume"])
+    window.wait(lambda: "EEVEE" in bpy.context.scene.render.engine)
+    window.wait(lambda: any(item.type == "LIGHT_PROBE" for item in bpy.context.scene.objects))
     window.settle(30.0)  # Blender shows the progress of the bake
     window.shot("35_eevee_set_up")
 
