@@ -183,6 +183,10 @@ def test_radiance_files_with_primaries_and_exposures(tmp_path, primaries, exposu
     assert is_plain(path) == (primaries == "Rec.709" and not exposure)
     np.testing.assert_allclose(read_radiance(path), RADIANCE, atol=0.012)  # of 8 bits, before the matrix
     assert describe(path, "a.hdr").exposure == 1.0
+    whole = path.read_bytes()
+    for length in (len(whole) - 4 * pixels[..., 0].size + 3, len(whole) - 1):
+        path.write_bytes(whole[:length])
+        assert error_of(read_radiance, path).code == "image-unreadable"
     assert "XYZ" in error_of(read_radiance, write_hdr(path, pixels, form=b"xyze")).text
 
 
