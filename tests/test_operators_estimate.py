@@ -145,34 +145,37 @@ def test_estimate_works_on_the_scene_as_it_is_and_starts_anew_unless_stages_are_
     assert run.emitters_json.stat().st_mtime_ns > before
 
 
-@posix
-def test_killed_while_baking_and_while_training_it_resumes_and_blender_lives_on(scene, run, quick):
-    quick |= {"refine_diffuse_spp": 512, "training_steps": 300}  # long enough to be met
-    for stage, kept in (("shadings", 1), ("training", 5)):
-        info = start(resume=kept > 1)
-        tick_to_stage(run, stage)
+def stop(run: RunFolder, stage: str, killed: bool, resume: bool = False) -> None:
+    """Start an estimate, and kill or cancel it when it has begun a stage."""
+    run.messages("estimate").unlink(missing_ok=True)
+    info = start(resume)
+    tick_to_stage(run, stage)
+    if killed:
         os.kill(find_engine(run).pid, signal.SIGKILL)
-        tick_to_end()
-        assert info.state == "failed" and info.error["code"] == "out-of-memory" and info.error["remedy"]
-        assert done(run)[:kept] == STAGES[:kept] and not run.fields_npz.exists()
-        bpy.data.objects.new(f"still alive {kept}", None)
-        assert ops.resume.poll()
-    assert ops.resume() == {"FINISHED"}
-    assert done(run) == STAGES and run.emitters_json.exists()
-
-
-@posix
-def test_cancelled_while_baking_and_while_training(scene, run, quick):
-    quick |= {"diffuse_spp": 2048, "training_steps": 5000}
-    for stage, kept in (("shadings", 1), ("training", 5)):
-        info = start(resume=kept > 1)
-        tick_to_stage(run, stage)
+    else:
         ops.cancel()
         assert info.state == "running" and info.stopping
-        tick_to_end()
-        assert info.state == "cancelled" and info.error is None
+    tick_to_end()
+    assert info.state == ("failed" if killed else "cancelled") and ops.resume.poll()
+    if killed:
+        assert info.error["code"] == "out-of-memory" and info.error["remedy"]
+    else:
+        assert info.error is None
         wait_for(lambda: find_engine(run) is None)
-        assert done(run) == STAGES[:kept] and ops.resume.poll()
+
+
+@posix
+def test_killed_or_cancelled_it_resumes_and_blender_lives_on(scene, run, quick):
+    quick |= {"diffuse_spp": 2048, "training_steps": 5000}  # long enough to be met
+    for stage, kept, killed in (
+        ("shadings", 1, True), ("shadings", 1, False), ("training", 5, True), ("training", 5, False),
+    ):  # fmt: skip
+        stop(run, stage, killed, resume=bool(done(run)))
+        assert done(run) == STAGES[:kept] and not run.fields_npz.exists()
+        bpy.data.objects.new("still alive", None)
+    quick["training_steps"] = 20
+    assert ops.resume() == {"FINISHED"} and worked(run) == ["training"]
+    assert done(run) == STAGES and run.emitters_json.exists()
 
 
 @posix
@@ -184,18 +187,10 @@ def test_a_second_estimate_that_is_stopped_leaves_the_first_one_usable(scene, ru
     bpy.data.objects["wall 0"].location.x += 5.0  # the next estimate has another room and other settings
     quick |= {"diffuse_spp": 2048, "hash_levels": 4}
     for killed in (False, True):
-        run.messages("estimate").unlink()
-        info = start(resume=killed)
-        tick_to_stage(run, "shadings")
-        if killed:
-            os.kill(find_engine(run).pid, signal.SIGKILL)
-        else:
-            ops.cancel()
-        tick_to_end()
-        assert info.state == ("failed" if killed else "cancelled")
+        stop(run, "shadings", killed, resume=killed)
         assert {path: path.read_bytes() for path in before} == before
         state = runstate.look(run)
-        assert state.results and not state.finished and state.stages == 1 and ops.resume.poll()
+        assert state.results and not state.finished and state.stages == 1
         assert not ops.reestimate.poll()  # its stages are those of the new one
     bpy.data.objects["wall 0"].location.x -= 5.0
     scene.fipt.materials.texel_density = 20.0  # so that the textures are baked again, from the first results
