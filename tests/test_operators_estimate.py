@@ -35,7 +35,10 @@ from samples.small_rooms import BOX
 
 ops = bpy.ops.fipt
 posix = pytest.mark.skipif(os.name == "nt", reason="signals")
-STAGES = ["pixels", "shadings", "estimate-0", "refinement-1", "estimate-1", "training"]
+STAGES = [
+    *("pixels", "checks", "unmixing", "outside", "shadings", "estimate-0"),
+    *("reflection-1", "refinement-1", "estimate-1", "training"),
+]
 
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -167,11 +170,9 @@ def stop(run: RunFolder, stage: str, killed: bool, resume: bool = False) -> None
 @posix
 def test_killed_or_cancelled_it_resumes_and_blender_lives_on(scene, run, quick):
     quick |= {"diffuse_spp": 2048, "training_steps": 5000}  # long enough to be met
-    for stage, kept, killed in (
-        ("shadings", 1, True), ("shadings", 1, False), ("training", 5, True), ("training", 5, False),
-    ):  # fmt: skip
+    for stage, killed in (("shadings", True), ("shadings", False), ("training", True), ("training", False)):
         stop(run, stage, killed, resume=bool(done(run)))
-        assert done(run) == STAGES[:kept] and not run.fields_npz.exists()
+        assert done(run) == STAGES[: STAGES.index(stage)] and not run.fields_npz.exists()
         bpy.data.objects.new("still alive", None)
     quick["training_steps"] = 20
     assert ops.resume() == {"FINISHED"} and worked(run) == ["training"]
@@ -190,7 +191,7 @@ def test_a_second_estimate_that_is_stopped_leaves_the_first_one_usable(scene, ru
         stop(run, "shadings", killed, resume=killed)
         assert {path: path.read_bytes() for path in before} == before
         state = runstate.look(run)
-        assert state.results and not state.finished and state.stages == 1
+        assert state.results and not state.finished and state.stages == STAGES.index("shadings")
         assert not ops.reestimate.poll()  # its stages are those of the new one
     bpy.data.objects["wall 0"].location.x -= 5.0
     scene.fipt.materials.texel_density = 20.0  # so that the textures are baked again, from the first results
