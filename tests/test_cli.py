@@ -17,7 +17,6 @@ from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
-from fipt_blender.cli.output import format_seconds, format_size
 from fipt_blender.core.run.errors import FiptError
 from samples.child_processes import PATIENCE_SECONDS, is_alive, wait_for
 
@@ -227,15 +226,3 @@ def test_the_package_runs_as_a_file_and_as_a_module(command, tmp_path):
         assert "Traceback" not in result.stderr
     assert "error: The capture no such folder does not exist." in result.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"), [(0.2, "0 s"), (59.4, "59 s"), (59.6, "1 min 0 s"), (3900, "1 h 5 min")]
-)
-def test_times_for_people(seconds, text):
-    assert format_seconds(seconds) == text
-
-
-@pytest.mark.parametrize(("size", "text"), [(7, "7 B"), (1500, "1.5 kB"), (2_340_000, "2.3 MB")])
-def test_sizes_for_people(size, text):
-    assert format_size(size) == text
