@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """python3 dev.py results: write the tables of docs/results.md from the measurements in docs/measurements/.
 
-A file there is one table: {"first": header of the first column, "columns": [[header, template], ...], "common": what its rows have in
-common, "rows": [{"label", "figures": {name: value}, ...}]}. Each row, or the table for all of them, says where the figures
-come from (`PROVENANCE`); figures of others have a "source" instead. A template names figures and their formats.
+A file there is one table: {"first": header of the first column, "columns": [[header, template], ...],
+"common": what its rows have in common, "rows": [{"label", "figures": {name: value}, ...}]}. Each row, or
+"common" for all of them, says where the figures come from (`PROVENANCE`); figures of others have a
+"source" instead. A template names figures and their formats.
 
     python3 dev.py accuracy CAPTURE ... --json FILE
-    python3 dev.py results --add TABLE LABEL FILE      # puts the row in place of one with that label, or at the end
+    python3 dev.py results --add TABLE LABEL FILE      # in place of the row with that label, or at the end
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ TABLE = re.compile(r"(<!-- table: ([a-z0-9-]+) -->\n).*?(<!-- end -->)", re.DOTA
 def provenance(capture: Path, seed: int, device: str, command: Sequence[str]) -> dict[str, Any]:
     """Where a measurement comes from.
 
-    The commit ends with "+" where files differ from it, or is empty without git; such rows are refused by the tests.
+    The commit ends with "+" where files differ from it, and is empty without git; the tests refuse such rows.
     """
 
     def git(*words: str) -> str:
@@ -52,7 +53,7 @@ def provenance(capture: Path, seed: int, device: str, command: Sequence[str]) ->
 
 
 def figures_of(result: dict[str, Any]) -> dict[str, Any]:
-    """The figures of held-back views in what `accuracy --json` writes, the strict protocol's with a prefix."""
+    """Figures of held-back views in what `accuracy --json` writes, the strict protocol's with a prefix."""
     held_back = result["held_back"]
     found = {name: value for name, value in held_back.items() if isinstance(value, int | float)}
     for group in ("strict", "edge", "inside"):
@@ -79,7 +80,7 @@ def add(path: Path, label: str, result: dict[str, Any]) -> None:
 
 
 def written(table: dict[str, Any]) -> str:
-    """A table's file as text: a line for each row and column, so that changes can be read."""
+    """A table's file as text, a line for each row and column."""
     parts = []
     for name, value in table.items():
         if isinstance(value, list):
@@ -91,7 +92,7 @@ def written(table: dict[str, Any]) -> str:
 
 
 def cell(template: str, figures: dict[str, Any]) -> str:
-    """A template with its figures; empty where one of them was not measured. ``sci`` is 1.1e-4, 0 for nothing."""
+    """A template with its figures, empty where one was not measured. The format "sci" is 1.1e-4, 0 for zero."""
     names = re.findall(r"\{(\w+)", template)
     if any(figures.get(name) is None for name in names):
         return ""

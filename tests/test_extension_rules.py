@@ -98,7 +98,7 @@ def test_everything_in_the_zip_can_be_read_by_a_reviewer(archive: zipfile.ZipFil
 
 
 def test_blenders_python_stays_as_it_is(trees: dict[str, ast.Module]) -> None:
-    """No changed search path, no own package by an absolute name, no code that is made of text, no bl_info."""
+    """No changed search path, no own package by an absolute name, no code made of text, no bl_info."""
     for name, tree in trees.items():
         for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom | ast.Import) and name not in STARTED_ALONE:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The files around the code: workflows run commands that exist, pages name files that exist, results are measured."""
+"""The files around the code: workflows run commands and pages name files that exist, results are measured."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ _RENDER_TEXTS = {
     "insert": "Rendering the view with an inserted object",
 }
 # Seconds on a small capture with two CPU cores, for the progress bar only.
-_ESTIMATE_SECONDS = {"draft": 120.0, "medium": 220.0, "high": 2400.0}
+_ESTIMATE_SECONDS = {"draft": 85.0, "medium": 150.0, "high": 2400.0}
 
 
 def make_main_job(options: MainJobOptions) -> Job:
@@ -198,7 +198,7 @@ def _result_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], Ro
             repeat=True,
         ),
         Step(
-            "textures", "Baking textures", 20.0, command=["textures", str(run.root)], outputs=[run.textures]
+            "textures", "Baking textures", 11.0, command=["textures", str(run.root)], outputs=[run.textures]
         ),
         Step(
             "save",
