@@ -92,7 +92,7 @@ def written(table: dict[str, Any]) -> str:
 
 
 def cell(template: str, figures: dict[str, Any]) -> str:
-    """A template with its figures, empty where one was not measured. The format "sci" is 1.1e-4, 0 for zero."""
+    """A template with its figures, empty where one was not measured. The format "sci": 1.1e-4, or 0."""
     names = re.findall(r"\{(\w+)", template)
     if any(figures.get(name) is None for name in names):
         return ""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the reviewers of Blender's extension platform ask for, as far as a program can see it (CONTRIBUTING.md)."""
+"""What reviewers of Blender's extension platform ask for, as far as a program sees it (CONTRIBUTING.md)."""
 
 from __future__ import annotations
 
