@@ -111,7 +111,7 @@ def evaluate(arguments: argparse.Namespace, folder: Path) -> int:
     settings = run.read()
     result |= {"version": PRODUCT_VERSION, "settings": asdict(settings), "spp": arguments.spp}
     command = ["python3", "dev.py", "accuracy", *sys.argv[1:]]
-    result["measured"] = results.provenance(arguments.capture, settings.seed, mitsuba.variant(), command)
+    result["measured"] = results.provenance(arguments.capture.name, settings.seed, mitsuba.variant(), command)
     print(format_table(result))
     print(f"pictures: {(arguments.page or run.root / 'accuracy') / 'index.html'}")
     if arguments.json:

@@ -32,7 +32,7 @@ PROVENANCE = ("commit", "machine", "capture", "seed", "command")
 TABLE = re.compile(r"(<!-- table: ([a-z0-9-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
-def provenance(capture: Path, seed: int, device: str, command: Sequence[str]) -> dict[str, Any]:
+def provenance(capture: str, seed: int, device: str, command: Sequence[str]) -> dict[str, Any]:
     """Where a measurement comes from.
 
     The commit ends with "+" where files differ from it, and is empty without git; the tests refuse such rows.
@@ -46,7 +46,7 @@ def provenance(capture: Path, seed: int, device: str, command: Sequence[str]) ->
     return {
         "commit": git("rev-parse", "--short=10", "HEAD") + changed,
         "machine": f"{os.cpu_count()} cores, {platform.machine()}, {device}",
-        "capture": capture.name,
+        "capture": capture,
         "seed": seed,
         "command": shlex.join(command),
     }

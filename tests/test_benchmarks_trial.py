@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import constants, lamps, trial, trial_captures, trial_changes, trial_run, trial_table
+from benchmarks import constants, lamps, results, trial, trial_captures, trial_changes, trial_run, trial_table
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import Settings, make_settings
@@ -118,7 +118,7 @@ def test_a_mechanism_pays_where_it_gains_more_than_it_loses() -> None:
     assert verdicts == {
         "panes": "pays", "outlines": "loses as much", "unmix": "does not pay", "presumed_lamps": "pays",
     }  # fmt: skip
-    lines = trial_table.format_table(rows).splitlines()
+    lines = results.markdown(trial_table.as_table(rows, {})).splitlines()
     assert lines[2].startswith("| `panes` | 1 of 2 | +1.00 |") and lines[2].endswith("| pays |")
     assert "| relit −0.10 | 4 |" in lines[2] and "| IoU −0.050 |" in lines[5]
 
@@ -173,8 +173,8 @@ def test_runs_are_resumed_after_the_method_as_it_is(tmp_path: Path, monkeypatch:
     assert changes == ["", "panes", "settings.view_error*0.5", "settings.view_error*2"]
     assert [name for capture, name in done if capture.startswith("b")] == [""]
     count = len(done)
-    trial.main([*words, "--table", str(tmp_path / "t.md")])
-    assert len(done) == count and "`panes`" in (tmp_path / "t.md").read_text()
+    trial.main([*words, "--table", str(tmp_path / "t.json")])
+    assert len(done) == count and "`panes`" in (tmp_path / "t.json").read_text()
     assert trial.main([*words, "--set", "seed=3", "--most", "1"]) == 0 and len(done) == count + 1
     assert trial.main([str(tmp_path), "--captures", "c:2cm:hdr:none"]) == 1 and trial.main([]) == 2
 

@@ -111,3 +111,19 @@ def test_every_measurement_says_where_it_comes_from(path: Path) -> None:
         if not row.get("source"):  # a figure of somebody else names its source instead
             assert all(row.get(name) not in (None, "") for name in results.PROVENANCE), row["label"]
             assert re.fullmatch(r"[0-9a-f]{7,40}", row["commit"]), row["label"]
+
+
+def test_a_new_measurement_takes_the_place_of_the_old_one(tmp_path: Path) -> None:
+    path = tmp_path / "rooms.json"
+    columns = [["kd", "{kd_psnr:.2f}"], ["edge / inside", "{edge_kd_psnr:.1f} / {inside_kd_psnr:.1f}"]]
+    columns += [["log L2", "{emission_log_l2:sci}"]]
+    old = [{"label": name, "figures": {"kd_psnr": -1.0}} for name in ("a", "b")]
+    path.write_text(results.written({"columns": columns, "common": {"seed": 0}, "rows": old}))
+    measured = {"held_back": {"kd_psnr": 30.125, "emission_log_l2": 1.1e-4, "confidence": []}}
+    measured["held_back"] |= {"strict": {}, "edge": {"kd_psnr": 20.0}, "inside": {"kd_psnr": 33.0}}
+    for label in ("a", "c"):
+        results.add(path, label, {**measured, "measured": {"commit": "0123456", "seed": 3}})
+    table = results.read_table(path)
+    assert [(row["label"], row["seed"]) for row in table["rows"]] == [("a", 3), ("b", 0), ("c", 3)]
+    lines = results.markdown(table).splitlines()
+    assert lines[2:4] == ["| a | 30.12 | 20.0 / 33.0 | 1.1e-4 |", "| b | −1.00 | | |"]
