@@ -3,7 +3,7 @@
 """The run folder: the paths of its files, and writing files completely or not at all.
 
 Standard library only: both processes import it. Blender imports it while starting, therefore json and the
-settings are imported in the functions that use them. docs/architecture.md describes the formats.
+settings are imported in the functions that use them. docs/run_folder.md describes the formats.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ RESULTS = "results"
 
 
 class RunFolder:
-    """Paths of the files of one run; docs/architecture.md lists them.
+    """Paths of the files of one run; docs/run_folder.md lists them.
 
     Args:
         root: the folder.

@@ -3,7 +3,7 @@
 """The shapes of the run folder's documents and array files, which both processes check before they use them.
 
 Documents are described with `documents`, array files as `arrays.read_arrays` takes them. Standard library
-only. docs/architecture.md describes what the values mean.
+only. docs/run_folder.md describes what the values mean.
 """
 
 from __future__ import annotations
