@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks import constants, lamps, trial_changes, trial_table
+from benchmarks import constants, lamps, results, trial_changes, trial_table
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.settings import Settings, make_settings
 
