@@ -22,7 +22,7 @@ from fipt_blender.api.estimating import make_steps, scene_settings
 from fipt_blender.bridge import interpreter
 from fipt_blender.bridge.attached import find_engine
 from fipt_blender.core.run import settings as settings_module
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import run_job, running, runstate
@@ -122,14 +122,14 @@ def worked(run: RunFolder) -> list[str]:
 
 def done(run: RunFolder) -> list[str]:
     path = run.stage / "stages.json"
-    return list(read_json(path)["stages"]) if path.exists() else []
+    return list(read_document(path, dict)["stages"]) if path.exists() else []
 
 
 def test_estimate_works_on_the_scene_as_it_is_and_starts_anew_unless_stages_are_to_be_kept(scene, run, quick):
     assert ops.estimate() == {"FINISHED"}
     assert done(run) == worked(run) == STAGES
-    assert read_json(run.room_json)["objects"] == [f"wall {index}" for index in range(7)]
-    assert read_json(run.emitters_json)["fixtures"][0]["triangles"] == [12, 13]
+    assert read_document(run.room_json, dict)["objects"] == [f"wall {index}" for index in range(7)]
+    assert read_document(run.emitters_json, dict)["fixtures"][0]["triangles"] == [12, 13]
     assert run.read().training_steps == 20 and run.read().device == "llvm"
     job = running.last("estimate")
     assert job.state == "finished" and all(path.is_file() for path in job.pictures)
@@ -197,7 +197,7 @@ def test_a_second_estimate_that_is_stopped_leaves_the_first_one_usable(scene, ru
     scene.fipt.materials.texel_density = 20.0  # so that the textures are baked again, from the first results
     assert ops.apply_results() == {"FINISHED"}
     kept = [path for path in files if path.is_relative_to(run.results) and "maps" not in path.parts]
-    assert read_json(run.room_json)["objects"]
+    assert read_document(run.room_json, dict)["objects"]
     assert [path.read_bytes() for path in kept] == [before[path] for path in kept]
     assert run.read().hash_levels == 4 and run.read_estimated().hash_levels == QUICK["hash_levels"]
 
