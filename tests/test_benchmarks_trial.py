@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks import constants, lamps, trial_changes, trial_table
+from benchmarks import constants, lamps, results, trial_changes, trial_table
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.settings import Settings, make_settings
 
@@ -83,7 +83,7 @@ def test_a_mechanism_pays_where_it_gains_more_than_it_loses() -> None:
     assert verdicts == {
         "panes": "pays", "outlines": "loses as much", "unmix": "does not pay", "presumed_lamps": "pays",
     }  # fmt: skip
-    lines = trial_table.format_table(rows).splitlines()
+    lines = results.markdown(trial_table.as_table(rows, {})).splitlines()
     assert lines[2].startswith("| `panes` | 1 of 2 | +1.00 |") and lines[2].endswith("| pays |")
     assert "| relit −0.10 | 4 |" in lines[2] and "| IoU −0.050 |" in lines[5]
 

@@ -17,6 +17,7 @@ from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
+from fipt_blender.cli.output import Display
 from fipt_blender.core.run.errors import FiptError
 from samples.child_processes import PATIENCE_SECONDS, is_alive, wait_for
 
@@ -134,6 +135,14 @@ def test_a_good_run_shows_progress_and_ends_with_the_files(capture, monkeypatch,
     assert lines[0].strip().startswith("0 %") and "Estimating" in lines[0]
     assert lines[-1].split() == ["1.5", "kB", str(capture.parent / "room-fipt" / "result.bin")]
     assert output.err == "warning: Odd. Even it.\n"
+
+
+def test_what_to_look_at_first_is_nearest_to_the_prompt(capsys):
+    display = Display(sys.stdout, as_json=False, quiet=False)
+    display.show({"type": "done", "files": ["room.blend", "report.html", "log.txt"], "data": {}})
+    assert [line.split()[-1] for line in capsys.readouterr().out.splitlines()] == [
+        *("log.txt", "report.html", "room.blend")
+    ]
 
 
 def test_quiet_prints_no_progress(capture, monkeypatch, capfd):
