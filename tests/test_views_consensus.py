@@ -112,6 +112,37 @@ def test_a_mirrored_mesh_and_a_wrong_unit_are_named(capture: SmallCapture, views
     assert "turn its axes" in refused("mesh-misplaced", capture, views, turned)
 
 
+def test_poses_or_mesh_are_blamed_by_evidence(capture: SmallCapture, views: list[View]) -> None:
+    """Pairs of cameras at nearly one place tell which: a wrong mesh hardly matters to them."""
+    pairs = []
+    for view in views:
+        beside = view.camera_to_world.copy()
+        beside[:3, 3] += 0.002
+        pairs += [view, replace(view, name=f"{view.name}~2", camera_to_world=beside)]
+    rng = np.random.default_rng(2)
+    wrong = capture.room.vertices * np.float32([1.0, 1.0, 0.6]) + np.float32([0.8, -0.7, 0.9])
+    wrong = wrong + rng.normal(0.0, 0.25, wrong.shape)
+    assert "the mesh is wrong" in refused("views-disagree", capture, pairs, wrong)
+    assert "the poses are wrong" in refused("views-disagree", capture, disturbed(views, list(range(12))))
+
+
+def test_cameras_at_one_place_get_no_unit_as_remedy(capture: SmallCapture, tmp_path: Path) -> None:
+    """Their photographs agree on any mesh that is far away, whatever is wrong."""
+    rng, middle = np.random.default_rng(4), np.array([0.5, 0.3, 0.55])
+    cameras = []
+    for turn in np.linspace(0.0, 2.0, 10):
+        place = middle + rng.uniform(-0.06, 0.06, 3)
+        cameras.append([place.tolist(), (place + [np.cos(turn), np.sin(turn), 0.1]).tolist()])
+    colors = rng.uniform(0.1, 0.8, (len(capture.room.triangles) // 2, 3))
+    lamps = table([len(capture.room.triangles) - 2, len(capture.room.triangles) - 1], [6.0, 5.0, 4.0])
+    materials = matt(np.repeat(colors, 2, axis=0))
+    made = photograph_room(capture.room, materials, lamps, cameras=cameras, scale=2, spp=16, denoise=True)
+    views = load_capture(write_run(tmp_path, made)).train
+    assert check_input(capture.room, views, SETTINGS) == {}
+    small = replace(capture.room, vertices=np.float32(0.3048) * capture.room.vertices)
+    assert error_of(check_input, small, views, SETTINGS).code == "views-disagree"
+
+
 def test_input_that_tells_nothing(capture: SmallCapture, views: list[View], tmp_path: Path) -> None:
     assert "one photograph" in refused("input-insufficient", capture, views[:1])
     blind = []

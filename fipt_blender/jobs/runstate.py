@@ -40,6 +40,8 @@ class RunState:
         engine: the command of the engine at work there, or "".
         warnings, error: warnings of the last run, and the error that ended it.
         pictures: the newest preview images.
+        quality: dB with which photographs that were held back are re-rendered from the results, and projected
+            from the others; None where the results were not judged.
         missing: names of files that pictures of applied results in the open file name and that are not there.
     """
 
@@ -54,6 +56,7 @@ class RunState:
     warnings: tuple[Message, ...] = ()
     error: Message | None = None
     pictures: tuple[Path, ...] = ()
+    quality: tuple[float, float] | None = None
     missing: tuple[str, ...] = ()
 
 
@@ -132,6 +135,7 @@ def look(run: RunFolder) -> RunState:
         warnings=tuple(warnings),
         error=error,
         pictures=pictures,
+        quality=_quality(run.quality_json),
         missing=tuple(missing_pictures()),
     )
 
@@ -154,6 +158,17 @@ def _stages(path: Path) -> dict[str, Any] | None:
         return load_document(path, STAGES)
     except (OSError, ValueError):
         return None
+
+
+def _quality(path: Path) -> tuple[float, float] | None:
+    from ..core.run.documents import load_document
+    from ..core.run.shapes import QUALITY
+
+    try:
+        found = load_document(path, QUALITY)
+    except (OSError, ValueError):
+        return None
+    return found["held_back_db"], found["projection_db"]
 
 
 def _of_last_estimation(run: RunFolder, stages: dict[str, Any] | None) -> bool:

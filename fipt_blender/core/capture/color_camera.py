@@ -105,7 +105,7 @@ def with_color_camera(rig: Rig, scale: float) -> Rig:
     remedy = "Nothing needs to be done. Check with Check Views that edges fit."
     if camera.unsettled:
         text += f" They hardly determine its {' and '.join(camera.unsettled)}, which are near the usual ones."
-        remedy = "Write the color camera's own matrix, if it is known, or use frames with near and far things."
+        remedy = "Give the color camera's own matrix, if it is known, or frames with near and far things."
     note = Note("color-camera", text, remedy)
     return replace(
         rig, views=tuple(moved[view.image] for view in rig.views), depths=depths, notes=(*rig.notes, note)

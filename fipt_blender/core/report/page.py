@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -21,14 +22,15 @@ from ..capture.images import read_radiance
 from ..capture.views import Capture, View, load_capture
 from ..run.documents import Fields, read_json
 from ..run.messages import Reporter
-from ..run.runfolder import PRODUCT_VERSION, RunFolder
+from ..run.runfolder import PRODUCT_VERSION, RunFolder, explained_write_errors
 from ..run.settings import Settings
-from ..run.shapes import EMITTERS, RENDERS, STATISTICS, STEPS
+from ..run.shapes import EMITTERS, QUALITY, RENDERS, STATISTICS, STEPS
 from ..run.shapes import MAPS as MAPS_FILE
 from .comparison import ERROR_FULL, choose_exposure, error_picture, psnr, to_display
 from .fixture_names import run_fixture_names
 from .html import write_page
 from .pictures import write_png
+from .quality_files import KINDS
 
 MAPS = ("base_color", "roughness", "metallic", "emission")
 PICTURE_WIDTH = 1280  # of photographs and renders on the page, at most; larger ones are averaged
@@ -123,6 +125,7 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
         "held_back_count": len(capture.held_back) if capture else 0,
         "shots": shots,
         "mean_psnr": float(np.mean(values)) if values else None,
+        "quality": _quality(run, album),
         "photos": photos,
         "exposure": exposure,
         "error_full": ERROR_FULL,
@@ -151,11 +154,16 @@ class _Album:
         self._folder = run.report / "images"
         self._count = 0
 
-    def add(self, kind: str, display: np.ndarray) -> str:
-        """Write display values as PNG; returns the address relative to the page."""
+    def add(self, kind: str, display: np.ndarray | Path) -> str:
+        """Write display values as PNG, or copy such a file; returns the address relative to the page."""
         self._count += 1
         name = f"{self._count:03d}-{kind}.png"
-        write_png(self._folder / name, display)
+        if isinstance(display, Path):
+            self._folder.mkdir(parents=True, exist_ok=True)
+            with explained_write_errors(self._folder):
+                shutil.copyfile(display, self._folder / name)
+        else:
+            write_png(self._folder / name, display)
         return f"images/{name}"
 
 
@@ -219,6 +227,15 @@ def _photos(
         {"name": view.name, "image": album.add("photo", to_display(photographs.of(view), exposure))}
         for view in capture.train[::stride]
     ]
+
+
+def _quality(run: RunFolder, album: _Album) -> dict[str, Any]:
+    """What the result was judged by, with the addresses of its pictures; empty where it was not judged."""
+    found = _optional(run.quality_json, QUALITY)
+    for view in found.get("views", []):
+        pictures = {kind: run.quality / view[kind] for kind in KINDS}
+        view["pictures"] = {kind: album.add(kind, path) for kind, path in pictures.items() if path.is_file()}
+    return found
 
 
 def _map_rows(run: RunFolder, album: _Album, exposure: float) -> list[tuple[str, dict[str, str]]]:

@@ -174,6 +174,21 @@ DOUBTS = Fields(
         ),
     }
 )
+QUALITY = Fields(
+    {
+        **dict.fromkeys(("held_back_db", "projection_db"), Number()),
+        "causes": Items(Fields({"name": str, "share": _SHARE, "remedy": str})),
+        "views": Items(
+            Fields(
+                {
+                    "name": str,
+                    "errors": Items(Numbers(3)),
+                    **dict.fromkeys(("photograph", "render", "projection"), FileName()),
+                }
+            )
+        ),
+    }
+)
 STATISTICS = Fields(
     optional={
         "stages": Items(Fields(optional={"name": str, "seconds": Maybe(Number()), "rays": Maybe(Number())})),

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from .runfolder import RunFolder
-from .shapes import DOUBTS, EMITTERS, PARTS, STATISTICS
+from .shapes import DOUBTS, EMITTERS, PARTS, QUALITY, STATISTICS
 from .versions import Version, list_versions, optional_document, version_folder
 
 
@@ -23,6 +23,7 @@ class Figures:
         environment: whether light comes from outside.
         parts: base colour (mean of the channels), roughness and metallic of each part, by its name.
         doubts: number of questions.
+        held_back: dB with which photographs that were held back are re-rendered.
     """
 
     seconds: float | None
@@ -31,6 +32,7 @@ class Figures:
     environment: bool | None
     parts: Mapping[str, tuple[float, float, float]]
     doubts: int | None
+    held_back: float | None
 
 
 def figures(run: RunFolder, version: str) -> Figures:
@@ -57,6 +59,7 @@ def figures(run: RunFolder, version: str) -> Figures:
         environment=bool(emitters["environment"]) if emitters else None,
         parts=parts,
         doubts=len(doubts["doubts"]) if doubts else None,
+        held_back=optional_document(folder.quality_json, QUALITY).get("held_back_db"),
     )
 
 
@@ -84,6 +87,7 @@ def comparison(run: RunFolder, first: str, second: str, parts: int) -> list[tupl
         row("Settings", lambda version, _: ", ".join(version.changes) or "-"),
         row("Hints", lambda version, _: ", ".join(version.hints) or "-"),
         row("Time", lambda _, found: _number(found.seconds, "{:.0f} s")),
+        row("Held back", lambda _, found: _number(found.held_back, "{:.1f} dB")),
         row("Lamps", lambda _, found: _number(found.lamps, "{}")),
         row("Power", lambda _, found: _number(found.power, "{:.4g} W")),
         row("Environment", lambda _, found: {None: "-", True: "yes", False: "no"}[found.environment]),
