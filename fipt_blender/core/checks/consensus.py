@@ -259,7 +259,7 @@ def disagreement(wrong: int, judged: int, evidence: str = "", own_mesh: bool = F
 
 
 def _evidence(found: PairAgreement, views: Sequence[View]) -> str:
-    """Whether poses or mesh are wrong: between cameras that are close together, a wrong mesh matters little."""
+    """Whether poses or mesh are wrong: between cameras close together, a wrong mesh matters little."""
     place = np.array([view.camera_to_world[:3, 3] for view in views])
     apart = np.linalg.norm(place[:, None] - place[None], axis=2)
     pairs = np.triu(found.weight) > 0.0
