@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from benchmarks import accuracy, metrics, truth
-from benchmarks.held_back import exposed
 from benchmarks.metrics import Maps
 from fipt_blender.core.report import comparison
 
@@ -156,18 +155,3 @@ def test_views_are_spread_evenly() -> None:
     assert accuracy.spread(list(range(10)), 5) == [0, 2, 4, 6, 8]
     assert accuracy.spread([1, 2], 5) == [1, 2]
     assert accuracy.spread([1, 2], 0) == []
-
-
-def test_the_factor_of_each_channel_is_found_beside_outliers() -> None:
-    rng = np.random.default_rng(0)
-    image = rng.uniform(0.1, 1.0, (20, 30, 3))
-    photograph = image * [2.0, 0.5, 1.5]
-    photograph[:4] = 9.0  # a fifth shows something else
-    photograph[4, 0] = 0.0
-    assert exposed(image, photograph) == pytest.approx(image * [2.0, 0.5, 1.5], rel=0.2)
-    clean = image * [2.0, 0.5, 1.5]
-    assert exposed(image, clean) == pytest.approx(clean)
-
-
-def test_a_black_render_stays_black() -> None:
-    assert not exposed(np.zeros((2, 2, 3)), np.ones((2, 2, 3))).any()

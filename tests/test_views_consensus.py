@@ -11,7 +11,14 @@ import pytest
 from fipt_blender.core.alignment.turns import turn_by
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View, load_capture
-from fipt_blender.core.checks.consensus import check_input
+from fipt_blender.core.checks.consensus import (
+    MEND,
+    PairAgreement,
+    _check_mesh,
+    check_input,
+    pair_agreement,
+    small_views,
+)
 from fipt_blender.core.run.settings import make_settings
 from samples.refusals import error_of
 from samples.small_captures import CAMERAS, SmallCapture, matt, photograph_room, window_capture, write_run
@@ -138,9 +145,13 @@ def test_cameras_at_one_place_get_no_unit_as_remedy(capture: SmallCapture, tmp_p
     materials = matt(np.repeat(colors, 2, axis=0))
     made = photograph_room(capture.room, materials, lamps, cameras=cameras, scale=2, spp=16, denoise=True)
     views = load_capture(write_run(tmp_path, made)).train
-    assert check_input(capture.room, views, SETTINGS) == {}
-    small = replace(capture.room, vertices=np.float32(0.3048) * capture.room.vertices)
-    assert error_of(check_input, small, views, SETTINGS).code == "views-disagree"
+    small = small_views(views)
+    assert pair_agreement(capture.room, small).median > MEND  # on the mesh 3.28084 times as large
+    wrong, low = (
+        replace(capture.room, vertices=np.float32(0.3048) * capture.room.vertices),
+        np.full((10, 10), 0.3),
+    )
+    _check_mesh(wrong, small, PairAgreement(low, np.ones((10, 10)), np.ones(10)), True)  # raises nothing
 
 
 def test_input_that_tells_nothing(capture: SmallCapture, views: list[View], tmp_path: Path) -> None:

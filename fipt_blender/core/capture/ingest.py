@@ -52,7 +52,7 @@ from .options import CaptureOptions, add_options, options_of
 from .photograph_poses import with_photograph_poses
 from .places import MISSING_REMEDY
 from .rig import Pinhole, RigView
-from .source import mesh_fusion, read_source, write_mesh
+from .source import mesh_fusion, read_source, size_note, write_mesh
 from .upright import Upright, doubts, find_upright
 
 # Photographs with more pixels than these are rewritten with 8 bits (JPEG) or 16 (HDR) instead of 32: of 12
@@ -157,6 +157,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         _entry(run_folder, *one, world_from_source)
         for one in zip(views, pinholes, exposures, files, strict=True)
     ]
+    if (note := size_note(capture, source, mesh, world_from_source)) is not None:
+        reporter.warning(note.code, note.text, note.remedy)
     data = {
         **head("capture"),
         "source": rig.source,

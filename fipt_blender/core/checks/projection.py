@@ -80,6 +80,9 @@ def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) 
         rows, weight, where = _seen(pixels, int(index), points, place)
         radiance = _sampled(pixels, int(index), where)
         value = np.log(radiance.mean(axis=1) + FLOOR)
+        radiance = np.log(
+            np.maximum(radiance, FLOOR)
+        )  # as display values do, logarithms bound what is clipped
         total[rows] += weight
         sums[rows] += weight[:, None] * radiance
         first[rows] += weight * value
@@ -88,7 +91,7 @@ def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) 
     share = np.maximum(total, 1e-30)
     spread = np.sqrt(np.maximum(second / share - (first / share) ** 2, 0.0))
     shape = (view.height, view.width)
-    image = (sums / share[:, None]).astype(np.float32).reshape(*shape, 3)
+    image = np.exp(sums / share[:, None]).astype(np.float32).reshape(*shape, 3)
     seen = count.reshape(shape)
     if (seen > 0).any():
         nearest = distance_transform_edt(seen == 0, return_distances=False, return_indices=True)
