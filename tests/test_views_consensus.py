@@ -138,7 +138,7 @@ def test_cameras_at_one_place_get_no_unit_as_remedy(capture: SmallCapture, tmp_p
     rng, middle = np.random.default_rng(4), np.array([0.5, 0.3, 0.55])
     cameras = []
     for turn in np.linspace(0.0, 2.0, 10):
-        place = middle + rng.uniform(-0.06, 0.06, 3)
+        place = middle + rng.uniform(-0.008, 0.008, 3)
         cameras.append([place.tolist(), (place + [np.cos(turn), np.sin(turn), 0.1]).tolist()])
     colors = rng.uniform(0.1, 0.8, (len(capture.room.triangles) // 2, 3))
     lamps = table([len(capture.room.triangles) - 2, len(capture.room.triangles) - 1], [6.0, 5.0, 4.0])
