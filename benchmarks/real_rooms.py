@@ -104,9 +104,9 @@ def judge_run(run: RunFolder) -> None:
     from fipt_blender.core.checks.rerender import Estimate
     from fipt_blender.core.estimate.input import estimation_views
     from fipt_blender.core.material.fields import RoomFields
-    from fipt_blender.core.pixels.store import open_pixels
     from fipt_blender.core.report.quality_files import write_quality
     from fipt_blender.core.surface.room import load_room
+    from fipt_blender.core.textures.detail import solved_light
 
     statistics, emitters = read_json(run.statistics_json), read_json(run.emitters_json)
     scale = float(statistics["radiance_scale"])
@@ -114,7 +114,7 @@ def judge_run(run: RunFolder) -> None:
     table = EmitterTable(table.triangles, table.radiance / scale, table.back_radiance / scale)
     outside = read_radiance(run.environment_exr) / scale if emitters.get("environment") else None
     estimate = Estimate(load_room(run), RoomFields.load(run).query, table, outside)
-    pixels = open_pixels(run.stage / "pixels", estimation_views(run, settings))
+    pixels = solved_light(run, estimation_views(run, settings)).pixels
     held_back, photometry = load_capture(run).held_back, statistics.get("photometry", {})
     quality = judge(pixels, held_back, estimate, photometry, scale, settings.seed)
     if quality is not None:

@@ -8,7 +8,7 @@ that of their voxel.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,8 @@ import numpy as np
 from ..capture.views import View
 from ..light.baking import SUBPIXELS
 from ..light.cache import SurfaceLookup, fill_grid, grid_frame, pool, sample_surface
+from ..light.emitters import Fixture, emitter_table
+from ..light.environment import Environment
 from ..light.radiance import TracedRadiance, Vertex, new_path
 from ..optics import brdf, factorised
 from ..optics.brdf import Material
@@ -55,6 +57,19 @@ class Estimate:
     environment: np.ndarray | None
     unseen_light: float = 0.0
     lamp_doubt: float = 0.0
+
+    @classmethod
+    def of(
+        cls, room: Room, query: FieldQuery, fixtures: Sequence[Fixture], environment: Environment | None
+    ) -> Estimate:
+        """Of what the stages have found."""
+        power = np.array([f.area * float((f.radiance + f.back_radiance).mean()) for f in fixtures])
+        certain = np.array([fixture.probability for fixture in fixtures])
+        doubt = float(power @ (1.0 - certain) / power.sum()) if power.sum() > 0.0 else 0.0
+        image, inferred = None, 0.0
+        if environment is not None:
+            image, inferred = environment.image, environment.unseen_light
+        return cls(room, query, emitter_table(list(fixtures)), image, inferred, doubt)
 
 
 class Renderer:
