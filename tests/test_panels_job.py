@@ -15,7 +15,7 @@ from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running, runstate, window
-from fipt_blender.panels import estimate, materials, statusbar
+from fipt_blender.panels import estimate, statusbar
 from samples.layouts import drawn_by
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -58,23 +58,13 @@ def test_results_of_the_estimate_before_can_be_applied_while_a_new_one_is_stoppe
 
 
 def test_a_result_says_how_good_it_is(monkeypatch, tmp_path):
-    write_json(
-        tmp_path / "results" / "quality.json",
-        {"held_back_db": 27.14, "projection_db": 29.4, "causes": [], "views": []},
-    )
-    quality = runstate.look(RunFolder(tmp_path)).quality
-    state = runstate.RunState(stages=5, results=True, finished=True, quality=quality)
+    figures = {"held_back_db": 27.14, "projection_db": 29.4, "causes": [], "views": []}
+    write_json(tmp_path / "results" / "quality.json", figures)
+    state = runstate.RunState(results=True, finished=True, quality=runstate.look(RunFolder(tmp_path)).quality)
     bpy.context.scene.fipt.run_folder = str(tmp_path)
     monkeypatch.setattr(runstate, "known", lambda folder: state)
     drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
     assert "Held-back photographs: 27.1 dB (projection 29.4)" in drawn
-
-
-@pytest.mark.usefixtures("finished")
-def test_opened_warnings_show_what_helps():
-    drawn = drawn_by(estimate.FIPT_PT_estimate, is_open=True)[0]
-    told = ["The lamp is odd.", "Mend the lamp.", "The wall is odd.", "Mend the wall."]
-    assert drawn[-5:] == ["2 warnings", *told]
 
 
 def test_warnings_of_an_estimation_that_another_blender_has_run(monkeypatch, tmp_path):
@@ -100,18 +90,6 @@ def test_estimate_says_for_what_it_waits_and_how_to_stop_that(monkeypatch, tmp_p
     assert drawn.index("fipt.estimate") < drawn.index("Check Views: 42%") < drawn.index("fipt.cancel")
     with pytest.raises(RuntimeError, match=r"Check Views is running\. Wait for its end, or stop it with Esc"):
         bpy.ops.fipt.estimate()
-
-
-@pytest.mark.parametrize("applied", [False, True])
-def test_warnings_of_apply_results_come_last(monkeypatch, tmp_path, applied):
-    scene = bpy.context.scene
-    scene.fipt.run_folder = str(tmp_path)
-    scene.fipt.materials.object_count = int(applied)
-    job = running.RunningJob("Apply Results", "materials", scene.name, tmp_path, state="finished")
-    job.warnings += WARNINGS
-    monkeypatch.setattr(running, "last", lambda kind: job if kind == "materials" else None)
-    drawn = drawn_by(materials.FIPT_PT_materials)[0]
-    assert drawn[-1] == "2 warnings" and ("fipt.revert" in drawn) is applied
 
 
 def test_the_resolution_of_light_and_the_cost_are_told_before_the_start():

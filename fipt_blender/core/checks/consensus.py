@@ -36,9 +36,8 @@ SOFTNESS = 0.1  # width of the transition to credible views, in mean correlation
 ROUNDS = 20  # at most, of weighing views by each other
 # Other placements of the mesh are tried if the median correlation is below `MEND` or a view is contradicted.
 # One is reported if its correlation is above `MEND` and if it reduces 1 - correlation to less than the share
-# `LACK`. Above `WELL`, no further placement is tried. A mesh of another size must fit so much better than one
-# that is `FARTHER` times as large, too: photographs from nearly one place agree on any mesh that is far away.
-MEND, LACK, WELL, FARTHER = 0.75, 0.6, 0.9, 3.0
+# `LACK`. Above `WELL`, no further placement is tried.
+MEND, LACK, WELL = 0.75, 0.6, 0.9
 # Where more than this share of the views is contradicted and the rest agrees less than this in the median, it
 # is the mesh that is wrong: right poses agree by 0.9.
 MANY, MEND_LEFT = 0.1, 0.85
@@ -312,17 +311,14 @@ def _check_mesh(room: Room, small: SmallViews, given: PairAgreement, anything: b
     step = max(1, len(small.views) // TRIED_VIEWS)
     some = small.among(range(0, len(small.views), step))
     reference = pair_agreement(room, some).median if step > 1 else given.median
-    best, name, chosen = 0.0, "", np.eye(4)
+    best, name = 0.0, ""
     for text, places in _placements(room, some.views, anything):
         found = pair_agreement(room, some, places)
         enough = (found.weight > 0.0).sum() >= 2 * JUDGED_VIEWS and found.seen.mean() > LEAST_SEEN
         if enough and found.median > best:
-            best, name, chosen = found.median, text, places
+            best, name = found.median, text
         if best > WELL:
             break
-    if abs(abs(np.linalg.det(chosen[:3, :3])) - 1.0) > 1e-6:
-        farther = np.diag([FARTHER, FARTHER, FARTHER, 1.0]) @ chosen
-        reference = max(reference, pair_agreement(room, some, farther).median)
     if best > MEND and 1.0 - best < LACK * (1.0 - reference):
         raise FiptError(
             "mesh-misplaced",
