@@ -110,7 +110,8 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
 
 
 def _draw_done(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
-    """A finished estimate is one line; opened, it shows its pictures and how to estimate again."""
+    """How good a finished estimate is, in one line; opened, its pictures and how to estimate again."""
+    _draw_quality(layout, state)
     header, body = layout.panel("fipt_estimate_again", default_closed=True)
     header.label(text="Estimate Again", icon="CHECKMARK")
     if body is not None:
@@ -158,12 +159,22 @@ def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
     elif state.stages:
         text = iface_("Stopped. {} stages are finished").format(state.stages)
         layout.label(text=text, icon="PAUSE", translate=False)
+    if state.results:
+        _draw_quality(layout, state)
     _draw_pictures(layout, state.pictures)
     if state.results:
         if not state.finished and not state.earlier:
             layout.label(text="The results are those of the estimate before", icon="INFO")
         layout.operator("fipt.apply_results", icon="MATERIAL")
         draw_job(layout, context, "materials")
+
+
+def _draw_quality(layout: bpy.types.UILayout, state: runstate.RunState) -> None:
+    """How well the results show photographs that were held back."""
+    if state.quality is None:
+        return
+    text = iface_("Held-back photographs: {:.1f} dB (projection {:.1f})").format(*state.quality)
+    layout.label(text=text, icon="IMAGE_REFERENCE", translate=False)
 
 
 def _draw_waiting(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:
