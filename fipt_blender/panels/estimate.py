@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..blend.previews import estimate_pictures
 from ..core.run.runfolder import RunFolder
 from ..jobs import running, runstate
 from ..jobs.job_scene import uses_run_folder
-from ..jobs.previews import estimate_pictures
 from . import path
+from .capture import draw_thumbnail
 from .job import draw_error, draw_job, draw_warnings, job_warnings
 from .presets import FIPT_PT_estimate_presets
 from .progress import draw_progress
@@ -46,6 +47,8 @@ class FIPT_PT_estimate(Section, bpy.types.Panel):
         layout = self.fields()
         state = runstate.known(context.scene.fipt.run_folder)
         job = running.current()
+        if path.has_views(context) and not path.has_results(context):  # the section Capture is closed
+            draw_thumbnail(layout, context.scene.fipt.capture)
         is_running = draw_job(layout, context, "estimate")
         if is_running:
             assert job is not None
