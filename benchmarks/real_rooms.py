@@ -33,12 +33,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from fipt_blender.core.capture.images import read_radiance
-from fipt_blender.core.capture.views import load_capture
-from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.optics.lights import EmitterTable
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.messages import parse_message
+from fipt_blender.core.run.result_contents import Emitters, QualityFigures
 from fipt_blender.core.run.runfolder import RunFolder
 
 PRODUCT = Path(__file__).resolve().parent.parent / "fipt_blender"
@@ -96,31 +93,6 @@ def estimated(folder: Path, output: Path, preset: str) -> tuple[RunFolder, Job]:
     return RunFolder(run), job
 
 
-def judge_run(run: RunFolder) -> None:
-    """Write quality.json of a finished run that has none, from its files."""
-    settings = run.read_estimated()
-    set_variant(settings.device)
-    from fipt_blender.core.checks.quality import judge
-    from fipt_blender.core.checks.rerender import Estimate
-    from fipt_blender.core.estimate.input import estimation_views
-    from fipt_blender.core.material.fields import RoomFields
-    from fipt_blender.core.report.quality_files import write_quality
-    from fipt_blender.core.surface.room import load_room
-    from fipt_blender.core.textures.detail import solved_light
-
-    statistics, emitters = read_json(run.statistics_json), read_json(run.emitters_json)
-    scale = float(statistics["radiance_scale"])
-    table = EmitterTable.from_fixtures(emitters)
-    table = EmitterTable(table.triangles, table.radiance / scale, table.back_radiance / scale)
-    outside = read_radiance(run.environment_exr) / scale if emitters.get("environment") else None
-    estimate = Estimate(load_room(run), RoomFields.load(run).query, table, outside)
-    pixels = solved_light(run, estimation_views(run, settings)).pixels
-    held_back, photometry = load_capture(run).held_back, statistics.get("photometry", {})
-    quality = judge(pixels, held_back, estimate, photometry, scale, settings.seed)
-    if quality is not None:
-        write_quality(run, quality)
-
-
 def row(name: str, run: RunFolder, job: Job | None) -> list[str]:
     """One row of the table."""
     times = ["-", "-"]
@@ -128,12 +100,12 @@ def row(name: str, run: RunFolder, job: Job | None) -> list[str]:
         times = ["-" if job.said is None else f"{job.said:.0f} s", f"{job.taken:.0f} s"]
         if job.error is not None:
             return [name, *["-"] * 5, *times, f"{job.error['code']}: {job.error['text']}"]
-    quality = read_json(run.quality_json)
-    errors = np.array([view["errors"] for view in quality["views"]])  # (views, 2, channels)
+    quality = read_document(run.quality_json, QualityFigures)
+    errors = np.array([view.errors for view in quality.views])  # (views, 2, channels)
     eag = (-10.0 * np.log10(np.maximum(errors, 1e-10))).mean(axis=(0, 2))
-    lamps = [f"{lamp.get('probability', 0.0):.2f}" for lamp in read_json(run.emitters_json)["fixtures"]]
-    causes = ", ".join(f"{cause['name']} {100.0 * cause['share']:.0f} %" for cause in quality["causes"])
-    pooled = [f"{quality[key]:.2f}" for key in ("held_back_db", "projection_db")]
+    lamps = [f"{lamp.probability:.2f}" for lamp in read_document(run.emitters_json, Emitters).fixtures]
+    causes = ", ".join(f"{cause.name} {100.0 * cause.share:.0f} %" for cause in quality.causes)
+    pooled = [f"{value:.2f}" for value in (quality.held_back_db, quality.projection_db)]
     shown = [pooled[0], f"{eag[0]:.2f}", pooled[1], f"{eag[1]:.2f}", " ".join(lamps) or "none"]
     return [name, *shown, *times, causes]
 
@@ -154,8 +126,6 @@ def main(argv: Sequence[str]) -> int:
     jobs += [(each.name, RunFolder(each), None) for each in arguments.run]
     print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
     for name, run, job in jobs:
-        if (job is None or job.error is None) and not run.quality_json.exists():
-            judge_run(run)
         print(f"| {' | '.join(row(name, run, job))} |", flush=True)
     return 0
 

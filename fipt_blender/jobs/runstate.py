@@ -20,7 +20,7 @@ from ..core.run.runfolder import RunFolder
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
-    from ..core.run.result_contents import QualityFigures, Stages
+    from ..core.run.result_contents import Stages
     from ..core.run.versions import Version
 
 _FRESH_SECONDS = 2.0
@@ -110,7 +110,7 @@ def look(run: RunFolder) -> RunState:
     from ..bridge.attached import find_engine
     from ..core.run import versions
     from ..core.run.documents import optional_document
-    from ..core.run.result_contents import Stages
+    from ..core.run.result_contents import QualityFigures, Stages
 
     engine = find_engine(run)
     warnings, pictures, error = [], (), None

@@ -262,7 +262,7 @@ def shares(
     of_render, of_plain = (((image - photograph) ** 2).sum(axis=2) for image in (render, plain))
     total = max(float(of_render[used].sum()), 1e-12)
     found = dict.fromkeys(REMEDIES, 0.0)
-    clipped = used & (photograph * 255.0 >= CLIPPED_CODE).any(axis=2)
+    clipped = used & view.encoded & (photograph * 255.0 >= CLIPPED_CODE).any(axis=2)  # HDR ones are not
     found["photographs"] = float(of_render[clipped].sum()) / total
     used = used & ~clipped
     shared = float(np.minimum(of_render, of_plain)[used].sum()) / total
