@@ -7,11 +7,11 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
+from fipt_blender.blend.render_engine import switch_engine
 from mathutils import Vector
 
 from fipt_blender.blend.lights import eevee, new_lights, outline
 from fipt_blender.blend.marks import VISIBILITY, light_probe
-from fipt_blender.blend.render_engine import switch_engine
 from samples.applied_rooms import make_applied_scene
 from samples.operator_calls import refused
 

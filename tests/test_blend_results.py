@@ -19,8 +19,9 @@ from fipt_blender.blend.insert.surfaces import free_spot
 from fipt_blender.blend.lights import light_state, world
 from fipt_blender.blend.lights.area_lights import Rectangle, add_area_light
 from fipt_blender.blend.marks import ADDED, DRAWN, ON
-from fipt_blender.blend.pictures.cycles import RenderOptions, set_up_scene
+from fipt_blender.blend.pictures.cycles import RenderOptions
 from fipt_blender.blend.pictures.image_files import read_pixels
+from fipt_blender.blend.render_settings import set_up
 from fipt_blender.blend.results import applying, materials
 from fipt_blender.blend.room import exporting, originals
 from fipt_blender.blend.room.arrays import Room, read_room
@@ -219,7 +220,7 @@ def test_views_are_rendered_and_relit_from_the_saved_file(room, tmp_path):
     cameras.add_cameras(run)
     applying.apply_results(run, objects)
     world.apply_environment(run)
-    set_up_scene(bpy.context.scene)
+    set_up(bpy.context.scene)
     resolution = bpy.context.scene.render.resolution_x
     blend = tmp_path / "out" / "room.blend"
     save.save_blend(blend)

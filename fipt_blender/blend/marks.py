@@ -71,8 +71,7 @@ WORLD_ON, WORLD_FACTOR = "fipt_on", "fipt_factor"
 RESULT_WORLD = "fipt_own_world"  # on a scene: our world, while the original one is shown
 ORIGINAL_WORLD = "fipt_original_world"  # on a scene
 KEPT_FILM = "fipt_kept_film_transparent"  # on a scene
-KEPT_EEVEE = "fipt_kept_eevee"  # on a scene: settings of EEVEE before "Set Up for EEVEE" (JSON)
-KEPT_ENGINE = "fipt_kept_engine"  # on a scene: the engine that the artist chose, and ours (JSON)
+KEPT_RENDER = "fipt_kept_render"  # on a scene: settings that we made, what they were and what we made (JSON)
 LIGHT_GROUPS = "fipt_light_groups"  # on a view layer: names of the groups that we added (JSON)
 
 # --- inserted objects, each with its matrix before it was first placed -------------------------------------

@@ -72,7 +72,8 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
     ),
     "Insert": (("insert_object", "Insert Object into Room"),),
     "Check": (
-        ("render_composite", "Render View with Objects"),
+        ("final_picture", "Final Picture of Room"),
+        ("set_rendering", ""),
         ("render_views", "Render Views for Check"),
         ("compare", ""),
         ("show_check", ""),

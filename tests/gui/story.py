@@ -298,8 +298,7 @@ def insert(window: Window, options: Options) -> None:
     assert placed, new
     window.shot("19_inserted")
     window.open_section("Render")
-    window.set_text("check.samples", "8" if options.fast else "32")
-    window.click("fipt.render_composite")
+    window.click("fipt.final_picture")
     finish(window, "insert")
     picture = window.ask("inside.fit_texts")["picture"]
     assert Path(picture).is_file(), picture

@@ -9,15 +9,15 @@ import bpy
 from ..capture.backdrop import set_backdrop
 from ..capture.compare import refresh
 from ..lights import light_state
-from ..lights.eevee import restore_eevee
 from ..lights.light_groups import remove_light_groups
 from ..lights.world import restore_world
 from ..marks import added_lights, is_split_off, light_probe, room_with_results
 from ..outliner import FIXTURES, find_collection, remove_object
+from ..render_settings import restore
 from ..room.originals import restore_original, result_meshes, separated
 from .maps import restore_solid_views
 from .materials import remove_unused, result_materials
-from .scene_state import mute_other_lights, restore_scene
+from .scene_state import mute_other_lights
 
 
 def revert(scene: bpy.types.Scene, new_lights: bool = False) -> tuple[list[str], list[str]]:
@@ -55,10 +55,9 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> tuple[list[str],
     if target is not None and not target.all_objects:
         bpy.data.collections.remove(target)
     mute_other_lights(scene, False)
-    restore_eevee(scene)
-    restore_scene(scene)
+    restore(scene)
     settings.parts.clear()
-    for name in ("active_part", "object_count", "image_count", "applied_mode", "kept_before", "kept_view"):
+    for name in ("active_part", "object_count", "image_count", "applied_mode", "kept_view"):
         settings.property_unset(name)
     for name in ("median_radiance", "median_shown"):
         scene.fipt.lights.property_unset(name)
