@@ -20,7 +20,7 @@ from ..optics import brdf, factorised
 from ..optics.brdf import Material
 from ..optics.environment import EnvironmentLight
 from ..optics.lights import AreaLights
-from ..scene.room import Room, Surface
+from ..surface.room import Room, Surface
 from .cache import SurfaceLookup
 
 # Russian roulette on specular paths: the probability to continue is the throughput times the first, and at

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..conventions import equirect_pixel_directions
+from ..pixels.grouped import numbered
+from ..pixels.store import PixelStore
 from ..robust import deviation, gauss_newton, student_weights
-from ..scene.grouped import numbered
-from ..scene.pixels import PixelStore
-from ..scene.room import Room
+from ..surface.room import Room
 from .cache import VoxelGrid
 from .clipped import MOST_POINTS, OUTSIDE, POINTS_PER_SAMPLE, hemisphere_rays
 from .environment import Environment, map_cells
