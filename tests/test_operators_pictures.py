@@ -14,6 +14,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from mathutils import Vector
 
 import fipt_blender
 from fipt_blender.blend import png16
@@ -91,11 +92,35 @@ def test_the_layers_make_the_picture_and_the_depth_is_the_objects(run):
     np.testing.assert_allclose(layers[""], made, rtol=5e-3, atol=1e-3)
     scene, depth = bpy.context.scene, layers["depth"][..., 0]
     item, covered = bpy.data.objects["FIPT Gray Ball"], added[..., 3] > 0.999
-    middle = -(scene.camera.matrix_world.inverted() @ item.matrix_world.translation).z
+    bpy.context.view_layer.update()
+    to_camera = scene.camera.matrix_world.inverted() @ item.matrix_world
+    middle = -(to_camera @ (sum((Vector(corner) for corner in item.bound_box), Vector()) / 8)).z
     radius = item.dimensions.x / 2
-    assert (np.abs(depth[covered] - middle) < radius).all() and depth[covered].min() < middle - 0.8 * radius
+    assert (depth[covered] < middle).all() and (depth[covered] > middle - radius).all()
     # The wall behind has no sky: every pixel has a depth.
     assert depth[0, 0] > middle + radius
+
+
+def test_the_compositor_scene_puts_the_layers_together_and_leaves_the_room(run, tmp_path):
+    photograph(run, 16)
+    ball()
+    scene = bpy.context.scene
+    bpy.ops.fipt.set_backdrop(mode="ROOM")
+    scene.cycles.samples = 1
+    bpy.ops.fipt.final_picture()
+    assert "no layers" in refused(bpy.ops.fipt.plate_nodes)
+    layers = into_photograph(run, 16)
+    for _ in range(2):
+        assert bpy.ops.fipt.plate_nodes() == {"FINISHED"}
+    made = bpy.data.scenes["FIPT Composite"]
+    assert len(bpy.data.scenes) == 2 and not getattr(scene, "compositing_node_group", scene.use_nodes)
+    assert made.view_settings.exposure == scene.view_settings.exposure
+    bpy.ops.render.render(scene=made.name)
+    settings = made.render.image_settings
+    settings.file_format, settings.color_depth = "OPEN_EXR", "32"
+    bpy.data.images["Render Result"].save_render(str(tmp_path / "out.exr"), scene=made)
+    result = image_files.read_pixels(tmp_path / "out.exr")
+    np.testing.assert_allclose(result, layers[""], rtol=5e-3, atol=1e-3)
 
 
 def test_a_plate_that_is_not_hdr_is_brought_to_the_unit_of_the_room(run):
@@ -116,6 +141,7 @@ def test_f12_and_the_final_picture_are_the_same(run, tmp_path):
     """With the artist's settings, in her size, beside her file; a second one replaces nothing."""
     scene = bpy.context.scene
     ball(kind="MIRROR_BALL")
+    scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.pixel_filter_type = 3, 2, "GAUSSIAN"
     scene.render.resolution_x, scene.render.resolution_y = 48, 30
     scene.render.resolution_percentage = 50

@@ -43,9 +43,11 @@ class PictureIcons:
 
 estimate_pictures = PictureIcons()  # the estimate so far
 doubt_pictures = PictureIcons()  # the parts that the engine asks about
+state_pictures = PictureIcons()  # thumbnails of light states
 
 
 def clear() -> None:
     """Free all icons."""
     estimate_pictures.clear()
     doubt_pictures.clear()
+    state_pictures.clear()

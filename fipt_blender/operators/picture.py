@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
@@ -15,6 +16,7 @@ from ..properties.insert import BACKDROPS
 from .check import NeedsEstimate
 from .job_operator import JobOperator
 from .polls import all_of, has_results, needs
+from .reporting import reports_errors
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
@@ -137,4 +139,27 @@ class FIPT_OT_open_picture(bpy.types.Operator):
             self.report({"ERROR"}, f"{path} no longer exists. Render the view again.")
             return {"CANCELLED"}
         open_editor(context, image)
+        return {"FINISHED"}
+
+
+class FIPT_OT_plate_nodes(bpy.types.Operator):
+    bl_idname = "fipt.plate_nodes"
+    bl_label = "Compositor Scene"
+    bl_description = (
+        "Make a scene whose compositor nodes put the layers of the last picture over its photograph together:"
+        " plate, shadow, light, object and depth. The room's scene is not changed"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    poll = all_of(
+        needs(lambda context: context.scene.fipt.insert.picture, "Use Final Picture over a photograph first")
+    )
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.pictures.plate_nodes import make_plate_scene
+
+        scene = context.scene
+        made = make_plate_scene(scene, Path(scene.fipt.insert.picture))
+        self.report({"INFO"}, iface_("The scene '{}' has the nodes").format(made.name))
         return {"FINISHED"}

@@ -103,6 +103,8 @@ def _draw_picture(
     row.scale_y = 1.3
     row.operator("fipt.final_picture", icon="RENDER_STILL")
     row.operator("fipt.open_picture", text="", icon="WINDOW")
+    if insert.backdrop == "PHOTOGRAPH":
+        row.operator("fipt.plate_nodes", text="", icon="NODE_COMPOSITING")
     draw_job(layout, context, "insert")
     if insert.picture:
         layout.label(text=os.path.basename(insert.picture), icon="CHECKMARK", translate=False)

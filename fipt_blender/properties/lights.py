@@ -235,6 +235,7 @@ class FIPT_LightState(bpy.types.PropertyGroup):
     """A saved state of all lights and the environment, under its name."""
 
     data: bpy.props.StringProperty(description="The state (JSON)", options={"HIDDEN"})
+    picture: bpy.props.StringProperty(description="Image file of its thumbnail", options={"HIDDEN"})
 
 
 def _blend_changed(self: FIPT_LightsSettings, context: bpy.types.Context) -> None:

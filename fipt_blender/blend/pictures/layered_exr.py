@@ -23,6 +23,7 @@ _HALF, _FLOAT = 1, 2  # types of channels
 _ZIP, _LINES = 3, 16  # the compression, and how many lines it compresses at a time
 _LEVEL = 4  # of zlib: OpenEXR's default
 _LARGEST_HALF = 65504.0
+_MOST_HEADER = 4096  # bytes
 
 
 def write_layers(path: Path, layers: Mapping[str, np.ndarray], exact: tuple[str, ...] = ()) -> None:
@@ -53,6 +54,15 @@ def write_layers(path: Path, layers: Mapping[str, np.ndarray], exact: tuple[str,
             file.write(block)
         file.seek(len(header))
         file.write(struct.pack(f"<{count}Q", *offsets))
+
+
+def read_size(path: Path) -> tuple[int, int]:
+    """Columns and rows of a file that `write_layers` wrote. Blender doesn't say them of files with layers."""
+    with open(path, "rb") as file:
+        head = file.read(_MOST_HEADER)
+    window = head.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
+    left, top, right, bottom = struct.unpack_from("<4i", head, window)
+    return right - left + 1, bottom - top + 1
 
 
 def _channels(layers: Mapping[str, np.ndarray], exact: tuple[str, ...]) -> Iterator[tuple[str, np.ndarray]]:
