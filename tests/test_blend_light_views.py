@@ -80,6 +80,7 @@ def test_a_light_is_aimed_and_its_beam_ends_on_the_room():
 
 def test_the_room_is_set_up_for_eevee_and_reverted(scene):
     assert scene.render.engine == "CYCLES" and not scene.fipt.lights.needs_cycles()
+    assert not scene.fipt.lights.needs_probe()
     scene.fipt.lights.median_radiance = 0.0018
     settings = {name: getattr(scene.eevee, name) for name in ("use_raytracing", "light_threshold")}
     assert not settings["use_raytracing"]
@@ -87,6 +88,7 @@ def test_the_room_is_set_up_for_eevee_and_reverted(scene):
     assert scene.eevee.use_raytracing
     assert scene.eevee.light_threshold == pytest.approx(1e-4)  # of a hundredth of a usual exposure
     assert "EEVEE" in scene.render.engine and not scene.fipt.lights.needs_cycles()
+    assert scene.fipt.lights.needs_probe()  # it can't be baked here
     (fixture,) = [row.object for row in scene.fipt.lights.lights]
     assert VISIBILITY in fixture and len(fixture.children) == 1
     volume = light_probe(scene)
@@ -133,7 +135,8 @@ def test_render_settings_are_set_once_and_what_the_artist_changes_survives(scene
     assert scene.cycles.use_adaptive_sampling and scene.cycles.samples < 4096
     assert (scene.render.resolution_x, scene.render.resolution_y) == (1920, 1080)
     ours = scene.cycles.adaptive_threshold
-    scene.cycles.samples, scene.view_settings.exposure, scene.render.resolution_x = 77, 3.0, 800
+    scene.cycles.samples, scene.view_settings.exposure = 77, 3.0
+    scene.render.resolution_x, scene.render.resolution_y = 800, 450
     assert changed_by_artist(scene) == ["cycles.samples", "view_settings.exposure"]
     scene.fipt.lights.median_radiance *= 2.0  # another estimate
     ops.apply_results()

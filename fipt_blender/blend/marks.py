@@ -63,6 +63,7 @@ VISIBILITY = "fipt_visibility"  # original ray visibility of a fixture that Blen
 AS_CONVERTED = "fipt_as_converted"  # on these lights: shape and place as made; on the fixture: their number
 PROFILE = "fipt_profile"  # on a light with an IES profile: its type before (JSON)
 PROBE = "fipt_probe"  # marks our light probe volume
+BAKED = "fipt_baked"  # on it: it was baked since it was placed
 MUTED = "fipt_muted"  # on the scene's other lights: whether they were hidden in viewports and renders
 
 # --- worlds, scenes and view layers ------------------------------------------------------------------------

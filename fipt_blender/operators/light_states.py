@@ -95,8 +95,8 @@ class FIPT_OT_render_state_thumbnails(NeedsEstimate, JobOperator, bpy.types.Oper
     bl_idname = "fipt.render_state_thumbnails"
     bl_label = "Render Thumbnails"
     bl_description = (
-        "Render what the scene's camera sees by each light alone, small, and show every state as the sum of its"
-        " lights. States that are saved later are shown at once. Render again after a change of camera, room"
+        "Render what the scene's camera sees by each light alone, small, and show every state as the sum of"
+        " its lights. States saved later are shown at once. Render again after a change of camera, room"
         " or places of lights"
     )
     title = "Render Thumbnails"

@@ -10,7 +10,16 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
-from ..blend.marks import ANIMATED, FIXTURE, MERGED, NAMED, PROBABILITY, VISIBILITY, is_room_linked
+from ..blend.marks import (
+    ANIMATED,
+    FIXTURE,
+    MERGED,
+    NAMED,
+    PROBABILITY,
+    VISIBILITY,
+    is_room_linked,
+    light_probe,
+)
 from ..jobs.previews import state_pictures
 from .hints import ANSWER_NAMES, draw_again
 from .job import draw_job
@@ -79,6 +88,15 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             layout.operator("fipt.list_lights", text="List Lights", icon="FILE_REFRESH")
         if settings.needs_cycles():
             draw_engine_choice(layout, context)
+        elif settings.needs_probe():
+            text = (
+                "EEVEE shows the light that the room reflects as blotches, or not, until its probe is baked."
+            )
+            draw_text(layout, context, iface_(text), icon="ERROR")
+            prepared = light_probe(context.scene) is not None
+            layout.operator(
+                "fipt.bake_probe" if prepared else "fipt.prepare_eevee", icon="OUTLINER_OB_LIGHTPROBE"
+            )
         if settings.missing_lamps:
             text = "The photographs show bright spots where the mesh has nothing. If these are lamps:"
             draw_text(layout, context, text, icon="ERROR")

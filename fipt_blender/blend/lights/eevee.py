@@ -14,7 +14,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ...core.run.errors import FiptError
-from ..marks import PROBE, VISIBILITY, fixtures_of, light_probe
+from ..marks import BAKED, PROBE, VISIBILITY, fixtures_of, light_probe, remove_marks
 from ..outliner import LIGHTS, collection
 from ..render_settings import set_once
 from ..room.mesh_arrays import world_bounds
@@ -85,6 +85,7 @@ def place_volume(scene: bpy.types.Scene, low: np.ndarray, high: np.ndarray) -> b
     room = np.maximum(high - low, 0.1)
     samples = np.array(resolution(room))
     extent = room * (samples + 2 * _BORDER) / samples
+    remove_marks(item, BAKED)
     item.matrix_world = Matrix.LocRotScale((0.5 * (low + high)).tolist(), None, (0.5 * extent).tolist())
     data = item.data
     data.resolution_x, data.resolution_y, data.resolution_z = (samples + 2 * _BORDER).tolist()
