@@ -298,6 +298,7 @@ def insert(window: Window, options: Options) -> None:
     assert placed, new
     window.shot("19_inserted")
     window.open_section("Render")
+    window.choose("check.size", "PHOTOGRAPH")  # as the check that it is compared with
     window.click("fipt.final_picture")
     finish(window, "insert")
     picture = window.ask("inside.fit_texts")["picture"]
