@@ -24,7 +24,7 @@ from benchmarks import cycles_views, disturb, ldr, metrics, picture_page, truth
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import PRODUCT_VERSION, RunFolder, write_json
@@ -111,7 +111,7 @@ def evaluate(arguments: argparse.Namespace, folder: Path) -> int:
     print(f"pictures: {(arguments.page or run.root / 'accuracy') / 'index.html'}")
     if arguments.json:
         write_json(arguments.json.absolute(), result)
-    broken = out_of_bounds(result, read_json(arguments.bounds)) if arguments.bounds else []
+    broken = out_of_bounds(result, read_document(arguments.bounds, dict)) if arguments.bounds else []
     for line in broken:
         print(f"out of bounds: {line}", file=sys.stderr)
     return 1 if broken else 0
@@ -189,10 +189,10 @@ def recorded_costs(run: RunFolder) -> dict[str, Any]:
     costs: dict[str, Any] = {"seconds": None, "peak_memory_gb": None}
     steps = run.root / "steps.json"
     if steps.exists():
-        seconds = {name: step["seconds"] for name, step in read_json(steps)["steps"].items()}
+        seconds = {name: step["seconds"] for name, step in read_document(steps, dict)["steps"].items()}
         costs |= {"seconds": round(sum(seconds.values()), 1), "step_seconds": seconds}
     if run.statistics_json.exists():
-        costs["statistics"] = read_json(run.statistics_json)
+        costs["statistics"] = read_document(run.statistics_json, dict)
         costs["peak_memory_gb"] = costs["statistics"].get("peak_memory_gb")
     return costs
 
@@ -324,7 +324,7 @@ def score_cycles(run: RunFolder, spp: int, scored: Scored) -> None:
         ended = subprocess.run(command, input=text, stdout=log, stderr=log, check=False)
     if ended.returncode:
         raise FiptError("run-failed", "The renders in Cycles failed.", f"Mend what {run.log} reports.")
-    listed = read_json(cycles_views.apart(RunFolder(run.root)).renders_json)["renders"]
+    listed = read_document(cycles_views.apart(RunFolder(run.root)).renders_json, dict)["renders"]
     images = {(entry["kind"], entry["view"]): run.resolve(entry["image"]) for entry in listed}
     for split in SPLITS:
         found = [read_radiance(images["rerender", view.name]) for view in rendered[split]]

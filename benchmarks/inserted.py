@@ -22,7 +22,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parent / "examples")]
 
 BALLS = {"grey": (0.5, 1.0, 0.0), "mirror": (0.95, 0.05, 1.0)}  # base colour, roughness, metallic
-TRUTH_SPP, SAMPLES = 256, 64  # of Mitsuba and, at most, of Cycles
+TRUTH_SPP, SAMPLES = 256, 32  # of Mitsuba and, at most, of Cycles
 CHANGED = 0.02  # share of white from which a pixel belongs to the shadow
 
 
@@ -79,7 +79,7 @@ def place(scene, run: Path, view: str, surface: tuple[float, float, float]):
 
     bpy.data.batch_remove(inserted_objects(scene))
     folder = RunFolder(run)
-    entry = next(each for each in read_capture(folder.capture_json)["views"] if each["name"] == view)
+    entry = read_capture(folder.capture_json).view(view)
     _, support = choose_view(make_cast(read_room(folder)), [(view, view_geometry(entry))])
     ball = insert_object(scene, Vector(support.point), kind="gray_ball", size=2.0 * support.radius)
     shader = next(node for node in ball.active_material.node_tree.nodes if "Base Color" in node.inputs)

@@ -27,7 +27,7 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.conventions import transform_points
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
@@ -263,7 +263,7 @@ def test_cameras_are_aligned_to_a_mesh_in_inches(tmp_path: Path) -> None:
     stream = io.StringIO()
     options = CaptureOptions(mesh=mesh, align_mesh=True, scale=0.0254, hold_back=0)
     ingest(tmp_path / "solve", run, options, Reporter(stream))
-    capture = read_json(run.capture_json)
+    capture = read_document(run.capture_json, dict)
     for view, shot in zip(capture["views"], shots, strict=True):
         np.testing.assert_allclose(np.array(view["camera_to_world"]), shot.pose, atol=0.005)
     messages = [json.loads(line) for line in stream.getvalue().splitlines()]

@@ -19,7 +19,7 @@ from fipt_blender.core.light.cache import SurfaceLookup, pool
 from fipt_blender.core.light.radiance import CachedRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
@@ -199,7 +199,7 @@ def test_each_curve_varies_one_size(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
     def fake(runs: dict[str, RunFolder], last: str | None) -> dict:
         lasts.append(last)
-        views = read_json(runs["shipped"].capture_json)["views"]
+        views = read_document(runs["shipped"].capture_json, dict)["views"]
         triangles = load_room(runs["shipped"]).triangles
         measured.append((len(views), views[0]["height"], len(triangles)))
         return {"shipped": record(float(len(measured)))}
@@ -259,7 +259,7 @@ def test_resampled_photographs_show_what_their_cameras_see(
     target = RunFolder(tmp_path / "more")
     target.create(make_settings("draft"))
     assert resampled.write_views(compass, target, 6, height) == 2 * height**2
-    views = read_json(target.capture_json)["views"]
+    views = read_document(target.capture_json, dict)["views"]
     assert len({view["name"] for view in views}) == 6
     for number, view in enumerate(views):
         image = read_radiance(target.root / view["image"])
@@ -326,7 +326,7 @@ def test_both_configurations_run_in_turns(tmp_path: Path, capsys: pytest.Capture
         if sys.platform == "linux":
             peaks = [(stage["peak_own_gb"], stage["peak_memory_gb"]) for stage in result[name]["stages"][:-1]]
             assert all(0.0 < own <= resident for own, resident in peaks)
-        assert len(read_json(run.emitters_json)["fixtures"]) >= 0 and run.fields_npz.exists()
+        assert len(read_document(run.emitters_json, dict)["fixtures"]) >= 0 and run.fields_npz.exists()
     with np.load(kept_path(RunFolder(tmp_path / "out" / "reference"), "shadings")) as kept:
         assert kept["specular"].shape[1] == AUTHORS["roughness_levels"] and kept["diffuse"].mean() > 0.0
         seen = (kept["diffuse"] > 0.0).any(axis=1).sum()

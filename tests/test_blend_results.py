@@ -29,7 +29,7 @@ from fipt_blender.blend.room.atlas import make_atlas
 from fipt_blender.blend.room.exporting import collect_room, export_room
 from fipt_blender.blend.room.mesh_arrays import vertex_positions
 from fipt_blender.blend.room.result_meshes import clean_result_mesh, make_mesh
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.run_files import CLOSING, PANES, mesh_digest, read_geometry, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
@@ -192,7 +192,7 @@ def test_environment_direction(room):
 
     directions = conventions.equirect_pixel_directions(64, 32)
     write_exr(run.environment_exr, (directions * 0.5 + 0.5).astype(np.float32))
-    data = read_json(run.emitters_json)
+    data = read_document(run.emitters_json, dict)
     write_json(
         run.emitters_json, {**data, "environment": {"image": "environment.exr", "observed_share": 1.0}}
     )
@@ -237,7 +237,7 @@ def test_views_are_rendered_and_relit_from_the_saved_file(room, tmp_path):
     relit = read_pixels(path)
     assert relit.max() < 3.0  # the lamp is off, and the new light's black back faces the camera
     assert relit.max() > 0.0
-    kinds = [entry["kind"] for entry in read_json(run.renders_json)["renders"]]
+    kinds = [entry["kind"] for entry in read_document(run.renders_json, dict)["renders"]]
     assert kinds == ["rerender", "relight"]
 
 
@@ -308,7 +308,7 @@ def test_closed_holes_become_an_object_with_the_cleaned_vertices(room):
     )
     with_panes(run)
     found, names = read_room_files(run)
-    assert names["objects"][2:] == [CLOSING, PANES]
+    assert names.objects[2:] == (CLOSING, PANES)
     assert found["triangle_material"][-3:].tolist() == [arrays["triangle_material"][0], -1, -1]
     # As if the mesh were a scan whose cleaned copy lies a metre higher.
     store_geometry(

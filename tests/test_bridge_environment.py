@@ -177,14 +177,14 @@ def test_set_up_names_what_the_wheels_lack_and_a_package_that_breaks(
     with pytest.raises(FiptError, match=r"fipttiny==1\.0") as caught:
         environment.set_up(make_plan(tmp_path), Listener())
     assert caught.value.code == "wheels-missing"
-    assert not pins.read_stamp(tmp_path / "env")
+    assert not pins.read_stamp(tmp_path / "env").installed
     (tmp_path / "env" / pins.STAMP_NAME).write_text(json.dumps({"installed": True}))  # spares making it anew
     make_wheel(tmp_path / "wheels", "fipttiny", "1.0", "raise ImportError('no libfoo')")
     with pytest.raises(FiptError, match="no libfoo") as caught:
         environment.set_up(make_plan(tmp_path), Listener())
     assert caught.value.code == "package-broken"
     stamp = pins.read_stamp(tmp_path / "env")
-    assert stamp["installed"] and not stamp["complete"], "mended, it is completed and not made anew"
+    assert stamp.installed and not stamp.complete, "mended, it is completed and not made anew"
 
 
 @pytest.fixture

@@ -76,7 +76,8 @@ def test_child_process_tells_in_messages_and_says_what_is_missing(
     assert result.returncode == 1 and messages[-1]["code"] == "package-broken"
     assert "torch" in messages[-1]["text"] and "pip install" in result.stderr
     (folder,) = pins.environments(tmp_path / "data")
-    assert pins.read_stamp(folder)["installed"] and not pins.read_stamp(folder)["complete"]
+    stamp = pins.read_stamp(folder)
+    assert stamp.installed and not stamp.complete
 
 
 def test_second_set_up_in_one_data_folder_waits_its_turn(installed: list[str], tmp_path: Path) -> None:

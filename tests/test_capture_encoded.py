@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import OpenEXR
@@ -24,7 +25,7 @@ from fipt_blender.core.capture.images import (
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View, load_capture
-from fipt_blender.core.checks.survey import photograph_facts, view_warning
+from fipt_blender.core.checks.survey import examined, view_warning, with_misfit
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.runfolder import RunFolder
@@ -143,9 +144,9 @@ def test_check_views_warns_of_single_photographs_that_are_not_hdr(tmp_path, rows
     pose = np.eye(4)
     pose[2, 3] = 1.0
     view = View("a", "train", tmp_path / "a.png", 10, 10, 9.0, 9.0, 5.0, 5.0, pose, encoded=True)
-    facts = photograph_facts(view, room)
-    assert facts["clipped_share"] == pytest.approx(0.1 * rows) and not facts["looks_ldr"]
-    assert view_warning(facts | {"room_share": 1.0, "much_off": False}) == warning
+    facts = with_misfit(examined(view), view, room)
+    assert facts.clipped_share == pytest.approx(0.1 * rows) and not facts.looks_ldr
+    assert view_warning(replace(facts, much_off=False), 1.0) == warning
 
 
 RNG = np.random.default_rng(0)

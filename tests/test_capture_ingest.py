@@ -296,8 +296,8 @@ def test_large_photographs_are_decoded_once_and_get_a_small_copy(tmp_path, run, 
     monkeypatch.setattr(ingest, "read_radiance", lambda *of: decoded.append(of) or read_radiance(*of))
     run_ingest(tmp_path / "in", run)
     assert len(decoded) == 2
-    for view, entry in zip(load_capture(run).views, read_capture(run.capture_json)["views"], strict=True):
-        shown = read_radiance(run.resolve(entry["preview"]))
+    for view, entry in zip(load_capture(run).views, read_capture(run.capture_json).views, strict=True):
+        shown = read_radiance(run.resolve(entry.preview))
         assert max(shown.shape) == 40 < max(view.width, view.height)
         assert shown.mean() == pytest.approx(view.radiance().mean(), rel=0.02)  # compressed with losses
     assert not load_capture(run).views[1].image.is_relative_to(run.root)  # needed no change

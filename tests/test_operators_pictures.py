@@ -24,7 +24,7 @@ from fipt_blender.blend.pictures import check_pictures, composite, image_files, 
 from fipt_blender.blend.pictures.cycles import exposure_of
 from fipt_blender.blend.results.scene_state import median_shown
 from fipt_blender.core.report.comparison import ERROR_STOPS, psnr
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import write_json
 from fipt_blender.jobs import running
@@ -70,7 +70,7 @@ def test_without_an_object_the_picture_is_the_photograph(run):
     assert (layers["shadow"] == 1.0).all() and not layers["light"].any() and not layers["object"].any()
     path = run.renders / "composite" / "val_000_photograph.exr"
     assert bpy.context.scene.fipt.insert.picture == str(path) and path.with_suffix(".png").exists()
-    (entry,) = read_json(run.renders_json)["renders"]
+    (entry,) = read_document(run.renders_json, dict)["renders"]
     assert entry == {"kind": "composite", "view": VIEW, "image": path.relative_to(run.root).as_posix()}
 
 
@@ -324,7 +324,7 @@ def test_views_are_checked_without_inserted_objects(run):
     assert line.name == VIEW and line.held_back
     assert line.psnr == pytest.approx(psnr(render, photo), abs=1e-3) and line.psnr > 25.0
     assert scene.fipt.check.mean_psnr == pytest.approx(line.psnr)
-    assert read_json(run.renders_json)["renders"][0]["kind"] == "rerender"
+    assert read_document(run.renders_json, dict)["renders"][0]["kind"] == "rerender"
     error = bpy.data.images.load(line.error)
     assert tuple(error.size) == SIZE
 

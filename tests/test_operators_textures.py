@@ -15,7 +15,7 @@ from mathutils import Matrix, Vector
 from fipt_blender.blend import marks
 from fipt_blender.blend.collecting import missing_pictures, pictures_elsewhere
 from fipt_blender.blend.image_datablocks import image_values, linear_values
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running
 from samples import artist
@@ -218,7 +218,7 @@ def test_objects_are_found_by_their_ids_not_by_the_names_of_others(applied):
 
 def test_runs_without_ids_match_by_name(scene):
     run = RunFolder(scene.fipt.run_folder)
-    names = read_json(run.room_json)
+    names = read_document(run.room_json, dict)
     assert names.pop("object_ids") == ["panel", "cube"]
     write_json(run.room_json, names)
     for item in scene.objects:

@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.tracer.forward import power_heuristic
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
+from fipt_blender.core.run.result_contents import EmitterFixture
 
 # triangle 0 emits nothing, 1 both sides, 2 its back, 3 its front but has no area, 4 its front
 VERTICES = np.array(
@@ -145,17 +146,15 @@ def test_irradiance_of_a_triangle_is_lamberts_formula() -> None:
 
 
 def test_fixtures_give_one_entry_a_triangle() -> None:
-    data = {
-        "fixtures": [
-            {"triangles": [4, 7], "radiance": [1, 2, 3], "back_radiance": [0, 0, 0]},
-            {"triangles": [2], "radiance": [0, 0, 0], "back_radiance": [4, 5, 6]},
-        ]
-    }
-    table = EmitterTable.from_fixtures(data)
+    fixtures = [
+        EmitterFixture("a", (4, 7), (1, 2, 3), (0, 0, 0)),
+        EmitterFixture("b", (2,), (0, 0, 0), (4, 5, 6)),
+    ]
+    table = EmitterTable.from_fixtures(fixtures)
     assert table.triangles.tolist() == [4, 7, 2]
     assert table.radiance.tolist() == [[1, 2, 3], [1, 2, 3], [0, 0, 0]]
     assert table.back_radiance[2].tolist() == [4, 5, 6]
-    assert EmitterTable.from_fixtures({"fixtures": []}).radiance.shape == (0, 3)
+    assert EmitterTable.from_fixtures([]).radiance.shape == (0, 3)
 
 
 @pytest.mark.parametrize("first, second", [(1.0, 2.0), (1e-20, 1e20), (1e30, 1e30), (0.0, 1.0)])

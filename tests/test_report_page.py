@@ -223,10 +223,14 @@ def room_of(*boxes: tuple[str, tuple, tuple], material: str = "") -> tuple[Simpl
     return room, pieces
 
 
+def lamp(triangles):
+    return SimpleNamespace(triangles=triangles)
+
+
 def name_of(*boxes: tuple[str, tuple, tuple], material: str = "") -> str:
     """The name of the lamp that the last box is."""
     room, pieces = room_of(*boxes, material=material)
-    (name,) = fixture_names(room, [{"triangles": pieces[-1].tolist()}])
+    (name,) = fixture_names(room, [lamp(pieces[-1])])
     return name
 
 
@@ -249,8 +253,8 @@ def test_a_bulb_is_named_after_the_lamp_that_holds_it():
 
 
 def test_a_material_tells_where_the_object_does_not():
-    lamp = ("scan", (1, 1, 1), (1.2, 1.2, 1.2))
-    assert name_of(("scan", *SHELL), lamp, material="DeskLamp_glow") == "Desk lamp glow"
+    bulb = ("scan", (1, 1, 1), (1.2, 1.2, 1.2))
+    assert name_of(("scan", *SHELL), bulb, material="DeskLamp_glow") == "Desk lamp glow"
 
 
 @pytest.mark.parametrize(
@@ -267,7 +271,7 @@ def test_a_material_tells_where_the_object_does_not():
 def test_place_and_shape_in_a_room_that_is_one_mesh(low, high, name):
     if name == "Wall panel":  # a box has no mean normal: only the side towards the room emits
         room, pieces = room_of(("scan", *SHELL), ("scan", low, high))
-        assert fixture_names(room, [{"triangles": pieces[-1][10:].tolist()}]) == [name]
+        assert fixture_names(room, [lamp(pieces[-1][10:])]) == [name]
     else:
         assert name_of(("scan", *SHELL), ("scan", low, high)) == name
 
@@ -275,9 +279,8 @@ def test_place_and_shape_in_a_room_that_is_one_mesh(low, high, name):
 def test_lamps_in_a_part_of_the_shell_are_numbered_in_order():
     lamps = [("Ceilings", (x, 2, 2.9), (x + 0.4, 2.4, 2.91)) for x in (1.0, 2.0)]
     room, pieces = room_of(("Floor", (0, 0, 0), (6, 5, 0.1)), ("Ceilings", (0, 0, 2.9), (6, 5, 3.0)), *lamps)
-    entries = [{"triangles": piece.tolist()} for piece in pieces[2:]]
-    assert fixture_names(room, entries) == ["Ceiling panel", "Ceiling panel 2"]
-    assert fixture_names(room, [{"triangles": []}]) == ["Lamp"]
+    assert fixture_names(room, [lamp(piece) for piece in pieces[2:]]) == ["Ceiling panel", "Ceiling panel 2"]
+    assert fixture_names(room, [lamp([])]) == ["Lamp"]
 
 
 @pytest.mark.parametrize(
@@ -288,4 +291,4 @@ def test_classes_of_parts_tell_where_objects_do_not(class_name, name):
     triangle = np.zeros(len(room.triangles), np.int32)
     triangle[pieces[1]] = 1
     parts = RoomParts(triangle, [RoomPart(0, "a", "A"), RoomPart(1, "b", "B", class_name=class_name)])
-    assert fixture_names(room, [{"triangles": pieces[1].tolist()}], parts) == [name]
+    assert fixture_names(room, [lamp(pieces[1])], parts) == [name]

@@ -7,23 +7,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import bpy
 
 from ...bridge.process import Message
-from ...core.run.documents import read_json
+from ...core.run.contents import CapturedView, CapturedViews
+from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
+from ...core.run.result_contents import Renders
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder
-from ...core.run.shapes import RENDERS
 from ..capture.cameras import find_camera
 from ..changed import all_changed, changed
 from ..marks import KEPT_FILM, VIEW
 from ..render_settings import can_denoise
 from .composite import added_objects, not_catching, render_composite, without
 from .cycles import Devices, RenderOptions, render_exr, user_devices
-from .image_files import photograph, save_look, view_entry
+from .image_files import photograph, save_look
 from .layered_exr import write_layers
 from .photographed import lights_as_photographed
 from .renders import (
@@ -95,7 +95,7 @@ def make_order(scene: bpy.types.Scene, run: RunFolder, views: Sequence[str], spp
     room = _room(scene)
     capture = read_capture(run.estimated().capture_json)
     for view in views:
-        view_entry(capture, view)
+        capture.view(view)
         find_camera(view, scene)
     return Order(CHECK, str(run.root), scene.name, list(views), room, "", spp, *_device(scene))
 
@@ -108,7 +108,7 @@ def order_picture(scene: bpy.types.Scene, run: RunFolder, camera: bpy.types.Obje
     """
     room, kind = _room(scene), COMPOSITE if plate else INSERT
     if plate:
-        view_entry(read_capture(run.estimated().capture_json), view_of(camera))
+        read_capture(run.estimated().capture_json).view(view_of(camera))
     path = picture_path(run, kind, camera.get(VIEW, camera.name) + ("_photograph" if plate else ""))
     return Order(kind, str(run.root), scene.name, [camera.name], room, str(path), 0, *_device(scene))
 
@@ -179,7 +179,7 @@ def carry_out(order: Order, progress: Progress = lambda low, high: None) -> list
 
 
 def _check_views(
-    order: Order, run: RunFolder, scene: bpy.types.Scene, capture: dict[str, Any], progress: Progress
+    order: Order, run: RunFolder, scene: bpy.types.Scene, capture: CapturedViews, progress: Progress
 ) -> list[Message]:
     """Render views as they were photographed and compare them."""
     warnings: list[Message] = []
@@ -193,7 +193,7 @@ def _check_views(
         lights_as_photographed(scene),
     ):
         for index, name in enumerate(order.views):
-            view = view_entry(capture, name)
+            view = capture.view(name)
             progress(index / len(order.views), (index + 1) / len(order.views))
             path = render_path(run, CHECK, name)
             render_view(scene, name, path, options, COMPARED_WIDTH)
@@ -203,7 +203,7 @@ def _check_views(
 
 
 def _render_picture(
-    order: Order, run: RunFolder, scene: bpy.types.Scene, capture: dict[str, Any], progress: Progress
+    order: Order, run: RunFolder, scene: bpy.types.Scene, capture: CapturedViews, progress: Progress
 ) -> list[Message]:
     """Render a picture as EXR and PNG."""
     path, camera = Path(order.path), scene.objects.get(order.views[0])
@@ -213,12 +213,10 @@ def _render_picture(
     options = RenderOptions(device=order.device)
     with changed(scene, {"camera": camera}):
         if order.kind == COMPOSITE:
-            view = view_entry(capture, view_of(camera))
+            view = capture.view(view_of(camera))
             plate = photograph(run, view)
             with plate_frame(scene, camera):
-                layers = render_composite(
-                    scene, plate, bool(view.get("encoded")), order.room, options, progress
-                )
+                layers = render_composite(scene, plate, view.encoded, order.room, options, progress)
             write_layers(path, layers, exact=("depth",))
         else:
             progress(0.0, 1.0)
@@ -232,7 +230,7 @@ def _render_picture(
 
 
 def _check(
-    order: Order, run: RunFolder, capture: dict[str, Any], view: dict[str, Any], render: Path
+    order: Order, run: RunFolder, capture: CapturedViews, view: CapturedView, render: Path
 ) -> list[Message]:
     """Compare a render with its photograph; a warning if the photograph is missing."""
     try:
@@ -241,7 +239,7 @@ def _check(
     except FiptError as error:
         if error.code != "image-missing":
             raise
-        forget_check(run, view["name"])
+        forget_check(run, view.name)
         text = f"{error.text} The view was rendered to {render}, but could not be compared."
         return [{"type": "warning", "code": error.code, "text": text, "remedy": error.remedy}]
 
@@ -252,6 +250,6 @@ def last_picture(run: RunFolder) -> Path:
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
     """
-    entries = read_json(run.renders_json, RENDERS, "Delete it and render again.")["renders"]
-    images = [entry["image"] for entry in entries if entry["kind"] in (INSERT, COMPOSITE)]
+    renders = read_document(run.renders_json, Renders, "Delete it and render again.").renders
+    images = [render.image for render in renders if render.kind in (INSERT, COMPOSITE)]
     return run.resolve(images[-1])

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import bpy
 
-from ...core.run.documents import read_json
+from ...core.run.documents import read_document
+from ...core.run.result_contents import Render, Renders
 from ...core.run.runfolder import RunFolder, write_json
-from ...core.run.shapes import RENDERS
 from ..capture.cameras import find_camera
 from ..changed import changed
 from ..marks import PIXEL_ASPECT, RESOLUTION
@@ -99,14 +99,12 @@ def render_view(
 
 def list_render(run: RunFolder, kind: str, view: str, path: Path) -> None:
     """Add a render to renders.json, in place of an earlier one of the same kind and view."""
-    listed = []
+    listed: Sequence[Render] = ()
     if run.renders_json.exists():
-        listed = read_json(run.renders_json, RENDERS, "Delete it and render again.")["renders"]
-    kept = [entry for entry in listed if (entry["kind"], entry["view"]) != (kind, view)]
+        listed = read_document(run.renders_json, Renders, "Delete it and render again.").renders
+    kept = [render for render in listed if (render.kind, render.view) != (kind, view)]
     image = path.relative_to(run.root) if path.is_relative_to(run.root) else path
-    write_json(
-        run.renders_json, {"renders": [*kept, {"kind": kind, "view": view, "image": image.as_posix()}]}
-    )
+    write_json(run.renders_json, Renders((*kept, Render(kind, view, image.as_posix()))))
 
 
 def render_list(
