@@ -120,9 +120,9 @@ def test_many_changed_settings_do_not_change_the_psnr(tmp_path, seed):
     photograph(run, 16)
     scene = bpy.context.scene
 
-    def check() -> dict:
+    def check() -> view_check.CheckedView:
         orders.carry_out(orders.make_order(scene, run, [VIEW], 4))
-        return view_check.read_checks(run)["views"][0]
+        return view_check.read_checks(run).views[0]
 
     expected = check()
     draw = random.Random(seed)

@@ -239,17 +239,6 @@ def test_a_name_server_that_never_answers(monkeypatch: pytest.MonkeyPatch) -> No
     assert caught.code == "cluster-unreachable" and "no answer within" in caught.text
 
 
-def test_a_scheduler_that_goes_after_it_has_answered(
-    three: LocalCluster, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def gone(*arguments, **options) -> NoReturn:
-        raise TimeoutError("gone")
-
-    monkeypatch.setattr("distributed.Client", gone)
-    caught = connection_error(three.scheduler_address)
-    assert caught.code == "cluster-unreachable" and "gone" in caught.text
-
-
 def test_the_address_reaches_the_engine_and_makes_no_result_stale(tmp_path: Path) -> None:
     arguments = make_parser().parse_args(["estimate", "room", "--cluster", "tcp://host:8786"])
     options = make_options(arguments)

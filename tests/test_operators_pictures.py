@@ -491,7 +491,7 @@ def test_a_second_blender_carries_out_the_order(run, tmp_path):
     messages = [message for line in result.stdout.splitlines() if (message := parse_message(line))]
     assert [messages[0]["type"], messages[-1]["type"]] == ["stage", "done"]
     assert any(message["type"] == "progress" and message["fraction"] > 0.0 for message in messages)
-    assert not folder.exists() and view_check.read_checks(run)["views"][0]["view"] == VIEW
+    assert not folder.exists() and view_check.read_checks(run).views[0].view == VIEW
 
 
 def test_a_second_blender_reports_errors(run):

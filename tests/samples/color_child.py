@@ -118,9 +118,9 @@ def compared(folder: Path) -> dict:
     orders.carry_out(orders.order_picture(scene, run, scene.camera, plate=True))
     composite = rendered_rooms.exr_layers(orders.last_picture(run))[""]
     save_look(orders.last_picture(run), folder / "look.png", scene)
-    (check,) = view_check.read_checks(run)["views"]
+    (check,) = view_check.read_checks(run).views
     return {
-        "psnr": check["psnr_linear"] > 25.0,
+        "psnr": check.psnr_linear > 25.0,
         "composite": float(np.abs(composite - photo).max()) < 1e-3 * float(photo.max()),
         "compare": [float(value) for value in shown.mean(axis=(0, 1))],
         "photo": [float(value) for value in photo.mean(axis=(0, 1))],
