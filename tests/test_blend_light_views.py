@@ -154,6 +154,6 @@ def test_render_settings_are_set_once_and_what_the_artist_changes_survives(scene
 
 
 def test_a_room_is_needed_for_eevee(scene):
-    bpy.data.batch_remove(list(bpy.data.collections["FIPT Room"].objects))
+    bpy.data.batch_remove(list(bpy.data.collections["Parts"].objects))
     assert "no room" in refused(ops.prepare_eevee)
     assert scene.render.engine == "CYCLES"

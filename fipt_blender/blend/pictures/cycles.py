@@ -20,6 +20,7 @@ from ...core.run.errors import FiptError
 from ...core.run.runfolder import atomic_path
 from ..changed import all_changed, changed, unset
 from ..color_spaces import linear_space, scene_matrix
+from ..lights.calibration import scene_unit
 from ..node_trees import node_tree
 from ..render_settings import LIGHT_PATHS, can_denoise
 from ..save import check_space
@@ -166,14 +167,15 @@ def render_exr(
 @contextmanager
 def _sampled(scene: bpy.types.Scene, options: RenderOptions) -> Iterator[None]:
     """Cycles' settings: all of them fixed, or, for layers of pictures, the artist's."""
+    fixed = {"device": options.device, "film_exposure": 1.0 / scene_unit(scene)}  # the photographs' unit
     if options.spp is None:
         denoised = scene.cycles.use_denoising and can_denoise()
-        with changed(scene.cycles, {"device": options.device, "use_denoising": denoised}):
+        with changed(scene.cycles, {**fixed, "use_denoising": denoised}):
             yield
         return
     values = {
         **CYCLES,
-        "device": options.device,
+        **fixed,
         "samples": options.spp,
         "seed": options.seed,
         "use_denoising": can_denoise() if options.denoise is None else options.denoise,
@@ -240,4 +242,5 @@ def render_depth(scene: bpy.types.Scene) -> np.ndarray:
         pixels = render_pixels(scene, RenderOptions(1, denoise=False, transparent=True), material)
     finally:
         bpy.data.materials.remove(material)
-    return np.where(pixels[..., 3] > 0.0, pixels[..., 0], NO_DEPTH).astype(np.float32)
+    depth = pixels[..., 0] * scene_unit(scene)  # by which renders are divided
+    return np.where(pixels[..., 3] > 0.0, depth, NO_DEPTH).astype(np.float32)
