@@ -85,8 +85,8 @@ class FIPT_OT_save_light_state(NeedsLights, bpy.types.Operator):
 
 def show_thumbnails(scene: bpy.types.Scene, run: RunFolder) -> None:
     """Draw the thumbnails of the states from the lights that were rendered for them, if they were."""
+    from ..blend import previews
     from ..blend.pictures.state_pictures import draw_states
-    from ..jobs import previews
 
     previews.state_pictures.load(draw_states(scene, run))
 

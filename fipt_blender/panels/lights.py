@@ -20,7 +20,7 @@ from ..blend.marks import (
     is_room_linked,
     light_probe,
 )
-from ..jobs.previews import state_pictures
+from ..blend.previews import state_pictures
 from .hints import ANSWER_NAMES, draw_again
 from .job import draw_job
 from .sidebar import Rows, Section, SubSection, draw_text
