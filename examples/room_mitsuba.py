@@ -234,8 +234,16 @@ class LoadedRoom:
         return seen[:, None] * np.array(self.light["radiance"])
 
 
-def load_room(capture: Capture, light: dict[str, Any] | None = None) -> LoadedRoom:
-    """The room with its own emitters, or with them off (black) and `light` (of relight.json) instead."""
+def load_room(
+    capture: Capture, light: dict[str, Any] | None = None, added: dict[str, Any] | None = None
+) -> LoadedRoom:
+    """The room with its own emitters, or with them off (black) and `light` (of relight.json) instead.
+
+    Args:
+        capture: the capture.
+        light: see above.
+        added: more shapes, by name, as in Mitsuba's dictionaries; with the attribute "base_color".
+    """
     register()
     radiance = np.zeros((len(capture.materials) + 1, 3))
     for emitter in capture.emitters:
@@ -278,7 +286,7 @@ def load_room(capture: Capture, light: dict[str, Any] | None = None) -> LoadedRo
                 "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}},
                 "emitter": {"type": "area", "radiance": {"type": "rgb", "value": light["radiance"]}},
             }
-        scene = mi.load_dict(description, optimize=False)  # else alike meshes are merged
+        scene = mi.load_dict(description | (added or {}), optimize=False)  # else alike meshes are merged
     number = {
         shape.id(): int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]) for shape in scene.shapes()
     }

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -13,6 +14,10 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend.lights import light_drivers, light_states
+from fipt_blender.blend.pictures import state_pictures
+from fipt_blender.blend.pictures.cycles import RenderOptions, render_exr
+from fipt_blender.blend.pictures.image_files import read_pixels, save_look
+from fipt_blender.core.run.runfolder import RunFolder
 from samples.applied_rooms import RADIANCE, front, make_applied_scene
 from samples.refusals import error_of
 from samples.spots import spot
@@ -157,3 +162,28 @@ def test_two_frames_are_rendered_with_their_own_light(scene, tmp_path):
     assert np.allclose(seen[1], RADIANCE, rtol=1e-3)
     assert np.allclose(seen[11] / seen[11].max(), (0.2, 0.4, 1.0), rtol=1e-3) and seen[11].max() > 20.0
     assert not seen[21].any()
+
+
+def test_a_thumbnail_is_the_sum_of_its_lights(scene, tmp_path, monkeypatch):
+    """What is saved later is drawn without another render, and agrees with a render of that state."""
+    monkeypatch.setattr(state_pictures, "LONGER_SIDE", 32)
+    run = RunFolder(scene.fipt.run_folder)
+    row = scene.fipt.lights.lights[0]
+    ops.add_light(location=(2, 3, 3), power=50.0)
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.location = (2.0, 3.0, 6.0)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 160, 90, 10
+    before = light_states.present(scene)
+    state_pictures.render_lights(scene, run, "CPU")
+    assert light_states.present(scene) == before
+    row.stops, row.color, scene.fipt.lights.environment_factor = -1.0, (1.0, 0.3, 0.1), 0.5
+    assert ops.save_light_state(name="Dim") == {"FINISHED"}
+    picture = Path(scene.fipt.lights.states["Dim"].picture)
+    shown = read_pixels(picture)
+    assert shown.shape == (18, 32, 3) and shown.max() > 0.05
+    render_exr(scene, tmp_path / "dim.exr", RenderOptions(64))
+    save_look(tmp_path / "dim.exr", tmp_path / "dim.png", scene)
+    expected = read_pixels(tmp_path / "dim.png")
+    assert np.allclose(shown.mean(axis=(0, 1)), expected.mean(axis=(0, 1)), atol=0.02)

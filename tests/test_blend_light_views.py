@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
+from fipt_blender.blend.capture.cameras import use_view
 from fipt_blender.blend.lights import eevee, new_lights, outline
-from fipt_blender.blend.marks import VISIBILITY, light_probe
-from fipt_blender.blend.render_engine import switch_engine
+from fipt_blender.blend.marks import PIXEL_ASPECT, RESOLUTION, VISIBILITY, light_probe
+from fipt_blender.blend.render_settings import changed_by_artist
 from samples.applied_rooms import make_applied_scene
 from samples.operator_calls import refused
 
@@ -79,6 +80,7 @@ def test_a_light_is_aimed_and_its_beam_ends_on_the_room():
 
 def test_the_room_is_set_up_for_eevee_and_reverted(scene):
     assert scene.render.engine == "CYCLES" and not scene.fipt.lights.needs_cycles()
+    assert not scene.fipt.lights.needs_probe()
     scene.fipt.lights.median_radiance = 0.0018
     settings = {name: getattr(scene.eevee, name) for name in ("use_raytracing", "light_threshold")}
     assert not settings["use_raytracing"]
@@ -86,6 +88,7 @@ def test_the_room_is_set_up_for_eevee_and_reverted(scene):
     assert scene.eevee.use_raytracing
     assert scene.eevee.light_threshold == pytest.approx(1e-4)  # of a hundredth of a usual exposure
     assert "EEVEE" in scene.render.engine and not scene.fipt.lights.needs_cycles()
+    assert scene.fipt.lights.needs_probe()  # it can't be baked here
     (fixture,) = [row.object for row in scene.fipt.lights.lights]
     assert VISIBILITY in fixture and len(fixture.children) == 1
     volume = light_probe(scene)
@@ -105,23 +108,49 @@ def test_the_room_is_set_up_for_eevee_and_reverted(scene):
     assert settings == {name: getattr(scene.eevee, name) for name in settings}
 
 
-@pytest.mark.parametrize("engines", [["CYCLES"], ["BLENDER_WORKBENCH"], eevee.ENGINES])
-def test_revert_restores_the_artists_engine_however_often_it_was_switched(scene, engines):
+@pytest.mark.parametrize("engine", ["CYCLES", "BLENDER_WORKBENCH"])
+def test_revert_restores_the_artists_engine_however_often_it_was_switched(scene, engine):
     ops.revert()
     keys = set(scene.keys())
-    assert switch_engine(scene, engines)  # without results nothing is kept
-    before = scene.render.engine
+    scene.render.engine = engine
     ops.apply_results()
     for switch in (ops.prepare_eevee, ops.use_cycles, ops.prepare_eevee, ops.use_cycles):
         assert switch() == {"FINISHED"}
     ops.revert()
-    assert scene.render.engine == before and set(scene.keys()) == keys
+    assert scene.render.engine == engine and set(scene.keys()) == keys
     ops.apply_results()
     ops.prepare_eevee()
     scene.render.engine = "BLENDER_WORKBENCH"  # the artist's choice, from which we switch again
     ops.use_cycles()
     ops.revert()
     assert scene.render.engine == "BLENDER_WORKBENCH"
+
+
+def test_render_settings_are_set_once_and_what_the_artist_changes_survives(scene):
+    ops.revert()
+    scene.view_settings.view_transform, scene.cycles.samples, scene.cycles.max_bounces = "AgX", 4096, 7
+    scene.render.resolution_x, scene.render.resolution_y = 640, 360
+    ops.apply_results()
+    assert (scene.render.engine, scene.view_settings.view_transform) == ("CYCLES", "Standard")
+    assert scene.cycles.use_adaptive_sampling and scene.cycles.samples < 4096
+    assert (scene.render.resolution_x, scene.render.resolution_y) == (1920, 1080)
+    ours = scene.cycles.adaptive_threshold
+    scene.cycles.samples, scene.view_settings.exposure = 77, 3.0
+    scene.render.resolution_x, scene.render.resolution_y = 800, 450
+    assert changed_by_artist(scene) == ["cycles.samples", "view_settings.exposure"]
+    scene.fipt.lights.median_radiance *= 2.0  # another estimate
+    ops.apply_results()
+    camera = bpy.data.objects.new("View", bpy.data.cameras.new("View"))
+    camera[RESOLUTION], camera[PIXEL_ASPECT] = [300, 200], [1.0, 1.0]
+    use_view(scene, camera)
+    assert scene.cycles.samples == 77 and scene.view_settings.exposure == 3.0
+    assert (scene.render.resolution_x, scene.render.resolution_y) == (800, 533)
+    assert ops.set_rendering() == {"FINISHED"} and not changed_by_artist(scene)
+    assert scene.cycles.samples != 77 and scene.cycles.adaptive_threshold == ours
+    scene.cycles.max_bounces = 3
+    ops.revert()  # to what was last the artist's
+    assert scene.view_settings.view_transform == "AgX" and scene.view_settings.exposure == 3.0
+    assert (scene.cycles.samples, scene.cycles.max_bounces) == (77, 3)
 
 
 def test_a_room_is_needed_for_eevee(scene):

@@ -120,9 +120,9 @@ def test_many_changed_settings_do_not_change_the_psnr(tmp_path, seed):
     photograph(run, 16)
     scene = bpy.context.scene
 
-    def check() -> dict:
-        orders.carry_out(orders.make_order(scene, run, orders.CHECK, [VIEW], 4))
-        return view_check.read_checks(run)["views"][0]
+    def check() -> view_check.CheckedView:
+        orders.carry_out(orders.make_order(scene, run, [VIEW], 4))
+        return view_check.read_checks(run).views[0]
 
     expected = check()
     draw = random.Random(seed)
@@ -149,7 +149,7 @@ def test_other_view_layers_and_overrides_are_not_rendered(tmp_path):
 def test_sets_and_depth_of_field_are_not_in_checks(tmp_path):
     run = make_scene(tmp_path)
     scene = bpy.context.scene
-    order = orders.make_order(scene, run, orders.CHECK, [VIEW], 4)
+    order = orders.make_order(scene, run, [VIEW], 4)
     path = run.renders / "rerender" / "val_000.exr"
     orders.carry_out(order)
     expected = image_files.read_pixels(path)
@@ -210,10 +210,11 @@ def test_the_name_of_a_folder_stops_no_step(tmp_path, name, monkeypatch):
     (entry,) = read_document(run.renders_json, dict)["renders"]
     render = image_files.read_pixels(run.resolve(entry["image"]))
     assert render.mean() == pytest.approx(photo.mean(), rel=0.2)
-    order = orders.make_order(scene, run, orders.COMPOSITE, [VIEW], 2)
+    save_blend(run.root / "room.blend")
+    scene.cycles.samples = 2
+    order = orders.order_picture(scene, run, scene.camera, True)
     orders.carry_out(order)
     assert image_files.read_pixels(orders.last_picture(run).with_suffix(".png")).shape == photo.shape
-    save_blend(run.root / "room.blend")
     bpy.ops.wm.open_mainfile(filepath=str(run.root / "room.blend"))
     assert sorted(path.name for path in folder.iterdir()) == ["run"]
     assert not [path for path in tmp_path.iterdir() if path != folder]

@@ -263,7 +263,7 @@ def eevee() -> str:
 
 
 def test_eevee_without_light_is_warned_of(scene):
-    scene.fipt.materials.use_cycles = False
+    scene.fipt.materials.set_rendering = False
     scene.render.engine = eevee()
     ops.apply_results()
     assert scene.render.engine == eevee() and scene.fipt.lights.needs_cycles()

@@ -14,8 +14,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from mathutils import Vector
 
 import fipt_blender
+from fipt_blender.blend import png16
 from fipt_blender.blend.lights import light_state
 from fipt_blender.blend.marks import KEPT_PHOTOGRAPH, STOPS, estimated_objects
 from fipt_blender.blend.pictures import check_pictures, composite, image_files, orders, render_job, view_check
@@ -31,7 +33,7 @@ from fipt_blender.properties.check import ERROR_SCALE
 from samples.applied_rooms import front
 from samples.child_processes import PATIENCE_SECONDS
 from samples.operator_calls import refused
-from samples.rendered_rooms import SIZE, VIEW, make_scene, photograph
+from samples.rendered_rooms import SIZE, VIEW, exr_layers, make_scene, photograph
 
 ROOM = {"Floor", "Wall"}
 
@@ -48,24 +50,144 @@ def ball(x=0.0, y=0.6, kind="GREY_BALL"):
     assert bpy.ops.fipt.insert_object(kind=kind, location=(x, y, 0.0), scale=1.5) == {"FINISHED"}
 
 
-def test_without_an_object_the_rendered_composite_is_the_photograph(run):
+def into_photograph(run, samples) -> dict[str, np.ndarray]:
+    """The layers of a picture of the view over its photograph, (H, W, 1, 3 or 4), "" for the picture."""
+    scene = bpy.context.scene
+    scene.cycles.samples = samples
+    bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
+    before = state(scene)
+    assert bpy.ops.fipt.final_picture() == {"FINISHED"}
+    assert state(scene) == before
+    return exr_layers(Path(scene.fipt.insert.picture))
+
+
+def test_without_an_object_the_picture_is_the_photograph(run):
+    """To the rounding of halves, in every layer."""
     photo = photograph(run, 16)
-    assert bpy.ops.fipt.render_composite(backdrop="PHOTOGRAPH", samples=4) == {"FINISHED"}
-    path = run.renders / "composite" / "val_000.exr"
-    np.testing.assert_array_equal(image_files.read_pixels(path), photo)
+    layers = into_photograph(run, 4)
+    for name in ("", "plate"):
+        np.testing.assert_allclose(layers[name][..., :3], photo, rtol=1e-3, atol=1e-6)
+    assert (layers["shadow"] == 1.0).all() and not layers["light"].any() and not layers["object"].any()
+    path = run.renders / "composite" / "val_000_photograph.exr"
     assert bpy.context.scene.fipt.insert.picture == str(path) and path.with_suffix(".png").exists()
     (entry,) = read_document(run.renders_json, dict)["renders"]
-    assert entry == {"kind": "composite", "view": VIEW, "image": "renders/composite/val_000.exr"}
+    assert entry == {"kind": "composite", "view": VIEW, "image": path.relative_to(run.root).as_posix()}
+
+
+def test_a_grey_object_that_nothing_sees_leaves_the_photograph(run):
+    photo = photograph(run, 16)
+    ball()
+    bpy.data.objects["FIPT Gray Ball"].location.z = -3.0  # below the floor, away from its light
+    layers = into_photograph(run, 16)
+    np.testing.assert_allclose(layers[""], photo, rtol=1e-3, atol=1e-6)
+
+
+def test_the_layers_make_the_picture_and_the_depth_is_the_objects(run):
+    photograph(run, 16)
+    ball()
+    layers = into_photograph(run, 16)
+    added = layers["object"]
+    assert 0.0 < added[..., 3].mean() < 0.5 and layers["shadow"].min() < 0.9
+    made = added[..., :3] + (1.0 - added[..., 3:]) * layers["plate"] * layers["shadow"] + layers["light"]
+    np.testing.assert_allclose(layers[""], made, rtol=5e-3, atol=1e-3)
+    scene, depth = bpy.context.scene, layers["depth"][..., 0]
+    item, covered = bpy.data.objects["FIPT Gray Ball"], added[..., 3] > 0.999
+    bpy.context.view_layer.update()
+    to_camera = scene.camera.matrix_world.inverted() @ item.matrix_world
+    middle = -(to_camera @ (sum((Vector(corner) for corner in item.bound_box), Vector()) / 8)).z
+    radius = item.dimensions.x / 2
+    assert (depth[covered] < middle).all() and (depth[covered] > middle - radius).all()
+    # The wall behind has no sky: every pixel has a depth.
+    assert depth[0, 0] > middle + radius
+
+
+def test_the_compositor_scene_puts_the_layers_together_and_leaves_the_room(run, tmp_path):
+    photograph(run, 16)
+    ball()
+    scene = bpy.context.scene
+    bpy.ops.fipt.set_backdrop(mode="ROOM")
+    scene.cycles.samples = 1
+    bpy.ops.fipt.final_picture()
+    assert "no layers" in refused(bpy.ops.fipt.plate_nodes)
+    layers = into_photograph(run, 16)
+    for _ in range(2):
+        assert bpy.ops.fipt.plate_nodes() == {"FINISHED"}
+    made = bpy.data.scenes["FIPT Composite"]
+    assert len(bpy.data.scenes) == 2 and not getattr(scene, "compositing_node_group", scene.use_nodes)
+    assert made.view_settings.exposure == scene.view_settings.exposure
+    bpy.ops.render.render(scene=made.name)
+    settings = made.render.image_settings
+    settings.file_format, settings.color_depth = "OPEN_EXR", "32"
+    bpy.data.images["Render Result"].save_render(str(tmp_path / "out.exr"), scene=made)
+    result = image_files.read_pixels(tmp_path / "out.exr")
+    np.testing.assert_allclose(result, layers[""], rtol=5e-3, atol=1e-3)
+
+
+def test_a_plate_that_is_not_hdr_is_brought_to_the_unit_of_the_room(run):
+    """Twice as bright by its exposure: without an object it stays the same picture."""
+    photo = photograph(run, 64)
+    codes = png16.encode_srgb(np.clip(2.0 * photo, 0.0, 1.0))
+    image_files.save_exr(run.root / "photos/val_000.exr", codes)
+    data = json.loads(run.capture_json.read_text())
+    for view in data["views"]:
+        view |= {"encoded": True, "exposure": None}
+    write_json(run.capture_json, data)
+    layers = into_photograph(run, 64)
+    dark = photo.max(axis=-1) < 0.4
+    np.testing.assert_allclose(layers[""][dark], photo[dark], rtol=0.1)
+
+
+def test_f12_and_the_final_picture_are_the_same(run, tmp_path):
+    """With the artist's settings, in her size, beside her file; a second one replaces nothing."""
+    scene = bpy.context.scene
+    ball(kind="MIRROR_BALL")
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.pixel_filter_type = 3, 2, "GAUSSIAN"
+    scene.render.resolution_x, scene.render.resolution_y = 48, 30
+    scene.render.resolution_percentage = 50
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    scene = bpy.context.scene
+    assert bpy.ops.fipt.final_picture() == {"FINISHED"}
+    picture = image_files.read_pixels(Path(scene.fipt.insert.picture))
+    assert scene.fipt.insert.picture == str(tmp_path / "shot_pictures" / "val_000.exr")
+    assert (tmp_path / "shot_pictures" / "val_000.png").is_file() and picture.shape == (15, 24, 3)
+    bpy.ops.render.render()
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    scene.render.image_settings.color_depth = "32"
+    bpy.data.images["Render Result"].save_render(str(tmp_path / "f12.exr"), scene=scene)
+    np.testing.assert_array_equal(image_files.read_pixels(tmp_path / "f12.exr"), picture)
+    assert bpy.ops.fipt.final_picture() == {"FINISHED"}
+    assert scene.fipt.insert.picture.endswith("val_000_2.exr")
+
+
+def test_a_camera_of_the_artist_is_rendered_but_has_no_photograph(run):
+    scene = bpy.context.scene
+    scene.camera = bpy.data.objects.new("Hero / wide", bpy.data.cameras.new("Hero"))
+    scene.collection.objects.link(scene.camera)
+    scene.cycles.samples = 1
+    assert bpy.ops.fipt.final_picture() == {"FINISHED"}
+    assert (run.renders / "insert" / "Hero _ wide.png").is_file()
+    bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
+    assert "no camera of the capture" in refused(bpy.ops.fipt.final_picture)
+
+
+def test_sizes_are_the_scenes_resolution_in_the_photographs_proportions(run):
+    scene, settings = bpy.context.scene, bpy.context.scene.fipt.check
+    assert settings.size == "PHOTOGRAPH"
+    settings.size = "HD"
+    assert (scene.render.resolution_x, scene.render.resolution_y) == (1920, 1200)
+    settings.size = "UHD"
+    assert settings.size == "UHD" and scene.render.resolution_y == 2400
+    scene.render.resolution_x = 1000
+    assert settings.size == "OUTPUT"
+    settings.size = "PHOTOGRAPH"
+    assert (scene.render.resolution_x, scene.render.resolution_y) == SIZE
 
 
 def test_an_object_changes_only_its_surroundings(run):
     photo = photograph(run)
     ball()
-    scene = bpy.context.scene
-    before = state(scene)
-    assert bpy.ops.fipt.render_composite(backdrop="PHOTOGRAPH", samples=64) == {"FINISHED"}
-    assert state(scene) == before
-    result = image_files.read_pixels(run.renders / "composite" / "val_000.exr")
+    result = into_photograph(run, 64)[""]
     # The ball stands in the middle column; its shadow is around its foot.
     far = np.ones(SIZE[::-1], bool)
     far[:, 9:23] = False
@@ -103,11 +225,9 @@ def convert_lamp() -> tuple[bpy.types.Object, bpy.types.Object]:
 def test_a_converted_fixture_leaves_the_photograph_as_it_is(run):
     photo = photograph(run, 16)
     lamp, light = convert_lamp()
-    before = state(bpy.context.scene), lamp.visible_diffuse, light.hide_render
-    assert bpy.ops.fipt.render_composite(backdrop="PHOTOGRAPH", samples=4) == {"FINISHED"}
-    result = image_files.read_pixels(run.renders / "composite" / "val_000.exr")
-    np.testing.assert_array_equal(result, photo)
-    assert (state(bpy.context.scene), lamp.visible_diffuse, light.hide_render) == before
+    before = lamp.visible_diffuse, light.hide_render
+    np.testing.assert_allclose(into_photograph(run, 4)[""], photo, rtol=1e-3, atol=1e-6)
+    assert (lamp.visible_diffuse, light.hide_render) == before
 
 
 @pytest.mark.parametrize("how", ["panel", "power", "moved", "deleted"])
@@ -122,8 +242,7 @@ def test_what_was_changed_of_a_converted_fixture_is_seen_in_the_photograph(run, 
         light.location.z += 10.0
     else:
         bpy.data.objects.remove(light)
-    assert bpy.ops.fipt.render_composite(backdrop="PHOTOGRAPH", samples=64) == {"FINISHED"}
-    result = image_files.read_pixels(run.renders / "composite" / "val_000.exr")
+    result = into_photograph(run, 64)[""]
     assert result.mean() < 0.4 * photo.mean()
 
 
@@ -156,20 +275,13 @@ def test_pictures_are_made_of_the_scene_that_was_asked_for(run, tmp_path):
     photograph(run, 4)
     other = bpy.data.scenes.new("other")
     bpy.context.window.scene = other
-    order = orders.make_order(scene, run, orders.CHECK, [VIEW], 2)
+    order = orders.make_order(scene, run, [VIEW], 2)
     orders.carry_out(order)
     check_pictures.take_checks(scene, run)
     scene.fipt.check.picture = "RENDER"
     image = check_pictures.show_active(scene, bpy.context)
     assert bpy.data.objects[VIEW].data.background_images[0].image == image
     assert other.camera is None
-
-
-def test_the_room_backdrop_renders_the_whole_view(run):
-    ball(kind="MIRROR_BALL")
-    assert bpy.ops.fipt.render_composite(view=VIEW, samples=4) == {"FINISHED"}
-    (entry,) = read_document(run.renders_json, dict)["renders"]
-    assert entry["kind"] == "insert" and (run.renders / "insert" / "val_000.png").exists()
 
 
 def test_the_backdrop_changes_and_is_restored(run):
@@ -251,7 +363,7 @@ def test_pictures_are_shown_over_the_view_and_removed(run):
     ("name", "options", "words"),
     [
         ("render_views", {"view": "val/999"}, "no view 'val/999'"),
-        ("render_composite", {"view": "val/999"}, "no view 'val/999'"),
+        ("final_picture", {"view": "val/999"}, "no camera for the view 'val/999'"),
         ("render_views", {"which": "TICKED"}, "No view is ticked"),
         ("render_views", {"which": "HELD_BACK"}, "No ticked view is held back"),
     ],
@@ -266,9 +378,9 @@ def test_missing_views_are_explained(run, name, options, words):
 def test_missing_photographs_rooms_and_cameras_are_explained(run):
     (run.root / "photos/val_000.exr").unlink()
     with pytest.raises(RuntimeError, match=r"val_000\.exr of the view 'val/000' can't be read"):
-        bpy.ops.fipt.render_composite(backdrop="PHOTOGRAPH", samples=1)
+        into_photograph(run, 1)
     bpy.context.scene.camera = None
-    assert "no camera of the capture" in refused(bpy.ops.fipt.render_composite)
+    assert "no camera" in refused(bpy.ops.fipt.final_picture)
     for name in ROOM:
         bpy.data.objects.remove(bpy.data.objects[name])
     assert "no room" in refused(bpy.ops.fipt.render_views, view=VIEW)
@@ -317,7 +429,7 @@ def test_a_photograph_that_is_not_hdr_has_no_radiance_of_its_own(run):
 
 def test_polls(run):
     scene = bpy.context.scene
-    assert bpy.ops.fipt.render_views.poll() and bpy.ops.fipt.render_composite.poll()
+    assert bpy.ops.fipt.render_views.poll() and bpy.ops.fipt.final_picture.poll()
     assert not bpy.ops.fipt.show_check.poll() and not bpy.ops.fipt.open_report.poll()
     assert not bpy.ops.fipt.open_picture.poll()
     scene.fipt.run_folder = ""
@@ -331,7 +443,7 @@ def test_the_report_is_written_and_opened_on_demand(run, monkeypatch):
     opened = []
     monkeypatch.setattr(webbrowser, "open", lambda url, *_, **__: opened.append(url) or True)
     photograph(run, 4)
-    bpy.ops.fipt.render_composite(backdrop="PHOTOGRAPH", samples=1)
+    into_photograph(run, 1)
     assert bpy.ops.fipt.write_report() == {"FINISHED"}
     page = run.report / "index.html"
     assert "An inserted object in the photograph" in page.read_text(encoding="utf-8") and not opened
@@ -367,7 +479,7 @@ def test_a_second_blender_carries_out_the_order(run, tmp_path):
     photograph(run, 4)
     scene = bpy.context.scene
     folder = run.renders / ".job"
-    order = orders.make_order(scene, run, orders.CHECK, [VIEW], 2)
+    order = orders.make_order(scene, run, [VIEW], 2)
     write_json(folder / "order.json", vars(order))
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"), copy=True)
     code = render_job.child_command(folder / "scene.blend", folder / "order.json")[-1]
@@ -379,12 +491,12 @@ def test_a_second_blender_carries_out_the_order(run, tmp_path):
     messages = [message for line in result.stdout.splitlines() if (message := parse_message(line))]
     assert [messages[0]["type"], messages[-1]["type"]] == ["stage", "done"]
     assert any(message["type"] == "progress" and message["fraction"] > 0.0 for message in messages)
-    assert not folder.exists() and view_check.read_checks(run)["views"][0]["view"] == VIEW
+    assert not folder.exists() and view_check.read_checks(run).views[0].view == VIEW
 
 
 def test_a_second_blender_reports_errors(run):
     folder = run.renders / ".job"
-    order = orders.make_order(bpy.context.scene, run, orders.CHECK, [VIEW], 2)
+    order = orders.make_order(bpy.context.scene, run, [VIEW], 2)
     write_json(folder / "order.json", {**vars(order), "scene": "gone"})
     code = render_job.child_command(folder / "scene.blend", folder / "order.json")[-1]
     result = subprocess.run(
@@ -411,7 +523,7 @@ def test_the_panels_scale_has_the_colours_of_the_pictures():
 def test_radiance_is_displayed_as_renders_are_and_error_images_are_not(run):
     photograph(run, 4)
     bpy.ops.fipt.render_views(samples=2)
-    bpy.ops.fipt.render_composite(backdrop="PHOTOGRAPH", samples=1)
+    into_photograph(run, 1)
     view = bpy.context.scene.fipt.check.views[0]
     composite_path = Path(bpy.context.scene.fipt.insert.picture)
     for path, as_render in ((Path(view.render), True), (composite_path, True), (Path(view.error), False)):
@@ -428,25 +540,25 @@ def layers(shape=(6, 8), alpha=0.0):
 
 def test_without_any_change_the_composite_is_the_photograph():
     image = layers()
-    np.testing.assert_array_equal(composite.compose(image), image.photograph)
+    np.testing.assert_array_equal(composite.compose(image).picture(), image.plate)
 
 
 def test_with_a_perfect_estimate_the_composite_is_the_render():
     image = layers()
     smooth = np.linspace(0.5, 1.5, 8)[None, :, None] * image.empty  # shading on a texture
     perfect = composite.Layers(image.empty, smooth.astype(np.float32), image.empty, image.added)
-    np.testing.assert_allclose(composite.compose(perfect), smooth, rtol=0.02)
+    np.testing.assert_allclose(composite.compose(perfect).picture(), smooth, rtol=0.02)
 
 
 def test_shadows_multiply_light_is_added_and_objects_cover():
     grey = np.full((5, 5, 3), 0.4, np.float32)
     nothing = np.zeros((5, 5, 4), np.float32)
-    shadow = composite.compose(composite.Layers(0.5 * grey, 0.25 * grey, grey, nothing))
+    shadow = composite.compose(composite.Layers(0.5 * grey, 0.25 * grey, grey, nothing)).picture()
     np.testing.assert_allclose(shadow, 0.125 * grey, rtol=1e-5)  # never below zero
-    light = composite.compose(composite.Layers(0.5 * grey, 1.5 * grey, grey, nothing))
+    light = composite.compose(composite.Layers(0.5 * grey, 1.5 * grey, grey, nothing)).picture()
     np.testing.assert_allclose(light, grey, rtol=1e-5)
     object_ = np.concatenate([3.0 * grey, np.ones((5, 5, 1), np.float32)], axis=-1)
-    cover = composite.compose(composite.Layers(grey, 3.0 * grey, grey, object_))
+    cover = composite.compose(composite.Layers(grey, 3.0 * grey, grey, object_)).picture()
     np.testing.assert_allclose(cover, 3.0 * grey, rtol=1e-5)
 
 
@@ -454,7 +566,9 @@ def test_half_covered_pixels_mix_object_and_photograph():
     photo, empty = np.full((3, 3, 3), 0.2, np.float32), np.full((3, 3, 3), 0.6, np.float32)
     half = np.full((3, 3, 4), 0.5, np.float32)  # colour 1, half coverage
     full = 0.5 + 0.5 * empty
-    np.testing.assert_allclose(composite.compose(composite.Layers(photo, full, empty, half)), 0.6, atol=1e-5)
+    np.testing.assert_allclose(
+        composite.compose(composite.Layers(photo, full, empty, half)).picture(), 0.6, atol=1e-5
+    )
 
 
 def test_noisy_pixels_and_invisible_changes_leave_the_photograph():
@@ -462,5 +576,5 @@ def test_noisy_pixels_and_invisible_changes_leave_the_photograph():
     full = image.empty.copy()
     full[4, 4] += 50.0
     full[1, 1] *= 1.002
-    noisy = composite.Layers(image.photograph, full, image.empty, image.added)
-    np.testing.assert_array_equal(composite.compose(noisy), image.photograph)
+    noisy = composite.Layers(image.plate, full, image.empty, image.added)
+    np.testing.assert_array_equal(composite.compose(noisy).picture(), image.plate)

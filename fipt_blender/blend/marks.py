@@ -64,6 +64,7 @@ VISIBILITY = "fipt_visibility"  # original ray visibility of a fixture that Blen
 AS_CONVERTED = "fipt_as_converted"  # on these lights: shape and place as made; on the fixture: their number
 PROFILE = "fipt_profile"  # on a light with an IES profile: its type before (JSON)
 PROBE = "fipt_probe"  # marks our light probe volume
+BAKED = "fipt_baked"  # on it: it was baked since it was placed
 STARTUP = "fipt_startup"  # marks objects of Blender's start-up file that we have hidden
 MUTED = "fipt_muted"  # on the scene's other lights: whether they were hidden in viewports and renders
 
@@ -73,8 +74,8 @@ WORLD_ON, WORLD_FACTOR = "fipt_on", "fipt_factor"
 RESULT_WORLD = "fipt_own_world"  # on a scene: our world, while the original one is shown
 ORIGINAL_WORLD = "fipt_original_world"  # on a scene
 KEPT_FILM = "fipt_kept_film_transparent"  # on a scene
-KEPT_EEVEE = "fipt_kept_eevee"  # on a scene: settings of EEVEE before "Set Up for EEVEE" (JSON)
-KEPT_ENGINE = "fipt_kept_engine"  # on a scene: the engine that the artist chose, and ours (JSON)
+KEPT_RENDER = "fipt_kept_render"  # on a scene: settings that we made, what they were and what we made (JSON)
+COMPOSITING = "fipt_compositing"  # on a scene that we made to composite a picture
 LIGHT_GROUPS = "fipt_light_groups"  # on a view layer: names of the groups that we added (JSON)
 
 # --- inserted objects, each with its matrix before it was first placed -------------------------------------
@@ -91,6 +92,7 @@ ADJUSTMENT = "fipt_adjustment"  # on the node group of the artist's adjustments:
 SURFACE = "fipt_surface"  # what fed the output before a map was shown: node and socket, a line each
 TABLE = "fipt_table"  # on the node group that corrects Principled: digest of its table
 TEXTURE = "fipt_texture"  # marks an image of applied results, or their environment
+PLATE_NODES = "fipt_plate_nodes"  # on the node group of that scene
 PICTURE = "fipt_picture"  # marks an image that we showed in an editor
 
 # --- hints ------------------------------------------------------------------------------------------------

@@ -23,9 +23,10 @@ from ..blend.lights.area_lights import Rectangle, add_area_light, area_light_wat
 from ..blend.lights.light_state import switch_all
 from ..blend.lights.placement import find_light_place, room_light_power
 from ..blend.lights.world import apply_environment
-from ..blend.pictures.cycles import RenderOptions, exposure_of, set_up_scene
+from ..blend.pictures.cycles import RenderOptions, exposure_of
 from ..blend.pictures.image_files import photograph
 from ..blend.pictures.renders import render_list
+from ..blend.render_settings import set_up
 from ..blend.results.applying import apply_results
 from ..blend.results.scene_state import median_radiance, median_shown
 from ..blend.room.arrays import read_room
@@ -98,7 +99,7 @@ class RoomSteps:
         scene = bpy.context.scene
         view, _ = self._view()
         radiance, warnings = self.photographed_radiance(view)
-        set_up_scene(scene, exposure_of(radiance, median_shown(self._run)))
+        set_up(scene, exposure_of(radiance, median_shown(self._run)))
         cameras.use_view(scene, cameras.find_camera(view, scene))
         enter_camera_on_opening()
         path = self._run.root / BLEND_NAME

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from ..blend.marks import VIEW
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from ..properties.check import PICTURES, VIEWS
@@ -20,17 +19,8 @@ if TYPE_CHECKING:
     from ..bridge.sequence import Job
 
 
-class RenderJob(JobOperator):
-    """Mix-in of an operator that renders views of the room; the room must show its estimated materials."""
-
-    bl_options = {"REGISTER", "UNDO"}
-
-    samples: bpy.props.IntProperty(
-        name="Samples",
-        description="Cycles samples per pixel. If 0, the value in the panel is used",
-        min=0,
-        options={"SKIP_SAVE"},
-    )
+class NeedsEstimate:
+    """Mix-in of an operator that renders the room, which must show its estimated materials."""
 
     poll = all_of(
         no_job,
@@ -42,32 +32,23 @@ class RenderJob(JobOperator):
     )
 
 
-def current_view(scene: bpy.types.Scene) -> str:
-    """Name of the view whose camera is the scene's active camera.
-
-    Raises:
-        FiptError: ``view-missing``.
-    """
-    camera = scene.camera
-    if camera is None or not camera.get(VIEW):
-        raise FiptError(
-            "view-missing",
-            "The scene's active camera is no camera of the capture.",
-            "Click a view in the section Capture to look through its camera.",
-        )
-    return str(camera[VIEW])
-
-
-class FIPT_OT_render_views(RenderJob, bpy.types.Operator):
+class FIPT_OT_render_views(NeedsEstimate, JobOperator, bpy.types.Operator):
     bl_idname = "fipt.render_views"
     bl_label = "Render Views"
     bl_description = (
         "Render views of the estimated room in Cycles and compare them with their photographs. Inserted"
         " objects and changes to the lights are ignored"
     )
+    bl_options = {"REGISTER", "UNDO"}
     title = "Render Views"
     kind = "check"
 
+    samples: bpy.props.IntProperty(
+        name="Samples",
+        description="Cycles samples per pixel. If 0, the value in the panel is used",
+        min=0,
+        options={"SKIP_SAVE"},
+    )
     which: bpy.props.EnumProperty(
         name="Views", description="Views to render. If not set, the choice in the panel is used", items=VIEWS,
         options={"SKIP_SAVE"},
@@ -77,7 +58,7 @@ class FIPT_OT_render_views(RenderJob, bpy.types.Operator):
     )
 
     def make_job(self, context: bpy.types.Context) -> Job:
-        from ..blend.pictures.orders import CHECK, make_order
+        from ..blend.pictures.orders import make_order
         from ..blend.pictures.render_job import make_job
 
         scene = context.scene
@@ -85,7 +66,7 @@ class FIPT_OT_render_views(RenderJob, bpy.types.Operator):
         which = self.which if self.properties.is_property_set("which") else scene.fipt.check.which
         views = [self.view] if self.view else _chosen_views(scene, which)
         samples = self.samples or scene.fipt.check.samples
-        return make_job(make_order(scene, run, CHECK, views, samples))
+        return make_job(make_order(scene, run, views, samples))
 
     @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
@@ -103,7 +84,9 @@ def _chosen_views(scene: bpy.types.Scene, which: str) -> list[str]:
         FiptError: ``view-missing``.
     """
     if which == "CURRENT":
-        return [current_view(scene)]
+        from ..blend.pictures.orders import view_of
+
+        return [view_of(scene.camera)]
     views = [view for view in scene.fipt.capture.views if view.enabled]
     names = [view.name for view in views if which == "TICKED" or view.split == "held_back"]
     if not names:

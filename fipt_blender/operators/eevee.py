@@ -7,7 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..blend.marks import light_probe
+from ..blend.marks import BAKED, light_probe
 from ..core.run.errors import FiptError
 from .polls import all_of, has_results, in_object_mode, needs
 from .reporting import reports_errors
@@ -73,3 +73,4 @@ def bake(context: bpy.types.Context) -> None:
     context.view_layer.update()  # a new volume
     with context.temp_override(active_object=volume, object=volume):
         bpy.ops.object.lightprobe_cache_bake("INVOKE_DEFAULT", subset="ALL")
+    volume[BAKED] = 1

@@ -13,12 +13,16 @@ from bpy_extras.io_utils import ImportHelper
 
 from ..blend.marks import ANIMATED, NEW_LIGHT, PROFILE, fixture_lights, lights_of
 from ..core.run.errors import FiptError
+from ..core.run.runfolder import RunFolder
+from .check import NeedsEstimate
+from .job_operator import JobOperator
 from .lights import NeedsLights, find_light, light_name_property
 from .polls import all_of, needs
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
     from ..blend.lights.light_states import LightState
+    from ..bridge.sequence import Job
 
 _NAMES = {"PRESENT": "Lights", "PHOTOGRAPHED": "As Photographed", "EVENING": "Evening"}
 
@@ -75,7 +79,37 @@ class FIPT_OT_save_light_state(NeedsLights, bpy.types.Operator):
             entry.name = name or free_name(own_name, [each.name for each in settings.states])
         entry.data = light_states.write(state)
         settings.active_state = settings.states.find(entry.name)
+        show_thumbnails(scene, RunFolder(bpy.path.abspath(scene.fipt.run_folder)))
         return {"FINISHED"}
+
+
+def show_thumbnails(scene: bpy.types.Scene, run: RunFolder) -> None:
+    """Draw the thumbnails of the states from the lights that were rendered for them, if they were."""
+    from ..blend import previews
+    from ..blend.pictures.state_pictures import draw_states
+
+    previews.state_pictures.load(draw_states(scene, run))
+
+
+class FIPT_OT_render_state_thumbnails(NeedsEstimate, JobOperator, bpy.types.Operator):
+    bl_idname = "fipt.render_state_thumbnails"
+    bl_label = "Render Thumbnails"
+    bl_description = (
+        "Render what the scene's camera sees by each light alone, small, and show every state as the sum of"
+        " its lights. States saved later are shown at once. Render again after a change of camera, room"
+        " or places of lights"
+    )
+    title = "Render Thumbnails"
+    kind = "lights"
+
+    def make_job(self, context: bpy.types.Context) -> Job:
+        from ..blend.pictures.orders import order_lights
+        from ..blend.pictures.render_job import make_job
+
+        run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
+        return make_job(order_lights(context.scene, run))
+
+    finished = staticmethod(show_thumbnails)
 
 
 class _NeedsState:

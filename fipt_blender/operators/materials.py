@@ -200,9 +200,9 @@ class FIPT_OT_use_cycles(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.results.scene_state import use_cycles
+        from ..blend.render_settings import set_once
 
-        if not use_cycles(context.scene):
+        if not set_once(context.scene, {"render.engine": "CYCLES"}, again=True):
             self.report({"ERROR"}, "Cycles is disabled. Enable its add-on in the preferences.")
             return {"CANCELLED"}
         return {"FINISHED"}

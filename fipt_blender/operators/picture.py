@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the section Insert that make pictures: the backdrop of inserted objects, and the render."""
+"""Operators of the section Render that make pictures: their backdrop, their settings, the picture itself."""
 
 from __future__ import annotations
 
@@ -8,11 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
+from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from ..properties.insert import BACKDROPS
-from .check import RenderJob, current_view
-from .polls import all_of, needs
+from .check import NeedsEstimate
+from .job_operator import JobOperator
+from .polls import all_of, has_results, needs
+from .reporting import reports_errors
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
@@ -51,50 +55,70 @@ class FIPT_OT_set_backdrop(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FIPT_OT_render_composite(RenderJob, bpy.types.Operator):
-    bl_idname = "fipt.render_composite"
-    bl_label = "Render View"
+class FIPT_OT_final_picture(NeedsEstimate, JobOperator, bpy.types.Operator):
+    bl_idname = "fipt.final_picture"
+    bl_label = "Final Picture"
     bl_description = (
-        "Render the current view with the inserted objects in Cycles: with the rendered room, or over"
-        " the original photograph with their shadows and reflections"
+        "Render what the scene's camera sees in Cycles, with the scene's render settings as F12 does, beside"
+        " your work. Rendered Room: the whole room; Photograph: the inserted objects with their shadows and"
+        " reflections over the photograph. It is saved beside the .blend file as EXR and PNG, and shown"
     )
-    title = "Render View"
+    bl_options = {"REGISTER", "UNDO"}
+    title = "Final Picture"
     kind = "insert"
 
-    backdrop: bpy.props.EnumProperty(
-        name="Backdrop",
-        description="What is behind the inserted objects. If not set, the choice in the panel is used",
-        items=BACKDROPS,
-        options={"SKIP_SAVE"},
-    )
     view: bpy.props.StringProperty(
         name="View",
-        description="Name of the view. If empty, the scene's active camera is used",
+        description="Name of a view to look through first. If empty, the scene's active camera is used",
         options={"SKIP_SAVE"},
     )
 
     def make_job(self, context: bpy.types.Context) -> Job:
-        from ..blend.pictures.orders import COMPOSITE, INSERT, make_order
+        from ..blend.capture.cameras import find_camera, use_view
+        from ..blend.pictures.orders import order_picture
         from ..blend.pictures.render_job import make_job
 
-        scene, settings = context.scene, context.scene.fipt.insert
-        backdrop = self.backdrop if self.properties.is_property_set("backdrop") else settings.backdrop
-        kind = COMPOSITE if backdrop == "PHOTOGRAPH" else INSERT
+        scene = context.scene
+        if self.view:
+            use_view(scene, find_camera(self.view, scene))
+        if scene.camera is None:
+            raise FiptError(
+                "view-missing",
+                "The scene has no camera.",
+                "Click a view in the section Capture, or add a camera.",
+            )
         run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-        views = [self.view or current_view(scene)]
-        samples = self.samples or scene.fipt.check.samples
-        return make_job(make_order(scene, run, kind, views, samples))
+        return make_job(order_picture(scene, run, scene.camera, scene.fipt.insert.backdrop == "PHOTOGRAPH"))
 
     @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        from ..blend.pictures.check_pictures import load_picture, show_in_editors
+        from ..blend.pictures.check_pictures import load_picture, open_editor
         from ..blend.pictures.orders import last_picture
 
         picture = last_picture(run)
         scene.fipt.insert.picture = str(picture)
         image = load_picture(picture)
-        if image is not None:
-            show_in_editors(bpy.context, image)
+        if image is not None and not bpy.app.background:
+            open_editor(bpy.context, image)
+
+
+class FIPT_OT_set_rendering(bpy.types.Operator):
+    bl_idname = "fipt.set_rendering"
+    bl_label = "Set Render Settings"
+    bl_description = (
+        "Set the scene's render settings again as Apply Results does once: Cycles, samples, denoiser, color"
+        " management and exposure of the photographs"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    poll = all_of(has_results)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.render_settings import set_up
+        from ..blend.results.scene_state import photographs_exposure
+
+        set_up(context.scene, photographs_exposure(context.scene), again=True)
+        return {"FINISHED"}
 
 
 class FIPT_OT_open_picture(bpy.types.Operator):
@@ -104,7 +128,7 @@ class FIPT_OT_open_picture(bpy.types.Operator):
     bl_label = "Show Picture"
     bl_options = {"REGISTER"}
 
-    poll = all_of(needs(lambda context: context.scene.fipt.insert.picture, "Use Render View first"))
+    poll = all_of(needs(lambda context: context.scene.fipt.insert.picture, "Use Final Picture first"))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.pictures.check_pictures import load_picture, open_editor
@@ -115,4 +139,27 @@ class FIPT_OT_open_picture(bpy.types.Operator):
             self.report({"ERROR"}, f"{path} no longer exists. Render the view again.")
             return {"CANCELLED"}
         open_editor(context, image)
+        return {"FINISHED"}
+
+
+class FIPT_OT_plate_nodes(bpy.types.Operator):
+    bl_idname = "fipt.plate_nodes"
+    bl_label = "Compositor Scene"
+    bl_description = (
+        "Make a scene whose compositor nodes put the layers of the last picture over its photograph together:"
+        " plate, shadow, light, object and depth. The room's scene is not changed"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    poll = all_of(
+        needs(lambda context: context.scene.fipt.insert.picture, "Use Final Picture over a photograph first")
+    )
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.pictures.plate_nodes import make_plate_scene
+
+        scene = context.scene
+        made = make_plate_scene(scene, Path(scene.fipt.insert.picture))
+        self.report({"INFO"}, iface_("The scene '{}' has the nodes").format(made.name))
         return {"FINISHED"}

@@ -49,6 +49,7 @@ class FIPT_PT_check(Section, bpy.types.Panel):
         layout.separator()
         column = layout.column(align=True)
         column.prop(settings, "which")
+        column.prop(settings, "samples")
         column.operator("fipt.render_views", icon="RENDER_RESULT")
         draw_job(layout, context, "check")
         if settings.views:
@@ -97,15 +98,39 @@ def _draw_picture(
             row.prop_enum(shading, "type", "RENDERED", text="Preview Shadows")
         text = "The viewport previews shadows. Reflections in the room appear only in the picture."
         draw_text(layout, context, text, icon="INFO")
-    layout.prop(settings, "samples")
+    _draw_settings(layout, context, settings)
     row = layout.row(align=True)
     row.scale_y = 1.3
-    text = "Render into Photograph" if insert.backdrop == "PHOTOGRAPH" else "Render View"
-    row.operator("fipt.render_composite", text=text, icon="RENDER_STILL")
+    row.operator("fipt.final_picture", icon="RENDER_STILL")
     row.operator("fipt.open_picture", text="", icon="WINDOW")
+    if insert.backdrop == "PHOTOGRAPH":
+        row.operator("fipt.plate_nodes", text="", icon="NODE_COMPOSITING")
     draw_job(layout, context, "insert")
     if insert.picture:
         layout.label(text=os.path.basename(insert.picture), icon="CHECKMARK", translate=False)
+
+
+def _draw_settings(
+    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
+) -> None:
+    """Blender's own render settings on which pictures depend most."""
+    from ..blend.render_settings import changed_by_artist
+
+    scene = context.scene
+    column = layout.column(align=True)
+    column.prop(settings, "size")
+    column.prop(scene.render, "resolution_percentage", text="Scale")
+    share = scene.render.resolution_percentage / 100.0
+    size = (int(share * scene.render.resolution_x), int(share * scene.render.resolution_y))
+    column.label(text=iface_("{} x {} pixels, also with F12").format(*size), translate=False)
+    if hasattr(scene, "cycles"):
+        column = layout.column(align=True)
+        column.prop(scene.cycles, "adaptive_threshold")
+        column.prop(scene.cycles, "samples", text="Max Samples")
+    if changed_by_artist(scene):
+        row = layout.row()
+        row.label(text="Render settings: yours", icon="USER")
+        row.operator("fipt.set_rendering", text="", icon="LOOP_BACK")
 
 
 def _draw_comparison(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:

@@ -4,12 +4,25 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
-from ..blend.marks import ANIMATED, FIXTURE, MERGED, NAMED, PROBABILITY, VISIBILITY, is_room_linked
+from ..blend.marks import (
+    ANIMATED,
+    FIXTURE,
+    MERGED,
+    NAMED,
+    PROBABILITY,
+    VISIBILITY,
+    is_room_linked,
+    light_probe,
+)
+from ..blend.previews import state_pictures
 from .hints import ANSWER_NAMES, draw_again
+from .job import draw_job
 from .sidebar import Rows, Section, SubSection, draw_text
 
 CERTAIN = 0.98  # probability from which a fixture is not called in question
@@ -75,6 +88,15 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             layout.operator("fipt.list_lights", text="List Lights", icon="FILE_REFRESH")
         if settings.needs_cycles():
             draw_engine_choice(layout, context)
+        elif settings.needs_probe():
+            text = (
+                "EEVEE shows the light that the room reflects as blotches, or not, until its probe is baked."
+            )
+            draw_text(layout, context, iface_(text), icon="ERROR")
+            prepared = light_probe(context.scene) is not None
+            layout.operator(
+                "fipt.bake_probe" if prepared else "fipt.prepare_eevee", icon="OUTLINER_OB_LIGHTPROBE"
+            )
         if settings.missing_lamps:
             text = "The photographs show bright spots where the mesh has nothing. If these are lamps:"
             draw_text(layout, context, text, icon="ERROR")
@@ -212,12 +234,15 @@ class FIPT_PT_light_states(SubSection, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
         settings = context.scene.fipt.lights
+        _draw_thumbnails(layout, context.scene)
         row = layout.row()
         row.template_list("FIPT_UL_light_states", "", settings, "states", settings, "active_state", rows=3)
         column = row.column(align=True)
         column.operator("fipt.save_light_state", text="", icon="ADD").kind = "PRESENT"
         column.operator("fipt.remove_light_state", text="", icon="REMOVE")
         column.menu("FIPT_MT_save_light_state", text="", icon="DOWNARROW_HLT")
+        column.operator("fipt.render_state_thumbnails", text="", icon="IMAGE_DATA")
+        draw_job(layout, context, "lights")
         column = layout.column(align=True)
         column.prop_search(settings, "blend_from", settings, "states")
         column.prop_search(settings, "blend_to", settings, "states")
@@ -226,6 +251,18 @@ class FIPT_PT_light_states(SubSection, bpy.types.Panel):
         column.prop(settings, "blend", slider=True)
         row = layout.row()
         row.operator("fipt.keyframe_lights", text="Keyframe All Lights", icon="KEY_HLT").everything = True
+
+
+def _draw_thumbnails(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """The states as pictures, to click."""
+    grid = None
+    for entry in scene.fipt.lights.states:
+        icon = state_pictures.icon(Path(entry.picture))
+        if icon:
+            grid = grid or layout.grid_flow(row_major=True, columns=2, even_columns=True)
+            column = grid.column(align=True)
+            column.template_icon(icon_value=icon, scale=5.0)
+            column.operator("fipt.recall_light_state", text=entry.name).state = entry.name
 
 
 class FIPT_PT_environment(SubSection, bpy.types.Panel):

@@ -108,9 +108,8 @@ class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
         column.prop(settings, "clean_mesh")
         column = layout.column(heading="Scene")
         column.enabled = running.current() is None
-        column.prop(settings, "match_exposure")
         column.prop(settings, "mute_lights")
-        column.prop(settings, "use_cycles")
+        column.prop(settings, "set_rendering")
         layout.operator("fipt.apply_results", text="Apply Again", icon="MATERIAL")
         layout.operator("fipt.clean_up_pictures", text="Clean Up Pictures...", icon="TRASH")
 

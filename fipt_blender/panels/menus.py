@@ -61,6 +61,7 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("keyframe_lights", ""),
         ("save_light_state", ""),
         ("recall_light_state", ""),
+        ("render_state_thumbnails", "Render Thumbnails of Light States"),
         ("fixture_to_area_light", "Convert Fixture to Blender Light"),
         ("area_light_to_fixture", "Convert Back to Fixture"),
         ("clean_fixture", "Clean Shape of Fixture"),
@@ -74,7 +75,9 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
     ),
     "Insert": (("insert_object", "Insert Object into Room"),),
     "Check": (
-        ("render_composite", "Render View with Objects"),
+        ("final_picture", "Final Picture of Room"),
+        ("plate_nodes", ""),
+        ("set_rendering", ""),
         ("render_views", "Render Views for Check"),
         ("compare", ""),
         ("show_check", ""),

@@ -1,10 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""State of the section Render: samples, which views are compared, how well they match their photographs."""
+"""State of the section Render: size of pictures, which views are compared, how well they match."""
 
 from __future__ import annotations
 
 import bpy
+
+from ..blend.marks import RESOLUTION
 
 # A copy of `core.report.comparison.ERROR_STOPS`, since that module imports numpy.
 ERROR_SCALE = tuple(
@@ -33,6 +35,13 @@ PICTURES = (
         2,
     ),
 )
+SIZES = (
+    ("PHOTOGRAPH", "Photograph", "The size of the photograph of the scene's camera", "IMAGE_DATA", 0),
+    ("HD", "1080p", "1920 pixels on the longer side: 1920 x 1080 in the usual proportions", "NONE", 1),
+    ("UHD", "4K", "3840 pixels on the longer side: 3840 x 2160 in the usual proportions", "NONE", 2),
+    ("OUTPUT", "As in Output", "The size in the Output properties, as you have set it", "OUTPUT", 3),
+)
+_LONGER_SIDES = {1: 1920, 2: 3840}  # pixels
 COMPARISONS = (
     ("OFF", "Off", "Show no comparison", "X", 0),
     ("VIEWPORT", "Viewport", "Wipe the photograph over the viewport", "VIEW3D", 1),
@@ -51,6 +60,33 @@ def _show(self: FIPT_CheckSettings, context: bpy.types.Context) -> None:
         from ..blend.pictures.check_pictures import show_active
 
         show_active(self.id_data, context)
+
+
+def _photograph_size(scene: bpy.types.Scene) -> tuple[int, int] | None:
+    """Columns and rows of the photograph of the scene's camera; None without one."""
+    size = scene.camera.get(RESOLUTION) if scene.camera is not None else None
+    return None if size is None else (int(size[0]), int(size[1]))
+
+
+def _size(self: FIPT_CheckSettings) -> int:
+    """Which of `SIZES` the scene's resolution is."""
+    scene = self.id_data
+    size = (scene.render.resolution_x, scene.render.resolution_y)
+    if size == _photograph_size(scene):
+        return 0
+    return next((number for number, side in _LONGER_SIDES.items() if max(size) == side), 3)
+
+
+def _set_size(self: FIPT_CheckSettings, number: int) -> None:
+    """Set the scene's resolution, in the proportions of the photograph, else of the present frame."""
+    from ..blend.render_settings import fitted
+
+    scene, render = self.id_data, self.id_data.render
+    size = _photograph_size(scene) or (render.resolution_x, render.resolution_y)
+    if number in _LONGER_SIDES:
+        size = fitted(size, _LONGER_SIDES[number])
+    if number < len(SIZES) - 1:
+        render.resolution_x, render.resolution_y = size
 
 
 class FIPT_CheckedView(bpy.types.PropertyGroup):
@@ -79,14 +115,22 @@ def _error_color(index: int) -> object:
 
 
 class FIPT_CheckSettings(bpy.types.PropertyGroup):
-    """The section Render."""
+    """The section Render. How pictures are rendered is in Blender's own render settings."""
 
+    size: bpy.props.EnumProperty(
+        name="Size",
+        description="Size of pictures, also of those that F12 renders",
+        items=SIZES,
+        get=_size,
+        set=_set_size,
+        options=set(),
+    )
     which: bpy.props.EnumProperty(
         name="Views", description="Views to render", items=VIEWS, default="HELD_BACK"
     )
     samples: bpy.props.IntProperty(
         name="Samples",
-        description="Cycles samples per pixel: more samples reduce noise and take longer",
+        description="Cycles samples per pixel of views that are compared: more reduce noise and take longer",
         default=64,
         min=1,
         soft_max=4096,

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import bpy
 
 from ..blend.marks import (
+    BAKED,
     COLOR,
     FIXTURE,
     KELVIN,
@@ -29,6 +30,7 @@ from ..blend.marks import (
     WORLD_FACTOR,
     WORLD_ON,
     is_linked,
+    light_probe,
     result_world,
 )
 
@@ -243,6 +245,7 @@ class FIPT_LightState(bpy.types.PropertyGroup):
     """A saved state of all lights and the environment, under its name."""
 
     data: bpy.props.StringProperty(description="The state (JSON)", options={"HIDDEN"})
+    picture: bpy.props.StringProperty(description="Image file of its thumbnail", options={"HIDDEN"})
 
 
 def _blend_changed(self: FIPT_LightsSettings, context: bpy.types.Context) -> None:
@@ -341,6 +344,14 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
             row.is_alive() and row.on and FIXTURE in row.object and VISIBILITY not in row.object
             for row in self.lights
         )
+
+    def needs_probe(self) -> bool:
+        """Whether the engine is EEVEE and no baked volume gives it the light that the room reflects."""
+        scene = self.id_data
+        if "EEVEE" not in scene.render.engine or not scene.fipt.materials.object_count:
+            return False
+        probe = light_probe(scene)
+        return probe is None or BAKED not in probe
 
     def is_calibrated(self) -> bool:
         """Whether the unit of light is known."""

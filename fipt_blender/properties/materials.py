@@ -221,20 +221,16 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
         " as they are",
         default=True,
     )
-    match_exposure: bpy.props.BoolProperty(
-        name="Match Exposure",
-        description="Set the scene's exposure so that a render is as bright as the photographs",
-        default=True,
-    )
     mute_lights: bpy.props.BoolProperty(
         name="Hide Lights",
         description="Hide the scene's own lights, which are not in the photographs. Revert shows them again",
         default=True,
     )
-    use_cycles: bpy.props.BoolProperty(
-        name="Switch to Cycles",
-        description="Make Cycles the scene's render engine. In EEVEE, the surfaces of lamps emit no light"
-        " onto the room. Revert restores the engine",
+    set_rendering: bpy.props.BoolProperty(
+        name="Render Settings",
+        description="Set the scene's render settings, once: Cycles, since in EEVEE the surfaces of lamps emit"
+        " no light onto the room; samples, denoiser and size of pictures; colors and exposure of the"
+        " photographs. What you change of them stays as you set it. Revert restores the others",
         default=True,
     )
     parts: bpy.props.CollectionProperty(type=FIPT_Part)
@@ -251,7 +247,6 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
     kept_solid: bpy.props.StringProperty(
         description="Color settings of viewports in Solid mode from before a map was shown, as JSON"
     )
-    kept_before: bpy.props.StringProperty(description="State of the scene that Revert restores, as JSON")
 
     def part(self) -> FIPT_Part | None:
         """The active part; None without one."""

@@ -303,8 +303,8 @@ def insert(window: Window, options: Options) -> None:
     assert {*selected} & ({*new} - before), new
     window.shot("19_inserted")
     window.open_section("Render")
-    window.set_text("check.samples", "8" if options.fast else "32")
-    window.click("fipt.render_composite")
+    window.choose("check.size", "PHOTOGRAPH")  # as the check that it is compared with
+    window.click("fipt.final_picture")
     finish(window, "insert")
     picture = window.ask(lambda: bpy.context.scene.fipt.insert.picture)
     assert Path(picture).is_file(), picture

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+import OpenEXR
 from mathutils import Matrix
 
 from fipt_blender.blend.capture import cameras, importing
@@ -70,6 +71,18 @@ def photograph(run: RunFolder, spp: int = 64) -> np.ndarray:
     image = image_files.read_pixels(path)
     image_files.save_exr(run.root / "photos/val_000.exr", image)
     return image
+
+
+def exr_layers(path: Path) -> dict[str, np.ndarray]:
+    """Layers of an EXR, (H, W, C) f32."""
+    channels = OpenEXR.File(str(path), separate_channels=True).channels()
+    layers: dict[str, list[str]] = {}
+    for name in sorted(channels, key=lambda name: "RGBAZ".index(name[-1])):
+        layers.setdefault(name.rpartition(".")[0], []).append(name)
+    return {
+        layer: np.stack([channels[name].pixels.astype(np.float32) for name in names], axis=-1)
+        for layer, names in layers.items()
+    }
 
 
 def _view(run: RunFolder, name: str, split: str, turn: float) -> dict:

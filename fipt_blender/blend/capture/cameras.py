@@ -22,6 +22,7 @@ from ...core.run.runfolder import RunFolder
 from ..image_datablocks import load_radiance
 from ..marks import LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION, SPLIT, VIEW, view_cameras
 from ..outliner import CAMERAS, collection
+from ..render_settings import fitted, is_set
 from .view_geometry import ViewGeometry
 
 _SIZE = 0.03  # display size of cameras, as a share of the extent of their positions
@@ -200,11 +201,18 @@ def camera_geometry(scene: bpy.types.Scene, camera: bpy.types.Object) -> ViewGeo
 
 
 def use_view(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
-    """Make a camera the scene's, with its photograph's resolution and pixel aspect."""
+    """Make a camera the scene's, with its photograph's resolution and pixel aspect.
+
+    Once the render settings are set up, the frame gets the photograph's proportions alone: how large pictures
+    are is the artist's choice.
+    """
     scene.camera = camera
-    render = scene.render
+    render, sized = scene.render, is_set(scene)
     if RESOLUTION in camera:
-        render.resolution_x, render.resolution_y = (int(value) for value in camera[RESOLUTION])
+        size = (int(camera[RESOLUTION][0]), int(camera[RESOLUTION][1]))
+        size = fitted(size, max(render.resolution_x, render.resolution_y)) if sized else size
+        render.resolution_x, render.resolution_y = size
         render.pixel_aspect_x, render.pixel_aspect_y = (float(value) for value in camera[PIXEL_ASPECT])
-    render.resolution_percentage = 100
-    render.use_border = False
+    if not sized:
+        render.resolution_percentage = 100
+        render.use_border = False

@@ -7,7 +7,6 @@ EEVEE renders neither the light of emissive surfaces nor, without a baked volume
 
 from __future__ import annotations
 
-import json
 import math
 
 import bpy
@@ -15,9 +14,9 @@ import numpy as np
 from mathutils import Matrix
 
 from ...core.run.errors import FiptError
-from ..marks import KEPT_EEVEE, PROBE, VISIBILITY, fixtures_of, light_probe, remove_marks
+from ..marks import BAKED, PROBE, VISIBILITY, fixtures_of, light_probe, remove_marks
 from ..outliner import LIGHTS, collection
-from ..render_engine import switch_engine
+from ..render_settings import set_once
 from ..room.mesh_arrays import world_bounds
 from .calibration import scene_unit
 from .convert import fixture_to_lights
@@ -36,7 +35,7 @@ ENGINES = ("BLENDER_EEVEE_NEXT", "BLENDER_EEVEE")  # 4.2 to 4.5; from 5.0
 def prepare(scene: bpy.types.Scene) -> list[str]:
     """Make EEVEE the scene's engine, with its lights and a volume; `bake` must follow.
 
-    `restore_eevee` and `restore_engine` undo the change of settings and engine.
+    `render_settings.restore` undoes the change of settings and engine.
 
     Returns:
         Names of the fixtures whose Blender lights differ from them in shape.
@@ -66,29 +65,14 @@ def use_eevee(scene: bpy.types.Scene) -> None:
     Raises:
         FiptError: ``engine-missing``.
     """
-    if not switch_engine(scene, ENGINES):
+    values = [{"render.engine": engine} for engine in ENGINES]
+    if not any([set_once(scene, value, again=True) for value in values]):
         raise FiptError("engine-missing", "This Blender has no EEVEE.", "Use Cycles.")
     median = scene_unit(scene) * scene.fipt.lights.median_radiance
     scale = median / 0.18 if median > 0.0 else 1.0
     wanted: dict[str, float] = {name: scale * value for name, value in _RADIANCES.items()}
     wanted |= dict.fromkeys(_SWITCHED_ON, True)
-    # Not every version of Blender has all of them.
-    wanted = {name: value for name, value in wanted.items() if hasattr(scene.eevee, name)}
-    if KEPT_EEVEE not in scene:
-        settings = {name: getattr(scene.eevee, name) for name in wanted}
-        scene[KEPT_EEVEE] = json.dumps({"settings": settings})
-    for name, value in wanted.items():
-        setattr(scene.eevee, name, value)
-
-
-def restore_eevee(scene: bpy.types.Scene) -> None:
-    """Restore the settings of EEVEE."""
-    if KEPT_EEVEE not in scene:
-        return
-    kept = json.loads(scene[KEPT_EEVEE])
-    remove_marks(scene, KEPT_EEVEE)
-    for name, value in kept["settings"].items():
-        setattr(scene.eevee, name, value)
+    set_once(scene, {f"eevee.{name}": value for name, value in wanted.items()}, again=True)
 
 
 def place_volume(scene: bpy.types.Scene, low: np.ndarray, high: np.ndarray) -> bpy.types.Object:
@@ -102,6 +86,7 @@ def place_volume(scene: bpy.types.Scene, low: np.ndarray, high: np.ndarray) -> b
     room = np.maximum(high - low, 0.1)
     samples = np.array(resolution(room))
     extent = room * (samples + 2 * _BORDER) / samples
+    remove_marks(item, BAKED)
     item.matrix_world = Matrix.LocRotScale((0.5 * (low + high)).tolist(), None, (0.5 * extent).tolist())
     data = item.data
     data.resolution_x, data.resolution_y, data.resolution_z = (samples + 2 * _BORDER).tolist()

@@ -47,26 +47,26 @@ def present(scene: bpy.types.Scene) -> LightState:
         adopt(item)
         settings = _DEFAULTS | {key: plain(item[key]) for key in SETTINGS if key in item}
         rgb = powered(item, base_of(item)) if shines(item, solo) else _BLACK
-        lights[_key(item)] = {"settings": settings, "rgb": list(rgb)}
+        lights[key_of(item)] = {"settings": settings, "rgb": list(rgb)}
     return {"lights": lights, "world": _present_world(scene)}
 
 
 def as_photographed(scene: bpy.types.Scene) -> LightState:
     """The state with all that the photographs show as estimated; lights that the artist added are off."""
-    return _made(scene, lambda item: FIXTURE in item or MISSING_LAMP in item, world_on=True)
+    return estimated(scene, lambda item: FIXTURE in item or MISSING_LAMP in item, world_on=True)
 
 
 def only(scene: bpy.types.Scene, lamp: bpy.types.Object) -> LightState:
     """The state in which one light shines, at its present power, and nothing else."""
-    state = _made(scene, lambda item: False, world_on=False)
-    state["lights"][_key(lamp)] = _switched_on(lamp)
+    state = estimated(scene, lambda item: False, world_on=False)
+    state["lights"][key_of(lamp)] = _switched_on(lamp)
     return state
 
 
 def evening(scene: bpy.types.Scene) -> LightState:
     """The state without the environment, every light on at its present power."""
     state = present(scene)
-    state["lights"] = {_key(item): _switched_on(item) for item in lights_of(scene)}
+    state["lights"] = {key_of(item): _switched_on(item) for item in lights_of(scene)}
     if state["world"] is not None:
         state["world"]["on"] = False
     return state
@@ -75,7 +75,7 @@ def evening(scene: bpy.types.Scene) -> LightState:
 def recall(scene: bpy.types.Scene, state: LightState) -> None:
     """Give the lights the settings of a state; lights that it does not know stay as they are."""
     for item in lights_of(scene):
-        entry = state["lights"].get(_key(item))
+        entry = state["lights"].get(key_of(item))
         if entry is not None:
             apply_settings(item, entry["settings"])
     if state["world"] is not None:
@@ -95,7 +95,7 @@ def blend(scene: bpy.types.Scene, first: LightState, second: LightState, factor:
         recall(scene, first if factor <= 0.0 else second)
         return
     for item in lights_of(scene):
-        pair = [state["lights"].get(_key(item)) for state in (first, second)]
+        pair = [state["lights"].get(key_of(item)) for state in (first, second)]
         if None not in pair:
             rgb = mixed(pair[0]["rgb"], pair[1]["rgb"], factor)
             apply_settings(item, settings_of(rgb, base_of(item)))
@@ -161,12 +161,12 @@ def _numbers(values: Sequence[Any]) -> list[float]:
     return found
 
 
-def _made(scene: bpy.types.Scene, on: Callable[[bpy.types.Object], bool], world_on: bool) -> LightState:
+def estimated(scene: bpy.types.Scene, on: Callable[[bpy.types.Object], bool], world_on: bool) -> LightState:
     """A state with every light as estimated, on or off."""
     lights = {}
     for item in lights_of(scene):
         settings = _DEFAULTS | {ON: bool(on(item))}
-        lights[_key(item)] = {"settings": settings, "rgb": list(base_of(item) if on(item) else _BLACK)}
+        lights[key_of(item)] = {"settings": settings, "rgb": list(base_of(item) if on(item) else _BLACK)}
     world = _present_world(scene)
     if world is not None:
         world = {"on": world_on, "factor": 1.0, "rotation": 0.0}
@@ -180,7 +180,7 @@ def _switched_on(item: bpy.types.Object) -> dict[str, Any]:
     return {"settings": _DEFAULTS | settings | {ON: True, SOLO: False}, "rgb": rgb}
 
 
-def _key(item: bpy.types.Object) -> str:
+def key_of(item: bpy.types.Object) -> str:
     """By which a state knows a light: the run's name of a fixture, which renaming does not change."""
     return str(item.get(FIXTURE, item.name))
 

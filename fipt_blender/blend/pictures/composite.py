@@ -4,16 +4,15 @@
 
 Three renders: the room with everything added, the estimated room alone, and the added objects alone, cut out
 where the room hides them. The difference of the first two (shadows, reflections, new light) is applied to the
-photograph; the third is laid over it.
+photograph, the plate; the third is laid over it. The result has all of them as layers, so that any compositor
+can take over: picture = object + (1 - alpha of the object) plate shadow + light.
 """
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Collection
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import bpy
 import numpy as np
@@ -21,14 +20,15 @@ import numpy as np
 from ...core.capture.averaging import means
 from ..changed import all_changed
 from ..marks import estimated_objects
-from .cycles import RenderOptions
-from .image_files import read_pixels
+from .cycles import RenderOptions, render_depth, render_pixels
 from .photographed import lights_as_photographed, unchanged_lights_as_surfaces
-from .renders import Progress, render_view
+from .renders import Progress
 
 # Changes below the first share of a pixel's radiance are noise or invisible and don't alter the photograph;
 # above the second they are applied in full.
 UNSEEN_CHANGE = (0.005, 0.02)
+# Values by sRGB's curve that say how bright a photograph is: neither clipped nor lost in its darkest codes
+_EXPOSED = (0.02, 0.9)
 _SHAPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "EMPTY"}
 
 
@@ -37,23 +37,44 @@ class Layers:
     """Scene-linear images of one view, first row at the top.
 
     Attributes:
-        photograph: (H, W, 3).
+        plate: (H, W, 3), the photograph.
         full: (H, W, 3), the room with the added objects.
         empty: (H, W, 3), the estimated room alone, with the samples of `full`.
         added: (H, W, 4), the added objects, premultiplied, with their coverage as alpha.
     """
 
-    photograph: np.ndarray
+    plate: np.ndarray
     full: np.ndarray
     empty: np.ndarray
     added: np.ndarray
 
 
-def compose(layers: Layers) -> np.ndarray:
-    """The photograph with the added objects, (H, W, 3) f32.
+@dataclass(frozen=True)
+class Composite:
+    """The layers of a composite, f32, first row at the top.
 
-    Shadows multiply the photograph, so that its texture stays visible and nothing becomes negative; light is
-    added to it. With a perfect estimate, either equals photograph + full - empty.
+    Attributes:
+        plate: (H, W, 3), the photograph in the unit of the renders.
+        object: (H, W, 4), the added objects, premultiplied.
+        shadow: (H, W, 3), 0 to 1, by which they darken the plate.
+        light: (H, W, 3), what they add to it.
+    """
+
+    plate: np.ndarray
+    object: np.ndarray
+    shadow: np.ndarray
+    light: np.ndarray
+
+    def picture(self) -> np.ndarray:
+        """The photograph with the added objects, (H, W, 3) f32."""
+        uncovered = np.clip(1.0 - self.object[..., 3:], 0.0, 1.0)
+        picture: np.ndarray = self.object[..., :3] + uncovered * self.plate * self.shadow + self.light
+        return picture
+
+
+def compose(layers: Layers) -> Composite:
+    """Shadows multiply the photograph, so that its texture stays visible and nothing becomes negative; light
+    is added to it. With a perfect estimate, either equals photograph + full - empty.
     """
     alpha = layers.added[..., 3:]
     uncovered = np.clip(1.0 - alpha, 0.0, 1.0)
@@ -64,8 +85,28 @@ def compose(layers: Layers) -> np.ndarray:
     share = (layers.full - layers.added[..., :3] - before) / level
     change = _visible(_without_specks(share, alpha)) * level
     shadow = np.divide(before + change, before, out=np.ones_like(before), where=before > 0.0)
-    background = uncovered * layers.photograph * np.clip(shadow, 0.0, 1.0) + np.maximum(change, 0.0)
-    return (layers.added[..., :3] + np.where(uncovered > 0.0, background, 0.0)).astype(np.float32)
+    light = np.where(uncovered > 0.0, np.maximum(change, 0.0), 0.0)
+    one = np.float32
+    return Composite(
+        layers.plate.astype(one),
+        layers.added.astype(one),
+        np.clip(shadow, 0.0, 1.0).astype(one),
+        light.astype(one),
+    )
+
+
+def plate_gain(encoded: np.ndarray, empty: np.ndarray) -> float:
+    """Radiance of the renders for a value of 1 of a photograph that is not HDR: by the pixels' median.
+
+    Its exposure is its own, and the values have no unit.
+
+    Args:
+        encoded: (H, W, 3), linear by sRGB's curve.
+        empty: (H, W, 3), the room as it was photographed, rendered.
+    """
+    value, radiance = encoded.mean(axis=-1), empty.mean(axis=-1)
+    used = (encoded.min(axis=-1) > _EXPOSED[0]) & (encoded.max(axis=-1) < _EXPOSED[1]) & (radiance > 0.0)
+    return float(np.median(radiance[used] / value[used])) if used.any() else 1.0
 
 
 def _without_specks(change: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -75,15 +116,12 @@ def _without_specks(change: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """
     padded = np.pad(change, ((1, 1), (1, 1), (0, 0)), mode="edge")
     height, width = change.shape[:2]
-    neighbours = [
-        padded[row : row + height, column : column + width]
-        for row in range(3)
-        for column in range(3)
-        if (row, column) != (1, 1)
-    ]
-    return np.where(
-        alpha > 0.0, change, np.clip(change, np.min(neighbours, axis=0), np.max(neighbours, axis=0))
-    )
+    lowest, highest = np.full_like(change, np.inf), np.full_like(change, -np.inf)
+    for row, column in ((r, c) for r in range(3) for c in range(3) if (r, c) != (1, 1)):
+        neighbour = padded[row : row + height, column : column + width]
+        np.minimum(lowest, neighbour, out=lowest)
+        np.maximum(highest, neighbour, out=highest)
+    return np.where(alpha > 0.0, change, np.clip(change, lowest, highest))
 
 
 def _visible(share: np.ndarray) -> np.ndarray:
@@ -119,45 +157,46 @@ def not_catching(scene: bpy.types.Scene, room: Collection[str]) -> AbstractConte
     return all_changed(estimated_objects(scene, room), {"is_shadow_catcher": False})
 
 
-def render_layers(
+def render_composite(
     scene: bpy.types.Scene,
-    view: str,
     photograph: np.ndarray,
+    encoded: bool,
     room: Collection[str],
     options: RenderOptions,
     progress: Progress = lambda low, high: None,
-) -> Layers:
-    """Render what `compose` needs; the scene is restored afterwards.
+) -> dict[str, np.ndarray]:
+    """Render the scene's camera into its photograph; the scene is restored afterwards.
 
     Args:
-        scene: the scene.
-        view: name of the view.
-        photograph: (H, W, 3) of that view.
+        scene: the scene, with the frame of the photograph.
+        photograph: (H, W, 3) of that view, linear, of any size of the frame's proportions.
+        encoded: whether it is not HDR, see `plate_gain`.
         room: names of the room's objects.
-        options: how to render; `transparent` is ignored.
+        options: how to render; `layer` and `transparent` are ignored.
         progress: called before each render.
 
+    Returns:
+        The picture, by the name "", and its layers, of the frame's size: `Composite`, and "depth".
+
     Raises:
-        FiptError: see `render_view`.
+        FiptError: see `render_exr`.
     """
     estimated, added = estimated_objects(scene, room), added_objects(scene, room)
-    with (
-        tempfile.TemporaryDirectory(prefix="fipt-") as folder,
-        not_catching(scene, room),
-        unchanged_lights_as_surfaces(scene),
-    ):
-        path = Path(folder) / "layer.exr"
-
-        def render(transparent: bool = False) -> np.ndarray:
-            render_view(scene, view, path, replace(options, transparent=transparent))
-            return read_pixels(path, 4 if transparent else 3)
-
+    options = replace(options, layer=True, transparent=False)
+    with not_catching(scene, room), unchanged_lights_as_surfaces(scene):
         progress(0.0, 0.45)
-        full = render()
+        full = render_pixels(scene, options)
         progress(0.45, 0.9)
         with without(added), lights_as_photographed(scene):
-            empty = render()
-        progress(0.9, 1.0)
+            empty = render_pixels(scene, options)
+        progress(0.9, 0.98)
         with held_out(estimated):
-            added_only = render(transparent=True)
-    return Layers(means(photograph, full.shape[1], full.shape[0]), full, empty, added_only)
+            added_only = render_pixels(scene, replace(options, transparent=True))
+        progress(0.98, 1.0)
+        depth = render_depth(scene)
+    plate = means(photograph, full.shape[1], full.shape[0])
+    if encoded:
+        plate = plate * plate_gain(plate, empty)
+    made = compose(Layers(plate, full, empty, added_only))
+    layers = {"plate": made.plate, "object": made.object, "shadow": made.shadow, "light": made.light}
+    return {"": made.picture(), **layers, "depth": depth}

@@ -1,8 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cycles renders that can be compared with photographs: linear Rec.709, nothing clamped, box filter.
-
-They depend on what is in the scene, not on the artist's render settings.
+"""Cycles renders to linear Rec.709: pictures, by the scene's render settings, as F12 makes them; and renders
+that can be compared with photographs: nothing clamped, box filter, whatever the artist's settings are.
 """
 
 from __future__ import annotations
@@ -20,31 +19,22 @@ import numpy as np
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import atomic_path
 from ..changed import all_changed, changed, unset
-from ..color_spaces import linear_space, scene_matrix, set_view_transform
+from ..color_spaces import linear_space, scene_matrix
 from ..lights.calibration import scene_unit
+from ..node_trees import node_tree
+from ..render_settings import LIGHT_PATHS, can_denoise
 from ..save import check_space
 from .image_files import STILL_IMAGE, read_pixels, write_image
 
 CYCLES = {
+    **LIGHT_PATHS,
     "use_adaptive_sampling": False,
-    "sample_clamp_direct": 0.0,
-    "sample_clamp_indirect": 0.0,
-    "blur_glossy": 0.0,
-    "light_sampling_threshold": 0.0,
-    "caustics_reflective": True,
-    "caustics_refractive": True,
-    # With Blender's 12 bounces a bright living room lacks 0.4 % of its light. More cost little, since Russian
-    # roulette ends most paths earlier.
-    "max_bounces": 32,
-    "diffuse_bounces": 32,
-    "glossy_bounces": 32,
     # Photographs average the radiance over a pixel; wider filters would blur.
     "pixel_filter_type": "BOX",
 }
 # What materials and meshes are, and the device, stay as chosen; all else has its default or the value above.
 _CONTENT = ("device", "feature_set", "shading_system", "dicing_rate", "max_subdivisions")
 _RENDER = {
-    "engine": "CYCLES",
     "use_compositing": False,
     "use_sequencer": False,
     "use_motion_blur": False,
@@ -57,10 +47,10 @@ _RENDER = {
     "use_single_layer": False,
     "use_persistent_data": False,
 }
+NO_DEPTH = 1e10  # metres, as in Blender's own pass
 _LAYER = {
     "use": True,
     "samples": 0,
-    "material_override": None,
     "world_override": None,
     "use_pass_combined": True,
     **dict.fromkeys(("use_sky", "use_solid", "use_strand", "use_volumes"), True),
@@ -72,16 +62,21 @@ class RenderOptions:
     """How to render an image in Cycles.
 
     Attributes:
-        spp: samples per pixel.
-        seed: seed of the sampling pattern.
-        denoise: None denoises where Open Image Denoise is available.
-        transparent: write the objects' coverage as alpha, with premultiplied colours; the world is not drawn.
+        spp: samples per pixel; None for pictures: the scene's settings decide on samples, denoising, light
+            paths, film, view layers and compositing.
+        seed: seed of the sampling pattern, with `spp`.
+        denoise: with `spp`; None denoises where Open Image Denoise is available.
+        layer: of a picture, what `composite` needs: the first view layer alone, without compositing,
+            sequencer, motion blur and regions.
+        transparent: of a layer: write the objects' coverage as alpha, with premultiplied colours; the world
+            is not drawn.
         device: Cycles' device, "CPU" or "GPU".
     """
 
-    spp: int
+    spp: int | None = None
     seed: int = 0
     denoise: bool | None = None
+    layer: bool = False
     transparent: bool = False
     device: str = "CPU"
 
@@ -91,15 +86,6 @@ class Devices(TypedDict):
 
     type: str
     ids: list[str]
-
-
-def can_denoise() -> bool:
-    """Whether this Blender was built with Open Image Denoise; some builds offer it but lack it."""
-    try:
-        import _cycles
-    except ImportError:
-        return False
-    return bool(getattr(_cycles, "with_openimagedenoise", False))
 
 
 def user_devices() -> Devices | None:
@@ -123,22 +109,6 @@ def enable_devices(devices: Devices | None) -> None:
         device.use = device.id in devices["ids"]
 
 
-def set_up_scene(scene: bpy.types.Scene, exposure: float = 0.0) -> None:
-    """Make the scene's settings those of a re-render that can be compared with photographs by eye.
-
-    Args:
-        scene: the scene; its view transform becomes Standard (sRGB), where there is one, without a look.
-        exposure: stops, e.g. from `exposure_of`.
-    """
-    scene.render.engine = "CYCLES"
-    for name, value in CYCLES.items():
-        setattr(scene.cycles, name, value)
-    set_view_transform(scene.view_settings, "Standard")
-    scene.view_settings.look = "None"
-    scene.view_settings.exposure = exposure
-    scene.view_settings.gamma = 1.0
-
-
 def exposure_of(radiance: np.ndarray, shown: float = 0.18) -> float:
     """Stops that map the median of the positive radiances to a value between black and white, middle grey if
     none is given; 0 if there are none."""
@@ -146,7 +116,9 @@ def exposure_of(radiance: np.ndarray, shown: float = 0.18) -> float:
     return float(np.log2(shown / np.median(positive))) if positive.size else 0.0
 
 
-def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> None:
+def render_exr(
+    scene: bpy.types.Scene, path: Path, options: RenderOptions, material: bpy.types.Material | None = None
+) -> None:
     """Render the scene's camera in Cycles to a float EXR with linear Rec.709 values.
 
     The scene's render settings are restored afterwards.
@@ -155,31 +127,26 @@ def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> No
         scene: the scene.
         path: ends in .exr.
         options: see there.
+        material: of all surfaces; None for their own. Not of whole pictures.
 
     Raises:
         FiptError: ``render-failed``, ``color-space-missing``, or the write errors of the run folder.
     """
-    render = scene.render
-    cycles = {
-        **CYCLES,
-        "device": options.device,
-        "samples": options.spp,
-        "film_exposure": 1.0 / scene_unit(scene),  # in the unit of the photographs
-        "seed": options.seed,
-        "use_denoising": can_denoise() if options.denoise is None else options.denoise,
-    }
-    exr = {
-        "file_format": "OPEN_EXR",
-        "color_mode": "RGBA" if options.transparent else "RGB",
-        "color_depth": "32",
-        "exr_codec": "ZIP",
-    }
+    render, settings = scene.render, scene.render.image_settings
     with ExitStack() as stack, atomic_path(path) as temporary:
-        stack.enter_context(changed(render, {**_RENDER, "film_transparent": options.transparent}))
-        stack.enter_context(_one_layer(scene))
-        stack.enter_context(unset(scene.cycles, keep=_CONTENT))
-        stack.enter_context(changed(scene.cycles, cycles))
-        settings = render.image_settings
+        stack.enter_context(changed(render, {"engine": "CYCLES"}))
+        if options.spp is None and not options.layer:
+            stack.enter_context(changed(scene.cycles, {"device": options.device}))
+        else:
+            stack.enter_context(changed(render, {**_RENDER, "film_transparent": options.transparent}))
+            stack.enter_context(_one_layer(scene, material))
+            stack.enter_context(_sampled(scene, options))
+        exr = {
+            "file_format": "OPEN_EXR",
+            "color_mode": "RGBA" if render.film_transparent else "RGB",
+            "color_depth": "32",
+            "exr_codec": "ZIP",
+        }
         stack.enter_context(changed(settings, STILL_IMAGE))
         stack.enter_context(changed(settings, exr))
         if not np.array_equal(scene_matrix(), np.eye(3)):  # copies the scene's view into these settings
@@ -198,11 +165,32 @@ def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> No
 
 
 @contextmanager
-def _one_layer(scene: bpy.types.Scene) -> Iterator[None]:
-    """Render one view layer, the first that is used, without overrides."""
+def _sampled(scene: bpy.types.Scene, options: RenderOptions) -> Iterator[None]:
+    """Cycles' settings: all of them fixed, or, for layers of pictures, the artist's."""
+    fixed = {"device": options.device, "film_exposure": 1.0 / scene_unit(scene)}  # the photographs' unit
+    if options.spp is None:
+        denoised = scene.cycles.use_denoising and can_denoise()
+        with changed(scene.cycles, {**fixed, "use_denoising": denoised}):
+            yield
+        return
+    values = {
+        **CYCLES,
+        **fixed,
+        "samples": options.spp,
+        "seed": options.seed,
+        "use_denoising": can_denoise() if options.denoise is None else options.denoise,
+    }
+    with unset(scene.cycles, keep=_CONTENT), changed(scene.cycles, values):
+        yield
+
+
+@contextmanager
+def _one_layer(scene: bpy.types.Scene, material: bpy.types.Material | None) -> Iterator[None]:
+    """Render one view layer, the first that is used, without the artist's overrides."""
     layers = list(scene.view_layers)
     chosen = next((layer for layer in layers if layer.use), layers[0])
     known = {name: value for name, value in _LAYER.items() if hasattr(chosen, name)}
+    known["material_override"] = material
     others = [layer for layer in layers if layer != chosen]
     drawn = {"holdout": False, "indirect_only": False}
     with (
@@ -227,9 +215,32 @@ def _render_failed(reason: str) -> FiptError:
     )
 
 
-def render_pixels(scene: bpy.types.Scene, options: RenderOptions) -> np.ndarray:
-    """Like `render_exr`, but return the image: (H,W,3) f32, first row at the top."""
-    with tempfile.TemporaryDirectory() as folder:
+def render_pixels(
+    scene: bpy.types.Scene, options: RenderOptions, material: bpy.types.Material | None = None
+) -> np.ndarray:
+    """Like `render_exr`, but return the image: (H, W, 3) or, of a transparent one, (H, W, 4) f32, first row
+    at the top."""
+    with tempfile.TemporaryDirectory(prefix="fipt-") as folder:
         path = Path(folder) / "render.exr"
-        render_exr(scene, path, options)
-        return read_pixels(path)
+        render_exr(scene, path, options, material)
+        return read_pixels(path, 4 if options.transparent else 3)
+
+
+def render_depth(scene: bpy.types.Scene) -> np.ndarray:
+    """(H, W) f32 distance of what the camera sees from its plane, metres; `NO_DEPTH` where that is nothing.
+
+    One sample in the middle of each pixel: distances of different surfaces have no mean.
+    """
+    material = bpy.data.materials.new("FIPT Depth")
+    try:
+        tree = node_tree(material)
+        nodes, links = tree.nodes, tree.links
+        nodes.clear()
+        camera, emission = nodes.new("ShaderNodeCameraData"), nodes.new("ShaderNodeEmission")
+        links.new(camera.outputs["View Z Depth"], emission.inputs["Color"])
+        links.new(emission.outputs["Emission"], nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+        pixels = render_pixels(scene, RenderOptions(1, denoise=False, transparent=True), material)
+    finally:
+        bpy.data.materials.remove(material)
+    depth = pixels[..., 0] * scene_unit(scene)  # by which renders are divided
+    return np.where(pixels[..., 3] > 0.0, depth, NO_DEPTH).astype(np.float32)

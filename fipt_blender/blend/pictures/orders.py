@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,14 +19,26 @@ from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder
 from ..capture.cameras import find_camera
 from ..changed import all_changed, changed
-from .composite import added_objects, compose, not_catching, render_layers, without
-from .cycles import Devices, RenderOptions, can_denoise, user_devices
-from .image_files import photograph, save_exr, save_look
+from ..marks import KEPT_FILM, VIEW
+from ..render_settings import can_denoise
+from .composite import added_objects, not_catching, render_composite, without
+from .cycles import Devices, RenderOptions, render_exr, user_devices
+from .image_files import photograph, save_look
+from .layered_exr import write_layers
 from .photographed import lights_as_photographed
-from .renders import COMPARED_WIDTH, Progress, list_render, render_path, render_view
+from .renders import (
+    COMPARED_WIDTH,
+    Progress,
+    list_render,
+    picture_path,
+    plate_frame,
+    render_path,
+    render_view,
+)
+from .state_pictures import render_lights
 from .view_check import check_view, forget_check
 
-CHECK, INSERT, COMPOSITE = "rerender", "insert", "composite"
+CHECK, INSERT, COMPOSITE, STATES = "rerender", "insert", "composite", "states"
 _NOT_DENOISED: Message = {
     "type": "warning",
     "code": "denoise-missing",
@@ -41,12 +52,14 @@ class Order:
     """What to render.
 
     Attributes:
-        kind: CHECK (which also compares with the photographs), INSERT or COMPOSITE.
+        kind: CHECK (views beside their photographs); pictures, by the scene's render settings: INSERT (of the
+            rendered room) or COMPOSITE (into the photograph); STATES, each light alone for thumbnails.
         run: path of the run folder.
         scene: name of the scene.
-        views: names of the views.
+        views: names of the views; of pictures, the name of one camera.
         room: names of the room's objects.
-        spp: samples per pixel.
+        path: of pictures: the EXR that is written, with a PNG beside it.
+        spp: of checks: samples per pixel.
         device: Cycles' device, "CPU" or "GPU".
         devices: the user's Cycles devices; None for the processor.
     """
@@ -56,7 +69,8 @@ class Order:
     scene: str
     views: list[str]
     room: list[str]
-    spp: int = 64
+    path: str = ""
+    spp: int = 0
     device: str = "CPU"
     devices: Devices | None = None
 
@@ -66,31 +80,77 @@ class Order:
         count = len(self.views)
         return {
             CHECK: "Rendering the view" if count == 1 else f"Rendering {count} views",
-            INSERT: "Rendering the view",
+            INSERT: "Rendering the picture",
             COMPOSITE: "Compositing into the photograph",
+            STATES: "Rendering each light",
         }[self.kind]
 
 
-def make_order(scene: bpy.types.Scene, run: RunFolder, kind: str, views: Sequence[str], spp: int) -> Order:
-    """An order for the device with which the artist renders.
+def make_order(scene: bpy.types.Scene, run: RunFolder, views: Sequence[str], spp: int) -> Order:
+    """An order of a check, for the device with which the artist renders.
 
     Raises:
         FiptError: ``room-missing``, ``view-missing``, ``file-missing`` or ``file-damaged``.
     """
-    room = [item.name for item in scene.fipt.capture.room_objects(scene)]
-    if not room:
-        raise FiptError("room-missing", "The scene has no room.", "Choose it in the section Capture.")
+    room = _room(scene)
     capture = read_capture(run.estimated().capture_json)
     for view in views:
         capture.view(view)
         find_camera(view, scene)
+    return Order(CHECK, str(run.root), scene.name, list(views), room, "", spp, *_device(scene))
+
+
+def order_picture(scene: bpy.types.Scene, run: RunFolder, camera: bpy.types.Object, plate: bool) -> Order:
+    """An order of a picture of what a camera sees, over the photograph with `plate`.
+
+    Raises:
+        FiptError: ``room-missing``; with `plate` ``view-missing``, ``file-missing`` or ``file-damaged``.
+    """
+    room, kind = _room(scene), COMPOSITE if plate else INSERT
+    if plate:
+        read_capture(run.estimated().capture_json).view(view_of(camera))
+    path = picture_path(run, kind, camera.get(VIEW, camera.name) + ("_photograph" if plate else ""))
+    return Order(kind, str(run.root), scene.name, [camera.name], room, str(path), 0, *_device(scene))
+
+
+def order_lights(scene: bpy.types.Scene, run: RunFolder) -> Order:
+    """An order of what the scene's camera sees by each light alone.
+
+    Raises:
+        FiptError: ``room-missing``.
+    """
+    return Order(STATES, str(run.root), scene.name, [], _room(scene), "", 0, *_device(scene))
+
+
+def view_of(camera: bpy.types.Object | None) -> str:
+    """Name of the view that a camera shows.
+
+    Raises:
+        FiptError: ``view-missing``.
+    """
+    if camera is None or not camera.get(VIEW):
+        raise FiptError(
+            "view-missing",
+            "The scene's active camera is no camera of the capture.",
+            "Click a view in the section Capture to look through its camera.",
+        )
+    return str(camera[VIEW])
+
+
+def _room(scene: bpy.types.Scene) -> list[str]:
+    room = [item.name for item in scene.fipt.capture.room_objects(scene)]
+    if not room:
+        raise FiptError("room-missing", "The scene has no room.", "Choose it in the section Capture.")
+    return room
+
+
+def _device(scene: bpy.types.Scene) -> tuple[str, Devices | None]:
     devices = user_devices()
-    device = scene.cycles.device if devices is not None and hasattr(scene, "cycles") else "CPU"
-    return Order(kind, str(run.root), scene.name, list(views), room, spp, device, devices)
+    return scene.cycles.device if devices is not None and hasattr(scene, "cycles") else "CPU", devices
 
 
 def carry_out(order: Order, progress: Progress = lambda low, high: None) -> list[Message]:
-    """Render an order's views into the run's renders/, and list them in renders.json.
+    """Render what is ordered, and list it in renders.json.
 
     Args:
         order: what to render.
@@ -107,24 +167,66 @@ def carry_out(order: Order, progress: Progress = lambda low, high: None) -> list
     if scene is None:
         raise FiptError("scene-gone", f"There is no scene '{order.scene}'.", "Start the render again.")
     capture = read_capture(run.estimated().capture_json)
-    room = set(order.room)
+    if order.kind == CHECK:
+        warnings = _check_views(order, run, scene, capture, progress)
+    elif order.kind == STATES:
+        warnings = []
+        with not_catching(scene, order.room):
+            render_lights(scene, run, order.device, progress)
+    else:
+        warnings = _render_picture(order, run, scene, capture, progress)
+    return warnings if can_denoise() else [*warnings, _NOT_DENOISED]
+
+
+def _check_views(
+    order: Order, run: RunFolder, scene: bpy.types.Scene, capture: CapturedViews, progress: Progress
+) -> list[Message]:
+    """Render views as they were photographed and compare them."""
     warnings: list[Message] = []
-    with ExitStack() as stack:
-        stack.enter_context(not_catching(scene, room))
-        if order.kind == CHECK:
-            stack.enter_context(without(added_objects(scene, room)))
-            stack.enter_context(changed(scene, {"background_set": None}))
-            lenses = [find_camera(name, scene).data.dof for name in order.views]
-            stack.enter_context(all_changed(lenses, {"use_dof": False}))
-            stack.enter_context(lights_as_photographed(scene))
+    lenses = [find_camera(name, scene).data.dof for name in order.views]
+    options = RenderOptions(order.spp, device=order.device)
+    with (
+        not_catching(scene, order.room),
+        without(added_objects(scene, order.room)),
+        changed(scene, {"background_set": None}),
+        all_changed(lenses, {"use_dof": False}),
+        lights_as_photographed(scene),
+    ):
         for index, name in enumerate(order.views):
             view = capture.view(name)
-            path = _render(order, run, scene, view, _part(progress, index, len(order.views)))
-            if order.kind == CHECK:
-                warnings += _check(order, run, capture, view, path)
-            else:
-                save_look(path, path.with_suffix(".png"), scene)
-    return warnings if can_denoise() else [*warnings, _NOT_DENOISED]
+            progress(index / len(order.views), (index + 1) / len(order.views))
+            path = render_path(run, CHECK, name)
+            render_view(scene, name, path, options, COMPARED_WIDTH)
+            list_render(run, CHECK, name, path)
+            warnings += _check(order, run, capture, view, path)
+    return warnings
+
+
+def _render_picture(
+    order: Order, run: RunFolder, scene: bpy.types.Scene, capture: CapturedViews, progress: Progress
+) -> list[Message]:
+    """Render a picture as EXR and PNG."""
+    path, camera = Path(order.path), scene.objects.get(order.views[0])
+    if camera is None:
+        text = f"The scene has no camera '{order.views[0]}'."
+        raise FiptError("view-missing", text, "Start the render again.")
+    options = RenderOptions(device=order.device)
+    with changed(scene, {"camera": camera}):
+        if order.kind == COMPOSITE:
+            view = capture.view(view_of(camera))
+            plate = photograph(run, view)
+            with plate_frame(scene, camera):
+                layers = render_composite(scene, plate, view.encoded, order.room, options, progress)
+            write_layers(path, layers, exact=("depth",))
+        else:
+            progress(0.0, 1.0)
+            # While the backdrop is the photograph, the film is transparent by our doing.
+            film = bool(scene.get(KEPT_FILM, scene.render.film_transparent))
+            with not_catching(scene, order.room), changed(scene.render, {"film_transparent": film}):
+                render_exr(scene, path, options)
+    save_look(path, path.with_suffix(".png"), scene)
+    list_render(run, order.kind, camera.get(VIEW, camera.name), path)
+    return []
 
 
 def _check(
@@ -142,31 +244,8 @@ def _check(
         return [{"type": "warning", "code": error.code, "text": text, "remedy": error.remedy}]
 
 
-def _part(progress: Progress, index: int, count: int) -> Progress:
-    """Progress within one of several equal parts of the work."""
-    low, high = index / count, (index + 1) / count
-    return lambda start, end: progress(low + start * (high - low), low + end * (high - low))
-
-
-def _render(
-    order: Order, run: RunFolder, scene: bpy.types.Scene, view: CapturedView, progress: Progress
-) -> Path:
-    """Render one view of an order, given its entry of capture.json; returns the EXR."""
-    options = RenderOptions(order.spp, device=order.device)
-    path = render_path(run, order.kind, view.name)
-    if order.kind == COMPOSITE:
-        layers = render_layers(scene, view.name, photograph(run, view), set(order.room), options, progress)
-        save_exr(path, compose(layers))
-    else:
-        progress(0.0, 1.0)
-        widest = COMPARED_WIDTH if order.kind == "rerender" else None
-        render_view(scene, view.name, path, options, widest)
-    list_render(run, order.kind, view.name, path)
-    return path
-
-
 def last_picture(run: RunFolder) -> Path:
-    """The EXR of the view that was rendered last with inserted objects.
+    """The EXR of the picture that was rendered last.
 
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.

@@ -1,10 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Renders of the capture's views into the run folder, listed in renders.json."""
+"""The frames and files of renders: of views into the run folder, listed in renders.json, and of pictures."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import bpy
@@ -12,8 +14,10 @@ import bpy
 from ...core.run.documents import read_document
 from ...core.run.result_contents import Render, Renders
 from ...core.run.runfolder import RunFolder, write_json
-from ..capture.cameras import find_camera, use_view
+from ..capture.cameras import find_camera
 from ..changed import changed
+from ..marks import PIXEL_ASPECT, RESOLUTION
+from ..render_settings import fitted
 from .cycles import RenderOptions, render_exr
 
 # Called before each render with the shares of the whole work (0 to 1) at which it starts and ends.
@@ -21,19 +25,60 @@ Progress = Callable[[float, float], None]
 
 # Most columns of renders that are compared with photographs: those of 12 megapixels would take hours.
 COMPARED_WIDTH = 1920
-_VIEW_SETTINGS = (
-    "resolution_x",
-    "resolution_y",
-    "pixel_aspect_x",
-    "pixel_aspect_y",
-    "resolution_percentage",
-    "use_border",
-)
 
 
 def render_path(run: RunFolder, kind: str, view: str) -> Path:
     """RUN/renders/KIND/VIEW.exr, slashes of the view's name replaced."""
     return run.renders / kind / f"{view.replace('/', '_')}.exr"
+
+
+def picture_path(run: RunFolder, kind: str, camera: str) -> Path:
+    """A new file for a picture: beside the .blend file in NAME_pictures, unsaved in RUN/renders/KIND."""
+    blend = bpy.data.filepath
+    folder = Path(blend).with_name(f"{Path(blend).stem}_pictures") if blend else run.renders / kind
+    name = re.sub(r"[^\w. -]", "_", camera).strip(". ") or "picture"
+    number, path = 1, folder / f"{name}.exr"
+    while path.exists() or path.with_suffix(".png").exists():
+        number += 1
+        path = folder / f"{name}_{number}.exr"
+    return path
+
+
+def photograph_frame(
+    scene: bpy.types.Scene, camera: bpy.types.Object, widest: int | None = None
+) -> AbstractContextManager[None]:
+    """For a block, the frame of a view's photograph; smaller where that has more than `widest` columns."""
+    width, height = (int(value) for value in camera[RESOLUTION])
+    if widest is not None and width > widest:
+        width, height = widest, max(1, round(height * widest / width))
+    aspect = [float(value) for value in camera[PIXEL_ASPECT]]
+    return _frame(scene, (width, height), aspect)
+
+
+def plate_frame(scene: bpy.types.Scene, camera: bpy.types.Object) -> AbstractContextManager[None]:
+    """For a block, the frame of a view's photograph at the size of the scene's pictures, at most its own."""
+    own = (int(camera[RESOLUTION][0]), int(camera[RESOLUTION][1]))
+    wanted = fitted(own, max(output_size(scene)))
+    aspect = [float(value) for value in camera[PIXEL_ASPECT]]
+    return _frame(scene, min(own, wanted), aspect)
+
+
+def output_size(scene: bpy.types.Scene) -> tuple[int, int]:
+    """Columns and rows of what F12 renders."""
+    share = scene.render.resolution_percentage / 100.0
+    return max(1, int(scene.render.resolution_x * share)), max(1, int(scene.render.resolution_y * share))
+
+
+def _frame(
+    scene: bpy.types.Scene, size: tuple[int, int], aspect: Sequence[float]
+) -> AbstractContextManager[None]:
+    frame = {
+        "resolution_x": size[0],
+        "resolution_y": size[1],
+        "resolution_percentage": 100,
+        "use_border": False,
+    }
+    return changed(scene.render, {**frame, "pixel_aspect_x": aspect[0], "pixel_aspect_y": aspect[1]})
 
 
 def render_view(
@@ -48,11 +93,7 @@ def render_view(
         FiptError: ``view-missing``, and those of `render_exr`.
     """
     camera = find_camera(view, scene)
-    settings = {name: getattr(scene.render, name) for name in _VIEW_SETTINGS}
-    with changed(scene.render, settings), changed(scene, {"camera": camera}):
-        use_view(scene, camera)
-        if widest is not None and scene.render.resolution_x > widest:
-            scene.render.resolution_percentage = max(1, 100 * widest // scene.render.resolution_x)
+    with changed(scene, {"camera": camera}), photograph_frame(scene, camera, widest):
         render_exr(scene, path, options)
 
 
@@ -62,8 +103,8 @@ def list_render(run: RunFolder, kind: str, view: str, path: Path) -> None:
     if run.renders_json.exists():
         listed = read_document(run.renders_json, Renders, "Delete it and render again.").renders
     kept = [render for render in listed if (render.kind, render.view) != (kind, view)]
-    render = Render(kind, view, path.relative_to(run.root).as_posix())
-    write_json(run.renders_json, Renders((*kept, render)))
+    image = path.relative_to(run.root) if path.is_relative_to(run.root) else path
+    write_json(run.renders_json, Renders((*kept, Render(kind, view, image.as_posix()))))
 
 
 def render_list(

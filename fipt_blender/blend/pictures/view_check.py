@@ -17,7 +17,7 @@ from ...core.run.contents import CapturedView, CapturedViews
 from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder, write_json
-from .cycles import can_denoise
+from ..render_settings import can_denoise
 from .image_files import photograph, read_pixels, save_png
 
 

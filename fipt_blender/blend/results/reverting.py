@@ -10,15 +10,15 @@ from ..capture.backdrop import set_backdrop
 from ..capture.compare import refresh
 from ..lights import light_state
 from ..lights.calibration import scale_light, scene_unit
-from ..lights.eevee import restore_eevee
 from ..lights.light_groups import remove_light_groups
 from ..lights.world import restore_world
 from ..marks import UNIT, added_lights, is_split_off, light_probe, remove_marks, room_with_results
 from ..outliner import FIXTURES, remove_if_empty, remove_object
+from ..render_settings import restore
 from ..room.originals import restore_original, result_meshes, separated
 from .maps import restore_solid_views
 from .materials import remove_unused, result_materials
-from .scene_state import mute_other_lights, restore_scene
+from .scene_state import mute_other_lights
 
 
 def revert(scene: bpy.types.Scene, new_lights: bool = False) -> tuple[list[str], list[str]]:
@@ -54,10 +54,9 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> tuple[list[str],
     restore_world(scene)
     remove_if_empty(scene, FIXTURES)
     mute_other_lights(scene, False)
-    restore_eevee(scene)
-    restore_scene(scene)
+    restore(scene)
     settings.parts.clear()
-    for name in ("active_part", "object_count", "image_count", "applied_mode", "kept_before", "kept_view"):
+    for name in ("active_part", "object_count", "image_count", "applied_mode", "kept_view"):
         settings.property_unset(name)
     if UNIT in scene:
         scale_light(scene, 1.0 / scene_unit(scene))

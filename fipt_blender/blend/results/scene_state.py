@@ -21,7 +21,7 @@ from ..lights.calibration import scene_unit
 from ..lights.missing_lamps import note_missing
 from ..marks import MUTED, other_lights, remove_marks, room_with_results
 from ..outliner import mark_collections
-from ..render_engine import restore_engine, switch_engine
+from ..render_settings import set_once, set_up
 from .part_list import note_parts
 
 MIDDLE_GREY = 0.18
@@ -37,14 +37,10 @@ def finish(scene: bpy.types.Scene, run: RunFolder) -> None:
     settings = scene.fipt.materials
     is_first = not settings.object_count
     note_results(scene, run)
-    if not settings.kept_before:
-        settings.kept_before = json.dumps({"exposure": scene.view_settings.exposure})
-    if settings.match_exposure and scene.fipt.lights.median_radiance > 0.0:
-        match_exposure(scene)
+    if settings.set_rendering:
+        set_up(scene, photographs_exposure(scene))
     if settings.mute_lights:
         mute_other_lights(scene, True)
-    if settings.use_cycles:
-        use_cycles(scene)
     if scene.fipt.insert.backdrop == "PHOTOGRAPH":  # the new fixtures are part of it
         set_backdrop(scene, "PHOTOGRAPH", scene.fipt.capture.room_objects(scene))
     cull_outside(scene)
@@ -85,39 +81,31 @@ def median_shown(run: RunFolder) -> float:
     return shown if shown and 0.0 < shown < 1.0 else MIDDLE_GREY
 
 
+def photographs_exposure(scene: bpy.types.Scene) -> float | None:
+    """The stops with which a render is as bright as the photographs; None where that is not known."""
+    median = scene.fipt.lights.median_radiance
+    if scene.render.engine != "CYCLES":  # only its film has an exposure, which the calibration has set
+        median *= scene_unit(scene)
+    return math.log2(scene.fipt.lights.median_shown / median) if median > 0.0 else None
+
+
 def match_exposure(scene: bpy.types.Scene) -> float:
     """Set the scene's exposure so that a render is as bright as the photographs; returns the stops.
 
     Raises:
         FiptError: ``radiance-unknown``.
     """
-    median = scene.fipt.lights.median_radiance
-    if scene.render.engine != "CYCLES":  # only its film has an exposure, which the calibration has set
-        median *= scene_unit(scene)
-    if median <= 0.0:
+    stops = photographs_exposure(scene)
+    if stops is None:
         raise FiptError(
             "radiance-unknown", "The brightness of the photographs is not known.", "Apply the results first."
         )
-    stops = math.log2(scene.fipt.lights.median_shown / median)
     kept = scene.fipt.materials.kept_view
     if kept:  # while a map is shown: the exposure is set when the scene's view settings come back
         scene.fipt.materials.kept_view = json.dumps({**json.loads(kept), "exposure": stops})
     else:
-        scene.view_settings.exposure = stops
+        set_once(scene, {"view_settings.exposure": stops}, again=True)
     return stops
-
-
-def use_cycles(scene: bpy.types.Scene) -> bool:
-    """Make Cycles the scene's engine, which `restore_scene` undoes; False where Cycles is not available."""
-    return switch_engine(scene, ["CYCLES"])
-
-
-def restore_scene(scene: bpy.types.Scene) -> None:
-    """Restore the exposure, and the engine unless the artist has chosen another one since."""
-    kept = json.loads(scene.fipt.materials.kept_before or "{}")
-    if "exposure" in kept:
-        scene.view_settings.exposure = kept["exposure"]
-    restore_engine(scene)
 
 
 def mute_other_lights(scene: bpy.types.Scene, on: bool) -> int:
