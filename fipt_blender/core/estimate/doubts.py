@@ -16,7 +16,7 @@ from ..material.closed_form import CellEstimate, TrainingData
 from ..material.pixel_samples import rows_with_donor
 from ..report.comparison import to_display
 from ..report.pictures import write_png
-from ..run.kinds import head
+from ..run.result_contents import Doubt, Doubts
 from ..run.runfolder import RunFolder, write_json
 
 MOST_DOUBTS = 20  # of a run
@@ -121,23 +121,23 @@ def write_doubts(
         path = folder.doubts / f"{number:02d}.png"
         write_png(path, picture)
         entries.append(
-            {
-                "name": names[int(pixels.triangle[place])] or f"Part {group}",
-                "question": word,
-                "text": text,
-                "point": [round(float(value), 5) for value in pixels.position[place]],
-                "pixels": int(total[group]),
-                "share": round(float(doubts.share[group]), 5),
-                "roughness": round(roughness, 4),
-                "metallic": round(metallic, 4),
-                "roughness_error": round(float(errors[0]), 4),
-                "metallic_error": round(float(errors[1]), 4),
-                "view": pixels.views[view].name,
-                "box": box,
-                "picture": path.name,
-            }
+            Doubt(
+                name=names[int(pixels.triangle[place])] or f"Part {group}",
+                question=word,
+                text=text,
+                point=pixels.position[place].astype(np.float64).round(5).tolist(),
+                pixels=int(total[group]),
+                share=round(float(doubts.share[group]), 5),
+                roughness=round(roughness, 4),
+                metallic=round(metallic, 4),
+                roughness_error=round(float(errors[0]), 4),
+                metallic_error=round(float(errors[1]), 4),
+                view=pixels.views[view].name,
+                box=box,
+                picture=path.name,
+            )
         )
-    write_json(folder.doubts_json, {**head("doubts"), "doubts": entries})
+    write_json(folder.doubts_json, Doubts(tuple(entries)))
 
 
 def _counts(

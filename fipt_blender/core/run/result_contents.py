@@ -143,11 +143,15 @@ class StageFigures:
 
 @dataclass(frozen=True)
 class Stages:
-    """stages.json: the key of each stage of an estimation, and figures and warnings of the finished ones."""
+    """stages.json: the key of each stage of an estimation, and facts and warnings of the finished ones.
+
+    The files of `dropped` ones are removed.
+    """
 
     keys: Mapping[str, str]
-    stages: Mapping[str, StageFigures]
+    stages: Mapping[str, dict]
     warnings: Mapping[str, tuple[Problem, ...]]
+    dropped: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -15,23 +15,25 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated
+from typing import cast
 
 import numpy as np
 
 from ..capture.averaging import means
 from ..capture.encoded import is_clipped, srgb_decoded
 from ..capture.views import View, load_capture
-from ..light.baking import ShadingStore, open_shadings
+from ..light.baking import ShadingStore
 from ..light.observations import median_footprint
-from ..light.shadings import roughness_levels
 from ..optics.lights import LUMINANCE
 from ..parts.labels import NO_PART
-from ..pixels.store import PixelStore, open_pixels
+from ..pixels.store import PixelStore
+from ..run.chain import START_AGAIN
 from ..run.documents import read_document
-from ..run.kinds import FileName, Pixels
+from ..run.errors import FiptError
+from ..run.kinds import Pixels
 from ..run.result_contents import Statistics
 from ..run.runfolder import RunFolder, atomic_path, write_json
+from ..run.stage_files import loaded, saved
 from ..surface.room import Room, triangle_normals
 from ..surface.smoothing import SmoothingGrid
 from .texel_views import LightPixels, Seen, Texels, see_texels
@@ -76,6 +78,15 @@ class DetailInput:
 
 
 @dataclass(frozen=True)
+class SolvedLight:
+    """What an estimation has solved light with: pixels and the last shadings at roughness `levels` (K,)."""
+
+    pixels: PixelStore
+    shadings: ShadingStore
+    levels: np.ndarray
+
+
+@dataclass(frozen=True)
 class _UsedView:
     """A view at light resolution."""
 
@@ -86,21 +97,36 @@ class _UsedView:
 
 @dataclass(frozen=True)
 class _UsedViews:
-    """stage/views.json: the views of pixels and shadings, and the folder of the last shadings."""
+    """stage/views.json: the views of pixels and shadings, and where these are (`stage_files.saved`)."""
 
     views: tuple[_UsedView, ...]
-    shadings: Annotated[str, FileName()]
+    light: dict
 
 
-def remember_views(run: RunFolder, views: list[View], shadings: str) -> None:
-    """Write which views the pixels and shadings of an estimation belong to.
+def remember_light(run: RunFolder, light: SolvedLight) -> None:
+    """Write where the pixels and shadings of an estimation are, and to which views they belong.
 
-    Args:
-        views: at light resolution.
-        shadings: name of the folder of the last shadings in the stage folder.
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
     """
+    views, root = light.pixels.views, run.stage.resolve()
     listed = tuple(_UsedView(view.name, view.width, view.height) for view in views)
-    write_json(run.stage / "views.json", _UsedViews(listed, shadings))
+    document = saved(light, run.stage / "light", root, {"views": views})
+    write_json(run.stage / "views.json", _UsedViews(listed, document))
+
+
+def solved_light(run: RunFolder, views: list[View]) -> SolvedLight:
+    """What :func:`remember_light` wrote; `views`: the same, at light resolution.
+
+    Raises:
+        FiptError: ``file-damaged``.
+    """
+    path = run.stage / "views.json"
+    try:
+        document = read_document(path, _UsedViews).light
+        return cast(SolvedLight, loaded(document, SolvedLight, run.stage.resolve(), {"views": views}))
+    except (KeyError, TypeError, ValueError) as error:
+        raise FiptError("file-damaged", f"{path} can't be used ({error}).", START_AGAIN) from None
 
 
 def load_input(run: RunFolder) -> DetailInput | None:
@@ -116,23 +142,21 @@ def load_input(run: RunFolder) -> DetailInput | None:
     kept = run.results / run.stages_json.name
     if kept.exists() and kept.read_bytes() != run.stages_json.read_bytes():
         return None  # another estimation has begun; its pixels do not belong to these results
-    used = read_document(path, _UsedViews)
+    used = read_document(path, _UsedViews).views
     by_name = {view.name: view for view in load_capture(run).train}
-    if any(view.name not in by_name for view in used.views):
+    if any(view.name not in by_name for view in used):
         return None  # the capture has changed since
-    photographs = [by_name[view.name] for view in used.views]
-    lights = [by_name[view.name].resized(view.width, view.height) for view in used.views]
+    photographs = [by_name[view.name] for view in used]
+    lights = [by_name[view.name].resized(view.width, view.height) for view in used]
     pairs = zip(photographs, lights, strict=True)
     if all(view.width * view.height <= light.width * light.height for view, light in pairs):
         return None
-    levels = roughness_levels(settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
-    pixels = open_pixels(run.stage / "pixels", lights)
-    shadings = open_shadings(run.stage / used.shadings, len(pixels), len(levels))
+    light = solved_light(run, lights)
     photometry = None
     if run.statistics_json.exists():
         photometry = read_document(run.statistics_json, Statistics).photometry
     response = np.array(photometry.log_curve) if photometry else None
-    return DetailInput(photographs, pixels, shadings, levels, response)
+    return DetailInput(photographs, light.pixels, light.shadings, light.levels, response)
 
 
 def write_resolution(run: RunFolder, triangles: int) -> None:
