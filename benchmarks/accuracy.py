@@ -20,7 +20,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks import cycles_views, disturb, ldr, metrics, picture_page, truth
+from benchmarks import cycles_views, disturb, ldr, metrics, picture_page, results, truth
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.device.variant import set_variant
@@ -106,7 +106,12 @@ def evaluate(arguments: argparse.Namespace, folder: Path) -> int:
     page.write(result)
     result |= figures
     result["camera"] = ldr.camera_errors(run, arguments.capture)
-    result |= {"version": PRODUCT_VERSION, "settings": asdict(run.read()), "spp": arguments.spp}
+    import mitsuba  # its variant is set by now
+
+    settings = run.read()
+    result |= {"version": PRODUCT_VERSION, "settings": asdict(settings), "spp": arguments.spp}
+    command = ["python3", "dev.py", "accuracy", *sys.argv[1:]]
+    result["measured"] = results.provenance(arguments.capture.name, settings.seed, mitsuba.variant(), command)
     print(format_table(result))
     print(f"pictures: {(arguments.page or run.root / 'accuracy') / 'index.html'}")
     if arguments.json:

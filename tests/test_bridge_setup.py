@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import errno
-import io
 import json
 import shutil
 import subprocess
@@ -87,17 +86,6 @@ def test_second_set_up_in_one_data_folder_waits_its_turn(installed: list[str], t
         result = subprocess.run(installed, capture_output=True, text=True)
     error = parse_message(result.stdout.splitlines()[-1])
     assert result.returncode == 1 and error["code"] == "run-busy"
-
-
-def test_stdout_of_set_up_is_for_messages_alone() -> None:
-    stdout = io.StringIO()
-    listener = setup.SetupReporter(stdout)
-    listener.plan((1.0, 1.0))
-    listener.stage("a", "A")
-    listener.detail("more of A")
-    lines = [json.loads(line) for line in stdout.getvalue().splitlines()]
-    assert [line["text"] for line in lines if line["type"] == "stage"] == ["A", "more of A"]
-    assert {line["index"] for line in lines if line["type"] == "stage"} == {0}
 
 
 def test_data_folder_is_the_platforms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

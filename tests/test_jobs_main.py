@@ -16,7 +16,7 @@ import pytest
 import fipt_blender
 from fipt_blender.blend.capture.view_geometry import ViewGeometry
 from fipt_blender.blend.insert.support import choose_view, find_support
-from fipt_blender.blend.lights.placement import find_light_place, room_light_power
+from fipt_blender.blend.lights.placement import find_light_place
 from fipt_blender.bridge.interpreter import engine_environment
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.documents import read_document
@@ -371,7 +371,3 @@ def test_a_view_without_floor_is_not_chosen():
     assert find_support(cast, walls) is None
     assert choose_view(cast, [("walls", walls), ("floor", VIEW)])[0] == "floor"
     assert choose_view(cast, [("walls", walls)]) == ("walls", None)
-
-
-def test_the_lights_power_follows_area_and_radiance():
-    assert room_light_power(2.0, *ROOM) == pytest.approx(2.0 * np.pi * 2 * (4 * 3 + 3 * 2.5 + 2.5 * 4))

@@ -18,7 +18,6 @@ from fipt_blender.blend.capture.additions import added_surfaces
 from fipt_blender.blend.marks import ADDED, CLOSED, FOUND
 from fipt_blender.blend.room.mesh_arrays import world_bounds
 from fipt_blender.core import conventions
-from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.run_files import CLOSING
 from fipt_blender.core.run.runfolder import RunFolder
@@ -34,7 +33,6 @@ pytestmark = pytest.mark.usefixtures("registered")
 @pytest.fixture(scope="module")
 def sample(tmp_path_factory) -> Path:
     """A capture whose scan lacks a box, and some triangles of the ceiling."""
-    set_variant("llvm")
     root = tmp_path_factory.mktemp("capture") / "lacking"
     (root / "images").mkdir(parents=True)
     rng = np.random.default_rng(3)

@@ -21,10 +21,9 @@ from fipt_blender.core.report.comparison import (
     psnr,
     to_display,
 )
-from fipt_blender.core.report.fixture_names import fixture_names, words
-from fipt_blender.core.report.html import format_duration
-from fipt_blender.core.report.page import MAPS, swatch, write_report
-from fipt_blender.core.run.parts import RoomPart, RoomParts, free_name
+from fipt_blender.core.report.fixture_names import fixture_names
+from fipt_blender.core.report.page import MAPS, write_report
+from fipt_blender.core.run.parts import RoomPart, RoomParts
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from samples.pages import Page
@@ -115,11 +114,6 @@ def test_names_are_escaped_and_nothing_comes_from_elsewhere(run):
     assert "http:" not in text and "https:" not in text and "url(" not in text
 
 
-def test_the_psnr_on_the_page_is_that_of_the_images(run):
-    expected = psnr(image(2) * 1.1, image(2))
-    assert f"{expected:.2f} dB" in Page(write_report(run)).text
-
-
 def test_hints_are_listed_with_what_follows_from_them(run):
     told = {"triangles": 7, "roughness": 0.25, "metallic": 1.0, "emits": False, "left_alone": False}
     plant = {"triangles": 9, "roughness": None, "metallic": None, "emits": None, "left_alone": True}
@@ -185,12 +179,6 @@ def test_exposure_is_only_changed_for_pictures_that_could_not_be_seen():
     assert choose_exposure(300.0) * 300.0 == pytest.approx(0.18)
 
 
-def test_swatches_and_times():
-    assert swatch([10.0, 10.0, 10.0]) == "#ffffff" and swatch([5.0, 0.0, 0.0]) == "#ff0000"
-    texts = [format_duration(seconds) for seconds in (59.94, 125.0)]
-    assert texts == ["59.9 s", "2 min 5 s"]
-
-
 SHELL = ((0.0, 0.0, 0.0), (6.0, 5.0, 3.0))
 _FACES = [
     (0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4), (2, 6, 7), (2, 7, 3), (0, 4, 6),
@@ -232,12 +220,6 @@ def name_of(*boxes: tuple[str, tuple, tuple], material: str = "") -> str:
     room, pieces = room_of(*boxes, material=material)
     (name,) = fixture_names(room, [lamp(pieces[-1])])
     return name
-
-
-def test_words_of_names():
-    assert words("CeilingPanel_light.001") == ["ceiling", "panel", "light"]
-    assert words("12-34") == [] and words("Lámpara 2") == ["lámpara"]
-    assert free_name("Lamp", []) == "Lamp" and free_name("Lamp", ["Lamp", "Lamp 2"]) == "Lamp 3"
 
 
 def test_an_object_that_is_a_lamp_gives_its_name():

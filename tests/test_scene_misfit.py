@@ -14,17 +14,11 @@ from fipt_blender.core.alignment.edges import corrected_pose, edge_flow
 from fipt_blender.core.alignment.turns import turn_by
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.checks import survey
-from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at
 from samples.small_rooms import BOX, make_room
 
 WIDTH, HEIGHT, FINER = 320, 240, 4
-
-
-@pytest.fixture(scope="module", autouse=True)
-def variant() -> None:
-    set_variant("llvm")
 
 
 def cuboid(low: tuple, high: tuple) -> list:

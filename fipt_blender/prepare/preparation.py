@@ -191,7 +191,7 @@ class _Document:
 
 
 class PreparationFolder:
-    """Paths of the files that `prepare` writes; docs/architecture.md lists them."""
+    """Paths of the files that `prepare` writes; docs/run_folder.md lists them."""
 
     def __init__(self, root: str | Path) -> None:
         self.root = Path(root).absolute()

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The arrays of room.npz and the names of room.json: one triangle soup in world space with ids.
 
-docs/architecture.md describes the arrays.
+docs/run_folder.md describes the arrays.
 """
 
 from __future__ import annotations

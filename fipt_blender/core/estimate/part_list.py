@@ -49,7 +49,7 @@ def write_part_list(
     fields: RoomFields,
     areas: Mapping[int, str] | None = None,
 ) -> list[str]:
-    """Write results/parts.json (docs/architecture.md) and return the names of the units.
+    """Write results/parts.json (docs/run_folder.md) and return the names of the units.
 
     Args:
         room, parts: of the estimation.

@@ -34,7 +34,7 @@ _NEAR = 0.3  # metres between a bulb and the lamp that holds it
 
 
 class NamedMesh(Protocol):
-    """What names are made of: arrays of room.npz and names of room.json (docs/architecture.md)."""
+    """What names are made of: arrays of room.npz and names of room.json (docs/run_folder.md)."""
 
     @property
     def vertices(self) -> np.ndarray: ...

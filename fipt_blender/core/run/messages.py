@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Messages from the engine to Blender: one JSON object per line on the engine's stdout.
 
-Standard library only: both processes import it. docs/architecture.md lists the types and their fields.
+Standard library only: both processes import it. docs/run_folder.md lists the types and their fields.
 """
 
 from __future__ import annotations

@@ -145,7 +145,7 @@ class StageFigures:
 class Stages:
     """stages.json: the key of each stage of an estimation, and facts and warnings of the finished ones.
 
-    The files of `dropped` ones are removed.
+    The files of the `dropped` ones are gone, as a later stage has replaced them.
     """
 
     keys: Mapping[str, str]

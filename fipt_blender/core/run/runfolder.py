@@ -3,7 +3,7 @@
 """The run folder: the paths of its files, and writing files completely or not at all.
 
 Standard library only: both processes import it. Blender imports it while starting, therefore json, settings
-and documents are imported in the functions that use them. docs/architecture.md describes the formats.
+and documents are imported in the functions that use them. docs/run_folder.md describes the formats.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ RESULTS = "results"
 
 
 class RunFolder:
-    """Paths of the files of one run; docs/architecture.md lists them.
+    """Paths of the files of one run; docs/run_folder.md lists them.
 
     Args:
         root: the folder.

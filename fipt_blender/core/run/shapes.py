@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Limits of values, and the layouts of array files as `arrays.read_arrays` takes them.
 
-Standard library only. docs/architecture.md describes what the values mean.
+Standard library only. docs/run_folder.md describes what the values mean.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The room's mesh as arrays and as a Mitsuba scene for ray queries.
 
-Blender writes room.npz (docs/architecture.md); mesh files are not read here. All surfaces are double-sided:
+Blender writes room.npz (docs/run_folder.md); mesh files are not read here. All surfaces are double-sided:
 normals are flipped towards the viewer, so that inverted normals have no effect.
 """
 

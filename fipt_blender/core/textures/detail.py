@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -78,15 +78,6 @@ class DetailInput:
 
 
 @dataclass(frozen=True)
-class SolvedLight:
-    """What an estimation has solved light with: pixels and the last shadings at roughness `levels` (K,)."""
-
-    pixels: PixelStore
-    shadings: ShadingStore
-    levels: np.ndarray
-
-
-@dataclass(frozen=True)
 class _UsedView:
     """A view at light resolution."""
 
@@ -97,10 +88,19 @@ class _UsedView:
 
 @dataclass(frozen=True)
 class _UsedViews:
-    """stage/views.json: the views of pixels and shadings, and where these are (`stage_files.saved`)."""
+    """stage/views.json: the views, and what :func:`.stage_files.saved` says of their pixels and shadings."""
 
     views: tuple[_UsedView, ...]
-    light: dict
+    light: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class SolvedLight:
+    """What an estimation has solved light with: pixels and the last shadings at roughness `levels` (K,)."""
+
+    pixels: PixelStore
+    shadings: ShadingStore
+    levels: np.ndarray
 
 
 def remember_light(run: RunFolder, light: SolvedLight) -> None:
@@ -123,9 +123,9 @@ def solved_light(run: RunFolder, views: list[View]) -> SolvedLight:
     """
     path = run.stage / "views.json"
     try:
-        document = read_document(path, _UsedViews).light
-        return cast(SolvedLight, loaded(document, SolvedLight, run.stage.resolve(), {"views": views}))
-    except (KeyError, TypeError, ValueError) as error:
+        light = read_document(path, _UsedViews).light
+        return cast(SolvedLight, loaded(light, SolvedLight, run.stage.resolve(), {"views": views}))
+    except ValueError as error:
         raise FiptError("file-damaged", f"{path} can't be used ({error}).", START_AGAIN) from None
 
 
