@@ -16,6 +16,7 @@ from ..material.closed_form import CellEstimate, TrainingData
 from ..material.pixel_samples import rows_with_donor
 from ..report.comparison import to_display
 from ..report.pictures import write_png
+from ..run.kinds import Row
 from ..run.result_contents import Doubt, Doubts
 from ..run.runfolder import RunFolder, write_json
 
@@ -166,7 +167,7 @@ def _rows(data: TrainingData, view: int) -> np.ndarray:
     return rows[data.group[rows] >= 0]
 
 
-def _picture(data: TrainingData, view: int, group: int) -> tuple[int, list[int], np.ndarray]:
+def _picture(data: TrainingData, view: int, group: int) -> tuple[int, Row, np.ndarray]:
     """A pixel of a group in a view, near the middle of its pixels; their box; and a picture of it.
 
     The box is left, top, right, bottom in pixels, the last two not included; the picture (h, w, 3) in [0, 1].
@@ -191,5 +192,5 @@ def _picture(data: TrainingData, view: int, group: int) -> tuple[int, list[int],
     crop = radiance[top:bottom, left:right] * shown.reshape(height, width, 1)[top:bottom, left:right]
     repeat = max(PICTURE_SIZE // max(crop.shape[:2]), 1)
     picture = to_display(crop, EXPOSURE).repeat(repeat, axis=0).repeat(repeat, axis=1)
-    box = [int(low[0]), int(low[1]), int(high[0]) + 1, int(high[1]) + 1]
+    box = (float(low[0]), float(low[1]), float(high[0]) + 1.0, float(high[1]) + 1.0)
     return int(rows[middle]), box, picture
