@@ -37,7 +37,7 @@ from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.optics.lights import EmitterTable
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import RunFolder
 
@@ -108,7 +108,7 @@ def judge_run(run: RunFolder) -> None:
     from fipt_blender.core.surface.room import load_room
     from fipt_blender.core.textures.detail import solved_light
 
-    statistics, emitters = read_json(run.statistics_json), read_json(run.emitters_json)
+    statistics, emitters = read_document(run.statistics_json, dict), read_document(run.emitters_json, dict)
     scale = float(statistics["radiance_scale"])
     table = EmitterTable.from_fixtures(emitters)
     table = EmitterTable(table.triangles, table.radiance / scale, table.back_radiance / scale)
@@ -128,10 +128,12 @@ def row(name: str, run: RunFolder, job: Job | None) -> list[str]:
         times = ["-" if job.said is None else f"{job.said:.0f} s", f"{job.taken:.0f} s"]
         if job.error is not None:
             return [name, *["-"] * 5, *times, f"{job.error['code']}: {job.error['text']}"]
-    quality = read_json(run.quality_json)
+    quality = read_document(run.quality_json, dict)
     errors = np.array([view["errors"] for view in quality["views"]])  # (views, 2, channels)
     eag = (-10.0 * np.log10(np.maximum(errors, 1e-10))).mean(axis=(0, 2))
-    lamps = [f"{lamp.get('probability', 0.0):.2f}" for lamp in read_json(run.emitters_json)["fixtures"]]
+    lamps = [
+        f"{lamp.get('probability', 0.0):.2f}" for lamp in read_document(run.emitters_json, dict)["fixtures"]
+    ]
     causes = ", ".join(f"{cause['name']} {100.0 * cause['share']:.0f} %" for cause in quality["causes"])
     pooled = [f"{quality[key]:.2f}" for key in ("held_back_db", "projection_db")]
     shown = [pooled[0], f"{eag[0]:.2f}", pooled[1], f"{eag[1]:.2f}", " ".join(lamps) or "none"]
