@@ -39,6 +39,7 @@ from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.messages import parse_message
+from fipt_blender.core.run.result_contents import Emitters
 from fipt_blender.core.run.runfolder import RunFolder
 
 PRODUCT = Path(__file__).resolve().parent.parent / "fipt_blender"
@@ -131,9 +132,8 @@ def row(name: str, run: RunFolder, job: Job | None) -> list[str]:
     quality = read_document(run.quality_json, dict)
     errors = np.array([view["errors"] for view in quality["views"]])  # (views, 2, channels)
     eag = (-10.0 * np.log10(np.maximum(errors, 1e-10))).mean(axis=(0, 2))
-    lamps = [
-        f"{lamp.get('probability', 0.0):.2f}" for lamp in read_document(run.emitters_json, dict)["fixtures"]
-    ]
+    fixtures = read_document(run.emitters_json, Emitters).fixtures
+    lamps = [f"{lamp.probability:.2f}" for lamp in fixtures]
     causes = ", ".join(f"{cause['name']} {100.0 * cause['share']:.0f} %" for cause in quality["causes"])
     pooled = [f"{quality[key]:.2f}" for key in ("held_back_db", "projection_db")]
     shown = [pooled[0], f"{eag[0]:.2f}", pooled[1], f"{eag[1]:.2f}", " ".join(lamps) or "none"]
