@@ -28,6 +28,7 @@ from fipt_blender.bridge.interpreter import engine_command
 from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.result_contents import Emitters
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 
 # Samples of the truth: cosine-distributed, for each roughness level, and towards emitters.
@@ -87,8 +88,7 @@ def evaluate(capture: Path, run: RunFolder, count: int) -> dict[str, Any]:
     levels = roughness_levels(settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
     train = load_capture(run).train
     pixels = solved_light(run, train).pixels
-    fixtures = read_document(run.emitters_json, dict)["fixtures"]
-    emitting = [t for fixture in fixtures for t in fixture["triangles"]]
+    emitting = [t for each in read_document(run.emitters_json, Emitters).fixtures for t in each.triangles]
     lit = true_room(capture, load_capture(run).world_from_source)
     stages = {"stage 1": bake_stage_1(run), "stage 3": run}
     names = (*stages, "truth, other seed")
@@ -352,8 +352,7 @@ def baked_errors(
 
     captured = load_capture(run)
     pixels = solved_light(run, estimation_views(run, run.read())).pixels
-    fixtures = read_document(run.emitters_json, dict)["fixtures"]
-    emitting = [t for fixture in fixtures for t in fixture["triangles"]]
+    emitting = [t for each in read_document(run.emitters_json, Emitters).fixtures for t in each.triangles]
     triangle = np.asarray(pixels.triangle[kept])
     usable = (triangle >= 0) & np.asarray(pixels.pure[kept]) & ~np.isin(triangle, emitting)
     chosen = np.random.default_rng(0).permutation(np.flatnonzero(usable))[:count]

@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 import pytest
 
-from fipt_blender.blend.hints.exchange import scene_hints, write_for_again, write_for_run
+from fipt_blender.blend.hints.exchange import scene_hints, write_for_run, write_hints_rerun
 from fipt_blender.blend.marks import PROBABILITY
 from fipt_blender.core.run.hints import light_changes, read_hints
 from fipt_blender.core.run.runfolder import RunFolder
@@ -215,19 +215,19 @@ def test_files_of_a_run_and_of_a_run_again(settings, run_folder: RunFolder) -> N
     add()
     write_for_run(scene, run_folder)
     settings.hints[0].material = "METAL"
-    write_for_again(scene, run_folder)
+    write_hints_rerun(scene, run_folder)
     assert read_hints(run_folder.hints_json)[0].material == "unknown"
     assert read_hints(run_folder.hints_again_json)[0].material == "metal"
     assert not light_changes(run_folder.hints_again_json)
     settings.light = True
-    write_for_again(scene, run_folder)
+    write_hints_rerun(scene, run_folder)
     assert light_changes(run_folder.hints_again_json) and not light_changes(run_folder.hints_json)
     settings.hints.clear()
-    write_for_again(scene, run_folder)
+    write_hints_rerun(scene, run_folder)
     assert run_folder.hints_again_json.exists() and read_hints(run_folder.hints_again_json) == []
     write_for_run(scene, run_folder)
     assert not run_folder.hints_json.exists() and not run_folder.hints_again_json.exists()
-    write_for_again(scene, run_folder)
+    write_hints_rerun(scene, run_folder)
     assert not run_folder.hints_again_json.exists()
 
 

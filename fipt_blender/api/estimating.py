@@ -121,7 +121,7 @@ def reestimation() -> Task:
     def make(scene: bpy.types.Scene) -> Job:
         from dataclasses import replace
 
-        from ..blend.hints.exchange import write_for_again
+        from ..blend.hints.exchange import write_hints_rerun
         from ..core.run.versions import refuse_other_stages, restore_inputs
         from ..jobs.main_job import estimate_step
         from ..jobs.run_job import find_launch, open_job, refuse_busy
@@ -136,7 +136,7 @@ def reestimation() -> Task:
         kept = scene_settings(scene).kept_versions
         settings = replace(run.read_estimated(), kept_versions=kept)
         run.create(settings)
-        write_for_again(scene, run)
+        write_hints_rerun(scene, run)
         steps = [estimate_step(run, settings, resume=True), *apply_steps(scene.name, run, settings)]
         return open_job(run, steps, resume=False, launch=launch)
 

@@ -52,9 +52,9 @@ def make_main_job(options: MainJobOptions) -> Job:
     engine = find_launch(options.engine_python)
     run = RunFolder(options.output)
     refuse_busy(run)
-    hints, again = (_existing(path) for path in (options.hints, options.hints_again))
+    hints, hints_rerun = (_existing(path) for path in (options.hints, options.hints_again))
     run.create(options.settings)
-    _take_hints(run, hints, again, options.resume)
+    _take_hints(run, hints, hints_rerun, options.resume)
     return open_job(
         run, _steps(options, run), resume=options.resume, result=lambda: list_files(run), launch=engine
     )
@@ -116,12 +116,14 @@ def _existing(path: Path | None) -> list[Hint] | None:
     return read_hints(path)
 
 
-def _take_hints(run: RunFolder, hints: list[Hint] | None, again: list[Hint] | None, resume: bool) -> None:
+def _take_hints(
+    run: RunFolder, hints: list[Hint] | None, hints_rerun: list[Hint] | None, resume: bool
+) -> None:
     """Write the hints into the run folder; a run that is not resumed has no others, a resumed one its own."""
     if hints is not None or not resume:
         run.hints_again_json.unlink(missing_ok=True)
         run.hints_json.unlink(missing_ok=True)
-    for path, given in ((run.hints_json, hints), (run.hints_again_json, again)):
+    for path, given in ((run.hints_json, hints), (run.hints_again_json, hints_rerun)):
         if given is not None:
             write_hints(path, given)
 

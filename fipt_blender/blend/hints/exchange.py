@@ -73,7 +73,7 @@ def write_for_run(scene: bpy.types.Scene, run: RunFolder) -> None:
         run.hints_json.unlink(missing_ok=True)
 
 
-def write_for_again(scene: bpy.types.Scene, run: RunFolder) -> None:
+def write_hints_rerun(scene: bpy.types.Scene, run: RunFolder) -> None:
     """Write the hints that a re-estimation honours instead of those of the run.
 
     Raises:

@@ -16,7 +16,8 @@ from ..material.closed_form import CellEstimate, TrainingData
 from ..material.pixel_samples import rows_with_donor
 from ..report.comparison import to_display
 from ..report.pictures import write_png
-from ..run.kinds import head
+from ..run.kinds import Row
+from ..run.result_contents import Doubt, Doubts
 from ..run.runfolder import RunFolder, write_json
 
 MOST_DOUBTS = 20  # of a run
@@ -121,23 +122,23 @@ def write_doubts(
         path = folder.doubts / f"{number:02d}.png"
         write_png(path, picture)
         entries.append(
-            {
-                "name": names[int(pixels.triangle[place])] or f"Part {group}",
-                "question": word,
-                "text": text,
-                "point": [round(float(value), 5) for value in pixels.position[place]],
-                "pixels": int(total[group]),
-                "share": round(float(doubts.share[group]), 5),
-                "roughness": round(roughness, 4),
-                "metallic": round(metallic, 4),
-                "roughness_error": round(float(errors[0]), 4),
-                "metallic_error": round(float(errors[1]), 4),
-                "view": pixels.views[view].name,
-                "box": box,
-                "picture": path.name,
-            }
+            Doubt(
+                name=names[int(pixels.triangle[place])] or f"Part {group}",
+                question=word,
+                text=text,
+                point=pixels.position[place].astype(np.float64).round(5).tolist(),
+                pixels=int(total[group]),
+                share=round(float(doubts.share[group]), 5),
+                roughness=round(roughness, 4),
+                metallic=round(metallic, 4),
+                roughness_error=round(float(errors[0]), 4),
+                metallic_error=round(float(errors[1]), 4),
+                view=pixels.views[view].name,
+                box=box,
+                picture=path.name,
+            )
         )
-    write_json(folder.doubts_json, {**head("doubts"), "doubts": entries})
+    write_json(folder.doubts_json, Doubts(tuple(entries)))
 
 
 def _counts(
@@ -166,7 +167,7 @@ def _rows(data: TrainingData, view: int) -> np.ndarray:
     return rows[data.group[rows] >= 0]
 
 
-def _picture(data: TrainingData, view: int, group: int) -> tuple[int, list[int], np.ndarray]:
+def _picture(data: TrainingData, view: int, group: int) -> tuple[int, Row, np.ndarray]:
     """A pixel of a group in a view, near the middle of its pixels; their box; and a picture of it.
 
     The box is left, top, right, bottom in pixels, the last two not included; the picture (h, w, 3) in [0, 1].
@@ -191,5 +192,5 @@ def _picture(data: TrainingData, view: int, group: int) -> tuple[int, list[int],
     crop = radiance[top:bottom, left:right] * shown.reshape(height, width, 1)[top:bottom, left:right]
     repeat = max(PICTURE_SIZE // max(crop.shape[:2]), 1)
     picture = to_display(crop, EXPOSURE).repeat(repeat, axis=0).repeat(repeat, axis=1)
-    box = [int(low[0]), int(low[1]), int(high[0]) + 1, int(high[1]) + 1]
+    box = (float(low[0]), float(low[1]), float(high[0]) + 1.0, float(high[1]) + 1.0)
     return int(rows[middle]), box, picture

@@ -4,16 +4,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ..material.groups import Units
 from ..material.hints import SurfaceHints, values_of_hints
+from ..run.result_contents import HintFigures
 from ..run.runfolder import RunFolder, atomic_path
 
 
-def hint_facts(hints: SurfaceHints, units: Units) -> list[dict[str, Any]]:
+def hint_facts(hints: SurfaceHints, units: Units) -> list[HintFigures]:
     """One entry per hint for the statistics: its surface, and the values that it has decided."""
     triangles = np.bincount(hints.triangle[hints.triangle >= 0], minlength=len(hints.names))
     unit = values_of_hints(hints, units.triangle)
@@ -21,14 +20,14 @@ def hint_facts(hints: SurfaceHints, units: Units) -> list[dict[str, Any]]:
     fixed = np.concatenate([none[:0] if units.fixed is None else units.fixed, none])
     fixed = fixed[np.where(unit < len(fixed) - 1, unit, -1)]
     return [
-        {
-            "name": name,
-            "triangles": int(triangles[row]),
-            "roughness": None if np.isnan(fixed[row, 0]) else round(float(fixed[row, 0]), 4),
-            "metallic": None if np.isnan(fixed[row, 1]) else round(float(fixed[row, 1]), 4),
-            "emits": {0: None, 1: True, -1: False}[int(hints.emits[row])],
-            "left_alone": bool(hints.left_alone[row]),
-        }
+        HintFigures(
+            name=name,
+            triangles=int(triangles[row]),
+            roughness=None if np.isnan(fixed[row, 0]) else round(float(fixed[row, 0]), 4),
+            metallic=None if np.isnan(fixed[row, 1]) else round(float(fixed[row, 1]), 4),
+            emits={0: None, 1: True, -1: False}[int(hints.emits[row])],
+            left_alone=bool(hints.left_alone[row]),
+        )
         for row, name in enumerate(hints.names)
     ]
 

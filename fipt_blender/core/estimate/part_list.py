@@ -10,8 +10,8 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,8 +22,8 @@ from ..parts.labels import Parts, choose_source, fuse_masks, mesh_borders
 from ..pixels.grouped import grouped_means
 from ..pixels.store import PixelStore
 from ..run.documents import read_document
-from ..run.kinds import head
 from ..run.parts import readable, unique_names
+from ..run.result_contents import PartList, RoomPart
 from ..run.runfolder import RunFolder, write_json
 from ..surface.room import Room
 
@@ -78,32 +78,30 @@ def write_part_list(
     size = np.bincount(unit + 1, minlength=count + 1)
     area = np.bincount(unit + 1, room.areas, minlength=count + 1)
     values = _mean_values(fields, count)
-    entries = [
-        {
-            "id": index,
-            "key": keys[index],
-            "name": names[index],
-            "class": classes[index][1] or None,
-            "single": bool(fields.units.single[index]),
-            "triangles": int(size[index + 1]),
-            "pixels": int(seen[index + 1]),
-            "area": round(float(area[index + 1]), 6),
-            **_described(values[index]),
-        }
-        for index in range(count)
-    ]
-    document = {**head("parts"), "source": source, "parts": entries}
-    write_json(run.parts_json, document)
+    listed = []
+    for index in range(count):
+        part = RoomPart(
+            unit=index,
+            key=keys[index],
+            name=names[index],
+            class_name=classes[index][1] or None,
+            single=bool(fields.units.single[index]),
+            triangles=int(size[index + 1]),
+            pixels=int(seen[index + 1]),
+            area=round(float(area[index + 1]), 6),
+        )
+        if np.isfinite(values[index]).all():
+            r, g, b, roughness, metallic, *trust = values[index].round(4).tolist()
+            part = replace(
+                part,
+                base_color=(r, g, b),
+                roughness=roughness,
+                metallic=metallic,
+                confidence=(trust[0], trust[1], trust[2]),
+            )
+        listed.append(part)
+    write_json(run.parts_json, PartList(source, tuple(listed)))
     return names
-
-
-def _described(values: np.ndarray) -> dict[str, Any]:
-    """Base colour, roughness, metallic and their confidence of values (8,), null where they are NaN."""
-    if not np.isfinite(values).all():
-        return dict.fromkeys(("base_color", "roughness", "metallic", "confidence"))
-    rounded = [round(float(value), 4) for value in values]
-    color, confidence = rounded[:3], rounded[5:]
-    return {"base_color": color, "roughness": rounded[3], "metallic": rounded[4], "confidence": confidence}
 
 
 def _mean_values(fields: RoomFields, count: int) -> np.ndarray:

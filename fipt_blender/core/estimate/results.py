@@ -35,6 +35,7 @@ from ..report.fixture_names import fixture_names
 from ..run.light_size import LightPlan
 from ..run.messages import Reporter, peak_memory_gb
 from ..run.replacing import keep_inputs
+from ..run.result_contents import EmitterEnvironment, EmitterFixture, Emitters, MissingLamp
 from ..run.run_files import ScanHoles
 from ..run.runfolder import RunFolder, write_json
 from ..run.settings import Settings
@@ -192,48 +193,40 @@ def write_results(
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     fields.save(folder)
-    environment, described_environment = light.environment, None
+    environment, described = light.environment, None
     if environment is not None:
         write_exr(folder.environment_exr, environment.image * scale)
-        described_environment = {
-            "image": folder.environment_exr.name,
-            "observed_share": environment.observed_share,
-        }
-    described = [
-        _describe(fixture, f"Fixture.{number:03d}", scale)
-        for number, fixture in enumerate(light.fixtures, start=1)
-    ]
-    if not described and environment is None:
+        described = EmitterEnvironment(folder.environment_exr.name, environment.observed_share)
+    if not light.fixtures and environment is None:
         reporter.warning(
             "no-emitter",
             "No surface was found to emit light, and no view looks outside.",
             "Check that the photographs show the lamps and that the lamps are not over-exposed.",
         )
-    missing = [
-        {
-            "position": list(lamp["position"]),
-            "radius": lamp["radius"],
-            "radiance": [scale * value for value in lamp["radiance"]],
-        }
+    fixtures = tuple(
+        _described(fixture, f"Fixture.{number:03d}", scale)
+        for number, fixture in enumerate(light.fixtures, start=1)
+    )
+    missing = tuple(
+        MissingLamp(lamp["position"], lamp["radius"], (scale * np.asarray(lamp["radiance"])).tolist())
         for lamp in light.missing
-    ]
-    emitters = {"fixtures": described, "environment": described_environment, "missing": missing}
-    write_json(folder.emitters_json, emitters)
+    )
+    write_json(folder.emitters_json, Emitters(fixtures, described, missing))
 
 
-def _describe(fixture: Fixture, name: str, scale: float) -> dict[str, Any]:
+def _described(fixture: Fixture, name: str, scale: float) -> EmitterFixture:
     """A fixture's entry in emitters.json, in the photographs' units; power: pi A L of both sides (watts)."""
     front, back = fixture.radiance * scale, fixture.back_radiance * scale
-    return {
-        "name": name,
-        "triangles": fixture.triangles.tolist(),
-        "radiance": front.tolist(),
-        "back_radiance": back.tolist(),
-        "area": fixture.area,
-        "centroid": fixture.centroid.tolist(),
-        "power": (np.pi * fixture.area * (front + back)).tolist(),
-        "probability": round(fixture.probability, 3),
-    }
+    return EmitterFixture(
+        name=name,
+        triangles=fixture.triangles.tolist(),
+        radiance=front.tolist(),
+        back_radiance=back.tolist(),
+        area=fixture.area,
+        centroid=fixture.centroid.tolist(),
+        power=(np.pi * fixture.area * (front + back)).tolist(),
+        probability=round(fixture.probability, 3),
+    )
 
 
 def summary(solution: Solution, facts: RunFacts) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -201,20 +201,19 @@ class Chain:
 
     def _open(self) -> None:
         keys = {stage.name: key for stage, key in zip(self.stages, self._keys, strict=True) if stage.text}
-        before: dict[str, Any] = {"keys": {}, "stages": {}, "warnings": {}}
+        before = Stages({}, {}, {})
         try:
             if self._path.exists():
-                read_document(self._path, Stages)
-                before = read_document(self._path, dict)  # with all facts of the stages
+                before = read_document(self._path, Stages)
         except FiptError as error:
             self._warn_of_damage(error.text)
-        valid = {name: key for name, key in keys.items() if before["keys"].get(name) == key}
-        done = [name for name in keys if name in before["stages"] and name in valid]
+        valid = {name: key for name, key in keys.items() if before.keys.get(name) == key}
+        done = [name for name in keys if name in before.stages and name in valid]
         self._data = {
             "keys": keys,
-            "stages": {name: before["stages"][name] for name in done},
-            "warnings": {name: before["warnings"].get(name, []) for name in done},
-            "dropped": [name for name in before.get("dropped", []) if name in done],
+            "stages": {name: before.stages[name] for name in done},
+            "warnings": {name: list(map(asdict, before.warnings.get(name, ()))) for name in done},
+            "dropped": [name for name in before.dropped if name in done],
         }
         self._root.mkdir(parents=True, exist_ok=True)
         if self._path.exists():

@@ -182,7 +182,9 @@ def _form(kind: Any) -> tuple[str, Any, Any]:
     if kind in _TYPE_TEXTS:
         return "plain", None, kind
     if origin is Annotated:
-        return "limited", arguments[0], [each for each in arguments[1:] if not isinstance(each, Key)]
+        limits = [each for each in arguments[1:] if not isinstance(each, Key)]
+        whole = any(isinstance(each, (Choice, FileName)) for each in limits)  # they say all of the value
+        return "limited", Any if whole else arguments[0], limits
     if origin in (typing.Union, types.UnionType):
         (inner,) = (each for each in arguments if each is not types.NoneType)
         return "optional", inner, None
@@ -271,9 +273,9 @@ def _fields(kind: Any) -> list[tuple[str, str, Any, Any]]:
     return [(*entry, _MISSING if default is missing else default) for *entry, default in result]
 
 
-def _is_file_name(value: str) -> bool:
+def _is_file_name(value: Any) -> bool:
     """Whether a text names a file in a folder: no path, nothing that a system reserves, and not too long."""
-    if not value.isprintable() or value.strip(" .") != value or not value:
+    if not isinstance(value, str) or not value.isprintable() or value.strip(" .") != value or not value:
         return False
     # File systems allow 255, with suffixes.
     return len(value.encode()) <= 200 and not set(value) & set('/\\:*?"<>|')

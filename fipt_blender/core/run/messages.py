@@ -20,7 +20,7 @@ from typing import IO, Any
 
 from .contents import Problem
 from .documents import parse_document
-from .kinds import as_kind
+from .kinds import as_json, as_kind
 
 # The fields of each type of message that its readers rely on.
 
@@ -122,7 +122,7 @@ class Reporter:
             return
         try:
             # A message that did not fit may have been written in part.
-            self._stream.write(("\n" if self.lost else "") + json.dumps(message) + "\n")
+            self._stream.write(("\n" if self.lost else "") + json.dumps(message, default=as_json) + "\n")
             self._stream.flush()
             self.lost = False
         except OSError as error:
@@ -196,7 +196,7 @@ class Reporter:
         self._write({"type": "error", "code": code, "text": text, "remedy": remedy})
 
     def done(self, files: Sequence[str], data: Mapping[str, Any] | None = None) -> None:
-        """Report the end of the command, with the files it wrote and JSON-serialisable data."""
+        """Report the end of the command, with the files it wrote and data, JSON or dataclasses."""
         self._write({"type": "done", "files": list(files), "data": dict(data or {})})
 
 

@@ -173,13 +173,13 @@ class StageFigures:
 
 @dataclass(frozen=True)
 class Stages:
-    """stages.json: the key of each stage of an estimation, and figures and warnings of the finished ones.
+    """stages.json: the key of each stage of an estimation, and facts and warnings of the finished ones.
 
     The files of the `dropped` ones are gone, as a later stage has replaced them.
     """
 
     keys: Mapping[str, str]
-    stages: Mapping[str, StageFigures]
+    stages: Mapping[str, dict]
     warnings: Mapping[str, tuple[Problem, ...]]
     dropped: tuple[str, ...] = ()
 

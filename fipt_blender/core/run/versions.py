@@ -76,8 +76,8 @@ class Version:
     def what(self) -> str:
         """What it differs in from its preset, in a few words; "" where it does not."""
         hints = len(self.hints)
-        told = () if not hints else ("1 hint" if hints == 1 else f"{hints} hints",)
-        return ", ".join((*self.changes, *told))
+        counted = () if not hints else ("1 hint" if hints == 1 else f"{hints} hints",)
+        return ", ".join((*self.changes, *counted))
 
 
 @contextmanager

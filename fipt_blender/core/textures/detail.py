@@ -142,12 +142,12 @@ def load_input(run: RunFolder) -> DetailInput | None:
     kept = run.results / run.stages_json.name
     if kept.exists() and kept.read_bytes() != run.stages_json.read_bytes():
         return None  # another estimation has begun; its pixels do not belong to these results
-    used = read_document(path, _UsedViews)
+    used = read_document(path, _UsedViews).views
     by_name = {view.name: view for view in load_capture(run).train}
-    if any(view.name not in by_name for view in used.views):
+    if any(view.name not in by_name for view in used):
         return None  # the capture has changed since
-    photographs = [by_name[view.name] for view in used.views]
-    lights = [by_name[view.name].resized(view.width, view.height) for view in used.views]
+    photographs = [by_name[view.name] for view in used]
+    lights = [by_name[view.name].resized(view.width, view.height) for view in used]
     pairs = zip(photographs, lights, strict=True)
     if all(view.width * view.height <= light.width * light.height for view, light in pairs):
         return None
