@@ -5,13 +5,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from ..light.baking import Baking, ShadingStore, TracedLight, bake_views, baked_light
-from ..light.environment import Environment
 from ..light.observations import observe
 from ..light.shadings import SampleCounts
 from ..light.unseen_light import with_unseen_light
@@ -105,24 +103,10 @@ class LightStages(EstimationState):
         self._observed = observe(
             self.room, self.pixels, self.parts, self.settings, self.folder.stage / "observed"
         )
-        self._observed = replace(self._observed, environment=self._environment())
+        if self.settings.unseen_light:
+            label, seed = self._surface_labels(), self.settings.seed
+            self._observed = with_unseen_light(self._observed, self.room, label, seed)
         self._use_hints(self.told)
-
-    def _environment(self) -> Environment | None:
-        """What the pixels see outside, with the light from unseen directions where the mesh is open."""
-        settings, observed = self.settings, self._observed
-        if not settings.unseen_light:
-            return observed.environment
-        return with_unseen_light(
-            observed.environment,
-            self.pixels,
-            self.room,
-            observed.grid,
-            observed.cache,
-            self._surface_labels(),
-            settings.environment_width,
-            settings.seed,
-        )
 
     # ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) ---------------------------------------
 
@@ -153,7 +137,7 @@ class LightStages(EstimationState):
             cache=cache,
             traced=traced,
             emitters=emitters,
-            environment=None if environment is None else environment.image,
+            environment=environment,
             levels=self.levels,
             counts=counts,
             denoise=settings.denoise,

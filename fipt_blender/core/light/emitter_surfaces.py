@@ -35,7 +35,7 @@ class EmitterSurfaces:
         part: (T,) int part of each triangle, negative for none; None where parts are unknown.
         reach: largest distance in pixels between the surface that a pixel shows and the one that it hits.
         gap: metres between the centers of units of one lamp at most, on a scan.
-        unseen_light: factor by which the light may be brighter than the inferred one.
+        unseen_light: factor by which the light may be brighter than the inferred one, (T,) or of all.
     """
 
     unit: np.ndarray
@@ -43,21 +43,21 @@ class EmitterSurfaces:
     part: np.ndarray | None
     reach: int = 0
     gap: float = 0.0
-    unseen_light: float = 1.0
+    unseen_light: np.ndarray | float = 1.0
 
 
 def emitter_surfaces(
-    room: Room, parts: Parts, footprint: float, unseen_light: float = 0.0
+    room: Room, parts: Parts, footprint: float, unseen_light: np.ndarray | None = None
 ) -> EmitterSurfaces:
     """Triangles of a modelled room; of a scan its parts or, where they are unknown, patches of its segments.
 
     Args:
         footprint: median width of a pixel on the surfaces, metres.
-        unseen_light: share of the light on the surfaces that is only inferred.
+        unseen_light: (T,) share of the light on the triangles that is only inferred; None for none.
     """
     pieces = room_pieces(room)
     part = parts.triangle_part if parts.kind == "part" else None
-    doubt = UNSEEN_DOUBT**unseen_light
+    doubt = 1.0 if unseen_light is None else UNSEEN_DOUBT**unseen_light
     if room.scan is None:
         # Photographs see most of a lamp shade's outside and little of its inside, which may be one piece.
         component = pieces if part is None else numbered([pieces, part])

@@ -23,22 +23,63 @@ LEAST_SHARE = 1e-3
 MOST_PIXELS = 200
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Hull:
+    """Radiance that enters through the box around a mesh, by the place where a ray leaves it.
+
+    Attributes:
+        low, high: (3,) corners of the box, metres.
+        counts: (3,) int cells along its sides.
+        radiance: (C, 3) float32 of each cell, six for each place on a grid, one a side.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    counts: np.ndarray
+    radiance: np.ndarray
+
+    @classmethod
+    def around(cls, bounds: tuple[np.ndarray, np.ndarray], size: float) -> Hull:
+        """A dark box, whose cells are `size` metres wide, around bounds."""
+        margin = 1e-3 * float((bounds[1] - bounds[0]).max())
+        low, high = np.asarray(bounds[0], np.float64) - margin, np.asarray(bounds[1], np.float64) + margin
+        counts = np.maximum(np.round((high - low) / size).astype(np.int64), 1)
+        return cls(low, high, counts, np.zeros((int(counts.prod()) * 6, 3), np.float32))
+
+    def cells(self, start: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """(n,) int64 cells through which rays from points (n, 3) in the box leave it along (n, 3)."""
+        way = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
+        reach = np.where(way > 0.0, self.high - start, self.low - start) / way
+        side = reach.argmin(axis=1)
+        place = start + np.take_along_axis(reach, side[:, None], axis=1) * way
+        cell = ((place - self.low) / (self.high - self.low) * self.counts).astype(np.int64)
+        x, y, z = np.clip(cell, 0, self.counts - 1).T
+        positive = np.take_along_axis(way, side[:, None], axis=1)[:, 0] > 0.0
+        return np.asarray(((x * self.counts[1] + y) * self.counts[2] + z) * 6 + 2 * side + positive)
+
+
+@dataclass(frozen=True, eq=False)
 class Environment:
     """Radiance from outside by direction.
 
     Attributes:
-        image: (H, 2H, 3) float32 equirectangular map in Blender's layout, world axes.
+        image: (H, 2H, 3) float32 equirectangular map in Blender's layout, world axes; directions that no
+            pixel saw show the hull as it looks from its middle.
         observed_share: 0..1, solid-angle share of the map that some pixel saw.
         seen: (H, 2H) bool, where that is.
-        unseen_light: 0..1, share of the light on the surfaces that comes from elsewhere and is only inferred
-            (:mod:`.unseen_light`).
+        unseen_light: (T,) float32 share of the light on each triangle that is only inferred
+            (:mod:`.unseen_light`); None without inferred light.
+        hull: radiance from all other directions, by place; None without inferred light.
+        entries: (E,) int64 cache entries of unseen surfaces, and their inferred `radiance` (E, 3).
     """
 
     image: np.ndarray
     observed_share: float
     seen: np.ndarray
-    unseen_light: float = 0.0
+    unseen_light: np.ndarray | None = None
+    hull: Hull | None = None
+    entries: np.ndarray | None = None
+    radiance: np.ndarray | None = None
 
 
 def outside_pixels(pixels: PixelStore) -> Iterator[tuple[np.ndarray, np.ndarray]]:

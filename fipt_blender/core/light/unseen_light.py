@@ -1,262 +1,225 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light that enters an open mesh from directions that no photograph shows, such as an unscanned ceiling.
+"""Light from what no photograph shows: through the openings of a mesh, and from its unseen surfaces.
 
-At points of the surfaces the radiance is albedo (B + sum of e_k D_k): B is the irradiance from all that was
-seen, D_k that of a smooth part of the sky around the room of radiance 1, where it is unseen and the mesh
-open. The albedo of a surface of one color is constant. In logarithms it is eliminated, and the e_k are found
-by robust least squares. Their level follows from shadows, from what photographs show of the outside and, with
-less weight, from usual albedos: none is above that of white paint.
+Rays from points of the surfaces land on surfaces that photographs show, on others, or on the hull of the mesh.
+Landing places of the last two kinds that are close together are one source; :mod:`.sources` finds its
+radiance. It is kept only if points that were held back fit better with it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..conventions import equirect_pixel_directions
-from ..robust import deviation, gauss_newton, student_weights
 from ..scene.grouped import numbered
 from ..scene.pixels import PixelStore
 from ..scene.room import Room
-from .cache import VoxelGrid
-from .clipped import MOST_POINTS, OUTSIDE, POINTS_PER_SAMPLE, hemisphere_rays
-from .environment import Environment, map_cells
+from .cache import SIDES, VoxelGrid
+from .clipped import MOST_POINTS, OUTSIDE, hemisphere_rays
+from .environment import Environment, Hull, map_cells
+from .observations import Observations
+from .sources import (
+    DARKEST,
+    LEAST_GROUP,
+    Expectation,
+    SourceLight,
+    Transport,
+    held_back_gain,
+    solve_sources,
+)
 
-# Mean share of the hemispheres over the points through which unseen light enters, above which a mesh is open.
-# Windows and the holes of scans are below 0.03 in the test rooms.
-OPEN = 0.05
-# Parts of the sky, and the concentration of each around its middle (as of von Mises and Fisher).
-PARTS, CONCENTRATION = 32, 8.0
-# Standard deviations of logarithms: of the level of the sky, of a part from that level, of the sky's color
-# from gray, as photographs are white-balanced, and of a part from that color.
-LEVEL, PART_LEVEL, COLOR, PART_COLOR = 2.0, 0.7, 0.15, 0.1
-# Median and standard deviation (of the logarithm) of the albedos in a room, the highest, and its deviation.
-ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 0.7, 0.85, 0.1
+RAYS = 512  # from each point
+# Width of sources in metres, and at most this share of the room's largest side.
+SIZE, SIZE_SHARE = 0.5, 0.1
+# Voxels along each side of the cubes of which a side is unseen if no pixel sees it.
+UNSEEN = 4
+# Sources on which fewer of all rays land are left as they are, and at most so many are solved for.
+LEAST_SHARE, MOST_SOURCES = 2e-5, 200
 # Points of one surface whose colors differ by less, in logarithms of ratios, have one albedo.
 COLOR_STEP = 0.25
-LEAST_POINTS, LEAST_GROUP = 200, 8
-# Radiance of what photographs show outside below which it gives no light, in units of the capture's median.
-DARK_OUTSIDE = 0.01
-LEAST_WEIGHT = 0.5  # of pixels that are used
-_ITERATIONS, _LONGEST_STEP = 40, 0.5  # of Gauss-Newton; it ends earlier
-_DARKEST = 1e-4  # radiance, in units of the capture's median
+LEAST_POINTS, LEAST_WEIGHT = 200, 0.5  # pixels that are compared, and the weight of each
+GAIN = 3.0  # least logarithm of the likelihood of points held back
+NORMAL_WEIGHT = 0.5  # metres that opposite normals are apart where the light of a point is that of another
+
+
+def with_unseen_light(observed: Observations, room: Room, label: np.ndarray, seed: int) -> Observations:
+    """Observations whose environment has the light that nothing shows, if points held back confirm it.
+
+    Args:
+        label: (T,) int surface of each triangle, on which points of one color have one albedo.
+    """
+    found = find_sources(observed, room, label, seed)
+    if found is None or found.gain < GAIN:
+        return observed
+    return replace(observed, environment=found.environment(observed, room))
 
 
 @dataclass(frozen=True, eq=False)
-class OpenPoints:
-    """N points of surfaces and the light that reaches them.
+class Sources:
+    """K sources, and the points that they light.
 
     Attributes:
-        log_radiance: (N, 3).
-        group: (N,) int from 0, points of one albedo.
-        seen: (N, 3) irradiance over pi from what the photographs show.
-        unseen: (N, K) irradiance over pi by each part of the sky of radiance 1.
+        points: N of them. place: (N, 3) positions, normal: (N, 3).
+        light: what was found. gain: see :func:`.sources.held_back_gain`.
+        entries: (E,) int64 cache entries of unseen surfaces, of_entry: (E,) their source, -1 without.
+        hull: with a source for each of its cells, -1 without, in place of radiance.
     """
 
-    log_radiance: np.ndarray
-    group: np.ndarray
-    seen: np.ndarray
-    unseen: np.ndarray
+    points: Transport
+    where: np.ndarray
+    expected: Expectation
+    position: np.ndarray
+    normal: np.ndarray
+    light: SourceLight
+    gain: float
+    entries: np.ndarray
+    of_entry: np.ndarray
+    hull: Hull
+    of_cell: np.ndarray
+
+    def environment(self, observed: Observations, room: Room) -> Environment:
+        """What was observed, with the light of the sources."""
+        before = observed.environment
+        width = 64 if before is None else before.image.shape[1]
+        radiance = self.light.radiance.astype(np.float32)
+        table = np.where((self.of_cell >= 0)[:, None], radiance[np.maximum(self.of_cell, 0)], 0.0)
+        hull = replace(self.hull, radiance=table.astype(np.float32))
+        seen = np.zeros((width // 2, width), bool) if before is None else before.seen
+        image = np.zeros((*seen.shape, 3), np.float32) if before is None else before.image.copy()
+        ways = equirect_pixel_directions(width, width // 2)[~seen]
+        middle = np.broadcast_to(0.5 * (hull.low + hull.high), ways.shape)
+        image[~seen] = hull.radiance[hull.cells(middle, ways)]
+        known = self.of_entry >= 0
+        share = self.light.share(self.points)
+        tree = cKDTree(np.concatenate([self.position, NORMAL_WEIGHT * self.normal], axis=1))
+        centers = room.vertices[room.triangles].mean(axis=1)
+        near = tree.query(np.concatenate([centers, NORMAL_WEIGHT * room.normals], axis=1), 4)[1]
+        return Environment(
+            image,
+            0.0 if before is None else before.observed_share,
+            seen,
+            share[near].mean(axis=1).astype(np.float32),
+            hull,
+            self.entries[known],
+            radiance[self.of_entry[known]],
+        )
 
 
-def with_unseen_light(
-    environment: Environment | None,
-    pixels: PixelStore,
-    room: Room,
-    grid: VoxelGrid,
-    cache: Callable[[], np.ndarray],
-    label: np.ndarray,
-    width: int,
-    seed: int,
-) -> Environment | None:
-    """The environment with the light from unseen directions, where the mesh is open; else as it is.
+def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: int) -> Sources | None:
+    """The sources with their radiance; None where the photographs show all that lights the room."""
+    pixels, grid = observed.pixels, observed.grid
+    where = _comparable(pixels, np.random.default_rng([seed, 23]))
+    if len(where) < LEAST_POINTS:
+        return None
+    logs = np.log(np.asarray(pixels.own[where], np.float64))
+    ratio = np.floor((logs[:, [0, 2]] - logs[:, [1]]) / COLOR_STEP).astype(np.int64)
+    group = numbered([label[np.asarray(pixels.triangle[where])], *ratio.T])
+    where = where[np.bincount(group)[group] >= LEAST_GROUP]
+    if len(where) < LEAST_POINTS:
+        return None
+    group = np.unique(group[np.bincount(group)[group] >= LEAST_GROUP], return_inverse=True)[1].reshape(-1)
+    position, normal = pixels.surface(room, where)
+    nothing = np.full(len(room.triangles), -1, np.int32)
+    entry, direction = hemisphere_rays(room, grid, position, normal, nothing, seed, RAYS)
+    extent = float((room.bounds[1] - room.bounds[0]).max())
+    size = min(SIZE, SIZE_SHARE * extent)
+    hull = Hull.around(room.bounds, size)
+    # Sources: of cache entries that no pixel sees, and of cells of the hull.
+    source_of_entry = unseen_patches(grid, seen_entries(observed), size)
+    outside = entry == OUTSIDE
+    environment = observed.environment
+    cell = np.full(entry.shape, -1, np.int64)
+    start = np.broadcast_to(position[:, None], direction.shape)
+    cell[outside] = hull.cells(start[outside], direction[outside])
+    shown = np.zeros((*entry.shape, 3))
+    if environment is not None:
+        of_map = map_cells(direction[outside], environment.seen.shape[1])
+        known = np.zeros(entry.shape, bool)
+        known[outside] = environment.seen.reshape(-1)[of_map]
+        shown[outside] = environment.image.reshape(-1, 3)[of_map]
+        shown[~known] = 0.0
+        cell[known] = -1
+    patches = int(source_of_entry.max(initial=-1)) + 1
+    source = np.where(entry >= 0, source_of_entry[np.maximum(entry, 0)], np.where(cell >= 0, patches + cell, -1))
+    count = np.bincount(source[source >= 0], minlength=patches + len(hull.radiance))
+    chosen = np.argsort(-count, kind="stable")[:MOST_SOURCES]
+    chosen = np.sort(chosen[count[chosen] > LEAST_SHARE * entry.size])
+    if not len(chosen):
+        return None
+    number = np.full(len(count), -1, np.int64)
+    number[chosen] = np.arange(len(chosen))
+    place = np.where(source >= 0, number[np.maximum(source, 0)], -1)
+    cache = observed.cache()
+    shown = np.where((entry >= 0)[..., None], cache[np.maximum(entry, 0)], shown)
+    shown[place >= 0] = 0.0
+    rows = np.repeat(np.arange(len(where)), entry.shape[1]).reshape(entry.shape)
+    pairs = rows[place >= 0] * len(chosen) + place[place >= 0]
+    unseen = np.bincount(pairs, minlength=len(where) * len(chosen)).reshape(len(where), -1) / entry.shape[1]
+    points = Transport(logs_of(pixels, where), group, shown.mean(axis=1), unseen)
+    of_entry = np.where(source_of_entry >= 0, number[np.maximum(source_of_entry, 0)], -1)
+    expected = expectation(cache, of_entry, len(chosen), chosen >= patches, points)
+    gain = held_back_gain(points, expected, np.random.default_rng([seed, 24]))
+    entries = np.flatnonzero(of_entry >= 0)
+    light = solve_sources(points, expected)
+    of_cell = number[patches:]
+    return Sources(points, where, expected, position, normal, light, gain, entries, of_entry[entries], hull, of_cell)
 
-    Args:
-        cache: returns the radiance (M * 6, 3) of the cache's entries; called only where the mesh is open.
-        label: (T,) int surface of each triangle, on which points of one color have one albedo.
-        width: of the map in pixels.
-    """
-    known = np.zeros((width // 2, width), bool) if environment is None else environment.seen
-    image = np.zeros((*known.shape, 3), np.float32) if environment is None else environment.image
-    points = _open_points(pixels, room, grid, cache, label, (image, known), seed)
-    if points is None:
-        return environment
-    radiance = solve_sky(points, seen_sky(image, known))
-    unseen = ~known
-    filled = image.copy()
-    filled[unseen] = sky_parts(equirect_pixel_directions(width, width // 2)[unseen]) @ radiance
-    share = 0.0 if environment is None else environment.observed_share
-    cast = points.unseen @ radiance
-    inferred = float((cast.sum(axis=1) / np.maximum((points.seen + cast).sum(axis=1), _DARKEST)).mean())
-    return Environment(filled, share, known, inferred)
+
+def expectation(
+    cache: np.ndarray, of_entry: np.ndarray, sources: int, outside: np.ndarray, points: Transport
+) -> Expectation:
+    """Of unseen surfaces what the cache has for them, of the hull the median light of the room."""
+    mean = np.full((sources, 3), np.log(max(float(np.median(points.seen)), DARKEST)))
+    known = np.flatnonzero(of_entry >= 0)
+    logs = np.log(np.maximum(cache[known], DARKEST))
+    number = np.bincount(of_entry[known], minlength=sources)
+    for channel in range(3):
+        sums = np.bincount(of_entry[known], logs[:, channel], sources)
+        mean[number > 0, channel] = (sums / np.maximum(number, 1))[number > 0]
+    return Expectation(mean, outside)
 
 
-def sky_parts(directions: np.ndarray) -> np.ndarray:
-    """(N, PARTS) weight of each part of the sky in unit directions (N, 3); they sum to 1."""
-    index = np.arange(PARTS) + 0.5
-    height, azimuth = 1.0 - 2.0 * index / PARTS, np.pi * (1.0 + 5.0**0.5) * index
-    level = np.sqrt(1.0 - height**2)
-    middles = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), height], axis=1)
-    weight = np.exp(CONCENTRATION * (np.asarray(directions, np.float64) @ middles.T - 1.0))
-    return np.asarray(weight / weight.sum(axis=-1, keepdims=True))
+def logs_of(pixels: PixelStore, where: np.ndarray) -> np.ndarray:
+    """(n, 3) logarithms of the radiance of pixels (n,)."""
+    return np.log(np.asarray(pixels.own[where], np.float64))
 
 
-def _open_points(
-    pixels: PixelStore,
-    room: Room,
-    grid: VoxelGrid,
-    cache: Callable[[], np.ndarray],
-    label: np.ndarray,
-    sky: tuple[np.ndarray, np.ndarray],
-    seed: int,
-) -> OpenPoints | None:
-    """Points on the surfaces with their light; None where the mesh is not open, or there are too few.
-
-    Args:
-        sky: (H, W, 3) radiance from outside, and (H, W) bool, where it was seen.
-    """
-    rng = np.random.default_rng([seed, 23])
+def _comparable(pixels: PixelStore, rng: np.random.Generator) -> np.ndarray:
+    """(N,) int64 pixels of surfaces, from all views alike."""
     share = max(1, MOST_POINTS // max(len(pixels.views), 1))
-    chosen = []
+    chosen = [np.zeros(0, np.int64)]
     for index in range(len(pixels.views)):
         rows = pixels.rows(index)
         good = (np.asarray(pixels.triangle[rows]) >= 0) & np.asarray(pixels.pure[rows])
-        good &= (np.asarray(pixels.weight[rows]) >= LEAST_WEIGHT) & (pixels.own[rows] > _DARKEST).all(axis=1)
+        good &= (np.asarray(pixels.weight[rows]) >= LEAST_WEIGHT) & (pixels.own[rows] > DARKEST).all(axis=1)
         chosen.append(rng.permutation(np.flatnonzero(good))[:share] + rows.start)
-    where = np.concatenate([*chosen, np.zeros(0, np.int64)])
-    if len(where) < LEAST_POINTS:
-        return None
-    triangle = np.asarray(pixels.triangle[where])
-    nothing = np.full(len(room.triangles), -1, np.int32)
-    entry, direction = hemisphere_rays(room, grid, *pixels.surface(room, where), nothing, seed)
-    image, known = sky
-    cell, outside = map_cells(direction, known.shape[1]), entry == OUTSIDE
-    shown = known.reshape(-1)[cell]
-    unknown = outside & ~shown
-    if unknown.mean() < OPEN:
-        return None
-    seen = np.where((outside & shown)[..., None], image.reshape(-1, 3)[cell], 0.0)
-    seen = np.where((entry >= 0)[..., None], cache()[np.maximum(entry, 0)], seen).mean(axis=1)
-    ways = zip(unknown, direction, strict=True)
-    unseen = np.stack([np.where(part[:, None], sky_parts(way), 0.0).mean(axis=0) for part, way in ways])
-    logs = np.log(np.asarray(pixels.own[where], np.float64))
-    ratio = np.floor((logs[:, [0, 2]] - logs[:, [1]]) / COLOR_STEP).astype(np.int64)
-    group = numbered([label[triangle], *ratio.T])
-    enough = np.bincount(group)[group] >= LEAST_GROUP
-    if np.count_nonzero(enough) < LEAST_POINTS:
-        return None
-    group = np.unique(group[enough], return_inverse=True)[1].reshape(-1)
-    return OpenPoints(logs[enough], group, seen[enough].astype(np.float64), unseen[enough])
+    return np.concatenate(chosen)
 
 
-def seen_sky(image: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How bright photographs show the parts of the sky.
+def seen_entries(observed: Observations) -> np.ndarray:
+    """(M * 6,) bool, cache entries that pixels see."""
+    seen = np.zeros(len(observed.grid.voxels) * SIDES, bool)
+    for rows in observed.hits():
+        seen[observed.entry[rows]] = True
+    return seen
+
+
+def unseen_patches(grid: VoxelGrid, seen: np.ndarray, size: float) -> np.ndarray:
+    """(M * 6,) int64 source of each cache entry, from 0: a side in a cube of unseen ones; -1 where it is seen.
 
     Args:
-        image: (H, W, 3) radiance in an equirectangular map. known: (H, W) bool, where it was seen.
-
-    Returns:
-        (K,) mean logarithm of radiance, at least `DARK_OUTSIDE`, and (K,) share of each part that was seen.
+        seen: (M * 6,) bool. size: of the cubes, metres.
     """
-    height, width = known.shape
-    solid = np.repeat(np.cos((np.arange(height) + 0.5) / height * np.pi - np.pi / 2), width)
-    weight = sky_parts(equirect_pixel_directions(width, height).reshape(-1, 3)) * solid[:, None]
-    mine = weight * known.reshape(-1, 1)
-    level = np.log(np.maximum(image.reshape(-1, 3), DARK_OUTSIDE)).mean(axis=1)
-    return mine.T @ level / np.maximum(mine.sum(axis=0), 1e-12), mine.sum(axis=0) / weight.sum(axis=0)
-
-
-def solve_sky(points: OpenPoints, observed: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """(K, 3) radiance of the parts of the sky.
-
-    Args:
-        observed: radiance and share of the parts that photographs show (:func:`seen_sky`).
-    """
-    parts = points.unseen.shape[1]
-    prior, evidence = _sky_precision(parts), _evidence_precision(observed[1])
-    expected = np.linalg.solve(prior + evidence, evidence @ np.tile(observed[0], 3))
-    precision = prior + evidence
-
-    def system(x: np.ndarray, spread: float) -> tuple[np.ndarray, np.ndarray, float]:
-        normal, pull = precision.copy(), precision @ (expected - x)
-        left = []
-        for channel in range(3):
-            mine = slice(channel * parts, (channel + 1) * parts)
-            cast = points.unseen * np.exp(x[mine])
-            total = np.maximum(points.seen[:, channel] + cast.sum(axis=1), _DARKEST)
-            residual = points.log_radiance[:, channel] - np.log(total)
-            rows = _without_albedo(residual, -cast / total[:, None], points.group, spread)
-            weighted = rows.jacobian * rows.weight[:, None]
-            normal[mine, mine] += weighted.T @ rows.jacobian
-            pull[mine] -= weighted.T @ rows.residual
-            left.append(rows.residual[: len(residual)])
-        return normal, pull, deviation(np.array(left), 0.02)
-
-    found = gauss_newton(system, expected, 0.15, most_steps=_ITERATIONS, longest=_LONGEST_STEP, settled=1e-3)
-    return np.asarray(np.exp(found.x.reshape(3, parts).T))
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Residuals (R,) less the albedo of their group, their derivatives (R, K), and weights (R,); the points
-    first, then the prior of the albedo of each group."""
-
-    residual: np.ndarray
-    jacobian: np.ndarray
-    weight: np.ndarray
-
-
-def _without_albedo(residual: np.ndarray, jacobian: np.ndarray, group: np.ndarray, spread: float) -> _Rows:
-    """Eliminate the logarithm of the albedo of each group; arguments as in `_Rows`, for N points."""
-    size = int(group.max()) + 1
-    weight = np.full(len(residual), 1.0 / (spread**2 * POINTS_PER_SAMPLE))
-    albedo = np.full(size, np.log(ALBEDO))
-    expected, precision = _expected_albedo(albedo)
-    for _ in range(6):
-        total = np.bincount(group, weight, size) + precision
-        albedo = (np.bincount(group, weight * residual, size) + precision * expected) / total
-        weight = student_weights(((residual - albedo[group]) / spread) ** 2) / (spread**2 * POINTS_PER_SAMPLE)
-        expected, precision = _expected_albedo(albedo)
-    total = np.bincount(group, weight, size) + precision
-    albedo = (np.bincount(group, weight * residual, size) + precision * expected) / total
-    sums = np.stack([np.bincount(group, weight * column, size) for column in jacobian.T], axis=1)
-    mean = sums / total[:, None]
-    return _Rows(
-        np.concatenate([residual - albedo[group], expected - albedo]),
-        np.concatenate([jacobian - mean[group], -mean]),
-        np.concatenate([weight, precision]),
-    )
-
-
-def _expected_albedo(albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Prior mean of the logarithms of albedos (G,), and its precision.
-
-    Robust in both directions: red paint reflects hardly any blue, and a screen is no white paint.
-    """
-    most = np.log(MOST_ALBEDO)
-    above = albedo > most
-    expected = np.where(above, most, np.log(ALBEDO))
-    width = np.where(above, MOST_SPREAD, ALBEDO_SPREAD)
-    return expected, student_weights(((albedo - expected) / width) ** 2) / width**2
-
-
-def _sky_precision(parts: int) -> np.ndarray:
-    """(3 K, 3 K) of the logarithms of the sky's radiance, channel by channel, around 0."""
-    common = np.full((parts, parts), 1.0 / parts)
-    level = np.eye(parts) * PART_LEVEL**2 + common * parts * LEVEL**2
-    color = np.eye(parts) * PART_COLOR**2 + common * parts * COLOR**2
-    gray = np.full((3, 3), 1.0 / 3.0)
-    covariance = 3.0 * np.kron(gray, level) + np.kron(np.eye(3) - gray, color)
-    return np.asarray(np.linalg.inv(covariance))
-
-
-def _evidence_precision(share: np.ndarray) -> np.ndarray:
-    """(3 K, 3 K), as `_sky_precision`, of how bright photographs show the shares (K,) of the parts.
-
-    The seen directions of a part predict its other ones as well as a part predicts its neighbors. Their
-    color, that of a wall or of grass, is hardly evidence of that of the light.
-    """
-    return np.asarray(np.kron(np.full((3, 3), 1.0 / 9.0), np.diag(share / PART_LEVEL**2)))
+    corner = np.stack(np.unravel_index(grid.voxels, (grid.resolution,) * 3), axis=1)
+    side = np.tile(np.arange(SIDES), len(corner))
+    around = numbered([*np.repeat(corner // UNSEEN, SIDES, axis=0).T, side])
+    unseen = np.flatnonzero(np.bincount(around, seen)[around] == 0.0)
+    cube = np.floor(corner * grid.size / size).astype(np.int64)
+    result = np.full(len(seen), -1, np.int64)
+    if len(unseen):
+        result[unseen] = numbered([*cube[unseen // SIDES].T, unseen % SIDES])
+    return result
