@@ -26,8 +26,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.dng import Shot, mosaic_of, write_dng
 from fipt_blender.core.capture.images import read_radiance
-from fipt_blender.core.photographs import command
 from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare import command
 
 FULL_WELL, READ_ELECTRONS = 20_000.0, 4.0  # of a camera with large pixels at ISO 100
 VIGNETTING = 0.35  # loss of light in the corners

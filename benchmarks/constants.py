@@ -24,7 +24,7 @@ from types import ModuleType
 ROOT = Path(__file__).resolve().parent.parent
 CORE = ROOT / "fipt_blender" / "core"
 # Rooms whose numbers are formats, limits of files and messages, or decide nothing of an estimate.
-OTHER_ROOMS = ("run", "report", "device", "photographs", "capture", "alignment", "depth", "textures")
+OTHER_ROOMS = ("run", "report", "device", "capture", "alignment", "depth", "textures")
 _NAME = re.compile(r"_?[A-Z][A-Z0-9_]*")
 _OPERATORS = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
@@ -37,7 +37,7 @@ class Constant:
     """A number in capitals.
 
     Attributes:
-        module: below `fipt_blender.core`, such as "views.torn_parts".
+        module: below `fipt_blender.core`, such as "completion.torn_parts".
         name: in it.
         value: int or float.
         comment: what the source says of it, "" without.

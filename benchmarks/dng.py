@@ -35,7 +35,7 @@ Tag = tuple[int, Sequence[float] | str]
 
 @dataclass(frozen=True)
 class Shot:
-    """What the header says of a photograph; see `photographs.preparation.Photograph`."""
+    """What the header says of a photograph; see `prepare.preparation.Photograph`."""
 
     shutter: float
     aperture: float = 8.0

@@ -183,7 +183,7 @@ def write_finished_run(folder: Path) -> None:
 
 def write_preparation(folder: Path) -> None:
     """prepare.json of two photographs."""
-    from fipt_blender.core.photographs import preparation
+    from fipt_blender.prepare import preparation
 
     (folder / "photographs").mkdir()
     _write_images(folder / "photographs", 2)

@@ -100,7 +100,7 @@ def _report(sample: Path, out: Path) -> None:
 
 def _preparation(sample: Path, out: Path) -> None:
     """What a step of `prepare` does with the file before it works on photographs."""
-    from fipt_blender.core.photographs import preparation
+    from fipt_blender.prepare import preparation
 
     found = preparation.read_preparation(preparation.PreparationFolder(sample))
     for group in found.used_groups:
@@ -139,7 +139,7 @@ def _depth_points(sample: Path, out: Path) -> None:
     """What cameras with depth are aligned by."""
     from fipt_blender.core.capture.depth_images import checked_depths
     from fipt_blender.core.capture.depth_points import alignment_points
-    from fipt_blender.core.capture.formats import read_rig
+    from fipt_blender.core.capture.formats.registry import read_rig
 
     rig = read_rig(sample, "rgbd", CaptureOptions())
     alignment_points(sample, replace(rig, depths=checked_depths(rig.depths)))
@@ -162,7 +162,7 @@ def _simplify(sample: Path, out: Path) -> None:
 
 def _points(sample: Path, out: Path) -> None:
     """The sparse points of a solve."""
-    from fipt_blender.core.capture.formats import read_points
+    from fipt_blender.core.capture.formats.registry import read_points
 
     read_points(sample, "opensfm")
 
@@ -170,7 +170,7 @@ def _points(sample: Path, out: Path) -> None:
 def _image_files(sample: Path, out: Path) -> None:
     """All that is read of images: values, codes, ids and headers."""
     from fipt_blender.core.capture import images
-    from fipt_blender.core.photographs.exif import describe
+    from fipt_blender.prepare.exif import describe
 
     refused = None
     for path in sorted(sample.iterdir()):
@@ -235,7 +235,7 @@ TARGETS = (
         "preparation",
         fuzz_samples.write_preparation,
         _preparation,
-        ("fipt_blender.core.photographs.preparation",),
+        ("fipt_blender.prepare.preparation",),
     ),
     Target(
         "named-meshes", fuzz_samples.write_named_meshes, _named_meshes, ("fipt_blender.jobs.fingerprints",)

@@ -46,7 +46,7 @@ def main(argv: Sequence[str]) -> int:
     set_variant(run.read().device)
     from benchmarks import predict
     from benchmarks.tracer.forward import RenderSettings, render_view
-    from fipt_blender.core.scene.camera_rays import trace_pixels
+    from fipt_blender.core.pixels.camera_rays import trace_pixels
 
     views = load_capture(run).held_back
     lit, _ = predict.load_result(run)

@@ -117,7 +117,7 @@ def scores(run: RunFolder) -> dict[str, dict[str, float | None]]:
 def true_answers(run: RunFolder, count: int, answers: str) -> list[Hint]:
     """The run's first questions with their true answers."""
     from fipt_blender.core.estimate.input import estimation_views
-    from fipt_blender.core.scene.pixels import open_pixels
+    from fipt_blender.core.pixels.store import open_pixels
 
     doubts = read_json(run.doubts_json, DOUBTS)["doubts"][:count]
     views = estimation_views(run, run.read())

@@ -18,7 +18,7 @@ from fipt_blender.core.conventions import transform_points
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.core.scene.room import load_room
+from fipt_blender.core.surface.room import load_room
 
 # Surfaces are the same lamp within this distance in metres: scans of 4 cm are off by less.
 NEAR = 0.05

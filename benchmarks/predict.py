@@ -25,10 +25,10 @@ from fipt_blender.core.optics import brdf, factorised
 from fipt_blender.core.optics.brdf import Material
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
+from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.core.scene.camera_rays import trace_pixels
-from fipt_blender.core.scene.room import load_room
+from fipt_blender.core.surface.room import load_room
 
 from .truth import Relight
 

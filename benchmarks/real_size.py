@@ -33,7 +33,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks import metrics
 from benchmarks.truth import split_folder
 from fipt_blender.blend.room.islands import uv_islands
-from fipt_blender.core.capture.formats import read_rig
+from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View
@@ -76,7 +76,7 @@ class Textures:
     """The textures of a run, looked up at points of its room."""
 
     def __init__(self, run: RunFolder) -> None:
-        from fipt_blender.core.scene.room import load_room
+        from fipt_blender.core.surface.room import load_room
 
         self.room = load_room(run)
         _, arrays = read_atlas(run, len(self.room.triangles))
@@ -94,7 +94,7 @@ class Textures:
         import drjit as dr
         import mitsuba as mi
 
-        from fipt_blender.core.scene.camera_rays import trace_pixels
+        from fipt_blender.core.pixels.camera_rays import trace_pixels
 
         surface = trace_pixels(self.room, view)
         valid, triangle = np.array(surface.valid), np.array(surface.triangle)
@@ -124,7 +124,7 @@ class Textures:
 
     def kd(self, view: View) -> np.ndarray:
         """(H, W, 3) kd in the pixels of a view, means over four places in each."""
-        from fipt_blender.core.scene.camera_rays import trace_pixels
+        from fipt_blender.core.pixels.camera_rays import trace_pixels
 
         surface = trace_pixels(self.room, view, PLACES)
         valid = np.array(surface.valid)

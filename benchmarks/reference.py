@@ -17,6 +17,7 @@ import numpy as np
 import torch
 
 from benchmarks.shading_error import shading_points
+from fipt_blender.core.checks.view_check import ViewCheck
 from fipt_blender.core.estimate.stages import Estimation
 from fipt_blender.core.light.baking import CHUNK, HALF_LARGEST
 from fipt_blender.core.light.cache import SurfaceLookup, pool
@@ -31,10 +32,9 @@ from fipt_blender.core.material.networks import BrdfNetwork, Prediction
 from fipt_blender.core.material.training import Networks
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
+from fipt_blender.core.pixels.store import fill_pixels, open_pixels
 from fipt_blender.core.run.settings import Settings, make_settings
-from fipt_blender.core.scene.pixels import fill_pixels, open_pixels
-from fipt_blender.core.scene.room import Room, triangle_normals
-from fipt_blender.core.views.check import ViewCheck
+from fipt_blender.core.surface.room import Room, triangle_normals
 
 # A triangle is an emitter if its mean mask at so many points is above the threshold (paper, Sec. 4.4).
 EMITTER_THRESHOLD, EMITTER_SAMPLES = 0.01, 100

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.disturb import read_obj
 from fipt_blender.core.capture.distortion import lens_pinhole
-from fipt_blender.core.capture.formats import read_rig
+from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.depth.cleaning import with_closed_holes
@@ -156,8 +156,8 @@ def range_images(
     truth: Truth, views: Sequence[View], scanner: Scanner, rng: np.random.Generator
 ) -> Iterator[RangeImage]:
     """What the scanner measures from each camera; needs Mitsuba's variant."""
-    from fipt_blender.core.scene.camera_rays import trace_pixels
-    from fipt_blender.core.scene.room import Room
+    from fipt_blender.core.pixels.camera_rays import trace_pixels
+    from fipt_blender.core.surface.room import Room
 
     normals = np.zeros((len(truth.triangles), 3, 3), np.float32)
     none = np.zeros(len(truth.triangles), np.int32)

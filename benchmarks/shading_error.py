@@ -82,7 +82,7 @@ def evaluate(capture: Path, run: RunFolder, count: int) -> dict[str, Any]:
     set_variant(settings.device)
     from fipt_blender.core.capture.views import load_capture
     from fipt_blender.core.light.shadings import roughness_levels
-    from fipt_blender.core.scene.pixels import open_pixels
+    from fipt_blender.core.pixels.store import open_pixels
 
     levels = roughness_levels(settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
     train = load_capture(run).train
@@ -164,7 +164,7 @@ def trace_truth(
 ) -> Views:
     """Path-traced shadings of some pixels of a run's `PixelStore`; zero where they miss the room."""
     from fipt_blender.core.light.shadings import SampleCounts, bake
-    from fipt_blender.core.scene.room import triangle_normals
+    from fipt_blender.core.surface.room import triangle_normals
 
     seen = np.asarray(pixels.triangle[rows]) >= 0
     result = Views(np.zeros((len(rows), 3), np.float32), np.zeros((len(rows), len(levels), 2, 3), np.float32))
@@ -203,7 +203,7 @@ def true_room(capture: Path, world_from_source: np.ndarray) -> Any:
     from benchmarks.tracer.surfaces import LatticeMaterials
     from fipt_blender.core import conventions
     from fipt_blender.core.optics.lights import AreaLights, EmitterTable
-    from fipt_blender.core.scene.room import Room
+    from fipt_blender.core.surface.room import Room
 
     truth = read_capture(capture)
     count = len(truth.corners)
@@ -346,7 +346,7 @@ def baked_errors(
     """
     from fipt_blender.core.capture.views import load_capture
     from fipt_blender.core.estimate.input import estimation_views
-    from fipt_blender.core.scene.pixels import open_pixels
+    from fipt_blender.core.pixels.store import open_pixels
 
     captured = load_capture(run)
     pixels = open_pixels(run.stage / "pixels", estimation_views(run, run.read()))

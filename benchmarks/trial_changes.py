@@ -39,45 +39,45 @@ class Mechanism:
     needs: tuple[str, ...] = ()
 
 
-_GEOMETRY = ("clean", "planes", "normals", "patches", "roughness")
+_SURFACE = ("clean", "planes", "normals", "patches", "roughness")
 _TABLE = (
     # name, what it does, modules that only it needs, settings without it, what a capture must have
     (
         "clean_scan",
         "a scan is cleaned, and not trusted as a modelled mesh is",
-        [f"geometry/{name}" for name in _GEOMETRY],
+        [f"surface/{name}" for name in _SURFACE],
         {"clean_scan": False},
         (SCAN,),
     ),
-    ("closing", "small holes are closed", ["geometry/closing"], {"close_holes_edges": 0}, (SCAN,)),
-    ("panes", "panes in flat holes", ["geometry/holes"], {}, (SCAN,)),
+    ("closing", "small holes are closed", ["surface/closing"], {"close_holes_edges": 0}, (SCAN,)),
+    ("panes", "panes in flat holes", ["surface/holes"], {}, (SCAN,)),
     (
         "lost_surfaces",
         "lost things by colors",
-        ["views/lost_surfaces", "views/agreement", "geometry/prism"],
+        ["completion/lost_surfaces", "checks/agreement", "completion/prism"],
         {},
         (SCAN,),
     ),
     (
         "torn_parts",
         "torn parts are completed",
-        ["views/torn_parts", "geometry/revolution", "geometry/sheet"],
+        ["completion/torn_parts", "completion/revolution", "completion/sheet"],
         {},
         (SCAN, MASKS),
     ),
-    ("outlines", "outlines of parts", ["scene/outlines", "scene/outline_misses"], {}, (SCAN, MASKS)),
-    ("unmix", "mixed pixels are used", ["scene/unmixing", "scene/fragments"], {}, ()),
-    ("unmeshed_lamps", "lamps without a mesh are left out", ["views/unmeshed"], {}, ()),
-    ("reject_views", "misaligned views are left out", ["views/misaligned", "views/registration"], {}, ()),
-    ("correct_exposure", "unlike exposures are corrected", ["views/exposure"], {}, ()),
+    ("outlines", "outlines of parts", ["parts/outlines", "parts/outline_misses"], {}, (SCAN, MASKS)),
+    ("unmix", "mixed pixels are used", ["pixels/unmixing", "pixels/fragments"], {}, ()),
+    ("unmeshed_lamps", "lamps without a mesh are left out", ["checks/unmeshed"], {}, ()),
+    ("reject_views", "misaligned views are left out", ["checks/misaligned", "checks/registration"], {}, ()),
+    ("correct_exposure", "unlike exposures are corrected", ["checks/exposure"], {}, ()),
     (
         "clipped_lamps",
         "clipped lamps by the light that they cast",
-        ["views/clipped_surfaces", "light/clipped"],
+        ["photometry/clipped_surfaces", "light/clipped"],
         {},
         (JPEG,),
     ),
-    ("refit_photographs", "codes again with baked light", ["views/refit"], {}, (JPEG,)),
+    ("refit_photographs", "codes again with baked light", ["photometry/refit"], {}, (JPEG,)),
     ("unseen_light", "light from unseen directions", ["light/unseen_light"], {}, ()),
     ("presumed_lamps", "presumed lamps in stage 1", ["light/presumed"], {}, ()),
     ("denoise_specular", "denoised specular shadings", [], {}, ()),

@@ -59,8 +59,8 @@ def estimate(root: Path, store: Path | None) -> dict[str, Any]:
     set_variant(settings.device)
     from fipt_blender.core.estimate.input import prepare_input
     from fipt_blender.core.estimate.stages import Estimation
-    from fipt_blender.core.geometry.stored import prepare_geometry
     from fipt_blender.core.optics.brdf import set_masking
+    from fipt_blender.core.surface.stored import prepare_geometry
 
     seconds: dict[str, float] = {}
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the check of the input finds in captures that are made wrong: `wrong_input.py CAPTURE... [--halve]`.
 
-Only the check before the stages runs (`core/views/consensus.py`). One line for each capture and fault: poses
+Only the check before the stages runs (`core/checks/consensus.py`). One line for each capture and fault: poses
 found and missed, right ones that are blamed, and the error's code and text.
 """
 
@@ -81,8 +81,8 @@ def halved(view: View, folder: Path) -> View:
 
 def examine(capture: Path, halve: bool, seed: int) -> None:
     """Print what is found in one capture."""
-    from fipt_blender.core.scene.room import Room, triangle_normals
-    from fipt_blender.core.views.consensus import check_input
+    from fipt_blender.core.checks.consensus import check_input
+    from fipt_blender.core.surface.room import Room, triangle_normals
 
     with tempfile.TemporaryDirectory() as temporary:
         run = RunFolder(Path(temporary) / "run")

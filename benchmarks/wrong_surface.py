@@ -32,7 +32,7 @@ from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import Settings, make_settings
 
 if TYPE_CHECKING:
-    from fipt_blender.core.scene.room import Room
+    from fipt_blender.core.surface.room import Room
 
 # The settings that say what photographs complete.
 KINDS = ("panes", "lost_surfaces", "torn_parts")
@@ -76,7 +76,7 @@ class Wrong:
 
 def read_truth(capture: Path, world_from_source: np.ndarray) -> Truth:
     """The exact mesh of a capture; Mitsuba's variant must be set."""
-    from fipt_blender.core.scene.room import Room
+    from fipt_blender.core.surface.room import Room
 
     vertices, triangles = read_obj(capture / "scene.obj")
     vertices = conventions.transform_points(world_from_source, vertices)
@@ -94,7 +94,7 @@ def compare(room: Room, truth: Truth, views: Sequence[View], tolerance: float) -
     Args:
         tolerance: metres along the rays.
     """
-    from fipt_blender.core.scene.camera_rays import first_hits, trace_pixels
+    from fipt_blender.core.pixels.camera_rays import first_hits, trace_pixels
 
     counts, parts = np.zeros(3, np.int64), np.zeros(int(truth.part.max()) + 1, np.int64)
     pixels = 0
@@ -133,7 +133,7 @@ def near_right(found: np.ndarray, true: np.ndarray, tolerance: float) -> np.ndar
 
 def leaving(room: Room, truth: Truth, tolerance: float) -> float:
     """Share of the rays of lamps, by area and cosine, that pass the true surface."""
-    from fipt_blender.core.scene.camera_rays import first_hits, rays_along
+    from fipt_blender.core.pixels.camera_rays import first_hits, rays_along
 
     rng = np.random.default_rng(0)
     lamps = np.flatnonzero(truth.emits)
@@ -162,9 +162,9 @@ def on_sphere(rng: np.random.Generator, count: int) -> np.ndarray:
 
 def completed(source: RunFolder, settings: Settings, views: Sequence[View]) -> tuple[Room, float]:
     """The room of a run with what photographs complete, and the processor time that it took in seconds."""
-    from fipt_blender.core.geometry.stored import prepare_geometry
-    from fipt_blender.core.scene.room import load_room
-    from fipt_blender.core.views.panes import close_holes
+    from fipt_blender.core.completion.panes import close_holes
+    from fipt_blender.core.surface.room import load_room
+    from fipt_blender.core.surface.stored import prepare_geometry
 
     with tempfile.TemporaryDirectory(dir=source.root.parent) as folder:
         run = RunFolder(Path(folder) / "run")

@@ -22,7 +22,7 @@ from fipt_blender.core.alignment.surface import (
     unit_of_height,
 )
 from fipt_blender.core.capture.align_mesh import align_rig
-from fipt_blender.core.capture.formats import read_points, read_rig
+from fipt_blender.core.capture.formats.registry import read_points, read_rig
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions

@@ -17,7 +17,7 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import Capture, View
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.scene.room import triangle_normals
+from fipt_blender.core.surface.room import triangle_normals
 from samples.small_rooms import mesh_room
 
 

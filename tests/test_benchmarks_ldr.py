@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks import ldr
 from benchmarks.metrics import Maps
-from fipt_blender.core.capture.formats import read_rig
+from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.images import file_exposure, read_radiance
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View

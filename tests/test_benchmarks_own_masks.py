@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.own_masks import Faults, main, own_regions
-from fipt_blender.core.capture.formats import read_rig
+from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.images import read_ids, write_exr
 from fipt_blender.core.capture.options import CaptureOptions
 from samples.capture_files import level_pose, write_fipt_synthetic

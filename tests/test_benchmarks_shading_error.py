@@ -10,7 +10,7 @@ from benchmarks.tracer.forward import LitRoom
 from benchmarks.tracer.surfaces import LatticeMaterials
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.surface.room import Room
 from samples.small_rooms import BOX, make_room
 
 ALBEDO = 0.5

@@ -24,7 +24,7 @@ from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.core.scene.room import Room, load_room, triangle_normals
+from fipt_blender.core.surface.room import Room, load_room, triangle_normals
 from samples.camera_poses import look_at
 from samples.refusals import error_of
 from samples.shading_points import make_grid

@@ -28,12 +28,12 @@ from fipt_blender.blend.room.atlas import make_atlas
 from fipt_blender.blend.room.exporting import collect_room, export_room
 from fipt_blender.blend.room.mesh_arrays import vertex_positions
 from fipt_blender.blend.room.result_meshes import clean_result_mesh, make_mesh
-from fipt_blender.core.geometry.clean import CleanMesh
-from fipt_blender.core.geometry.stored import prepare_geometry, store_geometry
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.run_files import CLOSING, PANES, mesh_digest, read_geometry, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
+from fipt_blender.core.surface.clean import CleanMesh
+from fipt_blender.core.surface.stored import prepare_geometry, store_geometry
 from fipt_blender.core.textures import bake
 from samples.applied_rooms import ConstantFields, panel_and_cube
 from samples.rendered_rooms import diffuse_floor

@@ -17,10 +17,10 @@ import pytest
 from benchmarks import fuzz_samples, fuzz_targets
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.capture.depth_images import DepthView, read_depth
-from fipt_blender.core.capture.formats import read_points, read_rig
+from fipt_blender.core.capture.formats.registry import read_points, read_rig
+from fipt_blender.core.capture.formats.rig_files import stored_rotation
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
-from fipt_blender.core.capture.rig_files import stored_rotation
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.run import documents
 from fipt_blender.core.run.errors import FiptError

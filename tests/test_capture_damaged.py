@@ -17,9 +17,9 @@ import PIL.Image
 import pytest
 
 from benchmarks import fuzz, fuzz_samples, fuzz_targets
-from fipt_blender.core.capture import colmap_sizes, encoded, images, ingest
+from fipt_blender.core.capture import encoded, images, ingest
 from fipt_blender.core.capture.files import view_name
-from fipt_blender.core.capture.formats import read_rig
+from fipt_blender.core.capture.formats.registry import colmap_sizes, read_rig
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import RigView
 from fipt_blender.core.capture.views import load_capture

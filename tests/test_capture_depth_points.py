@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from fipt_blender.core.capture.depth_points import depth_points
-from fipt_blender.core.capture.formats import read_rig
+from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.errors import FiptError

@@ -24,10 +24,10 @@ from fipt_blender.core.capture.images import (
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View, load_capture
+from fipt_blender.core.checks.survey import photograph_facts, view_warning
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.core.views.survey import photograph_facts, view_warning
 from samples.capture_files import make_samples, write_transforms
 from samples.deep_images import write_deep_png, write_deep_tiff
 from samples.photographs import exif, write_jpeg

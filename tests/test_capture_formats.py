@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.capture.files import Folders, view_name
-from fipt_blender.core.capture.formats import FORMATS, detect_format, read_rig
+from fipt_blender.core.capture.formats.registry import FORMATS, detect_format, read_rig
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import Lens

@@ -22,9 +22,9 @@ from fipt_blender.core.capture.images import (
     write_exr,
 )
 from fipt_blender.core.capture.views import load_capture
-from fipt_blender.core.photographs.exif import describe
-from fipt_blender.core.photographs.frames import load, upright
 from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.prepare.exif import describe
+from fipt_blender.prepare.frames import load, upright
 from samples.capture_files import make_samples, write_transforms
 from samples.image_files import (
     CURVES,

@@ -19,10 +19,10 @@ import pytest
 from PIL import Image
 
 from fipt_blender.core.capture.files import Folders
-from fipt_blender.core.capture.formats import read_rig
+from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.options import CaptureOptions
-from fipt_blender.core.photographs.models import WantedView, model_from_rig
 from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.prepare.models import WantedView, model_from_rig
 from samples import rig_writers as write
 from samples.child_processes import posix
 from samples.ingesting import run_ingest, warnings

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from fipt_blender.core.capture import colmap
-from fipt_blender.core.capture.formats import read_points
+from fipt_blender.core.capture.formats.registry import colmap, read_points
 from samples import metashape_writers, rig_writers
 
 

@@ -13,8 +13,8 @@ import pytest
 
 from fipt_blender.core.capture import options
 from fipt_blender.core.capture.distortion import lens_camera
-from fipt_blender.core.capture.formats import FORMATS, detect_format
-from fipt_blender.core.capture.radial import MOST_ERROR
+from fipt_blender.core.capture.formats.radial import MOST_ERROR
+from fipt_blender.core.capture.formats.registry import FORMATS, detect_format
 from samples import rig_writers as write
 from samples.camera_poses import random_rotation
 from samples.metashape_writers import (

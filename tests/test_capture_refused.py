@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from benchmarks import fuzz_samples
-from fipt_blender.core.capture.formats import read_rig
+from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.suffixes import IMAGE_SUFFIXES
 from fipt_blender.core.capture.views import load_capture
-from fipt_blender.core.photographs.preparation import PreparationFolder, read_preparation
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.paths import foreign_fault, is_network, leads_outside
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
+from fipt_blender.prepare.preparation import PreparationFolder, read_preparation
 from samples.capture_files import make_samples, write_transforms
 from samples.child_processes import posix
 from samples.ingesting import put, run_ingest, set_pixels

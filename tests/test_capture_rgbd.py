@@ -14,7 +14,7 @@ from PIL import Image
 
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.capture.depth_images import fuse, read_depth
-from fipt_blender.core.capture.formats import detect_format, read_rig
+from fipt_blender.core.capture.formats.registry import detect_format, read_rig
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions, FusionOptions
 from fipt_blender.core.run.errors import FiptError

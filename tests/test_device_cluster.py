@@ -25,10 +25,10 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.device import cluster
 from fipt_blender.core.estimate import command, material_stages
 from fipt_blender.core.material import training
+from fipt_blender.core.pixels.store import Tracing
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.core.scene.pixels import Tracing
 from fipt_blender.jobs.main_job import estimate_step
 from samples.child_processes import PATIENCE_SECONDS, wait_for
 from samples.refusals import error_of

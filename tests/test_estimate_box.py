@@ -20,10 +20,10 @@ from fipt_blender.core.light import baking
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import EmitterTable
+from fipt_blender.core.pixels.store import trace_view
 from fipt_blender.core.run import finished_views
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.core.scene.pixels import trace_view
 from samples.camera_poses import look_at
 from samples.refusals import error_of
 from samples.small_captures import (

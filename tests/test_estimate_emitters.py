@@ -15,7 +15,7 @@ from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.surface.room import Room
 from samples.small_captures import (
     CAMERAS,
     COLORS,

@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fipt_blender.core.checks import exposure
+from fipt_blender.core.checks.view_check import ViewCheck, check_views
 from fipt_blender.core.light import emitters, environment, observations
 from fipt_blender.core.light.baking import open_shadings
 from fipt_blender.core.light.emitters import EmitterPixels, bright_triangles, group_fixtures
@@ -20,11 +22,9 @@ from fipt_blender.core.light.observations import Observations, observe
 from fipt_blender.core.material import training_input as training_input_module
 from fipt_blender.core.material.closed_form import fit_cells
 from fipt_blender.core.material.training_input import material_units, training_input
+from fipt_blender.core.pixels.store import NO_TRIANGLE, PixelStore
 from fipt_blender.core.run.messages import Reporter
-from fipt_blender.core.scene.pixels import NO_TRIANGLE, PixelStore
-from fipt_blender.core.scene.room import Room
-from fipt_blender.core.views import exposure
-from fipt_blender.core.views.check import ViewCheck, check_views
+from fipt_blender.core.surface.room import Room
 from samples.panel_pixels import IS_PANEL, PARTS, ROOM, SETTINGS, make_pixels
 
 # An array of one number a pixel, of the smallest kind that is kept, would be four bytes.

@@ -12,10 +12,10 @@ import pytest
 
 from fipt_blender.core.estimate.part_list import write_part_list
 from fipt_blender.core.material.groups import Units
+from fipt_blender.core.parts.labels import Parts, label_parts
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.parts import read_parts
 from fipt_blender.core.run.runfolder import RunFolder, write_json
-from fipt_blender.core.scene.labels import Parts, label_parts
 from samples.small_rooms import BOX, make_room
 
 # Floor, ceiling and four walls of a box; a row of pixels sees all but the last wall.

@@ -12,7 +12,7 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.estimate.previews import Preview
 from fipt_blender.core.optics.lights import EmitterTable
-from fipt_blender.core.scene.pixels import fill_pixels, open_pixels
+from fipt_blender.core.pixels.store import fill_pixels, open_pixels
 from samples.small_rooms import make_room, table
 
 WIDTH, HEIGHT = 24, 16

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.geometry.adjacency import NONE, face_vectors, make_mesh
-from fipt_blender.core.geometry.clean import CleanMesh, clean_mesh
-from fipt_blender.core.geometry.patches import Planes
-from fipt_blender.core.geometry.planes import parallel_normals
-from fipt_blender.core.geometry.stored import prepare_geometry
 from fipt_blender.core.run.runfolder import RunFolder, write_json
-from fipt_blender.core.scene.room import Room, load_room
+from fipt_blender.core.surface.adjacency import NONE, face_vectors, make_mesh
+from fipt_blender.core.surface.clean import CleanMesh, clean_mesh
+from fipt_blender.core.surface.patches import Planes
+from fipt_blender.core.surface.planes import parallel_normals
+from fipt_blender.core.surface.room import Room, load_room
+from fipt_blender.core.surface.stored import prepare_geometry
 from samples.scans import scanned_box
 from samples.small_rooms import BOX, make_room
 

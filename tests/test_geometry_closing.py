@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fipt_blender.core.geometry.adjacency import Mesh, face_vectors, make_mesh
-from fipt_blender.core.geometry.closing import Closing, close_small_holes, open_loops
+from fipt_blender.core.surface.adjacency import Mesh, face_vectors, make_mesh
+from fipt_blender.core.surface.closing import Closing, close_small_holes, open_loops
 from samples.counted import counted_calls
 
 EDGE = 0.02

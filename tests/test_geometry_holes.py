@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fipt_blender.core.geometry.adjacency import make_mesh
-from fipt_blender.core.geometry.holes import SET_BACK, FlatHole, flat_holes
+from fipt_blender.core.surface.adjacency import make_mesh
+from fipt_blender.core.surface.holes import SET_BACK, FlatHole, flat_holes
 
 EDGE = 0.02
 

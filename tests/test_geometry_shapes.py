@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fipt_blender.core.geometry.revolution import Revolution, fit_revolutions
-from fipt_blender.core.geometry.sheet import fit_sheets
+from fipt_blender.core.completion.revolution import Revolution, fit_revolutions
+from fipt_blender.core.completion.sheet import fit_sheets
 
 STEP = 0.02
 AXIS = np.array([1.0, -2.0])

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.geometry.adjacency import make_mesh
-from fipt_blender.core.geometry.closing import open_loops
-from fipt_blender.core.geometry.stored import prepare_geometry
 from fipt_blender.core.light.emitters import EmitterPixels, group_fixtures
+from fipt_blender.core.parts.labels import NO_PART, label_parts, usable_sources
 from fipt_blender.core.run.run_files import CLOSING, read_room_files, read_scan_holes
 from fipt_blender.core.run.runfolder import RunFolder, write_json
-from fipt_blender.core.scene.labels import NO_PART, label_parts, usable_sources
-from fipt_blender.core.scene.room import Room, load_room
+from fipt_blender.core.surface.adjacency import make_mesh
+from fipt_blender.core.surface.closing import open_loops
+from fipt_blender.core.surface.room import Room, load_room
+from fipt_blender.core.surface.stored import prepare_geometry
 from samples.part_views import write_run
 from samples.scans import scanned_box
 from samples.small_rooms import BOX, make_room, mesh_room

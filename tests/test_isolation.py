@@ -19,6 +19,7 @@ from fipt_blender.core.run.method import ROOMS
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "fipt_blender"
 CORE = PACKAGE / "core"
+PREPARE = PACKAGE / "prepare"  # of the engine, too
 HEAVY = (
     "mitsuba",
     "drjit",
@@ -48,9 +49,6 @@ SHARED = (
     "conventions",
     "device.cuda",
     "optics.factorised",
-    "photographs.editing",
-    "photographs.facts",
-    "photographs.preparation",
     "run.arrays",
     "run.documents",
     "run.errors",
@@ -73,6 +71,10 @@ SHARED = (
     "textures.raster",
     "textures.write_back",
 )
+SHARED_MODULES = (
+    *(f"core.{name}" for name in SHARED),
+    *("prepare.editing", "prepare.facts", "prepare.preparation"),
+)
 # The rooms from the lowest floor to the highest: each imports only from itself and from rooms before it.
 FLOORS = (
     "core.run",
@@ -82,17 +84,20 @@ FLOORS = (
     "core.alignment",
     "core.depth",
     "core.capture",
-    "core.geometry",
+    "core.surface",
     "core.radiometry",
-    "core.scene",
+    "core.pixels",
+    "core.parts",
     "core.optics",
     "core.light",
-    "core.views",
+    "core.checks",
+    "core.photometry",
+    "core.completion",
     "core.material",
     "core.textures",
     "core.report",
-    "core.photographs",
     "core.estimate",
+    "prepare",
     "core.__main__",
     "core",
     "bridge",
@@ -115,7 +120,10 @@ FLOORS = (
     "__main__",
     "__init__",
 )
-LIGHT_MODULES = (*SHARED, "device.llvm", "device.variant", "device.probe", "device.check")
+LIGHT_MODULES = (
+    *SHARED_MODULES,
+    *(f"core.device.{name}" for name in ("llvm", "variant", "probe", "check")),
+)
 
 BLOCK = """
 import importlib, sys
@@ -195,14 +203,14 @@ def test_the_block_blocks() -> None:
 
 
 def test_engine_imports_without_bpy() -> None:
-    modules = [*module_names(CORE), "fipt_blender.core.__main__"]
+    modules = [*module_names(CORE), *module_names(PREPARE), "fipt_blender.core.__main__"]
     code_first = "fipt_blender.core.device.variant"  # LLVM must be chosen before Mitsuba is imported
     result = import_blocked(("bpy", "bmesh", "mathutils"), [code_first, *modules])
     assert result.returncode == 0, result.stderr
 
 
 def test_light_modules_import_without_the_engines_packages() -> None:
-    modules = [f"fipt_blender.core.{name}" for name in LIGHT_MODULES]
+    modules = [f"fipt_blender.{name}" for name in LIGHT_MODULES]
     result = import_blocked((*HEAVY, "bpy"), modules)
     assert result.returncode == 0, result.stderr
 
@@ -210,10 +218,10 @@ def test_light_modules_import_without_the_engines_packages() -> None:
 def forbidden(file: Path) -> set[str]:
     """What a file imports that its side must not."""
     top, targets = imported_modules(file), relative_targets(file)
-    if CORE in file.parents:
-        outside = {target for target in targets if not (target + ".").startswith("core.")}
+    if CORE in file.parents or PREPARE in file.parents:
+        outside = {target for target in targets if not (target + ".").startswith(("core.", "prepare."))}
         return top & {"bpy", "bmesh", "mathutils", "fipt_blender"} | outside
-    heavy = {target for target in targets if target.startswith("core")} - {f"core.{name}" for name in SHARED}
+    heavy = {target for target in targets if target.startswith(("core", "prepare"))} - set(SHARED_MODULES)
     return top & {*HEAVY, "fipt_blender"} | heavy
 
 
@@ -234,7 +242,7 @@ def test_every_file_imports_only_what_its_side_and_floor_may(faults_of: Callable
 def test_the_checks_find_what_they_forbid(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(globals(), "PACKAGE", tmp_path)
     monkeypatch.setitem(globals(), "CORE", tmp_path / "core")
-    for folder in ("core/scene", "core/views", "blend/room", "panels"):
+    for folder in ("core/pixels", "core/checks", "blend/room", "panels"):
         (tmp_path / folder).mkdir(parents=True)
 
     def written(place: str, text: str) -> Path:
@@ -242,14 +250,14 @@ def test_the_checks_find_what_they_forbid(monkeypatch: pytest.MonkeyPatch, tmp_p
         return tmp_path / place
 
     engine = written(
-        "core/scene/a.py", "def f():\n    import bpy\nfrom ...panels import b\nfrom ..views import c\n"
+        "core/pixels/a.py", "def f():\n    import bpy\nfrom ...panels import b\nfrom ..checks import c\n"
     )
-    assert forbidden(engine) == {"bpy", "panels"} and from_above(engine) == {"panels", "core.views"}
+    assert forbidden(engine) == {"bpy", "panels"} and from_above(engine) == {"panels", "core.checks"}
     side = written(
-        "blend/room/b.py", "import torch.nn\nfrom ...core.scene import a\nfrom ...core import conventions\n"
+        "blend/room/b.py", "import torch.nn\nfrom ...core.pixels import a\nfrom ...core import conventions\n"
     )
-    assert forbidden(side) == {"torch", "core.scene.a", "core"} and from_above(side) == set()
-    good = written("core/views/c.py", "import numpy\nfrom ..scene.a import f\n")
+    assert forbidden(side) == {"torch", "core.pixels.a", "core"} and from_above(side) == set()
+    good = written("core/checks/c.py", "import numpy\nfrom ..pixels.a import f\n")
     assert forbidden(good) == from_above(good) == set()
 
 

@@ -18,8 +18,8 @@ from fipt_blender.core.light.baking import (
     start_points,
 )
 from fipt_blender.core.light.shadings import Shadings
-from fipt_blender.core.scene.pixels import fill_pixels, open_pixels
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.pixels.store import fill_pixels, open_pixels
+from fipt_blender.core.surface.room import Room
 from samples.small_rooms import make_room
 
 WIDTH, HEIGHT = 9, 5

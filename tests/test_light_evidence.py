@@ -17,8 +17,8 @@ from fipt_blender.core.light.evidence import (
     most_nearby,
     spill_free_fraction,
 )
-from fipt_blender.core.scene.labels import Parts
-from fipt_blender.core.scene.pixels import NO_TRIANGLE, PixelStore, open_pixels
+from fipt_blender.core.parts.labels import Parts
+from fipt_blender.core.pixels.store import NO_TRIANGLE, PixelStore, open_pixels
 from samples.small_rooms import make_room
 
 # Three quads apart, two triangles each; the views below show the first of each.

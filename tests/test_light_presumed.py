@@ -12,7 +12,7 @@ from fipt_blender.core.light.emitters import EmitterPixels, bright_triangles
 from fipt_blender.core.light.presumed import presume_lamps
 from fipt_blender.core.light.radiance import CachedRadiance, new_path
 from fipt_blender.core.optics.lights import AreaLights
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.surface.room import Room
 from samples.shading_points import grid_of
 from samples.small_rooms import room_with_bulb
 

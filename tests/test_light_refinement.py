@@ -13,7 +13,7 @@ from fipt_blender.core.light.cache import SurfaceLookup, pool
 from fipt_blender.core.light.radiance import CachedRadiance, TracedRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
 from fipt_blender.core.optics import brdf
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.surface.room import Room
 from samples.shading_points import (
     LAMP,
     LEVELS,

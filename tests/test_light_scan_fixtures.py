@@ -7,8 +7,8 @@ import numpy as np
 from fipt_blender.core.light.emitter_surfaces import emitter_surfaces
 from fipt_blender.core.light.emitters import EmitterPixels, group_fixtures
 from fipt_blender.core.light.scan_fixtures import scan_groups, seen_sides
-from fipt_blender.core.scene.labels import NO_PART, Parts
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.parts.labels import NO_PART, Parts
+from fipt_blender.core.surface.room import Room
 from samples.scans import scanned_box
 from samples.small_rooms import BOX, make_room
 

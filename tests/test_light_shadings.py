@@ -15,7 +15,7 @@ from fipt_blender.core.light.cache import SurfaceLookup, VoxelGrid
 from fipt_blender.core.light.radiance import CachedRadiance, TracedRadiance, new_path
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake, roughness_levels
 from fipt_blender.core.optics import brdf
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.surface.room import Room
 from samples.shading_points import (
     LAMP,
     LEVELS,

@@ -21,8 +21,8 @@ from fipt_blender.core.light.unseen_light import (
     solve_sky,
     with_unseen_light,
 )
-from fipt_blender.core.scene.pixels import PixelStore, open_pixels, trace_view
-from fipt_blender.core.scene.room import Room, triangle_normals
+from fipt_blender.core.pixels.store import PixelStore, open_pixels, trace_view
+from fipt_blender.core.surface.room import Room, triangle_normals
 from samples.camera_poses import look_at
 from samples.shading_points import grid_of
 from samples.small_captures import CAMERAS, pinhole

@@ -19,7 +19,7 @@ from fipt_blender.core.material.groups import (
     similarity,
 )
 from fipt_blender.core.material.training_input import training_input
-from fipt_blender.core.scene.labels import NO_PART, Parts
+from fipt_blender.core.parts.labels import NO_PART, Parts
 from samples.panel_pixels import ROOM, SETTINGS, make_pixels
 
 

@@ -14,9 +14,9 @@ from fipt_blender.core.estimate.doubts import group_doubts, question
 from fipt_blender.core.material.hints import KnownMaterials, SurfaceHints, nearest_triangles, place_hints
 from fipt_blender.core.material.likelihood import make_candidates
 from fipt_blender.core.material.mixture import GroupMaterials, infer_materials
+from fipt_blender.core.parts.labels import Parts
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.hints import Hint, hints_digest, read_hints, write_hints
-from fipt_blender.core.scene.labels import Parts
 from samples.material_pixels import LEVELS, SETTINGS, synthetic
 from samples.refusals import error_of
 from samples.small_rooms import BOX, make_room

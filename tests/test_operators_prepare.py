@@ -13,15 +13,15 @@ from pathlib import Path
 import bpy
 import pytest
 
-from fipt_blender.core.photographs.preparation import (
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.jobs import prepare_job, run_job, running
+from fipt_blender.prepare.preparation import (
     Group,
     PreparationFolder,
     make_prepare_settings,
     read_preparation,
     write_preparation,
 )
-from fipt_blender.core.run.errors import FiptError
-from fipt_blender.jobs import prepare_job, run_job, running
 from samples.operator_calls import refused
 from samples.prepared_captures import make_preparation, write_prepared
 
@@ -188,7 +188,7 @@ def test_dropped_photographs_have_a_handler(settings):
 
 
 def test_two_points_are_picked_in_merged_images(settings, commands):
-    from fipt_blender.core.photographs.scale import parse_picks
+    from fipt_blender.prepare.scale import parse_picks
 
     ops.find_brackets()
     assert "not merged yet" in refused(ops.show_merged)

@@ -13,8 +13,9 @@ import pytest
 from PIL import Image
 
 from benchmarks.dng import Shot, mosaic_of, write_dng
-from fipt_blender.core.photographs import command, frames, merge_step, merging
-from fipt_blender.core.photographs.frames import (
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare import command, frames, merge_step, merging
+from fipt_blender.prepare.frames import (
     NEAR_TOP,
     binned_rows,
     block_mean,
@@ -24,8 +25,7 @@ from fipt_blender.core.photographs.frames import (
     rec709_from_camera,
     upright,
 )
-from fipt_blender.core.photographs.merging import in_rec709
-from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare.merging import in_rec709
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))

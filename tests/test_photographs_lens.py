@@ -10,8 +10,8 @@ import lensfunpy
 import numpy as np
 import pytest
 
-from fipt_blender.core.photographs import lens
-from fipt_blender.core.photographs.preparation import Photograph
+from fipt_blender.prepare import lens
+from fipt_blender.prepare.preparation import Photograph
 
 KNOWN = Photograph(
     "a.cr2",

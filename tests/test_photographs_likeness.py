@@ -12,14 +12,14 @@ from PIL import Image
 from scipy import ndimage
 
 from benchmarks.dng import Shot, mosaic_of, write_dng
-from fipt_blender.core.photographs.brackets import find_groups
-from fipt_blender.core.photographs.editing import free_name, merge_groups, split_group
-from fipt_blender.core.photographs.exif import describe
-from fipt_blender.core.photographs.likeness import SIDE, Likeness, small_picture
-from fipt_blender.core.photographs.merging import moved_regions
-from fipt_blender.core.photographs.motion import Motion, after, measure, warped
-from fipt_blender.core.photographs.preparation import Group, Photograph
-from fipt_blender.core.photographs.reading import list_photographs
+from fipt_blender.prepare.brackets import find_groups
+from fipt_blender.prepare.editing import free_name, merge_groups, split_group
+from fipt_blender.prepare.exif import describe
+from fipt_blender.prepare.likeness import SIDE, Likeness, small_picture
+from fipt_blender.prepare.merging import moved_regions
+from fipt_blender.prepare.motion import Motion, after, measure, warped
+from fipt_blender.prepare.preparation import Group, Photograph
+from fipt_blender.prepare.reading import list_photographs
 from samples.photographs import exif, smooth_radiance, write_jpeg
 from samples.refusals import error_of
 

@@ -18,21 +18,21 @@ from PIL import Image
 from benchmarks.dng import Shot, mosaic_of, write_dng
 from fipt_blender.core.capture.encoded import srgb_encoded
 from fipt_blender.core.capture.images import read_radiance, write_exr
-from fipt_blender.core.photographs import command, frames, merge_step, merging
-from fipt_blender.core.photographs.calibration import Survey, correct_exposures
-from fipt_blender.core.photographs.exif import describe
-from fipt_blender.core.photographs.frames import load, upright
-from fipt_blender.core.photographs.merging import measure_noise, merge_exposures, sensor_noise
-from fipt_blender.core.photographs.motion import Motion
-from fipt_blender.core.photographs.preparation import (
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare import command, frames, merge_step, merging
+from fipt_blender.prepare.calibration import Survey, correct_exposures
+from fipt_blender.prepare.exif import describe
+from fipt_blender.prepare.frames import load, upright
+from fipt_blender.prepare.merging import measure_noise, merge_exposures, sensor_noise
+from fipt_blender.prepare.motion import Motion
+from fipt_blender.prepare.preparation import (
     Photograph,
     PreparationFolder,
     read_preparation,
     write_preparation,
 )
-from fipt_blender.core.photographs.response import LEVELS, recover_response, srgb_curve
-from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare.response import LEVELS, recover_response, srgb_curve
 from samples.image_files import icc_profile, in_primaries, write_exr_layers
 from samples.photographs import exif, smooth_radiance, write_jpeg
 

@@ -20,10 +20,13 @@ import pytest
 from fipt_blender import cli
 from fipt_blender.core.capture import encoded
 from fipt_blender.core.capture.images import read_radiance
-from fipt_blender.core.photographs import command
-from fipt_blender.core.photographs.brackets import find_groups, remarks
-from fipt_blender.core.photographs.exif import describe
-from fipt_blender.core.photographs.preparation import (
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.extras import EXTRAS, optional
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare import command
+from fipt_blender.prepare.brackets import find_groups, remarks
+from fipt_blender.prepare.exif import describe
+from fipt_blender.prepare.preparation import (
     Group,
     Photograph,
     PreparationFolder,
@@ -31,10 +34,7 @@ from fipt_blender.core.photographs.preparation import (
     read_preparation,
     write_preparation,
 )
-from fipt_blender.core.photographs.reading import list_photographs, without_doubles
-from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.run.extras import EXTRAS, optional
-from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare.reading import list_photographs, without_doubles
 from samples.photographs import exif, write_brackets, write_jpeg
 from samples.refusals import error_of
 

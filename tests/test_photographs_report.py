@@ -17,15 +17,15 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import Lens, Rig, RigView
-from fipt_blender.core.photographs import command
-from fipt_blender.core.photographs.facts import shutter_text
-from fipt_blender.core.photographs.lens import FULL_FRAME_DIAGONAL
-from fipt_blender.core.photographs.preparation import PreparationFolder, write_preparation
-from fipt_blender.core.photographs.report import make_plan, small, write_report
-from fipt_blender.core.photographs.steps import STEPS, run_steps
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.prepare import command
+from fipt_blender.prepare.facts import shutter_text
+from fipt_blender.prepare.lens import FULL_FRAME_DIAGONAL
+from fipt_blender.prepare.preparation import PreparationFolder, write_preparation
+from fipt_blender.prepare.report import make_plan, small, write_report
+from fipt_blender.prepare.steps import STEPS, run_steps
 from samples import textured_room
 from samples.camera_poses import look_at
 from samples.pages import Page
@@ -84,7 +84,7 @@ def test_the_page_is_written_although_a_step_fails(folder, tmp_path, monkeypatch
         def run(folder, preparation, reporter):
             raise FiptError("solve-few", "Two views are too few.", "Take more photographs.")
 
-    monkeypatch.setitem(sys.modules, "fipt_blender.core.photographs.solve_step", Fails)
+    monkeypatch.setitem(sys.modules, "fipt_blender.prepare.solve_step", Fails)
     preparation = make_preparation(tmp_path / "card")
     write_prepared(folder, preparation)
     write_json(folder.facts("report"), {"key": "of an earlier run", "messages": []})

@@ -14,9 +14,10 @@ from PIL import Image
 
 from fipt_blender.core.alignment.turns import rotation_between
 from fipt_blender.core.capture.upright import common_up
-from fipt_blender.core.photographs import scale
-from fipt_blender.core.photographs.models import poses, read_model, write_model
-from fipt_blender.core.photographs.preparation import (
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare import scale
+from fipt_blender.prepare.models import poses, read_model, write_model
+from fipt_blender.prepare.preparation import (
     Group,
     Photograph,
     Preparation,
@@ -24,12 +25,11 @@ from fipt_blender.core.photographs.preparation import (
     PrepareSettings,
     write_preparation,
 )
-from fipt_blender.core.photographs.scale import Pick
-from fipt_blender.core.photographs.scale_step import MarkerDetector
-from fipt_blender.core.photographs.solve_step import copy_file, model_folder
-from fipt_blender.core.photographs.steps import run_steps
-from fipt_blender.core.photographs.tonemap import tone_mapped
-from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare.scale import Pick
+from fipt_blender.prepare.scale_step import MarkerDetector
+from fipt_blender.prepare.solve_step import copy_file, model_folder
+from fipt_blender.prepare.steps import run_steps
+from fipt_blender.prepare.tonemap import tone_mapped
 from samples.camera_poses import look_at, random_rotation
 from samples.refusals import error_of
 from samples.textured_room import FOCAL, HEIGHT, WIDTH, photograph

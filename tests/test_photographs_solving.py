@@ -16,14 +16,15 @@ import pycolmap
 import pytest
 from PIL import Image
 
-from fipt_blender.core.capture.formats import read_rig
+from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import Lens, Rig, RigView
-from fipt_blender.core.photographs.lens import FULL_FRAME_DIAGONAL
-from fipt_blender.core.photographs.models import WantedView, model_from_rig, read_model, write_model
-from fipt_blender.core.photographs.pairs import MOST_EXHAUSTIVE, image_pairs
-from fipt_blender.core.photographs.preparation import (
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare.lens import FULL_FRAME_DIAGONAL
+from fipt_blender.prepare.models import WantedView, model_from_rig, read_model, write_model
+from fipt_blender.prepare.pairs import MOST_EXHAUSTIVE, image_pairs
+from fipt_blender.prepare.preparation import (
     Group,
     Photograph,
     Preparation,
@@ -31,7 +32,7 @@ from fipt_blender.core.photographs.preparation import (
     PrepareSettings,
     write_preparation,
 )
-from fipt_blender.core.photographs.solving import (
+from fipt_blender.prepare.solving import (
     Connections,
     SolveView,
     camera_groups,
@@ -39,9 +40,8 @@ from fipt_blender.core.photographs.solving import (
     left_out,
     solve,
 )
-from fipt_blender.core.photographs.steps import run_steps
-from fipt_blender.core.photographs.tonemap import tone_mapped
-from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare.steps import run_steps
+from fipt_blender.prepare.tonemap import tone_mapped
 from samples import textured_room
 from samples.camera_poses import look_at
 from samples.refusals import error_of

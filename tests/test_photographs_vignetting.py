@@ -13,8 +13,9 @@ import pycolmap
 import pytest
 
 from fipt_blender.core.capture.images import read_radiance, write_exr
-from fipt_blender.core.photographs.models import write_model
-from fipt_blender.core.photographs.preparation import (
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare.models import write_model
+from fipt_blender.prepare.preparation import (
     Group,
     Photograph,
     Preparation,
@@ -22,10 +23,9 @@ from fipt_blender.core.photographs.preparation import (
     PrepareSettings,
     write_preparation,
 )
-from fipt_blender.core.photographs.solve_step import model_folder
-from fipt_blender.core.photographs.steps import run_steps
-from fipt_blender.core.photographs.vignetting import Observations, fit_falloff, light_share, powers
-from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare.solve_step import model_folder
+from fipt_blender.prepare.steps import run_steps
+from fipt_blender.prepare.vignetting import Observations, fit_falloff, light_share, powers
 from samples.camera_poses import look_at
 from samples.textured_room import FOCAL, HEIGHT, SIZE, WIDTH, project
 

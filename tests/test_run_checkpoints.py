@@ -18,12 +18,12 @@ from fipt_blender.core.material.inference import Fields
 from fipt_blender.core.material.networks import BrdfNetwork
 from fipt_blender.core.material.reliability import PlaceColors, part_detail
 from fipt_blender.core.material.seen import Box, seen_cells
+from fipt_blender.core.pixels.store import open_array
 from fipt_blender.core.run import checkpoints, finished_views, method
 from fipt_blender.core.run.checkpoints import Checkpoints, stage_keys, stage_names
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, explained_write_errors, write_json
 from fipt_blender.core.run.settings import Settings
-from fipt_blender.core.scene.pixels import open_array
 from samples.refusals import error_of
 
 SMALL = Settings(rounds=2, hash_levels=2, hash_log2_size=6, brdf_width=8)

@@ -17,13 +17,13 @@ from fipt_blender.core.alignment.edges import EdgeFit
 from fipt_blender.core.alignment.polish import polish
 from fipt_blender.core.alignment.turns import cross_matrix, turn_by
 from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.checks import align
 from fipt_blender.core.conventions import split_similarity, transform_points, transform_poses
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.shapes import ALIGN
-from fipt_blender.core.scene import align
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.surface.room import Room
 from samples import rig_writers
 from samples.camera_poses import look_at
 from samples.refusals import error_of

@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from fipt_blender.core.scene.components import graph_components, mesh_components
+from fipt_blender.core.parts.components import graph_components, mesh_components
 
 
 def test_components_are_numbered_by_their_lowest_nodes():

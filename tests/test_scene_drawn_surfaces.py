@@ -13,14 +13,14 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from fipt_blender.core.geometry.stored import prepare_geometry
+from fipt_blender.core.checks.agreement import surface_disagreement, survey_pixels
+from fipt_blender.core.completion.panes import close_holes
+from fipt_blender.core.parts.labels import label_parts
+from fipt_blender.core.parts.outlines import outlined_vertices
 from fipt_blender.core.run.run_files import PANES, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
-from fipt_blender.core.scene.labels import label_parts
-from fipt_blender.core.scene.outlines import outlined_vertices
-from fipt_blender.core.scene.room import Room, load_room
-from fipt_blender.core.views.agreement import surface_disagreement, survey_pixels
-from fipt_blender.core.views.panes import close_holes
+from fipt_blender.core.surface.room import Room, load_room
+from fipt_blender.core.surface.stored import prepare_geometry
 from samples.lost_things import HIGH, photographed, with_box
 from samples.part_views import looking_views, write_run
 from samples.refusals import error_of

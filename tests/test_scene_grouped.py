@@ -7,7 +7,7 @@ import statistics
 import numpy as np
 import pytest
 
-from fipt_blender.core.scene.grouped import (
+from fipt_blender.core.pixels.grouped import (
     first_by_key,
     grouped_means,
     grouped_median,

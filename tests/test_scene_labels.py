@@ -11,9 +11,9 @@ import pytest
 
 from fipt_blender.core.capture.images import MAX_ID, write_exr
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.geometry.adjacency import weld
-from fipt_blender.core.scene.labels import NO_PART, choose_parts, fuse_masks
-from fipt_blender.core.scene.spreading import spread_labels
+from fipt_blender.core.parts.labels import NO_PART, choose_parts, fuse_masks
+from fipt_blender.core.parts.spreading import spread_labels
+from fipt_blender.core.surface.adjacency import weld
 from samples.small_rooms import BOX, make_room
 
 

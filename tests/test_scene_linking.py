@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.capture.images import read_ids, write_exr
-from fipt_blender.core.scene import linked_masks, linking
-from fipt_blender.core.scene.linked_masks import link_masks, shared_ids
-from fipt_blender.core.scene.linking import RegionPixels, link_regions
-from fipt_blender.core.scene.room import load_room
+from fipt_blender.core.parts import linked_masks, linking
+from fipt_blender.core.parts.linked_masks import link_masks, shared_ids
+from fipt_blender.core.parts.linking import RegionPixels, link_regions
+from fipt_blender.core.surface.room import load_room
 from samples.part_views import THING_PART, looking_views, numbered_anew, with_own_ids, write_run
 from samples.scans import scanned_box
 from samples.small_rooms import mesh_room

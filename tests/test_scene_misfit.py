@@ -13,9 +13,9 @@ import pytest
 from fipt_blender.core.alignment.edges import corrected_pose, edge_flow
 from fipt_blender.core.alignment.turns import turn_by
 from fipt_blender.core.capture.views import View
+from fipt_blender.core.checks import survey
 from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.scene.room import Room
-from fipt_blender.core.views import survey
+from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at
 from samples.small_rooms import BOX, make_room
 
@@ -59,7 +59,7 @@ def views() -> list[View]:
 
 def photograph(room: Room, view: View, seed: int) -> np.ndarray:
     """Faces of different radiance with a soft gradient, averaged over subpixels, with noise."""
-    from fipt_blender.core.scene.camera_rays import trace_pixels
+    from fipt_blender.core.pixels.camera_rays import trace_pixels
 
     rng = np.random.default_rng(seed)
     lens = {name: FINER * getattr(view, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
@@ -72,7 +72,7 @@ def photograph(room: Room, view: View, seed: int) -> np.ndarray:
 
 def displaced(room: Room, view: View, pixels: float, seed: int) -> View:
     """The view with its camera off so that the mesh's edges move by so many pixels on average."""
-    from fipt_blender.core.scene.misfit import view_edges
+    from fipt_blender.core.checks.misfit import view_edges
 
     rng = np.random.default_rng(seed)
     motion = np.concatenate([rng.normal(size=3), 2.0 * rng.normal(size=3)])
@@ -85,7 +85,7 @@ def displaced(room: Room, view: View, pixels: float, seed: int) -> View:
 
 @pytest.mark.parametrize("pixels", [0.5, 1.0, 3.0])
 def test_known_displacements_are_found_within_a_third(room: Room, views: list[View], pixels: float) -> None:
-    from fipt_blender.core.scene.misfit import view_misfit
+    from fipt_blender.core.checks.misfit import view_misfit
 
     for index, view in enumerate(views):
         image = photograph(room, view, index)
@@ -101,7 +101,7 @@ def test_known_displacements_are_found_within_a_third(room: Room, views: list[Vi
 
 
 def test_cameras_that_are_right_are_not_blamed(room: Room, views: list[View]) -> None:
-    from fipt_blender.core.scene.misfit import view_misfit
+    from fipt_blender.core.checks.misfit import view_misfit
 
     for index, view in enumerate(views):
         found = view_misfit(room, view, photograph(room, view, index))
@@ -109,7 +109,7 @@ def test_cameras_that_are_right_are_not_blamed(room: Room, views: list[View]) ->
 
 
 def test_without_edges_there_is_no_verdict(room: Room, views: list[View]) -> None:
-    from fipt_blender.core.scene.misfit import view_misfit
+    from fipt_blender.core.checks.misfit import view_misfit
 
     rng = np.random.default_rng(0)
     assert view_misfit(room, views[0], np.zeros((HEIGHT, WIDTH, 3))) is None
@@ -121,7 +121,7 @@ def test_without_edges_there_is_no_verdict(room: Room, views: list[View]) -> Non
 
 
 def test_large_photographs_are_compared_smaller_in_their_own_pixels(room: Room, views: list[View]) -> None:
-    from fipt_blender.core.scene.misfit import view_misfit
+    from fipt_blender.core.checks.misfit import view_misfit
 
     view = displaced(room, views[0], 2.0, 3)
     image = photograph(room, views[0], 0).repeat(6, axis=0).repeat(6, axis=1)

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fipt_blender.core.scene.labels import label_parts
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.parts.labels import label_parts
+from fipt_blender.core.surface.room import Room
 
 SIDE = 12  # squares along an edge of a board
 BOARD = 2 * SIDE * SIDE

@@ -12,15 +12,15 @@ import pytest
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.geometry.adjacency import Mesh, face_vectors
-from fipt_blender.core.geometry.clean import clean_mesh
-from fipt_blender.core.geometry.stored import prepare_geometry
+from fipt_blender.core.parts.labels import Parts
+from fipt_blender.core.parts.outlines import outline_parts, outlined_vertices, without_folds
+from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.runfolder import RunFolder, write_json
-from fipt_blender.core.scene.camera_rays import trace_pixels
-from fipt_blender.core.scene.labels import Parts
-from fipt_blender.core.scene.outlines import outline_parts, outlined_vertices, without_folds
-from fipt_blender.core.scene.room import Room, load_room
+from fipt_blender.core.surface.adjacency import Mesh, face_vectors
+from fipt_blender.core.surface.clean import clean_mesh
+from fipt_blender.core.surface.room import Room, load_room
+from fipt_blender.core.surface.stored import prepare_geometry
 from samples import small_captures
 from samples.camera_poses import look_at
 from samples.scans import scanned_box

@@ -11,8 +11,8 @@ import pytest
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.environment import outside_pixels
-from fipt_blender.core.scene.mixed_pixels import find_donors, mark_pure
-from fipt_blender.core.scene.pixels import LEFT_OUT, NO_TRIANGLE, PixelStore, fill_pixels, open_pixels
+from fipt_blender.core.pixels.mixed_pixels import find_donors, mark_pure
+from fipt_blender.core.pixels.store import LEFT_OUT, NO_TRIANGLE, PixelStore, fill_pixels, open_pixels
 from samples.small_rooms import make_room
 
 WIDTH, HEIGHT = 16, 12

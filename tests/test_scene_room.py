@@ -13,7 +13,7 @@ import pytest
 from fipt_blender.core.run.arrays import read_arrays
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
-from fipt_blender.core.scene.room import load_room
+from fipt_blender.core.surface.room import load_room
 from samples.refusals import error_of
 
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)

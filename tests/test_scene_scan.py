@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.geometry.adjacency import Mesh
+from fipt_blender.core.parts.labels import choose_source, label_parts, room_pieces
+from fipt_blender.core.parts.segments import absorb_small
+from fipt_blender.core.parts.smooth_parts import Votes, smooth_labels, without_specks
 from fipt_blender.core.run.run_files import PANES
-from fipt_blender.core.scene.adjacency import PLACE_NOISE, find_adjacency
-from fipt_blender.core.scene.labels import choose_source, label_parts, room_pieces
-from fipt_blender.core.scene.segments import absorb_small
-from fipt_blender.core.scene.smooth_parts import Votes, smooth_labels, without_specks
+from fipt_blender.core.surface.adjacency import Mesh
+from fipt_blender.core.surface.part_adjacency import PLACE_NOISE, find_adjacency
 from samples.scans import scanned_box
 from samples.small_rooms import BOX, make_room
 

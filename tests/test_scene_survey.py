@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.geometry.adjacency import weld
+from fipt_blender.core.checks import survey
+from fipt_blender.core.parts.labels import loose_pieces
 from fipt_blender.core.run.messages import Reporter, parse_message
-from fipt_blender.core.scene.labels import loose_pieces
-from fipt_blender.core.scene.room import Room
-from fipt_blender.core.views import survey
+from fipt_blender.core.surface.adjacency import weld
+from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at
 from samples.refusals import error_of
 from samples.small_rooms import BOX, bulb, make_room, mesh_room, write_room
@@ -101,8 +101,8 @@ def test_triangles_between_the_rays_are_seen_and_hidden_ones_not(tmp_path):
 
 def test_no_rays_are_needed_for_triangles_out_of_the_image_that_are_known(tmp_path):
     from fipt_blender.core.capture.views import load_capture
+    from fipt_blender.core.parts.coverage import view_coverage
     from fipt_blender.core.run.runfolder import RunFolder
-    from fipt_blender.core.scene.coverage import view_coverage
 
     room = make_room(BOX)
     poses = {

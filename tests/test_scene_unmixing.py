@@ -13,11 +13,10 @@ import pytest
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.scene.fragments import OUTSIDE, SUBPIXELS, Fragments, group_samples
-from fipt_blender.core.scene.mixed_pixels import mark_pure
-from fipt_blender.core.scene.pixels import PixelStore, fill_pixels, open_pixels
-from fipt_blender.core.scene.room import Room
-from fipt_blender.core.scene.unmixing import (
+from fipt_blender.core.pixels.fragments import OUTSIDE, SUBPIXELS, Fragments, group_samples
+from fipt_blender.core.pixels.mixed_pixels import mark_pure
+from fipt_blender.core.pixels.store import PixelStore, fill_pixels, open_pixels
+from fipt_blender.core.pixels.unmixing import (
     COVERAGE_ERROR,
     FLOOR,
     MODEL_ERROR,
@@ -29,6 +28,7 @@ from fipt_blender.core.scene.unmixing import (
     unmix_pixels,
     weights,
 )
+from fipt_blender.core.surface.room import Room
 from samples.small_rooms import make_room
 
 WIDTH, HEIGHT = 16, 12

@@ -13,10 +13,10 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.light.shadings import roughness_levels
+from fipt_blender.core.pixels.store import PixelStore
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.core.scene.pixels import PixelStore
-from fipt_blender.core.scene.smoothing import SmoothingGrid
+from fipt_blender.core.surface.smoothing import SmoothingGrid
 from fipt_blender.core.textures import detail
 from fipt_blender.core.textures.texel_views import Texels
 from samples.small_rooms import mesh_room

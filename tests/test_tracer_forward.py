@@ -25,7 +25,7 @@ from benchmarks.tracer.surfaces import LatticeMaterials, TriangleMaterials, make
 from fipt_blender.core.optics import brdf
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
-from fipt_blender.core.scene.room import Room, triangle_normals
+from fipt_blender.core.surface.room import Room, triangle_normals
 from samples.small_rooms import BOX as WALLS
 from samples.small_rooms import make_room, mesh_room
 

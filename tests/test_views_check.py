@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.scene.pixels import LEFT_OUT, NO_TRIANGLE, PixelStore
-from fipt_blender.core.views.check import ViewCheck
-from fipt_blender.core.views.misaligned import CLEARLY_BETTER
-from fipt_blender.core.views.registration import Fit, register
+from fipt_blender.core.checks.misaligned import CLEARLY_BETTER
+from fipt_blender.core.checks.registration import Fit, register
+from fipt_blender.core.checks.view_check import ViewCheck
+from fipt_blender.core.pixels.store import LEFT_OUT, NO_TRIANGLE, PixelStore
 from samples.checked_views import run_check
 from samples.small_captures import (
     CAMERAS,

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.scene.pixels import open_pixels
-from fipt_blender.core.scene.room import Room
-from fipt_blender.core.views.clipped_surfaces import find_clipped_surfaces
-from fipt_blender.core.views.codes import Codes
+from fipt_blender.core.photometry.clipped_surfaces import find_clipped_surfaces
+from fipt_blender.core.photometry.codes import Codes
+from fipt_blender.core.pixels.store import open_pixels
+from fipt_blender.core.surface.room import Room
 from samples.scans import scanned_box
 from samples.small_rooms import BOX, make_room
 

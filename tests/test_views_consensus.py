@@ -11,8 +11,8 @@ import pytest
 from fipt_blender.core.alignment.turns import turn_by
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View, load_capture
+from fipt_blender.core.checks.consensus import check_input
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.core.views.consensus import check_input
 from samples.refusals import error_of
 from samples.small_captures import CAMERAS, SmallCapture, matt, photograph_room, window_capture, write_run
 from samples.small_rooms import BOX, make_room, table

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.geometry.prism import prism
+from fipt_blender.core.completion import panes
+from fipt_blender.core.completion.lost_surfaces import lost_surfaces
+from fipt_blender.core.completion.panes import close_holes
+from fipt_blender.core.completion.prism import prism
+from fipt_blender.core.parts.masked_views import masked_views
 from fipt_blender.core.run.run_files import PANES
-from fipt_blender.core.scene.room import load_room
-from fipt_blender.core.views import panes
-from fipt_blender.core.views.lost_surfaces import lost_surfaces
-from fipt_blender.core.views.masked_views import masked_views
-from fipt_blender.core.views.panes import close_holes
+from fipt_blender.core.surface.room import load_room
 from samples.lost_things import HIGH, LOW, photographed, with_box
 from samples.part_views import write_run
 from samples.scans import scanned_box

@@ -11,12 +11,12 @@ import pytest
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.geometry.stored import prepare_geometry
+from fipt_blender.core.completion.panes import close_holes
 from fipt_blender.core.run.run_files import PANES, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import Settings
-from fipt_blender.core.scene.room import load_room
-from fipt_blender.core.views.panes import close_holes
+from fipt_blender.core.surface.room import load_room
+from fipt_blender.core.surface.stored import prepare_geometry
 from samples.scans import scanned_box
 from samples.small_rooms import BOX, make_room, mesh_room
 

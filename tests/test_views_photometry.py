@@ -15,18 +15,18 @@ from benchmarks.ldr import Camera, draw_gains, photograph
 from fipt_blender.core.capture.encoded import srgb_decoded
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.light.clipped import Expectation
-from fipt_blender.core.run.messages import Reporter, parse_message
-from fipt_blender.core.run.settings import make_settings
-from fipt_blender.core.scene.mixed_pixels import mark_pure
-from fipt_blender.core.scene.pixels import PixelStore, fill_pixels, open_pixels
-from fipt_blender.core.views.photometry import (
+from fipt_blender.core.photometry.encoded_photographs import (
     LIGHT_DEVIATION,
     Photometry,
     adjust_photographs,
     solve_light,
     warn_of_photographs,
 )
-from fipt_blender.core.views.refit import refit_photographs
+from fipt_blender.core.photometry.refit import refit_photographs
+from fipt_blender.core.pixels.mixed_pixels import mark_pure
+from fipt_blender.core.pixels.store import PixelStore, fill_pixels, open_pixels
+from fipt_blender.core.run.messages import Reporter, parse_message
+from fipt_blender.core.run.settings import make_settings
 from samples.small_captures import CAMERAS, COLORS, PANEL, PANEL_RADIANCE, matt, photograph_room, write_run
 from samples.small_rooms import BOX, make_room, table
 

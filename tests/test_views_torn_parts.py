@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fipt_blender.core.completion.panes import close_holes
+from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.run.run_files import PANES
-from fipt_blender.core.scene.camera_rays import trace_pixels
-from fipt_blender.core.scene.room import Room, load_room
-from fipt_blender.core.views.panes import close_holes
+from fipt_blender.core.surface.room import Room, load_room
 from samples.part_views import THING_PART, looking_views, with_own_ids, write_run
 from samples.scans import scanned_box
 from samples.small_rooms import mesh_room

@@ -10,8 +10,8 @@ import pytest
 
 from benchmarks.tracer.surfaces import TriangleMaterials
 from fipt_blender.core.capture.images import read_radiance
-from fipt_blender.core.scene.pixels import LEFT_OUT
-from fipt_blender.core.views.check import ViewCheck
+from fipt_blender.core.checks.view_check import ViewCheck
+from fipt_blender.core.pixels.store import LEFT_OUT
 from samples.checked_views import run_check
 from samples.scans import scanned_box
 from samples.small_captures import CAMERAS, COLORS, PANEL, SmallCapture, photograph_room

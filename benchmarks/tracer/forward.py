@@ -22,7 +22,7 @@ from fipt_blender.core.optics import brdf, factorised
 from fipt_blender.core.optics.denoise import Denoiser
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, DirectSample, EmitterTable
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.surface.room import Room
 
 PATHS_AT_ONCE = 1 << 20  # bounds memory: about 100 MB of state in a recorded loop
 

@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from fipt_blender.core.optics.brdf import MIN_ROUGHNESS, Material
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.surface.room import Room
 
 # positions (N, 3) float32 in world metres, triangles (N,) int32 ->
 # base colour (N, 3), roughness (N,), metallic (N,)

@@ -25,11 +25,11 @@ from .run.runfolder import RunFolder
 # Name: (module, help). Each module has add_arguments(parser) and run(arguments, reporter).
 COMMANDS = {
     "check": (".device.check", "print the device, LLVM and package versions of the engine"),
-    "prepare": (".photographs.command", "make a capture from a folder of photographs"),
+    "prepare": ("..prepare.command", "make a capture from a folder of photographs"),
     "ingest": (".capture.ingest", "read a capture into a run folder"),
-    "survey": (".views.survey", "find out what each view sees of the room, and which parts there are"),
+    "survey": (".checks.survey", "find out what each view sees of the room, and which parts there are"),
     "complete": (".estimate.complete", "add to a scan what photographs show that it lacks"),
-    "align": (".scene.align", "move the cameras to the mesh by the solve's points or by edges"),
+    "align": (".checks.align", "move the cameras to the mesh by the solve's points or by edges"),
     "estimate": (".estimate.command", "estimate materials and lights of the room of a run folder"),
     "textures": (".textures.bake", "bake the estimated fields onto the UVs of atlas.npz"),
     "report": (".report.page", "write the HTML report of a run folder"),

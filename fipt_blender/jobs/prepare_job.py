@@ -10,8 +10,8 @@ from pathlib import Path
 from ..bridge.attached import find_engine
 from ..bridge.sequence import Job
 from ..bridge.step import Step
-from ..core.photographs.preparation import PreparationFolder, refuse_foreign
 from ..core.run.runfolder import RunFolder
+from ..prepare.preparation import PreparationFolder, refuse_foreign
 from .run_job import attach_job, open_job
 
 _RECORD = "stage/window.json"

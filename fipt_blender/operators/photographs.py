@@ -18,7 +18,7 @@ from .reporting import reports_errors
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
-    from ..core.photographs.preparation import Group, PreparationFolder
+    from ..prepare.preparation import Group, PreparationFolder
     from ..properties.photographs import FIPT_PhotographsSettings
 
 # The groups that this session has written to prepare.json: folder and digest. After an undo the scene's list
@@ -50,7 +50,7 @@ class _PrepareJob(StartsJob):
         raise NotImplementedError
 
     def _begin(self, context: bpy.types.Context, wait: bool) -> running.RunningJob:
-        from ..core.photographs.preparation import PreparationFolder
+        from ..prepare.preparation import PreparationFolder
 
         settings, finished = context.scene.fipt.photographs, type(self).finished
         folder = PreparationFolder(settings.capture_folder() or Path())
@@ -243,7 +243,7 @@ class FIPT_OT_split_bracket(_EditsGroups, bpy.types.Operator):
     bl_label = "Split Group"
 
     def edited(self, groups: list[Group], settings: FIPT_PhotographsSettings) -> list[Group]:
-        from ..core.photographs.editing import split_group
+        from ..prepare.editing import split_group
 
         return split_group(groups, settings.active_group, settings.active_photograph)
 
@@ -255,7 +255,7 @@ class FIPT_OT_merge_brackets(_EditsGroups, bpy.types.Operator):
     bl_label = "Merge with Next Group"
 
     def edited(self, groups: list[Group], settings: FIPT_PhotographsSettings) -> list[Group]:
-        from ..core.photographs.editing import merge_groups
+        from ..prepare.editing import merge_groups
 
         return merge_groups(groups, settings.active_group)
 
@@ -301,7 +301,7 @@ def _write_groups(settings: FIPT_PhotographsSettings, folder: PreparationFolder)
     from dataclasses import replace
 
     from ..blend.capture.brackets import digest, list_groups, listed_groups
-    from ..core.photographs.preparation import read_preparation, write_preparation
+    from ..prepare.preparation import read_preparation, write_preparation
 
     preparation, groups = read_preparation(folder), listed_groups(settings)
     there, wanted = digest(preparation.groups), digest(groups)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from ..core.photographs.preparation import Group, PreparationFolder
 from ..core.run.errors import FiptError
+from ..prepare.preparation import Group, PreparationFolder
 from .pointer import NAVIGATION, WHEEL, WaitsForClicks, is_cancel, is_click
 from .polls import all_of, needs
 from .reporting import reports_errors

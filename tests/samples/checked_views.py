@@ -9,11 +9,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from fipt_blender.core.capture.views import load_capture
+from fipt_blender.core.checks.view_check import ViewCheck, check_views
+from fipt_blender.core.pixels.mixed_pixels import mark_pure
+from fipt_blender.core.pixels.store import PixelStore, fill_pixels, open_pixels
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.core.scene.mixed_pixels import mark_pure
-from fipt_blender.core.scene.pixels import PixelStore, fill_pixels, open_pixels
-from fipt_blender.core.views.check import ViewCheck, check_views
 
 from .small_captures import SmallCapture, write_run
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.scene.camera_rays import first_hits, trace_pixels
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.pixels.camera_rays import first_hits, trace_pixels
+from fipt_blender.core.surface.room import Room
 from samples.part_views import looking_views
 from samples.small_rooms import mesh_room
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from fipt_blender.core.capture.views import View
+from fipt_blender.core.parts.labels import Parts
+from fipt_blender.core.pixels.mixed_pixels import mark_pure
+from fipt_blender.core.pixels.store import PixelStore, open_pixels, trace_view
+from fipt_blender.core.pixels.unmixing import unmix_pixels
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.core.scene.labels import Parts
-from fipt_blender.core.scene.mixed_pixels import mark_pure
-from fipt_blender.core.scene.pixels import PixelStore, open_pixels, trace_view
-from fipt_blender.core.scene.unmixing import unmix_pixels
 from samples.camera_poses import look_at
 from samples.small_captures import CAMERAS, PANEL, pinhole
 from samples.small_rooms import BOX, make_room

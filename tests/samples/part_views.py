@@ -11,10 +11,10 @@ import numpy as np
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.geometry.stored import prepare_geometry
+from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.run.runfolder import RunFolder, write_json
-from fipt_blender.core.scene.camera_rays import trace_pixels
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.surface.room import Room
+from fipt_blender.core.surface.stored import prepare_geometry
 
 SIZE, FOCAL = 96, 60.0
 THING_PART, ROOM_PART = 7, 1

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.capture.distortion import lens_camera
-from fipt_blender.core.capture.formats import read_rig
+from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import Rig
 from fipt_blender.core.run.errors import FiptError

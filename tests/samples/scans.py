@@ -4,8 +4,8 @@
 
 import numpy as np
 
-from fipt_blender.core.geometry.adjacency import weld
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.surface.adjacency import weld
+from fipt_blender.core.surface.room import Room
 from samples.small_rooms import BOX, mesh_room
 
 

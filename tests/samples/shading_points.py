@@ -8,7 +8,7 @@ import numpy as np
 from fipt_blender.core.light.cache import SurfaceLookup, VoxelGrid, fill_grid, grid_frame, pool
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
 from fipt_blender.core.optics.lights import EmitterTable
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.surface.room import Room
 from samples.small_rooms import surface_points
 
 LEVELS = np.array([0.1, 0.4, 1.0], np.float32)

@@ -20,7 +20,7 @@ from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.core.scene.room import Room
+from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at
 from samples.small_rooms import BOX, area_lights, make_room, table, write_room
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
-from fipt_blender.core.scene.room import Room, triangle_normals
+from fipt_blender.core.surface.room import Room, triangle_normals
 
 # Quadrilaterals of a box 4 x 4 x 3 m, fronts inwards: floor, ceiling, back (+y), left (-x), right, front.
 BOX = [

@@ -12,8 +12,8 @@ from typing import Any
 
 import bpy
 
-from ...core.photographs.facts import read_facts, shutter_text
-from ...core.photographs.preparation import Group, Photograph, PreparationFolder, read_preparation
+from ...prepare.facts import read_facts, shutter_text
+from ...prepare.preparation import Group, Photograph, PreparationFolder, read_preparation
 
 
 def list_groups(settings: bpy.types.PropertyGroup, folder: PreparationFolder) -> None:

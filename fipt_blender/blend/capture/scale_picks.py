@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import bpy
 
-from ...core.photographs.preparation import Group, PreparationFolder
+from ...prepare.preparation import Group, PreparationFolder
 
 
 def with_picks(before: str, view: str, first: tuple[float, ...], second: tuple[float, ...]) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..run.errors import FiptError
 from .depth_images import check_unit, read_depth
-from .formats import FORMATS, read_points
+from .formats.registry import FORMATS, read_points
 from .rig import DepthView, Rig
 
 _STEEP = 0.05  # relative difference between neighbouring depths above which a pixel lies at an edge

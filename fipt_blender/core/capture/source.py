@@ -20,7 +20,7 @@ from ..run.runfolder import RunFolder
 from .align_mesh import aligned_to_mesh
 from .color_camera import with_color_camera
 from .depth_images import Fusion, checked_depths
-from .formats import read_rig
+from .formats.registry import read_rig
 from .options import CaptureOptions
 from .rig import Note, Rig
 

@@ -13,7 +13,10 @@ from functools import partial
 
 from ..capture.light_views import light_views
 from ..capture.views import View, load_capture
-from ..geometry.stored import prepare_geometry
+from ..checks.consensus import check_input
+from ..completion.panes import close_holes
+from ..parts.linked_masks import link_masks
+from ..parts.outlines import outline_parts
 from ..run.checkpoints import Checkpoints, stage_keys
 from ..run.errors import FiptError
 from ..run.hints import Hint, hints_digest, light_changes, read_hints
@@ -22,11 +25,8 @@ from ..run.messages import Reporter
 from ..run.run_files import ScanHoles, read_scan_holes
 from ..run.runfolder import RunFolder
 from ..run.settings import Settings
-from ..scene.linked_masks import link_masks
-from ..scene.outlines import outline_parts
-from ..scene.room import Room, load_room
-from ..views.consensus import check_input
-from ..views.panes import close_holes
+from ..surface.room import Room, load_room
+from ..surface.stored import prepare_geometry
 
 
 @dataclass(frozen=True, eq=False)

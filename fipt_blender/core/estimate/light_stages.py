@@ -9,22 +9,22 @@ from functools import partial
 
 import numpy as np
 
+from ..checks.view_check import check_views
 from ..light.baking import Baking, ShadingStore, TracedLight, bake_views, baked_light
 from ..light.observations import observe
 from ..light.shadings import SampleCounts
 from ..light.unseen_light import with_unseen_light
 from ..optics.lights import EmitterTable
+from ..photometry.encoded_photographs import Photometry, adjust_photographs, warn_of_photographs
+from ..photometry.refit import refit_photographs
+from ..pixels.fragments import SUBPIXELS
+from ..pixels.grouped import numbered
+from ..pixels.mixed_pixels import mark_pure
+from ..pixels.store import fill_pixels, open_pixels
+from ..pixels.unmixing import keep_pure, unmix_pixels
 from ..run.checkpoints import HINTED_REFINEMENT, HINTED_SHADINGS
 from ..run.errors import FiptError
 from ..run.finished_views import FinishedViews
-from ..scene.fragments import SUBPIXELS
-from ..scene.grouped import numbered
-from ..scene.mixed_pixels import mark_pure
-from ..scene.pixels import fill_pixels, open_pixels
-from ..scene.unmixing import keep_pure, unmix_pixels
-from ..views.check import check_views
-from ..views.photometry import Photometry, adjust_photographs, warn_of_photographs
-from ..views.refit import refit_photographs
 from .state import EstimationState, Facts
 
 

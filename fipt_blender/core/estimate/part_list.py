@@ -18,13 +18,13 @@ import numpy as np
 from ..capture.rig import CLASS_NAMES
 from ..capture.views import View
 from ..material.fields import RoomFields
+from ..parts.labels import Parts, choose_source, fuse_masks, mesh_borders
+from ..pixels.grouped import grouped_means
+from ..pixels.store import PixelStore
 from ..run.documents import Entries, head, read_json
 from ..run.parts import readable, unique_names
 from ..run.runfolder import RunFolder, write_json
-from ..scene.grouped import grouped_means
-from ..scene.labels import Parts, choose_source, fuse_masks, mesh_borders
-from ..scene.pixels import PixelStore
-from ..scene.room import Room
+from ..surface.room import Room
 
 # Cells whose values are averaged.
 MOST_CELLS = 50_000

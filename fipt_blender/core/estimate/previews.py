@@ -14,10 +14,10 @@ import numpy as np
 
 from ..light.baking import ShadingStore
 from ..optics.lights import EmitterTable
+from ..photometry.refit import LEAST_LIGHT
+from ..pixels.store import PixelStore
 from ..report.comparison import to_display
 from ..report.pictures import write_png
-from ..scene.pixels import PixelStore
-from ..views.refit import LEAST_LIGHT
 
 MAX_SIZE = 256  # pixels along an edge
 # The view shown is that with the best score; see `_content`.

@@ -25,7 +25,7 @@ class RoomLight:
     Attributes:
         fixtures: lamps on the mesh.
         environment: light from outside the mesh, if any.
-        missing: lamps that the mesh lacks (:class:`.views.check.ViewCheck`).
+        missing: lamps that the mesh lacks (:class:`.checks.view_check.ViewCheck`).
     """
 
     fixtures: Sequence[Fixture]

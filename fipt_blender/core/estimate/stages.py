@@ -14,7 +14,7 @@
                     closed form and a short training again with these hints
 
 Stage 3 and the closed form are repeated `rounds` times. A run that is resumed loads the stages that it has
-finished. The computations are in `light/`, `views/` and `material/`, the data that stages share in
+finished. The computations are in `light/`, `checks/` and `material/`, the data that stages share in
 :mod:`.state`.
 """
 

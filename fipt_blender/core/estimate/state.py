@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 import torch
 
+from ..checks.view_check import ViewCheck
 from ..device.variant import torch_device
 from ..light.baking import ShadingStore, open_shadings
 from ..light.cache import pool
@@ -31,6 +32,9 @@ from ..material.seen import SeenCells, fallback_values, find_seen_cells, room_bo
 from ..material.training import Networks
 from ..material.training_input import hinted_units, material_units
 from ..optics.lights import EmitterTable
+from ..parts.labels import NO_PART, Parts, choose_parts, room_pieces
+from ..pixels.grouped import place_of
+from ..pixels.store import LEFT_OUT, PixelStore, open_pixels
 from ..run.arrays import check_layouts
 from ..run.checkpoints import SHADINGS
 from ..run.errors import FiptError
@@ -40,10 +44,6 @@ from ..run.per_view import LocalWorkers, Workers
 from ..run.run_files import ScanHoles
 from ..run.shapes import Layout
 from ..run.threads import cached_property
-from ..scene.grouped import place_of
-from ..scene.labels import NO_PART, Parts, choose_parts, room_pieces
-from ..scene.pixels import LEFT_OUT, PixelStore, open_pixels
-from ..views.check import ViewCheck
 from .hinted import hint_facts
 from .input import EstimationInput
 

@@ -20,11 +20,11 @@ import numpy as np
 from ..optics.brdf import set_masking
 from ..optics.denoise import Denoiser
 from ..optics.lights import AreaLights, EmitterTable
+from ..pixels.camera_rays import opaque_vector, trace_pixels
+from ..pixels.store import PixelStore, ViewPixels, open_array
 from ..run.finished_views import FinishedViews
 from ..run.per_view import TwoSteps, Workers
-from ..scene.camera_rays import opaque_vector, trace_pixels
-from ..scene.pixels import PixelStore, ViewPixels, open_array
-from ..scene.room import Room
+from ..surface.room import Room
 from .cache import SurfaceLookup, VoxelGrid
 from .environment import Environment
 from .radiance import CachedRadiance, OutsideLight, RadianceSource, TracedRadiance

@@ -16,9 +16,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..pixels.store import PixelStore
 from ..run.threads import in_threads
-from ..scene.pixels import PixelStore
-from ..scene.room import Room
+from ..surface.room import Room
 
 SIDES = 6  # of an entry: the directions of the axes
 # Points per chunk: temporary arrays of all pixels of a large capture would take gigabytes.

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..pixels.camera_rays import rays_along
 from ..robust import deviation, gauss_newton, student_weights, without_means
-from ..scene.camera_rays import rays_along
-from ..scene.room import Room
+from ..surface.room import Room
 from .cache import VoxelGrid
 
 RAYS = 128  # over the hemisphere of each point; their noise would make the contrast too high

@@ -17,13 +17,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import expit, gamma, logit, stdtr  # scipy.stats takes half a second to import
 
-from ..geometry.adjacency import weld
 from ..optics.lights import LUMINANCE
+from ..parts.components import component_means, graph_components
+from ..pixels.grouped import grouped_sums, pairs_of, rows_of_groups
+from ..pixels.store import PixelStore
 from ..robust import DEGREES, deviation
-from ..scene.components import component_means, graph_components
-from ..scene.grouped import grouped_sums, pairs_of, rows_of_groups
-from ..scene.pixels import PixelStore
-from ..scene.room import Room
+from ..surface.adjacency import weld
+from ..surface.room import Room
 from .baking import ShadingStore
 from .emitter_surfaces import EmitterSurfaces
 from .evidence import PixelEvidence, log_ratio, read_evidence

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.adjacency import Scan
-from ..scene.grouped import numbered
-from ..scene.labels import Parts, room_pieces
-from ..scene.room import Room
+from ..parts.labels import Parts, room_pieces
+from ..pixels.grouped import numbered
+from ..surface.part_adjacency import Scan
+from ..surface.room import Room
 from .cache import side_index
 
 # Inferred light comes from infinity. A surface that is close to an unseen lamp is brighter than that by about

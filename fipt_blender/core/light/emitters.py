@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.adjacency import weld
 from ..optics.lights import LUMINANCE, EmitterTable
-from ..scene.components import graph_components
-from ..scene.grouped import grouped_weighted_median
-from ..scene.pixels import PixelStore
-from ..scene.room import Room
+from ..parts.components import graph_components
+from ..pixels.grouped import grouped_weighted_median
+from ..pixels.store import PixelStore
+from ..surface.adjacency import weld
+from ..surface.room import Room
 from .scan_fixtures import scan_groups, seen_sides
 
 # A side of a fixture emits if its luminance is at least this share of the brighter side's.

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..conventions import direction_to_equirect
-from ..scene.grouped import grouped_median
-from ..scene.pixels import NO_TRIANGLE, PixelStore
+from ..pixels.grouped import grouped_median
+from ..pixels.store import NO_TRIANGLE, PixelStore
 
 # A smaller observed share of the sphere is a hole in the mesh, not a window; extrapolated to all directions,
 # it would light the room through all other holes.

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from ..optics.lights import LUMINANCE
-from ..scene.pixels import PixelStore
-from ..scene.unmixing import NOISE, standard_error
+from ..pixels.store import PixelStore
+from ..pixels.unmixing import NOISE, standard_error
 from .baking import ShadingStore
 
 # Share of a pure pixel's light that may spill over from its neighbours: half where coplanar surfaces meet at

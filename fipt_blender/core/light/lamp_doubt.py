@@ -15,10 +15,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..optics.lights import LUMINANCE
-from ..scene.camera_rays import rays_along
-from ..scene.grouped import rows_of_groups
-from ..scene.pixels import PixelStore
-from ..scene.room import Room
+from ..pixels.camera_rays import rays_along
+from ..pixels.grouped import rows_of_groups
+from ..pixels.store import PixelStore
+from ..surface.room import Room
 from .emitters import Fixture, pixels_on
 
 # Points on a lamp, and lamps, the brightest first.

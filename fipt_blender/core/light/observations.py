@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from ..parts.labels import NO_PART, Parts
+from ..pixels.mixed_pixels import find_donors
+from ..pixels.store import PixelStore, open_array
 from ..run.settings import Settings
 from ..run.threads import cached_property
-from ..scene.labels import NO_PART, Parts
-from ..scene.mixed_pixels import find_donors
-from ..scene.pixels import PixelStore, open_array
-from ..scene.room import Room
+from ..surface.room import Room
 from .cache import Pool, VoxelGrid, seen_grid, unseen_points
 from .environment import Environment, estimate_environment, outside_pixels
 

@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..optics.lights import LUMINANCE, EmitterTable
-from ..scene.components import component_means
-from ..scene.grouped import grouped_weighted_median
-from ..scene.labels import room_pieces
-from ..scene.room import Room
+from ..parts.components import component_means
+from ..parts.labels import room_pieces
+from ..pixels.grouped import grouped_weighted_median
+from ..surface.room import Room
 from .emitters import CHUNK, EmitterPixels, emitter_table, group_fixtures, pixels_on
 
 # Largest median deviation of the radiance of a lamp, relative to its median: lamps of the test rooms are

@@ -21,7 +21,7 @@ from ..optics import brdf, factorised
 from ..optics.brdf import Material
 from ..optics.environment import EnvironmentLight
 from ..optics.lights import AreaLights
-from ..scene.room import Room, Surface
+from ..surface.room import Room, Surface
 from .cache import SurfaceLookup
 from .environment import Environment
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..scene.adjacency import Scan
-from ..scene.components import graph_components
+from ..parts.components import graph_components
+from ..surface.part_adjacency import Scan
 
 # A connected piece of emitting triangles is a fixture if it has at least this many of them. If its area is
 # less than this share of the largest of its surface, and a fixture is within this many median edges, it

@@ -49,7 +49,9 @@ class Transport:
 
     def rows(self, chosen: np.ndarray) -> Transport:
         """Some of the points."""
-        return Transport(self.log_radiance[chosen], self.group[chosen], self.seen[chosen], self.unseen[chosen])
+        return Transport(
+            self.log_radiance[chosen], self.group[chosen], self.seen[chosen], self.unseen[chosen]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +135,9 @@ def held_back_gain(points: Transport, expected: Expectation, rng: np.random.Gene
             light = points.seen[held, channel] + points.unseen[held] @ radiance[:, channel]
             residual = points.log_radiance[held, channel] - np.log(np.maximum(light, DARKEST))
             residual -= rows.albedo[points.group[held]]
-            likelihood = np.log1p((residual / spread) ** 2 / DEGREES) * (0.5 * (DEGREES + 1.0)) + np.log(spread)
+            likelihood = np.log1p((residual / spread) ** 2 / DEGREES) * (0.5 * (DEGREES + 1.0)) + np.log(
+                spread
+            )
             total -= sign * float(likelihood.sum()) / 3.0
     return total / POINTS_PER_SAMPLE
 

@@ -15,9 +15,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..conventions import equirect_pixel_directions
-from ..scene.grouped import numbered
-from ..scene.pixels import PixelStore
-from ..scene.room import Room
+from ..pixels.grouped import numbered
+from ..pixels.store import PixelStore
+from ..surface.room import Room
 from .cache import SIDES, VoxelGrid
 from .clipped import MOST_POINTS, OUTSIDE, hemisphere_rays
 from .environment import Environment, Hull, map_cells
@@ -144,7 +144,9 @@ def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: in
         shown[~known] = 0.0
         cell[known] = -1
     patches = int(source_of_entry.max(initial=-1)) + 1
-    source = np.where(entry >= 0, source_of_entry[np.maximum(entry, 0)], np.where(cell >= 0, patches + cell, -1))
+    source = np.where(
+        entry >= 0, source_of_entry[np.maximum(entry, 0)], np.where(cell >= 0, patches + cell, -1)
+    )
     count = np.bincount(source[source >= 0], minlength=patches + len(hull.radiance))
     chosen = np.argsort(-count, kind="stable")[:MOST_SOURCES]
     chosen = np.sort(chosen[count[chosen] > LEAST_SHARE * entry.size])
@@ -166,7 +168,8 @@ def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: in
     entries = np.flatnonzero(of_entry >= 0)
     light = solve_sources(points, expected)
     of_cell = number[patches:]
-    return Sources(points, where, expected, position, normal, light, gain, entries, of_entry[entries], hull, of_cell)
+    lit = points, where, expected, position, normal
+    return Sources(*lit, light, gain, entries, of_entry[entries], hull, of_cell)
 
 
 def expectation(
@@ -209,7 +212,7 @@ def seen_entries(observed: Observations) -> np.ndarray:
 
 
 def unseen_patches(grid: VoxelGrid, seen: np.ndarray, size: float) -> np.ndarray:
-    """(M * 6,) int64 source of each cache entry, from 0: a side in a cube of unseen ones; -1 where it is seen.
+    """(M * 6,) int64 source of each cache entry, a side in a cube of unseen ones, from 0; -1 where it is seen.
 
     Args:
         seen: (M * 6,) bool. size: of the cubes, metres.

@@ -10,8 +10,8 @@ from functools import partial
 
 import numpy as np
 
-from ..scene.grouped import grouped_means
-from ..scene.pixels import PixelStore
+from ..pixels.grouped import grouped_means
+from ..pixels.store import PixelStore
 from .closed_form import TrainingData
 from .confidence import FLOOR, UNIFORM_DEVIATION, linearise, standard_errors
 from .groups import Units

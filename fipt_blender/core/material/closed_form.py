@@ -16,8 +16,8 @@ import numpy as np
 
 from ..light.baking import ShadingStore
 from ..light.observations import Observations
+from ..pixels.grouped import first_by_key, grouped_sums, place_of
 from ..run.threads import in_threads
-from ..scene.grouped import first_by_key, grouped_sums, place_of
 from .mixture import GroupMaterials
 from .pixel_samples import residual_weight, rows_with_donor
 from .projection import color_lines

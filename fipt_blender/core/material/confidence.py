@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.grouped import grouped_median, grouped_sums, pairs_of
+from ..pixels.grouped import grouped_median, grouped_sums, pairs_of
 from .pixel_samples import residual_weight
 
 # Standard deviation of a value of which nothing is known but that it lies in [0, 1].

@@ -15,11 +15,11 @@ import torch
 
 from ..device.variant import torch_device
 from ..optics.brdf import set_masking
+from ..parts.labels import NO_PART
 from ..run.arrays import check_layouts, read_arrays
 from ..run.errors import FiptError
 from ..run.runfolder import RunFolder, atomic_path
 from ..run.shapes import DETAIL_ARRAYS, FIELDS_ARRAYS, PARTS_ARRAYS
-from ..scene.labels import NO_PART
 from .confidence import UNIFORM_DEVIATION, confidence, errors_with_place
 from .groups import Units
 from .inference import Fields

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.grouped import grouped_weighted_median, numbered
-from ..scene.labels import Parts
+from ..parts.labels import Parts
+from ..pixels.grouped import grouped_weighted_median, numbered
 
 NO_GROUP = -1  # in place of a group
 # Added to base colours before they are compared, because their errors are about as large on dark surfaces as

@@ -15,9 +15,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..alignment.surface import closest_points
+from ..parts.labels import NO_PART, Parts
+from ..pixels.grouped import numbered
 from ..run.hints import DIELECTRIC, METAL, UNKNOWN, Hint
-from ..scene.grouped import numbered
-from ..scene.labels import NO_PART, Parts
 
 NO_HINT = -1  # in place of a hint
 # A point of an area lies on the triangle whose center is nearest if that is closer than this share of the

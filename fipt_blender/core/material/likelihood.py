@@ -16,8 +16,8 @@ import mitsuba as mi
 import numpy as np
 
 from ..optics.factorised import color_line, level_roughness
+from ..pixels.grouped import grouped_means, numbered, pairs_of, rows_of_groups
 from ..run.settings import Settings
-from ..scene.grouped import grouped_means, numbered, pairs_of, rows_of_groups
 from .pixel_samples import PixelSamples, residual_weight
 from .projection import fit_colors
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene.grouped import grouped_means, grouped_sums, grouped_weighted_median, numbered
-from ..scene.labels import NO_PART
+from ..parts.labels import NO_PART
+from ..pixels.grouped import grouped_means, grouped_sums, grouped_weighted_median, numbered
 from .cell_errors import DrawnPixels
 from .closed_form import TrainingData
 from .confidence import FLOOR

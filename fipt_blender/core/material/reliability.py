@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.grouped import grouped_median, grouped_sums, place_of
-from ..scene.smoothing import SmoothingGrid
+from ..pixels.grouped import grouped_median, grouped_sums, place_of
+from ..surface.smoothing import SmoothingGrid
 from .confidence import FLOOR
 from .seen import Box
 

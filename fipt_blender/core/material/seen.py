@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..scene.grouped import first_by_key, grouped_median, place_of
-from ..scene.pixels import PixelStore
+from ..pixels.grouped import first_by_key, grouped_median, place_of
+from ..pixels.store import PixelStore
 from .groups import Units
 
 RESOLUTION = 128  # cells along the room's longest side

@@ -11,10 +11,10 @@ import numpy as np
 from ..light.baking import ShadingStore
 from ..light.cache import SIDES
 from ..light.observations import Observations
+from ..parts.labels import Parts
+from ..pixels.grouped import grouped_means, numbered, summed_by_key
+from ..pixels.store import open_array
 from ..run.settings import Settings
-from ..scene.grouped import grouped_means, numbered, summed_by_key
-from ..scene.labels import Parts
-from ..scene.pixels import open_array
 from .closed_form import TrainingData, fit_cells
 from .groups import (
     MOST_GROUPS,

@@ -17,8 +17,8 @@ _CORE = Path(__file__).resolve().parent.parent
 # The rooms whose code determines the results of an estimation; the others only start, watch or show it
 # (tests/test_isolation.py follows the imports).
 ROOMS = (
-    *("alignment", "depth", "capture", "geometry", "radiometry", "scene", "optics", "light", "views"),
-    *("material", "estimate", "textures"),
+    *("alignment", "depth", "capture", "surface", "radiometry", "pixels", "parts", "optics", "light"),
+    *("checks", "photometry", "completion", "material", "estimate", "textures"),
     *("conventions.py", "robust.py"),
 )
 

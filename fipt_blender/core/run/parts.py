@@ -60,7 +60,7 @@ class RoomParts:
     Attributes:
         triangle: (T,) int32 index into `parts` of each triangle of room.npz.
         parts: those that have triangles.
-        source: of the parts, one of `core.scene.labels.choose_parts`; "" where the run does not say.
+        source: of the parts, one of `core.parts.labels.choose_parts`; "" where the run does not say.
     """
 
     triangle: np.ndarray

@@ -20,13 +20,13 @@ import numpy as np
 
 from ..capture.views import load_capture
 from ..device.variant import set_variant
-from ..geometry.stored import stored_geometry
 from ..run.documents import read_json
 from ..run.messages import Reporter
 from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
 from ..run.run_files import read_atlas, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, write_json
+from ..surface.stored import stored_geometry
 from .padding import pad
 from .raster import nearest_triangle_map
 
@@ -231,7 +231,7 @@ def bake_with_detail(
         ranges: of the room's parts.
         progress: called with the share that is done.
     """
-    from ..scene.room import load_room
+    from ..surface.room import load_room
     from .detail import add_detail, stored_texels
 
     room = load_room(folder)

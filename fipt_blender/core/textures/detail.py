@@ -25,12 +25,12 @@ from ..light.baking import ShadingStore, open_shadings
 from ..light.observations import median_footprint
 from ..light.shadings import roughness_levels
 from ..optics.lights import LUMINANCE
+from ..parts.labels import NO_PART
+from ..pixels.store import PixelStore, open_pixels
 from ..run.documents import read_json
 from ..run.runfolder import RunFolder, atomic_path, write_json
-from ..scene.labels import NO_PART
-from ..scene.pixels import PixelStore, open_pixels
-from ..scene.room import Room, triangle_normals
-from ..scene.smoothing import SmoothingGrid
+from ..surface.room import Room, triangle_normals
+from ..surface.smoothing import SmoothingGrid
 from .texel_views import LightPixels, Seen, Texels, see_texels
 
 # Width of the cells of the low-pass filter in median widths of a pixel of light: what is wider than about two

@@ -18,8 +18,8 @@ import numpy as np
 from ..capture.views import View
 from ..light.emitters import CHUNK
 from ..optics.factorised import color_line, level_share
-from ..scene.camera_rays import opaque_vector
-from ..scene.room import Room
+from ..pixels.camera_rays import opaque_vector
+from ..surface.room import Room
 
 LEAST_COSINE = 0.17  # of the angle between normal and view, below which texels are stretched too much
 MARGIN = 1.0  # pixels around a texel in which its surface must be seen: blur mixes neighbours

@@ -18,10 +18,10 @@ from ..capture.views import View
 from ..light.baking import SUBPIXELS
 from ..material.fields import RoomFields
 from ..optics.lights import AreaLights, EmitterTable
+from ..pixels.camera_rays import trace_pixels
 from ..run.run_files import read_emitters
 from ..run.runfolder import RunFolder, write_json
-from ..scene.camera_rays import trace_pixels
-from ..scene.room import Room, load_room
+from ..surface.room import Room, load_room
 
 
 def write_view_maps(run: RunFolder, fields: RoomFields, views: Sequence[View]) -> list[Path]:

@@ -1,0 +1,152 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The registry of capture formats.
+
+Each is a module with NAME and LOOKS_FOR; `find(path)`, what a capture is read from, or None where it has
+another format; `read(found, options)`; and, if it holds points, `points(found)`, perhaps `sure_points`.
+"""
+
+from __future__ import annotations
+
+import errno
+from itertools import islice
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from ...run.errors import FiptError
+from ...run.shapes import FARTHEST_UNITS
+from ..options import CaptureOptions
+from ..rig import Rig, damaged
+from ..suffixes import SUFFIXES
+from . import (
+    bundler,
+    colmap,
+    fipt_real,
+    fipt_synthetic,
+    meshroom,
+    metashape,
+    nvm,
+    openmvg,
+    opensfm,
+    polycam,
+    realityscan,
+    record3d,
+    rgbd,
+    scannetpp,
+    transforms,
+)
+
+# The first match is used: nerfstudio, for example, keeps a COLMAP model beside its transforms.json.
+FORMATS: dict[str, ModuleType] = {
+    module.NAME: module
+    for module in (
+        fipt_synthetic,
+        fipt_real,
+        scannetpp,
+        transforms,
+        colmap,
+        metashape,
+        realityscan,
+        meshroom,
+        opensfm,
+        openmvg,
+        bundler,
+        nvm,
+        polycam,
+        record3d,
+        rgbd,
+    )
+}
+
+
+def detect_format(path: Path) -> str:
+    """The name of the first format that matches a capture.
+
+    Raises:
+        FiptError: ``capture-missing``; ``cameras-missing`` for photographs alone; ``format-unknown``.
+    """
+    if not path.exists():
+        raise FiptError("capture-missing", f"The capture {path} does not exist.", "Correct the path.")
+    for name, module in FORMATS.items():
+        if module.find(path) is not None:
+            return name
+    folder = path if path.is_dir() else path.parent
+    files = (file for pattern in ("*", "*/*") for file in folder.glob(pattern))
+    if any(file.suffix.lower() in SUFFIXES for file in islice(files, 10_000)):
+        raise FiptError(
+            "cameras-missing",
+            f"{folder} holds photographs without cameras.",
+            "Make a capture of them: Photographs > Make Capture in Blender, or the command prepare.",
+        )
+    raise FiptError(
+        "format-unknown",
+        f"{path} holds neither photographs nor cameras in a known format ({', '.join(FORMATS)}).",
+        "Choose the folder that contains the camera file and the photographs.",
+    )
+
+
+def read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
+    """Read a capture; `name` is one of `FORMATS` or "auto".
+
+    Raises:
+        FiptError: ``capture-missing``, ``cameras-missing``, ``format-unknown``, ``capture-unreadable`` where
+            the system refuses access, or one of the reader's.
+    """
+    try:
+        return _read_rig(path, name, options)
+    except OSError as error:
+        remedy = "Allow your user to read the capture's files and folders, or copy them to your own disk."
+        if error.errno == errno.ENAMETOOLONG:
+            remedy = "Correct the name, or move the capture to a folder with a shorter path."
+        raise FiptError(
+            "capture-unreadable",
+            f"{str(error.filename or path)[:1000]} can't be read ({error.strerror}).",
+            remedy,
+        ) from None
+
+
+def read_points(path: Path, name: str, sure: bool = False) -> np.ndarray:
+    """The sparse points (N, 3) float64 of a capture's solve, in the coordinates of its poses.
+
+    Args:
+        path: of the capture.
+        name: of its format, one of `FORMATS`.
+        sure: only the better ones, where the format distinguishes them.
+
+    Raises:
+        FiptError: ``alignment-points`` where the format has none, or one of the reader's.
+    """
+    module = FORMATS[name]
+    reader = getattr(module, "points", None)
+    if sure:
+        reader = getattr(module, "sure_points", reader)
+    if reader is None:
+        raise FiptError(
+            "alignment-points",
+            f"The format {name} holds no sparse points, by which cameras could be aligned or a room made.",
+            "Export the cameras as a COLMAP model with points, or move them by hand with FIPT Alignment.",
+        )
+    found = module.find(path)
+    if found is None:
+        raise damaged(path, f"it lacks {module.LOOKS_FOR}")
+    points: np.ndarray = reader(found)
+    # Solves have single points at infinity; in no unit are they farther away than this.
+    return points[(np.abs(points) <= FARTHEST_UNITS).all(axis=1)]
+
+
+def _read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
+    detected = detect_format(path) if name == "auto" else name
+    module = FORMATS[detected]
+    if not path.exists():
+        raise FiptError("capture-missing", f"The capture {path} does not exist.", "Correct the path.")
+    found = module.find(path)
+    if found is None:
+        raise FiptError(
+            "format-unknown",
+            f"{path} is not a capture in the format {name}, which needs {module.LOOKS_FOR}.",
+            "Set the format to auto, or choose another folder.",
+        )
+    rig: Rig = module.read(found, options)
+    return rig

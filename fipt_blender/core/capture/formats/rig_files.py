@@ -1,0 +1,194 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera files of other programs: how they are recognized, and read within limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from ...alignment.turns import quaternion_rotation
+from ...run.documents import decoded, read_limited
+from ...run.shapes import MOST_SIDE
+from ..rig import Note, RigView, WellFormed, damaged
+
+MOST_TEXT_BYTES = 256_000_000  # of a camera file
+
+
+# ------------------------------------------------------------------------------------------------ recognition
+
+
+def head(path: Path) -> str:
+    """The beginning of a file as text, for recognizing its format; empty where it can't be read."""
+    try:
+        with path.open("rb") as file:
+            return decoded(file.read(1 << 16), errors="replace")
+    except OSError:
+        return ""
+
+
+def camera_files(path: Path, suffixes: Iterable[str], folders: Sequence[str] = (".",)) -> Iterator[Path]:
+    """The file itself, or those in a folder and some below it, that have one of the suffixes, by name."""
+    wanted = tuple(suffixes)
+    if path.is_file():
+        if path.suffix.lower() in wanted:
+            yield path
+        return
+    for folder in folders:
+        if (path / folder).is_dir():
+            for entry in sorted((path / folder).iterdir()):
+                if entry.suffix.lower() in wanted and entry.is_file():
+                    yield entry
+
+
+def camera_file(
+    path: Path, suffixes: Iterable[str], known: Callable[[str], bool], folders: Sequence[str] = (".",)
+) -> Path | None:
+    """The first of these files whose beginning is known, None without one."""
+    return next((file for file in camera_files(path, suffixes, folders) if known(head(file))), None)
+
+
+# ---------------------------------------------------------------------------------------------------- reading
+
+
+def read_text_rig(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
+    """The text of a camera file.
+
+    Raises:
+        FiptError: ``rig-damaged`` where it is not a file, no Unicode text, or too large.
+    """
+    if not path.is_file():
+        raise damaged(path, "it contains no camera file")
+    with WellFormed(path):
+        return decoded(read_limited(path, most_bytes)).replace("\r\n", "\n")
+
+
+def read_xml_rig(path: Path) -> ElementTree.Element:
+    """The root element of an XML file without a document type, whose entities could expand without end.
+
+    Raises:
+        FiptError: ``rig-damaged``.
+    """
+    text = read_text_rig(path, 64_000_000)  # a parsed document takes about ten times its size
+    if "<!DOCTYPE" in text:
+        raise damaged(path, "it declares a document type")
+    with WellFormed(path):
+        return ElementTree.fromstring(text)
+
+
+def number(value: Any) -> float:
+    """A finite number; programs also write numbers as texts.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise ValueError(f"{str(value)[:40]!r} is not a number")
+    try:
+        result = float(value)
+    except (OverflowError, ValueError):
+        result = math.nan
+    if not math.isfinite(result):
+        raise ValueError(f"{str(value)[:40]!r} is not a finite number")
+    return result
+
+
+def numbers(value: Any, count: int) -> np.ndarray:
+    """(count,) float64 of a list of numbers, or of a text with numbers between blanks.
+
+    Raises:
+        ValueError: where it has another length or other content.
+    """
+    items = value.split() if isinstance(value, str) else value
+    if not isinstance(items, list) or len(items) != count:
+        raise ValueError(f"{str(value)[:40]!r} should be {count} numbers")
+    return np.array([number(item) for item in items], np.float64)
+
+
+def pixel_size(width: Any, height: Any) -> tuple[int, int]:
+    """Width and height of an image in pixels.
+
+    Raises:
+        ValueError: for sizes that no image has.
+    """
+    sides = number(width), number(height)
+    if not all(1.0 <= side <= MOST_SIDE for side in sides):
+        raise ValueError(f"an image of {sides[0]:g} x {sides[1]:g} pixels")
+    return int(sides[0]), int(sides[1])
+
+
+# ------------------------------------------------------------------------------------------------------ poses
+
+
+def camera_pose(world_to_camera: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Camera-to-world (4, 4) float64 of the rotation (3, 3) from world to camera and the centre (3,)."""
+    pose = np.eye(4)
+    pose[:3, :3] = world_to_camera.T
+    pose[:3, 3] = centre
+    return pose
+
+
+def stored_rotation(wxyz: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) of a quaternion w, x, y, z of any length above zero.
+
+    Raises:
+        ValueError: for a quaternion of zeros.
+    """
+    largest = float(np.abs(wxyz).max())
+    if not largest > 0.0:
+        raise ValueError("a quaternion is zero")
+    scaled = wxyz / largest  # the squares of numbers below 1e-154 are zero
+    return quaternion_rotation(scaled / np.linalg.norm(scaled))
+
+
+def similarity(scale: float, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """Similarity (4, 4) of a scale, a rotation (3, 3) and a translation (3,).
+
+    Raises:
+        ValueError: for a scale that is not positive, or a matrix that is no rotation.
+    """
+    off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    if not scale > 0.0 or off > 1e-3 or np.linalg.det(rotation) < 0.0:
+        raise ValueError("a transform is no rotation with a positive scale")
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * rotation
+    matrix[:3, 3] = translation
+    return matrix
+
+
+def cameras_off(file: Path, names: Sequence[str]) -> tuple[Note, ...]:
+    """A warning of cameras that are switched off in the program that wrote a file; none without any."""
+    if not names:
+        return ()
+    shown = ", ".join(names[:3]) + (", and others" if len(names) > 3 else "")
+    text = f"{len(names)} cameras of {file} are switched off in its program ({shown}); they are left out."
+    return (Note("cameras-off", text, "To use them, switch them on there and export the cameras again."),)
+
+
+def largest_model(
+    models: Sequence[Sequence[RigView]], source: str
+) -> tuple[tuple[RigView, ...], tuple[Note, ...]]:
+    """The views of the model with the most views, and a warning where there are others.
+
+    Args:
+        models: the views of each model that the solver could not connect with the others.
+        source: what holds them, for the warning.
+    """
+    filled = [model for model in models if model]
+    if not filled:
+        return (), ()
+    chosen = max(filled, key=len)
+    if len(filled) == 1:
+        return tuple(chosen), ()
+    sizes = ", ".join(str(len(model)) for model in filled)
+    note = Note(
+        "several-models",
+        f"{source} holds {len(filled)} unconnected models ({sizes} photographs); only the largest is used.",
+        "To use another one, or all of them together, connect them in the program that solved the cameras.",
+    )
+    return tuple(chosen), (note,)

@@ -1,0 +1,210 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reader for transforms.json as nerfstudio, instant-ngp and NeRF's synthetic scenes write it."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...conventions import UP_AXES, opengl_to_opencv_camera, transform_poses
+from ...run.documents import Choice, Fields, Items, Maybe, Number
+from ...run.errors import FiptError
+from ...run.shapes import MOST_SIDE
+from ..files import key, name_parts, stem_of
+from ..options import CaptureOptions
+from ..places import Places
+from ..rig import Lens, Note, Rig, RigView, WellFormed, find_mesh, read_json_rig, read_pose
+from .rig_files import head
+
+NAME = "transforms"
+LOOKS_FOR = "transforms.json or transforms_train.json"
+# One file per split, as in NeRF's synthetic scenes.
+SPLIT_FILES = {
+    "transforms_train.json": "train",
+    "transforms_val.json": "held_back",
+    "transforms_test.json": "held_back",
+}
+SPLIT_LISTS = {"train_filenames": "train", "val_filenames": "held_back", "test_filenames": "held_back"}
+PINHOLES = ("", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
+FISHEYES = ("OPENCV_FISHEYE", "FISHEYE")
+_NUMBER = Maybe(Number())
+# Values that stand in each frame, or once for all frames.
+_COMMON = {
+    "w": Number(1, MOST_SIDE),
+    "h": Number(1, MOST_SIDE),
+    **dict.fromkeys(("cx", "cy"), Number()),
+    **dict.fromkeys(("fl_x", "fl_y", "camera_angle_x", "camera_angle_y"), _NUMBER),
+    **dict.fromkeys(("k1", "k2", "k3", "k4", "p1", "p2"), _NUMBER),
+    **dict.fromkeys(("camera_model", "mask_path", "name"), Maybe(str)),
+    "is_bad": Maybe(bool),
+}
+FRAME = Fields({"file_path": str, "transform_matrix": list}, _COMMON)
+RIG = Fields(
+    {"frames": Items(FRAME)},
+    {
+        **_COMMON,
+        **dict.fromkeys(SPLIT_LISTS, Maybe(Items(str))),
+        "up_axis": Choice(*UP_AXES),
+        "applied_transform": Maybe(list),
+        "applied_scale": Number(),
+    },
+)
+
+
+def find(path: Path) -> Path | None:
+    """The path of a JSON file with frames, or of a folder that contains such camera files, else None."""
+    if path.is_file():
+        return path if path.suffix.lower() == ".json" and '"frames"' in head(path) else None
+    names = ("transforms.json", "transforms_train.json")
+    return path if any((path / name).is_file() for name in names) else None
+
+
+def read(path: Path, options: CaptureOptions) -> Rig:
+    """Read the frames of transforms.json, or of transforms_train|val|test.json.
+
+    Cameras have OpenGL axes. The world is that of the poses as stored (Z up unless the file has another
+    "up_axis"), or with ``undo_applied_transform`` the one before nerfstudio's ``applied_transform``.
+    Intrinsics (fl_x, fl_y, cx, cy, w, h, k1 k2 p1 p2 k3, or k1 to k4 of a fisheye) belong to each frame or to
+    the whole file; ``camera_angle_x`` and ``camera_angle_y`` replace missing focal lengths. Black pixels of a
+    frame's ``mask_path`` are left out. A frame may name its view with ``name``, our own extension.
+
+    Raises:
+        FiptError: ``rig-damaged``, ``camera-model``, ``intrinsics-missing``, ``image-missing``,
+            ``image-unreadable`` or ``path-outside``.
+    """
+    if path.is_file():
+        files: dict[Path, str | None] = {path: None}
+    elif (path / "transforms.json").is_file():
+        files = {path / "transforms.json": None}
+    else:
+        files = {path / name: split for name, split in SPLIT_FILES.items() if (path / name).is_file()}
+    root = path.parent if path.is_file() else path
+    places = Places(
+        next(iter(files)),
+        (root,),
+        options.images,
+        (".",),
+        inside=root,
+        own_paths=options.own_paths,
+        relative=True,
+    )
+    notes: list[Note] = []
+    views: list[RigView] = []
+    up_axis: str | None = None
+    for json_path, split in files.items():
+        data = read_json_rig(json_path, RIG)
+        undo = _applied_inverse(json_path, data) if options.undo_applied_transform else None
+        # The up axis from before the applied transform is not stored.
+        up_axis = data.get("up_axis", "z" if undo is None else None)
+        lists = {name: split for key, split in SPLIT_LISTS.items() for name in data.get(key) or ()}
+        split_of = {_identity(places, name): split for name, split in lists.items()}
+        for frame in data["frames"]:
+            if frame.get("is_bad"):
+                continue
+            own = split_of.pop(_identity(places, frame["file_path"]), split) if split_of else split
+            view = frame_view(json_path, {**data, **frame}, own, places)
+            if undo is not None:
+                view = replace(view, camera_to_world=transform_poses(undo, view.camera_to_world))
+            views.append(view)
+        if split_of:
+            text = f"{len(split_of)} of {len(lists)} names in the splits of {json_path} belong to no frame"
+            text += f"; the first is {next(name for name in lists if _identity(places, name) in split_of)}."
+            notes.append(Note("splits-unknown", text, "Correct these names, or leave them out."))
+    mesh = find_mesh([root], ["scene", "mesh", "meshed-poisson", "poisson_mesh"])
+    return places.rig(NAME, views, up_axis, mesh, notes)
+
+
+def _identity(places: Places, name: str) -> Path | str:
+    """What names of one photograph have in common: its file, or how they are written where it is missing."""
+    with suppress(FiptError):  # its size may tell later which one it is
+        if found := places.find(name):
+            return found.path
+    return key("/".join(name_parts(stem_of(name))))
+
+
+def frame_view(json_path: Path, frame: dict[str, Any], split: str | None, places: Places) -> RigView:
+    """One view, with the pose as stored.
+
+    Args:
+        json_path: of the file.
+        frame: the file's values, overridden by those of the frame.
+        split: of the view.
+        places: where its photograph is.
+
+    Raises:
+        FiptError: see `read`.
+    """
+    pose = opengl_to_opencv_camera(read_pose(json_path, frame["transform_matrix"]))
+    with WellFormed(json_path):
+        if "w" in frame and "h" in frame:
+            width, height = int(frame["w"]), int(frame["h"])
+        else:
+            width, height = places.size(frame["file_path"])
+        lens = _lens(json_path, frame, width, height)
+    return places.view(
+        frame["file_path"],
+        (width, height),
+        lens,
+        pose,
+        called=frame.get("name") or "",
+        split=split,
+        mask=frame.get("mask_path"),
+    )
+
+
+def _lens(json_path: Path, frame: dict[str, Any], width: int, height: int) -> Lens:
+    fx, fy = _focal_lengths(json_path, frame, width, height)
+    centre = (float(frame.get("cx", 0.5 * width)), float(frame.get("cy", 0.5 * height)))
+    k1, k2, k3, k4, p1, p2 = (float(frame.get(key) or 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
+    model = str(frame.get("camera_model", "")).upper()
+    if model in FISHEYES or frame.get("is_fisheye"):
+        return Lens("OPENCV_FISHEYE", (fx, fy, *centre, k1, k2, k3, k4))
+    # COLMAP's FULL_OPENCV divides by a polynomial with k4; nerfstudio's k4 multiplies, as no model here does.
+    if model not in PINHOLES or k4 != 0.0:
+        raise FiptError(
+            "camera-model",
+            f"{json_path} has the camera model {model or 'pinhole'}" + (" with k4." if k4 != 0.0 else "."),
+            "Export perspective or OpenCV fisheye images; split panoramas into perspective views.",
+        )
+    if k3 != 0.0:
+        return Lens("FULL_OPENCV", (fx, fy, *centre, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0))
+    if any((k1, k2, p1, p2)):
+        return Lens("OPENCV", (fx, fy, *centre, k1, k2, p1, p2))
+    return Lens("PINHOLE", (fx, fy, *centre))
+
+
+def _focal_lengths(json_path: Path, frame: dict[str, Any], width: int, height: int) -> tuple[float, float]:
+    """Focal lengths fx, fy in pixels; a missing one is that of the other axis (square pixels)."""
+    fx = fy = None
+    if frame.get("camera_angle_x"):
+        fx = 0.5 * width / math.tan(0.5 * float(frame["camera_angle_x"]))
+    if frame.get("camera_angle_y"):
+        fy = 0.5 * height / math.tan(0.5 * float(frame["camera_angle_y"]))
+    if frame.get("fl_x"):
+        fx = float(frame["fl_x"])
+    if frame.get("fl_y"):
+        fy = float(frame["fl_y"])
+    if fx is None and fy is None:
+        raise FiptError(
+            "intrinsics-missing",
+            f"{json_path} has no focal length for {frame['file_path']}.",
+            "Add fl_x (pixels) or camera_angle_x (radians).",
+        )
+    fx = fy if fx is None else fx
+    return float(fx), float(fx if fy is None else fy)  # type: ignore[arg-type]
+
+
+def _applied_inverse(json_path: Path, data: dict[str, Any]) -> np.ndarray:
+    """Similarity (4, 4) from the file's world to the one before applied_transform and applied_scale."""
+    applied = np.eye(4)
+    if data.get("applied_transform") is not None:
+        applied = read_pose(json_path, data["applied_transform"])
+    with WellFormed(json_path):
+        applied[:3] *= float(data.get("applied_scale", 1.0))
+        return np.linalg.inv(applied)

@@ -1,0 +1,279 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where photographs agree: on the surfaces that they see, and at points in front of these.
+
+Photographs of one surface point agree, apart from gloss. Where the mesh lacks a surface, each photograph sees
+it in front of another point of the surface behind (parallax), and they disagree at these points.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import label as connected
+
+from ..capture.views import View
+from ..light.cache import side_index
+from ..parts.masked_views import grid_points, seen_before
+from ..pixels.camera_rays import first_hits, rays_along
+from ..pixels.grouped import grouped_means, grouped_median, numbered, pairs_of
+from ..pixels.store import CELL_PIXELS
+from ..robust import LEAST_VIEWS
+from ..surface.room import Room
+from .cells import lattice_spacing
+
+# Difference of the logarithm of radiance (root mean square over the channels) from which on photographs
+# disagree completely. Gloss and errors of poses cause differences on one surface, too.
+DISAGREE = 0.35
+# Radiance in units of the capture's median, below which differences count less.
+FLOOR = 0.05
+# Most pixels that are compared; those of larger captures are averaged.
+MOST_PIXELS = 4_000_000
+# Largest edge of a mesh, metres, that determines the size of cells: modelled rooms have few triangles.
+MOST_EDGE = 0.05
+# Width of the cells whose mean is shown to the artist, in cells of the comparison.
+SHOWN_CELLS = 2
+# A point of a lost thing reduces the disagreement by at least this much, mean over the views.
+LEAST_GAIN = 0.1
+# Spacing of the points in the air, in widths of a pixel on the scan, and largest number of points.
+COARSE, MOST_POINTS = 3, 1_000_000
+# Rounds in which the views' exposures are found.
+_ROUNDS = 3
+_CHUNK = 20_000
+
+Box = tuple[np.ndarray, np.ndarray]  # lowest and highest corner, each (3,), metres
+
+
+@dataclass(frozen=True)
+class ComparedPixels:
+    """The N pixels of all views, on lattices.
+
+    Attributes:
+        size: median width of a pixel on the scan, at least the scan's median edge, metres.
+        views: with as many pixels as their lattices.
+        first: (V + 1,) int, where the pixels of each view begin.
+        view: (N,) int.
+        direction: (N, 3) float32 unit vector through the pixel.
+        color: (N, 3) float32 logarithm of radiance, apart from the view's exposure.
+        distance: (N,) float32 metres to the first surface, infinite without one.
+        cell: (N,) int, from 0: place on that surface, by which pixels are compared; -1 without one.
+        doubt: (N,) float32, 0 where the photographs of the cell agree, 1 where they disagree; NaN where
+            fewer than `LEAST_VIEWS` views see it.
+    """
+
+    size: float
+    views: list[View]
+    first: np.ndarray
+    view: np.ndarray
+    direction: np.ndarray
+    color: np.ndarray
+    distance: np.ndarray
+    cell: np.ndarray
+    doubt: np.ndarray
+
+    @property
+    def places(self) -> np.ndarray:
+        """(V, 3) of the cameras, metres."""
+        return np.array([view.camera_to_world[:3, 3] for view in self.views])
+
+    @property
+    def disagreement(self) -> float:
+        """Number of pixels that disagree with others."""
+        return float(np.nansum(self.doubt))
+
+    def before(self, view: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The points (P, 3) that a view sees clearly in front of the surface: their rows, and pixels."""
+        first, end = self.first[view : view + 2]
+        rows, pixel = seen_before(self.views[view], self.distance[first:end], points, self.size)
+        return rows, first + pixel
+
+    def through(self, box: Box) -> np.ndarray:
+        """(n,) int pixels whose rays enter a box before they meet the surface."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = [(corner - self.places)[self.view] / self.direction for corner in box]
+        near, far = np.minimum(*ends).max(axis=1), np.maximum(*ends).min(axis=1)
+        return np.flatnonzero((far > np.maximum(near, 0.0)) & (near < self.distance))
+
+    def swept(self, low: np.ndarray, step: float, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How much less photographs disagree at the cells of a grid than behind, and the number of views.
+
+        The first is a mean over the views, 0 where fewer than `LEAST_VIEWS` see a cell.
+
+        Args:
+            low: (3,) its lowest corner. step: edge of a cell, metres. shape: (3,) number of cells.
+        """
+        points = grid_points(low, step, shape)
+        gain, count = np.zeros(len(points)), np.zeros(len(points), np.int64)
+        for begin in range(0, len(points), _CHUNK):
+            rows = slice(begin, begin + _CHUNK)
+            gain[rows], count[rows] = self._gains(points[rows])
+        return gain.reshape(tuple(shape)), count.reshape(tuple(shape))
+
+    def boxes(self, bounds: Box, most_points: int = MOST_POINTS) -> Iterator[tuple[Box, float, float]]:
+        """Boxes around what photographs show in the air of the room, the one that explains most first.
+
+        Each with the spacing of the points, and the share of all disagreement that it explains.
+
+        Args:
+            bounds: of the room. most_points: that are tested.
+        """
+        low, high = bounds
+        step = max(COARSE * self.size, float((np.prod(high - low) / most_points) ** (1.0 / 3.0)))
+        shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)
+        gain, views = self.swept(low, step, shape)
+        shows = (gain > LEAST_GAIN) & (gain * views > LEAST_VIEWS)
+        pieces, count = connected(shows, np.ones((3, 3, 3)))
+        # A cell is seen by about (step / size)^2 pixels of a view.
+        seen = gain * views * (step / self.size) ** 2
+        total = np.bincount(pieces.reshape(-1), seen.reshape(-1), count + 1)[1:]
+        for piece in np.argsort(-total):
+            cells = np.argwhere(pieces == piece + 1)
+            box = low + cells.min(axis=0) * step, low + (cells.max(axis=0) + 1) * step
+            yield box, step, float(total[piece] / max(self.disagreement, 1e-30))
+
+    def _gains(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As :meth:`swept`, of points (P, 3); 0 where fewer than `LEAST_VIEWS` views see one."""
+        color = np.full((len(self.views), len(points), 3), np.nan, np.float32)
+        on_scan = np.zeros(len(points))
+        for view in range(len(self.views)):
+            rows, pixel = self.before(view, points)
+            color[view, rows] = self.color[pixel]
+            on_scan[rows] += np.nan_to_num(self.doubt[pixel])
+        count = np.isfinite(color[..., 0]).sum(axis=0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # points that no view sees
+            own = np.nansum(_doubt(color - np.nanmedian(color, axis=0)), axis=0)
+        return np.where(count >= LEAST_VIEWS, on_scan - own, 0.0) / np.maximum(count, 1), count
+
+
+def compared_pixels(room: Room, views: Sequence[View], edge: float) -> ComparedPixels:
+    """The pixels of the views on a scan with this median edge, metres."""
+    every = sum(view.width * view.height / lattice_spacing(view) ** 2 for view in views)
+    coarser = int(np.ceil(np.sqrt(every / MOST_PIXELS)))
+    smaller, means, used = zip(
+        *(on_lattice(view, coarser * lattice_spacing(view)) for view in views), strict=True
+    )
+    sizes = [view.width * view.height for view in smaller]
+    number = np.repeat(np.arange(len(views), dtype=np.int32), sizes)
+    radiance, shown = np.concatenate(means), np.concatenate(used)
+    color = np.log(np.maximum(radiance / max(float(np.median(radiance)), 1e-12), 0.0) + FLOOR)
+    direction = np.concatenate([view.rays()[1].reshape(-1, 3) for view in smaller]).astype(np.float32)
+    triangle, distance = hits_of(room, smaller, number, direction)
+    distance[~shown] = 0.0
+    met = (triangle >= 0) & shown
+    view, hits = number[met], (triangle[met], distance[met])
+    widths = distance[met] / np.array([view.fx for view in smaller])[view]
+    size = max(edge, float(np.median(widths)) if len(widths) else 0.0)
+    on = cells_of(smaller, room, view, direction[met], hits, size)
+    color -= _exposures(view, on, color[met], len(views))[number]
+    cell, doubt = np.full(len(number), -1, np.int64), np.full(len(number), np.nan, np.float32)
+    cell[met], doubt[met] = on, doubts(view, on, color[met])
+    first = np.concatenate([[0], np.cumsum(sizes)])
+    arrays = (color.astype(np.float32), distance.astype(np.float32), cell, doubt)
+    return ComparedPixels(size, list(smaller), first, number, direction, *arrays)
+
+
+def survey_pixels(room: Room, views: Sequence[View]) -> ComparedPixels | None:
+    """The pixels of a survey, None where too few views can be compared; Mitsuba's variant must be set.
+
+    Args:
+        views: training views.
+    """
+    if len(views) < LEAST_VIEWS:
+        return None
+    corners = room.vertices[room.triangles]
+    edge = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
+    return compared_pixels(room, views, min(edge, MOST_EDGE))
+
+
+def surface_disagreement(room: Room, pixels: ComparedPixels) -> np.ndarray:
+    """(T,) float32, 0 where photographs of a triangle agree, 1 where they disagree; NaN where too few see it.
+
+    A triangle that is smaller than a cell has the mean of the cell at its middle.
+    """
+    count, corners = len(room.triangles), room.vertices[room.triangles]
+    known = np.flatnonzero(np.isfinite(pixels.doubt))
+    if not len(known):
+        return np.full(count, np.nan, np.float32)
+    view, direction, doubt = pixels.view[known], pixels.direction[known], pixels.doubt[known]
+    triangle, distance = hits_of(room, pixels.views, view, direction)
+    points = pixels.places[view] + direction * distance[:, None]
+    size = SHOWN_CELLS * CELL_PIXELS * pixels.size
+    places = np.concatenate([points, corners.mean(axis=1)])
+    cell = numbered([*np.floor(places / size).astype(np.int64).T])
+    of_cell = grouped_means(doubt, cell[: len(known)], int(cell.max(initial=-1)) + 1)[cell[len(known) :]]
+    own = grouped_means(doubt, triangle, count)
+    use_own = np.isnan(of_cell) | ((room.areas > size**2) & np.isfinite(own))
+    return np.where(use_own, own, of_cell).astype(np.float32)
+
+
+def on_lattice(view: View, step: int) -> tuple[View, np.ndarray, np.ndarray]:
+    """The view with fewer pixels, the mean radiance (N, 3) of each, and (N,) bool, which are not masked."""
+    width, height = view.width // step, view.height // step
+
+    def means(image: np.ndarray) -> np.ndarray:
+        blocks = image[: height * step, : width * step].reshape(height, step, width, step, -1)
+        return np.asarray(blocks.mean(axis=(1, 3)).reshape(width * height, -1))
+
+    masked = view.masked()
+    used = np.ones(width * height, bool) if masked is None else means(masked)[:, 0] == 0.0
+    cropped = replace(view, width=width * step, height=height * step)
+    return cropped.resized(width, height), means(view.radiance()), used
+
+
+def hits_of(
+    room: Room, views: Sequence[View], view: np.ndarray, direction: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Triangle and distance (:func:`.first_hits`) of rays from the views (n,) along directions (n, 3)."""
+    places = np.array([each.camera_to_world[:3, 3] for each in views], np.float32)
+    return first_hits(room.intersect(rays_along(places[view], direction)))
+
+
+def cells_of(
+    views: Sequence[View],
+    room: Room,
+    view: np.ndarray,
+    direction: np.ndarray,
+    hits: tuple[np.ndarray, np.ndarray],
+    size: float,
+) -> np.ndarray:
+    """(n,) int from 0, cell and side of the room's surface that rays hit (`hits`: triangle and distance)."""
+    triangle, distance = hits
+    places = np.array([each.camera_to_world[:3, 3] for each in views])
+    points = places[view] + direction * distance[:, None]
+    side = side_index(room.normals)[triangle]
+    return numbered([*np.floor(points / (CELL_PIXELS * size)).astype(np.int64).T, side])
+
+
+def cell_means(view: np.ndarray, cell: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, ...]:
+    """View and cell (m,) of each cell in each view, and the mean (m, 3) of its colours."""
+    cell, view, pair = pairs_of(cell, view)
+    return view, cell, grouped_means(color, pair)
+
+
+def _exposures(view: np.ndarray, cell: np.ndarray, color: np.ndarray, views: int) -> np.ndarray:
+    """(views, 3) logarithm of each view's exposure, by the cells (n,) that it shares with others."""
+    of, on, mean = cell_means(view, cell, color)
+    count = int(cell.max(initial=-1)) + 1
+    known = (np.bincount(on) >= LEAST_VIEWS)[on]
+    gains = np.zeros((views, 3))
+    for _ in range(_ROUNDS):
+        difference = mean - grouped_median(mean - gains[of], on, count)[on]
+        gains = grouped_median(difference[known], of[known], views)
+    return gains
+
+
+def doubts(view: np.ndarray, cell: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """(n,) how much pixels disagree with other views of their cell; NaN where too few see it."""
+    _, on, mean = cell_means(view, cell, color)
+    known = np.bincount(on) >= LEAST_VIEWS
+    medians = grouped_median(mean, on, len(known))
+    return np.where(known[cell], _doubt(color - medians[cell]), np.nan)
+
+
+def _doubt(difference: np.ndarray) -> np.ndarray:
+    """Disagreement, 0 to 1, by differences (..., 3) of the logarithm of radiance."""
+    return np.minimum((difference**2).mean(axis=-1) / DISAGREE**2, 1.0)

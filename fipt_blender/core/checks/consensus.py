@@ -1,0 +1,336 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whether photographs, poses and mesh belong together, before anything is estimated.
+
+Two photographs of the same surface points correlate, whatever their exposures and responses are, if both
+poses and the mesh are right. The correlations of all pairs determine which views most others confirm (up to
+half of the poses may be wrong), and whether the mesh would fit better mirrored, rotated or in another unit.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from ..capture.views import View
+from ..run.errors import FiptError
+from ..run.settings import Settings
+from ..surface.room import Room
+from .agreement import FLOOR, cell_means, cells_of, hits_of, on_lattice
+
+WIDTH = 96  # about, of the photographs that are compared, pixels
+LEAST_CELLS = 30  # that a pair of views must share
+# Standard deviation of log radiance in the shared cells, below which a pair is not compared.
+LEAST_SPREAD = 0.1
+# Correlation of neighbouring pixels of a photograph below which it is mostly noise and is not compared. Rooms
+# have 0.83 and more, photographs traced with few samples 0.4 to 0.8.
+CLEAR = 0.75
+JUDGED_VIEWS = 4  # that must be judged before anything is said of poses or mesh
+# Below this correlation, a pose of the pair may be wrong. Median: 0.9 of right poses, 0.15 of wrong ones.
+AGREE = 0.5
+SOFTNESS = 0.1  # width of the transition to credible views, in mean correlation
+ROUNDS = 20  # at most, of weighing views by each other
+# Other placements of the mesh are tried if the median correlation is below `MEND` or a view is contradicted.
+# One is reported if its correlation is above `MEND` and if it reduces 1 - correlation to less than the share
+# `LACK`. Above `WELL`, no further placement is tried.
+MEND, LACK, WELL = 0.75, 0.6, 0.9
+# Where more than this share of the views is contradicted and the rest agrees less than this in the median, it
+# is the mesh that is wrong: right poses agree by 0.9.
+MANY, MEND_LEFT = 0.1, 0.85
+UNITS = (0.001, 0.01, 0.0254, 0.3048, 1.0, 1.0 / 0.3048, 1.0 / 0.0254, 100.0, 1000.0)
+TRIED_VIEWS = 24  # views with which other placements of the mesh are tried
+LEAST_SEEN = 0.05  # share of the pixels that see the mesh, of a view or of all, below which they see nothing
+SAME = 0.02  # standard deviation of log radiance in all photographs, below which they show nothing
+_FORCE = " To estimate nevertheless, set Force in the section Estimate > Advanced (--force)."
+_AXES = "XYZ"
+
+
+@dataclass(frozen=True, eq=False)
+class SmallViews:
+    """The photographs on coarse pixels.
+
+    Attributes:
+        views: with as many pixels as the arrays have.
+        color: of each view (n, 3), logarithm of radiance in units of its median.
+        used: of each view (n,) bool, which pixels are not masked.
+        clear: (V,) bool, photographs that show more than noise.
+    """
+
+    views: list[View]
+    color: list[np.ndarray]
+    used: list[np.ndarray]
+    clear: np.ndarray
+
+    def among(self, chosen: Sequence[int]) -> SmallViews:
+        """Some of the views."""
+        views, color, used = (
+            [self.views[i] for i in chosen],
+            [self.color[i] for i in chosen],
+            [self.used[i] for i in chosen],
+        )
+        return SmallViews(views, color, used, self.clear[list(chosen)])
+
+
+@dataclass(frozen=True, eq=False)
+class PairAgreement:
+    """How well the photographs of V views agree in pairs.
+
+    Attributes:
+        correlation: (V, V) of log radiance in the cells that both see; 0 where they are not compared.
+        weight: (V, V) root of the number of these cells, 0 where they are not compared.
+        seen: (V,) share of each view's pixels that see the mesh.
+    """
+
+    correlation: np.ndarray
+    weight: np.ndarray
+    seen: np.ndarray
+
+    @property
+    def median(self) -> float:
+        """Of the correlations of all pairs that are compared; 0 without any."""
+        known = np.triu(self.weight) > 0.0
+        return float(np.median(self.correlation[known])) if known.any() else 0.0
+
+    def among(self, chosen: np.ndarray) -> PairAgreement:
+        """Of the views marked in `chosen`, (V,) bool."""
+        both = np.ix_(chosen, chosen)
+        return PairAgreement(self.correlation[both], self.weight[both], self.seen[chosen])
+
+    def credible(self) -> tuple[np.ndarray, np.ndarray]:
+        """(V,) bool, views that the credible others confirm; (V,) bool, views that are judged at all.
+
+        In a view's mean correlation, the others are weighted by their own credibility, iteratively. The first
+        value is the upper quartile of the view's correlations, so that half of the others may be wrong.
+        """
+        judged = (self.weight > 0.0).sum(axis=1) >= 2
+        values = np.where(self.weight > 0.0, self.correlation, np.nan)
+        score = np.zeros(len(values))
+        score[judged] = np.nanquantile(values[judged], 0.75, axis=1)
+        for _ in range(ROUNDS):
+            trust = 1.0 / (1.0 + np.exp(-np.clip((score - AGREE) / SOFTNESS, -30.0, 30.0)))
+            total = self.weight @ trust
+            score = (self.weight * self.correlation) @ trust / np.maximum(total, 1e-9)
+        return ~judged | (score > AGREE), judged
+
+
+def small_views(views: Sequence[View]) -> SmallViews:
+    """The views on coarse pixels.
+
+    Raises:
+        FiptError: those of reading the photographs and masks.
+    """
+    smaller, color, used = [], [], []
+    for view in views:
+        coarse, means, shown = on_lattice(view, max(1, view.width // WIDTH))
+        means = np.maximum(means, 0.0)
+        unit = max(float(np.median(means)), 1e-12)
+        smaller.append(coarse)
+        color.append(np.log(means / unit + FLOOR))
+        used.append(shown)
+    clear = [_is_clear(values, view) for values, view in zip(color, smaller, strict=True)]
+    return SmallViews(smaller, color, used, np.array(clear, bool))
+
+
+def _is_clear(color: np.ndarray, view: View) -> bool:
+    """Whether neighbouring pixels (n, 3) of a photograph are alike."""
+    gray = color.mean(axis=1).reshape(view.height, view.width)
+    for one, other in ((gray[:, 1:], gray[:, :-1]), (gray[1:], gray[:-1])):
+        one, other = one - one.mean(), other - other.mean()
+        if (one * other).sum() < CLEAR * np.sqrt((one**2).sum() * (other**2).sum()):
+            return False
+    return True
+
+
+def pair_agreement(room: Room, small: SmallViews, places: np.ndarray | None = None) -> PairAgreement:
+    """How the photographs agree on the mesh.
+
+    Args:
+        places: (4, 4) similarity by which the mesh is moved; None for none.
+    """
+    views, count = small.views, len(small.views)
+    sizes = [view.width * view.height for view in views]
+    number = np.repeat(np.arange(count, dtype=np.int32), sizes)
+    direction = np.concatenate([view.rays()[1].reshape(-1, 3) for view in views])
+    if places is not None:  # rays are moved the other way, because a mesh that moves takes long to sort
+        unit = np.cbrt(abs(np.linalg.det(places[:3, :3])))
+        direction = np.einsum("nj,ji->ni", direction, places[:3, :3] / unit)
+        inverse = np.linalg.inv(places)
+        views = [replace(view, camera_to_world=inverse @ view.camera_to_world) for view in views]
+    direction = direction.astype(np.float32)
+    triangle, distance = hits_of(room, views, number, direction)
+    met = (triangle >= 0) & np.concatenate(small.used)
+    seen = np.bincount(number[met], minlength=count) / np.array(sizes)
+    none = np.zeros((count, count))
+    if not met.any():
+        return PairAgreement(none, none, seen)
+    view, hits = number[met], (triangle[met], distance[met])
+    size = float(np.median(distance[met] / np.array([each.fx for each in views])[view]))
+    cell = cells_of(views, room, view, direction[met], hits, size)
+    seen_by, seen_cell, color = cell_means(view, cell, np.concatenate(small.color)[met])
+    place, shape = (seen_by, seen_cell), (count, int(cell.max()) + 1)
+    shows = sparse.csr_matrix((np.ones(len(seen_by)), place), shape)
+    shared = (shows @ shows.T).toarray()
+    common, covariance, variance = np.maximum(shared, 1.0), none, none
+    for channel in range(3):
+        value = sparse.csr_matrix((color[:, channel], place), shape)
+        sums = (value @ shows.T).toarray()
+        covariance = covariance + (value @ value.T).toarray() / common - sums * sums.T / common**2
+        variance = variance + (value.multiply(value) @ shows.T).toarray() / common - (sums / common) ** 2
+    least = np.minimum(variance, variance.T)
+    product = np.sqrt(np.maximum(variance * variance.T, 1e-12))
+    compared = (shared >= LEAST_CELLS) & (least > 3.0 * LEAST_SPREAD**2) & np.outer(small.clear, small.clear)
+    np.fill_diagonal(compared, False)
+    return PairAgreement(
+        np.where(compared, covariance / product, 0.0), np.where(compared, np.sqrt(shared), 0.0), seen
+    )
+
+
+def check_input(room: Room, views: Sequence[View], settings: Settings) -> dict[int, float]:
+    """Refuse input from which nothing can be estimated; find the views whose poses are far off.
+
+    Returns:
+        index of each view that the others contradict, and its mean correlation with the credible ones.
+
+    Raises:
+        FiptError: ``input-insufficient``, ``mesh-misplaced`` or ``views-disagree``, unless forced.
+    """
+    small = small_views(views)
+    found = pair_agreement(room, small)
+    if not settings.force:
+        _check_photographs(small)
+    credible, judged = found.credible()
+    few = judged.sum() < JUDGED_VIEWS
+    blind = int((found.seen < LEAST_SEEN).sum())
+    elsewhere = 2 * blind >= len(views) or found.seen.mean() < LEAST_SEEN
+    doubtful = found.median < MEND or not credible.all()
+    if not settings.force and (elsewhere or not few) and doubtful:
+        _check_mesh(room, small, found, elsewhere or 2 * int((~credible).sum()) > judged.sum())
+    if not settings.force and 2 * blind >= len(views) > blind:  # where all are blind, see fill_pixels
+        raise _insufficient(
+            f"{blind} of {len(views)} cameras see nothing of the mesh",
+            "Leave these views out, correct their poses, or align the mesh with the cameras (--align-mesh).",
+        )
+    if not settings.force and 0.0 < found.seen.mean() < LEAST_SEEN:  # where nothing is seen, see fill_pixels
+        raise _insufficient(
+            f"the cameras see the mesh in only {100.0 * found.seen.mean():.0f} % of their pixels",
+            "Use a mesh of the whole room, in the cameras' coordinates and unit.",
+        )
+    if few:
+        return {}
+    wrong = np.flatnonzero(~credible)
+    left = found.among(credible)
+    unsettled = len(wrong) > MANY * judged.sum() and left.median < MEND_LEFT
+    if unsettled or 2 * len(wrong) > judged.sum():
+        if settings.force:
+            return {}
+        raise disagreement(len(wrong), int(judged.sum()))
+    weight = found.weight * credible
+    score = (weight * found.correlation).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
+    return {int(index): round(float(score[index]), 2) for index in wrong}
+
+
+def disagreement(wrong: int, judged: int) -> FiptError:
+    """The error where too many photographs contradict each other."""
+    return FiptError(
+        "views-disagree",
+        f"{wrong} of {judged} photographs do not agree with the others on this mesh: so many of the camera"
+        " poses are wrong that the right ones can't be told, or the mesh is not where the cameras are.",
+        "Solve the cameras again, or align them to the mesh (Align in the section Capture, --align-mesh)."
+        + _FORCE,
+    )
+
+
+def _insufficient(text: str, remedy: str) -> FiptError:
+    return FiptError("input-insufficient", f"Not enough to estimate: {text}.", remedy + _FORCE)
+
+
+def _check_photographs(small: SmallViews) -> None:
+    """Refuse one view, and photographs without content.
+
+    Raises:
+        FiptError: ``input-insufficient``.
+    """
+    if len(small.views) < 2:
+        raise _insufficient(
+            "there is one photograph, but gloss and light follow from several",
+            "Add photographs from other places, or hold fewer back.",
+        )
+    black = np.log(FLOOR) + 1e-6  # black photographs are refused when they are read
+    spread = [float(color.std(axis=0).max()) for color in small.color if color.max() > black]
+    if spread and max(spread) < SAME:
+        raise _insufficient(
+            "the photographs show nothing, all pixels are alike",
+            "Check the export of the photographs: they may be over-exposed or empty.",
+        )
+
+
+def _check_mesh(room: Room, small: SmallViews, given: PairAgreement, anything: bool) -> None:
+    """Find out whether the photographs agree far better with the mesh mirrored, turned or in another unit.
+
+    Args:
+        anything: whether units and rotations are tried besides mirror images, which takes longer.
+
+    Raises:
+        FiptError: ``mesh-misplaced``.
+    """
+    step = max(1, len(small.views) // TRIED_VIEWS)
+    some = small.among(range(0, len(small.views), step))
+    reference = pair_agreement(room, some).median if step > 1 else given.median
+    best, name = 0.0, ""
+    for text, places in _placements(room, some.views, anything):
+        found = pair_agreement(room, some, places)
+        enough = (found.weight > 0.0).sum() >= 2 * JUDGED_VIEWS and found.seen.mean() > LEAST_SEEN
+        if enough and found.median > best:
+            best, name = found.median, text
+        if best > WELL:
+            break
+    if best > MEND and 1.0 - best < LACK * (1.0 - reference):
+        raise FiptError(
+            "mesh-misplaced",
+            f"The photographs do not agree on this mesh (correlation {reference:.2f}), but they do after:"
+            f" {name} ({best:.2f}).",
+            f"Change the mesh alone, not the cameras, in Blender or in the program that exports it: {name}."
+            + _FORCE,
+        )
+
+
+def _placements(room: Room, views: Sequence[View], anything: bool) -> Iterator[tuple[str, np.ndarray]]:
+    """Other placements of the mesh with their names; only those that most cameras are in, or mirrors."""
+    low, high = room.bounds
+    cameras = np.array([view.camera_to_world[:3, 3] for view in views])
+    for axis in range(3):
+        for around in (0.0, low[axis] + high[axis]):
+            places = np.eye(4)
+            places[axis, axis], places[axis, 3] = -1.0, around
+            yield f"mirror {_AXES[axis]}" + (" at its middle" if around else ""), places
+    if not anything:
+        return
+    turns = list(_turns())
+    both = [(turn, unit) for turn in turns[1:] for unit in UNITS if unit != 1.0]
+    first = [(turns[0], unit) for unit in UNITS] + [(turn, 1.0) for turn in turns[1:]]
+    for (words, turn), unit in first + both:
+        places = np.eye(4)
+        places[:3, :3] = unit * turn
+        corners = np.array([low, high]) @ places[:3, :3].T
+        inside = ((cameras > corners.min(axis=0)) & (cameras < corners.max(axis=0))).all(axis=1)
+        if inside.mean() >= 0.5:
+            words = " and ".join(filter(None, (words, "" if unit == 1.0 else f"scale {unit:.6g}")))
+            yield words or "nothing", places
+
+
+def _turns() -> Iterator[tuple[str, np.ndarray]]:
+    """The 24 turns (3, 3) of the axes with their names, none first, and the three mirrors."""
+    signs = sorted(itertools.product((1, -1), repeat=3), reverse=True)
+    for order, sign in itertools.product(itertools.permutations(range(3)), signs):
+        turn = np.zeros((3, 3))
+        turn[range(3), order] = sign
+        if np.linalg.det(turn) > 0.0:
+            axes = (("-" if minus < 0 else "") + _AXES[axis] for axis, minus in zip(order, sign, strict=True))
+            name = f"turn its axes so that the new X, Y, Z are its {', '.join(axes)}"
+            yield "" if (turn == np.eye(3)).all() else name, turn
+    for axis in range(3):
+        yield f"mirror {_AXES[axis]}", np.diag([-1.0 if axis == other else 1.0 for other in range(3)])

@@ -1,0 +1,242 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Engine command `survey`: what each view sees of the room, problems of its photograph, the available parts,
+and where photographs disagree. A quick check for the artist; the estimation does not read it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..capture.averaging import means
+from ..capture.checks import pixel_sample, pixel_statistics
+from ..capture.encoded import srgb_encoded
+from ..capture.images import read_radiance, threads_for, write_exr
+from ..capture.rig import PARTS_FOLDER, SEMANTICS_FOLDER
+from ..capture.views import View, load_capture
+from ..device.variant import set_variant
+from ..radiometry.inversion import MUCH_CLIPPED as MUCH_CLIPPED_ENCODED
+from ..radiometry.inversion import is_clipped
+from ..run.documents import head
+from ..run.errors import FiptError
+from ..run.messages import Reporter
+from ..run.runfolder import RunFolder, atomic_path, write_json
+from ..run.threads import in_threads
+
+if TYPE_CHECKING:
+    from ..surface.room import Room
+
+LITTLE_SEEN = 0.5  # share of a photograph's pixels that see the room
+MUCH_CLIPPED = 0.002  # share of a photograph's pixels
+# Boxes in the air in which photographs show something: points that are tested, least share of all
+# disagreement that a box explains, and most boxes.
+AIR_POINTS, LEAST_MISSING, MOST_MISSING = 200_000, 0.002, 8
+MUCH_OFF = 2.0  # pixels between the edges of mesh and photograph; chance gives up to 1.5 in a poor view
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("folder", type=Path, help="folder with capture.json, room.npz and room.json")
+    parser.add_argument("--device", default="auto", help="auto, cuda or llvm")
+
+
+def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
+    """Examine all views of FOLDER/capture.json and write FOLDER/survey.json and FOLDER/survey.npz.
+
+    Raises:
+        FiptError: where the capture or the mesh can't be read, or a mask can't be used.
+    """
+    reporter.plan([0.1, 0.7, 0.2])
+    reporter.stage("device", "Starting the engine")
+    set_variant(arguments.device)
+    # Mitsuba's types exist only after the variant is set.
+    from ..parts.coverage import fuse_inputs, view_coverage
+    from ..parts.labels import automatic_source, label_parts, usable_sources
+    from ..parts.linked_masks import link_masks
+    from ..surface.room import load_room
+    from .agreement import surface_disagreement, survey_pixels
+
+    folder = RunFolder(arguments.folder)
+    capture = load_capture(folder)
+    room = load_room(folder, cleaned=False)  # the artist judges the mesh, also after `complete`
+    reporter.stage("views", "Finding what each camera sees")
+    entries: list[dict[str, Any]] = []
+    seen = np.zeros((len(capture.views), len(room.triangles)), bool)
+    in_sight = np.zeros(len(room.triangles), bool)
+    # The next photographs are decoded while the mesh is compared with one.
+    most = threads_for(view.width * view.height for view in capture.views)
+    photographs = in_threads(partial(examined, folder=folder), capture.views, most)
+    for index, (view, photograph) in enumerate(zip(capture.views, photographs, strict=True)):
+        coverage = view_coverage(room, view, known=in_sight)
+        seen[index] = coverage.seen
+        in_sight |= coverage.in_sight
+        facts = {"name": view.name, "room_share": coverage.room_share, **with_misfit(photograph, view, room)}
+        entries.append({**facts, "warning": view_warning(facts)})
+        reporter.progress((index + 1) / len(capture.views))
+
+    reporter.stage("parts", "Finding the parts")
+    train = [_coarse(folder, view) for view in capture.train if view.image.is_file()]
+    train = link_masks(folder, replace(room, parts="masks"), train)  # all sources are counted
+    labels = {}
+    usable = usable_sources(room, train)
+    sources = [*usable, "loose"]
+    for index, source in enumerate(sources):
+        images, triangles = fuse_inputs(room, train, source)
+        labels[source] = label_parts(room, source, images, triangles).triangle_part
+        reporter.progress((index + 1) / (len(sources) + 1))
+    pixels = survey_pixels(room, [view for view in train if view.image.is_file()])
+    disagreement = np.full(len(room.triangles), np.nan, np.float32)
+    missing: list[dict[str, Any]] = []
+    if pixels is not None:
+        disagreement = surface_disagreement(room, pixels)
+        boxes = pixels.boxes(room.bounds, AIR_POINTS)
+        shown = itertools.takewhile(
+            lambda found: found[2] >= LEAST_MISSING, itertools.islice(boxes, MOST_MISSING)
+        )
+        missing = [{"low": low.tolist(), "high": high.tolist()} for (low, high), _, _ in shown]
+
+    with atomic_path(folder.root / "survey.npz") as temporary:
+        np.savez_compressed(
+            temporary,
+            seen=np.packbits(seen, axis=1),
+            # Surfaces hidden from all camera positions, such as the outer sides of walls, are not gaps.
+            areas=np.where(in_sight, room.areas, 0.0).astype(np.float32),
+            disagreement=disagreement,
+            **{f"parts_{source}": part for source, part in labels.items()},
+        )
+    write_json(
+        folder.root / "survey.json",
+        {
+            **head("survey"),
+            "views": entries,
+            "missing": missing,
+            "parts": {
+                "auto": automatic_source(room, usable),
+                "counts": {source: len(np.unique(part[part >= 0])) for source, part in labels.items()},
+            },
+        },
+    )
+    reporter.done([str(folder.root / name) for name in ("survey.json", "survey.npz")])
+
+
+def _coarse(folder: RunFolder, view: View) -> View:
+    """The view on the coarse grid of its coverage, with resized images, because they are read several times.
+
+    Its photograph exists if `examined` could use it.
+
+    Raises:
+        FiptError: those of reading the id images, ``disk-full`` or ``run-unwritable``.
+    """
+    from ..parts.coverage import coarse_view, resampled
+
+    coarse = coarse_view(view)
+
+    def written(kind: str, ids: np.ndarray | None) -> Path | None:
+        if ids is None:
+            return None
+        path = folder.root / "coarse" / kind / f"{view.name}.exr"
+        write_exr(path, resampled(ids, (coarse.height, coarse.width)))
+        return path
+
+    masked = view.masked()
+    return replace(
+        coarse,
+        image=_coarse_image(folder, view),
+        parts=written(PARTS_FOLDER, view.part_ids()),
+        semantics=written(SEMANTICS_FOLDER, view.semantic_ids()),
+        mask=written("mask", None if masked is None else ~masked),
+    )
+
+
+def _coarse_image(folder: RunFolder, view: View) -> Path:
+    return folder.root / "coarse" / "image" / f"{view.name}.exr"
+
+
+def photograph_facts(view: View, room: Room) -> dict[str, Any]:
+    """The facts of a view's photograph, and of the mesh in it; see `examined` and `with_misfit`."""
+    return with_misfit(examined(view), view, room)
+
+
+def with_misfit(
+    photograph: tuple[dict[str, Any], np.ndarray | None], view: View, room: Room
+) -> dict[str, Any]:
+    """The facts of a photograph, with the distance in pixels of the mesh's edges from its own; None where it
+    can't be measured.
+
+    Args:
+        photograph: by `examined`.
+    """
+    from .misfit import image_misfit
+
+    facts, image = photograph
+    found = image_misfit(room, view, image)
+    if found is None:
+        return facts
+    fit, factor = found
+    return facts | {"misfit": round(fit.misfit * factor, 2), "much_off": fit.misfit > MUCH_OFF}
+
+
+def examined(view: View, folder: RunFolder | None = None) -> tuple[dict[str, Any], np.ndarray | None]:
+    """The facts of a photograph: whether it is missing or unusable, its over-exposed share, whether it is no
+    HDR file or looks 8-bit. And the image that is compared with the mesh, None without any.
+
+    Args:
+        folder: gets the photograph on the coarse grid, if it can be used.
+    """
+    from ..parts.coverage import coarse_view
+    from .misfit import edge_image
+
+    facts: dict[str, Any] = {"image_missing": False, "image_problem": "", "clipped_share": 0.0}
+    if folder is not None:
+        _coarse_image(folder, view).unlink(missing_ok=True)  # of an earlier survey
+    facts |= {"looks_ldr": False, "encoded": False, "misfit": None, "much_off": False}
+    try:
+        pixels = read_radiance(view.image)
+        if pixels.shape[:2] != (view.height, view.width):
+            size = f"{pixels.shape[1]} x {pixels.shape[0]}"
+            return facts | {"image_problem": f"is {size} pixels, not {view.width} x {view.height}"}, None
+        statistics = pixel_statistics(view.image, pixels)
+    except FiptError as error:
+        missing = error.code == "image-missing"
+        return facts | {"image_missing": missing, "image_problem": "" if missing else error.text}, None
+    if folder is not None:
+        coarse = coarse_view(view)
+        write_exr(_coarse_image(folder, view), means(pixels, coarse.width, coarse.height))
+    clipped, looks_ldr = statistics.clipped, statistics.looks_ldr
+    if view.encoded:
+        codes = srgb_encoded(pixel_sample(pixels)) * 255.0
+        clipped, looks_ldr = float(is_clipped(codes).mean()), False  # the import has warned
+    facts |= {"clipped_share": clipped, "looks_ldr": looks_ldr, "encoded": view.encoded}
+    return facts, edge_image(view, pixels)
+
+
+def view_warning(facts: dict[str, Any]) -> str:
+    """The most serious problem of a view in a few words, "" where there is none.
+
+    Args:
+        facts: its entry of survey.json.
+    """
+    if facts["image_missing"]:
+        return "the photograph is missing"
+    if facts["image_problem"]:
+        return f"the photograph can't be used: {facts['image_problem']}"
+    if facts["room_share"] == 0.0:
+        return "sees nothing of the room"
+    if facts["room_share"] < LITTLE_SEEN:
+        return f"sees the room in only {100.0 * facts['room_share']:.0f} % of its pixels"
+    if facts["much_off"]:
+        return f"the mesh is {facts['misfit']:.1f} pixels off in this view"
+    if facts["looks_ldr"]:
+        share = 100.0 * facts["clipped_share"]
+        clipped = f"; {share:.1f} % of its pixels are clipped" if share else ""
+        return f"looks like an 8-bit photograph, without the true radiance of lamps{clipped}"
+    if facts["clipped_share"] > (MUCH_CLIPPED_ENCODED if facts["encoded"] else MUCH_CLIPPED):
+        return f"{100.0 * facts['clipped_share']:.1f} % of its pixels look over-exposed"
+    return ""

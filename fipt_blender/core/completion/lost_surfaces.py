@@ -1,0 +1,263 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Things that a scanner lost: a glossy or dark table, a cabinet, a slab.
+
+Photographs of a lost thing disagree on what the scan has behind it, and agree at the thing's own surface
+(:mod:`.agreement`). Points all over the room's air are tested. Where photographs disagree less than on the
+surface behind, an upright prism is fitted.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.ndimage import binary_erosion, binary_fill_holes, binary_opening, label
+from scipy.special import bdtrc  # scipy.stats takes half a second to import
+
+from ..capture.views import View
+from ..checks.agreement import LEAST_GAIN, Box, ComparedPixels, cells_of, compared_pixels, doubts, hits_of
+from ..robust import LEAST_VIEWS
+from ..surface.adjacency import NONE, Surface
+from ..surface.room import Room
+from .prism import prism
+
+# Share of all disagreement that a thing must take away: smaller things matter less than a wrong prism.
+LEAST_SHARE = 0.01
+# Share of the cells inside a prism in which the scan has a surface: scanners look into shades, not tables.
+MOST_INSIDE = 0.01
+# A thing is likely if more views improve than chance explains at this level of significance (sign test).
+LEVEL = 0.05
+# Cells by which a side of a prism moves at a time.
+STEPS = (3, 1)
+
+
+def lost_surfaces(room: Room, views: Sequence[View], edge: float) -> list[Surface]:
+    """Prisms for things in front of a scan that the photographs show.
+
+    Mitsuba's variant must be set.
+
+    Args:
+        room: the scan.
+        views: training views.
+        edge: median edge of the scan, metres.
+
+    Returns:
+        for each its surface, whose triangles are on no planes.
+    """
+    if len(views) < LEAST_VIEWS:
+        return []
+    pixels = compared_pixels(room, views, edge)
+    middles = room.vertices.astype(np.float64)[room.triangles].mean(axis=1)
+    found: list[Surface] = []
+    for (low, high), step, share in pixels.boxes(room.bounds):
+        if share < LEAST_SHARE:
+            break
+        fitted = _fitted(pixels, (low - step, high + step), middles)
+        if fitted is not None:
+            thing, pixels = fitted
+            found.append((*thing.mesh, np.full(len(thing.mesh[1]), NONE)))
+    return found
+
+
+@dataclass(frozen=True)
+class _Prism:
+    """A prism over cells, and the disagreement that it explains.
+
+    Attributes:
+        low: (3,) lowest corner of the cells, metres.
+        footprint: (X, Y) bool.
+        layers: lowest and highest.
+        mesh: vertices, triangles and corner normals.
+        rows, distance: (m,) int pixels that see it, and metres to it.
+        cell, doubt: (n,) of the pixels that the search touches.
+        by_view: (V,) pixels of each view whose disagreement it removes.
+    """
+
+    low: np.ndarray
+    footprint: np.ndarray
+    layers: tuple[int, int]
+    mesh: tuple[np.ndarray, np.ndarray, np.ndarray]
+    rows: np.ndarray
+    distance: np.ndarray
+    cell: np.ndarray
+    doubt: np.ndarray
+    by_view: np.ndarray
+
+    @property
+    def score(self) -> float:
+        """Pixels of all views whose disagreement it removes."""
+        return float(self.by_view.sum())
+
+    @property
+    def rank(self) -> tuple[float, int]:
+        """Greater for a better prism; of two that explain the same, the smaller one is better."""
+        first, last = self.layers
+        return self.score, -int(self.footprint.sum()) * (last - first + 1)
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether more of the views get better by it than chance explains."""
+        better, changed = int((self.by_view > 0.0).sum()), int((self.by_view != 0.0).sum())
+        return _unlikely(better, changed)
+
+    def inside(self, points: np.ndarray, size: float) -> float:
+        """Share of the cells well inside it, with edges of `size` metres, that hold points (N, 3)."""
+        first, last = self.layers
+        body = binary_erosion(np.repeat(self.footprint[:, :, None], last - first + 1, axis=2))
+        place = np.floor((points - self.low) / size).astype(np.int64) - [0, 0, first]
+        within = ((place >= 0) & (place < body.shape)).all(axis=1)
+        held = np.zeros(body.shape, bool)
+        held[tuple(place[within].T)] = True
+        return float((held & body).sum() / max(body.sum(), 1))
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The search for a prism in a box.
+
+    Attributes:
+        pixels: of the views.
+        low: (3,) lowest corner of the box, metres.
+        entering: (m,) int pixels whose rays enter the box.
+        touched: (n,) int these, and all that see the same places of the scan; ascending.
+        place: (n,) int from 0, cell of the pixels that are touched, -1 without one.
+    """
+
+    pixels: ComparedPixels
+    low: np.ndarray
+    entering: np.ndarray
+    touched: np.ndarray
+    place: np.ndarray
+
+    @classmethod
+    def within(cls, pixels: ComparedPixels, box: Box) -> _Search:
+        """The search in a box."""
+        entering = pixels.through(box)
+        behind = np.zeros(int(pixels.cell.max()) + 2, bool)
+        behind[pixels.cell[entering]] = True
+        behind[-1] = False  # no surface at all
+        touched = behind[pixels.cell]
+        touched[entering] = True
+        rows = np.flatnonzero(touched)
+        cells, place = np.unique(pixels.cell[rows], return_inverse=True)
+        return cls(pixels, box[0], entering, rows, place - int((cells[:1] < 0).sum()))
+
+    def prism(self, footprint: np.ndarray, layers: tuple[int, int]) -> _Prism:
+        """A prism over cells of the box, and the disagreement that it explains."""
+        pixels, (first, last) = self.pixels, layers
+        corner = self.low + [0.0, 0.0, first * pixels.size]
+        mesh = prism(footprint, corner, pixels.size, last - first + 1)
+        none = np.zeros(len(mesh[1]), np.int32)
+        room = Room(*mesh, none, none - 1)
+        view, direction = pixels.view[self.entering], pixels.direction[self.entering]
+        triangle, reached = hits_of(room, pixels.views, view, direction)
+        hides = np.flatnonzero(reached < pixels.distance[self.entering] - pixels.size)
+        rows, hits = self.entering[hides], (triangle[hides], reached[hides])
+        own = cells_of(pixels.views, room, view[hides], direction[hides], hits, pixels.size)
+        view, color, before = (values[self.touched] for values in (pixels.view, pixels.color, pixels.doubt))
+        cell = self.place.copy()
+        cell[np.searchsorted(self.touched, rows)] = own + int(self.place.max()) + 1
+        seen = cell >= 0
+        doubt = np.full(len(cell), np.nan, np.float32)
+        doubt[seen] = doubts(view[seen], cell[seen], color[seen])
+        # Cells that too few views see (NaN) are no evidence.
+        by_view = np.bincount(view, np.nan_to_num(before - doubt), len(pixels.views))
+        return _Prism(self.low, footprint, layers, mesh, rows, hits[1], cell, doubt, by_view)
+
+    def accepted(self, found: _Prism) -> ComparedPixels:
+        """The pixels with a prism in front of the scan."""
+        pixels = self.pixels
+        distance, cell, doubt = pixels.distance.copy(), pixels.cell.copy(), pixels.doubt.copy()
+        distance[found.rows], doubt[self.touched] = found.distance, found.doubt
+        cell[self.touched] = np.where(found.cell >= 0, found.cell + pixels.cell.max() + 1, -1)
+        return replace(pixels, distance=distance, cell=cell, doubt=doubt)
+
+
+def _fitted(pixels: ComparedPixels, box: Box, middles: np.ndarray) -> tuple[_Prism, ComparedPixels] | None:
+    """The prism in a box that explains the photographs best, and the pixels with it; None if it is unlikely.
+
+    It starts as the layer of cells that explains most, and grows and shrinks as long as it explains more.
+
+    Args:
+        middles: (T, 3) of the scan's triangles.
+    """
+    low, high = box
+    shape = np.maximum(np.ceil((high - low) / pixels.size).astype(int), 1)
+    gain, views = pixels.swept(low, pixels.size, shape)
+    shows = gain > LEAST_GAIN
+    layer = int(np.argmax((gain * views * shows).sum(axis=(0, 1))))
+    footprint = _footprint(shows[:, :, layer])
+    if footprint is None:
+        return None
+    search = _Search.within(pixels, box)
+    best = search.prism(footprint, (layer, layer))
+    for step in STEPS:
+        kind, failed = 0, 0
+        while failed < len(_CHANGES):
+            change = _CHANGES[kind](best, step, int(shape[2]))
+            tried = None if change is None else search.prism(*change)
+            if tried is not None and tried.rank > best.rank:
+                best, failed = tried, 0
+            else:
+                kind, failed = (kind + 1) % len(_CHANGES), failed + 1
+    enough = best.score >= LEAST_SHARE * pixels.disagreement
+    if not (enough and best.is_likely) or best.inside(middles, pixels.size) > MOST_INSIDE:
+        return None
+    return best, search.accepted(best)
+
+
+Change = tuple[np.ndarray, tuple[int, int]]  # footprint and layers
+
+
+def _taller(best: _Prism, step: int, height: int, down: int, up: int) -> Change | None:
+    """The prism with its ends moved down and up by steps, in a box of a height in layers."""
+    first, last = best.layers
+    layers = max(first - down * step, 0), min(last + up * step, height - 1)
+    return None if layers == best.layers or layers[0] > layers[1] else (best.footprint, layers)
+
+
+def _wider(best: _Prism, step: int, _: int, along: int, by: int, grows: bool) -> Change | None:
+    """The prism with one side of its footprint moved by a step."""
+    moved = _moved(best.footprint, along, by * step)
+    footprint = best.footprint | moved if grows else best.footprint & moved
+    same = (footprint == best.footprint).all()
+    return None if same or not footprint.any() else (footprint, best.layers)
+
+
+_CHANGES: list[Callable[[_Prism, int, int], Change | None]] = [
+    *(partial(_taller, down=down, up=up) for down, up in ((1, 0), (0, 1), (-1, 0), (0, -1))),
+    *(
+        partial(_wider, along=along, by=by, grows=grows)
+        for grows, along, by in itertools.product((True, False), (0, 1), (1, -1))
+    ),
+]
+
+
+def _moved(mask: np.ndarray, along: int, by: int) -> np.ndarray:
+    """A mask (X, Y) moved by some cells along an axis."""
+    rolled = np.roll(mask, by, axis=along)
+    rolled[(slice(None),) * along + (slice(0, by) if by > 0 else slice(by, None),)] = False
+    return rolled
+
+
+def _footprint(shows: np.ndarray) -> np.ndarray | None:
+    """The largest piece of a layer (X, Y) that shows a thing, without holes; None without any."""
+    largest = _largest_piece(binary_opening(shows))
+    return None if largest is None else np.asarray(binary_fill_holes(largest))
+
+
+def _largest_piece(mask: np.ndarray) -> np.ndarray | None:
+    """The largest connected piece, None of nothing."""
+    pieces, count = label(mask)
+    if not count:
+        return None
+    return np.asarray(pieces == 1 + np.argmax(np.bincount(pieces.reshape(-1))[1:]))
+
+
+def _unlikely(count: int, views: int) -> bool:
+    """Whether chance rarely improves so many of the views or more (sign test)."""
+    return bool(bdtrc(count - 1, views, 0.5) < LEVEL)

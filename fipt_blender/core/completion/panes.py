@@ -1,0 +1,210 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Surfaces that are added to a scan: panes in its flat holes, prisms for things that it lost, and completions
+of parts that it tore.
+
+A flat hole is closed if photographs show neither the room nor anything bright through it: it is a window at
+night, a mirror or a glossy black surface, which scanners do not see. The pane is an object of its own, whose
+material is estimated like any other. A bright hole shows the outside and stays open: the environment lights
+the room through it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..capture.views import View
+from ..optics.lights import LUMINANCE
+from ..parts.labels import choose_source, masks_digest
+from ..parts.linked_masks import link_masks
+from ..parts.masked_views import masked_views
+from ..pixels.camera_rays import first_hits, trace_pixels
+from ..run.arrays import read_arrays
+from ..run.errors import FiptError
+from ..run.run_files import PANES, has_searched_panes, mesh_digest, read_room_files
+from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
+from ..run.settings import Settings
+from ..run.shapes import PANES_ARRAYS
+from ..surface.adjacency import NONE, Surface, make_mesh
+from ..surface.clean import CleanMesh
+from ..surface.holes import FlatHole, flat_holes, median_edge
+from ..surface.room import Room, load_room
+from ..surface.stored import completed, prepare_geometry, scanned, store_geometry, stored_geometry
+from .lost_surfaces import lost_surfaces
+from .torn_parts import torn_parts
+
+# At least so many of the pixels that look into a hole, and this share of them, must meet no surface behind.
+LEAST_PIXELS, LEAST_MISSED = 100, 0.5
+# A hole that is brighter than this multiple of the photographs' median shows the outside.
+OUTSIDE = 2.0
+# The settings that switch the kinds of surfaces on.
+KINDS = ("panes", "lost_surfaces", "torn_parts")
+
+
+@dataclass
+class _Look:
+    """The pixels that look into a hole: their number, and the luminance of those that meet no surface."""
+
+    count: int
+    missed: list[np.ndarray]
+
+
+def close_holes(
+    run: RunFolder, views: Sequence[View], settings: Settings | None = None, room: Room | None = None
+) -> bool:
+    """Write panes.npz, and extend geometry.npz, where photographs show surfaces that a scan lacks.
+
+    Nothing changes where the mesh is no scan, where it has panes already or the artist has completed it, or
+    where these masks were searched before. Mitsuba's variant must be set.
+
+    Args:
+        views: training views.
+        settings: which kinds of surfaces are looked for; None: all.
+        room: the run's, without outlines; read where None.
+
+    Returns:
+        whether the run's room has other surfaces now.
+
+    Raises:
+        FiptError: those of the readers of room and photographs, ``disk-full`` or ``run-unwritable``.
+    """
+    settings = settings or Settings()
+    if not run.geometry_npz.exists():
+        run.panes_npz.unlink(missing_ok=True)
+        return False
+    changed = False
+    kinds = [bool(getattr(settings, kind)) for kind in KINDS]
+    if run.panes_npz.exists() and _searched_kinds(run) != kinds:
+        run.panes_npz.unlink()
+        prepare_geometry(run, settings.clean_scan, settings.close_holes_edges)
+        room, changed = None, True  # it may have had them
+    arrays, names = read_room_files(run, "mesh-damaged")
+    if completed(names) or PANES in (names.get("object_ids") or names["objects"]):
+        return changed
+    cleaned = stored_geometry(run, arrays)
+    use_masks = names.get("parts", "masks") in ("auto", "masks")
+    masks = masks_digest(views, (view.part_ids() for view in views if use_masks))
+    if cleaned is None or has_searched_panes(run, arrays, masks):
+        return changed
+    mesh, _ = make_mesh(cleaned.vertices, arrays["triangles"][scanned(arrays)])
+    edge = median_edge(mesh)
+    holes = flat_holes(mesh, edge) if settings.panes else []
+    room = room or load_room(run, outlined=False)
+    closed = [hole for hole, seen in zip(holes, _looks(room, holes, views), strict=True) if seen]
+    added = _panes(closed) if closed else None
+    whole = room if added is None else _with(room, added)
+    for surface in _things(run, whole, views, edge, settings):
+        added = surface if added is None else _joined(added, surface)
+    nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3, 3)), np.zeros(0, np.int32)
+    vertices, triangles, normals, plane = nothing if added is None else added
+    with explained_write_errors(run.root):
+        with atomic_path(run.panes_npz) as temporary:
+            np.savez(
+                temporary,
+                vertices=vertices,
+                triangles=triangles,
+                corner_normals=normals,
+                source=mesh_digest(arrays),
+                masks=masks,
+                **({} if all(kinds) else {"kinds": kinds}),
+            )
+        if added is None:
+            return changed
+        plane = np.where(plane == NONE, NONE, int(cleaned.plane.max(initial=-1)) + 1 + plane)
+        extended = CleanMesh(
+            np.concatenate([cleaned.vertices, vertices]),
+            np.concatenate([cleaned.corner_normals, normals]),
+            np.concatenate([cleaned.plane, plane.astype(np.int32)]),
+            cleaned.noise,
+        )
+        store_geometry(run, read_room_files(run)[0], extended)
+    return True
+
+
+def _searched_kinds(run: RunFolder) -> list[bool]:
+    """Which of `KINDS` the search has looked for that wrote panes.npz."""
+    try:
+        found = read_arrays(run.panes_npz, PANES_ARRAYS)
+    except FiptError:
+        return [True] * len(KINDS)  # damaged ones are written anew in any case
+    return np.asarray(found.get("kinds", np.ones(len(KINDS), bool))).tolist()
+
+
+def _things(
+    run: RunFolder, room: Room, views: Sequence[View], edge: float, settings: Settings
+) -> list[Surface]:
+    """Surfaces that the scan lacks: lost things, from the photographs, then torn parts, from masks.
+
+    Lost things come first, because linked masks would assign them to the surface behind them.
+    """
+    found = lost_surfaces(room, views, edge) if settings.lost_surfaces else []
+    if choose_source(room, views) != "masks":
+        return found
+    for surface in found:
+        room = _with(room, surface)
+    masked, label = masked_views(room, link_masks(run, room, views))
+    return found + (torn_parts(room, label, masked, edge) if settings.torn_parts else [])
+
+
+def _with(room: Room, surface: Surface) -> Room:
+    """The room with one more object."""
+    count = len(surface[1])
+    joined = _joined((room.vertices, room.triangles, room.corner_normals, np.zeros(0)), surface)
+    return replace(
+        room,
+        vertices=joined[0],
+        triangles=joined[1],
+        corner_normals=joined[2],
+        triangle_object=np.append(room.triangle_object, np.full(count, len(room.objects), np.int32)),
+        triangle_material=np.append(room.triangle_material, np.full(count, -1, np.int32)),
+        plane=None if room.plane is None else np.append(room.plane, np.full(count, NONE, np.int32)),
+        exact=None if room.exact is None else np.append(room.exact, np.zeros(count, bool)),
+    )
+
+
+def _joined(one: Surface, other: Surface) -> Surface:
+    moved = other[1] + np.int32(len(one[0]))
+    pairs = zip(one, (other[0], moved, *other[2:]), strict=True)
+    vertices, triangles, normals, plane = (np.concatenate(pair) for pair in pairs)
+    return vertices, triangles, normals, plane
+
+
+def _panes(holes: Sequence[FlatHole]) -> Surface:
+    """The panes of all holes, each with a plane of its own."""
+    vertices, triangles, normals, numbers, count = [], [], [], [], 0
+    for number, hole in enumerate(holes):
+        places, corners = hole.pane()
+        vertices.append(places)
+        triangles.append(corners + np.int32(count))
+        normals.append(np.tile(hole.axes[2].astype(np.float32), (len(corners), 3, 1)))
+        numbers.append(np.full(len(corners), number))
+        count += len(places)
+    joined = np.concatenate
+    return joined(vertices), joined(triangles), joined(normals), joined(numbers)
+
+
+def _looks(room: Room, holes: Sequence[FlatHole], views: Sequence[View]) -> list[bool]:
+    """Whether the photographs show that each hole is a surface."""
+    looks = [_Look(0, []) for _ in holes]
+    medians = []
+    for view in views if holes else ():
+        luminance = view.radiance().reshape(-1, 3) @ LUMINANCE
+        medians.append(np.median(luminance))
+        reached = first_hits(trace_pixels(room, view))[1]
+        origin, directions = view.camera_to_world[:3, 3], view.rays()[1]
+        for hole, look in zip(holes, looks, strict=True):
+            enters, distance = hole.crossed(origin, directions)
+            enters &= reached > distance
+            look.count += int(enters.sum())
+            look.missed.append(luminance[enters & np.isinf(reached)])
+    outside = OUTSIDE * float(np.median(medians)) if medians else 0.0
+    return [_is_surface(look, outside) for look in looks]
+
+
+def _is_surface(look: _Look, outside: float) -> bool:
+    missed = np.concatenate(look.missed)
+    enough = len(missed) >= max(LEAST_PIXELS, LEAST_MISSED * look.count)
+    return enough and float(np.median(missed)) < outside

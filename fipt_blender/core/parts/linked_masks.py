@@ -1,0 +1,172 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Part masks whose ids are valid in one view only, from networks that segment one photograph at a time.
+
+Their regions are linked on the mesh, and written with ids that all views share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ..capture.images import write_exr
+from ..capture.views import View
+from ..pixels.camera_rays import first_hits, trace_pixels
+from ..pixels.grouped import numbered, pairs_of, strongest
+from ..pixels.store import CELL_PIXELS
+from ..run.run_files import array_digest
+from ..run.runfolder import RunFolder, atomic_path
+from ..surface.room import Room
+from .coverage import coarse_view, resampled
+from .labels import choose_source, masks_digest
+from .linking import RegionPixels, link_regions
+
+# Masks share their ids if a cell with an id in one view has the same id in other views at least this often.
+# The median over the ids counts: where ids are ordered by size, those of walls and floors agree by chance.
+SHARED = 0.2
+# A region belongs to one part if this share of its pixels sees that part.
+ONE_PART = 0.7
+# Most cells; where views see more, the width of a cell is doubled until they see fewer. Rooms have 100,000.
+MOST_CELLS = 400_000
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """The surface cells and ids that a view with part masks sees, on a coarse grid of pixels.
+
+    Attributes:
+        view: at its own size.
+        place: (h, w, 3) int64 cell that each pixel of the grid sees; -1 where it sees nothing.
+        ids: (h, w) int32 its id.
+    """
+
+    view: View
+    place: np.ndarray
+    ids: np.ndarray
+
+    @property
+    def usable(self) -> np.ndarray:
+        """(h, w) bool, pixels of the grid with an id and a surface."""
+        return (self.ids > 0) & (self.place[..., 0] >= 0)
+
+
+def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
+    """The views, with part masks whose ids all of them share.
+
+    Masks that share their ids already stay as they are, and so do the views. Others are written to
+    ``linked/`` of the run folder and kept as long as the mesh, the masks and the poses stay the same.
+    Mitsuba's variant must be set.
+
+    Raises:
+        FiptError: those of reading the masks, ``disk-full`` or ``run-unwritable``.
+    """
+    if choose_source(room, views) != "masks":
+        return list(views)
+    names = {view.name: run.linked / f"{view.name}.exr" for view in views if view.parts}
+    linked = [replace(view, parts=names[view.name]) if view.name in names else view for view in views]
+    masks = masks_digest(views, (view.part_ids() for view in views))
+    digest = array_digest(room.vertices, room.triangles, masks).tobytes().hex()
+    record = run.linked / "digest.txt"
+    if record.is_file() and record.read_text(encoding="utf-8") == digest:
+        return linked
+    seen = seen_cells(room, views)
+    cells, places = numbered_cells(seen)
+    pixels = [
+        RegionPixels(one.ids[cell >= 0].astype(np.int64), cell[cell >= 0])
+        for one, cell in zip(seen, cells, strict=True)
+    ]
+    if shared_ids(pixels) >= SHARED:
+        return list(views)
+    part = link_regions(pixels, places)
+    record.unlink(missing_ok=True)
+    for one, cell in zip(seen, cells, strict=True):
+        write_exr(names[one.view.name], _linked(one, np.append(part, -1)[cell]))
+    with atomic_path(record) as temporary:
+        temporary.write_text(digest, encoding="utf-8")
+    return linked
+
+
+def shared_ids(views: Sequence[RegionPixels]) -> float:
+    """0..1, how often the id of a place is the same in two views; median over the ids, 1 without any."""
+    pairs = [pairs_of(view.cell, view.region)[:2] for view in views]
+    if not pairs:
+        return 1.0
+    cell, region, pair = pairs_of(*map(np.concatenate, zip(*pairs, strict=True)))
+    count, number = np.bincount(pair), numbered([region])
+    total = np.bincount(cell, count)[cell]
+    same = np.bincount(number, count * (count - 1.0))
+    pairs_seen = np.bincount(number, count * (total - 1.0))
+    known = pairs_seen > 0
+    return float(np.median(same[known] / pairs_seen[known])) if known.any() else 1.0
+
+
+def seen_cells(room: Room, views: Sequence[View]) -> list[_Seen]:
+    """The surface cells and ids that the views with part masks see."""
+    places, widths, ids = [], [], []
+    views = [view for view in views if view.parts]
+    for view in views:
+        coarse = coarse_view(view)
+        distance = first_hits(trace_pixels(room, coarse))[1]
+        hit = np.isfinite(distance)
+        origin, directions = coarse.rays()
+        point = origin + directions.reshape(-1, 3) * np.where(hit, distance, np.nan)[:, None]
+        places.append(point.reshape(coarse.height, coarse.width, 3))
+        widths.append(float(np.median(distance[hit])) / coarse.fx if hit.any() else 0.0)
+        ids.append(resampled(_mask(view), (coarse.height, coarse.width)))
+    size = max(CELL_PIXELS * float(np.median(widths)) if widths else 0.0, 1e-6)
+    low = room.bounds[0]
+    cells = [np.nan_to_num(np.floor((place - low) / size), nan=-1.0).astype(np.int64) for place in places]
+    return [_Seen(*one) for one in zip(views, cells, ids, strict=True)]
+
+
+def _mask(view: View) -> np.ndarray:
+    """(H, W) int32 ids of a view with part masks, 0 for none."""
+    ids = view.part_ids()
+    assert ids is not None
+    return np.maximum(ids, 0)
+
+
+def numbered_cells(seen: Sequence[_Seen]) -> tuple[list[np.ndarray], np.ndarray]:
+    """For each view (h, w) int64 the cell of each usable pixel, -1 of others; (C, 3) places of the cells."""
+    used = [one.place[one.usable] for one in seen]
+    every = np.concatenate([*used, np.zeros((0, 3), np.int64)])
+    places, number = np.unique(every, axis=0, return_inverse=True)
+    while len(places) > MOST_CELLS:
+        places, wider = np.unique(places // 2, axis=0, return_inverse=True)
+        number = wider.reshape(-1)[number.reshape(-1)]
+    cells, first = [], 0
+    for one, rows in zip(seen, used, strict=True):
+        cell = np.full(one.ids.shape, -1)
+        cell[one.usable] = number.reshape(-1)[first : first + len(rows)]
+        cells.append(cell)
+        first += len(rows)
+    return cells, places
+
+
+def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:
+    """(H, W) int32 part of each pixel from 1, 0 for none.
+
+    In each view a part belongs to the region that contains most of its pixels. The other pixels of a region
+    that has parts are taken to look through a hole of the scan, or past its edge.
+
+    Args:
+        part: (h, w) int64 of each pixel of the grid, -1 for none.
+    """
+    mask, known = _mask(seen.view), part >= 0
+    ones = np.ones(int(known.sum()), np.int64)
+    shape = int(mask.max()) + 1, max(int(part.max()) + 1, 1)
+    counts = csr_array((ones, (seen.ids[known], part[known])), shape=shape)
+    total, most, largest = counts.sum(axis=1), counts.max(axis=1).toarray(), counts.argmax(axis=1)
+    region_of = counts.argmax(axis=0)
+    table = counts.tocoo()
+    own = region_of[table.col] == table.row
+    main = strongest(table.row[own], table.col[own], table.data[own], shape[0], "high")
+    of_one = (total > 0) & (most >= ONE_PART * total)
+    fine = resampled(part, mask.shape)
+    past = (main[mask] >= 0) & ((fine < 0) | (region_of[fine] != mask))
+    found = np.where(of_one[mask], largest[mask], np.where(past, main[mask], fine))
+    return np.where(mask > 0, found + 1, 0).astype(np.int32)

@@ -1,0 +1,261 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The room's mesh as arrays and as a Mitsuba scene for ray queries.
+
+Blender writes room.npz (docs/architecture.md); mesh files are not read here. All surfaces are double-sided:
+normals are flipped towards the viewer, so that inverted normals have no effect.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..run.errors import FiptError
+from ..run.run_files import CLOSING, read_room_files
+from ..run.runfolder import RunFolder
+from ..run.threads import cached_property
+from .adjacency import face_vectors
+from .part_adjacency import Scan, find_scan
+from .stored import stored_geometry
+
+# Distance at which rays start above a scan, in units of its noise.
+OFFSET_NOISE = 2.0
+NO_OBJECT = -1
+
+
+@dataclass  # not frozen: Dr.Jit's loops write their state back to it
+class Surface:
+    """Where rays met the room, as Dr.Jit arrays of one width.
+
+    Attributes:
+        valid: whether anything was hit.
+        position: metres, world space.
+        distance: metres along the (unit) ray direction.
+        triangle: room triangle index.
+        geometric_normal: unit, by the triangle's winding.
+        normal: unit shading normal on the side that the ray came from.
+        front: whether the ray came from the side that the geometric normal points to.
+    """
+
+    valid: mi.Bool
+    position: mi.Point3f
+    distance: mi.Float
+    triangle: mi.UInt32
+    geometric_normal: mi.Normal3f
+    normal: mi.Normal3f
+    front: mi.Bool
+
+
+_ARRAYS = {
+    "vertices": np.float32,
+    "triangles": np.int32,
+    "corner_normals": np.float32,
+    "triangle_object": np.int32,
+    "triangle_material": np.int32,
+}
+
+
+@dataclass(frozen=True)
+class Room:
+    """The mesh of one room in Blender's world space (Z up, metres).
+
+    Attributes:
+        vertices: (V, 3) float32.
+        triangles: (T, 3) int32.
+        corner_normals: (T, 3, 3) float32 unit shading normals.
+        triangle_object: (T,) int32 index into `objects`.
+        triangle_material: (T,) int32 index into `materials`, -1 without.
+        objects: object names.
+        materials: material names.
+        parts: source of part ids: auto, masks, semantics, materials, objects, loose or none.
+        noise: standard deviation of a scan's distance from its smooth fit, metres; 0 for an exact mesh.
+        plane: (T,) int32 plane of each triangle of a scan, -1 without one; None for an exact mesh.
+        exact: (T,) bool, triangles of exact objects that the artist added to a scan; None without any.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    corner_normals: np.ndarray
+    triangle_object: np.ndarray
+    triangle_material: np.ndarray
+    objects: tuple[str, ...] = ()
+    materials: tuple[str, ...] = ()
+    parts: str = "masks"
+    noise: float = 0.0
+    plane: np.ndarray | None = None
+    exact: np.ndarray | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the cached Mitsuba objects, which belong to one process."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest corner of the bounding box of all used vertices, each (3,) float64, metres."""
+        used = self.vertices[self.triangles.reshape(-1)].astype(np.float64)
+        return used.min(axis=0), used.max(axis=0)
+
+    @cached_property
+    def _faces(self) -> tuple[np.ndarray, np.ndarray]:
+        return face_vectors(np.asarray(self.vertices, np.float64), self.triangles)
+
+    @property
+    def normals(self) -> np.ndarray:
+        """(T, 3) float64 unit geometric normals; (0, 0, 1) for triangles without area."""
+        return self._faces[0]
+
+    @property
+    def areas(self) -> np.ndarray:
+        """(T,) float64 triangle areas in square metres."""
+        return self._faces[1]
+
+    def points_on(self, triangles: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(..., 3) points on triangles (...), uniformly distributed if u and v (...) are so in [0, 1)."""
+        root = np.sqrt(u)
+        corners = self.vertices[self.triangles[triangles]]
+        weights = (1.0 - root, root * (1.0 - v), root * v)
+        return sum(weight[..., None] * corners[..., c, :] for c, weight in enumerate(weights))
+
+    @property
+    def closing(self) -> np.ndarray:
+        """(T,) bool, triangles by which the engine closed small holes of a scan."""
+        index = self.objects.index(CLOSING) if CLOSING in self.objects else NO_OBJECT
+        return self.triangle_object == index
+
+    @cached_property
+    def scan(self) -> Scan | None:
+        """The surface of a scanned mesh, None for a modelled one; takes seconds for a million triangles."""
+        return find_scan(self.vertices, self.triangles, self.noise, self.exact)
+
+    @property
+    def place(self) -> float:
+        """Standard deviation of the position of surfaces and borders, metres; 0 for a modelled mesh."""
+        return 0.0 if self.scan is None else self.scan.place
+
+    @cached_property
+    def scene(self) -> mi.Scene:
+        """A Mitsuba scene of the mesh alone; the variant must be set."""
+        mesh = mi.Mesh("room", len(self.vertices), len(self.triangles))
+        parameters = mi.traverse(mesh)
+        parameters["vertex_positions"] = mi.Float(np.ascontiguousarray(self.vertices, np.float32).reshape(-1))
+        parameters["faces"] = mi.UInt32(np.ascontiguousarray(self.triangles, np.uint32).reshape(-1))
+        parameters.update()
+        return mi.load_dict({"type": "scene", "room": mesh})
+
+    @cached_property
+    def _shading(self) -> tuple[mi.Float, mi.Float]:
+        """Geometric normal of each triangle and shading normal of each corner, as flat Dr.Jit arrays."""
+        geometric = self.normals.astype(np.float32)
+        corner = np.ascontiguousarray(self.corner_normals, np.float32).reshape(-1)
+        return mi.Float(geometric.reshape(-1)), mi.Float(corner)
+
+    def intersect(self, ray: mi.Ray3f, active: mi.Bool | bool = True) -> Surface:
+        """First surface along each ray, with one traversal of the scene.
+
+        Args:
+            ray: with unit directions.
+            active: which rays to trace.
+        """
+        hit = self.scene.ray_intersect_preliminary(ray, coherent=False, active=mi.Bool(active))
+        valid = hit.is_valid() & mi.Bool(active)
+        geometric_table, corner_table = self._shading
+        triangle = dr.select(valid, hit.prim_index, 0)
+        geometric = dr.gather(mi.Normal3f, geometric_table, triangle, valid)
+        u, v = hit.prim_uv.x, hit.prim_uv.y
+        n0 = dr.gather(mi.Normal3f, corner_table, triangle * 3, valid)
+        n1 = dr.gather(mi.Normal3f, corner_table, triangle * 3 + 1, valid)
+        n2 = dr.gather(mi.Normal3f, corner_table, triangle * 3 + 2, valid)
+        smooth = dr.normalize(n0 * (1.0 - u - v) + n1 * u + n2 * v)
+        toward = -ray.d
+        front = dr.dot(geometric, toward) > 0.0
+        side = dr.select(front, geometric, -geometric)
+        smooth = dr.select(dr.dot(smooth, side) < 0.0, -smooth, smooth)
+        # At silhouettes interpolated normals may point away from the viewer; the geometric normal can't.
+        usable = dr.isfinite(smooth.x) & (dr.dot(smooth, toward) > 1e-3)
+        normal = dr.select(usable, smooth, side)
+        return Surface(
+            valid=valid,
+            position=dr.fma(ray.d, hit.t, ray.o),
+            distance=hit.t,
+            triangle=triangle,
+            geometric_normal=geometric,
+            normal=normal,
+            front=front,
+        )
+
+    @cached_property
+    def offset(self) -> float:
+        """Distance in metres by which secondary rays start above a surface.
+
+        5e-5 of the room's diagonal; on a scan more, so that rays do not hit the bump beside them.
+        """
+        low, high = self.bounds
+        return max(float(5e-5 * np.linalg.norm(high - low)), OFFSET_NOISE * self.noise)
+
+
+def triangle_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(T, 3) float64 unit geometric normals of any mesh, as :attr:`Room.normals`."""
+    return face_vectors(np.asarray(vertices, np.float64), triangles)[0]
+
+
+def load_room(run: RunFolder, outlined: bool = True, cleaned: bool = True) -> Room:
+    """Read room.npz, room.json and, where the mesh is a scan that was cleaned, geometry.npz.
+
+    Args:
+        run: the run folder.
+        outlined: whether a scan gets the outlines of the masks from outlines.npz, if that exists.
+        cleaned: whether geometry.npz is read.
+
+    Raises:
+        FiptError: ``mesh-missing``, ``mesh-damaged``, ``mesh-empty``, ``file-missing`` or ``file-damaged``.
+    """
+    if not run.room_npz.exists():
+        raise FiptError("mesh-missing", f"{run.room_npz} does not exist.", "Export the room's mesh first.")
+    arrays, names = read_room_files(run, "mesh-damaged")
+    scan = stored_geometry(run, arrays, outlined) if cleaned else None
+    if scan is not None:
+        arrays |= {"vertices": scan.vertices, "corner_normals": scan.corner_normals}
+    room = Room(
+        **{name: np.asarray(arrays[name], kind) for name, kind in _ARRAYS.items()},
+        noise=scan.noise if scan else 0.0,
+        plane=scan.plane.astype(np.int32) if scan else None,
+        objects=tuple(names["objects"]),
+        materials=tuple(names["materials"]),
+        parts=names.get("parts", "masks"),
+        exact=arrays.get("triangle_exact"),
+    )
+    check_room(room)
+    return room
+
+
+def check_room(room: Room) -> None:
+    """Refuse a mesh on which no ray can be traced.
+
+    Raises:
+        FiptError: ``mesh-empty`` or ``mesh-damaged``.
+    """
+    count = len(room.triangles)
+    shapes = (
+        (room.vertices.shape[1:], (3,)),
+        (room.triangles.shape[1:], (3,)),
+        (room.corner_normals.shape, (count, 3, 3)),
+        (room.triangle_object.shape, (count,)),
+        (room.triangle_material.shape, (count,)),
+    )
+    if any(shape != needed for shape, needed in shapes):
+        raise FiptError("mesh-damaged", "The arrays of the room's mesh disagree.", "Export it again.")
+    if count and (room.triangles.min() < 0 or room.triangles.max() >= len(room.vertices)):
+        raise FiptError("mesh-damaged", "The room's mesh refers to missing vertices.", "Export it again.")
+    if not np.isfinite(room.vertices).all():
+        raise FiptError(
+            "mesh-damaged",
+            "The room's mesh has vertices at infinity or NaN.",
+            "Remove them (Mesh > Clean Up) and export it again.",
+        )
+    if not room.areas.max(initial=0.0) > 0.0:
+        raise FiptError("mesh-empty", "The room's mesh has no surface.", "Choose a mesh with faces.")

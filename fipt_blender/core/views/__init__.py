@@ -1,3 +1,0 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
-"""Checks of the photographs against each other: exposures, camera poses, and lamps that the mesh lacks."""

@@ -1,0 +1,304 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""prepare.json: what `prepare` knows of the photographs, their groups and its settings; the folder's paths.
+
+The add-on and the user edit the file between steps; therefore it is read and checked again by each step.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..core.run.documents import head, read_json
+from ..core.run.errors import FiptError
+from ..core.run.paths import is_network, leads_outside
+from ..core.run.runfolder import write_json
+from ..core.run.shapes import MOST_SIDE, PREPARE
+
+GROUPINGS = ("auto", "folders", "single")
+RESPONSES = ("auto", "srgb", "linear")
+VIGNETTINGS = ("auto", "none")
+SCALES = ("none", "points", "marker", "mesh")
+WHITE_BALANCES = ("camera", "daylight")
+_REMOVED_SETTINGS = {"masks"}  # of earlier versions, which their prepare.json names
+_REMEDY = "Correct the file, or delete it and find the brackets again."
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """One file as its header describes it; None where the header does not say.
+
+    Attributes:
+        path: within the folder of the photographs, relative to it.
+        kind: ``raw`` (a sensor's values), ``ldr`` (codes after a camera's response), ``linear`` (radiance).
+        width, height: pixels as stored, before `orientation`.
+        orientation: of EXIF, 1 to 8.
+        shutter: seconds.
+        aperture: f-number.
+        iso: sensitivity.
+        focal_length: mm.
+        focal_35mm: mm of a 35 mm camera with the same angle of view.
+        make, model, lens: of the camera and its lens; "" where unknown.
+        corrected: whether the camera has corrected the lens's vignetting; None where it does not say.
+        time: seconds, only for differences between photographs.
+        exposure: the light that reaches the values, relative: shutter * iso / (100 * aperture²). The user may
+            set it where the header does not.
+    """
+
+    path: str
+    kind: str
+    width: int
+    height: int
+    orientation: int = 1
+    shutter: float | None = None
+    aperture: float | None = None
+    iso: float | None = None
+    focal_length: float | None = None
+    focal_35mm: float | None = None
+    make: str = ""
+    model: str = ""
+    lens: str = ""
+    corrected: bool | None = None
+    time: float | None = None
+    exposure: float | None = None
+
+    @property
+    def has_vignetting(self) -> bool:
+        """Whether the lens's vignetting is in the values for certain; most cameras correct their JPEGs."""
+        return self.kind == "raw" or (self.kind == "ldr" and self.corrected is False)
+
+    @property
+    def upright_size(self) -> tuple[int, int]:
+        """Width and height after `orientation`."""
+        return (self.height, self.width) if self.orientation >= 5 else (self.width, self.height)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Photographs that become one view.
+
+    Attributes:
+        name: of the view and of its files.
+        photographs: paths as in `Photograph.path`.
+        used: whether it becomes a view.
+    """
+
+    name: str
+    photographs: tuple[str, ...]
+    used: bool = True
+
+
+def _setting(default: Any, text: str, **limits: Any) -> Any:
+    """A setting; `limits` are `choices` of a text, `low` and `high` of a number, `zero` if 0 is, too."""
+    return field(default=default, metadata={"help": text, **limits})
+
+
+@dataclass(frozen=True)
+class PrepareSettings:
+    """What the user chooses; the metadata of each field holds its `help`."""
+
+    grouping: str = _setting(
+        "auto", "how brackets are found: auto (EXIF and time), folders, or single", choices=GROUPINGS
+    )
+    working_width: int = _setting(
+        2048,
+        "longer side of the merged images in pixels; 0 keeps the photographs' size",
+        low=64,
+        high=MOST_SIDE,
+        zero=True,
+    )
+    response: str = _setting(
+        "auto",
+        "response of JPEG, PNG and TIFF: auto (recovered from the brackets), srgb or linear",
+        choices=RESPONSES,
+    )
+    white_balance: str = _setting(
+        "camera",
+        "white balance of RAW photographs: camera (that of the first one for all) or daylight",
+        choices=WHITE_BALANCES,
+    )
+    align: bool = _setting(True, "align hand-held brackets, and take what moved from one exposure")
+    vignetting: str = _setting(
+        "auto",
+        "vignetting: auto (from lensfun's database, else from overlapping views) or none",
+        choices=VIGNETTINGS,
+    )
+    layer: str = _setting("", "layer or part of EXR photographs that have several")
+    cameras: str = _setting("", "folder of an existing camera solve; empty to solve the cameras")
+    seed: int = _setting(0, "seed of the camera solve", low=0, high=2**31 - 1)
+    scale: str = _setting(
+        "none",
+        "source of the real size: none, points (two picked ones), marker (printed) or mesh (its transform)",
+        choices=SCALES,
+    )
+    scale_length: float = _setting(
+        0.0, "distance of the two points, or edge of the marker, in metres", low=0.0, high=1e4
+    )
+    scale_picks: str = _setting(
+        "", "two points in views, e.g. 'desk 812 440, door 790 431; desk 102 455': picks of one have a comma"
+    )
+    scale_matrix: str = _setting("", "4 x 4 matrix, row by row, from the solved cameras to the mesh")
+    marker_dictionary: str = _setting("4X4_50", "dictionary of the printed ArUco marker")
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """Content of prepare.json.
+
+    Attributes:
+        source: absolute folder of the photographs.
+        photographs: in the order of time and name.
+        groups: in the order of their views.
+        settings: see `PrepareSettings`.
+    """
+
+    source: Path
+    photographs: tuple[Photograph, ...]
+    groups: tuple[Group, ...]
+    settings: PrepareSettings = PrepareSettings()
+
+    @property
+    def used_groups(self) -> list[Group]:
+        """The groups that become views."""
+        return [group for group in self.groups if group.used]
+
+    def of(self, group: Group) -> list[Photograph]:
+        """A group's photographs, shortest exposure first; those without a known exposure come last."""
+        by_path = {photograph.path: photograph for photograph in self.photographs}
+        members = [by_path[path] for path in group.photographs]
+        return sorted(members, key=lambda item: item.exposure if item.exposure else float("inf"))
+
+    def file(self, photograph: Photograph) -> Path:
+        """The absolute path of a photograph."""
+        return self.source / photograph.path
+
+
+class PreparationFolder:
+    """Paths of the files that `prepare` writes; docs/architecture.md lists them."""
+
+    def __init__(self, root: str | Path) -> None:
+        self.root = Path(root).absolute()
+        self.prepare_json = self.root / "prepare.json"
+        self.images = self.root / "images"
+        self.clipped = self.root / "clipped"
+        self.sparse = self.root / "sparse" / "0"
+        self.report = self.root / "report"
+        self.stage = self.root / "stage"
+
+    def image(self, group: Group) -> Path:
+        """The merged image of a group: scene-linear radiance, upright, with the lens's distortion."""
+        return self.images / f"{group.name}.exr"
+
+    def clipped_mask(self, group: Group) -> Path:
+        """255 where a group's darkest photograph is clipped; the file is missing where none is."""
+        return self.clipped / f"{group.name}.png"
+
+    def facts(self, step: str) -> Path:
+        """What a finished step has found out, for the report and for later steps (JSON)."""
+        return self.stage / f"{step}.json"
+
+
+def make_prepare_settings(changes: Mapping[str, Any]) -> PrepareSettings:
+    """Settings with some values changed; texts are converted to the field's type.
+
+    Raises:
+        FiptError: ``setting-unknown`` or ``setting-invalid``.
+    """
+    from ..core.run.settings import converted  # Blender imports this module while starting
+
+    limits = {item.name: item.metadata for item in dataclasses.fields(PrepareSettings)}
+    return PrepareSettings(**converted(PrepareSettings, changes, limits))
+
+
+def write_preparation(folder: PreparationFolder, preparation: Preparation) -> None:
+    """Write prepare.json, completely or not at all.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    data = {
+        **head("prepare"),
+        "source": str(preparation.source),
+        "settings": asdict(preparation.settings),
+        "photographs": [asdict(photograph) for photograph in preparation.photographs],
+        "groups": [asdict(group) for group in preparation.groups],
+    }
+    write_json(folder.prepare_json, data)
+
+
+def read_preparation(folder: PreparationFolder) -> Preparation:
+    """Read prepare.json and check that its groups agree with its photographs.
+
+    Raises:
+        FiptError: ``file-missing``, ``file-damaged``, ``setting-unknown`` or ``setting-invalid``.
+    """
+    data = read_json(folder.prepare_json, PREPARE, _REMEDY)
+    known = {item.name for item in dataclasses.fields(Photograph)}
+    photographs = tuple(
+        Photograph(**{key: value for key, value in entry.items() if key in known})
+        for entry in data["photographs"]
+    )
+    groups = tuple(
+        Group(entry["name"], tuple(entry["photographs"]), entry.get("used", True)) for entry in data["groups"]
+    )
+    fault = _fault(Path(data["source"]), photographs, groups)
+    if fault:
+        raise FiptError("file-damaged", f"{folder.prepare_json} can't be used: {fault}.", _REMEDY)
+    kept = {name: value for name, value in data["settings"].items() if name not in _REMOVED_SETTINGS}
+    settings = make_prepare_settings(kept)
+    for path in (data["source"], settings.cameras):
+        if is_network(path):
+            raise FiptError(
+                "path-network",
+                f"{folder.prepare_json} names {path[:200]}, which is on another computer.",
+                "Map the network folder to a drive letter, or copy it to your own disk; then start anew.",
+            )
+    return Preparation(Path(data["source"]), photographs, groups, settings)
+
+
+def _fault(source: Path, photographs: tuple[Photograph, ...], groups: tuple[Group, ...]) -> str:
+    """What contradicts itself in the lists, "" where nothing does."""
+    paths = {photograph.path for photograph in photographs}
+    outside = next((path for path in paths if leads_outside(source, path)), None)
+    if outside is not None:
+        return f"the path '{outside}' leads out of the photographs' folder"
+    taken: set[str] = set()
+    names: set[str] = set()
+    for group in groups:
+        if group.name.casefold() in names:
+            return f"two groups have the name '{group.name}'"
+        names.add(group.name.casefold())
+        for path in group.photographs:
+            if path not in paths:
+                return f"the group '{group.name}' lists '{path}', which is not among the photographs"
+            if path in taken:
+                return f"'{path}' is in two groups"
+            taken.add(path)
+    return ""
+
+
+def refuse_foreign(folder: PreparationFolder, photographs: Path) -> None:
+    """Refuse to write among the photographs or into a folder that holds something else.
+
+    Raises:
+        FiptError: ``capture-foreign``.
+    """
+    if folder.prepare_json.exists():
+        return
+    own = {"messages", "log.txt", "engine.lock", "stage"}
+    if folder.root.is_dir() and {path.name for path in folder.root.iterdir()} - own:
+        raise FiptError(
+            "capture-foreign",
+            f"The folder {folder.root} is not empty, and no capture was prepared in it.",
+            "Choose a new or empty folder for the capture.",
+        )
+    if folder.root.is_relative_to(photographs):
+        raise FiptError(
+            "capture-foreign",
+            f"The capture's folder {folder.root} is inside the photographs' folder.",
+            "Choose a folder elsewhere, so that merged images are not taken for photographs.",
+        )

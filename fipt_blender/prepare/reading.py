@@ -1,0 +1,140 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Step `read`: finds the photographs of a folder, reads their headers and groups them; fills prepare.json."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path, PurePath
+from typing import Any
+
+from ..core.capture.suffixes import SUFFIXES
+from ..core.run.errors import FiptError
+from ..core.run.messages import Reporter
+from .brackets import find_groups, in_order, remarks
+from .exif import describe
+from .likeness import Likeness
+from .preparation import Group, Photograph, Preparation, PreparationFolder, write_preparation
+
+
+def key(folder: PreparationFolder, preparation: Preparation) -> Any:
+    """The files with their sizes and times, and the way of grouping."""
+    names = list_photographs(preparation.source)
+    facts = [(preparation.source / name).stat() for name in names]
+    files = [[name, fact.st_size, fact.st_mtime_ns] for name, fact in zip(names, facts, strict=True)]
+    return [str(preparation.source), preparation.settings.grouping, files]
+
+
+def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> dict[str, Any]:
+    """Read all headers and write prepare.json.
+
+    Exposures that the user entered are kept.
+
+    Returns:
+        ``skipped`` (path and reason of each file that can't be used).
+
+    Raises:
+        FiptError: ``no-photographs``.
+    """
+    photographs: list[Photograph] = []
+    skipped: list[dict[str, str]] = []
+    names = list_photographs(preparation.source)
+    for index, name in enumerate(names):
+        try:
+            photographs.append(describe(preparation.source / name, name))
+        except FiptError as error:
+            skipped.append({"path": name, "reason": error.text})
+            if error.code == "package-optional":
+                skipped[-1]["reason"] += f" {error.remedy}"
+        reporter.progress(0.7 * (index + 1) / len(names))  # of the time; the rest compares photographs
+    photographs, doubles = without_doubles(in_order(photographs))
+    skipped += [
+        {"path": item.path, "reason": "the RAW photograph of the same name is used"} for item in doubles
+    ]
+    if not photographs:
+        raise _none_usable(preparation.source, skipped)
+    photographs = with_entered_exposures(photographs, preparation.photographs)
+    groups = find_groups(photographs, preparation.settings.grouping, Likeness(preparation.source))
+    _warn(reporter, skipped[: len(skipped) - len(doubles)], photographs, groups)
+    write_preparation(folder, replace(preparation, photographs=tuple(photographs), groups=tuple(groups)))
+    return {"skipped": skipped, "photographs": len(photographs), "groups": len(groups)}
+
+
+def list_photographs(source: Path) -> list[str]:
+    """Relative paths of all photographs below a folder, with forward slashes; hidden ones are left out.
+
+    Raises:
+        FiptError: ``photographs-missing``, ``no-photographs`` or ``too-many-photographs``.
+    """
+    if not source.is_dir():
+        raise FiptError(
+            "photographs-missing", f"The folder {source} does not exist.", "Restore it, or choose another."
+        )
+    names = []
+    for top, folders, files in os.walk(source):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        for name in sorted(files):
+            if not name.startswith(".") and name.lower().endswith(SUFFIXES):
+                names.append(Path(top, name).relative_to(source).as_posix())
+        if len(names) > 20_000:
+            raise FiptError(
+                "too-many-photographs",
+                f"{source} holds more than 20000 photographs.",
+                "Choose the folder of one room.",
+            )
+    if not names:
+        raise FiptError(
+            "no-photographs",
+            f"{source} holds no photographs.",
+            "Choose a folder with RAW, JPEG, TIFF, PNG, WebP, HEIC, EXR or HDR files.",
+        )
+    return names
+
+
+def without_doubles(photographs: Sequence[Photograph]) -> tuple[list[Photograph], list[Photograph]]:
+    """Photographs without the JPEGs that a camera saves beside its RAW files, and those JPEGs."""
+    raws = {_stem(item) for item in photographs if item.kind == "raw"}
+    kept = [item for item in photographs if item.kind != "ldr" or _stem(item) not in raws]
+    return kept, [item for item in photographs if item.kind == "ldr" and _stem(item) in raws]
+
+
+def with_entered_exposures(
+    photographs: Sequence[Photograph], before: Sequence[Photograph]
+) -> list[Photograph]:
+    """Photographs whose header has no exposure, with the one that prepare.json had for them."""
+    entered = {item.path: item.exposure for item in before}
+    return [
+        replace(item, exposure=entered.get(item.path)) if item.exposure is None else item
+        for item in photographs
+    ]
+
+
+def _stem(photograph: Photograph) -> str:
+    return str(PurePath(photograph.path).with_suffix("")).casefold()
+
+
+def _none_usable(source: Path, skipped: Sequence[dict[str, str]]) -> FiptError:
+    return FiptError(
+        "no-photographs",
+        f"None of the {len(skipped)} photographs in {source} can be read; the first: {skipped[0]['reason']}",
+        "Copy them from the camera again, or export them in another format.",
+    )
+
+
+def _warn(
+    reporter: Reporter,
+    damaged: Sequence[dict[str, str]],
+    photographs: Sequence[Photograph],
+    groups: Sequence[Group],
+) -> None:
+    if damaged:
+        more = f" and {len(damaged) - 1} more" if len(damaged) > 1 else ""
+        reporter.warning(
+            "photographs-skipped",
+            f"{damaged[0]['path']}{more} can't be used: {damaged[0]['reason']}",
+            "Copy them from the camera again, or remove them.",
+        )
+    for remark in remarks(photographs, groups):
+        reporter.warning(remark.code, remark.text, remark.remedy)

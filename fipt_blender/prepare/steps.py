@@ -1,0 +1,154 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The steps of `prepare` in their order; each leaves stage/STEP.json, which says that it is done.
+
+A step is a module with `key(folder, preparation)`, a JSON value of what its result depends on besides the
+steps before it, and `run(folder, preparation, reporter)`, which returns facts (JSON) for the report.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import json
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..core.run.documents import Fields, Items, load_document
+from ..core.run.errors import FiptError
+from ..core.run.messages import Reporter
+from ..core.run.runfolder import write_json
+from .preparation import PreparationFolder, read_preparation
+
+_FACTS = Fields({"key": str, "messages": Items(Fields(dict.fromkeys(("code", "text", "remedy"), str)))})
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step.
+
+    Attributes:
+        module: its module in this room.
+        text: what it does, for the progress bar.
+        weight: expected time relative to the other steps.
+    """
+
+    module: str
+    text: str
+    weight: float
+
+
+STEPS = {
+    "read": Step(".reading", "Reading photographs and finding brackets", 1.0),
+    "merge": Step(".merge_step", "Merging exposures", 10.0),
+    "solve": Step(".solve_step", "Solving cameras", 20.0),
+    "vignetting": Step(".vignetting_step", "Correcting vignetting", 1.0),
+    "scale": Step(".scale_step", "Finding scale and up axis", 1.0),
+    "report": Step(".report", "Writing the report", 1.0),
+}
+
+
+def choose_steps(names: str) -> list[str]:
+    """The steps of a list separated by commas, in their order; all for an empty text.
+
+    Raises:
+        FiptError: ``option-invalid``.
+    """
+    wanted = [name.strip() for name in names.split(",") if name.strip()] or list(STEPS)
+    unknown = [name for name in wanted if name not in STEPS]
+    if unknown:
+        raise FiptError(
+            "option-invalid", f"There is no step '{unknown[0]}'.", f"Use some of: {', '.join(STEPS)}."
+        )
+    return [name for name in STEPS if name in wanted]
+
+
+def run_steps(folder: PreparationFolder, names: Sequence[str], reporter: Reporter) -> list[Path]:
+    """Run steps in their order; those are kept whose key is that of their last run.
+
+    Returns:
+        The files with the steps' facts.
+
+    Raises:
+        FiptError: of the steps.
+    """
+    reporter.plan([STEPS[name].weight for name in names])
+    for name in names:
+        try:
+            _run_step(folder, name, reporter)
+        except FiptError as error:
+            if "report" in names and name != "report":
+                _report_stop(folder, error)
+            raise
+    return [folder.facts(name) for name in names]
+
+
+def _run_step(folder: PreparationFolder, name: str, reporter: Reporter) -> None:
+    """Run one step, or repeat its warnings if it is finished."""
+    step = STEPS[name]
+    module = importlib.import_module(step.module, __package__)
+    preparation = read_preparation(folder)
+    key = step_key(name, folder, module.key(folder, preparation))
+    path = folder.facts(name)
+    done = finished_facts(path, key)
+    if done is not None:
+        for message in done["messages"]:
+            reporter.warning(message["code"], message["text"], message["remedy"])
+        reporter.skip()
+        return
+    reporter.stage(name, step.text)
+    path.unlink(missing_ok=True)
+    started, told = time.monotonic(), len(reporter.warnings)
+    facts = module.run(folder, preparation, reporter)
+    seconds = round(time.monotonic() - started, 2)
+    messages = reporter.warnings[told:]
+    write_json(path, {"key": key, "seconds": seconds, "messages": messages, **facts})
+
+
+def _report_stop(folder: PreparationFolder, error: FiptError) -> None:
+    """Write the report on what was done before an error; the error itself is the caller's to raise."""
+    module = importlib.import_module(STEPS["report"].module, __package__)
+    with suppress(FiptError, OSError):
+        folder.facts("report").unlink(missing_ok=True)  # so that the next start writes the page again
+        module.write_report(folder, read_preparation(folder), stopped=error)
+
+
+def step_key(name: str, folder: PreparationFolder, value: Any) -> str:
+    """A hash of what a step's result depends on: its own value, the steps before it and the room's code.
+
+    `read` alone is kept by an update of the code, because the user may have corrected its groups.
+    """
+    # Groups and exposures, which the user may change after reading, are part of the other steps' own keys.
+    earlier = [other for other in list(STEPS)[: list(STEPS).index(name)] if other != "read"]
+    before = [finished_key(folder.facts(other)) for other in earlier]
+    text = json.dumps([name, value, before, "" if name == "read" else code_digest()], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def finished_facts(path: Path, key: str) -> dict[str, Any] | None:
+    """The facts of a finished step, None where it has to run."""
+    try:
+        facts = load_document(path, _FACTS)
+    except (OSError, ValueError):  # only time is lost
+        return None
+    return facts if facts["key"] == key else None
+
+
+def finished_key(path: Path) -> str:
+    """The key of a step's last run, "" without one."""
+    try:
+        return str(load_document(path, _FACTS)["key"])
+    except (OSError, ValueError):
+        return ""
+
+
+def code_digest() -> str:
+    """A hash of the room's source code, on which the results depend."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()
