@@ -22,7 +22,7 @@ from fipt_blender.core.estimate.stages import Estimation
 from fipt_blender.core.light.baking import CHUNK, HALF_LARGEST
 from fipt_blender.core.light.cache import SurfaceLookup, pool
 from fipt_blender.core.light.emitters import EmitterPixels, Fixture, emitter_table, side_medians
-from fipt_blender.core.light.radiance import CachedRadiance, RadianceSource, TracedRadiance
+from fipt_blender.core.light.radiance import CachedRadiance, OutsideLight, RadianceSource, TracedRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, Shadings, bake
 from fipt_blender.core.material import losses
 from fipt_blender.core.material.emission_mask import EmissionNetwork, emission_mask, mask_at
@@ -30,7 +30,6 @@ from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.material.groups import part_units
 from fipt_blender.core.material.networks import BrdfNetwork, Prediction
 from fipt_blender.core.material.training import Networks
-from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.pixels.store import fill_pixels, open_pixels
 from fipt_blender.core.run.settings import Settings, make_settings
@@ -282,9 +281,9 @@ class ReferenceEstimation(Estimation):
         """The cache of all photographs, lamps included; the paper never updates it."""
         return SurfaceLookup(self.observations.grid, self.observations.cache())
 
-    def _outside(self) -> EnvironmentLight | None:
+    def _outside(self) -> OutsideLight | None:
         environment = self.observations.environment
-        return None if environment is None else EnvironmentLight(environment.image)
+        return None if environment is None else OutsideLight(environment)
 
     def _bake_pixels(
         self, source: RadianceSource, diffuse: int, specular: list[int], seed: int

@@ -104,8 +104,8 @@ class LightStages(EstimationState):
             self.room, self.pixels, self.parts, self.settings, self.folder.stage / "observed"
         )
         if self.settings.unseen_light:
-            label, seed = self._surface_labels(), self.settings.seed
-            self._observed = with_unseen_light(self._observed, self.room, label, seed)
+            label = self._surface_labels()
+            self._observed = with_unseen_light(self._observed, self.room, label, self.settings)
         self._use_hints(self.told)
 
     # ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) ---------------------------------------

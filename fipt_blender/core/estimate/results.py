@@ -69,7 +69,7 @@ def write_results(
             "radius": lamp["radius"],
             "radiance": [scale * value for value in lamp["radiance"]],
         }
-        for lamp in light.missing
+        for lamp in [*light.missing, *(environment.lamps if environment is not None else ())]
     ]
     emitters = {"fixtures": described, "environment": described_environment, "missing": missing}
     write_json(folder.emitters_json, emitters)

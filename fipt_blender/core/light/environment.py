@@ -7,8 +7,9 @@ Paper Sec. 5.4, "Complex emitters": each pixel of the map is estimated like the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,8 @@ class Hull:
     Attributes:
         low, high: (3,) corners of the box, metres.
         counts: (3,) int cells along its sides.
-        radiance: (C, 3) float32 of each cell, six for each place on a grid, one a side.
+        radiance: (C, 3) float32 of each cell, six for each place on a grid, one a side; negative where it is
+            that of the environment's image.
     """
 
     low: np.ndarray
@@ -40,21 +42,21 @@ class Hull:
 
     @classmethod
     def around(cls, bounds: tuple[np.ndarray, np.ndarray], size: float) -> Hull:
-        """A dark box, whose cells are `size` metres wide, around bounds."""
+        """A box that sends no light of its own, whose cells are `size` metres wide, around bounds."""
         margin = 1e-3 * float((bounds[1] - bounds[0]).max())
         low, high = np.asarray(bounds[0], np.float64) - margin, np.asarray(bounds[1], np.float64) + margin
         counts = np.maximum(np.round((high - low) / size).astype(np.int64), 1)
-        return cls(low, high, counts, np.zeros((int(counts.prod()) * 6, 3), np.float32))
+        return cls(low, high, counts, np.full((int(counts.prod()) * 6, 3), -1.0, np.float32))
 
     def cells(self, start: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """(n,) int64 cells through which rays from points (n, 3) in the box leave it along (n, 3)."""
+        """(...,) int64 cells through which rays from points (..., 3) in the box leave it along (..., 3)."""
         way = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
         reach = np.where(way > 0.0, self.high - start, self.low - start) / way
-        side = reach.argmin(axis=1)
-        place = start + np.take_along_axis(reach, side[:, None], axis=1) * way
+        side = reach.argmin(axis=-1)
+        place = start + np.take_along_axis(reach, side[..., None], axis=-1) * way
         cell = ((place - self.low) / (self.high - self.low) * self.counts).astype(np.int64)
-        x, y, z = np.clip(cell, 0, self.counts - 1).T
-        positive = np.take_along_axis(way, side[:, None], axis=1)[:, 0] > 0.0
+        x, y, z = np.moveaxis(np.clip(cell, 0, self.counts - 1), -1, 0)
+        positive = np.take_along_axis(way, side[..., None], axis=-1)[..., 0] > 0.0
         return np.asarray(((x * self.counts[1] + y) * self.counts[2] + z) * 6 + 2 * side + positive)
 
 
@@ -71,6 +73,7 @@ class Environment:
             (:mod:`.unseen_light`); None without inferred light.
         hull: radiance from all other directions, by place; None without inferred light.
         entries: (E,) int64 cache entries of unseen surfaces, and their inferred `radiance` (E, 3).
+        lamps: position (metres), radius and radiance of balls that cast the light of bright unseen surfaces.
     """
 
     image: np.ndarray
@@ -80,6 +83,7 @@ class Environment:
     hull: Hull | None = None
     entries: np.ndarray | None = None
     radiance: np.ndarray | None = None
+    lamps: Sequence[Mapping[str, Any]] = ()
 
 
 def outside_pixels(pixels: PixelStore) -> Iterator[tuple[np.ndarray, np.ndarray]]:

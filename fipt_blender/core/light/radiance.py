@@ -102,7 +102,7 @@ class OutsideLight:
             return far
         seen = dr.gather(mi.Bool, self._seen, self._far.pixel(direction), active)
         near = dr.gather(mi.Color3f, self._near, self._cell(origin, direction), active & ~seen)
-        return dr.select(seen, far, near)
+        return dr.select(seen | (near.x < 0.0), far, near)
 
     def _cell(self, origin: mi.Point3f, direction: mi.Vector3f) -> mi.UInt32:
         """As :meth:`.environment.Hull.cells`."""

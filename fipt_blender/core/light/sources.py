@@ -4,7 +4,7 @@
 
 The radiance of a diffuse surface point is albedo (B + sum of e_k D_k): B is the irradiance over pi from all
 that the photographs show, D_k that from source k of radiance 1. The albedo of a surface of one color is
-constant. In logarithms it is eliminated, and the e_k are found by robust least squares, with their covariance.
+constant. In logarithms it is eliminated, and the e_k are found by robust least squares, with a covariance.
 The prior of a source is Student's t-distribution: most sources are surfaces like others, a few are lamps or
 windows. The level follows from shadows and, with less weight, from usual albedos: none is above that of white
 paint.
@@ -21,7 +21,7 @@ from .clipped import POINTS_PER_SAMPLE
 
 # Standard deviations of logarithms: of a source from what is expected, of the level that sources outside the
 # mesh share, and of color from gray, as photographs are white-balanced: that of all sources, and of one.
-SOURCE, LEVEL, COLOR, SOURCE_COLOR = 0.7, 2.0, 0.15, 0.15
+SOURCE, LEVEL, COLOR, SOURCE_COLOR = 1.5, 2.0, 0.15, 0.15
 # Median and standard deviation (of the logarithm) of the albedos in a room, the highest, and its deviation.
 ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 0.7, 0.85, 0.1
 LEAST_GROUP = 8  # points of one albedo
@@ -121,7 +121,7 @@ def solve_sources(points: Transport, expected: Expectation) -> SourceLight:
 
 
 def held_back_gain(points: Transport, expected: Expectation, rng: np.random.Generator) -> float:
-    """Logarithm of the likelihood of points held back, with sources over that with the expected ones alone."""
+    """Logarithm of the likelihood of points held back, with sources over that with the expected ones."""
     held = rng.random(len(points.group)) < HELD_BACK
     size = int(points.group.max()) + 1
     held &= (np.bincount(points.group[~held], minlength=size) >= LEAST_GROUP)[points.group]

@@ -2,21 +2,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light from what no photograph shows: through the openings of a mesh, and from its unseen surfaces.
 
-Rays from points of the surfaces land on surfaces that photographs show, on others, or on the hull of the mesh.
-Landing places of the last two kinds that are close together are one source; :mod:`.sources` finds its
+Rays from points of the surfaces land on surfaces that photographs show, on others, or on the hull of the
+mesh. Landing places of the last two kinds that are close together are one source; :mod:`.sources` finds its
 radiance. It is kept only if points that were held back fit better with it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ..conventions import equirect_pixel_directions
+from ..parts.components import graph_components
 from ..pixels.grouped import numbered
 from ..pixels.store import PixelStore
+from ..run.settings import Settings
 from ..surface.room import Room
 from .cache import SIDES, VoxelGrid
 from .clipped import MOST_POINTS, OUTSIDE, hemisphere_rays
@@ -32,7 +36,7 @@ from .sources import (
     solve_sources,
 )
 
-RAYS = 512  # from each point
+RAYS, CHUNK = 1024, 256  # from each point; points at a time
 # Width of sources in metres, and at most this share of the room's largest side.
 SIZE, SIZE_SHARE = 0.5, 0.1
 # Voxels along each side of the cubes of which a side is unseen if no pixel sees it.
@@ -43,156 +47,234 @@ LEAST_SHARE, MOST_SOURCES = 2e-5, 200
 COLOR_STEP = 0.25
 LEAST_POINTS, LEAST_WEIGHT = 200, 0.5  # pixels that are compared, and the weight of each
 GAIN = 3.0  # least logarithm of the likelihood of points held back
-NORMAL_WEIGHT = 0.5  # metres that opposite normals are apart where the light of a point is that of another
+# A triangle has the share of light of so many points around it; metres that a change of normals counts as.
+AROUND, NORMAL_WEIGHT = 4, 0.5
+# A source of an unseen surface is a lamp if it is brighter than the room's median light by this factor.
+LAMP = 4.0
+DARK_OUTSIDE = 0.01  # least expected radiance outside, in units of the capture's median
 
 
-def with_unseen_light(observed: Observations, room: Room, label: np.ndarray, seed: int) -> Observations:
+def with_unseen_light(
+    observed: Observations, room: Room, label: np.ndarray, settings: Settings
+) -> Observations:
     """Observations whose environment has the light that nothing shows, if points held back confirm it.
 
     Args:
         label: (T,) int surface of each triangle, on which points of one color have one albedo.
     """
-    found = find_sources(observed, room, label, seed)
+    found = find_sources(observed, room, label, settings.seed)
     if found is None or found.gain < GAIN:
         return observed
-    return replace(observed, environment=found.environment(observed, room))
+    environment = found.environment(observed.environment, room, settings.environment_width)
+    return replace(observed, environment=environment)
 
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """K sources, and the points that they light.
+    """K sources, and the N points that they light.
 
     Attributes:
-        points: N of them. place: (N, 3) positions, normal: (N, 3).
-        light: what was found. gain: see :func:`.sources.held_back_gain`.
-        entries: (E,) int64 cache entries of unseen surfaces, of_entry: (E,) their source, -1 without.
-        hull: with a source for each of its cells, -1 without, in place of radiance.
+        points: N of them, the pixels `where` (N,), with `position` and `normal` (N, 3).
+        expected, light: what was expected of the sources, and what was found.
+        gain: see :func:`.sources.held_back_gain`.
+        entries: (E,) int64 cache entries of unseen surfaces, of_entry: (E,) their source.
+        hull: around the mesh, of_cell: (C,) source of each of its cells, -1 without.
+        place, toward: (K, 3) mean place, metres, and mean unit direction of the rays that land there.
     """
 
     points: Transport
     where: np.ndarray
-    expected: Expectation
     position: np.ndarray
     normal: np.ndarray
+    expected: Expectation
     light: SourceLight
     gain: float
     entries: np.ndarray
     of_entry: np.ndarray
     hull: Hull
     of_cell: np.ndarray
+    place: np.ndarray
+    toward: np.ndarray
 
-    def environment(self, observed: Observations, room: Room) -> Environment:
-        """What was observed, with the light of the sources."""
-        before = observed.environment
-        width = 64 if before is None else before.image.shape[1]
+    def environment(self, before: Environment | None, room: Room, width: int) -> Environment:
+        """What was observed outside, with the light of the sources; `width`: of a new map in pixels."""
         radiance = self.light.radiance.astype(np.float32)
-        table = np.where((self.of_cell >= 0)[:, None], radiance[np.maximum(self.of_cell, 0)], 0.0)
-        hull = replace(self.hull, radiance=table.astype(np.float32))
-        seen = np.zeros((width // 2, width), bool) if before is None else before.seen
-        image = np.zeros((*seen.shape, 3), np.float32) if before is None else before.image.copy()
-        ways = equirect_pixel_directions(width, width // 2)[~seen]
-        middle = np.broadcast_to(0.5 * (hull.low + hull.high), ways.shape)
-        image[~seen] = hull.radiance[hull.cells(middle, ways)]
-        known = self.of_entry >= 0
-        share = self.light.share(self.points)
+        table = np.where((self.of_cell >= 0)[:, None], radiance[self.of_cell], -1.0).astype(np.float32)
+        hull = replace(self.hull, radiance=table)
+        if before is None:
+            shape = (width // 2, width)
+            before = Environment(np.zeros((*shape, 3), np.float32), 0.0, np.zeros(shape, bool))
+        image, (height, width) = before.image.copy(), before.seen.shape
+        ways = equirect_pixel_directions(width, height)
+        middle = np.broadcast_to(0.5 * (hull.low + hull.high), ways.reshape(-1, 3).shape)
+        near = table[hull.cells(middle, ways.reshape(-1, 3))].reshape(image.shape)
+        inferred = ~before.seen & (near[..., 0] >= 0.0)
+        image[inferred] = near[inferred]
         tree = cKDTree(np.concatenate([self.position, NORMAL_WEIGHT * self.normal], axis=1))
         centers = room.vertices[room.triangles].mean(axis=1)
-        near = tree.query(np.concatenate([centers, NORMAL_WEIGHT * room.normals], axis=1), 4)[1]
+        around = tree.query(np.concatenate([centers, NORMAL_WEIGHT * room.normals], axis=1), AROUND)[1]
         return Environment(
             image,
-            0.0 if before is None else before.observed_share,
-            seen,
-            share[near].mean(axis=1).astype(np.float32),
+            before.observed_share,
+            before.seen,
+            self.light.share(self.points)[around].mean(axis=1).astype(np.float32),
             hull,
-            self.entries[known],
-            radiance[self.of_entry[known]],
+            self.entries,
+            radiance[self.of_entry],
+            tuple(self.lamps()),
         )
+
+    def lamps(self) -> Iterator[dict[str, Any]]:
+        """Balls that cast the light of the bright unseen surfaces, as lamps that the mesh lacks."""
+        bright = self.light.radiance.mean(axis=1) > LAMP * float(np.median(self.points.seen))
+        members = np.flatnonzero(bright & ~self.expected.outside)
+        if not len(members):
+            return
+        size = float((self.hull.high - self.hull.low).max() / self.hull.counts.max())
+        pairs = cKDTree(self.place[members]).query_pairs(1.5 * size, output_type="ndarray")
+        lamp = graph_components(pairs, len(members))
+        for index in range(int(lamp.max()) + 1):
+            own = members[lamp == index]
+            cast = self.points.unseen[:, own] @ self.light.radiance[own]
+            lit = cast.sum(axis=1) > 0.0
+            weight = self.points.unseen[:, own].sum(axis=0) * self.light.radiance[own].mean(axis=1)
+            place, way = (
+                np.average(array[own], axis=0, weights=weight) for array in (self.place, self.toward)
+            )
+            radius = 0.5 * size
+            center = place - radius * way / max(float(np.linalg.norm(way)), 1e-9)
+            toward = center - self.position[lit]
+            squared = np.maximum((toward**2).sum(axis=1), radius**2)
+            cosine = np.maximum((toward * self.normal[lit]).sum(axis=1), 0.0) / np.sqrt(squared)
+            # Irradiance over pi by a ball of radiance 1, where its light and that of the sources are alike.
+            ball = radius**2 * cosine / squared
+            fitted = ball @ cast[lit] / max(float(ball @ ball), 1e-12)
+            yield {"position": center.tolist(), "radius": radius, "radiance": fitted.tolist()}
 
 
 def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: int) -> Sources | None:
     """The sources with their radiance; None where the photographs show all that lights the room."""
     pixels, grid = observed.pixels, observed.grid
-    where = _comparable(pixels, np.random.default_rng([seed, 23]))
+    where, group = _comparable(pixels, label, np.random.default_rng([seed, 23]))
     if len(where) < LEAST_POINTS:
         return None
-    logs = np.log(np.asarray(pixels.own[where], np.float64))
-    ratio = np.floor((logs[:, [0, 2]] - logs[:, [1]]) / COLOR_STEP).astype(np.int64)
-    group = numbered([label[np.asarray(pixels.triangle[where])], *ratio.T])
-    where = where[np.bincount(group)[group] >= LEAST_GROUP]
-    if len(where) < LEAST_POINTS:
-        return None
-    group = np.unique(group[np.bincount(group)[group] >= LEAST_GROUP], return_inverse=True)[1].reshape(-1)
-    position, normal = pixels.surface(room, where)
-    nothing = np.full(len(room.triangles), -1, np.int32)
-    entry, direction = hemisphere_rays(room, grid, position, normal, nothing, seed, RAYS)
-    extent = float((room.bounds[1] - room.bounds[0]).max())
-    size = min(SIZE, SIZE_SHARE * extent)
-    hull = Hull.around(room.bounds, size)
-    # Sources: of cache entries that no pixel sees, and of cells of the hull.
-    source_of_entry = unseen_patches(grid, seen_entries(observed), size)
-    outside = entry == OUTSIDE
-    environment = observed.environment
-    cell = np.full(entry.shape, -1, np.int64)
-    start = np.broadcast_to(position[:, None], direction.shape)
-    cell[outside] = hull.cells(start[outside], direction[outside])
-    shown = np.zeros((*entry.shape, 3))
-    if environment is not None:
-        of_map = map_cells(direction[outside], environment.seen.shape[1])
-        known = np.zeros(entry.shape, bool)
-        known[outside] = environment.seen.reshape(-1)[of_map]
-        shown[outside] = environment.image.reshape(-1, 3)[of_map]
-        shown[~known] = 0.0
-        cell[known] = -1
-    patches = int(source_of_entry.max(initial=-1)) + 1
-    source = np.where(
-        entry >= 0, source_of_entry[np.maximum(entry, 0)], np.where(cell >= 0, patches + cell, -1)
-    )
-    count = np.bincount(source[source >= 0], minlength=patches + len(hull.radiance))
+    lit = pixels.surface(room, where)
+    size = min(SIZE, SIZE_SHARE * float((room.bounds[1] - room.bounds[0]).max()))
+    hull, patch = Hull.around(room.bounds, size), unseen_patches(grid, seen_entries(observed), size)
+    patches = int(patch.max(initial=-1)) + 1
+    rays = _traced(observed, room, hull, lit, np.where(patch >= 0, patch + len(hull.radiance), -1), seed)
+    count = np.bincount(rays.source[rays.source >= 0], minlength=len(hull.radiance) + patches)
     chosen = np.argsort(-count, kind="stable")[:MOST_SOURCES]
-    chosen = np.sort(chosen[count[chosen] > LEAST_SHARE * entry.size])
+    chosen = np.sort(chosen[count[chosen] > LEAST_SHARE * rays.source.size])
     if not len(chosen):
         return None
-    number = np.full(len(count), -1, np.int64)
+    number = np.full(len(count) + 1, -1, np.int64)  # the last is that of no source
     number[chosen] = np.arange(len(chosen))
-    place = np.where(source >= 0, number[np.maximum(source, 0)], -1)
-    cache = observed.cache()
-    shown = np.where((entry >= 0)[..., None], cache[np.maximum(entry, 0)], shown)
-    shown[place >= 0] = 0.0
-    rows = np.repeat(np.arange(len(where)), entry.shape[1]).reshape(entry.shape)
-    pairs = rows[place >= 0] * len(chosen) + place[place >= 0]
-    unseen = np.bincount(pairs, minlength=len(where) * len(chosen)).reshape(len(where), -1) / entry.shape[1]
-    points = Transport(logs_of(pixels, where), group, shown.mean(axis=1), unseen)
-    of_entry = np.where(source_of_entry >= 0, number[np.maximum(source_of_entry, 0)], -1)
-    expected = expectation(cache, of_entry, len(chosen), chosen >= patches, points)
+    outside = chosen < len(hull.radiance)
+    seen, unseen, mean, way = _transport(rays, observed, number, len(chosen))
+    mean = np.where(outside[:, None], np.maximum(mean, np.log(DARK_OUTSIDE)), mean)
+    points = Transport(np.log(np.asarray(pixels.own[where], np.float64)), group, seen, unseen)
+    expected = Expectation(mean, outside)
     gain = held_back_gain(points, expected, np.random.default_rng([seed, 24]))
+    of_entry = number[np.where(patch >= 0, patch + len(hull.radiance), -1)]
     entries = np.flatnonzero(of_entry >= 0)
-    light = solve_sources(points, expected)
-    of_cell = number[patches:]
-    lit = points, where, expected, position, normal
-    return Sources(*lit, light, gain, entries, of_entry[entries], hull, of_cell)
+    solved = expected, solve_sources(points, expected), gain
+    of_cell = number[: len(hull.radiance)]
+    return Sources(points, where, *lit, *solved, entries, of_entry[entries], hull, of_cell, *way)
 
 
-def expectation(
-    cache: np.ndarray, of_entry: np.ndarray, sources: int, outside: np.ndarray, points: Transport
-) -> Expectation:
-    """Of unseen surfaces what the cache has for them, of the hull the median light of the room."""
-    mean = np.full((sources, 3), np.log(max(float(np.median(points.seen)), DARKEST)))
-    known = np.flatnonzero(of_entry >= 0)
-    logs = np.log(np.maximum(cache[known], DARKEST))
-    number = np.bincount(of_entry[known], minlength=sources)
-    for channel in range(3):
-        sums = np.bincount(of_entry[known], logs[:, channel], sources)
-        mean[number > 0, channel] = (sums / np.maximum(number, 1))[number > 0]
-    return Expectation(mean, outside)
+@dataclass(frozen=True, eq=False)
+class _Rays:
+    """Where R rays from each of N points land.
+
+    Attributes:
+        entry: (N, R) int32 cache entry, negative outside.
+        source: (N, R) int32 cell of the hull or, after these, patch of unseen surfaces; -1 for others.
+        direction: (N, R, 3) float32.
+    """
+
+    entry: np.ndarray
+    source: np.ndarray
+    direction: np.ndarray
 
 
-def logs_of(pixels: PixelStore, where: np.ndarray) -> np.ndarray:
-    """(n, 3) logarithms of the radiance of pixels (n,)."""
-    return np.log(np.asarray(pixels.own[where], np.float64))
+def _traced(
+    observed: Observations,
+    room: Room,
+    hull: Hull,
+    lit: tuple[np.ndarray, np.ndarray],
+    of_entry: np.ndarray,
+    seed: int,
+) -> _Rays:
+    """Rays from points.
+
+    Args:
+        lit: (N, 3) positions, metres, and (N, 3) normals.
+        of_entry: (M * 6,) source of each cache entry, -1 where photographs show it.
+    """
+    nothing, environment, found = np.full(len(room.triangles), -1, np.int32), observed.environment, []
+    for number, first in enumerate(range(0, len(lit[0]), CHUNK)):
+        position, normal = (array[first : first + CHUNK] for array in lit)
+        stream = seed * 1009 + number
+        entry, direction = hemisphere_rays(room, observed.grid, position, normal, nothing, stream, RAYS)
+        source, outside = of_entry[np.maximum(entry, 0)], entry == OUTSIDE
+        start = np.broadcast_to(position[:, None], direction.shape)
+        source[outside] = hull.cells(start[outside], direction[outside])
+        if environment is not None:
+            pixel = map_cells(direction, environment.seen.shape[1])
+            source[outside & environment.seen.reshape(-1)[pixel]] = -1
+        found.append((entry, source.astype(np.int32), direction.astype(np.float32)))
+    return _Rays(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def _comparable(pixels: PixelStore, rng: np.random.Generator) -> np.ndarray:
-    """(N,) int64 pixels of surfaces, from all views alike."""
+def _transport(
+    rays: _Rays, observed: Observations, number: np.ndarray, sources: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """The light of points by what photographs show and by sources, and what is known of the sources.
+
+    Args:
+        number: of each source of the rays, from 0, -1 for those that are left as they are; the last is -1.
+
+    Returns:
+        (N, 3) and (N, K) as in :class:`.sources.Transport`; (K, 3) mean logarithm of the radiance that cache
+        and environment have for the sources; (K, 3) where rays land on them, metres, and (K, 3) unit mean
+        directions of these.
+    """
+    cache, environment, grid = observed.cache(), observed.environment, observed.grid
+    corner = np.stack(np.unravel_index(grid.voxels, (grid.resolution,) * 3), axis=1)
+    places = (corner + 0.5) * grid.size + grid.low
+    seen, unseen, sums, count = [], [], np.zeros((9, sources)), np.zeros(sources)
+    for first in range(0, len(rays.entry), CHUNK):
+        entry, source, way = (
+            array[first : first + CHUNK] for array in (rays.entry, rays.source, rays.direction)
+        )
+        light = np.where((entry >= 0)[..., None], cache[np.maximum(entry, 0)], 0.0)
+        if environment is not None:
+            pixel = map_cells(way, environment.seen.shape[1])
+            light = np.where((entry >= 0)[..., None], light, environment.image.reshape(-1, 3)[pixel])
+        of_ray = number[source]
+        inside = of_ray >= 0
+        seen.append(np.where(inside[..., None], 0.0, light).mean(axis=1))
+        row = np.arange(len(entry))[:, None] * (sources + 1) + 1 + of_ray
+        counts = np.bincount(row.ravel(), minlength=len(entry) * (sources + 1)).reshape(len(entry), -1)
+        unseen.append(counts[:, 1:] / entry.shape[1])
+        count += counts[:, 1:].sum(axis=0)
+        values = [
+            np.log(np.maximum(light[inside], DARKEST)),
+            places[np.maximum(entry[inside], 0) // SIDES],
+            way[inside],
+        ]
+        columns = np.concatenate(values, axis=1).T
+        sums += [np.bincount(of_ray[inside], column, sources) for column in columns]
+    mean = (sums / np.maximum(count, 1.0)).T
+    toward = mean[:, 6:] / np.maximum(np.linalg.norm(mean[:, 6:], axis=1, keepdims=True), 1e-9)
+    return np.concatenate(seen), np.concatenate(unseen), mean[:, :3], (mean[:, 3:6], toward)
+
+
+def _comparable(
+    pixels: PixelStore, label: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) int64 pixels of surfaces, from all views alike, and (N,) the groups of one albedo, from 0."""
     share = max(1, MOST_POINTS // max(len(pixels.views), 1))
     chosen = [np.zeros(0, np.int64)]
     for index in range(len(pixels.views)):
@@ -200,7 +282,12 @@ def _comparable(pixels: PixelStore, rng: np.random.Generator) -> np.ndarray:
         good = (np.asarray(pixels.triangle[rows]) >= 0) & np.asarray(pixels.pure[rows])
         good &= (np.asarray(pixels.weight[rows]) >= LEAST_WEIGHT) & (pixels.own[rows] > DARKEST).all(axis=1)
         chosen.append(rng.permutation(np.flatnonzero(good))[:share] + rows.start)
-    return np.concatenate(chosen)
+    where = np.concatenate(chosen)
+    logs = np.log(np.asarray(pixels.own[where], np.float64))
+    ratio = np.floor((logs[:, [0, 2]] - logs[:, [1]]) / COLOR_STEP).astype(np.int64)
+    group = numbered([label[np.asarray(pixels.triangle[where])], *ratio.T])
+    enough = np.bincount(group, minlength=1)[group] >= LEAST_GROUP
+    return where[enough], np.unique(group[enough], return_inverse=True)[1].reshape(-1)
 
 
 def seen_entries(observed: Observations) -> np.ndarray:
@@ -212,7 +299,7 @@ def seen_entries(observed: Observations) -> np.ndarray:
 
 
 def unseen_patches(grid: VoxelGrid, seen: np.ndarray, size: float) -> np.ndarray:
-    """(M * 6,) int64 source of each cache entry, a side in a cube of unseen ones, from 0; -1 where it is seen.
+    """(M * 6,) int64 source of each cache entry: a side in a cube of unseen ones; -1 where it is seen.
 
     Args:
         seen: (M * 6,) bool. size: of the cubes, metres.
