@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lamps that the photographs show and the mesh lacks, as Blender lights of their place, size and radiance."""
+"""Lamps that the mesh lacks, as Blender lights of their place, size and radiance.
+
+Photographs show them, or nothing shows them, and they are inferred.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ import bpy
 from ...core.run.documents import read_json
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import EMITTERS
-from ..marks import BASE, MISSING_LAMP, NEW_LIGHT
+from ..marks import BASE, INFERRED, MISSING_LAMP, NEW_LIGHT
 from ..outliner import LIGHTS, collection
 from . import light_state
 
@@ -22,15 +25,25 @@ from . import light_state
 def note_missing(scene: bpy.types.Scene, run: RunFolder) -> None:
     """Remember with the scene which missing lamps of a run have no light yet, for the panel.
 
+    Inferred ones get theirs at once, in place of those of earlier results: without them the room is dark.
+
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
     """
     emitters = read_json(run.emitters_json, EMITTERS, "Run the estimation again.")
     added = [list(item[MISSING_LAMP]) for item in scene.objects if MISSING_LAMP in item]
+    missing = emitters.get("missing", [])
+    inferred = [lamp for lamp in missing if lamp.get("inferred")]
+    places = [lamp["position"] for lamp in inferred]
+    for item in [item for item in scene.objects if INFERRED in item]:
+        if list(item[MISSING_LAMP]) not in places:
+            bpy.data.objects.remove(item)
+    for lamp in inferred:
+        if lamp["position"] not in added:
+            _add(scene, lamp)[INFERRED] = 1
+    light_state.refresh(scene)
     lamps = [
-        lamp
-        for lamp in emitters.get("missing", [])
-        if max(lamp["radiance"]) > 0.0 and lamp["position"] not in added
+        lamp for lamp in missing if max(lamp["radiance"]) > 0.0 and lamp["position"] not in [*added, *places]
     ]
     scene.fipt.lights.missing_lamps = json.dumps(lamps) if lamps else ""
 
@@ -48,7 +61,7 @@ def add_missing(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 def _add(scene: bpy.types.Scene, lamp: Mapping[str, Any]) -> bpy.types.Object:
     """A point light of a ball's position, radius (metres) and radiance."""
-    data = bpy.data.lights.new("Missing Lamp", "POINT")
+    data = bpy.data.lights.new("Unseen Light" if lamp.get("inferred") else "Missing Lamp", "POINT")
     data.shadow_soft_size = lamp["radius"]
     if hasattr(data, "use_soft_falloff"):  # without it the falloff is that of a sphere
         data.use_soft_falloff = False

@@ -68,6 +68,7 @@ def write_results(
             "position": list(lamp["position"]),
             "radius": lamp["radius"],
             "radiance": [scale * value for value in lamp["radiance"]],
+            "inferred": lamp.get("inferred", False),
         }
         for lamp in [*light.missing, *(environment.lamps if environment is not None else ())]
     ]

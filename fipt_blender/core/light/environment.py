@@ -73,7 +73,7 @@ class Environment:
             (:mod:`.unseen_light`); None without inferred light.
         hull: radiance from all other directions, by place; None without inferred light.
         entries: (E,) int64 cache entries of unseen surfaces, and their inferred `radiance` (E, 3).
-        lamps: position (metres), radius and radiance of balls that cast the light of bright unseen surfaces.
+        lamps: balls that cast the light of bright unseen surfaces (:class:`..checks.views.ViewCheck`).
     """
 
     image: np.ndarray

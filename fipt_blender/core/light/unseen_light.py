@@ -51,6 +51,7 @@ GAIN = 3.0  # least logarithm of the likelihood of points held back
 AROUND, NORMAL_WEIGHT = 4, 0.5
 # A source of an unseen surface is a lamp if it is brighter than the room's median light by this factor.
 LAMP = 4.0
+BALL = 0.2  # radius of the ball that takes its place, in sizes of a source
 DARK_OUTSIDE = 0.01  # least expected radiance outside, in units of the capture's median
 
 
@@ -141,7 +142,7 @@ class Sources:
             place, way = (
                 np.average(array[own], axis=0, weights=weight) for array in (self.place, self.toward)
             )
-            radius = 0.5 * size
+            radius = BALL * size
             center = place - radius * way / max(float(np.linalg.norm(way)), 1e-9)
             toward = center - self.position[lit]
             squared = np.maximum((toward**2).sum(axis=1), radius**2)
@@ -149,7 +150,12 @@ class Sources:
             # Irradiance over pi by a ball of radiance 1, where its light and that of the sources are alike.
             ball = radius**2 * cosine / squared
             fitted = ball @ cast[lit] / max(float(ball @ ball), 1e-12)
-            yield {"position": center.tolist(), "radius": radius, "radiance": fitted.tolist()}
+            yield {
+                "position": center.tolist(),
+                "radius": radius,
+                "radiance": fitted.tolist(),
+                "inferred": True,
+            }
 
 
 def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: int) -> Sources | None:

@@ -133,7 +133,13 @@ EMITTERS = Fields(
             Fields({"image": Choice("environment.exr")}, {"observed_share": Number(0.0, 1.0)})
         ),
     },
-    {"missing": Items(Fields({"position": Numbers(3), "radius": _NOT_NEGATIVE, "radiance": Numbers(3)}))},
+    {
+        "missing": Items(
+            Fields(
+                {"position": Numbers(3), "radius": _NOT_NEGATIVE, "radiance": Numbers(3)}, {"inferred": bool}
+            )
+        )
+    },
 )
 _SHARE = Number(0.0, 1.0)
 PARTS = Fields(
