@@ -97,7 +97,7 @@ def found_light(observed: Observations, room: Room) -> Observations:
 def test_a_lamp_that_no_view_shows_is_found_at_its_place(tmp_path: Path, quads: list) -> None:
     room = make_room(quads)
     found = found_light(observations(tmp_path, room), room).environment
-    assert found is not None and found.unseen_light is not None and found.hull is not None
+    assert found is not None and found.unseen is not None and found.hull is not None
     floor = np.array([[x, y, 0.01] for x in (-1.5, 0.0, 1.5) for y in (-1.5, 0.0, 1.5)])
     up = np.tile([0.0, 0.0, 1.0], (len(floor), 1))
     true = light(room, floor, up)
@@ -109,7 +109,6 @@ def test_a_lamp_that_no_view_shows_is_found_at_its_place(tmp_path: Path, quads: 
     ratio = np.log(by_found / true)
     # Five albedos tell the level; how the light falls on the floor is clear.
     assert abs(ratio.mean()) < 0.4 and ratio.std(axis=0).max() < 0.12, (ratio.mean(0), ratio.std(axis=0))
-    assert found.unseen_light.mean() > 0.3
     if len(quads) == 6:
         assert found.lamps, "an unseen surface that shines is offered as a lamp"
         ball = max(found.lamps, key=lambda lamp: sum(lamp["radiance"]) * lamp["radius"] ** 2)

@@ -280,7 +280,7 @@ class EstimationState:
     def _emitter_surfaces(self) -> EmitterSurfaces:
         """What emits as a whole."""
         environment = self.observations.environment
-        inferred = None if environment is None else environment.unseen_light
+        inferred = None if environment is None else environment.unseen
         return emitter_surfaces(self.room, self.parts, self.observations.footprint, inferred)
 
     @cached_property

@@ -48,6 +48,11 @@ class Hull:
         counts = np.maximum(np.round((high - low) / size).astype(np.int64), 1)
         return cls(low, high, counts, np.full((int(counts.prod()) * 6, 3), -1.0, np.float32))
 
+    def centers(self, cells: np.ndarray) -> np.ndarray:
+        """(..., 3) middles of cells, metres."""
+        place = np.stack(np.unravel_index(cells // 6, tuple(self.counts)), axis=-1)
+        return np.asarray((place + 0.5) / self.counts * (self.high - self.low) + self.low)
+
     def cells(self, start: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """(...,) int64 cells through which rays from points (..., 3) in the box leave it along (..., 3)."""
         way = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
@@ -69,8 +74,7 @@ class Environment:
             pixel saw show the hull as it looks from its middle.
         observed_share: 0..1, solid-angle share of the map that some pixel saw.
         seen: (H, 2H) bool, where that is.
-        unseen_light: (T,) float32 share of the light on each triangle that is only inferred
-            (:mod:`.unseen_light`); None without inferred light.
+        unseen: (T,) float32 as in :class:`.emitter_surfaces.EmitterSurfaces`; None without inferred light.
         hull: radiance from all other directions, by place; None without inferred light.
         entries: (E,) int64 cache entries of unseen surfaces, and their inferred `radiance` (E, 3).
         lamps: balls that cast the light of bright unseen surfaces (:class:`..checks.views.ViewCheck`).
@@ -79,7 +83,7 @@ class Environment:
     image: np.ndarray
     observed_share: float
     seen: np.ndarray
-    unseen_light: np.ndarray | None = None
+    unseen: np.ndarray | None = None
     hull: Hull | None = None
     entries: np.ndarray | None = None
     radiance: np.ndarray | None = None

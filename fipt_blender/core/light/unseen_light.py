@@ -47,8 +47,9 @@ LEAST_SHARE, MOST_SOURCES = 2e-5, 200
 COLOR_STEP = 0.25
 LEAST_POINTS, LEAST_WEIGHT = 200, 0.5  # pixels that are compared, and the weight of each
 GAIN = 3.0  # least logarithm of the likelihood of points held back
-# A triangle has the share of light of so many points around it; metres that a change of normals counts as.
-AROUND, NORMAL_WEIGHT = 4, 0.5
+# Rays from a triangle to unseen places that are closer than a source is wide, and triangles that send them;
+# others are like the nearest of these, and opposite normals count as twice so many metres.
+CLOSE_RAYS, MOST_TRIANGLES, NORMAL_WEIGHT = 64, 20_000, 0.5
 # A source of an unseen surface is a lamp if it is brighter than the room's median light by this factor.
 LAMP = 4.0
 BALL = 0.2  # radius of the ball that takes its place, in sizes of a source
@@ -66,8 +67,9 @@ def with_unseen_light(
     found = find_sources(observed, room, label, settings.seed)
     if found is None or found.gain < GAIN:
         return observed
-    environment = found.environment(observed.environment, room, settings.environment_width)
-    return replace(observed, environment=environment)
+    environment = found.environment(observed.environment, settings.environment_width)
+    unseen = close_share(observed, room, found, settings.seed)
+    return replace(observed, environment=replace(environment, unseen=unseen))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +81,7 @@ class Sources:
         expected, light: what was expected of the sources, and what was found.
         gain: see :func:`.sources.held_back_gain`.
         entries: (E,) int64 cache entries of unseen surfaces, of_entry: (E,) their source.
+        patch: (M * 6,) int64 as of :func:`unseen_patches`.
         hull: around the mesh, of_cell: (C,) source of each of its cells, -1 without.
         place, toward: (K, 3) mean place, metres, and mean unit direction of the rays that land there.
     """
@@ -92,12 +95,13 @@ class Sources:
     gain: float
     entries: np.ndarray
     of_entry: np.ndarray
+    patch: np.ndarray
     hull: Hull
     of_cell: np.ndarray
     place: np.ndarray
     toward: np.ndarray
 
-    def environment(self, before: Environment | None, room: Room, width: int) -> Environment:
+    def environment(self, before: Environment | None, width: int) -> Environment:
         """What was observed outside, with the light of the sources; `width`: of a new map in pixels."""
         radiance = self.light.radiance.astype(np.float32)
         table = np.where((self.of_cell >= 0)[:, None], radiance[self.of_cell], -1.0).astype(np.float32)
@@ -111,19 +115,19 @@ class Sources:
         near = table[hull.cells(middle, ways.reshape(-1, 3))].reshape(image.shape)
         inferred = ~before.seen & (near[..., 0] >= 0.0)
         image[inferred] = near[inferred]
-        tree = cKDTree(np.concatenate([self.position, NORMAL_WEIGHT * self.normal], axis=1))
-        centers = room.vertices[room.triangles].mean(axis=1)
-        around = tree.query(np.concatenate([centers, NORMAL_WEIGHT * room.normals], axis=1), AROUND)[1]
-        return Environment(
-            image,
-            before.observed_share,
-            before.seen,
-            self.light.share(self.points)[around].mean(axis=1).astype(np.float32),
-            hull,
-            self.entries,
-            radiance[self.of_entry],
-            tuple(self.lamps()),
+        return replace(
+            before,
+            image=image,
+            hull=hull,
+            entries=self.entries,
+            radiance=radiance[self.of_entry],
+            lamps=tuple(self.lamps()),
         )
+
+    @property
+    def size(self) -> float:
+        """Width of a source, metres."""
+        return float((self.hull.high - self.hull.low).max() / self.hull.counts.max())
 
     def lamps(self) -> Iterator[dict[str, Any]]:
         """Balls that cast the light of the bright unseen surfaces, as lamps that the mesh lacks."""
@@ -131,7 +135,7 @@ class Sources:
         members = np.flatnonzero(bright & ~self.expected.outside)
         if not len(members):
             return
-        size = float((self.hull.high - self.hull.low).max() / self.hull.counts.max())
+        size = self.size
         pairs = cKDTree(self.place[members]).query_pairs(1.5 * size, output_type="ndarray")
         lamp = graph_components(pairs, len(members))
         for index in range(int(lamp.max()) + 1):
@@ -186,7 +190,40 @@ def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: in
     entries = np.flatnonzero(of_entry >= 0)
     solved = expected, solve_sources(points, expected), gain
     of_cell = number[: len(hull.radiance)]
-    return Sources(points, where, *lit, *solved, entries, of_entry[entries], hull, of_cell, *way)
+    return Sources(points, where, *lit, *solved, entries, of_entry[entries], patch, hull, of_cell, *way)
+
+
+def close_share(observed: Observations, room: Room, found: Sources, seed: int) -> np.ndarray:
+    """(T,) float32 share of the directions around each triangle in which unseen places are closer than a
+    source is wide, on the side that pixels see; 0 on triangles that no pixel sees."""
+    pixels, rng = observed.pixels, np.random.default_rng([seed, 25])
+    side = np.zeros(len(room.triangles))
+    for rows in observed.hits():
+        side += np.bincount(pixels.triangle[rows], np.where(pixels.front[rows], 1.0, -1.0), len(side))
+    seen = np.flatnonzero(side)
+    result = np.zeros(len(side), np.float32)
+    if not len(seen):
+        return result
+    centers = room.vertices[room.triangles[seen]].mean(axis=1)
+    normals = room.normals[seen] * np.sign(side[seen])[:, None]
+    chosen = np.sort(rng.permutation(len(seen))[:MOST_TRIANGLES])
+    lit = centers[chosen], normals[chosen]
+    patch = found.patch
+    of_entry = np.where(patch >= 0, patch + len(found.hull.radiance), -1)
+    rays = _traced(observed, room, found.hull, lit, of_entry, seed, CLOSE_RAYS)
+    inside = (rays.entry >= 0)[..., None]
+    cell = np.where(rays.entry < 0, np.maximum(rays.source, 0), 0)
+    place = np.where(inside, _middles(observed.grid, rays.entry), found.hull.centers(cell))
+    close = (rays.source >= 0) & (np.linalg.norm(place - lit[0][:, None], axis=2) < found.size)
+    columns = [np.concatenate([a, NORMAL_WEIGHT * b], axis=1) for a, b in (lit, (centers, normals))]
+    result[seen] = close.mean(axis=1)[cKDTree(columns[0]).query(columns[1])[1]]
+    return result
+
+
+def _middles(grid: VoxelGrid, entry: np.ndarray) -> np.ndarray:
+    """(..., 3) middles of the voxels of cache entries, metres; of the first one for negative entries."""
+    corner = np.stack(np.unravel_index(grid.voxels, (grid.resolution,) * 3), axis=1)
+    return np.asarray(((corner + 0.5) * grid.size + grid.low)[np.maximum(entry, 0) // SIDES])
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,6 +248,7 @@ def _traced(
     lit: tuple[np.ndarray, np.ndarray],
     of_entry: np.ndarray,
     seed: int,
+    count: int = RAYS,
 ) -> _Rays:
     """Rays from points.
 
@@ -222,7 +260,7 @@ def _traced(
     for number, first in enumerate(range(0, len(lit[0]), CHUNK)):
         position, normal = (array[first : first + CHUNK] for array in lit)
         stream = seed * 1009 + number
-        entry, direction = hemisphere_rays(room, observed.grid, position, normal, nothing, stream, RAYS)
+        entry, direction = hemisphere_rays(room, observed.grid, position, normal, nothing, stream, count)
         source, outside = of_entry[np.maximum(entry, 0)], entry == OUTSIDE
         start = np.broadcast_to(position[:, None], direction.shape)
         source[outside] = hull.cells(start[outside], direction[outside])
@@ -247,8 +285,6 @@ def _transport(
         directions of these.
     """
     cache, environment, grid = observed.cache(), observed.environment, observed.grid
-    corner = np.stack(np.unravel_index(grid.voxels, (grid.resolution,) * 3), axis=1)
-    places = (corner + 0.5) * grid.size + grid.low
     seen, unseen, sums, count = [], [], np.zeros((9, sources)), np.zeros(sources)
     for first in range(0, len(rays.entry), CHUNK):
         entry, source, way = (
@@ -267,7 +303,7 @@ def _transport(
         count += counts[:, 1:].sum(axis=0)
         values = [
             np.log(np.maximum(light[inside], DARKEST)),
-            places[np.maximum(entry[inside], 0) // SIDES],
+            _middles(grid, entry[inside]),
             way[inside],
         ]
         columns = np.concatenate(values, axis=1).T
