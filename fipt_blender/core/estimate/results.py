@@ -47,7 +47,7 @@ def write_results(
     """
     fields.save(folder)
     environment, described_environment = light.environment, None
-    if environment is not None:
+    if environment is not None and environment.image.any():
         write_exr(folder.environment_exr, environment.image * scale)
         described_environment = {
             "image": folder.environment_exr.name,
