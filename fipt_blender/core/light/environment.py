@@ -49,9 +49,10 @@ class Hull:
         return cls(low, high, counts, np.full((int(counts.prod()) * 6, 3), -1.0, np.float32))
 
     def centers(self, cells: np.ndarray) -> np.ndarray:
-        """(..., 3) middles of cells, metres."""
-        place = np.stack(np.unravel_index(cells // 6, tuple(self.counts)), axis=-1)
-        return np.asarray((place + 0.5) / self.counts * (self.high - self.low) + self.low)
+        """(..., 3) middles of the sides of cells, on the box, metres."""
+        place = np.stack(np.unravel_index(cells // 6, tuple(self.counts)), axis=-1) + 0.5
+        outwards = np.where(cells % 2 == 1, 0.5, -0.5)[..., None] * np.eye(3)[cells % 6 // 2]
+        return np.asarray((place + outwards) / self.counts * (self.high - self.low) + self.low)
 
     def cells(self, start: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """(...,) int64 cells through which rays from points (..., 3) in the box leave it along (..., 3)."""
@@ -77,7 +78,7 @@ class Environment:
         unseen: (T,) float32 as in :class:`.emitter_surfaces.EmitterSurfaces`; None without inferred light.
         hull: radiance from all other directions, by place; None without inferred light.
         entries: (E,) int64 cache entries of unseen surfaces, and their inferred `radiance` (E, 3).
-        lamps: balls that cast the light of bright unseen surfaces (:class:`..checks.views.ViewCheck`).
+        lamps: balls that cast the light of the bright sources of it (:class:`..checks.views.ViewCheck`).
     """
 
     image: np.ndarray

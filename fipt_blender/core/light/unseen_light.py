@@ -21,6 +21,7 @@ from ..parts.components import graph_components
 from ..pixels.grouped import numbered
 from ..pixels.store import PixelStore
 from ..run.settings import Settings
+from ..run.threads import cached_property
 from ..surface.room import Room
 from .cache import SIDES, VoxelGrid
 from .clipped import MOST_POINTS, OUTSIDE, hemisphere_rays
@@ -50,9 +51,9 @@ GAIN = 3.0  # least logarithm of the likelihood of points held back
 # Rays from a triangle to unseen places that are closer than a source is wide, and triangles that send them;
 # others are like the nearest of these, and opposite normals count as twice so many metres.
 CLOSE_RAYS, MOST_TRIANGLES, NORMAL_WEIGHT = 64, 20_000, 0.5
-# A source of an unseen surface is a lamp if it is brighter than the room's median light by this factor.
+# A source is a lamp or a window if it is brighter than the room's median light by this factor.
 LAMP = 4.0
-BALL = 0.2  # radius of the ball that takes its place, in sizes of a source
+BALL, MOST_OF_LAMP = 0.2, 16  # radius of the ball in its place, in widths of a source; sources of a lamp
 DARK_OUTSIDE = 0.01  # least expected radiance outside, in units of the capture's median
 
 
@@ -112,7 +113,9 @@ class Sources:
         image, (height, width) = before.image.copy(), before.seen.shape
         ways = equirect_pixel_directions(width, height)
         middle = np.broadcast_to(0.5 * (hull.low + hull.high), ways.reshape(-1, 3).shape)
-        near = table[hull.cells(middle, ways.reshape(-1, 3))].reshape(image.shape)
+        # In a world, sources that are lamps of their own would shine twice, and from wrong places.
+        far = np.where(np.append(self.lamp >= 0, False)[self.of_cell, None], DARK_OUTSIDE, table)
+        near = far[hull.cells(middle, ways.reshape(-1, 3))].reshape(image.shape)
         inferred = ~before.seen & (near[..., 0] >= 0.0)
         image[inferred] = near[inferred]
         return replace(
@@ -124,29 +127,35 @@ class Sources:
             lamps=tuple(self.lamps()),
         )
 
+    @cached_property
+    def lamp(self) -> np.ndarray:
+        """(K,) int64 lamp or window that each source belongs to, from 0; -1 for dim ones and wide openings."""
+        level = LAMP * float(np.median(self.points.seen))
+        members = np.flatnonzero(self.light.radiance.mean(axis=1) > level)
+        result = np.full(len(self.place), -1, np.int64)
+        if len(members):
+            pairs = cKDTree(self.place[members]).query_pairs(1.5 * self.size, output_type="ndarray")
+            lamp = graph_components(pairs, len(members))
+            own = np.bincount(lamp) <= MOST_OF_LAMP
+            result[members] = np.where(own, np.cumsum(own) - 1, -1)[lamp]
+        return result
+
     @property
     def size(self) -> float:
         """Width of a source, metres."""
         return float((self.hull.high - self.hull.low).max() / self.hull.counts.max())
 
     def lamps(self) -> Iterator[dict[str, Any]]:
-        """Balls that cast the light of the bright unseen surfaces, as lamps that the mesh lacks."""
-        bright = self.light.radiance.mean(axis=1) > LAMP * float(np.median(self.points.seen))
-        members = np.flatnonzero(bright & ~self.expected.outside)
-        if not len(members):
-            return
-        size = self.size
-        pairs = cKDTree(self.place[members]).query_pairs(1.5 * size, output_type="ndarray")
-        lamp = graph_components(pairs, len(members))
-        for index in range(int(lamp.max()) + 1):
-            own = members[lamp == index]
+        """Balls that cast the light of bright sources, as lamps that the mesh lacks."""
+        for index in range(int(self.lamp.max(initial=-1)) + 1):
+            own = np.flatnonzero(self.lamp == index)
             cast = self.points.unseen[:, own] @ self.light.radiance[own]
             lit = cast.sum(axis=1) > 0.0
             weight = self.points.unseen[:, own].sum(axis=0) * self.light.radiance[own].mean(axis=1)
             place, way = (
                 np.average(array[own], axis=0, weights=weight) for array in (self.place, self.toward)
             )
-            radius = BALL * size
+            radius = BALL * self.size
             center = place - radius * way / max(float(np.linalg.norm(way)), 1e-9)
             toward = center - self.position[lit]
             squared = np.maximum((toward**2).sum(axis=1), radius**2)
@@ -186,6 +195,7 @@ def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: in
     points = Transport(np.log(np.asarray(pixels.own[where], np.float64)), group, seen, unseen)
     expected = Expectation(mean, outside)
     gain = held_back_gain(points, expected, np.random.default_rng([seed, 24]))
+    way[0][outside] = hull.centers(chosen[outside])
     of_entry = number[np.where(patch >= 0, patch + len(hull.radiance), -1)]
     entries = np.flatnonzero(of_entry >= 0)
     solved = expected, solve_sources(points, expected), gain
