@@ -129,7 +129,7 @@ class Sources:
 
     @cached_property
     def lamp(self) -> np.ndarray:
-        """(K,) int64 lamp or window that each source belongs to, from 0; -1 for dim ones and wide openings."""
+        """(K,) int64 lamp or window that each source belongs to; -1 for dim ones and wide openings."""
         level = LAMP * float(np.median(self.points.seen))
         members = np.flatnonzero(self.light.radiance.mean(axis=1) > level)
         result = np.full(len(self.place), -1, np.int64)
