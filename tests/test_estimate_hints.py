@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 FLOOR, BACK, LEFT = (0.3, 0.2, 0.0), (0.0, 2.0, 1.5), (-2.0, 0.0, 1.5)
 AGAIN = ["hinted-estimate", "hinted-training"]
-LIGHT = ["hinted-lamps", "hinted-refinement"]
+LIGHT = ["hinted-lamps", "hinted-reflection", "hinted-refinement"]
 
 
 @pytest.fixture(scope="module")
@@ -128,13 +128,13 @@ def test_the_light_changes_with_the_lamps(finished: RunFolder, capture: SmallCap
     whole = write_run(tmp_path / "whole", capture)
     write_hints(whole.hints_json, [panel])
     run_here(whole)
-    folders = (run.stage / "shadings", run.stage / "hinted_shadings", whole.stage / "shadings")
+    folders = (run.stage / "shadings", run.stage / "hinted-refinement", whole.stage / "shadings")
     old, new, wanted = (np.load(folder / "diffuse.npy").astype(float) for folder in folders)
     assert np.abs(new - wanted).mean() < 0.2 * np.abs(old - wanted).mean()
     assert (run.stage / "shadings" / "diffuse.npy").read_bytes() == before
     assert stages(run_here(run)) == []
     assert stages(again(run, panel)) == AGAIN
-    assert not (run.stage / "hinted_shadings").exists()
+    assert not (run.stage / "hinted-refinement").exists()
 
 
 def test_an_area_becomes_a_part_of_its_own(

@@ -16,7 +16,7 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.clipped import ON_LAMP, OUTSIDE, hemisphere_rays
 from fipt_blender.core.light.environment import Environment, Hull
 from fipt_blender.core.light.observations import Observations
-from fipt_blender.core.light.radiance import OutsideLight
+from fipt_blender.core.light.radiance import OutsideRadiance
 from fipt_blender.core.light.sources import Expectation, Transport, held_back_gain, solve_sources
 from fipt_blender.core.light.unseen_light import with_unseen_light
 from fipt_blender.core.pixels.store import open_pixels, trace_view
@@ -141,7 +141,7 @@ def test_the_hull_shines_by_place_where_no_view_looks_outside() -> None:
         kind(*[mi.Float(np.ascontiguousarray(column, np.float32)) for column in array.T])
         for kind, array in ((mi.Point3f, start), (mi.Vector3f, way))
     )
-    light = np.array(OutsideLight(environment).radiance(origin, direction, mi.Bool(True))).T
+    light = np.array(OutsideRadiance(environment).radiance(origin, direction, mi.Bool(True))).T
     near = table[hull.cells(start, way)]
     far = (way[:, 2] > np.sin(np.pi / 4.0)) | (near[:, 0] < 0.0)
     expected = np.where(far[:, None], 7.0, near)

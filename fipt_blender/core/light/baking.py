@@ -27,7 +27,7 @@ from ..run.per_view import TwoSteps, Workers
 from ..surface.room import Room
 from .cache import SurfaceLookup, VoxelGrid
 from .environment import Environment
-from .radiance import CachedRadiance, OutsideLight, RadianceSource, TracedRadiance
+from .radiance import CachedRadiance, OutsideRadiance, RadianceSource, TracedRadiance
 from .shadings import SampleCounts, ShadingPoints, Shadings, bake, means
 
 # Most pixels in one kernel launch, so that large photographs stay within memory.
@@ -130,7 +130,7 @@ class Baking:
         )
 
     def _source(self, lights: AreaLights) -> RadianceSource:
-        environment = None if self.environment is None else OutsideLight(self.environment)
+        environment = None if self.environment is None else OutsideRadiance(self.environment)
         traced = self.traced
         if traced is None:
             assert self.cache is not None, "stage 1 needs the cache"

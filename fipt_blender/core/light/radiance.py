@@ -83,7 +83,7 @@ class RadianceSource(Protocol):
         """Add the radiance that leaves `hit` against `direction`, and choose the next direction."""
 
 
-class OutsideLight:
+class OutsideRadiance:
     """Radiance of rays that leave the mesh: by direction, or by place on the hull where that is inferred."""
 
     def __init__(self, environment: Environment) -> None:
@@ -132,7 +132,7 @@ class CachedRadiance:
         self,
         room: Room,
         cache: SurfaceLookup,
-        environment: OutsideLight | None,
+        environment: OutsideRadiance | None,
         lights: AreaLights | None = None,
     ) -> None:
         self._room, self._cache, self._environment = room, cache, environment
@@ -201,7 +201,7 @@ class TracedRadiance:
         materials: SurfaceLookup,
         diffuse: SurfaceLookup | None,
         lights: AreaLights,
-        environment: OutsideLight | None,
+        environment: OutsideRadiance | None,
         cache_roughness: float,
         depth: int,
     ) -> None:
@@ -311,7 +311,7 @@ def _make_ready(room: Room) -> None:
 
 
 def _outside(
-    environment: OutsideLight | None, origin: mi.Point3f, direction: mi.Vector3f, active: mi.Bool
+    environment: OutsideRadiance | None, origin: mi.Point3f, direction: mi.Vector3f, active: mi.Bool
 ) -> mi.Color3f:
     """Radiance of the environment; black without one."""
     return mi.Color3f(0.0) if environment is None else environment.radiance(origin, direction, active)

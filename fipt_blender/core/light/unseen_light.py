@@ -20,7 +20,7 @@ from ..conventions import equirect_pixel_directions
 from ..parts.components import graph_components
 from ..pixels.grouped import numbered
 from ..pixels.store import PixelStore
-from ..run.settings import Settings
+from ..run.stage_settings import LightSettings
 from ..run.threads import cached_property
 from ..surface.room import Room
 from .cache import SIDES, VoxelGrid
@@ -58,7 +58,7 @@ DARK_OUTSIDE = 0.01  # least expected radiance outside, in units of the capture'
 
 
 def with_unseen_light(
-    observed: Observations, room: Room, label: np.ndarray, settings: Settings
+    observed: Observations, room: Room, label: np.ndarray, settings: LightSettings
 ) -> Observations:
     """Observations whose environment has the light that nothing shows, if points held back confirm it.
 
