@@ -26,7 +26,7 @@ from fipt_blender.core.optics.brdf import Material
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.pixels.camera_rays import trace_pixels
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.run_files import read_emitters
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.surface.room import load_room
 
@@ -61,12 +61,12 @@ def load_result(run: RunFolder, spacing: float = LATTICE_SPACING) -> tuple[LitRo
     room = load_room(run)
     fields = RoomFields.load(run)
     materials = LatticeMaterials(room, fields.query, spacing)
-    data = read_json(run.emitters_json)
-    table = EmitterTable.from_fixtures(data)
+    emitters = read_emitters(run, len(room.triangles))
+    table = EmitterTable.from_fixtures(emitters.fixtures)
     lights = AreaLights(room.vertices, room.triangles, table)
     environment = None
-    if data.get("environment"):
-        environment = EnvironmentLight(read_radiance(run.results / data["environment"]["image"]))
+    if emitters.environment:
+        environment = EnvironmentLight(read_radiance(run.results / emitters.environment.image))
     return LitRoom(room, materials, lights, environment), table
 
 
@@ -74,11 +74,11 @@ def with_inferred_lamps(lit: LitRoom, table: EmitterTable, run: RunFolder) -> Li
     """The same room with the lamps that were inferred, as cubes that cast about the light of balls."""
     emitters, count = table, len(lit.room.triangles)
     room = lit.room
-    for lamp in read_json(run.emitters_json).get("missing", []):
-        if lamp.get("inferred"):
-            half = lamp["radius"] * float(np.sqrt(np.pi / 6.0))  # of the same area
-            corners = np.array(lamp["position"]) + half * CUBE
-            room, added = add_light(room, corners, CUBE_TRIANGLES, np.array(lamp["radiance"], np.float32))
+    for lamp in read_emitters(run, count).missing:
+        if lamp.inferred:
+            half = lamp.radius * float(np.sqrt(np.pi / 6.0))  # of the same area
+            corners = np.array(lamp.position) + half * CUBE
+            room, added = add_light(room, corners, CUBE_TRIANGLES, np.array(lamp.radiance, np.float32))
             emitters = joined(emitters, added)
     if room is lit.room:
         return lit

@@ -17,7 +17,7 @@ import pytest
 from fipt_blender.core.estimate import material_stages
 from fipt_blender.core.material import training
 from fipt_blender.core.run import chain
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
@@ -103,7 +103,7 @@ def test_resumed_under_other_settings_equals_fresh(
 @pytest.mark.parametrize("name", ALL)
 def test_damaged_outputs_of_a_stage_are_made_again(fresh, tmp_path: Path, name: str) -> None:
     run = RunFolder(shutil.copytree(fresh(rounds=1).root, tmp_path / "run"))
-    for path in [run.stage / name / "outputs.json", *(run.stage / name).rglob("*.npy")]:
+    for path in [*(run.stage / name).rglob("*.npy"), *(run.stage / name).glob("outputs.json")]:
         path.write_bytes(path.read_bytes()[:20])
     (run.stage / "training" / "outputs.json").unlink()
     messages = run_here(run)
@@ -156,6 +156,6 @@ def test_stages_that_take_no_time_have_no_rate(
     monkeypatch.setattr(chain, "time", SimpleNamespace(monotonic=lambda: 7.0))
     run = write_run(tmp_path / "run", capture, **BASE)
     run_here(run)
-    listed = read_json(run.statistics_json)["stages"]
+    listed = read_document(run.statistics_json, dict)["stages"]
     assert [stage["seconds"] for stage in listed] == [0.0] * 7
     assert listed[4]["rays"] > 0 and "mrays_per_second" not in listed[4]

@@ -14,9 +14,10 @@ from typing import Any
 
 import bpy
 
-from ...core.run.documents import read_json
+from ...core.run.documents import read_document
+from ...core.run.kinds import as_json
+from ...core.run.result_contents import Emitters
 from ...core.run.runfolder import RunFolder
-from ...core.run.shapes import EMITTERS
 from ..marks import BASE, INFERRED, MISSING_LAMP, NEW_LIGHT
 from ..outliner import LIGHTS, collection
 from . import light_state
@@ -30,22 +31,22 @@ def note_missing(scene: bpy.types.Scene, run: RunFolder) -> None:
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
     """
-    emitters = read_json(run.emitters_json, EMITTERS, "Run the estimation again.")
+    emitters = read_document(run.emitters_json, Emitters, "Run the estimation again.")
     added = [list(item[MISSING_LAMP]) for item in scene.objects if MISSING_LAMP in item]
-    missing = emitters.get("missing", [])
-    inferred = [lamp for lamp in missing if lamp.get("inferred")]
-    places = [lamp["position"] for lamp in inferred]
+    inferred = {lamp.position: lamp for lamp in emitters.missing if lamp.inferred}
     for item in [item for item in scene.objects if INFERRED in item]:
-        if list(item[MISSING_LAMP]) not in places:
+        if tuple(item[MISSING_LAMP]) not in inferred:
             bpy.data.objects.remove(item)
-    for lamp in inferred:
-        if lamp["position"] not in added:
-            _add(scene, lamp)[INFERRED] = 1
+    for lamp in inferred.values():
+        if list(lamp.position) not in added:
+            _add(scene, as_json(lamp))[INFERRED] = 1
     light_state.refresh(scene)
     lamps = [
-        lamp for lamp in missing if max(lamp["radiance"]) > 0.0 and lamp["position"] not in [*added, *places]
+        lamp
+        for lamp in emitters.missing
+        if max(lamp.radiance) > 0.0 and not lamp.inferred and list(lamp.position) not in added
     ]
-    scene.fipt.lights.missing_lamps = json.dumps(lamps) if lamps else ""
+    scene.fipt.lights.missing_lamps = json.dumps(lamps, default=as_json) if lamps else ""
 
 
 def add_missing(scene: bpy.types.Scene) -> list[bpy.types.Object]:

@@ -55,7 +55,7 @@ from ..run.stage_settings import (
     MaterialSettings,
     NetworkSettings,
     NoSettings,
-    RefinementSettings,
+    ReflectionSettings,
     TrainingSettings,
 )
 from ..surface.room import Room
@@ -315,7 +315,7 @@ class Reflection:
     materials: np.ndarray
 
 
-def find_reflection(inputs: ReflectionInputs, settings: RefinementSettings, tools: Tools) -> Reflection:
+def find_reflection(inputs: ReflectionInputs, settings: ReflectionSettings, tools: Tools) -> Reflection:
     """Light and materials of each entry of the radiance cache."""
     observations, data, limit = inputs.observations, inputs.data, settings.cache_roughness
     diffuse = observations.means(data.shadings.diffuse).astype(np.float16)

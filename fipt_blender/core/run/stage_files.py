@@ -21,6 +21,19 @@ import numpy as np
 from .arrays import DAMAGE
 from .paths import leads_outside
 
+
+class UnreadableArray(ValueError):
+    """An array's file can't be read.
+
+    Attributes:
+        stage: whose folder it is in.
+    """
+
+    def __init__(self, text: str, stage: str) -> None:
+        super().__init__(text)
+        self.stage = stage
+
+
 _ARRAY, _GIVEN = {"array", "shape", "type"}, {"given"}
 
 
@@ -104,6 +117,8 @@ def _loaded_union(document: Any, kinds: Sequence[Any], root: Path, given: Mappin
     for kind in kinds:
         try:
             return loaded(document, kind, root, given)
+        except UnreadableArray:
+            raise
         except ValueError as error:
             last = error
     raise last
@@ -112,25 +127,22 @@ def _loaded_union(document: Any, kinds: Sequence[Any], root: Path, given: Mappin
 def _loaded_array(document: Any, root: Path) -> np.ndarray:
     if not isinstance(document, dict) or document.keys() != _ARRAY:
         raise ValueError(f"{str(document)[:40]} names no array")
-    path = root / str(document["array"])
+    path, stage = root / str(document["array"]), str(document["array"]).partition("/")[0]
     if leads_outside(root, str(document["array"])):
         raise ValueError(f"{path} is outside of the stages")
     try:
         empty = 0 in document["shape"]  # cannot be mapped
         array = np.load(path, mmap_mode=None if empty else "r", allow_pickle=False)
     except DAMAGE as error:
-        raise ValueError(f"{path} can't be read ({error})") from None
+        raise UnreadableArray(f"{path} can't be read ({error})", stage) from None
     if list(array.shape) != document["shape"] or array.dtype.str != document["type"]:
-        raise ValueError(f"{path} holds another array")
+        raise UnreadableArray(f"{path} holds another array", stage)
     return array
 
 
 def _file_of(array: np.ndarray, root: Path) -> Path | None:
-    """The file of a stage that holds exactly this array, flushed; None where there is none."""
+    """The file of a stage that holds exactly this array; None where there is none."""
     if not isinstance(array, np.memmap) or not isinstance(array.base, mmap.mmap):
         return None  # no map, or a part of one
     path = Path(str(array.filename))
-    if not path.is_relative_to(root):
-        return None
-    array.flush()
-    return path
+    return path if path.is_relative_to(root) else None

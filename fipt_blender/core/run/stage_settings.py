@@ -175,7 +175,16 @@ class RefitSettings(LightSettings, ShadingSettings, UnmixSettings):
 
 
 @dataclass(frozen=True)
-class RefinementSettings(Seeded, Levels, Denoising):
+class ReflectionSettings(Seeded):
+    """What stage 3 needs of an estimate."""
+
+    cache_roughness: float = setting(
+        0.6, "stage 3: paths end in the radiance cache at surfaces rougher than this"
+    )
+
+
+@dataclass(frozen=True)
+class RefinementSettings(ReflectionSettings, Levels, Denoising):
     """Stage 3."""
 
     refine_diffuse_spp: int = setting(32, "stage 3: cosine samples per pixel (paper: 128)")
@@ -187,9 +196,6 @@ class RefinementSettings(Seeded, Levels, Denoising):
     )
     refine_depth: int = setting(
         5, "stage 3: largest number of surfaces on a path before it ends in the cache (authors' code)"
-    )
-    cache_roughness: float = setting(
-        0.6, "stage 3: paths end in the radiance cache at surfaces rougher than this"
     )
     refine_cache: bool = setting(
         True, "stage 3: end paths in the radiance cache; false traces them with the estimate alone (ablation)"
