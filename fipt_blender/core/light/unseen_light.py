@@ -198,9 +198,9 @@ def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: in
     way[0][outside] = hull.centers(chosen[outside])
     of_entry = number[np.where(patch >= 0, patch + len(hull.radiance), -1)]
     entries = np.flatnonzero(of_entry >= 0)
-    solved = expected, solve_sources(points, expected), gain
-    of_cell = number[: len(hull.radiance)]
-    return Sources(points, where, *lit, *solved, entries, of_entry[entries], patch, hull, of_cell, *way)
+    light = solve_sources(points, expected)
+    cells = entries, of_entry[entries], patch, hull, number[: len(hull.radiance)]
+    return Sources(points, where, *lit, expected, light, gain, *cells, *way)
 
 
 def close_share(observed: Observations, room: Room, found: Sources, seed: int) -> np.ndarray:
