@@ -198,9 +198,22 @@ def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: in
     way[0][outside] = hull.centers(chosen[outside])
     of_entry = number[np.where(patch >= 0, patch + len(hull.radiance), -1)]
     entries = np.flatnonzero(of_entry >= 0)
-    light = solve_sources(points, expected)
-    cells = entries, of_entry[entries], patch, hull, number[: len(hull.radiance)]
-    return Sources(points, where, *lit, expected, light, gain, *cells, *way)
+    return Sources(
+        points=points,
+        where=where,
+        position=lit[0],
+        normal=lit[1],
+        expected=expected,
+        light=solve_sources(points, expected),
+        gain=gain,
+        entries=entries,
+        of_entry=of_entry[entries],
+        patch=patch,
+        hull=hull,
+        of_cell=number[: len(hull.radiance)],
+        place=way[0],
+        toward=way[1],
+    )
 
 
 def close_share(observed: Observations, room: Room, found: Sources, seed: int) -> np.ndarray:
