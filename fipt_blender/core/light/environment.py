@@ -137,7 +137,7 @@ def estimate_environment(
     if share < LEAST_SHARE:
         return None
     seen = known.reshape(height, width)
-    return Environment(_diffuse(image.reshape(height, width, 3), seen), share, seen)
+    return Environment(diffused(image.reshape(height, width, 3), seen), share, seen)
 
 
 def map_cells(directions: np.ndarray, width: int) -> np.ndarray:
@@ -150,7 +150,7 @@ def map_cells(directions: np.ndarray, width: int) -> np.ndarray:
     return row * width + column
 
 
-def _diffuse(image: np.ndarray, known: np.ndarray) -> np.ndarray:
+def diffused(image: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Fill unknown cells by the mean of known neighbours, ring by ring; columns wrap around."""
     image, known = image.copy(), known.copy()
     while not known.all():

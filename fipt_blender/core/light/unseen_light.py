@@ -25,7 +25,7 @@ from ..run.threads import cached_property
 from ..surface.room import Room
 from .cache import SIDES, VoxelGrid
 from .clipped import MOST_POINTS, OUTSIDE, hemisphere_rays
-from .environment import Environment, Hull, map_cells
+from .environment import Environment, Hull, diffused, map_cells
 from .observations import Observations
 from .sources import (
     DARKEST,
@@ -118,6 +118,8 @@ class Sources:
         near = far[hull.cells(middle, ways.reshape(-1, 3))].reshape(image.shape)
         inferred = ~before.seen & (near[..., 0] >= 0.0)
         image[inferred] = near[inferred]
+        if inferred.any():  # from elsewhere, other directions lead there
+            image = diffused(image, before.seen | inferred)
         return replace(
             before,
             image=image,
