@@ -249,6 +249,7 @@ def score(run: RunFolder, scope: Scope, page: picture_page.PicturePage) -> Score
     chosen = {"training": spread(capture.train, scope.train_views), "held_back": capture.held_back}
     rendered = {"training": spread(capture.train, scope.train_renders), "held_back": capture.held_back}
     lit, table = predict.load_result(run)
+    shining = predict.with_inferred_lamps(lit, table, run)
     settings = RenderSettings(spp=scope.spp)
     result: dict[str, Any] = {}
     for split in SPLITS:
@@ -263,7 +264,7 @@ def score(run: RunFolder, scope: Scope, page: picture_page.PicturePage) -> Score
             figures |= metrics.map_metrics(predicted, true, strict=False)
             strict |= metrics.map_metrics(predicted, true, strict=True)
             borders = metrics.border_metrics(predicted, true)
-        images = [render_view(lit, view, settings, stream) for stream, view in enumerate(rendered[split])]
+        images = [render_view(shining, view, settings, stream) for stream, view in enumerate(rendered[split])]
         images = ldr.as_photographed(images, run, rendered[split])
         truths = [view.radiance() for view in rendered[split]]
         enter(figures, strict, "view_synthesis_psnr", images, truths)

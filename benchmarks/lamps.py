@@ -23,6 +23,7 @@ from fipt_blender.core.surface.room import load_room
 # Surfaces are the same lamp within this distance in metres: scans of 4 cm are off by less.
 NEAR = 0.05
 POINTS = 2000  # on each lamp
+CERTAIN = 0.95  # probability from which a fixture is taken for certain
 
 
 @dataclass(frozen=True)
@@ -33,12 +34,17 @@ class LampCounts:
         true: fixtures of which more than half lies on a true lamp.
         false: the other fixtures. false_area: theirs together, square metres.
         lost: true lamps of which fixtures have less than half.
+        certain, certain_area: false fixtures that the estimate takes for certain, and their square metres.
+        flux: power of the fixtures on true lamps over that of these lamps.
     """
 
     true: int
     false: int
     false_area: float
     lost: int
+    certain: int = 0
+    certain_area: float = 0.0
+    flux: float | None = None
 
 
 def points_on(corners: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -50,8 +56,19 @@ def points_on(corners: np.ndarray, count: int, rng: np.random.Generator) -> np.n
     return np.asarray(np.einsum("nc,nck->nk", weights, chosen))
 
 
-def count_lamps(found: Sequence[np.ndarray], true: Sequence[np.ndarray], seed: int = 0) -> LampCounts:
-    """Compare fixtures with true lamps; each has the corners (T, 3, 3) of its triangles, in metres."""
+def count_lamps(
+    found: Sequence[np.ndarray],
+    true: Sequence[np.ndarray],
+    seed: int = 0,
+    likely: Sequence[float] | None = None,
+    power: tuple[Sequence[float], float] | None = None,
+) -> LampCounts:
+    """Compare fixtures with true lamps; each has the corners (T, 3, 3) of its triangles, in metres.
+
+    Args:
+        likely: probability of each fixture; None: 1.
+        power: of each fixture, and of all true lamps together.
+    """
     rng = np.random.default_rng(seed)
     points = [[points_on(corners, POINTS, rng) for corners in each] for each in (found, true)]
 
@@ -67,10 +84,18 @@ def count_lamps(found: Sequence[np.ndarray], true: Sequence[np.ndarray], seed: i
         0.5 * float(np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1).sum())
         for c in found
     ]
+    sure = [value >= CERTAIN for value in (likely or [1.0] * len(found))]
+    wrong = [(area, known) for area, known, fine in zip(areas, sure, right, strict=True) if not fine]
+    flux = None
+    if power is not None and power[1] > 0.0:
+        flux = sum(each for each, fine in zip(power[0], right, strict=True) if fine) / power[1]
     return LampCounts(
+        certain=sum(known for _, known in wrong),
+        certain_area=sum(area for area, known in wrong if known),
+        flux=flux,
         true=sum(right),
         false=len(right) - sum(right),
-        false_area=sum(area for area, known in zip(areas, right, strict=True) if not known),
+        false_area=sum(area for area, _ in wrong),
         lost=sum(share < 0.5 for share in shares(points[1], points[0])),
     )
 
@@ -85,10 +110,12 @@ def lamps_of_run(run: RunFolder, capture: Path) -> LampCounts:
         raise FiptError("truth-missing", f"{capture} has no emitters.json.", "Use a rendered capture.")
     vertices, triangles = read_mesh(capture / "scene.obj")
     corners = transform_points(load_capture(run).world_from_source, vertices)[triangles]
-    true = [
-        corners[slice(*lamp["triangles"])] for lamp in json.loads((capture / "emitters.json").read_text())
-    ]
+    table = json.loads((capture / "emitters.json").read_text())
+    true = [corners[slice(*lamp["triangles"])] for lamp in table]
+    shining = float(sum(np.pi * lamp["area"] * np.mean(lamp["radiance"]) for lamp in table))
     room = load_room(run)
     fixtures = read_document(run.emitters_json, dict)["fixtures"]
     found = [room.vertices[room.triangles[fixture["triangles"]]].astype(float) for fixture in fixtures]
-    return count_lamps(found, true)
+    likely = [float(fixture["probability"]) for fixture in fixtures]
+    power = [float(np.mean(fixture["power"])) for fixture in fixtures]
+    return count_lamps(found, true, likely=likely, power=(power, shining))

@@ -35,6 +35,24 @@ from .truth import Relight
 # Bounds of the classes of confidence in which errors are counted.
 CONFIDENCE_BOUNDS = (0.0, 0.4, 0.6, 0.8, 0.9, 1.0)
 
+# A cube of width 2 around the origin, whose triangles face outwards.
+CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+CUBE_TRIANGLES = np.array(
+    [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+    ]
+    + [[1, 5, 7], [1, 7, 3]]
+)
+
 LATTICE_SPACING = 0.01  # metres; a pixel of the test captures sees more
 
 
@@ -50,6 +68,22 @@ def load_result(run: RunFolder, spacing: float = LATTICE_SPACING) -> tuple[LitRo
     if emitters.environment:
         environment = EnvironmentLight(read_radiance(run.results / emitters.environment.image))
     return LitRoom(room, materials, lights, environment), table
+
+
+def with_inferred_lamps(lit: LitRoom, table: EmitterTable, run: RunFolder) -> LitRoom:
+    """The same room with the lamps that were inferred, as cubes that cast about the light of balls."""
+    emitters, count = table, len(lit.room.triangles)
+    room = lit.room
+    for lamp in read_emitters(run, count).missing:
+        if lamp.inferred:
+            half = lamp.radius * float(np.sqrt(np.pi / 6.0))  # of the same area
+            corners = np.array(lamp.position) + half * CUBE
+            room, added = add_light(room, corners, CUBE_TRIANGLES, np.array(lamp.radiance, np.float32))
+            emitters = joined(emitters, added)
+    if room is lit.room:
+        return lit
+    lights = AreaLights(room.vertices, room.triangles, emitters)
+    return LitRoom(room, _Padded(lit.materials, count), lights, lit.environment)
 
 
 class _Padded:

@@ -27,7 +27,7 @@ from fipt_blender.core.light.cache import SurfaceLookup, pool
 from fipt_blender.core.light.emitters import EmitterPixels, Fixture, emitter_table, side_medians
 from fipt_blender.core.light.environment import Environment
 from fipt_blender.core.light.observations import Observations
-from fipt_blender.core.light.radiance import CachedRadiance, RadianceSource, TracedRadiance
+from fipt_blender.core.light.radiance import CachedRadiance, OutsideRadiance, RadianceSource, TracedRadiance
 from fipt_blender.core.light.shadings import (
     SampleCounts,
     ShadingPoints,
@@ -42,7 +42,6 @@ from fipt_blender.core.material.groups import Units, part_units
 from fipt_blender.core.material.inference import Fields
 from fipt_blender.core.material.networks import BrdfNetwork, Prediction
 from fipt_blender.core.material.seen import Box, find_seen_cells, room_box
-from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.parts.labels import Parts
 from fipt_blender.core.pixels.store import PixelStore, fill_pixels, open_pixels
@@ -315,8 +314,8 @@ def _cache(observed: Observations) -> SurfaceLookup:
     return SurfaceLookup(observed.grid, observed.cache())
 
 
-def _outside(environment: Environment | None) -> EnvironmentLight | None:
-    return None if environment is None else EnvironmentLight(environment.image)
+def _outside(environment: Environment | None) -> OutsideRadiance | None:
+    return None if environment is None else OutsideRadiance(environment)
 
 
 def _bake_pixels(

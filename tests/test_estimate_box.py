@@ -267,8 +267,8 @@ def test_a_window_becomes_an_environment(tmp_path: Path) -> None:
     assert found.shape == (32, 64, 3)
     ratio = np.log(found / np.array(radiance))
     seen = np.abs(ratio).max(axis=-1) < 1e-4
-    assert 0.06 < seen.mean() < 0.5, "what photographs show is taken as it is"
-    # The rest follows from the light on the surfaces, as much of it enters from where no photograph looks.
+    assert seen.mean() > 0.06, "what photographs show is taken as it is"
+    # The rest is like it, or follows from the light on the surfaces.
     assert np.abs(ratio).max() < 0.25 and np.sqrt((ratio**2).mean()) < 0.08
     assert "warning" not in {message["type"] for message in messages}
     assert str(run.environment_exr) in messages[-1]["files"]

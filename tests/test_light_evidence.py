@@ -119,7 +119,7 @@ def test_a_lamp_much_brighter_than_white_emits(tmp_path: Path) -> None:
 
 def test_light_that_may_be_brighter_explains_more(tmp_path: Path) -> None:
     pixels = store(tmp_path, [(["..LL"], [[0.8, 0.8, 5.0, 5.0]])] * 4)
-    found = [probability(pixels, **options)[LAMP] for options in ({}, {"unseen_light": 4.0}, {"hdr": False})]
+    found = [probability(pixels, **options)[LAMP] for options in ({}, {"unseen": 0.5}, {"hdr": False})]
     assert found[0] > 0.9 and found[0] > found[1] and found[0] > found[2]
     assert emission(pixels, told=(WALL, WALL + 1)) == [WALL, WALL + 1, LAMP, LAMP + 1]
 

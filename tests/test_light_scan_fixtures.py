@@ -39,7 +39,7 @@ def test_a_modelled_room_emits_triangle_by_triangle() -> None:
     room = make_room(BOX)
     none = Parts(np.full(12, NO_PART, np.int32), "none")
     surfaces = emitter_surfaces(room, none, 0.01)
-    assert np.array_equal(surfaces.unit, np.arange(12)) and surfaces.unseen_light == 1.0
+    assert np.array_equal(surfaces.unit, np.arange(12)) and surfaces.unseen == 0.0
     assert len(np.unique(surfaces.component)) == 6
 
 

@@ -319,6 +319,30 @@ def test_a_lamp_that_the_mesh_lacks_is_added_once(tmp_path, monkeypatch):
     assert "lacks no lamp" in refused(ops.add_missing_lamps)
 
 
+def test_light_that_nothing_shows_is_there_with_the_results(tmp_path, monkeypatch):
+    use_fake_engine(monkeypatch)
+    scene = make_scene(tmp_path / "run")
+    path = tmp_path / "run" / "results" / "emitters.json"
+    table, ball = (
+        json.loads(path.read_text()),
+        {"position": [0.5, 0.25, 2.0], "radius": 0.1, "inferred": True},
+    )
+
+    def applied(radiance: list[float]) -> bpy.types.Object:
+        path.write_text(json.dumps({**table, "missing": [{**ball, "radiance": radiance}]}))
+        assert ops.apply_results() == {"FINISHED"}
+        (item,) = [row.object for row in scene.fipt.lights.lights if row.object.type == "LIGHT"]
+        return item
+
+    item = applied([30.0, 20.0, 10.0])
+    assert item.name == "Unseen Light" and "lacks no lamp" in refused(ops.add_missing_lamps)
+    power = item.data.energy * np.array(item.data.color)
+    assert power == pytest.approx(4.0 * math.pi**2 * 0.01 * np.array([30.0, 20.0, 10.0]), rel=1e-4)
+    assert applied([30.0, 20.0, 10.0]) == item
+    ball["position"] = [1.0, 0.25, 2.0]  # other results replace it
+    assert tuple(applied([3.0, 2.0, 1.0]).location) == (1.0, 0.25, 2.0)
+
+
 def test_a_fixture_takes_its_simple_shape(scene):
     (fixture,) = [row.object for row in scene.fipt.lights.lights if row.object.type == "MESH"]
     radiance, before = front(fixture), fixture.data.name

@@ -50,6 +50,7 @@ FIXTURE_SOURCES = "fipt_sources"  # ids of the objects that the fixture was spli
 FIXTURE_LIGHT = "fipt_fixture_light"  # on a Blender light that stands for a fixture, its child
 NEW_LIGHT = "fipt_light"  # on a light that the artist added
 MISSING_LAMP = "fipt_missing_lamp"  # on a light for a lamp that the mesh lacks: the lamp's position
+INFERRED = "fipt_inferred"  # on such a light that no photograph shows
 BASE = "fipt_base"  # rgb as estimated or added: radiance of a fixture's front, watts of a light
 UNIT = "fipt_unit"  # on lights, our world and the scene: W/(m² sr) for one of the unit of bases (photographs)
 PROBABILITY = "fipt_probability"  # that a fixture emits, as estimated

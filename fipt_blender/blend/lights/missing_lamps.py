@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lamps that the photographs show and the mesh lacks, as Blender lights of their place, size and radiance."""
+"""Lamps that the mesh lacks, as Blender lights of their place, size and radiance.
+
+Photographs show them, or nothing shows them, and they are inferred.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from ...core.run.documents import read_document
 from ...core.run.kinds import as_json
 from ...core.run.result_contents import Emitters
 from ...core.run.runfolder import RunFolder
-from ..marks import BASE, MISSING_LAMP, NEW_LIGHT, UNIT
+from ..marks import BASE, INFERRED, MISSING_LAMP, NEW_LIGHT, UNIT
 from ..outliner import LIGHTS, collection
 from . import light_state
 from .calibration import scene_unit
@@ -24,13 +27,25 @@ from .calibration import scene_unit
 def note_missing(scene: bpy.types.Scene, run: RunFolder) -> None:
     """Remember with the scene which missing lamps of a run have no light yet, for the panel.
 
+    Inferred ones get theirs at once, in place of those of earlier results: without them the room is dark.
+
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
     """
     emitters = read_document(run.emitters_json, Emitters, "Run the estimation again.")
     added = [list(item[MISSING_LAMP]) for item in scene.objects if MISSING_LAMP in item]
+    inferred = {lamp.position: lamp for lamp in emitters.missing if lamp.inferred}
+    for item in [item for item in scene.objects if INFERRED in item]:
+        if tuple(item[MISSING_LAMP]) not in inferred:
+            bpy.data.objects.remove(item)
+    for lamp in inferred.values():
+        if list(lamp.position) not in added:
+            _add(scene, as_json(lamp))[INFERRED] = 1
+    light_state.refresh(scene)
     lamps = [
-        lamp for lamp in emitters.missing if max(lamp.radiance) > 0.0 and list(lamp.position) not in added
+        lamp
+        for lamp in emitters.missing
+        if max(lamp.radiance) > 0.0 and not lamp.inferred and list(lamp.position) not in added
     ]
     scene.fipt.lights.missing_lamps = json.dumps(lamps, default=as_json) if lamps else ""
 
@@ -48,7 +63,7 @@ def add_missing(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 def _add(scene: bpy.types.Scene, lamp: Mapping[str, Any]) -> bpy.types.Object:
     """A point light of a ball's position, radius (metres) and radiance."""
-    data = bpy.data.lights.new("Missing Lamp", "POINT")
+    data = bpy.data.lights.new("Unseen Light" if lamp.get("inferred") else "Missing Lamp", "POINT")
     data.shadow_soft_size = lamp["radius"]
     if hasattr(data, "use_soft_falloff"):  # without it the falloff is that of a sphere
         data.use_soft_falloff = False

@@ -70,25 +70,9 @@ class OutsideLight:
 def infer_outside(inputs: OutsideInputs, settings: LightSettings, tools: Tools) -> OutsideLight:
     """Infer the light that enters an open mesh from directions that no photograph shows."""
     observed, room = inputs.observed, inputs.room
-    if not settings.unseen_light:
-        return OutsideLight(observed.environment)
-    labels = surface_labels(room, inputs.parts)
-    return OutsideLight(_outside(observed, inputs.pixels, room, labels, settings))
-
-
-def _outside(
-    observed: Observations, pixels: PixelStore, room: Room, labels: np.ndarray, settings: LightSettings
-) -> Environment | None:
-    return with_unseen_light(
-        observed.environment,
-        pixels,
-        room,
-        observed.grid,
-        observed.cache,
-        labels,
-        settings.environment_width,
-        settings.seed,
-    )
+    if settings.unseen_light:
+        observed = with_unseen_light(observed, room, surface_labels(room, inputs.parts), settings)
+    return OutsideLight(observed.environment)
 
 
 def observed_light(
@@ -101,9 +85,7 @@ def observed_light(
 ) -> Observations:
     """Observations with the light from outside in one go; `labels`: :func:`.surface_labels`."""
     observed = observe(room, pixels, parts, settings, folder)
-    if not settings.unseen_light:
-        return observed
-    return replace(observed, environment=_outside(observed, pixels, room, labels, settings))
+    return with_unseen_light(observed, room, labels, settings) if settings.unseen_light else observed
 
 
 # ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) -------------------------------------------
@@ -197,7 +179,6 @@ def _baking(
     index: int,
 ) -> Baking:
     """The baking of round `index`; other arguments as of :class:`Baking`."""
-    environment = observations.environment
     spread = settings.roughness_levels, settings.roughness_min, settings.roughness_spacing
     return Baking(
         room=room,
@@ -206,7 +187,7 @@ def _baking(
         cache=cache,
         traced=traced,
         emitters=emitters,
-        environment=None if environment is None else environment.image,
+        environment=observations.environment,
         levels=roughness_levels(*spread),
         counts=counts,
         denoise=settings.denoise,

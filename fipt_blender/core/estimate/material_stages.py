@@ -160,7 +160,7 @@ class PossibleEmitters:
 
 def find_emitter_units(inputs: SurfaceInputs, settings: NoSettings, tools: Tools) -> PossibleEmitters:
     """Divide the mesh into surfaces of which each emits as a whole, or not at all."""
-    inferred = 0.0 if inputs.environment is None else inputs.environment.unseen_light
+    inferred = None if inputs.environment is None else inputs.environment.unseen
     footprint = inputs.observed.footprint
     return PossibleEmitters(emitter_surfaces(inputs.room, inputs.parts, footprint, inferred))
 

@@ -194,7 +194,7 @@ def write_results(
     """
     fields.save(folder)
     environment, described = light.environment, None
-    if environment is not None:
+    if environment is not None and environment.image.any():
         write_exr(folder.environment_exr, environment.image * scale)
         described = EmitterEnvironment(folder.environment_exr.name, environment.observed_share)
     if not light.fixtures and environment is None:
@@ -208,8 +208,13 @@ def write_results(
         for number, fixture in enumerate(light.fixtures, start=1)
     )
     missing = tuple(
-        MissingLamp(lamp["position"], lamp["radius"], (scale * np.asarray(lamp["radiance"])).tolist())
-        for lamp in light.missing
+        MissingLamp(
+            lamp["position"],
+            lamp["radius"],
+            (scale * np.asarray(lamp["radiance"])).tolist(),
+            lamp.get("inferred", False),
+        )
+        for lamp in [*light.missing, *(environment.lamps if environment is not None else ())]
     )
     write_json(folder.emitters_json, Emitters(fixtures, described, missing))
 

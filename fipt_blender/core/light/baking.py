@@ -19,7 +19,6 @@ import numpy as np
 
 from ..optics.brdf import set_masking
 from ..optics.denoise import Denoiser
-from ..optics.environment import EnvironmentLight
 from ..optics.lights import AreaLights, EmitterTable
 from ..pixels.camera_rays import opaque_vector, trace_pixels
 from ..pixels.store import PixelStore, ViewPixels, open_array
@@ -27,7 +26,8 @@ from ..run.finished_views import FinishedViews
 from ..run.per_view import TwoSteps, Workers
 from ..surface.room import Room
 from .cache import SurfaceLookup, VoxelGrid
-from .radiance import CachedRadiance, RadianceSource, TracedRadiance
+from .environment import Environment
+from .radiance import CachedRadiance, OutsideRadiance, RadianceSource, TracedRadiance
 from .shadings import SampleCounts, ShadingPoints, Shadings, bake, means
 
 # Most pixels in one kernel launch, so that large photographs stay within memory.
@@ -38,6 +38,7 @@ HALF_LARGEST = 6.0e4
 SUBPIXELS = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
 # A start farther than this from the surface point at the centre, in pixel widths, is on another surface.
 SUBPIXEL_REACH = 3.0
+ROUGHNESS = 3  # column of the materials
 
 
 @dataclass
@@ -97,7 +98,7 @@ class Baking:
         cache: (M * 6, 3) float32 radiance of each cache entry; None only with `traced`.
         traced: input of stage 3; None in stage 1, which reads the cache at the first hit.
         emitters: triangles to sample; those that are not reflective have their own radiance.
-        environment: (H, 2H, 3) radiance from outside, or None.
+        environment: radiance from outside, or None.
         levels: (K,) float32 roughness levels.
         denoise: denoise L_d.
         denoise_specular: also denoise L_s0 and L_s1.
@@ -111,7 +112,7 @@ class Baking:
     cache: np.ndarray | None
     traced: TracedLight | None
     emitters: EmitterTable
-    environment: np.ndarray | None
+    environment: Environment | None
     levels: np.ndarray
     counts: SampleCounts
     denoise: bool
@@ -129,12 +130,16 @@ class Baking:
         )
 
     def _source(self, lights: AreaLights) -> RadianceSource:
-        environment = None if self.environment is None else EnvironmentLight(self.environment)
+        environment = None if self.environment is None else OutsideRadiance(self.environment)
         traced = self.traced
         if traced is None:
             assert self.cache is not None, "stage 1 needs the cache"
             return CachedRadiance(self.room, SurfaceLookup(self.grid, self.cache), environment, lights)
-        materials = SurfaceLookup(self.grid, traced.materials)
+        values = traced.materials
+        if self.environment is not None and self.environment.entries is not None:
+            values = values.copy()  # paths read inferred radiance from the cache, whatever the surface is
+            values[self.environment.entries, ROUGHNESS] = 1.0
+        materials = SurfaceLookup(self.grid, values)
         return TracedRadiance(
             room=self.room,
             cache=None if self.cache is None else materials.with_values(self.cache),

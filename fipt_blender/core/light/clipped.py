@@ -128,22 +128,28 @@ def light_on_points(
 
 
 def hemisphere_rays(
-    room: Room, grid: VoxelGrid, position: np.ndarray, normal: np.ndarray, lamp: np.ndarray, seed: int
+    room: Room,
+    grid: VoxelGrid,
+    position: np.ndarray,
+    normal: np.ndarray,
+    lamp: np.ndarray,
+    seed: int,
+    rays: int = RAYS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """What cosine-distributed rays from N points meet; arguments as of `light_on_points`.
 
     Returns:
-        (N, RAYS) int32 as `LitPoints.entry`, and (N, RAYS, 3) unit directions.
+        (N, rays) int32 as `LitPoints.entry`, and (N, rays, 3) unit directions.
     """
     rng = np.random.default_rng([seed, 21])
     count = len(position)
-    number = np.arange(RAYS)
+    number = np.arange(rays)
     golden = (number * 0.6180339887498949)[None] + rng.random((count, 1))
-    height = ((number + 0.5) / RAYS)[None] + np.zeros((count, 1))
+    height = ((number + 0.5) / rays)[None] + np.zeros((count, 1))
     angle, radius = 2.0 * np.pi * (golden % 1.0), np.sqrt(height)
     local = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - height)], axis=-1)
     direction = np.einsum("nrc,ncd->nrd", local, _frames(normal)).reshape(-1, 3)
-    start = np.repeat(position + room.offset * normal, RAYS, axis=0)
+    start = np.repeat(position + room.offset * normal, rays, axis=0)
     surface = room.intersect(rays_along(start, direction))
     valid, triangle = np.array(surface.valid), np.array(surface.triangle).astype(np.int64)
     front = np.array(surface.front)
@@ -152,7 +158,7 @@ def hemisphere_rays(
     entry = grid.entries(place, side)
     entry[lamp[triangle] >= 0] = ON_LAMP
     entry[~valid] = OUTSIDE
-    return entry.astype(np.int32).reshape(count, RAYS), direction.reshape(count, RAYS, 3)
+    return entry.astype(np.int32).reshape(count, rays), direction.reshape(count, rays, 3)
 
 
 def _direct(room: Room, position: np.ndarray, normal: np.ndarray, lamp: np.ndarray, seed: int) -> np.ndarray:

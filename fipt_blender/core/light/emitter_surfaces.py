@@ -17,9 +17,6 @@ from ..surface.part_adjacency import Scan
 from ..surface.room import Room
 from .cache import side_index
 
-# Inferred light comes from infinity. A surface that is close to an unseen lamp is brighter than that by about
-# this factor.
-UNSEEN_DOUBT = 2.0
 # Width of the patches of a scan without part masks, in pixel widths, and largest distance between the centers
 # of adjacent patches of one lamp, in widths of a patch.
 PATCH, GAP = 2.0, 2.5
@@ -35,7 +32,8 @@ class EmitterSurfaces:
         part: (T,) int part of each triangle, negative for none; None where parts are unknown.
         reach: largest distance in pixels between the surface that a pixel shows and the one that it hits.
         gap: metres between the centers of units of one lamp at most, on a scan.
-        unseen_light: factor by which the light may be brighter than the inferred one.
+        unseen: share of the directions, (T,) or of all triangles, in which lamps may be that nothing shows,
+            too close for :mod:`.unseen_light`.
     """
 
     unit: np.ndarray
@@ -43,32 +41,32 @@ class EmitterSurfaces:
     part: np.ndarray | None
     reach: int = 0
     gap: float = 0.0
-    unseen_light: float = 1.0
+    unseen: np.ndarray | float = 0.0
 
 
 def emitter_surfaces(
-    room: Room, parts: Parts, footprint: float, unseen_light: float = 0.0
+    room: Room, parts: Parts, footprint: float, unseen: np.ndarray | None = None
 ) -> EmitterSurfaces:
     """Triangles of a modelled room; of a scan its parts or, where they are unknown, patches of its segments.
 
     Args:
         footprint: median width of a pixel on the surfaces, metres.
-        unseen_light: share of the light on the surfaces that is only inferred.
+        unseen: (T,) as in :class:`EmitterSurfaces`; None for none.
     """
     pieces = room_pieces(room)
     part = parts.triangle_part if parts.kind == "part" else None
-    doubt = UNSEEN_DOUBT**unseen_light
+    share = 0.0 if unseen is None else unseen
     if room.scan is None:
         # Photographs see most of a lamp shade's outside and little of its inside, which may be one piece.
         component = pieces if part is None else numbered([pieces, part])
-        return EmitterSurfaces(np.arange(len(room.triangles)), component, part, unseen_light=doubt)
+        return EmitterSurfaces(np.arange(len(room.triangles)), component, part, unseen=share)
     # Detail finer than an edge is lost: rims of thin things face sideways, but pixels show their tops.
     reach = round(room.scan.edge / max(footprint, 1e-9))
     patch, gap = surface_patches(room.scan, pieces, PATCH * footprint), GAP * PATCH * footprint
     if part is None:
-        return EmitterSurfaces(patch, pieces, None, reach, gap, doubt)
+        return EmitterSurfaces(patch, pieces, None, reach, gap, share)
     patch = numbered([part >= 0, np.where(part >= 0, part, patch)])
-    return EmitterSurfaces(patch, patch, part, reach, gap, doubt)
+    return EmitterSurfaces(patch, patch, part, reach, gap, share)
 
 
 def surface_patches(scan: Scan, pieces: np.ndarray, edge: float) -> np.ndarray:

@@ -7,8 +7,9 @@ Paper Sec. 5.4, "Complex emitters": each pixel of the map is estimated like the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -23,22 +24,71 @@ LEAST_SHARE = 1e-3
 MOST_PIXELS = 200
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Hull:
+    """Radiance that enters through the box around a mesh, by the place where a ray leaves it.
+
+    Attributes:
+        low, high: (3,) corners of the box, metres.
+        counts: (3,) int cells along its sides.
+        radiance: (C, 3) float32 of each cell, six for each place on a grid, one a side; negative where it is
+            that of the environment's image.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    counts: np.ndarray
+    radiance: np.ndarray
+
+    @classmethod
+    def around(cls, bounds: tuple[np.ndarray, np.ndarray], size: float) -> Hull:
+        """A box that sends no light of its own, whose cells are `size` metres wide, around bounds."""
+        margin = 1e-3 * float((bounds[1] - bounds[0]).max())
+        low, high = np.asarray(bounds[0], np.float64) - margin, np.asarray(bounds[1], np.float64) + margin
+        counts = np.maximum(np.round((high - low) / size).astype(np.int64), 1)
+        return cls(low, high, counts, np.full((int(counts.prod()) * 6, 3), -1.0, np.float32))
+
+    def centers(self, cells: np.ndarray) -> np.ndarray:
+        """(..., 3) middles of the sides of cells, on the box, metres."""
+        place = np.stack(np.unravel_index(cells // 6, tuple(self.counts)), axis=-1) + 0.5
+        outwards = np.where(cells % 2 == 1, 0.5, -0.5)[..., None] * np.eye(3)[cells % 6 // 2]
+        return np.asarray((place + outwards) / self.counts * (self.high - self.low) + self.low)
+
+    def cells(self, start: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """(...,) int64 cells through which rays from points (..., 3) in the box leave it along (..., 3)."""
+        way = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
+        reach = np.where(way > 0.0, self.high - start, self.low - start) / way
+        side = reach.argmin(axis=-1)
+        place = start + np.take_along_axis(reach, side[..., None], axis=-1) * way
+        cell = ((place - self.low) / (self.high - self.low) * self.counts).astype(np.int64)
+        x, y, z = np.moveaxis(np.clip(cell, 0, self.counts - 1), -1, 0)
+        positive = np.take_along_axis(way, side[..., None], axis=-1)[..., 0] > 0.0
+        return np.asarray(((x * self.counts[1] + y) * self.counts[2] + z) * 6 + 2 * side + positive)
+
+
+@dataclass(frozen=True, eq=False)
 class Environment:
     """Radiance from outside by direction.
 
     Attributes:
-        image: (H, 2H, 3) float32 equirectangular map in Blender's layout, world axes.
+        image: (H, 2H, 3) float32 equirectangular map in Blender's layout, world axes; directions that no
+            pixel saw show the hull as it looks from its middle.
         observed_share: 0..1, solid-angle share of the map that some pixel saw.
         seen: (H, 2H) bool, where that is.
-        unseen_light: 0..1, share of the light on the surfaces that comes from elsewhere and is only inferred
-            (:mod:`.unseen_light`).
+        unseen: (T,) float32 as in :class:`.emitter_surfaces.EmitterSurfaces`; None without inferred light.
+        hull: radiance from all other directions, by place; None without inferred light.
+        entries: (E,) int64 cache entries of unseen surfaces, and their inferred `radiance` (E, 3).
+        lamps: balls that cast the light of the bright sources of it (:class:`..checks.views.ViewCheck`).
     """
 
     image: np.ndarray
     observed_share: float
     seen: np.ndarray
-    unseen_light: float = 0.0
+    unseen: np.ndarray | None = None
+    hull: Hull | None = None
+    entries: np.ndarray | None = None
+    radiance: np.ndarray | None = None
+    lamps: Sequence[Mapping[str, Any]] = ()
 
 
 def outside_pixels(pixels: PixelStore) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -87,7 +137,7 @@ def estimate_environment(
     if share < LEAST_SHARE:
         return None
     seen = known.reshape(height, width)
-    return Environment(_diffuse(image.reshape(height, width, 3), seen), share, seen)
+    return Environment(diffused(image.reshape(height, width, 3), seen), share, seen)
 
 
 def map_cells(directions: np.ndarray, width: int) -> np.ndarray:
@@ -100,7 +150,7 @@ def map_cells(directions: np.ndarray, width: int) -> np.ndarray:
     return row * width + column
 
 
-def _diffuse(image: np.ndarray, known: np.ndarray) -> np.ndarray:
+def diffused(image: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Fill unknown cells by the mean of known neighbours, ring by ring; columns wrap around."""
     image, known = image.copy(), known.copy()
     while not known.all():

@@ -57,7 +57,7 @@ def read_evidence(
     white: Callable[[np.ndarray], np.ndarray],
     unit: np.ndarray,
     reach: int,
-    unseen_light: float,
+    unseen_light: np.ndarray | float,
 ) -> PixelEvidence:
     """All pixels with a known radiance.
 
@@ -65,9 +65,10 @@ def read_evidence(
         white: (R,) pixels to the (R, 3) most that a surface of the gloss of theirs reflects.
         unit: (T,) int surface of each triangle.
         reach: largest distance in pixels between the surface that a pixel shows and the one that it hits.
-        unseen_light: factor by which light that is only inferred may be brighter.
+        unseen_light: factor by which light that is only inferred may be brighter, (T,) or of all triangles.
     """
     found = []
+    doubt = np.broadcast_to(np.asarray(unseen_light, np.float32), unit.shape)
     for index, view in enumerate(pixels.views):
         rows, size = pixels.rows(index), (view.height, view.width)
         triangle, own, weight = (np.asarray(a[rows]) for a in (pixels.triangle, pixels.own, pixels.weight))
@@ -87,7 +88,7 @@ def read_evidence(
             own,
             low,
             high,
-            unseen_light * reflected,
+            doubt[np.maximum(triangle, 0), None] * reflected,
             diffuse @ LUMINANCE,
         )
         of_view = [

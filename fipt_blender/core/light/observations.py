@@ -68,7 +68,7 @@ class Observations:
 
     def cache(self, without: np.ndarray | None = None) -> np.ndarray:
         """(M * 6, 3) float32 radiance cache of all pixels, or of all but those on the emitters `without`
-        ((T,) bool).
+        ((T,) bool). Unseen surfaces have their inferred radiance, if any.
 
         Pixels that a camera blurs over the edge of a lamp contain some of its radiance, too. With emitters of
         known radiance it would count twice and make the shadings of the whole room too bright.
@@ -80,7 +80,11 @@ class Observations:
                 rows = rows[~near[rows - self.pixels.ranges[index]]]
             rows = rows[self.pixels.weight[rows] >= LEAST_WEIGHT]
             pooled.add(self.entry[rows], self.pixels.own[rows], self.pixels.weight[rows])
-        return pooled.filled()[0]
+        cache = pooled.filled()[0]
+        environment = self.environment
+        if environment is not None and environment.entries is not None:
+            cache[environment.entries] = environment.radiance
+        return cache
 
     def means(self, values: np.ndarray) -> np.ndarray:
         """(M * 6, C) float32 mean of per-pixel values in each cache entry; -1 in those that no pixel saw.

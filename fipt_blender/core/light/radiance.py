@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from ..optics import brdf, factorised
 from ..optics.brdf import Material
@@ -22,6 +23,7 @@ from ..optics.environment import EnvironmentLight
 from ..optics.lights import AreaLights
 from ..surface.room import Room, Surface
 from .cache import SurfaceLookup
+from .environment import Environment
 
 # Russian roulette on specular paths: the probability to continue is the throughput times the first, and at
 # least the second: the 4 % of a dielectric are not worth a ray each time.
@@ -81,6 +83,44 @@ class RadianceSource(Protocol):
         """Add the radiance that leaves `hit` against `direction`, and choose the next direction."""
 
 
+class OutsideRadiance:
+    """Radiance of rays that leave the mesh: by direction, or by place on the hull where that is inferred."""
+
+    def __init__(self, environment: Environment) -> None:
+        self._far = EnvironmentLight(environment.image)
+        self._hull = hull = environment.hull
+        if hull is not None:
+            self._seen = mi.Bool(environment.seen.reshape(-1))
+            self._low, self._high = ([float(value) for value in corner] for corner in (hull.low, hull.high))
+            self._counts = [int(value) for value in hull.counts]
+            self._near = mi.Float(np.ascontiguousarray(hull.radiance, np.float32).reshape(-1))
+
+    def radiance(self, origin: mi.Point3f, direction: mi.Vector3f, active: mi.Bool) -> mi.Color3f:
+        """Radiance that arrives at points from unit directions, which point away from them."""
+        far = self._far.radiance(direction, active)
+        if self._hull is None:
+            return far
+        seen = dr.gather(mi.Bool, self._seen, self._far.pixel(direction), active)
+        near = dr.gather(mi.Color3f, self._near, self._cell(origin, direction), active & ~seen)
+        return dr.select(seen | (near.x < 0.0), far, near)
+
+    def _cell(self, origin: mi.Point3f, direction: mi.Vector3f) -> mi.UInt32:
+        """As :meth:`.environment.Hull.cells`."""
+        low, high = mi.Point3f(*self._low), mi.Point3f(*self._high)
+        way = dr.select(dr.abs(direction) < 1e-9, 1e-9, direction)
+        reach = (dr.select(way > 0.0, mi.Vector3f(high), mi.Vector3f(low)) - mi.Vector3f(origin)) / way
+        side = dr.select(
+            (reach.x <= reach.y) & (reach.x <= reach.z), mi.UInt32(0), dr.select(reach.y <= reach.z, 1, 2)
+        )
+        place = mi.Point3f(origin) + way * dr.min(reach)
+        count = mi.Vector3f(*[float(value) for value in self._counts])
+        cell = mi.Vector3i(dr.floor((place - low) / (high - low) * count))
+        cell = dr.clip(cell, 0, mi.Vector3i(*[value - 1 for value in self._counts]))
+        component = dr.select(side == 0, way.x, dr.select(side == 1, way.y, way.z))
+        flat = (cell.x * self._counts[1] + cell.y) * self._counts[2] + cell.z
+        return mi.UInt32(flat) * 6 + 2 * side + dr.select(component > 0.0, mi.UInt32(1), 0)
+
+
 class CachedRadiance:
     """Stage 1: the cache at the first hit (paper Eq. 9), the environment where there is none.
 
@@ -92,7 +132,7 @@ class CachedRadiance:
         self,
         room: Room,
         cache: SurfaceLookup,
-        environment: EnvironmentLight | None,
+        environment: OutsideRadiance | None,
         lights: AreaLights | None = None,
     ) -> None:
         self._room, self._cache, self._environment = room, cache, environment
@@ -115,7 +155,7 @@ class CachedRadiance:
             emits = self._lights.is_emitter(hit.triangle, met)
             cosine = -dr.dot(hit.geometric_normal, direction)
             found = dr.select(emits, self._lights.radiance(hit.triangle, cosine, emits), found)
-        escaped = _outside(self._environment, direction, active & ~hit.valid)
+        escaped = _outside(self._environment, path.origin, direction, active & ~hit.valid)
         path.radiance = dr.select(active, dr.select(hit.valid, found, escaped), mi.Color3f(0.0))
         return PathStep(path, direction, mi.Bool(False))
 
@@ -161,7 +201,7 @@ class TracedRadiance:
         materials: SurfaceLookup,
         diffuse: SurfaceLookup | None,
         lights: AreaLights,
-        environment: EnvironmentLight | None,
+        environment: OutsideRadiance | None,
         cache_roughness: float,
         depth: int,
     ) -> None:
@@ -183,7 +223,7 @@ class TracedRadiance:
 
         # ---------------------- Direct emission: R = L_e (Eq. 11) ----------------------
 
-        radiance = _outside(self._environment, direction, active & ~hit.valid)
+        radiance = _outside(self._environment, path.origin, direction, active & ~hit.valid)
         active = active & hit.valid
         cosine = -dr.dot(hit.geometric_normal, direction)
         is_emitter = lights.is_emitter(hit.triangle, active)
@@ -270,6 +310,8 @@ def _make_ready(room: Room) -> None:
     room.intersect(mi.Ray3f([0, 0, 0], [0, 0, 1]))
 
 
-def _outside(environment: EnvironmentLight | None, direction: mi.Vector3f, active: mi.Bool) -> mi.Color3f:
+def _outside(
+    environment: OutsideRadiance | None, origin: mi.Point3f, direction: mi.Vector3f, active: mi.Bool
+) -> mi.Color3f:
     """Radiance of the environment; black without one."""
-    return mi.Color3f(0.0) if environment is None else environment.radiance(direction, active)
+    return mi.Color3f(0.0) if environment is None else environment.radiance(origin, direction, active)

@@ -1,262 +1,382 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light that enters an open mesh from directions that no photograph shows, such as an unscanned ceiling.
+"""Light from what no photograph shows: through the openings of a mesh, and from its unseen surfaces.
 
-At points of the surfaces the radiance is albedo (B + sum of e_k D_k): B is the irradiance from all that was
-seen, D_k that of a smooth part of the sky around the room of radiance 1, where it is unseen and the mesh
-open. The albedo of a surface of one color is constant. In logarithms it is eliminated, and the e_k are found
-by robust least squares. Their level follows from shadows, from what photographs show of the outside and, with
-less weight, from usual albedos: none is above that of white paint.
+Rays from points of the surfaces land on surfaces that photographs show, on others, or on the hull of the
+mesh. Landing places of the last two kinds that are close together are one source; :mod:`.sources` finds its
+radiance. It is kept only if points that were held back fit better with it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..conventions import equirect_pixel_directions
+from ..parts.components import graph_components
 from ..pixels.grouped import numbered
 from ..pixels.store import PixelStore
-from ..robust import deviation, gauss_newton, student_weights
+from ..run.stage_settings import LightSettings
+from ..run.threads import cached_property
 from ..surface.room import Room
-from .cache import VoxelGrid
-from .clipped import MOST_POINTS, OUTSIDE, POINTS_PER_SAMPLE, hemisphere_rays
-from .environment import Environment, map_cells
+from .cache import SIDES, VoxelGrid
+from .clipped import MOST_POINTS, OUTSIDE, hemisphere_rays
+from .environment import Environment, Hull, diffused, map_cells
+from .observations import Observations
+from .sources import (
+    DARKEST,
+    LEAST_GROUP,
+    Expectation,
+    SourceLight,
+    Transport,
+    held_back_gain,
+    solve_sources,
+)
 
-# Mean share of the hemispheres over the points through which unseen light enters, above which a mesh is open.
-# Windows and the holes of scans are below 0.03 in the test rooms.
-OPEN = 0.05
-# Parts of the sky, and the concentration of each around its middle (as of von Mises and Fisher).
-PARTS, CONCENTRATION = 32, 8.0
-# Standard deviations of logarithms: of the level of the sky, of a part from that level, of the sky's color
-# from gray, as photographs are white-balanced, and of a part from that color.
-LEVEL, PART_LEVEL, COLOR, PART_COLOR = 2.0, 0.7, 0.15, 0.1
-# Median and standard deviation (of the logarithm) of the albedos in a room, the highest, and its deviation.
-ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 0.7, 0.85, 0.1
+RAYS, CHUNK = 1024, 256  # from each point; points at a time
+# Width of sources in metres, and at most this share of the room's largest side.
+SIZE, SIZE_SHARE = 0.5, 0.1
+# Voxels along each side of the cubes of which a side is unseen if no pixel sees it.
+UNSEEN = 4
+# Sources on which fewer of all rays land are left as they are, and at most so many are solved for.
+LEAST_SHARE, MOST_SOURCES = 2e-5, 200
 # Points of one surface whose colors differ by less, in logarithms of ratios, have one albedo.
 COLOR_STEP = 0.25
-LEAST_POINTS, LEAST_GROUP = 200, 8
-# Radiance of what photographs show outside below which it gives no light, in units of the capture's median.
-DARK_OUTSIDE = 0.01
-LEAST_WEIGHT = 0.5  # of pixels that are used
-_ITERATIONS, _LONGEST_STEP = 40, 0.5  # of Gauss-Newton; it ends earlier
-_DARKEST = 1e-4  # radiance, in units of the capture's median
-
-
-@dataclass(frozen=True, eq=False)
-class OpenPoints:
-    """N points of surfaces and the light that reaches them.
-
-    Attributes:
-        log_radiance: (N, 3).
-        group: (N,) int from 0, points of one albedo.
-        seen: (N, 3) irradiance over pi from what the photographs show.
-        unseen: (N, K) irradiance over pi by each part of the sky of radiance 1.
-    """
-
-    log_radiance: np.ndarray
-    group: np.ndarray
-    seen: np.ndarray
-    unseen: np.ndarray
+LEAST_POINTS, LEAST_WEIGHT = 200, 0.5  # pixels that are compared, and the weight of each
+GAIN = 3.0  # least logarithm of the likelihood of points held back
+# Rays from a triangle to unseen places that are closer than a source is wide, and triangles that send them;
+# others are like the nearest of these, and opposite normals count as twice so many metres.
+CLOSE_RAYS, MOST_TRIANGLES, NORMAL_WEIGHT = 64, 20_000, 0.5
+# A source is a lamp or a window if it is brighter than the room's median light by this factor.
+LAMP = 4.0
+BALL, MOST_OF_LAMP = 0.2, 16  # radius of the ball in its place, in widths of a source; sources of a lamp
+DARK_OUTSIDE = 0.01  # least expected radiance outside, in units of the capture's median
 
 
 def with_unseen_light(
-    environment: Environment | None,
-    pixels: PixelStore,
-    room: Room,
-    grid: VoxelGrid,
-    cache: Callable[[], np.ndarray],
-    label: np.ndarray,
-    width: int,
-    seed: int,
-) -> Environment | None:
-    """The environment with the light from unseen directions, where the mesh is open; else as it is.
+    observed: Observations, room: Room, label: np.ndarray, settings: LightSettings
+) -> Observations:
+    """Observations whose environment has the light that nothing shows, if points held back confirm it.
 
     Args:
-        cache: returns the radiance (M * 6, 3) of the cache's entries; called only where the mesh is open.
         label: (T,) int surface of each triangle, on which points of one color have one albedo.
-        width: of the map in pixels.
     """
-    known = np.zeros((width // 2, width), bool) if environment is None else environment.seen
-    image = np.zeros((*known.shape, 3), np.float32) if environment is None else environment.image
-    points = _open_points(pixels, room, grid, cache, label, (image, known), seed)
-    if points is None:
-        return environment
-    radiance = solve_sky(points, seen_sky(image, known))
-    unseen = ~known
-    filled = image.copy()
-    filled[unseen] = sky_parts(equirect_pixel_directions(width, width // 2)[unseen]) @ radiance
-    share = 0.0 if environment is None else environment.observed_share
-    cast = points.unseen @ radiance
-    inferred = float((cast.sum(axis=1) / np.maximum((points.seen + cast).sum(axis=1), _DARKEST)).mean())
-    return Environment(filled, share, known, inferred)
-
-
-def sky_parts(directions: np.ndarray) -> np.ndarray:
-    """(N, PARTS) weight of each part of the sky in unit directions (N, 3); they sum to 1."""
-    index = np.arange(PARTS) + 0.5
-    height, azimuth = 1.0 - 2.0 * index / PARTS, np.pi * (1.0 + 5.0**0.5) * index
-    level = np.sqrt(1.0 - height**2)
-    middles = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), height], axis=1)
-    weight = np.exp(CONCENTRATION * (np.asarray(directions, np.float64) @ middles.T - 1.0))
-    return np.asarray(weight / weight.sum(axis=-1, keepdims=True))
-
-
-def _open_points(
-    pixels: PixelStore,
-    room: Room,
-    grid: VoxelGrid,
-    cache: Callable[[], np.ndarray],
-    label: np.ndarray,
-    sky: tuple[np.ndarray, np.ndarray],
-    seed: int,
-) -> OpenPoints | None:
-    """Points on the surfaces with their light; None where the mesh is not open, or there are too few.
-
-    Args:
-        sky: (H, W, 3) radiance from outside, and (H, W) bool, where it was seen.
-    """
-    rng = np.random.default_rng([seed, 23])
-    share = max(1, MOST_POINTS // max(len(pixels.views), 1))
-    chosen = []
-    for index in range(len(pixels.views)):
-        rows = pixels.rows(index)
-        good = (np.asarray(pixels.triangle[rows]) >= 0) & np.asarray(pixels.pure[rows])
-        good &= (np.asarray(pixels.weight[rows]) >= LEAST_WEIGHT) & (pixels.own[rows] > _DARKEST).all(axis=1)
-        chosen.append(rng.permutation(np.flatnonzero(good))[:share] + rows.start)
-    where = np.concatenate([*chosen, np.zeros(0, np.int64)])
-    if len(where) < LEAST_POINTS:
-        return None
-    triangle = np.asarray(pixels.triangle[where])
-    nothing = np.full(len(room.triangles), -1, np.int32)
-    entry, direction = hemisphere_rays(room, grid, *pixels.surface(room, where), nothing, seed)
-    image, known = sky
-    cell, outside = map_cells(direction, known.shape[1]), entry == OUTSIDE
-    shown = known.reshape(-1)[cell]
-    unknown = outside & ~shown
-    if unknown.mean() < OPEN:
-        return None
-    seen = np.where((outside & shown)[..., None], image.reshape(-1, 3)[cell], 0.0)
-    seen = np.where((entry >= 0)[..., None], cache()[np.maximum(entry, 0)], seen).mean(axis=1)
-    ways = zip(unknown, direction, strict=True)
-    unseen = np.stack([np.where(part[:, None], sky_parts(way), 0.0).mean(axis=0) for part, way in ways])
-    logs = np.log(np.asarray(pixels.own[where], np.float64))
-    ratio = np.floor((logs[:, [0, 2]] - logs[:, [1]]) / COLOR_STEP).astype(np.int64)
-    group = numbered([label[triangle], *ratio.T])
-    enough = np.bincount(group)[group] >= LEAST_GROUP
-    if np.count_nonzero(enough) < LEAST_POINTS:
-        return None
-    group = np.unique(group[enough], return_inverse=True)[1].reshape(-1)
-    return OpenPoints(logs[enough], group, seen[enough].astype(np.float64), unseen[enough])
-
-
-def seen_sky(image: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How bright photographs show the parts of the sky.
-
-    Args:
-        image: (H, W, 3) radiance in an equirectangular map. known: (H, W) bool, where it was seen.
-
-    Returns:
-        (K,) mean logarithm of radiance, at least `DARK_OUTSIDE`, and (K,) share of each part that was seen.
-    """
-    height, width = known.shape
-    solid = np.repeat(np.cos((np.arange(height) + 0.5) / height * np.pi - np.pi / 2), width)
-    weight = sky_parts(equirect_pixel_directions(width, height).reshape(-1, 3)) * solid[:, None]
-    mine = weight * known.reshape(-1, 1)
-    level = np.log(np.maximum(image.reshape(-1, 3), DARK_OUTSIDE)).mean(axis=1)
-    return mine.T @ level / np.maximum(mine.sum(axis=0), 1e-12), mine.sum(axis=0) / weight.sum(axis=0)
-
-
-def solve_sky(points: OpenPoints, observed: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """(K, 3) radiance of the parts of the sky.
-
-    Args:
-        observed: radiance and share of the parts that photographs show (:func:`seen_sky`).
-    """
-    parts = points.unseen.shape[1]
-    prior, evidence = _sky_precision(parts), _evidence_precision(observed[1])
-    expected = np.linalg.solve(prior + evidence, evidence @ np.tile(observed[0], 3))
-    precision = prior + evidence
-
-    def system(x: np.ndarray, spread: float) -> tuple[np.ndarray, np.ndarray, float]:
-        normal, pull = precision.copy(), precision @ (expected - x)
-        left = []
-        for channel in range(3):
-            mine = slice(channel * parts, (channel + 1) * parts)
-            cast = points.unseen * np.exp(x[mine])
-            total = np.maximum(points.seen[:, channel] + cast.sum(axis=1), _DARKEST)
-            residual = points.log_radiance[:, channel] - np.log(total)
-            rows = _without_albedo(residual, -cast / total[:, None], points.group, spread)
-            weighted = rows.jacobian * rows.weight[:, None]
-            normal[mine, mine] += weighted.T @ rows.jacobian
-            pull[mine] -= weighted.T @ rows.residual
-            left.append(rows.residual[: len(residual)])
-        return normal, pull, deviation(np.array(left), 0.02)
-
-    found = gauss_newton(system, expected, 0.15, most_steps=_ITERATIONS, longest=_LONGEST_STEP, settled=1e-3)
-    return np.asarray(np.exp(found.x.reshape(3, parts).T))
+    found = find_sources(observed, room, label, settings.seed)
+    if found is None or found.gain < GAIN:
+        return observed
+    environment = found.environment(observed.environment, settings.environment_width)
+    unseen = close_share(observed, room, found, settings.seed)
+    return replace(observed, environment=replace(environment, unseen=unseen))
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
-    """Residuals (R,) less the albedo of their group, their derivatives (R, K), and weights (R,); the points
-    first, then the prior of the albedo of each group."""
+class Sources:
+    """K sources, and the N points that they light.
 
-    residual: np.ndarray
-    jacobian: np.ndarray
-    weight: np.ndarray
+    Attributes:
+        points: N of them, the pixels `where` (N,), with `position` and `normal` (N, 3).
+        expected, light: what was expected of the sources, and what was found.
+        gain: see :func:`.sources.held_back_gain`.
+        entries: (E,) int64 cache entries of unseen surfaces, of_entry: (E,) their source.
+        patch: (M * 6,) int64 as of :func:`unseen_patches`.
+        hull: around the mesh, of_cell: (C,) source of each of its cells, -1 without.
+        place, toward: (K, 3) mean place, metres, and mean unit direction of the rays that land there.
+    """
+
+    points: Transport
+    where: np.ndarray
+    position: np.ndarray
+    normal: np.ndarray
+    expected: Expectation
+    light: SourceLight
+    gain: float
+    entries: np.ndarray
+    of_entry: np.ndarray
+    patch: np.ndarray
+    hull: Hull
+    of_cell: np.ndarray
+    place: np.ndarray
+    toward: np.ndarray
+
+    def environment(self, before: Environment | None, width: int) -> Environment:
+        """What was observed outside, with the light of the sources; `width`: of a new map in pixels."""
+        radiance = self.light.radiance.astype(np.float32)
+        table = np.where((self.of_cell >= 0)[:, None], radiance[self.of_cell], -1.0).astype(np.float32)
+        hull = replace(self.hull, radiance=table)
+        if before is None:
+            shape = (width // 2, width)
+            before = Environment(np.zeros((*shape, 3), np.float32), 0.0, np.zeros(shape, bool))
+        image, (height, width) = before.image.copy(), before.seen.shape
+        ways = equirect_pixel_directions(width, height)
+        middle = np.broadcast_to(0.5 * (hull.low + hull.high), ways.reshape(-1, 3).shape)
+        # In a world, sources that are lamps of their own would shine twice, and from wrong places.
+        far = np.where(np.append(self.lamp >= 0, False)[self.of_cell, None], DARK_OUTSIDE, table)
+        near = far[hull.cells(middle, ways.reshape(-1, 3))].reshape(image.shape)
+        inferred = ~before.seen & (near[..., 0] >= 0.0)
+        image[inferred] = near[inferred]
+        if inferred.any():  # from elsewhere, other directions lead there
+            image = diffused(image, before.seen | inferred)
+        return replace(
+            before,
+            image=image,
+            hull=hull,
+            entries=self.entries,
+            radiance=radiance[self.of_entry],
+            lamps=tuple(self.lamps()),
+        )
+
+    @cached_property
+    def lamp(self) -> np.ndarray:
+        """(K,) int64 lamp or window that each source belongs to; -1 for dim ones and wide openings."""
+        level = LAMP * float(np.median(self.points.seen))
+        members = np.flatnonzero(self.light.radiance.mean(axis=1) > level)
+        result = np.full(len(self.place), -1, np.int64)
+        if len(members):
+            pairs = cKDTree(self.place[members]).query_pairs(1.5 * self.size, output_type="ndarray")
+            lamp = graph_components(pairs, len(members))
+            own = np.bincount(lamp) <= MOST_OF_LAMP
+            result[members] = np.where(own, np.cumsum(own) - 1, -1)[lamp]
+        return result
+
+    @property
+    def size(self) -> float:
+        """Width of a source, metres."""
+        return float((self.hull.high - self.hull.low).max() / self.hull.counts.max())
+
+    def lamps(self) -> Iterator[dict[str, Any]]:
+        """Balls that cast the light of bright sources, as lamps that the mesh lacks."""
+        for index in range(int(self.lamp.max(initial=-1)) + 1):
+            own = np.flatnonzero(self.lamp == index)
+            cast = self.points.unseen[:, own] @ self.light.radiance[own]
+            lit = cast.sum(axis=1) > 0.0
+            weight = self.points.unseen[:, own].sum(axis=0) * self.light.radiance[own].mean(axis=1)
+            place, way = (
+                np.average(array[own], axis=0, weights=weight) for array in (self.place, self.toward)
+            )
+            radius = BALL * self.size
+            center = place - radius * way / max(float(np.linalg.norm(way)), 1e-9)
+            toward = center - self.position[lit]
+            squared = np.maximum((toward**2).sum(axis=1), radius**2)
+            cosine = np.maximum((toward * self.normal[lit]).sum(axis=1), 0.0) / np.sqrt(squared)
+            # Irradiance over pi by a ball of radiance 1, where its light and that of the sources are alike.
+            ball = radius**2 * cosine / squared
+            fitted = ball @ cast[lit] / max(float(ball @ ball), 1e-12)
+            yield {
+                "position": center.tolist(),
+                "radius": radius,
+                "radiance": fitted.tolist(),
+                "inferred": True,
+            }
 
 
-def _without_albedo(residual: np.ndarray, jacobian: np.ndarray, group: np.ndarray, spread: float) -> _Rows:
-    """Eliminate the logarithm of the albedo of each group; arguments as in `_Rows`, for N points."""
-    size = int(group.max()) + 1
-    weight = np.full(len(residual), 1.0 / (spread**2 * POINTS_PER_SAMPLE))
-    albedo = np.full(size, np.log(ALBEDO))
-    expected, precision = _expected_albedo(albedo)
-    for _ in range(6):
-        total = np.bincount(group, weight, size) + precision
-        albedo = (np.bincount(group, weight * residual, size) + precision * expected) / total
-        weight = student_weights(((residual - albedo[group]) / spread) ** 2) / (spread**2 * POINTS_PER_SAMPLE)
-        expected, precision = _expected_albedo(albedo)
-    total = np.bincount(group, weight, size) + precision
-    albedo = (np.bincount(group, weight * residual, size) + precision * expected) / total
-    sums = np.stack([np.bincount(group, weight * column, size) for column in jacobian.T], axis=1)
-    mean = sums / total[:, None]
-    return _Rows(
-        np.concatenate([residual - albedo[group], expected - albedo]),
-        np.concatenate([jacobian - mean[group], -mean]),
-        np.concatenate([weight, precision]),
+def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: int) -> Sources | None:
+    """The sources with their radiance; None where the photographs show all that lights the room."""
+    pixels, grid = observed.pixels, observed.grid
+    where, group = _comparable(pixels, label, np.random.default_rng([seed, 23]))
+    if len(where) < LEAST_POINTS:
+        return None
+    lit = pixels.surface(room, where)
+    size = min(SIZE, SIZE_SHARE * float((room.bounds[1] - room.bounds[0]).max()))
+    hull, patch = Hull.around(room.bounds, size), unseen_patches(grid, seen_entries(observed), size)
+    patches = int(patch.max(initial=-1)) + 1
+    rays = _traced(observed, room, hull, lit, np.where(patch >= 0, patch + len(hull.radiance), -1), seed)
+    count = np.bincount(rays.source[rays.source >= 0], minlength=len(hull.radiance) + patches)
+    chosen = np.argsort(-count, kind="stable")[:MOST_SOURCES]
+    chosen = np.sort(chosen[count[chosen] > LEAST_SHARE * rays.source.size])
+    if not len(chosen):
+        return None
+    number = np.full(len(count) + 1, -1, np.int64)  # the last is that of no source
+    number[chosen] = np.arange(len(chosen))
+    outside = chosen < len(hull.radiance)
+    seen, unseen, mean, way = _transport(rays, observed, number, len(chosen))
+    mean = np.where(outside[:, None], np.maximum(mean, np.log(DARK_OUTSIDE)), mean)
+    points = Transport(np.log(np.asarray(pixels.own[where], np.float64)), group, seen, unseen)
+    expected = Expectation(mean, outside)
+    gain = held_back_gain(points, expected, np.random.default_rng([seed, 24]))
+    way[0][outside] = hull.centers(chosen[outside])
+    of_entry = number[np.where(patch >= 0, patch + len(hull.radiance), -1)]
+    entries = np.flatnonzero(of_entry >= 0)
+    return Sources(
+        points=points,
+        where=where,
+        position=lit[0],
+        normal=lit[1],
+        expected=expected,
+        light=solve_sources(points, expected),
+        gain=gain,
+        entries=entries,
+        of_entry=of_entry[entries],
+        patch=patch,
+        hull=hull,
+        of_cell=number[: len(hull.radiance)],
+        place=way[0],
+        toward=way[1],
     )
 
 
-def _expected_albedo(albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Prior mean of the logarithms of albedos (G,), and its precision.
+def close_share(observed: Observations, room: Room, found: Sources, seed: int) -> np.ndarray:
+    """(T,) float32 share of the directions around each triangle in which unseen places are closer than a
+    source is wide, on the side that pixels see; 0 on triangles that no pixel sees."""
+    pixels, rng = observed.pixels, np.random.default_rng([seed, 25])
+    side = np.zeros(len(room.triangles))
+    for rows in observed.hits():
+        side += np.bincount(pixels.triangle[rows], np.where(pixels.front[rows], 1.0, -1.0), len(side))
+    seen = np.flatnonzero(side)
+    result = np.zeros(len(side), np.float32)
+    if not len(seen):
+        return result
+    centers = room.vertices[room.triangles[seen]].mean(axis=1)
+    normals = room.normals[seen] * np.sign(side[seen])[:, None]
+    chosen = np.sort(rng.permutation(len(seen))[:MOST_TRIANGLES])
+    lit = centers[chosen], normals[chosen]
+    patch = found.patch
+    of_entry = np.where(patch >= 0, patch + len(found.hull.radiance), -1)
+    rays = _traced(observed, room, found.hull, lit, of_entry, seed, CLOSE_RAYS)
+    inside = (rays.entry >= 0)[..., None]
+    cell = np.where(rays.entry < 0, np.maximum(rays.source, 0), 0)
+    place = np.where(inside, _middles(observed.grid, rays.entry), found.hull.centers(cell))
+    close = (rays.source >= 0) & (np.linalg.norm(place - lit[0][:, None], axis=2) < found.size)
+    columns = [np.concatenate([a, NORMAL_WEIGHT * b], axis=1) for a, b in (lit, (centers, normals))]
+    result[seen] = close.mean(axis=1)[cKDTree(columns[0]).query(columns[1])[1]]
+    return result
 
-    Robust in both directions: red paint reflects hardly any blue, and a screen is no white paint.
+
+def _middles(grid: VoxelGrid, entry: np.ndarray) -> np.ndarray:
+    """(..., 3) middles of the voxels of cache entries, metres; of the first one for negative entries."""
+    corner = np.stack(np.unravel_index(grid.voxels, (grid.resolution,) * 3), axis=1)
+    return np.asarray(((corner + 0.5) * grid.size + grid.low)[np.maximum(entry, 0) // SIDES])
+
+
+@dataclass(frozen=True, eq=False)
+class _Rays:
+    """Where R rays from each of N points land.
+
+    Attributes:
+        entry: (N, R) int32 cache entry, negative outside.
+        source: (N, R) int32 cell of the hull or, after these, patch of unseen surfaces; -1 for others.
+        direction: (N, R, 3) float32.
     """
-    most = np.log(MOST_ALBEDO)
-    above = albedo > most
-    expected = np.where(above, most, np.log(ALBEDO))
-    width = np.where(above, MOST_SPREAD, ALBEDO_SPREAD)
-    return expected, student_weights(((albedo - expected) / width) ** 2) / width**2
+
+    entry: np.ndarray
+    source: np.ndarray
+    direction: np.ndarray
 
 
-def _sky_precision(parts: int) -> np.ndarray:
-    """(3 K, 3 K) of the logarithms of the sky's radiance, channel by channel, around 0."""
-    common = np.full((parts, parts), 1.0 / parts)
-    level = np.eye(parts) * PART_LEVEL**2 + common * parts * LEVEL**2
-    color = np.eye(parts) * PART_COLOR**2 + common * parts * COLOR**2
-    gray = np.full((3, 3), 1.0 / 3.0)
-    covariance = 3.0 * np.kron(gray, level) + np.kron(np.eye(3) - gray, color)
-    return np.asarray(np.linalg.inv(covariance))
+def _traced(
+    observed: Observations,
+    room: Room,
+    hull: Hull,
+    lit: tuple[np.ndarray, np.ndarray],
+    of_entry: np.ndarray,
+    seed: int,
+    count: int = RAYS,
+) -> _Rays:
+    """Rays from points.
 
-
-def _evidence_precision(share: np.ndarray) -> np.ndarray:
-    """(3 K, 3 K), as `_sky_precision`, of how bright photographs show the shares (K,) of the parts.
-
-    The seen directions of a part predict its other ones as well as a part predicts its neighbors. Their
-    color, that of a wall or of grass, is hardly evidence of that of the light.
+    Args:
+        lit: (N, 3) positions, metres, and (N, 3) normals.
+        of_entry: (M * 6,) source of each cache entry, -1 where photographs show it.
     """
-    return np.asarray(np.kron(np.full((3, 3), 1.0 / 9.0), np.diag(share / PART_LEVEL**2)))
+    nothing, environment, found = np.full(len(room.triangles), -1, np.int32), observed.environment, []
+    for number, first in enumerate(range(0, len(lit[0]), CHUNK)):
+        position, normal = (array[first : first + CHUNK] for array in lit)
+        stream = seed * 1009 + number
+        entry, direction = hemisphere_rays(room, observed.grid, position, normal, nothing, stream, count)
+        source, outside = of_entry[np.maximum(entry, 0)], entry == OUTSIDE
+        start = np.broadcast_to(position[:, None], direction.shape)
+        source[outside] = hull.cells(start[outside], direction[outside])
+        if environment is not None:
+            pixel = map_cells(direction, environment.seen.shape[1])
+            source[outside & environment.seen.reshape(-1)[pixel]] = -1
+        found.append((entry, source.astype(np.int32), direction.astype(np.float32)))
+    return _Rays(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _transport(
+    rays: _Rays, observed: Observations, number: np.ndarray, sources: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """The light of points by what photographs show and by sources, and what is known of the sources.
+
+    Args:
+        number: of each source of the rays, from 0, -1 for those that are left as they are; the last is -1.
+
+    Returns:
+        (N, 3) and (N, K) as in :class:`.sources.Transport`; (K, 3) mean logarithm of the radiance that cache
+        and environment have for the sources; (K, 3) where rays land on them, metres, and (K, 3) unit mean
+        directions of these.
+    """
+    cache, environment, grid = observed.cache(), observed.environment, observed.grid
+    seen, unseen, sums, count = [], [], np.zeros((9, sources)), np.zeros(sources)
+    for first in range(0, len(rays.entry), CHUNK):
+        entry, source, way = (
+            array[first : first + CHUNK] for array in (rays.entry, rays.source, rays.direction)
+        )
+        light = np.where((entry >= 0)[..., None], cache[np.maximum(entry, 0)], 0.0)
+        if environment is not None:
+            pixel = map_cells(way, environment.seen.shape[1])
+            light = np.where((entry >= 0)[..., None], light, environment.image.reshape(-1, 3)[pixel])
+        of_ray = number[source]
+        inside = of_ray >= 0
+        seen.append(np.where(inside[..., None], 0.0, light).mean(axis=1))
+        row = np.arange(len(entry))[:, None] * (sources + 1) + 1 + of_ray
+        counts = np.bincount(row.ravel(), minlength=len(entry) * (sources + 1)).reshape(len(entry), -1)
+        unseen.append(counts[:, 1:] / entry.shape[1])
+        count += counts[:, 1:].sum(axis=0)
+        values = [
+            np.log(np.maximum(light[inside], DARKEST)),
+            _middles(grid, entry[inside]),
+            way[inside],
+        ]
+        columns = np.concatenate(values, axis=1).T
+        sums += [np.bincount(of_ray[inside], column, sources) for column in columns]
+    mean = (sums / np.maximum(count, 1.0)).T
+    toward = mean[:, 6:] / np.maximum(np.linalg.norm(mean[:, 6:], axis=1, keepdims=True), 1e-9)
+    return np.concatenate(seen), np.concatenate(unseen), mean[:, :3], (mean[:, 3:6], toward)
+
+
+def _comparable(
+    pixels: PixelStore, label: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) int64 pixels of surfaces, from all views alike, and (N,) the groups of one albedo, from 0."""
+    share = max(1, MOST_POINTS // max(len(pixels.views), 1))
+    chosen = [np.zeros(0, np.int64)]
+    for index in range(len(pixels.views)):
+        rows = pixels.rows(index)
+        good = (np.asarray(pixels.triangle[rows]) >= 0) & np.asarray(pixels.pure[rows])
+        good &= (np.asarray(pixels.weight[rows]) >= LEAST_WEIGHT) & (pixels.own[rows] > DARKEST).all(axis=1)
+        chosen.append(rng.permutation(np.flatnonzero(good))[:share] + rows.start)
+    where = np.concatenate(chosen)
+    logs = np.log(np.asarray(pixels.own[where], np.float64))
+    ratio = np.floor((logs[:, [0, 2]] - logs[:, [1]]) / COLOR_STEP).astype(np.int64)
+    group = numbered([label[np.asarray(pixels.triangle[where])], *ratio.T])
+    enough = np.bincount(group, minlength=1)[group] >= LEAST_GROUP
+    return where[enough], np.unique(group[enough], return_inverse=True)[1].reshape(-1)
+
+
+def seen_entries(observed: Observations) -> np.ndarray:
+    """(M * 6,) bool, cache entries that pixels see."""
+    seen = np.zeros(len(observed.grid.voxels) * SIDES, bool)
+    for rows in observed.hits():
+        seen[observed.entry[rows]] = True
+    return seen
+
+
+def unseen_patches(grid: VoxelGrid, seen: np.ndarray, size: float) -> np.ndarray:
+    """(M * 6,) int64 source of each cache entry: a side in a cube of unseen ones; -1 where it is seen.
+
+    Args:
+        seen: (M * 6,) bool. size: of the cubes, metres.
+    """
+    corner = np.stack(np.unravel_index(grid.voxels, (grid.resolution,) * 3), axis=1)
+    side = np.tile(np.arange(SIDES), len(corner))
+    around = numbered([*np.repeat(corner // UNSEEN, SIDES, axis=0).T, side])
+    unseen = np.flatnonzero(np.bincount(around, seen)[around] == 0.0)
+    cube = np.floor(corner * grid.size / size).astype(np.int64)
+    result = np.full(len(seen), -1, np.int64)
+    if len(unseen):
+        result[unseen] = numbered([*cube[unseen // SIDES].T, unseen % SIDES])
+    return result

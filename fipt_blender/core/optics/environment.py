@@ -40,7 +40,8 @@ class EnvironmentLight:
             density = pmf.astype(np.float64) / pmf.sum(dtype=np.float64) / solid_angle[:, None]
             self._pdf = mi.Float(density.astype(np.float32).reshape(-1))
 
-    def _pixel(self, direction: mi.Vector3f) -> mi.UInt32:
+    def pixel(self, direction: mi.Vector3f) -> mi.UInt32:
+        """Row-major pixel of unit directions."""
         u = 0.5 - dr.atan2(direction.y, direction.x) * (0.5 * dr.inv_pi)
         v = dr.acos(dr.clip(direction.z, -1.0, 1.0)) * dr.inv_pi
         column = dr.minimum(mi.UInt32(dr.clip(u, 0.0, 1.0) * self._width), self._width - 1)
@@ -49,13 +50,13 @@ class EnvironmentLight:
 
     def radiance(self, direction: mi.Vector3f, active: mi.Bool = True) -> mi.Color3f:
         """Radiance that arrives from unit directions, which point away from the room."""
-        return dr.gather(mi.Color3f, self._image, self._pixel(direction), active)
+        return dr.gather(mi.Color3f, self._image, self.pixel(direction), active)
 
     def pdf(self, direction: mi.Vector3f, active: mi.Bool = True) -> mi.Float:
         """Density of :meth:`sample` per steradian."""
         if not self.flux > 0.0:
             return mi.Float(0.0)
-        return dr.gather(mi.Float, self._pdf, self._pixel(direction), active)
+        return dr.gather(mi.Float, self._pdf, self.pixel(direction), active)
 
     def sample(self, u1: mi.Float, u2: mi.Float, u3: mi.Float) -> DirectSample:
         """Choose a direction by three uniform numbers; needs ``flux > 0``."""

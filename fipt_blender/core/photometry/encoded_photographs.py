@@ -20,7 +20,6 @@ from ..checks.cells import SurfaceCells, surface_cells
 from ..checks.exposure import exposure_gains
 from ..light.clipped import Expectation, LampLight, LitPoints, solve_lamps
 from ..light.observations import median_footprint
-from ..light.unseen_light import OPEN
 from ..pixels.store import LEFT_OUT, VIEW_LUMINANCES, PixelStore
 from ..radiometry.adjustment import adjust
 from ..radiometry.contrast import Source, combined, exif_contrast, usual_contrast
@@ -43,6 +42,8 @@ LIGHT_DEVIATION = 0.06
 LEAST_POINTS = 200
 MOST_DEVIATIONS = 4.0  # by which the contrast by light may differ from that of the other sources
 UNKNOWN_CONTRAST = 1.0  # standard deviation of its logarithm where light alone shall determine it
+# Share of the light from directions that no photograph shows from which on it makes the contrast uncertain.
+OPEN = 0.05
 
 
 @dataclass(frozen=True, eq=False)

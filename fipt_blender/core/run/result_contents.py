@@ -49,11 +49,12 @@ class EmitterEnvironment:
 
 @dataclass(frozen=True)
 class MissingLamp:
-    """A lamp that the mesh lacks: a ball in world metres."""
+    """A lamp that the mesh lacks: a ball in world metres; inferred: no photograph shows it."""
 
     position: Vector
     radius: NotNegative
     radiance: Vector
+    inferred: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,215 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Radiance of light sources that no photograph shows, from the light that they cast on what photographs show.
+
+The radiance of a diffuse surface point is albedo (B + sum of e_k D_k): B is the irradiance over pi from all
+that the photographs show, D_k that from source k of radiance 1. The albedo of a surface of one color is
+constant. In logarithms it is eliminated, and the e_k are found by robust least squares, with a covariance.
+The prior of a source is Student's t-distribution: most sources are surfaces like others, a few are lamps or
+windows. The level follows from shadows and, with less weight, from usual albedos: none is above that of white
+paint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..robust import DEGREES, deviation, gauss_newton, student_weights
+from .clipped import POINTS_PER_SAMPLE
+
+# Standard deviations of logarithms: of a source from what is expected, of the level that sources outside the
+# mesh share, and of color from gray, as photographs are white-balanced: that of all sources, and of one.
+SOURCE, LEVEL, COLOR, SOURCE_COLOR = 1.5, 2.0, 0.15, 0.15
+# Median and standard deviation (of the logarithm) of the albedos in a room, the highest, and its deviation.
+ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 0.7, 0.85, 0.1
+LEAST_GROUP = 8  # points of one albedo
+HELD_BACK = 0.1  # share of the points
+DARKEST = 1e-4  # radiance, in units of the capture's median
+_SPREAD, _LEAST_SPREAD = 0.15, 0.02  # of a point's logarithm: to begin with, and at least
+_ITERATIONS, _LONGEST_STEP = 60, 0.7  # of Gauss-Newton; it ends earlier
+
+
+@dataclass(frozen=True, eq=False)
+class Transport:
+    """N points of surfaces and the light that reaches them.
+
+    Attributes:
+        log_radiance: (N, 3).
+        group: (N,) int from 0, points of one albedo.
+        seen: (N, 3) irradiance over pi from what the photographs show.
+        unseen: (N, K) irradiance over pi by each source of radiance 1.
+    """
+
+    log_radiance: np.ndarray
+    group: np.ndarray
+    seen: np.ndarray
+    unseen: np.ndarray
+
+    def rows(self, chosen: np.ndarray) -> Transport:
+        """Some of the points."""
+        return Transport(
+            self.log_radiance[chosen], self.group[chosen], self.seen[chosen], self.unseen[chosen]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Expectation:
+    """What is expected of K sources.
+
+    Attributes:
+        log_radiance: (K, 3). outside: (K,) bool, those that share an unknown level.
+    """
+
+    log_radiance: np.ndarray
+    outside: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SourceLight:
+    """What is found of K sources.
+
+    Attributes:
+        radiance: (K, 3).
+        covariance: (3, K, 3, K) of its logarithms, by channel and source.
+        spread: robust standard deviation of a point's logarithm.
+        log_albedo: (G, 3) of the groups.
+    """
+
+    radiance: np.ndarray
+    covariance: np.ndarray
+    spread: float
+    log_albedo: np.ndarray
+
+    def share(self, points: Transport) -> np.ndarray:
+        """(N,) share of the light on points that these sources cast."""
+        cast = (points.unseen @ self.radiance).sum(axis=1)
+        return np.asarray(cast / np.maximum(points.seen.sum(axis=1) + cast, DARKEST))
+
+    def error(self, points: Transport) -> np.ndarray:
+        """(N,) standard deviation of the logarithm of the light on points, mean of the channels."""
+        cast = points.unseen[None] * self.radiance.T[:, None]
+        total = np.maximum(points.seen.T + cast.sum(axis=2), DARKEST)
+        part = np.moveaxis(cast / total[..., None], 0, 1).reshape(len(points.group), -1) / 3.0
+        size = part.shape[1]
+        return np.asarray(np.sqrt(((part @ self.covariance.reshape(size, size)) * part).sum(axis=1)))
+
+
+def solve_sources(points: Transport, expected: Expectation) -> SourceLight:
+    """Radiance of the sources."""
+    sources = points.unseen.shape[1]
+    mean = expected.log_radiance.T.ravel()
+
+    def system(x: np.ndarray, spread: float) -> tuple[np.ndarray, np.ndarray, float]:
+        precision = _precision(x.reshape(3, sources), expected)
+        normal, pull = precision.copy(), precision @ (mean - x)
+        left = []
+        for channel, rows in enumerate(_channels(points, np.exp(x.reshape(3, sources)), spread)):
+            mine = slice(channel * sources, (channel + 1) * sources)
+            weighted = rows.jacobian * rows.weight[:, None]
+            normal[mine, mine] += weighted.T @ rows.jacobian
+            pull[mine] -= weighted.T @ rows.residual
+            left.append(rows.residual[: len(points.group)])
+        return normal, pull, deviation(np.array(left), _LEAST_SPREAD)
+
+    found = gauss_newton(system, mean, _SPREAD, most_steps=_ITERATIONS, longest=_LONGEST_STEP, settled=1e-2)
+    radiance = np.exp(found.x.reshape(3, sources))
+    albedo = [rows.albedo for rows in _channels(points, radiance, found.spread)]
+    covariance = np.linalg.inv(found.normal).reshape(3, sources, 3, sources)
+    return SourceLight(radiance.T, covariance, found.spread, np.stack(albedo, axis=1))
+
+
+def held_back_gain(points: Transport, expected: Expectation, rng: np.random.Generator) -> float:
+    """Logarithm of the likelihood of points held back, with sources over that with the expected ones."""
+    held = rng.random(len(points.group)) < HELD_BACK
+    size = int(points.group.max()) + 1
+    held &= (np.bincount(points.group[~held], minlength=size) >= LEAST_GROUP)[points.group]
+    kept = points.rows(~held)
+    found, known = solve_sources(kept, expected), np.exp(expected.log_radiance)
+    total = 0.0
+    for radiance, sign in ((found.radiance, 1.0), (known, -1.0)):
+        channels = zip(range(3), _channels(kept, radiance.T, found.spread), strict=True)
+        for channel, rows in channels:
+            spread = deviation(rows.residual[: len(kept.group)], _LEAST_SPREAD)
+            light = points.seen[held, channel] + points.unseen[held] @ radiance[:, channel]
+            residual = points.log_radiance[held, channel] - np.log(np.maximum(light, DARKEST))
+            residual -= rows.albedo[points.group[held]]
+            likelihood = np.log1p((residual / spread) ** 2 / DEGREES) * (0.5 * (DEGREES + 1.0)) + np.log(
+                spread
+            )
+            total -= sign * float(likelihood.sum()) / 3.0
+    return total / POINTS_PER_SAMPLE
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Residuals (R,) less the albedo of their group, their derivatives (R, K), and weights (R,); the points
+    first, then the prior of the albedo of each group. And logarithms of the albedos (G,)."""
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    weight: np.ndarray
+    albedo: np.ndarray
+
+
+def _channels(points: Transport, radiance: np.ndarray, spread: float) -> list[_Rows]:
+    """The rows of each channel, for a radiance (3, K)."""
+    found = []
+    for channel in range(3):
+        cast = points.unseen * radiance[channel]
+        total = np.maximum(points.seen[:, channel] + cast.sum(axis=1), DARKEST)
+        residual = points.log_radiance[:, channel] - np.log(total)
+        found.append(_without_albedo(residual, -cast / total[:, None], points.group, spread))
+    return found
+
+
+def _without_albedo(residual: np.ndarray, jacobian: np.ndarray, group: np.ndarray, spread: float) -> _Rows:
+    """Eliminate the logarithm of the albedo of each group; arguments as in `_Rows`, for N points."""
+    size = int(group.max()) + 1
+    weight = np.full(len(residual), 1.0 / (spread**2 * POINTS_PER_SAMPLE))
+    albedo = np.full(size, np.log(ALBEDO))
+    expected, precision = _expected_albedo(albedo)
+    for _ in range(6):
+        total = np.bincount(group, weight, size) + precision
+        albedo = (np.bincount(group, weight * residual, size) + precision * expected) / total
+        weight = student_weights(((residual - albedo[group]) / spread) ** 2) / (spread**2 * POINTS_PER_SAMPLE)
+        expected, precision = _expected_albedo(albedo)
+    total = np.bincount(group, weight, size) + precision
+    albedo = (np.bincount(group, weight * residual, size) + precision * expected) / total
+    sums = np.stack([np.bincount(group, weight * column, size) for column in jacobian.T], axis=1)
+    mean = sums / total[:, None]
+    return _Rows(
+        np.concatenate([residual - albedo[group], expected - albedo]),
+        np.concatenate([jacobian - mean[group], -mean]),
+        np.concatenate([weight, precision]),
+        albedo,
+    )
+
+
+def _expected_albedo(albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Prior mean of the logarithms of albedos (G,), and its precision.
+
+    Robust in both directions: red paint reflects hardly any blue, and a screen is no white paint.
+    """
+    most = np.log(MOST_ALBEDO)
+    above = albedo > most
+    expected = np.where(above, most, np.log(ALBEDO))
+    width = np.where(above, MOST_SPREAD, ALBEDO_SPREAD)
+    return expected, student_weights(((albedo - expected) / width) ** 2) / width**2
+
+
+def _precision(x: np.ndarray, expected: Expectation) -> np.ndarray:
+    """(3 K, 3 K) of the logarithms of the sources' radiance (3, K), channel by channel."""
+    off = (x - expected.log_radiance.T).mean(axis=0)
+    outside = expected.outside
+    if outside.any():
+        off = np.where(outside, off - np.median(off[outside]), off)
+    own = SOURCE**2 / student_weights((off / SOURCE) ** 2)
+    both = outside[:, None] & outside[None]
+    level = np.diag(own) + LEVEL**2 * both
+    color = SOURCE_COLOR**2 * np.eye(len(own)) + COLOR**2
+    gray = np.full((3, 3), 1.0 / 3.0)
+    return np.asarray(
+        np.kron(gray, np.linalg.inv(3.0 * level)) + np.kron(np.eye(3) - gray, np.linalg.inv(color))
+    )
