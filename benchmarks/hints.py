@@ -117,11 +117,11 @@ def scores(run: RunFolder) -> dict[str, dict[str, float | None]]:
 def true_answers(run: RunFolder, count: int, answers: str) -> list[Hint]:
     """The run's first questions with their true answers."""
     from fipt_blender.core.estimate.input import estimation_views
-    from fipt_blender.core.pixels.store import open_pixels
+    from fipt_blender.core.textures.detail import solved_light
 
     doubts = read_json(run.doubts_json, DOUBTS)["doubts"][:count]
     views = estimation_views(run, run.read())
-    pixels = open_pixels(run.stage / "pixels", views)
+    pixels = solved_light(run, views).pixels
     part = read_arrays(run.parts_npz, PARTS_ARRAYS)["triangle_part"]
     names = [view.name for view in views]
     return [answer(doubt, views, names.index(doubt["view"]), pixels, part, answers) for doubt in doubts]

@@ -18,22 +18,43 @@ import torch
 
 from benchmarks.shading_error import shading_points
 from fipt_blender.core.checks.view_check import ViewCheck
-from fipt_blender.core.estimate.stages import Estimation
-from fipt_blender.core.light.baking import CHUNK, HALF_LARGEST
+from fipt_blender.core.device.variant import torch_device
+from fipt_blender.core.estimate.light_stages import BakedShadings, infer_outside, observe_pixels
+from fipt_blender.core.estimate.material_stages import TrainedFields, fit_closed_form, honour_hints
+from fipt_blender.core.estimate.pixel_stages import TraceInputs, parts_of
+from fipt_blender.core.light.baking import CHUNK, HALF_LARGEST, ShadingStore, open_shadings
 from fipt_blender.core.light.cache import SurfaceLookup, pool
 from fipt_blender.core.light.emitters import EmitterPixels, Fixture, emitter_table, side_medians
+from fipt_blender.core.light.environment import Environment
+from fipt_blender.core.light.observations import Observations
 from fipt_blender.core.light.radiance import CachedRadiance, RadianceSource, TracedRadiance
-from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, Shadings, bake
+from fipt_blender.core.light.shadings import (
+    SampleCounts,
+    ShadingPoints,
+    Shadings,
+    bake,
+    roughness_levels,
+)
 from fipt_blender.core.material import losses
 from fipt_blender.core.material.emission_mask import EmissionNetwork, emission_mask, mask_at
 from fipt_blender.core.material.fields import RoomFields
-from fipt_blender.core.material.groups import part_units
+from fipt_blender.core.material.groups import Units, part_units
+from fipt_blender.core.material.inference import Fields
 from fipt_blender.core.material.networks import BrdfNetwork, Prediction
-from fipt_blender.core.material.training import Networks
+from fipt_blender.core.material.seen import Box, find_seen_cells, room_box
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
-from fipt_blender.core.pixels.store import fill_pixels, open_pixels
+from fipt_blender.core.parts.labels import Parts
+from fipt_blender.core.pixels.store import PixelStore, fill_pixels, open_pixels
+from fipt_blender.core.run.chain import Stage, Tools
 from fipt_blender.core.run.settings import Settings, make_settings
+from fipt_blender.core.run.stage_settings import (
+    NetworkSettings,
+    NoSettings,
+    RefinementSettings,
+    ShadingSettings,
+    TrainingSettings,
+)
 from fipt_blender.core.surface.room import Room, triangle_normals
 
 # A triangle is an emitter if its mean mask at so many points is above the threshold (paper, Sec. 4.4).
@@ -137,7 +158,7 @@ class PaperNetwork(BrdfNetwork):
     """MLP_brdf as in the paper: it knows nothing of units, and starts anywhere."""
 
     def __init__(
-        self, settings: Settings, levels: int, generator: torch.Generator, device: torch.device
+        self, settings: NetworkSettings, levels: int, generator: torch.Generator, device: torch.device
     ) -> None:
         super().__init__(settings, levels, np.full((1, 5), 0.5), generator, device)
 
@@ -191,7 +212,7 @@ def reference_loss(
     batch: Batch,
     levels: torch.Tensor,
     part_kind: str,
-    settings: Settings,
+    settings: TrainingSettings,
     partners: torch.Tensor,
 ) -> torch.Tensor:
     """l + l_e + l_d + l_p of one batch, sigma' and m' being the batch's means (paper Eq. 15 to 20)."""
@@ -220,163 +241,268 @@ def reference_loss(
     return loss
 
 
-class ReferenceEstimation(Estimation):
-    """The paper's stages: all pixels at their centres, no emitter guide, no pretraining, no correction."""
+@dataclass(frozen=True)
+class ReferencePixels:
+    """Pixels at their centres, of which none counts as mixed, and no view is checked."""
 
-    # Pixels
+    pixels: PixelStore
+    parts: Parts
+    scale: float
+    view_check: ViewCheck
 
-    def _trace(self) -> dict[str, Any]:
-        self.pixels = open_pixels(self.folder.stage / "pixels", self.views, create=True)
-        self.scale = fill_pixels(self.pixels, self.room, self.reporter.progress)
-        self.pixels.pure[:] = np.asarray(self.pixels.triangle) >= 0  # no pixel counts as mixed
-        self.pixels.own[:], self.pixels.weight[:] = self.pixels.radiance, self.pixels.pure
-        self.parts = self._choose_parts()
-        self.view_check = ViewCheck()
-        self.checkpoints.remember("scale", self.scale)
-        self.checkpoints.remember("view_check", self.view_check.facts())
-        return {"rays": len(self.pixels)}
 
-    def _prepare(self) -> None:
-        super()._prepare()
-        self.hit = np.flatnonzero(np.asarray(self.pixels.triangle) >= 0)
-        # Nothing is shrunk towards its part: only the product does that.
-        units = part_units(self.parts)
-        self._find_cells(replace(units, single=np.zeros_like(units.single)))
-        self._new_networks(0)
+def trace_centres(inputs: TraceInputs, settings: NoSettings, tools: Tools) -> ReferencePixels:
+    """Intersect the pixels' centres with the mesh."""
+    pixels = open_pixels(tools.folder, inputs.views, create=True)
+    scale = fill_pixels(pixels, inputs.room, tools.reporter.progress)
+    pixels.pure[:] = np.asarray(pixels.triangle) >= 0
+    pixels.own[:], pixels.weight[:] = pixels.radiance, pixels.pure
+    tools.facts["rays"] = len(pixels)
+    return ReferencePixels(pixels, parts_of(inputs.room, pixels), scale, ViewCheck())
 
-    def _new_networks(self, index: int) -> None:
-        generator = torch.Generator().manual_seed(self.settings.seed + index)
-        self.brdf = PaperNetwork(self.settings, self.settings.hash_levels, generator, self.device)
-        self.mask = EmissionNetwork(generator, self.device)
 
-    def _show(self, name: str) -> None:
-        """No previews."""
+@dataclass(frozen=True)
+class ReferenceShadingInputs:
+    """What stage 1 bakes with."""
 
-    # Stages 1 and 3
+    pixels: PixelStore
+    room: Room
+    observed: Observations
+    environment: Environment | None
 
-    def _bake(self) -> dict[str, Any]:
-        settings = self.settings
-        source = CachedRadiance(self.room, self._cache(), self._outside())
-        specular = [settings.specular_spp] * len(self.levels)
-        specular[0] = max(1, settings.specular_spp // 2)
-        return self._bake_pixels(source, settings.diffuse_spp, specular, settings.seed * 31 + 1)
 
-    def _refine(self, name: str, index: int) -> dict[str, Any]:
-        settings = self.settings
-        source = TracedRadiance(
-            self.room,
-            self._cache(),
-            SurfaceLookup(self.observations.grid, self._material_values()),
-            None,
-            AreaLights(self.room.vertices, self.room.triangles, emitter_table(self.fixtures)),
-            self._outside(),
-            settings.cache_roughness,
-            settings.refine_depth,
-        )
-        specular = [settings.refine_specular_spp] * len(self.levels)
-        return self._bake_pixels(
-            source, settings.refine_diffuse_spp, specular, settings.seed * 31 + 1 + index
-        )
+def bake_reference(inputs: ReferenceShadingInputs, settings: ShadingSettings, tools: Tools) -> BakedShadings:
+    """Stage 1: every ray ends in the cache of all photographs, lamps included, which is never updated."""
+    source = CachedRadiance(inputs.room, _cache(inputs.observed), _outside(inputs.environment))
+    specular = [settings.specular_spp] * settings.roughness_levels
+    specular[0] = max(1, settings.specular_spp // 2)
+    return _bake_pixels(inputs, source, settings.diffuse_spp, specular, settings, 0, tools)
 
-    def _cache(self) -> SurfaceLookup:
-        """The cache of all photographs, lamps included; the paper never updates it."""
-        return SurfaceLookup(self.observations.grid, self.observations.cache())
 
-    def _outside(self) -> EnvironmentLight | None:
-        environment = self.observations.environment
-        return None if environment is None else EnvironmentLight(environment.image)
+@dataclass(frozen=True)
+class ReferenceRefinementInputs(ReferenceShadingInputs):
+    """What stage 3 traces paths with."""
 
-    def _bake_pixels(
-        self, source: RadianceSource, diffuse: int, specular: list[int], seed: int
-    ) -> dict[str, Any]:
-        """Bake every pixel that sees the mesh, chunk by chunk."""
-        store = self._open_shadings(create=True)
-        normals = triangle_normals(self.room.vertices, self.room.triangles).astype(np.float32)
-        hit = self.hit
-        for start in range(0, len(hit), CHUNK):
-            rows = hit[start : start + CHUNK]
-            points = shading_points(self.pixels, rows, normals)
-            found = bake_apart(points, source, self.levels, diffuse, specular, seed * 100003 + start)
-            store.diffuse[rows] = found.diffuse.clip(0.0, HALF_LARGEST)
-            store.specular[rows] = found.specular.clip(0.0, HALF_LARGEST)
-            self.reporter.progress((start + len(rows)) / len(hit))
-        return {"rays": len(hit) * (diffuse + sum(specular))}
+    index: int
+    emitters: EmitterTable
+    units: Units
+    fields: Fields
+    box: Box
 
-    def _material_values(self) -> np.ndarray:
-        """(M * 6, 5) base colour, roughness and metallic of each cache entry, by the network."""
-        entries, points, triangles = self._places
-        fields, seen = RoomFields(self._fields(), self.units, self.cells), triangles < 0
-        values = np.empty((len(entries), 5), np.float32)
-        none = np.full(int(seen.sum()), -1)
-        values[seen] = fields.fields.query(points[seen], none)
-        values[~seen] = np.column_stack(fields.query(points[~seen], triangles[~seen]))
-        return pool(self.observations.grid, entries, values)[0]
 
-    # Stage 2, in each round
+def refine_reference(
+    inputs: ReferenceRefinementInputs, settings: RefinementSettings, tools: Tools
+) -> BakedShadings:
+    """Stage 3: paths end in the cache at rough surfaces."""
+    room, observed = inputs.room, inputs.observed
+    places = observed.places(room, np.random.default_rng([settings.seed, 4]))
+    values = _material_values(inputs, observed, places)
+    source = TracedRadiance(
+        room,
+        _cache(observed),
+        SurfaceLookup(observed.grid, values),
+        None,
+        AreaLights(room.vertices, room.triangles, inputs.emitters),
+        _outside(inputs.environment),
+        settings.cache_roughness,
+        settings.refine_depth,
+    )
+    specular = [settings.refine_specular_spp] * settings.roughness_levels
+    return _bake_pixels(inputs, source, settings.refine_diffuse_spp, specular, settings, inputs.index, tools)
 
-    def _estimate(self, name: str, refined: bool) -> dict[str, Any]:
-        index = int(name.rpartition("-")[2])
-        self._new_networks(index)
-        self._optimise(index, self.settings.training_steps, self.reporter.progress)
-        if index == 0:  # the paper's emitters are found once
-            self._group_fixtures(self._masked_triangles())
-        return {"steps": self.settings.training_steps, "hash_levels": self.settings.hash_levels}
 
-    def _train(self) -> dict[str, Any]:
-        """Nothing is left to do after the last round."""
-        self._save_networks("training", Networks(self.brdf, self.mask))
-        return {}
+def _cache(observed: Observations) -> SurfaceLookup:
+    return SurfaceLookup(observed.grid, observed.cache())
 
-    def _optimise(self, index: int, steps: int, progress: Callable[[float], None]) -> None:
-        """Adam on random pixels; both networks change in place."""
-        settings = self.settings
-        parameters = [*self.brdf.parameters(), *self.mask.parameters()]
-        optimiser = torch.optim.Adam(parameters, lr=settings.learning_rate, fused=True)
-        levels = torch.from_numpy(self.levels).to(self.device)
-        part = self.parts.triangle_part[np.asarray(self.pixels.triangle)]  # only hits are looked up
-        store = self._open_shadings()
-        rng = np.random.default_rng([settings.seed, 5, index])
-        size = min(settings.batch_size, len(self.hit))
-        for step in range(steps):
-            rows = np.sort(self.hit[rng.integers(0, len(self.hit), size)])  # files read in order
-            batch = Batch(
-                *(
-                    torch.from_numpy(values).to(self.device)
-                    for values in (
-                        self.box.normalise(np.asarray(self.pixels.position[rows])),
-                        np.asarray(self.pixels.radiance[rows]),
-                        part[rows].astype(np.int64),
-                        store.diffuse[rows].astype(np.float32),
-                        store.specular[rows].astype(np.float32),
-                    )
-                )
-            )
-            partners = torch.from_numpy(rng.integers(0, size, min(_PARTNERS, size))).to(self.device)
-            loss = reference_loss(self.brdf, self.mask, batch, levels, self.parts.kind, settings, partners)
-            optimiser.zero_grad(set_to_none=True)
-            loss.backward()
-            optimiser.step()
-            progress((step + 1) / steps)
 
-    def _masked_triangles(self) -> np.ndarray:
-        """(T,) bool, triangles whose mean mask is above the threshold, without any further test."""
-        return masked_triangles(
-            self.room,
-            lambda positions: mask_at(self.mask, self.box, positions),
+def _outside(environment: Environment | None) -> EnvironmentLight | None:
+    return None if environment is None else EnvironmentLight(environment.image)
+
+
+def _bake_pixels(
+    inputs: ReferenceShadingInputs,
+    source: RadianceSource,
+    diffuse: int,
+    specular: list[int],
+    settings: ShadingSettings | RefinementSettings,
+    index: int,
+    tools: Tools,
+) -> BakedShadings:
+    """Bake every pixel that sees the mesh, chunk by chunk."""
+    room, pixels, seed = inputs.room, inputs.pixels, settings.seed * 31 + 1 + index
+    levels = roughness_levels(settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
+    store = open_shadings(tools.folder, len(pixels), len(levels), create=True)
+    normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
+    hit = np.flatnonzero(np.asarray(pixels.triangle) >= 0)
+    for start in range(0, len(hit), CHUNK):
+        rows = hit[start : start + CHUNK]
+        points = shading_points(pixels, rows, normals)
+        found = bake_apart(points, source, levels, diffuse, specular, seed * 100003 + start)
+        store.diffuse[rows] = found.diffuse.clip(0.0, HALF_LARGEST)
+        store.specular[rows] = found.specular.clip(0.0, HALF_LARGEST)
+        tools.reporter.progress((start + len(rows)) / len(hit))
+    tools.facts["rays"] = len(hit) * (diffuse + sum(specular))
+    return BakedShadings(store, levels, np.zeros(len(room.triangles), bool))
+
+
+def _material_values(
+    inputs: ReferenceRefinementInputs,
+    observed: Observations,
+    places: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """(M * 6, 5) base colour, roughness and metallic of each cache entry, by the network."""
+    entries, points, triangles = places
+    cells = find_seen_cells(inputs.pixels, inputs.units, inputs.box)
+    fields, seen = RoomFields(inputs.fields, inputs.units, cells), triangles < 0
+    values = np.empty((len(entries), 5), np.float32)
+    values[seen] = fields.fields.query(points[seen], np.full(int(seen.sum()), -1))
+    values[~seen] = np.column_stack(fields.query(points[~seen], triangles[~seen]))
+    return pool(observed.grid, entries, values)[0]
+
+
+@dataclass(frozen=True)
+class ReferenceTrainingInputs:
+    """Pixels and shadings; `emitting` (T,) bool of the first round, None in it."""
+
+    pixels: PixelStore
+    room: Room
+    parts: Parts
+    shadings: ShadingStore
+    levels: np.ndarray
+    number: int
+    emitting: np.ndarray | None = None
+    fixtures: list[Fixture] | None = None
+
+
+@dataclass(frozen=True)
+class ReferenceEstimate:
+    """Trained networks, and the lamps, which the paper finds once."""
+
+    brdf: dict[str, np.ndarray]
+    units: Units
+    probability: np.ndarray
+    fixtures: list[Fixture]
+    emitters: EmitterTable
+    emitting: np.ndarray
+
+
+def train_reference(
+    inputs: ReferenceTrainingInputs, settings: TrainingSettings, tools: Tools
+) -> ReferenceEstimate:
+    """Stage 2, anew in each round."""
+    generator = torch.Generator().manual_seed(settings.seed + inputs.number)
+    device, box = torch.device(torch_device()), room_box(inputs.room.bounds)
+    brdf = PaperNetwork(settings, settings.hash_levels, generator, device)
+    mask = EmissionNetwork(generator, device)
+    _optimise(brdf, mask, inputs, settings, tools.reporter.progress)
+    fixtures = inputs.fixtures
+    if fixtures is None:
+        marked = masked_triangles(
+            inputs.room,
+            lambda positions: mask_at(mask, box, positions),
             EMITTER_THRESHOLD,
             EMITTER_SAMPLES,
-            np.random.default_rng([self.settings.seed, 3, 0]),
+            np.random.default_rng([settings.seed, 3, 0]),
         )
+        fixtures = _triangle_fixtures(inputs.room, inputs.pixels, marked)
+    emitting = np.zeros(len(inputs.room.triangles), bool)
+    emitting[emitter_table(fixtures).triangles] = True
+    tools.facts.update(steps=settings.training_steps, hash_levels=settings.hash_levels)
+    weights = {key: tensor.cpu().numpy() for key, tensor in brdf.state_dict().items()}
+    # Nothing is shrunk towards its part: only the product does that.
+    units = part_units(inputs.parts)
+    units = replace(units, single=np.zeros_like(units.single))
+    probability = emitting.astype(np.float32)
+    return ReferenceEstimate(weights, units, probability, fixtures, emitter_table(fixtures), emitting)
 
-    def _group_fixtures(self, emitting: np.ndarray) -> None:
-        """A fixture per triangle, with the median radiance of its pixels; black ones are dropped."""
-        ids = np.flatnonzero(emitting)
-        emitter = np.full(len(emitting), -1, np.int64)
-        emitter[ids] = np.arange(len(ids))
-        medians, _ = side_medians(EmitterPixels.of(self.pixels), emitter)
-        middle = self.room.vertices[self.room.triangles].mean(axis=1)
-        self.fixtures = [
-            Fixture(np.array([t]), front, back, float(self.room.areas[t]), middle[t])
-            for t, (front, back) in zip(ids[: len(medians)], medians, strict=True)
-            if max(front.max(), back.max()) > 0.0 and self.room.areas[t] > 0.0
-        ]
+
+def _optimise(
+    brdf: PaperNetwork,
+    mask: EmissionNetwork,
+    inputs: ReferenceTrainingInputs,
+    settings: TrainingSettings,
+    progress: Callable[[float], None],
+) -> None:
+    """Adam on random pixels; both networks change in place."""
+    device, pixels, store = brdf.typical.device, inputs.pixels, inputs.shadings
+    box, steps = room_box(inputs.room.bounds), settings.training_steps
+    parameters = [*brdf.parameters(), *mask.parameters()]
+    optimiser = torch.optim.Adam(parameters, lr=settings.learning_rate, fused=True)
+    levels = torch.tensor(inputs.levels).to(device)
+    part = inputs.parts.triangle_part[np.asarray(pixels.triangle)]  # only hits are looked up
+    hit = np.flatnonzero(np.asarray(pixels.triangle) >= 0)
+    rng = np.random.default_rng([settings.seed, 5, inputs.number])
+    size = min(settings.batch_size, len(hit))
+    for step in range(steps):
+        rows = np.sort(hit[rng.integers(0, len(hit), size)])  # files read in order
+        batch = Batch(
+            *(
+                torch.from_numpy(values).to(device)
+                for values in (
+                    box.normalise(np.asarray(pixels.position[rows])),
+                    np.asarray(pixels.radiance[rows]),
+                    part[rows].astype(np.int64),
+                    store.diffuse[rows].astype(np.float32),
+                    store.specular[rows].astype(np.float32),
+                )
+            )
+        )
+        partners = torch.from_numpy(rng.integers(0, size, min(_PARTNERS, size))).to(device)
+        loss = reference_loss(brdf, mask, batch, levels, inputs.parts.kind, settings, partners)
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        optimiser.step()
+        progress((step + 1) / steps)
+
+
+def _triangle_fixtures(room: Room, pixels: PixelStore, emitting: np.ndarray) -> list[Fixture]:
+    """A fixture per triangle, with the median radiance of its pixels; black ones are dropped."""
+    ids = np.flatnonzero(emitting)
+    emitter = np.full(len(emitting), -1, np.int64)
+    emitter[ids] = np.arange(len(ids))
+    medians, _ = side_medians(EmitterPixels.of(pixels), emitter)
+    middle = room.vertices[room.triangles].mean(axis=1)
+    return [
+        Fixture(np.array([t]), front, back, float(room.areas[t]), middle[t])
+        for t, (front, back) in zip(ids[: len(medians)], medians, strict=True)
+        if max(front.max(), back.max()) > 0.0 and room.areas[t] > 0.0
+    ]
+
+
+@dataclass(frozen=True)
+class ReferenceFieldInputs:
+    """Weights of the last training."""
+
+    room: Room
+    brdf: dict[str, np.ndarray]
+
+
+def reference_fields(inputs: ReferenceFieldInputs, settings: NetworkSettings, tools: Tools) -> TrainedFields:
+    """The materials of the last training."""
+    box = room_box(inputs.room.bounds)
+    device = torch.device(torch_device())
+    network = PaperNetwork(settings, settings.hash_levels, torch.Generator(), device)
+    network.load_state_dict({key: torch.from_numpy(np.array(array)) for key, array in inputs.brdf.items()})
+    return TrainedFields(Fields(network, box), box)
+
+
+def reference_pipeline(rounds: int) -> list[Stage]:
+    """The paper's stages: all pixels at their centres, no emitter guide, no pretraining, no correction."""
+    stages = [
+        Stage("pixels", trace_centres, "Tracing pixels", 0.5),
+        Stage("observed", observe_pixels),
+        Stage("outside", infer_outside, "Finding the environment", 0.05),
+        Stage("hints", honour_hints),
+        Stage("shadings", bake_reference, "Baking shadings", 1.0),
+    ]
+    for index in range(rounds + 1):
+        if index:
+            takes, before = (
+                {"index": f"round_{index}"},
+                f"refinement-{index - 1}" if index > 1 else "shadings",
+            )
+            stages.append(Stage(f"refinement-{index}", refine_reference, "Refining", 1.6, takes, before))
+        takes = {"number": f"round_{index}"}
+        stages.append(Stage(f"estimate-{index}", train_reference, "Training", 1.2, takes))
+        stages.append(Stage(f"fields-{index}", reference_fields))
+    return [*stages, Stage("closed-form", fit_closed_form)]

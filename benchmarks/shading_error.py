@@ -82,11 +82,11 @@ def evaluate(capture: Path, run: RunFolder, count: int) -> dict[str, Any]:
     set_variant(settings.device)
     from fipt_blender.core.capture.views import load_capture
     from fipt_blender.core.light.shadings import roughness_levels
-    from fipt_blender.core.pixels.store import open_pixels
+    from fipt_blender.core.textures.detail import solved_light
 
     levels = roughness_levels(settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
     train = load_capture(run).train
-    pixels = open_pixels(run.stage / "pixels", train)
+    pixels = solved_light(run, train).pixels
     emitting = [t for fixture in read_json(run.emitters_json)["fixtures"] for t in fixture["triangles"]]
     lit = true_room(capture, load_capture(run).world_from_source)
     stages = {"stage 1": bake_stage_1(run), "stage 3": run}
@@ -97,7 +97,7 @@ def evaluate(capture: Path, run: RunFolder, count: int) -> dict[str, Any]:
         rows = np.arange(pixels.ranges[index], pixels.ranges[index + 1])
         triangle = np.asarray(pixels.triangle[rows])
         seen = (triangle >= 0) & ~np.isin(triangle, emitting)
-        found = {name: read_shadings(folder, rows, len(levels)) for name, folder in stages.items()}
+        found = {name: read_shadings(folder, rows, train) for name, folder in stages.items()}
         for seed, name in enumerate(("truth", "truth, other seed")):
             found[name] = trace_truth(lit, run, pixels, rows, levels, seed)
         size = (train[index].height, train[index].width)
@@ -146,13 +146,12 @@ def bake_stage_1(run: RunFolder) -> RunFolder:
     return first
 
 
-def read_shadings(run: RunFolder, rows: np.ndarray, levels: int) -> Views:
-    """Baked shadings of some pixels in the photographs' units."""
-    from fipt_blender.core.light.baking import open_shadings
+def read_shadings(run: RunFolder, rows: np.ndarray, views: list[Any]) -> Views:
+    """Baked shadings of some pixels of the views in the photographs' units."""
+    from fipt_blender.core.textures.detail import solved_light
 
     scale = float(read_json(run.statistics_json)["radiance_scale"])
-    total = len(np.load(run.stage / "shadings" / "diffuse.npy", mmap_mode="r"))
-    store = open_shadings(run.stage / "shadings", total, levels)
+    store = solved_light(run, views).shadings
     diffuse, specular = (
         np.asarray(array[rows], np.float32) * scale for array in (store.diffuse, store.specular)
     )
@@ -346,10 +345,10 @@ def baked_errors(
     """
     from fipt_blender.core.capture.views import load_capture
     from fipt_blender.core.estimate.input import estimation_views
-    from fipt_blender.core.pixels.store import open_pixels
+    from fipt_blender.core.textures.detail import solved_light
 
     captured = load_capture(run)
-    pixels = open_pixels(run.stage / "pixels", estimation_views(run, run.read()))
+    pixels = solved_light(run, estimation_views(run, run.read())).pixels
     emitting = [t for fixture in read_json(run.emitters_json)["fixtures"] for t in fixture["triangles"]]
     triangle = np.asarray(pixels.triangle[kept])
     usable = (triangle >= 0) & np.asarray(pixels.pure[kept]) & ~np.isin(triangle, emitting)

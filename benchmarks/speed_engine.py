@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.own_memory import watched
 from fipt_blender.core.device.variant import set_variant
+from fipt_blender.core.run.chain import Chain, Watch
 from fipt_blender.core.run.messages import Reporter, claim_stdout, peak_memory_gb
 from fipt_blender.core.run.runfolder import RunFolder
 
@@ -99,43 +100,52 @@ class LastStage(Exception):
     """Ends an estimation after the requested last stage."""
 
 
-def paced(kind: type, pace: Pace, last: str | None = None) -> type:
-    """A subclass of an estimation that waits before each stage, measures it and saves some shadings.
+class Paced(Watch):
+    """Waits before each stage, measures it and saves some shadings; raises :class:`LastStage` after the last.
 
-    After the stage `last` it raises :class:`LastStage`.
+    Args:
+        run: its folder. chain: of the stages.
+        pace: is waited for.
+        last: name of the last stage; None: all.
+
+    Attributes:
+        spent: facts of each stage, by its name.
     """
 
-    class Paced(kind):  # type: ignore[misc, valid-type]
-        def _stage(
-            self, name: str, text: str, work: Callable[[], dict[str, Any]], load: Callable[[], None]
-        ) -> None:
-            pace.wait(name)
+    def __init__(self, run: RunFolder, chain: Chain, pace: Pace, last: str | None = None) -> None:
+        self.spent: dict[str, dict[str, float]] = {}
+        self._run, self._chain, self._pace, self._last = run, chain, pace, last
+        self._stack = contextlib.ExitStack()
 
-            def measured() -> dict[str, Any]:
-                reset_peak()
-                cpu = time.process_time()
-                with watched() as own_peak_gb:
-                    facts = work()
-                    peaks = {"peak_memory_gb": stage_peak_gb(), "peak_own_gb": own_peak_gb()}
-                spent = {"cpu_seconds": round(time.process_time() - cpu, 2)}
-                return facts | spent | {name: round(peak, 3) for name, peak in peaks.items()}
+    def before(self, name: str) -> None:
+        """Wait, and begin to measure."""
+        self._pace.wait(name)
+        reset_peak()
+        self._cpu = time.process_time()
+        self._own_peak_gb = self._stack.enter_context(watched())
 
-            super()._stage(name, text, measured, load)
-            if name == "shadings" or name.startswith("refinement-"):
-                pace.aside(lambda: self._keep(name))
-            if name == last:
-                raise LastStage
+    def after(self, name: str, new: bool) -> None:
+        """End the measurement."""
+        found = {
+            "cpu_seconds": round(time.process_time() - self._cpu, 2),
+            "peak_memory_gb": round(stage_peak_gb(), 3),
+            "peak_own_gb": round(self._own_peak_gb(), 3),
+        }
+        self._stack.close()
+        self.spent[name] = found
+        if name == "shadings" or name.startswith("refinement-"):
+            self._pace.aside(lambda: self._keep(name))
+        if name == self._last:
+            raise LastStage
 
-        def _keep(self, name: str) -> None:
-            rows = kept_pixels(len(self.pixels))
-            store = self._open_shadings()
-            path = kept_path(self.folder, name)
-            path.parent.mkdir(exist_ok=True)
-            stored = (np.asarray(array[rows], np.float32) for array in (store.diffuse, store.specular))
-            diffuse, specular = (values * np.float32(self.scale) for values in stored)
-            np.savez(path, rows=rows, levels=self.levels, diffuse=diffuse, specular=specular)
-
-    return Paced
+    def _keep(self, name: str) -> None:
+        store, levels, scale = (self._chain.value(each, name) for each in ("shadings", "levels", "scale"))
+        rows = kept_pixels(len(store.diffuse))
+        path = kept_path(self._run, name)
+        path.parent.mkdir(exist_ok=True)
+        stored = (np.asarray(array[rows], np.float32) for array in (store.diffuse, store.specular))
+        diffuse, specular = (values * np.float32(scale) for values in stored)
+        np.savez(path, rows=rows, levels=levels, diffuse=diffuse, specular=specular)
 
 
 def main(argv: list[str]) -> int:
@@ -145,20 +155,25 @@ def main(argv: list[str]) -> int:
     pace.restart()
     settings = folder.read()
     set_variant(settings.device)
+    from fipt_blender.core.estimate.estimation import chain_of, finish, stages_of
     from fipt_blender.core.estimate.input import prepare_input
     from fipt_blender.core.optics.brdf import set_masking
 
     set_masking(settings.masking)
-    if name == "reference":
-        from benchmarks.reference import ReferenceEstimation as Kind
-    else:
-        from fipt_blender.core.estimate.stages import Estimation as Kind  # type: ignore[assignment]
     reporter = Reporter()
-    last = argv[2] if len(argv) > 2 else None
-    estimation = paced(Kind, pace, last)(prepare_input(folder, settings, reporter), reporter)
+    given = prepare_input(folder, settings, reporter)
+    stages = stages_of(given)
+    if name == "reference":
+        from benchmarks.reference import reference_pipeline
+
+        stages = reference_pipeline(settings.rounds)
+    chain = chain_of(given, stages, reporter)
+    watch = Paced(folder, chain, pace, argv[2] if len(argv) > 2 else None)
+    statistics: dict[str, Any] = {}
     with contextlib.suppress(LastStage):
-        estimation.run()
-    pace.tell({"done": estimation.summary()})
+        statistics = finish(given, chain, watch, reporter)
+    listed = [stage | watch.spent.get(stage["name"], {}) for stage in chain.facts()]
+    pace.tell({"done": {"peak_memory_gb": round(peak_memory_gb(), 3), **statistics, "stages": listed}})
     return 0
 
 

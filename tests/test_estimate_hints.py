@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 FLOOR, BACK, LEFT = (0.3, 0.2, 0.0), (0.0, 2.0, 1.5), (-2.0, 0.0, 1.5)
 AGAIN = ["hinted-estimate", "hinted-training"]
-LIGHT = ["hinted-lamps", "hinted-refinement"]
+LIGHT = ["hinted-lamps", "hinted-reflection", "hinted-refinement"]
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def test_lamps_and_left_alone(finished: RunFolder, capture: SmallCapture, tmp_pa
 def test_the_light_changes_with_the_lamps(finished: RunFolder, capture: SmallCapture, tmp_path: Path) -> None:
     """The light is that of an estimate with the hints from its beginning; what other hints need is kept."""
     run = copy_of(finished, tmp_path)
-    before = (run.stage / "shadings" / "diffuse.npy").read_bytes()
+    before = (run.stage / "refinement-1" / "diffuse.npy").read_bytes()
     panel = Hint(((0.0, 0.0, 2.9),), "Panel", emits=False)
     messages = again(run, panel, light=True)
     assert stages(messages) == LIGHT + AGAIN and "hints-lamps" not in warnings(messages)
@@ -128,13 +128,13 @@ def test_the_light_changes_with_the_lamps(finished: RunFolder, capture: SmallCap
     whole = write_run(tmp_path / "whole", capture)
     write_hints(whole.hints_json, [panel])
     run_here(whole)
-    folders = (run.stage / "shadings", run.stage / "hinted_shadings", whole.stage / "shadings")
+    folders = [run.stage / "refinement-1", run.stage / "hinted-refinement", whole.stage / "refinement-1"]
     old, new, wanted = (np.load(folder / "diffuse.npy").astype(float) for folder in folders)
     assert np.abs(new - wanted).mean() < 0.2 * np.abs(old - wanted).mean()
-    assert (run.stage / "shadings" / "diffuse.npy").read_bytes() == before
+    assert (run.stage / "refinement-1" / "diffuse.npy").read_bytes() == before
     assert stages(run_here(run)) == []
     assert stages(again(run, panel)) == AGAIN
-    assert not (run.stage / "hinted_shadings").exists()
+    assert not (run.stage / "hinted-refinement").exists()
 
 
 def test_an_area_becomes_a_part_of_its_own(

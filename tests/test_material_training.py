@@ -22,10 +22,10 @@ from fipt_blender.core.material.training import (
     Surfaces,
     gather_batch,
     read_checkpoint,
+    save_tensors,
     total_loss,
     train,
 )
-from fipt_blender.core.run.checkpoints import save_tensors
 from fipt_blender.core.run.settings import Settings
 from samples.refusals import error_of
 

@@ -18,7 +18,7 @@ from scipy import sparse
 
 from ..capture.views import View
 from ..run.errors import FiptError
-from ..run.settings import Settings
+from ..run.stage_settings import Forced
 from ..surface.room import Room
 from .agreement import FLOOR, cell_means, cells_of, hits_of, on_lattice
 
@@ -189,7 +189,7 @@ def pair_agreement(room: Room, small: SmallViews, places: np.ndarray | None = No
     )
 
 
-def check_input(room: Room, views: Sequence[View], settings: Settings) -> dict[int, float]:
+def check_input(room: Room, views: Sequence[View], settings: Forced) -> dict[int, float]:
     """Refuse input from which nothing can be estimated; find the views whose poses are far off.
 
     Returns:

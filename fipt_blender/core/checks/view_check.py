@@ -17,7 +17,7 @@ from ..capture.views import View
 from ..light.observations import median_footprint
 from ..pixels.store import LEFT_OUT, PixelStore
 from ..run.messages import Reporter
-from ..run.settings import Settings
+from ..run.stage_settings import CheckSettings
 from ..surface.room import Room
 from .cells import SurfaceCells, surface_cells
 from .exposure import exposure_gains, unlike_exposures
@@ -49,7 +49,7 @@ def check_views(
     pixels: PixelStore,
     room: Room,
     part: np.ndarray,
-    settings: Settings,
+    settings: CheckSettings,
     reporter: Reporter,
     far_off: Collection[int] = (),
 ) -> ViewCheck:
@@ -109,7 +109,7 @@ def _leave_out(pixels: PixelStore, rows: np.ndarray | slice) -> None:
 
 
 def _leave_out_unmeshed(
-    cells: SurfaceCells, settings: Settings, reporter: Reporter, scan: bool
+    cells: SurfaceCells, settings: CheckSettings, reporter: Reporter, scan: bool
 ) -> list[dict[str, Any]]:
     """Leave out the pixels that show a lamp which the mesh lacks; return these lamps (:class:`ViewCheck`).
 

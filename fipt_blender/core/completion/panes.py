@@ -28,8 +28,8 @@ from ..run.arrays import read_arrays
 from ..run.errors import FiptError
 from ..run.run_files import PANES, has_searched_panes, mesh_digest, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
-from ..run.settings import Settings
 from ..run.shapes import PANES_ARRAYS
+from ..run.stage_settings import RoomSettings
 from ..surface.adjacency import NONE, Surface, make_mesh
 from ..surface.clean import CleanMesh
 from ..surface.holes import FlatHole, flat_holes, median_edge
@@ -55,7 +55,7 @@ class _Look:
 
 
 def close_holes(
-    run: RunFolder, views: Sequence[View], settings: Settings | None = None, room: Room | None = None
+    run: RunFolder, views: Sequence[View], settings: RoomSettings | None = None, room: Room | None = None
 ) -> bool:
     """Write panes.npz, and extend geometry.npz, where photographs show surfaces that a scan lacks.
 
@@ -73,7 +73,7 @@ def close_holes(
     Raises:
         FiptError: those of the readers of room and photographs, ``disk-full`` or ``run-unwritable``.
     """
-    settings = settings or Settings()
+    settings = settings or RoomSettings()
     if not run.geometry_npz.exists():
         run.panes_npz.unlink(missing_ok=True)
         return False
@@ -136,7 +136,7 @@ def _searched_kinds(run: RunFolder) -> list[bool]:
 
 
 def _things(
-    run: RunFolder, room: Room, views: Sequence[View], edge: float, settings: Settings
+    run: RunFolder, room: Room, views: Sequence[View], edge: float, settings: RoomSettings
 ) -> list[Surface]:
     """Surfaces that the scan lacks: lost things, from the photographs, then torn parts, from masks or these.
 

@@ -33,13 +33,13 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     set_variant(settings.device)
     # Imported here because these modules need Mitsuba's variant when they are loaded.
     from ..optics.brdf import set_masking
+    from .estimation import estimate_room
     from .input import prepare_input
-    from .stages import Estimation
+    from .results import result_files
 
     set_masking(settings.masking)
     if (danger := unprotected(arguments.cluster)) is not None:
         reporter.warning(*danger)
     with workers_at(arguments.cluster) as workers:
-        estimation = Estimation(prepare_input(folder, settings, reporter), reporter, workers)
-        estimation.run()
-    reporter.done([str(path) for path in estimation.files()], estimation.summary())
+        statistics = estimate_room(prepare_input(folder, settings, reporter), reporter, workers)
+    reporter.done([str(path) for path in result_files(folder)], statistics)

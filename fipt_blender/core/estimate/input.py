@@ -7,8 +7,10 @@ Each step keeps its files in the run folder and does nothing where they fit.
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 
 from ..capture.light_views import light_views
@@ -17,14 +19,14 @@ from ..checks.consensus import check_input
 from ..completion.panes import close_holes
 from ..parts.linked_masks import link_masks
 from ..parts.outlines import outline_parts
-from ..run.checkpoints import Checkpoints, stage_keys
 from ..run.errors import FiptError
-from ..run.hints import Hint, hints_digest, light_changes, read_hints
+from ..run.hints import Hint, light_changes, read_hints
 from ..run.light_size import LightPlan, light_plan, refuse_full_disk
 from ..run.messages import Reporter
 from ..run.run_files import ScanHoles, read_scan_holes
 from ..run.runfolder import RunFolder
 from ..run.settings import Settings
+from ..run.stage_settings import RoomSettings, ViewSettings, chosen
 from ..surface.room import Room, load_room
 from ..surface.stored import prepare_geometry
 
@@ -41,10 +43,10 @@ class EstimationInput:
         far_off: views whose poses are far off, and their correlation with the others.
         room: with what closes holes of a scan, and the outlines that masks show.
         holes: of a scan; None for an exact mesh.
-        told, told_again: hints that all stages honour, and those that the hinted stages honour instead; None
-            where there are no hinted stages.
-        light_again: whether the hinted stages include a refinement.
-        checkpoints: what earlier runs have finished with the same input.
+        hints: those that all stages honour.
+        hints_rerun: those that the hinted stages honour instead; None where there are no such stages.
+        light_changes: whether the hinted stages include a refinement.
+        key: changes with views, room and device.
     """
 
     folder: RunFolder
@@ -54,10 +56,10 @@ class EstimationInput:
     far_off: dict[int, float]
     room: Room
     holes: ScanHoles | None
-    told: Sequence[Hint]
-    told_again: Sequence[Hint] | None
-    light_again: bool
-    checkpoints: Checkpoints
+    hints: Sequence[Hint]
+    hints_rerun: Sequence[Hint] | None
+    light_changes: bool
+    key: str
 
 
 def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> EstimationInput:
@@ -83,15 +85,28 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
     views = link_masks(folder, room, views)
     if outline_parts(folder, views if settings.outlines else [], room):
         room = load_room(folder)
-    told, again = read_hints(folder.hints_json), folder.hints_again_json
-    told_again, light_again = read_hints(again) if again.exists() else None, light_changes(again)
-    digests = hints_digest(told), None if told_again is None else hints_digest(told_again), light_again
-    files = [folder.capture_json, folder.room_npz, folder.room_json]
-    keys = stage_keys(settings, files, [path for view in views for path in view.files], *digests)
-    checkpoints = Checkpoints(folder.stage, keys)
+    hints, rerun = read_hints(folder.hints_json), folder.hints_again_json
+    hints_rerun, changes = read_hints(rerun) if rerun.exists() else None, light_changes(rerun)
+    key = input_key(folder, settings, views)
     return EstimationInput(
-        folder, settings, plan, views, far_off, room, holes, told, told_again, light_again, checkpoints
+        folder, settings, plan, views, far_off, room, holes, hints, hints_rerun, changes, key
     )
+
+
+def input_key(folder: RunFolder, settings: Settings, views: Sequence[View]) -> str:
+    """A hash of what the room and the views are made from.
+
+    Of photographs size and time of change are hashed: reading all of them takes too long.
+    """
+    digest = hashlib.sha256()
+    for path in (folder.capture_json, folder.room_npz, folder.room_json):
+        digest.update(path.read_bytes() if path.exists() else b"missing")
+    for path in (path for view in views for path in view.files):
+        status = path.stat() if path.exists() else None
+        digest.update(f"{status.st_size} {status.st_mtime_ns}".encode() if status else b"missing")
+    read = [asdict(chosen(settings, RoomSettings)), asdict(chosen(settings, ViewSettings))]
+    digest.update(json.dumps([*read, settings.device], sort_keys=True).encode())
+    return digest.hexdigest()
 
 
 def completed_room(

@@ -1,219 +1,274 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The stages that trace rays: the photographs' pixels, stage 1 and stage 3 (paper Sec. 4.2 and 4.3)."""
+"""The stages that bake shadings: stage 1 from the cache (Sec. 4.2), stage 3 by path tracing (Sec. 4.3)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from ..checks.view_check import check_views
-from ..light.baking import Baking, ShadingStore, TracedLight, bake_views, baked_light
+from ..light.baking import Baking, ShadingStore, TracedLight, bake_views, open_shadings
+from ..light.emitters import EmitterPixels, bright_triangles
 from ..light.environment import Environment
-from ..light.observations import observe
-from ..light.shadings import SampleCounts
+from ..light.observations import Observations, observe
+from ..light.presumed import presume_lamps
+from ..light.shadings import SampleCounts, roughness_levels
 from ..light.unseen_light import with_unseen_light
 from ..optics.lights import EmitterTable
-from ..photometry.encoded_photographs import Photometry, adjust_photographs, warn_of_photographs
-from ..photometry.refit import refit_photographs
-from ..pixels.fragments import SUBPIXELS
-from ..pixels.grouped import numbered
-from ..pixels.mixed_pixels import mark_pure
-from ..pixels.store import fill_pixels, open_pixels
-from ..pixels.unmixing import keep_pure, unmix_pixels
-from ..run.checkpoints import HINTED_REFINEMENT, HINTED_SHADINGS
+from ..parts.labels import Parts, surface_labels
+from ..pixels.store import PixelStore
+from ..run.chain import Tools
 from ..run.errors import FiptError
-from ..run.finished_views import FinishedViews
-from .state import EstimationState, Facts
+from ..run.stage_settings import (
+    LightSettings,
+    RefinementSettings,
+    ShadingSettings,
+)
+from ..surface.room import Room
 
 
-class LightStages(EstimationState):
-    """Pixels and shadings of an estimation; arguments as of :class:`EstimationState`."""
+@dataclass(frozen=True)
+class ObserveInputs:
+    """The pixels, with the radiance of their own surface."""
 
-    # ---- Pixels: first hits, parts, pure and mixed pixels (supplementary), and a check of the views --------
+    pixels: PixelStore
+    room: Room
+    parts: Parts
 
-    def _trace(self) -> Facts:
-        self.pixels = open_pixels(self.folder.stage / "pixels", self.views, create=True)
-        self.scale = fill_pixels(self.pixels, self.room, self._progress_within(0.0, 0.4), self.workers)
-        self._sort_pixels(0.4, 0.7)
-        shown = self.scale
-        found = self._adjust_photographs()
-        self.view_check = check_views(
-            self.pixels, self.room, self.parts.triangle_part, self.settings, self.reporter, self.far_off
-        )
-        if self.view_check.left_out:  # their masks no longer count
-            self._sort_pixels(0.7, 0.8)
-        self._unmix(found, self._progress_within(0.8, 0.85 if found else 1.0))
-        if found:
-            self._readjust_photographs(found)
-            self.photometry["median_shown"] = shown
-        self.checkpoints.remember("scale", self.scale)
-        self.checkpoints.remember("photometry", self.photometry)
-        self.checkpoints.remember("view_check", self.view_check.facts())
-        rows = (self.pixels.rows(index) for index in range(len(self.views)))
-        pure = sum(int(np.count_nonzero(self.pixels.pure[view])) for view in rows)
-        return {"rays": 6 * len(self.pixels) + len(SUBPIXELS) * (len(self.pixels) - pure)}
 
-    def _unmix(self, found: Photometry | None, progress: Callable[[float], None]) -> None:
-        """Find the pixels' own radiance and its weight."""
-        if self.settings.unmix:
-            unmix_pixels(self.pixels, self.room, self._surface_labels(), progress, self.workers)
-        else:
-            keep_pure(self.pixels)
-        if found is None:
-            return
-        for index in range(len(self.views)):
-            rows = self.pixels.rows(index)
-            self.pixels.weight[rows] *= found.weight[rows]
+@dataclass(frozen=True)
+class Observed:
+    """What follows from the pixels before any estimate: cache, environment; without hints."""
 
-    def _adjust_photographs(self) -> Photometry | None:
-        """Turn photographs that are not HDR into radiance; None where all are HDR."""
-        if not any(view.encoded for view in self.views):
-            return None
-        part, folder = self._surface_labels(), self.folder.stage / "pixels"
-        return adjust_photographs(self.pixels, self.room, part, self.scale, self.settings, folder)
+    observed: Observations
 
-    def _readjust_photographs(self, found: Photometry) -> None:
-        """Find their response and the clipped lamps again, with the light of shadings of stage 1."""
-        if self.settings.refit_photographs:
-            self._prepare()
-            baking = self._baking(*self._first_light(), None, 0)
-            part, light_of = self._surface_labels(), partial(baked_light, baking, self.pixels)
-            found = refit_photographs(found, self.pixels, self.room, part, light_of)
-            self._unmix(found, self._progress_within(0.85, 1.0))
-        self.scale, self.photometry = found.scale, found.facts
-        warn_of_photographs(found.facts, self.reporter)
 
-    def _sort_pixels(self, begin: float, end: float) -> None:
-        """Choose the parts of the triangles, and mark the pixels that see one surface of one part."""
-        self.parts = self._choose_parts()
-        progress = self._progress_within(begin, end)
-        mark_pure(self.pixels, self.room, self.parts.triangle_part, progress, self.workers)
+def observe_pixels(inputs: ObserveInputs, settings: LightSettings, tools: Tools) -> Observed:
+    """Assign the pixels to the voxels of the radiance cache, and find what they see outside."""
+    return Observed(observe(inputs.room, inputs.pixels, inputs.parts, settings, tools.folder))
 
-    def _surface_labels(self) -> np.ndarray:
-        """(T,) int32 part of each triangle; where parts are unknown, label and connected piece."""
-        part = self.parts.triangle_part
-        if self._pieces is None:
-            return part
-        return numbered([part, self._pieces]).astype(np.int32)
 
-    def _prepare(self) -> None:
-        """Everything that follows from the pixels and is quick to make again."""
-        self._observed = observe(
-            self.room, self.pixels, self.parts, self.settings, self.folder.stage / "observed"
-        )
-        self._observed = replace(self._observed, environment=self._environment())
-        self._use_hints(self.told)
+@dataclass(frozen=True)
+class OutsideInputs:
+    """Observations of a room that may be open."""
 
-    def _environment(self) -> Environment | None:
-        """What the pixels see outside, with the light from unseen directions where the mesh is open."""
-        settings, observed = self.settings, self._observed
-        if not settings.unseen_light:
-            return observed.environment
-        return with_unseen_light(
-            observed.environment,
-            self.pixels,
-            self.room,
-            observed.grid,
-            observed.cache,
-            self._surface_labels(),
-            settings.environment_width,
-            settings.seed,
-        )
+    observed: Observations
+    pixels: PixelStore
+    room: Room
+    parts: Parts
 
-    # ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) ---------------------------------------
 
-    def _bake(self) -> Facts:
-        return self._bake_views("shadings", *self._first_light(), None, 0)
+@dataclass(frozen=True)
+class OutsideLight:
+    """What the pixels see outside, with light from unseen directions where the mesh is open; None without."""
 
-    def _first_light(self) -> tuple[np.ndarray, EmitterTable, SampleCounts]:
-        """Cache, presumed lamps and numbers of samples of stage 1."""
-        settings = self.settings
-        table, lamps = self._presumed_lamps()
-        counts = SampleCounts(settings.diffuse_spp, settings.specular_spp, settings.light_spp)
-        return self.observations.cache(without=lamps), table, counts
+    environment: Environment | None
 
-    def _baking(
-        self,
-        cache: np.ndarray | None,
-        emitters: EmitterTable,
-        counts: SampleCounts,
-        traced: TracedLight | None,
-        index: int,
-    ) -> Baking:
-        """The baking of round `index`; other arguments as of :class:`Baking`."""
-        environment, settings = self.observations.environment, self.settings
-        return Baking(
-            room=self.room,
-            labels=self.parts.triangle_part,
-            grid=self.observations.grid,
-            cache=cache,
-            traced=traced,
-            emitters=emitters,
-            environment=None if environment is None else environment.image,
-            levels=self.levels,
-            counts=counts,
-            denoise=settings.denoise,
-            denoise_specular=settings.denoise_specular,
-            masking=settings.masking,
-            seed=settings.seed * 31 + 1 + index,
-        )
 
-    def _bake_views(
-        self,
-        name: str,
-        cache: np.ndarray | None,
-        emitters: EmitterTable,
-        counts: SampleCounts,
-        traced: TracedLight | None,
-        index: int,
-    ) -> Facts:
-        """Bake the shadings of all views in the stage of this name; other arguments as of `_baking`."""
-        baking = self._baking(cache, emitters, counts, traced, index)
-        finished = self.checkpoints.finished_views(name)
-        store = self._shadings_to_bake(finished)
-        progress = self.reporter.progress
-        return {"rays": bake_views(store, self.pixels, baking, progress, self.workers, finished)}
+def infer_outside(inputs: OutsideInputs, settings: LightSettings, tools: Tools) -> OutsideLight:
+    """Infer the light that enters an open mesh from directions that no photograph shows."""
+    observed, room = inputs.observed, inputs.room
+    if not settings.unseen_light:
+        return OutsideLight(observed.environment)
+    labels = surface_labels(room, inputs.parts)
+    return OutsideLight(_outside(observed, inputs.pixels, room, labels, settings))
 
-    def _shadings_to_bake(self, finished: FinishedViews) -> ShadingStore:
-        """New shadings, or those of an interrupted run with the views that it has finished."""
-        store = None
-        if finished.views:
-            try:
-                store = self._open_shadings(create=True, keep=True)
-            except FiptError:
-                finished.forget()
-        store = store or self._open_shadings(create=True)
-        finished.flush = store.flush
-        return store
 
-    # ---- Stage 3: shadings by path tracing (Sec. 4.3, Eq. 10 and 11) ---------------------------------------
+def _outside(
+    observed: Observations, pixels: PixelStore, room: Room, labels: np.ndarray, settings: LightSettings
+) -> Environment | None:
+    return with_unseen_light(
+        observed.environment,
+        pixels,
+        room,
+        observed.grid,
+        observed.cache,
+        labels,
+        settings.environment_width,
+        settings.seed,
+    )
 
-    def _refine(self, name: str, index: int) -> Facts:
-        settings = self.settings
-        self._input = None  # its files are written over
-        table, emitting = self._emitters()
-        cache = self.observations.cache(without=emitting) if settings.refine_cache else None
-        diffuse = self.diffuse if settings.refine_cache else None
-        traced = TracedLight(self.materials, diffuse, settings.cache_roughness, settings.refine_depth)
-        counts = SampleCounts(
-            settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
-        )
-        return self._bake_views(name, cache, table, counts, traced, index)
 
-    def _refine_again(self) -> Facts:
-        """Repeat the last refinement with the lamps and materials of the hints, beside its shadings."""
-        self._shadings = HINTED_SHADINGS
-        return self._refine(HINTED_REFINEMENT, max(self.settings.rounds, 1))
+def observed_light(
+    room: Room,
+    pixels: PixelStore,
+    parts: Parts,
+    labels: np.ndarray,
+    settings: LightSettings,
+    folder: Path,
+) -> Observations:
+    """Observations with the light from outside in one go; `labels`: :func:`.surface_labels`."""
+    observed = observe(room, pixels, parts, settings, folder)
+    if not settings.unseen_light:
+        return observed
+    return replace(observed, environment=_outside(observed, pixels, room, labels, settings))
 
-    def _load_shadings_again(self) -> None:
-        """Use the shadings of `_refine_again`.
 
-        Raises:
-            FiptError: ``file-damaged``.
-        """
-        self._shadings = HINTED_SHADINGS
-        self._open_shadings()
+# ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) -------------------------------------------
+
+
+@dataclass(frozen=True)
+class BrightInputs:
+    """The pixels of the room."""
+
+    pixels: PixelStore
+    room: Room
+
+
+@dataclass(frozen=True)
+class PresumedLamps:
+    """What stage 1 aims at (:mod:`..light.presumed`).
+
+    Attributes:
+        bright: triangles to sample, and their radiance; that of presumed lamps is not in the cache.
+        presumed: (T,) bool, these lamps.
+    """
+
+    bright: EmitterTable
+    presumed: np.ndarray
+
+
+def find_presumed_lamps(inputs: BrightInputs, settings: ShadingSettings, tools: Tools) -> PresumedLamps:
+    """Presume which bright surfaces are lamps, before any light is known."""
+    room, pixels = inputs.room, inputs.pixels
+    bright = bright_triangles(room, pixels.triangle, pixels.front, pixels.radiance)
+    if settings.presumed_lamps:
+        return PresumedLamps(*presume_lamps(room, EmitterPixels.of(pixels), bright))
+    in_cache = np.ones(len(bright.triangles), bool)
+    return PresumedLamps(replace(bright, reflective=in_cache), np.zeros(len(room.triangles), bool))
+
+
+@dataclass(frozen=True)
+class ShadingInputs:
+    """Observations with the light from outside, what to aim at, and the room."""
+
+    observed: Observations
+    environment: Environment | None
+    bright: EmitterTable
+    presumed: np.ndarray
+    pixels: PixelStore
+    room: Room
+    parts: Parts
+
+
+@dataclass(frozen=True)
+class BakedShadings:
+    """Shadings of all pixels.
+
+    Attributes:
+        shadings: in units of the capture's median.
+        levels: (K,) float32 roughness levels.
+        baked_lamps: (T,) bool lamps whose own radiance was baked, instead of that of the cache.
+    """
+
+    shadings: ShadingStore
+    levels: np.ndarray
+    baked_lamps: np.ndarray
+
+
+def bake_shadings(inputs: ShadingInputs, settings: ShadingSettings, tools: Tools) -> BakedShadings:
+    """Bake the shadings of all views from the radiance cache."""
+    observed = replace(inputs.observed, environment=inputs.environment)
+    lamps = PresumedLamps(inputs.bright, inputs.presumed)
+    baking = first_baking(inputs.room, inputs.parts, observed, lamps, settings)
+    return BakedShadings(_bake(baking, inputs.pixels, tools), baking.levels, inputs.presumed)
+
+
+def first_baking(
+    room: Room, parts: Parts, observations: Observations, lamps: PresumedLamps, settings: ShadingSettings
+) -> Baking:
+    """The baking of stage 1."""
+    counts = SampleCounts(settings.diffuse_spp, settings.specular_spp, settings.light_spp)
+    cache = observations.cache(without=lamps.presumed)
+    return _baking(room, parts, observations, cache, lamps.bright, counts, None, settings, 0)
+
+
+def _baking(
+    room: Room,
+    parts: Parts,
+    observations: Observations,
+    cache: np.ndarray | None,
+    emitters: EmitterTable,
+    counts: SampleCounts,
+    traced: TracedLight | None,
+    settings: ShadingSettings | RefinementSettings,
+    index: int,
+) -> Baking:
+    """The baking of round `index`; other arguments as of :class:`Baking`."""
+    environment = observations.environment
+    spread = settings.roughness_levels, settings.roughness_min, settings.roughness_spacing
+    return Baking(
+        room=room,
+        labels=parts.triangle_part,
+        grid=observations.grid,
+        cache=cache,
+        traced=traced,
+        emitters=emitters,
+        environment=None if environment is None else environment.image,
+        levels=roughness_levels(*spread),
+        counts=counts,
+        denoise=settings.denoise,
+        denoise_specular=settings.denoise_specular,
+        masking=settings.masking,
+        seed=settings.seed * 31 + 1 + index,
+    )
+
+
+def _bake(baking: Baking, pixels: PixelStore, tools: Tools) -> ShadingStore:
+    """The shadings of all views; those that an interrupted run has finished are kept."""
+    finished, size = tools.finished, (len(pixels), len(baking.levels))
+    store = None
+    if finished.views:
+        try:
+            store = open_shadings(tools.folder, *size, create=True, keep=True)
+        except FiptError:
+            finished.forget()
+    store = store or open_shadings(tools.folder, *size, create=True)
+    finished.flush = store.flush
+    tools.facts["rays"] = bake_views(store, pixels, baking, tools.reporter.progress, tools.workers, finished)
+    return store
+
+
+# ---- Stage 3: shadings by path tracing (Sec. 4.3, Eq. 10 and 11) -------------------------------------------
+
+
+@dataclass(frozen=True)
+class RefinementInputs:
+    """An estimate to trace paths with.
+
+    Attributes:
+        index: number of the round.
+        emitters: the fixtures found so far, and emitting: (T,) bool, their triangles.
+        presumed: (T,) bool, the lamps before any estimate.
+        diffuse: (M * 6, 3) float16 mean L_d of each cache entry in the last closed-form estimate.
+        materials: (M * 6, 5) float32 base colour, roughness and metallic of each entry in it.
+    """
+
+    index: int
+    observed: Observations
+    environment: Environment | None
+    pixels: PixelStore
+    room: Room
+    parts: Parts
+    emitters: EmitterTable
+    emitting: np.ndarray
+    presumed: np.ndarray
+    diffuse: np.ndarray
+    materials: np.ndarray
+
+
+def refine_shadings(inputs: RefinementInputs, settings: RefinementSettings, tools: Tools) -> BakedShadings:
+    """Bake the shadings of all views anew by path tracing with the estimate."""
+    observations, emitting = replace(inputs.observed, environment=inputs.environment), inputs.emitting
+    cache = observations.cache(without=emitting) if settings.refine_cache else None
+    diffuse = inputs.diffuse if settings.refine_cache else None
+    traced = TracedLight(inputs.materials, diffuse, settings.cache_roughness, settings.refine_depth)
+    counts = SampleCounts(
+        settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
+    )
+    given = inputs.room, inputs.parts, observations, cache, inputs.emitters, counts, traced, settings
+    baking = _baking(*given, inputs.index)
+    lamps = emitting if emitting.any() else inputs.presumed
+    return BakedShadings(_bake(baking, inputs.pixels, tools), baking.levels, lamps)

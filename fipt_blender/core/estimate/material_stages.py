@@ -1,18 +1,25 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The stages that fit materials: closed form, emitters and stage 2 (paper Sec. 4.4 and 4.5); the results."""
+"""The stages that fit materials: closed form, emitters and stage 2 (paper Sec. 4.4 and 4.5)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+import torch
 
+from ..device.variant import torch_device
+from ..light.baking import ShadingStore
+from ..light.cache import pool
 from ..light.emission import emission_probability
+from ..light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
+from ..light.emitters import EmitterPixels, Fixture, emitter_table, group_fixtures
+from ..light.environment import Environment
 from ..light.evidence import brighter_than_white
-from ..light.lamp_doubt import HardlySeen, hardly_seen, light_errors, power_errors
-from ..material.cell_errors import DrawnPixels, add_light_errors, cell_errors, draw_pixels, lit_cells
+from ..light.observations import Observations
 from ..material.closed_form import (
     CellEstimate,
     TrainingData,
@@ -20,11 +27,12 @@ from ..material.closed_form import (
     followed_by_paths,
     white_rows,
 )
-from ..material.fields import RoomFields
-from ..material.hints import SurfaceHints
+from ..material.emission_mask import EmissionNetwork
+from ..material.groups import Units
+from ..material.hints import SurfaceHints, place_hints
 from ..material.inference import Fields
-from ..material.networks import typical_values, useful_hash_levels
-from ..material.part_colors import room_detail
+from ..material.networks import BrdfNetwork, network_generator, typical_values, useful_hash_levels
+from ..material.seen import Box, fallback_values, room_box, seen_statistics
 from ..material.training import (
     PRETRAINING_STEPS,
     Networks,
@@ -34,246 +42,442 @@ from ..material.training import (
     read_checkpoint,
     train,
 )
-from ..material.training_input import training_input
-from ..report.fixture_names import fixture_names
-from ..run.checkpoints import HINTED_ESTIMATE, HINTED_LAMPS, HINTED_TRAINING, UNFINISHED, DamagedStage
+from ..material.training_input import hinted_units, material_units, training_input
+from ..optics.lights import EmitterTable
+from ..parts.labels import NO_PART, Parts, room_pieces
+from ..photometry.encoded_photographs import Photometry
+from ..pixels.grouped import place_of
+from ..pixels.store import PixelStore
+from ..run.chain import START_AGAIN, Tools
 from ..run.errors import FiptError
-from ..run.replacing import keep_inputs
-from ..run.runfolder import RunFolder, write_json
-from ..run.versions import new_results, note_version, prune
-from ..textures.detail import remember_views, write_resolution
-from .doubts import write_doubts
-from .hinted import area_names, write_left_alone
-from .part_list import write_part_list
-from .results import RoomLight, write_results
-from .state import EstimationState, Facts
+from ..run.hints import Hint
+from ..run.stage_settings import (
+    MaterialSettings,
+    NetworkSettings,
+    NoSettings,
+    ReflectionSettings,
+    TrainingSettings,
+)
+from ..surface.room import Room
 
 # The last steps of the training that are repeated with hints, as a share of all: high learning rates would
 # unlearn what the hints say nothing of.
-AGAIN_SHARE = 1.0 / 3.0
+HINTED_SHARE = 1.0 / 3.0
 # Share of the pixels that are brighter than white surfaces above which light is missing: rooms have 0.01 to
 # 0.09, the example room with its lamps painted out 0.3 to 0.4.
 MISSING_LIGHT = 0.25
 
 
-class MaterialStages(EstimationState):
-    """Materials and emitters of an estimation; arguments as of :class:`EstimationState`."""
+# ---- What the artist knows ---------------------------------------------------------------------------------
 
-    # ---- Closed form (Eq. 5) and emitters (Sec. 4.4) -------------------------------------------------------
 
-    def _estimate(self, name: str, refined: bool) -> Facts:
-        """The estimate of this name; `refined`: whether shadings are refined with it afterwards."""
-        self._input = None  # that of the round before
-        data, cells = self._closed_form()
-        if name == "estimate-0":
-            self._warn_of_missing_light()
-        self._find_cells(self._material_units(data))
-        self.probability = self._emission_probability(data, self._told_emission())
-        if self.hints is not None:
-            self._warn_of_hints(name, self.hints, self.probability > 0.5)
-        self._group_fixtures()
-        self.diffuse, self.materials = np.zeros((0, 3), np.float16), np.zeros((0, 5), np.float32)
-        if refined:
-            # Kept for stage 3, which writes over the shadings from which these are made.
-            self.diffuse = self.observations.means(data.shadings.diffuse).astype(np.float16)
-            limit = self.settings.cache_roughness
-            self.materials = self._entry_values(followed_by_paths(cells, data.materials.error[:, 0], limit))
-        self._save_estimate(name)
-        return {"cells": len(cells.keys)}
+@dataclass(frozen=True)
+class HintInputs:
+    """Observations without hints, and the hints that are honoured from here on."""
 
-    def _warn_of_missing_light(self) -> None:
-        """Say where the light that photographs show can't be what lights the room."""
-        share = brighter_than_white(self.pixels, self._open_shadings())
-        if share > MISSING_LIGHT:
-            self.reporter.warning(
-                "light-missing",
-                f"{100.0 * share:.0f} % of the pixels are brighter than white surfaces would be in the light"
-                " that the photographs show: lamps or windows are missing in them, and false ones will be"
-                " found.",
-                "Add photographs that show the lamps, and use them as the camera made them: not painted over,"
-                " not cropped, not tone-mapped.",
-            )
+    observed: Observations
+    environment: Environment | None
+    room: Room
+    parts: Parts
+    hints: Sequence[Hint]
 
-    def _warn_of_hints(self, name: str, hints: SurfaceHints, emitting: np.ndarray) -> None:
-        """Say which hints could not be honoured, and whether the shadings are those of other lamps."""
-        if hints.problems and name in ("estimate-0", HINTED_LAMPS, HINTED_ESTIMATE):
-            text = "Some hints could not be honoured: " + " ".join(hints.problems)
-            self.reporter.warning("hints-unclear", text, "Correct or remove these hints.")
-        if (
-            name == HINTED_ESTIMATE
-            and (self._emitters()[1] != emitting)[hints.of_triangles(hints.emits) != 0].any()
-        ):
-            self.reporter.warning(
+
+@dataclass(frozen=True)
+class HintedObservations:
+    """Observations divided by hints.
+
+    Attributes:
+        observations: with the light from outside.
+        surface_hints: the hints on the mesh; None without any.
+        pieces: (T,) int32 connected piece of each triangle; None where parts are known, which need no pieces.
+    """
+
+    observations: Observations
+    surface_hints: SurfaceHints | None
+    pieces: np.ndarray | None
+
+
+def honour_hints(inputs: HintInputs, settings: NoSettings, tools: Tools) -> HintedObservations:
+    """Place the hints on the mesh, and divide the observations by them."""
+    room, parts = inputs.room, inputs.parts
+    observed = replace(inputs.observed, environment=inputs.environment, folder=tools.folder)
+    pieces = None if parts.kind == "part" else room_pieces(room)
+    if not inputs.hints:
+        return HintedObservations(observed, None, pieces)
+    hints = place_hints(inputs.hints, room.vertices, room.triangles, parts, pieces)
+    left_alone = hints.of_triangles(hints.left_alone)
+    divided = replace(
+        observed, parts=hints.split_parts(parts), left_alone=left_alone if left_alone.any() else None
+    )
+    return HintedObservations(divided, hints, pieces)
+
+
+# ---- Closed form (Eq. 5) and emitters (Sec. 4.4) -----------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ClosedFormInputs:
+    """The pixels and their shadings."""
+
+    observations: Observations
+    shadings: ShadingStore
+    levels: np.ndarray
+    pieces: np.ndarray | None
+    surface_hints: SurfaceHints | None
+
+
+@dataclass(frozen=True)
+class ClosedForm:
+    """The data to train on, and the closed-form estimate of all cells."""
+
+    data: TrainingData
+    cells: CellEstimate
+
+
+def fit_closed_form(inputs: ClosedFormInputs, settings: MaterialSettings, tools: Tools) -> ClosedForm:
+    """Group the pixels by material, infer these, and fit the base colour of each cell."""
+    given = inputs.observations, inputs.pieces, inputs.shadings, inputs.levels, settings
+    data = training_input(*given, inputs.surface_hints)
+    return ClosedForm(data, fit_cells(data))
+
+
+@dataclass(frozen=True)
+class SurfaceInputs:
+    """The room, and how much of its light is inferred."""
+
+    room: Room
+    parts: Parts
+    observed: Observations
+    environment: Environment | None
+
+
+@dataclass(frozen=True)
+class PossibleEmitters:
+    """What emits as a whole."""
+
+    emitter_units: EmitterSurfaces
+
+
+def find_emitter_units(inputs: SurfaceInputs, settings: NoSettings, tools: Tools) -> PossibleEmitters:
+    """Divide the mesh into surfaces of which each emits as a whole, or not at all."""
+    inferred = 0.0 if inputs.environment is None else inputs.environment.unseen_light
+    footprint = inputs.observed.footprint
+    return PossibleEmitters(emitter_surfaces(inputs.room, inputs.parts, footprint, inferred))
+
+
+@dataclass(frozen=True)
+class EstimateInputs:
+    """The closed form, and what lit the shadings.
+
+    Attributes:
+        baked_lamps: (T,) bool, lamps whose own radiance is in the shadings.
+        emitting: (T,) bool, the lamps of the estimate before; None in the first one.
+        units_before: of a training, which hints divide further; None without.
+        photometry: of photographs that are not HDR; None where all are.
+    """
+
+    room: Room
+    pixels: PixelStore
+    observations: Observations
+    shadings: ShadingStore
+    data: TrainingData
+    cells: CellEstimate
+    emitter_units: EmitterSurfaces
+    baked_lamps: np.ndarray
+    pieces: np.ndarray | None
+    surface_hints: SurfaceHints | None
+    emitting: np.ndarray | None = None
+    units_before: Units | None = None
+    photometry: Photometry | None = None
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What the closed form says of the mesh.
+
+    Attributes:
+        units: surfaces of one material.
+        probability: (T,) float32 of each triangle to emit.
+    """
+
+    units: Units
+    probability: np.ndarray
+
+
+def estimate_first(inputs: EstimateInputs, settings: NoSettings, tools: Tools) -> Estimate:
+    """The estimate with the shadings of stage 1, and a warning where light is missing in them."""
+    share = brighter_than_white(inputs.pixels, inputs.shadings)
+    if share > MISSING_LIGHT:
+        tools.reporter.warning(
+            "light-missing",
+            f"{100.0 * share:.0f} % of the pixels are brighter than white surfaces would be in the light"
+            " that the photographs show: lamps or windows are missing in them, and false ones will be"
+            " found.",
+            "Add photographs that show the lamps, and use them as the camera made them: not painted over,"
+            " not cropped, not tone-mapped.",
+        )
+    _warn_of_problems(inputs.surface_hints, tools)
+    return estimate(inputs, settings, tools)
+
+
+def estimate_hinted(inputs: EstimateInputs, settings: NoSettings, tools: Tools) -> Estimate:
+    """The estimate with hints that were given since, and warnings of those that could not be honoured."""
+    _warn_of_problems(inputs.surface_hints, tools)
+    found = estimate(inputs, settings, tools)
+    hints = inputs.surface_hints
+    if hints is not None and inputs.emitting is not None:
+        changed = inputs.emitting != (found.probability > 0.5)
+        if changed[hints.of_triangles(hints.emits) != 0].any():
+            tools.reporter.warning(
                 "hints-lamps",
                 "The hints change which surfaces are lamps, but the light in the room is that of before.",
                 "Tick Light Changes Too and estimate again with hints, or use Estimate.",
             )
+    return found
 
-    def _closed_form(self) -> tuple[TrainingData, CellEstimate]:
-        """The data to train on with the last shadings, and the closed-form estimate of all cells."""
-        if self._input is None:
-            shadings, settings = self._open_shadings(), self.settings
-            given = self.observations, self._pieces, shadings, self.levels, settings
-            data = training_input(*given, self.hints)
-            self._input = (data, fit_cells(data))
-        return self._input
 
-    def _told_emission(self) -> np.ndarray:
-        """(T,) int8, 1 on triangles that emit by hints, -1 on those that do not or are left alone, else 0."""
-        hints = self.hints
-        if hints is None:
-            return np.zeros(len(self.room.triangles), np.int8)
-        told = hints.emits - (hints.left_alone & (hints.emits == 0))
-        return np.asarray(hints.of_triangles(told), np.int8)
+def estimate(inputs: EstimateInputs, settings: NoSettings, tools: Tools) -> Estimate:
+    """Divide the mesh into units of one material, and find how probable it is that each triangle emits."""
+    tools.facts["cells"] = len(inputs.cells.keys)
+    surfaces, hints, data = inputs.emitter_units, inputs.surface_hints, inputs.data
+    units = inputs.units_before
+    if units is None or inputs.pieces is None:
+        units = material_units(inputs.pieces, data, inputs.room.scan is not None)
+    hinted = np.zeros(len(inputs.room.triangles), np.int8)
+    if hints is not None:
+        units = hinted_units(units, inputs.observations.parts, hints, data.materials)
+        known = hints.emits - (hints.left_alone & (hints.emits == 0))
+        hinted = np.asarray(hints.of_triangles(known), np.int8)
+    white, hdr = partial(white_rows, data), inputs.photometry is None
+    given = inputs.room, inputs.pixels, inputs.shadings, white, surfaces, hinted, inputs.baked_lamps, hdr
+    return Estimate(units, emission_probability(*given))
 
-    def _emission_probability(self, data: TrainingData, told: np.ndarray) -> np.ndarray:
-        """(T,) probability that each triangle emits; `told`: :meth:`_told_emission`."""
-        room, pixels = self.room, self.pixels
-        baked = (self._emitters() if self.fixtures else self._presumed_lamps())[1]
-        shadings, surfaces = self._open_shadings(), self._emitter_surfaces
-        white, hdr = partial(white_rows, data), not self.photometry
-        return emission_probability(room, pixels, shadings, white, surfaces, told, baked, hdr)
 
-    def _closed_form_colors(self, rows: np.ndarray) -> np.ndarray:
-        """(R, 3) base colour of the last closed-form estimate in the pixels `rows` (R,)."""
-        if len(self.materials):
-            return self.materials[self.observations.entry[rows], :3]
-        data, cells = self._closed_form()
-        place = cells.of_pixels(data, rows)
-        return np.where(place[:, None] >= 0, cells.color[place], np.float32(0.5))
+def _warn_of_problems(hints: SurfaceHints | None, tools: Tools) -> None:
+    if hints is not None and hints.problems:
+        text = "Some hints could not be honoured: " + " ".join(hints.problems)
+        tools.reporter.warning("hints-unclear", text, "Correct or remove these hints.")
 
-    def _resume_estimate(self, name: str) -> None:
-        # Emitters are read, not found anew: the shadings they were found with may have been refined since.
-        self._load_estimate(name)
-        self._group_fixtures()
 
-    # ---- Stage 2: BRDF and emission mask (Sec. 4.5, Eq. 12, 14 to 20); emitters (Sec. 4.4, Eq. 13) ---------
+@dataclass(frozen=True)
+class FixtureInputs:
+    """Probabilities, and what the pixels show of the triangles."""
 
-    def _train(self) -> Facts:
-        """Fit the networks to the closed-form estimate, then to the photographs; find the emitters."""
-        data, cells = self._closed_form()
-        surfaces = self._surfaces()
-        networks = self._new_networks(cells)
-        checkpoint = self.folder.stage / f"{UNFINISHED}.pt"
-        state = None
-        if checkpoint.exists():
-            try:
-                state = read_checkpoint(checkpoint, networks, self.settings.training_steps)
-            except FiptError as error:
-                self._warn_of_damage(error.text)
-                checkpoint.unlink()
-        fitted = PRETRAINING_STEPS / (PRETRAINING_STEPS + self.settings.training_steps)
-        if state is None:
-            progress = self._progress_within(0.0, fitted)
-            pretrain(networks.brdf, data, surfaces, cells, self.settings, progress)
-        progress = self._progress_within(fitted, 1.0)
-        train(networks, data, surfaces, self.settings, Resume(checkpoint, state), progress)
-        facts = self._keep_training("training", networks, self.settings.training_steps)
-        checkpoint.unlink(missing_ok=True)
-        return facts
+    room: Room
+    pixels: PixelStore
+    observations: Observations
+    probability: np.ndarray
 
-    def _train_again(self) -> Facts:
-        """Continue from the networks that were trained without these hints.
 
-        The networks add detail to the typical values of the units, those of the new closed form. The
-        training's last steps are repeated.
-        """
-        data, cells = self._closed_form()
-        networks = self._new_networks(cells)
+@dataclass(frozen=True)
+class Emitters:
+    """The lamps.
+
+    Attributes:
+        fixtures: in units of the capture's median.
+        emitters: the same as a table of triangles.
+        emitting: (T,) bool, these triangles.
+    """
+
+    fixtures: list[Fixture]
+    emitters: EmitterTable
+    emitting: np.ndarray
+
+
+def find_fixtures(inputs: FixtureInputs, settings: NoSettings, tools: Tools) -> Emitters:
+    """Group the triangles that probably emit to fixtures."""
+    parts, probability = inputs.observations.parts, inputs.probability
+    surface = parts.triangle_part if parts.kind == "part" else None
+    pixels = EmitterPixels.of(inputs.pixels)
+    fixtures = group_fixtures(inputs.room, probability > 0.5, pixels, surface, probability)
+    table = emitter_table(fixtures)
+    emitting = np.zeros(len(inputs.room.triangles), bool)
+    emitting[table.triangles] = True
+    return Emitters(fixtures, table, emitting)
+
+
+@dataclass(frozen=True)
+class ReflectionInputs:
+    """The closed form, in the units of its estimate."""
+
+    room: Room
+    observations: Observations
+    data: TrainingData
+    cells: CellEstimate
+    units: Units
+
+
+@dataclass(frozen=True)
+class Reflection:
+    """What stage 3 needs of an estimate; fields as of :class:`.light_stages.RefinementInputs`."""
+
+    diffuse: np.ndarray
+    materials: np.ndarray
+
+
+def find_reflection(inputs: ReflectionInputs, settings: ReflectionSettings, tools: Tools) -> Reflection:
+    """Light and materials of each entry of the radiance cache."""
+    observations, data, limit = inputs.observations, inputs.data, settings.cache_roughness
+    diffuse = observations.means(data.shadings.diffuse).astype(np.float16)
+    cells = followed_by_paths(inputs.cells, data.materials.error[:, 0], limit)
+    rng = np.random.default_rng([settings.seed, 4])
+    entries, points, triangles = observations.places(inputs.room, rng)
+    values = entry_values(cells, entries, points, triangles, inputs.units)
+    return Reflection(diffuse, pool(observations.grid, entries, values)[0])
+
+
+def entry_values(
+    cells: CellEstimate, entries: np.ndarray, points: np.ndarray, triangles: np.ndarray, units: Units
+) -> np.ndarray:
+    """(E, 5) base colour, roughness and metallic of cache entries.
+
+    Entries without a cell take the median of their unit, or the value of the nearest cell.
+
+    Args:
+        entries, points, triangles: of :meth:`Observations.places`.
+    """
+    known, values, seen_triangle = cells.by_entry()
+    place = place_of(known, entries)
+    has_cell = place >= 0
+    result = np.full((len(entries), 5), 0.5, np.float32)
+    if has_cell.any():
+        result[has_cell] = values[place[has_cell]]
+        unit = np.append(units.triangle, NO_PART)
+        seen_unit = unit[seen_triangle[place[has_cell]]]
+        statistics = seen_statistics(points[has_cell], seen_unit, result[has_cell], len(units.single))
+        missing = ~has_cell
+        result[missing] = fallback_values(points[missing], unit[triangles[missing]], statistics)
+    return result
+
+
+# ---- Stage 2: BRDF and emission mask (Sec. 4.5, Eq. 12, 14 to 20) ------------------------------------------
+
+
+@dataclass(frozen=True)
+class TrainingInputs:
+    """The last closed form, and the lamps.
+
+    Attributes:
+        brdf, emission: weights of networks that were trained without the present hints; {} for new ones.
+    """
+
+    room: Room
+    data: TrainingData
+    cells: CellEstimate
+    units: Units
+    emitting: np.ndarray
+    brdf: Mapping[str, np.ndarray] | None = None
+    emission: Mapping[str, np.ndarray] | None = None
+
+
+@dataclass(frozen=True)
+class TrainedNetworks:
+    """Weights of both networks, by their names in torch, and the units that the networks know by number."""
+
+    brdf: dict[str, np.ndarray]
+    emission: dict[str, np.ndarray]
+    trained_units: Units
+
+
+def train_networks(inputs: TrainingInputs, settings: TrainingSettings, tools: Tools) -> TrainedNetworks:
+    """Fit the networks to the closed-form estimate, then to the photographs."""
+    networks, surfaces = _new_networks(inputs, settings)
+    checkpoint = tools.folder / "unfinished.pt"
+    state = None
+    if checkpoint.exists():
         try:
-            state = self.checkpoints.load_tensors("training", self.device)
-            state["brdf"]["typical"] = networks.brdf.state_dict()["typical"]
-            networks.load(state)
-        except (FiptError, KeyError, TypeError, RuntimeError) as error:
-            raise DamagedStage("training", f"The checkpoint training can't be read ({error}).") from error
-        steps = max(round(AGAIN_SHARE * self.settings.training_steps), 1)
-        first = self.settings.training_steps - steps
-        train(networks, data, self._surfaces(), self.settings, None, self.reporter.progress, first)
-        return self._keep_training(HINTED_TRAINING, networks, steps)
+            state = read_checkpoint(checkpoint, networks, settings.training_steps)
+        except FiptError as error:
+            text = f"{error.text} The training starts again."
+            tools.reporter.warning("checkpoint-damaged", text, "There is nothing to do.")
+            checkpoint.unlink()
+    fitted = PRETRAINING_STEPS / (PRETRAINING_STEPS + settings.training_steps)
+    if state is None:
+        given = networks.brdf, inputs.data, surfaces, inputs.cells, settings
+        pretrain(*given, tools.progress_within(0.0, fitted))
+    resume, progress = Resume(checkpoint, state), tools.progress_within(fitted, 1.0)
+    train(networks, inputs.data, surfaces, settings, resume, progress)
+    return _trained(networks, inputs.units, settings.training_steps, tools)
 
-    def _surfaces(self) -> Surfaces:
-        """What is known of the surfaces before a training."""
-        _, emitting = self._emitters()
-        return Surfaces(self.box, self.units.triangle, emitting)
 
-    def _new_networks(self, cells: CellEstimate) -> Networks:
-        """Networks that are not trained yet, with the typical values of the units."""
-        unit = self.units.triangle[cells.triangle]
-        hash_levels = useful_hash_levels(self.settings, self.box.extent, self.observations.footprint)
-        typical = typical_values(cells.values, unit, len(self.units.single))
-        self.brdf = self._new_network(hash_levels, typical)
-        return Networks(self.brdf, self._new_mask())
+def train_hinted(inputs: TrainingInputs, settings: TrainingSettings, tools: Tools) -> TrainedNetworks:
+    """Continue from the networks that were trained without these hints.
 
-    def _keep_training(self, name: str, networks: Networks, steps: int) -> Facts:
-        """Keep trained networks."""
-        self._save_networks(name, networks)
-        return {"steps": steps, "hash_levels": len(networks.brdf.grid.resolutions)}
+    The networks add detail to the typical values of the units, those of the new closed form. The
+    training's last steps are repeated.
+    """
+    networks, surfaces = _new_networks(inputs, settings)
+    assert inputs.brdf is not None and inputs.emission is not None, "hints follow a training"
+    typical = networks.brdf.state_dict()["typical"]
+    networks.load(
+        {"brdf": {**_tensors(inputs.brdf), "typical": typical}, "emission": _tensors(inputs.emission)}
+    )
+    steps = max(round(HINTED_SHARE * settings.training_steps), 1)
+    first = settings.training_steps - steps
+    train(networks, inputs.data, surfaces, settings, None, tools.reporter.progress, first)
+    return _trained(networks, inputs.units, steps, tools)
 
-    # ---- Results -------------------------------------------------------------------------------------------
 
-    def _write_results(self) -> None:
-        _, emitting = self._emitters()
-        left_alone = self.observations.left_alone
-        fields = self._room_fields(emitting if left_alone is None else emitting | left_alone)
-        light = RoomLight(self.fixtures, self.observations.environment, self.view_check.lamps)
-        areas = area_names(self.hints, self.units)
-        with new_results(self.folder) as folder:
-            write_results(folder, fields, light, self.scale, self.reporter)
-            names = write_part_list(folder, self.room, self.parts, self.views, self.pixels, fields, areas)
-            write_left_alone(folder, left_alone)
-            self._write_doubts(folder, np.array([*names, ""], object)[fields.units.triangle])
-            remember_views(folder, self.views, self._shadings)
-            write_resolution(folder, len(self.room.triangles))
-            write_json(folder.statistics_json, self.summary())
-            keep_inputs(folder, folder.results)
-            note_version(folder.results)
-        prune(self.folder, self.settings.kept_versions)
+def _new_networks(inputs: TrainingInputs, settings: TrainingSettings) -> tuple[Networks, Surfaces]:
+    """Networks that are not trained yet, with the typical values of the units; and the surfaces."""
+    box, units, cells = room_box(inputs.room.bounds), inputs.units, inputs.cells
+    footprint = inputs.data.observations.footprint
+    levels = useful_hash_levels(settings, box.extent, footprint)
+    typical = typical_values(cells.values, units.triangle[cells.triangle], len(units.single))
+    device = torch.device(torch_device())
+    brdf = BrdfNetwork(settings, levels, typical, network_generator(settings), device)
+    emission = EmissionNetwork(network_generator(settings), device)
+    return Networks(brdf, emission), Surfaces(box, units.triangle, inputs.emitting)
 
-    def _room_fields(self, unused: np.ndarray) -> RoomFields:
-        """The estimate on all surfaces, from the pixels of all triangles but `unused` (T,)."""
-        data, fields, units, cells = self._closed_form()[0], self._fields(), self.units, self.cells
-        drawn = draw_pixels(self.pixels, units, self.box, cells, unused, self.settings.seed)
-        errors = self._cell_errors(data, fields, drawn)
-        detail = None
-        if self.settings.shrink_detail:
-            detail = room_detail(drawn, data, units, fields, cells, errors)
-        return RoomFields(fields, units, cells, errors, self.room.place, detail)
 
-    def _cell_errors(self, data: TrainingData, fields: Fields, drawn: DrawnPixels) -> np.ndarray:
-        """(C, 3) standard errors in the seen cells."""
-        seed = self.settings.seed
-        errors = cell_errors(drawn, data, self.units, fields, self.cells)
-        if not self.settings.lamp_doubt:
-            return errors
-        doubted = hardly_seen(self.fixtures, self.pixels, len(self.room.triangles))
-        place = self.room.place
-        if not self.fixtures or not (place or doubted):
-            return errors
-        lit = lit_cells(drawn, data, fields, self.cells)
-        if doubted:
-            self._warn_of_lamps(doubted)
-            of_power = power_errors(self.room, self.fixtures, doubted, (lit.points, lit.normals), seed)
-            errors = add_light_errors(errors, lit, of_power)
-        if not place:
-            return errors
-        of_light = light_errors(self.room, self.fixtures, (lit.points, lit.normals), place, seed)
-        return add_light_errors(errors, lit, of_light)
+def _trained(networks: Networks, units: Units, steps: int, tools: Tools) -> TrainedNetworks:
+    tools.facts.update(steps=steps, hash_levels=len(networks.brdf.grid.resolutions))
+    weights = {
+        name: {key: tensor.cpu().numpy() for key, tensor in state.items()}
+        for name, state in networks.state().items()
+    }
+    return TrainedNetworks(weights["brdf"], weights["emission"], units)
 
-    def _warn_of_lamps(self, doubted: Sequence[HardlySeen]) -> None:
-        """Say which lamps photographs hardly show."""
-        entries = [{"triangles": fixture.triangles} for fixture in self.fixtures]
-        names = fixture_names(self.room, entries)
-        listed = ", ".join(f"{names[lamp.index]} ({lamp.pixels} pixels)" for lamp in doubted)
-        self.reporter.warning(
-            "lamp-hardly-seen",
-            f"The photographs hardly show these lamps: {listed}. Their light and the colors near them may be"
-            " wrong: glow may have become paint.",
-            "Add photographs that show these lamps from near, most of all their bright insides.",
-        )
 
-    def _write_doubts(self, folder: RunFolder, names: np.ndarray) -> None:
-        data, cells = self._closed_form()
-        decided = np.zeros((len(self.probability), 3), bool)
-        if self.hints is not None:
-            decided = self.hints.of_triangles(self.hints.decides)
-        write_doubts(folder, data, cells, self.probability, decided, names)
+def _tensors(weights: Mapping[str, np.ndarray]) -> dict[str, torch.Tensor]:
+    return {key: torch.from_numpy(np.array(array)) for key, array in weights.items()}
+
+
+@dataclass(frozen=True)
+class FieldInputs:
+    """The weights of the trained BRDF network."""
+
+    room: Room
+    units: Units
+    brdf: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class TrainedFields:
+    """The materials as functions of places.
+
+    Attributes:
+        fields: base colour, roughness and metallic.
+        box: to which the network normalises positions.
+    """
+
+    fields: Fields
+    box: Box
+
+
+def open_fields(inputs: FieldInputs, settings: NetworkSettings, tools: Tools) -> TrainedFields:
+    """Make the network of its weights.
+
+    Raises:
+        FiptError: ``file-damaged`` where they do not fit the network.
+    """
+    device, box = torch.device(torch_device()), room_box(inputs.room.bounds)
+    try:
+        levels = inputs.brdf["mlp.0.weight"].shape[1] // settings.hash_features
+        typical = np.zeros((len(inputs.units.single) + 1, 5))
+        network = BrdfNetwork(settings, levels, typical, network_generator(settings), device)
+        network.load_state_dict(_tensors(inputs.brdf))
+    except (KeyError, IndexError, RuntimeError) as error:
+        text = f"The networks of the training can't be used ({error})."
+        raise FiptError("file-damaged", text, START_AGAIN) from None
+    return TrainedFields(Fields(network, box), box)

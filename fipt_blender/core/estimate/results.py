@@ -1,21 +1,85 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Results of an estimation in open formats: fields, parts, fixtures and the environment."""
+"""Results of an estimation in open formats: fields, parts, fixtures, the environment and the statistics."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 
 from ..capture.images import write_exr
+from ..capture.views import View
+from ..checks.view_check import ViewCheck
+from ..light.baking import ShadingStore
 from ..light.emitters import Fixture
 from ..light.environment import Environment
+from ..light.lamp_doubt import HardlySeen, hardly_seen, light_errors, power_errors
+from ..light.observations import Observations
+from ..material.cell_errors import DrawnPixels, add_light_errors, cell_errors, draw_pixels, lit_cells
+from ..material.closed_form import CellEstimate, TrainingData
 from ..material.fields import RoomFields
-from ..run.messages import Reporter
+from ..material.groups import Units
+from ..material.hints import SurfaceHints
+from ..material.inference import Fields
+from ..material.part_colors import room_detail
+from ..material.seen import Box, SeenCells, find_seen_cells
+from ..parts.labels import Parts
+from ..photometry.encoded_photographs import Photometry
+from ..pixels.store import PixelStore
+from ..report.fixture_names import fixture_names
+from ..run.light_size import LightPlan
+from ..run.messages import Reporter, peak_memory_gb
+from ..run.replacing import keep_inputs
+from ..run.run_files import ScanHoles
 from ..run.runfolder import RunFolder, write_json
+from ..run.settings import Settings
+from ..run.stage_settings import ResultSettings
+from ..run.versions import new_results, note_version, prune
+from ..surface.room import Room
+from ..textures.detail import SolvedLight, remember_light, write_resolution
+from .doubts import write_doubts
+from .hinted import area_names, hint_facts, write_left_alone
+from .part_list import write_part_list
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The outputs of the stages from which results are written; fields as of the stages."""
+
+    room: Room
+    views: list[View]
+    pixels: PixelStore
+    parts: Parts
+    scale: float
+    view_check: ViewCheck
+    observations: Observations
+    surface_hints: SurfaceHints | None
+    shadings: ShadingStore
+    levels: np.ndarray
+    data: TrainingData
+    cells: CellEstimate
+    units: Units
+    probability: np.ndarray
+    fixtures: list[Fixture]
+    emitting: np.ndarray
+    fields: Fields
+    box: Box
+    photometry: Photometry | None = None
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """What the statistics say beside the solution: of the plan, the scan, the settings and the stages."""
+
+    plan: LightPlan
+    holes: ScanHoles | None
+    settings: Settings
+    stages: Sequence[Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -31,6 +95,88 @@ class RoomLight:
     fixtures: Sequence[Fixture]
     environment: Environment | None
     missing: Sequence[Mapping[str, Any]] = ()
+
+
+def write_solution(run: RunFolder, solution: Solution, facts: RunFacts, reporter: Reporter) -> dict[str, Any]:
+    """Write all results as a new version of the run; returns the statistics.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    observations, pixels, room = solution.observations, solution.pixels, solution.room
+    left_alone, emitting = observations.left_alone, solution.emitting
+    unused = emitting if left_alone is None else emitting | left_alone
+    fields = room_fields(solution, unused, facts.settings, reporter)
+    light = RoomLight(solution.fixtures, observations.environment, solution.view_check.lamps)
+    areas = area_names(solution.surface_hints, solution.units)
+    statistics = summary(solution, facts)
+    with new_results(run) as folder:
+        write_results(folder, fields, light, solution.scale, reporter)
+        names = write_part_list(folder, room, solution.parts, solution.views, pixels, fields, areas)
+        write_left_alone(folder, left_alone)
+        decided = np.zeros((len(room.triangles), 3), bool)
+        if solution.surface_hints is not None:
+            decided = solution.surface_hints.of_triangles(solution.surface_hints.decides)
+        of_triangle = np.array([*names, ""], object)[fields.units.triangle]
+        write_doubts(folder, solution.data, solution.cells, solution.probability, decided, of_triangle)
+        remember_light(folder, SolvedLight(pixels, solution.shadings, solution.levels))
+        write_resolution(folder, len(room.triangles))
+        write_json(folder.statistics_json, statistics)
+        keep_inputs(folder, folder.results)
+        note_version(folder.results)
+    prune(run, facts.settings.kept_versions)
+    return statistics
+
+
+def room_fields(
+    solution: Solution, unused: np.ndarray, settings: ResultSettings, reporter: Reporter
+) -> RoomFields:
+    """The estimate on all surfaces, from the pixels of all triangles but `unused` (T,) bool."""
+    units, box, data, fields = solution.units, solution.box, solution.data, solution.fields
+    cells = find_seen_cells(solution.pixels, units, box)
+    drawn = draw_pixels(solution.pixels, units, box, cells, unused, settings.seed)
+    errors = _cell_errors(solution, cells, drawn, settings, reporter)
+    detail = None
+    if settings.shrink_detail:
+        detail = room_detail(drawn, data, units, fields, cells, errors)
+    return RoomFields(fields, units, cells, errors, solution.room.place, detail)
+
+
+def _cell_errors(
+    solution: Solution, cells: SeenCells, drawn: DrawnPixels, settings: ResultSettings, reporter: Reporter
+) -> np.ndarray:
+    """(C, 3) standard errors in the seen cells."""
+    room, fixtures, seed = solution.room, solution.fixtures, settings.seed
+    data, fields = solution.data, solution.fields
+    errors = cell_errors(drawn, data, solution.units, fields, cells)
+    if not settings.lamp_doubt:
+        return errors
+    doubted = hardly_seen(fixtures, solution.pixels, len(room.triangles))
+    if not fixtures or not (room.place or doubted):
+        return errors
+    lit = lit_cells(drawn, data, fields, cells)
+    if doubted:
+        _warn_of_lamps(room, fixtures, doubted, reporter)
+        of_power = power_errors(room, fixtures, doubted, (lit.points, lit.normals), seed)
+        errors = add_light_errors(errors, lit, of_power)
+    if not room.place:
+        return errors
+    of_light = light_errors(room, fixtures, (lit.points, lit.normals), room.place, seed)
+    return add_light_errors(errors, lit, of_light)
+
+
+def _warn_of_lamps(
+    room: Room, fixtures: Sequence[Fixture], doubted: Sequence[HardlySeen], reporter: Reporter
+) -> None:
+    """Say which lamps photographs hardly show."""
+    names = fixture_names(room, [{"triangles": fixture.triangles} for fixture in fixtures])
+    listed = ", ".join(f"{names[lamp.index]} ({lamp.pixels} pixels)" for lamp in doubted)
+    reporter.warning(
+        "lamp-hardly-seen",
+        f"The photographs hardly show these lamps: {listed}. Their light and the colors near them may be"
+        " wrong: glow may have become paint.",
+        "Add photographs that show these lamps from near, most of all their bright insides.",
+    )
 
 
 def write_results(
@@ -87,4 +233,43 @@ def _describe(fixture: Fixture, name: str, scale: float) -> dict[str, Any]:
         "centroid": fixture.centroid.tolist(),
         "power": (np.pi * fixture.area * (front + back)).tolist(),
         "probability": round(fixture.probability, 3),
+    }
+
+
+def summary(solution: Solution, facts: RunFacts) -> dict[str, Any]:
+    """The statistics of the run: times and rays of the stages, memory, counts, settings."""
+    check, photometry = solution.view_check, solution.photometry
+    hints = solution.surface_hints
+    return {
+        "stages": list(facts.stages),
+        "peak_memory_gb": round(peak_memory_gb(), 3),
+        "pixels": len(solution.pixels),
+        "light_resolution": facts.plan.resolution,
+        "expected": facts.plan.cost,
+        "triangles": len(solution.room.triangles),
+        "fixtures": len(solution.fixtures),
+        "part_kind": solution.parts.kind,
+        "radiance_scale": solution.scale,
+        "variant": mi.variant(),
+        "views": check.facts() | {"used": len(solution.views) - len(check.left_out)},
+        "settings": asdict(facts.settings),
+        **({"photometry": photometry.facts} if photometry else {}),
+        **(_hole_facts(facts.holes) if facts.holes else {}),
+        **({"hints": hint_facts(hints, solution.units)} if hints else {}),
+    }
+
+
+def result_files(folder: RunFolder) -> list[Path]:
+    """The results in open formats that exist."""
+    results = [folder.fields_npz, folder.parts_json, folder.emitters_json]
+    results += [folder.environment_exr, folder.statistics_json]
+    return [path for path in results if path.exists()]
+
+
+def _hole_facts(holes: ScanHoles) -> dict[str, Any]:
+    return {
+        "closed_holes": holes.closed,
+        "closed_holes_m2": round(holes.closed_area, 4),
+        "open_holes": holes.left,
+        "open_holes_m2": round(holes.open_area, 4),
     }

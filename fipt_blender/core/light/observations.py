@@ -20,7 +20,7 @@ from scipy.ndimage import binary_dilation
 from ..parts.labels import NO_PART, Parts
 from ..pixels.mixed_pixels import find_donors
 from ..pixels.store import PixelStore, open_array
-from ..run.settings import Settings
+from ..run.stage_settings import LightSettings
 from ..run.threads import cached_property
 from ..surface.room import Room
 from .cache import Pool, VoxelGrid, seen_grid, unseen_points
@@ -175,7 +175,9 @@ class Observations:
         return np.flatnonzero(drawn < weight) + rows.start
 
 
-def observe(room: Room, pixels: PixelStore, parts: Parts, settings: Settings, folder: Path) -> Observations:
+def observe(
+    room: Room, pixels: PixelStore, parts: Parts, settings: LightSettings, folder: Path
+) -> Observations:
     """Assign the pixels to voxels and estimate the environment; quick, so the result is not stored.
 
     Args:

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..optics.factorised import color_line, level_roughness
 from ..pixels.grouped import grouped_means, numbered, pairs_of, rows_of_groups
-from ..run.settings import Settings
+from ..run.stage_settings import MaterialSettings
 from .pixel_samples import PixelSamples, residual_weight
 from .projection import fit_colors
 
@@ -59,7 +59,7 @@ def group_log_likelihoods(
     groups: int,
     light_cell: np.ndarray,
     prior: np.ndarray,
-    settings: Settings,
+    settings: MaterialSettings,
 ) -> np.ndarray:
     """(S, groups) log-likelihood of each candidate relative to the group's best; 0 in groups without pixels.
 
@@ -268,7 +268,7 @@ def _residuals(samples: PixelSamples, best: np.ndarray, variance: np.ndarray) ->
 
 
 def view_errors(
-    means: np.ndarray, pixels: np.ndarray, group: np.ndarray, variance: np.ndarray, settings: Settings
+    means: np.ndarray, pixels: np.ndarray, group: np.ndarray, variance: np.ndarray, settings: MaterialSettings
 ) -> np.ndarray:
     """(groups,) variance of the error that the pixels of a group have in common in one view.
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..run.settings import Settings
+from ..run.stage_settings import MaterialSettings
 from .confidence import UNIFORM_DEVIATION
 from .hints import KnownMaterials
 from .likelihood import Candidates, group_log_likelihoods, make_candidates
@@ -48,7 +48,7 @@ def infer_materials(
     samples: PixelSamples,
     groups: int,
     light_cell: np.ndarray,
-    settings: Settings,
+    settings: MaterialSettings,
     similarity: np.ndarray | None = None,
     known: KnownMaterials | None = None,
 ) -> GroupMaterials:

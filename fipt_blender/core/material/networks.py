@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..run.settings import Settings
+from ..run.stage_settings import NetworkSettings, Seeded
 from .hashgrid import HashGrid
 from .seen import unit_medians
 
@@ -57,7 +57,7 @@ class BrdfNetwork(torch.nn.Module):
 
     def __init__(
         self,
-        settings: Settings,
+        settings: NetworkSettings,
         levels: int,
         typical: np.ndarray,
         generator: torch.Generator,
@@ -94,7 +94,7 @@ class BrdfNetwork(torch.nn.Module):
         return Prediction(value[:, :3], roughness, value[:, 4])
 
 
-def network_generator(settings: Settings) -> torch.Generator:
+def network_generator(settings: Seeded) -> torch.Generator:
     """The generator of the initial weights: on the CPU, so that they are the same on all devices."""
     return torch.Generator().manual_seed(settings.seed)
 
@@ -110,7 +110,7 @@ def typical_values(values: np.ndarray, unit: np.ndarray, units: int) -> np.ndarr
     return np.vstack([np.where(np.isnan(medians), every, medians), every])
 
 
-def useful_hash_levels(settings: Settings, extent: float, footprint: float) -> int:
+def useful_hash_levels(settings: NetworkSettings, extent: float, footprint: float) -> int:
     """Number of hash grid levels whose cells are at least half a pixel wide, at most settings.hash_levels.
 
     Less than a pixel sees each finer cell, so finer levels only learn noise.

@@ -8,6 +8,7 @@ checkpoint and ends with the same weights.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
@@ -17,9 +18,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..run.checkpoints import load_tensors, save_tensors
+from ..run.chain import START_AGAIN
 from ..run.errors import FiptError
-from ..run.settings import Settings
+from ..run.runfolder import atomic_path
+from ..run.stage_settings import TrainingSettings
 from . import losses
 from .closed_form import CellEstimate, TrainingData
 from .emission_mask import EmissionNetwork, emission_mask
@@ -123,7 +125,7 @@ def gather_batch(data: TrainingData, surfaces: Surfaces, rows: np.ndarray, devic
         grouped=torch.from_numpy(group >= 0).to(device),
         diffuse=tensor(data.shadings.diffuse),
         specular=tensor(data.shadings.specular),
-        levels=torch.from_numpy(data.levels).to(device),
+        levels=torch.tensor(data.levels).to(device),
         group_material=torch.from_numpy(material).to(device),
         semantic=observations.parts.kind == "semantic",
     )
@@ -139,7 +141,9 @@ def _places(
     return torch.from_numpy(position).to(device), torch.from_numpy(unit).to(device)
 
 
-def total_loss(networks: Networks, batch: Batch, settings: Settings, partners: torch.Tensor) -> torch.Tensor:
+def total_loss(
+    networks: Networks, batch: Batch, settings: TrainingSettings, partners: torch.Tensor
+) -> torch.Tensor:
     """l + l_e + l_d + l_p of one batch (paper Eq. 15 to 20).
 
     The emission mask is trained by every fourth pixel. The others take the mask of the emitters that the
@@ -174,7 +178,7 @@ def pretrain(
     data: TrainingData,
     surfaces: Surfaces,
     cells: CellEstimate,
-    settings: Settings,
+    settings: TrainingSettings,
     progress: Callable[[float], None],
 ) -> None:
     """Fit the BRDF network to the closed-form estimate, before the photographs are used.
@@ -266,7 +270,7 @@ def train(
     networks: Networks,
     data: TrainingData,
     surfaces: Surfaces,
-    settings: Settings,
+    settings: TrainingSettings,
     resume: Resume | None,
     progress: Callable[[float], None],
     first: int = 0,
@@ -302,3 +306,31 @@ def train(
                 "step": step + 1,
             }
             save_tensors(resume.checkpoint, state)
+
+
+def load_tensors(path: Path, device: torch.device) -> dict[str, Any]:
+    """Read what the function `save_tensors` wrote; code in the file is never run.
+
+    Raises:
+        FiptError: ``file-damaged``.
+    """
+    try:
+        state = torch.load(path, map_location=device, weights_only=True)
+        if not isinstance(state, dict):
+            raise TypeError("it holds no tensors by name")
+    except Exception as error:
+        raise FiptError("file-damaged", f"{path} can't be read ({error}).", START_AGAIN) from None
+    return state
+
+
+def save_tensors(path: Path, state: dict[str, Any]) -> None:
+    """Write tensors to a file, completely or not at all.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    # Through memory: torch's own writer hides the system's error.
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(buffer.getbuffer())

@@ -14,7 +14,7 @@ from ..light.observations import Observations
 from ..parts.labels import Parts
 from ..pixels.grouped import grouped_means, numbered, summed_by_key
 from ..pixels.store import open_array
-from ..run.settings import Settings
+from ..run.stage_settings import MaterialSettings
 from .closed_form import TrainingData, fit_cells
 from .groups import (
     MOST_GROUPS,
@@ -52,7 +52,7 @@ def training_input(
     pieces: np.ndarray | None,
     shadings: ShadingStore,
     levels: np.ndarray,
-    settings: Settings,
+    settings: MaterialSettings,
     hints: SurfaceHints | None = None,
 ) -> TrainingData:
     """The pixels with their shadings, groups and the materials of these.

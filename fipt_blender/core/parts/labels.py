@@ -61,6 +61,13 @@ def choose_parts(room: Room, views: Sequence[View], triangles: Sequence[np.ndarr
     return label_parts(room, source, images, triangles)
 
 
+def surface_labels(room: Room, parts: Parts) -> np.ndarray:
+    """(T,) int32 part of each triangle; where parts are unknown, label and connected piece."""
+    if parts.kind == "part":
+        return parts.triangle_part
+    return numbered([parts.triangle_part, room_pieces(room)]).astype(np.int32)
+
+
 def usable_sources(room: Room, views: Sequence[View]) -> list[str]:
     """The sources that distinguish any surfaces, in the order in which ``auto`` prefers them."""
     usable = {

@@ -17,7 +17,7 @@ from ..pixels.grouped import numbered
 from ..pixels.store import NO_TRIANGLE
 from ..radiometry.adjustment import usable
 from ..radiometry.inversion import Radiometry, is_clipped
-from ..run.settings import Settings
+from ..run.stage_settings import PhotometrySettings
 from ..surface.adjacency import weld
 from ..surface.part_adjacency import Scan
 from ..surface.room import Room
@@ -164,7 +164,7 @@ def light_on_surfaces(
     lamp: np.ndarray,
     codes: Codes,
     radiometry: Radiometry,
-    settings: Settings,
+    settings: PhotometrySettings,
 ) -> Lit:
     """Points of the surfaces with the light that reaches them, and the radiance of all cache entries."""
     pixels, encoded = codes.pixels, codes.encoded

@@ -10,7 +10,7 @@ Once shadings are baked, both are found again with their light (:mod:`.refit`).
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ from ..radiometry.inversion import (
 )
 from ..radiometry.response import response_basis
 from ..run.messages import Reporter
-from ..run.settings import Settings
+from ..run.stage_settings import PhotometrySettings
 from ..surface.room import Room
 from .clipped_surfaces import VAGUE, ClippedSurfaces, Lit, find_clipped_surfaces, light_on_surfaces
 from .codes import Codes, calm_samples
@@ -78,9 +78,13 @@ class Found:
     clipped: ClippedSurfaces
     lit: Lit
 
+    def of_pixels(self, pixels: PixelStore) -> Found:
+        """The same of a copy of the pixels."""
+        return replace(self, codes=replace(self.codes, pixels=pixels))
+
 
 def adjust_photographs(
-    pixels: PixelStore, room: Room, part: np.ndarray, scale: float, settings: Settings, folder: Path
+    pixels: PixelStore, room: Room, part: np.ndarray, scale: float, settings: PhotometrySettings, folder: Path
 ) -> Photometry:
     """Replace the values of photographs that are not HDR by radiance.
 

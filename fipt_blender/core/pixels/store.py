@@ -10,16 +10,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..capture.images import read_radiance
 from ..capture.views import View
 from ..run.arrays import DAMAGE
-from ..run.checkpoints import START_AGAIN
+from ..run.chain import START_AGAIN
 from ..run.errors import FiptError
 from ..run.per_view import LocalWorkers, Workers
 from ..surface.room import Room
@@ -70,6 +71,16 @@ class PixelStore:
     def rows(self, view: int) -> slice:
         """Where the pixels of a view lie in the arrays."""
         return slice(int(self.ranges[view]), int(self.ranges[view + 1]))
+
+    def with_copies(self, folder: Path, *names: str) -> PixelStore:
+        """The same pixels, with copies of some of the arrays in `folder`, which may be written to."""
+        copies: dict[str, Any] = {}
+        for name in names:
+            array = getattr(self, name)
+            copies[name] = open_array(folder / f"{name}.npy", array.shape, array.dtype.type, create=True)
+            for index in range(len(self.views)):
+                copies[name][self.rows(index)] = array[self.rows(index)]
+        return replace(self, **copies)
 
     def of_view(self, view: int) -> ViewPixels:
         """What one view sees, copied to memory."""

@@ -139,7 +139,7 @@ def light_plan(sizes: Sequence[tuple[int, int]], settings: Settings) -> LightPla
     cores = max(1.0, 0.7 * (os.cpu_count() or 1))
     # The run folder: the radiance cache, networks and results (of the example room); for each pixel of light
     # what is seen and photographed, and shadings of each level.
-    disk = 270_000_000 + int(light * 1e6 * (92 + 12 * levels))
+    disk = 270_000_000 + int(light * 1e6 * (125 + 12 * levels))
     # Packages, networks and Mitsuba; what is mapped from the run folder; a pixel of light that is worked on;
     # a photograph's pixel while it is decoded (benchmarks/scaling.py, benchmarks/real_cost.py).
     largest = max(width * height for width, height in sizes)

@@ -78,10 +78,8 @@ STAGES = Fields(
             Fields(optional=dict.fromkeys(("seconds", "rays", "mrays_per_second"), _NOT_NEGATIVE))
         ),
         "warnings": Entries(Items(Fields(dict.fromkeys(("code", "text", "remedy"), str)))),
-        "values": Fields(
-            optional={"scale": _NOT_NEGATIVE, "view_check": dict, "photometry": dict, "shadings": str}
-        ),
-    }
+    },
+    {"dropped": Items(str)},
 )
 
 VERSION = Fields({**_head("version"), "name": str, "time": _NOT_NEGATIVE})

@@ -15,20 +15,23 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from ..capture.averaging import means
 from ..capture.encoded import is_clipped, srgb_decoded
 from ..capture.views import View, load_capture
-from ..light.baking import ShadingStore, open_shadings
+from ..light.baking import ShadingStore
 from ..light.observations import median_footprint
-from ..light.shadings import roughness_levels
 from ..optics.lights import LUMINANCE
 from ..parts.labels import NO_PART
-from ..pixels.store import PixelStore, open_pixels
+from ..pixels.store import PixelStore
+from ..run.chain import START_AGAIN
 from ..run.documents import read_json
+from ..run.errors import FiptError
 from ..run.runfolder import RunFolder, atomic_path, write_json
+from ..run.stage_files import loaded, saved
 from ..surface.room import Room, triangle_normals
 from ..surface.smoothing import SmoothingGrid
 from .texel_views import LightPixels, Seen, Texels, see_texels
@@ -72,15 +75,39 @@ class DetailInput:
         ]
 
 
-def remember_views(run: RunFolder, views: list[View], shadings: str) -> None:
-    """Write which views the pixels and shadings of an estimation belong to.
+@dataclass(frozen=True)
+class SolvedLight:
+    """What an estimation has solved light with: pixels and the last shadings at roughness `levels` (K,)."""
 
-    Args:
-        views: at light resolution.
-        shadings: name of the folder of the last shadings in the stage folder.
+    pixels: PixelStore
+    shadings: ShadingStore
+    levels: np.ndarray
+
+
+def remember_light(run: RunFolder, light: SolvedLight) -> None:
+    """Write where the pixels and shadings of an estimation are, and to which views they belong.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
     """
+    views, root = light.pixels.views, run.stage.resolve()
     listed = [{"name": view.name, "width": view.width, "height": view.height} for view in views]
-    write_json(run.stage / "views.json", {"views": listed, "shadings": shadings})
+    document = saved(light, run.stage / "light", root, {"views": views})
+    write_json(run.stage / "views.json", {"views": listed, "light": document})
+
+
+def solved_light(run: RunFolder, views: list[View]) -> SolvedLight:
+    """What :func:`remember_light` wrote; `views`: the same, at light resolution.
+
+    Raises:
+        FiptError: ``file-damaged``.
+    """
+    path = run.stage / "views.json"
+    try:
+        document = read_json(path)["light"]
+        return cast(SolvedLight, loaded(document, SolvedLight, run.stage.resolve(), {"views": views}))
+    except (KeyError, TypeError, ValueError) as error:
+        raise FiptError("file-damaged", f"{path} can't be used ({error}).", START_AGAIN) from None
 
 
 def load_input(run: RunFolder) -> DetailInput | None:
@@ -108,12 +135,10 @@ def load_input(run: RunFolder) -> DetailInput | None:
     pairs = zip(photographs, lights, strict=True)
     if all(view.width * view.height <= light.width * light.height for view, light in pairs):
         return None
-    levels = roughness_levels(settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
-    pixels = open_pixels(run.stage / "pixels", lights)
-    shadings = open_shadings(run.stage / str(table["shadings"]), len(pixels), len(levels))
+    light = solved_light(run, lights)
     found = read_json(run.statistics_json).get("photometry") if run.statistics_json.exists() else None
     response = np.array(found["log_curve"], np.float64) if found else None
-    return DetailInput(photographs, pixels, shadings, levels, response)
+    return DetailInput(photographs, light.pixels, light.shadings, light.levels, response)
 
 
 def write_resolution(run: RunFolder, triangles: int) -> None:

@@ -1,0 +1,213 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The stages before any light: what pixels see, the radiance of photographs, and the check of the views.
+
+Radiance is in units of the capture's median from the first stage on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from ..capture.views import View
+from ..checks.view_check import ViewCheck, check_views
+from ..light.baking import baked_light
+from ..parts.labels import Parts, choose_parts, surface_labels
+from ..photometry.encoded_photographs import Photometry, adjust_photographs, warn_of_photographs
+from ..photometry.refit import refit_photographs
+from ..pixels.fragments import SUBPIXELS
+from ..pixels.mixed_pixels import mark_pure
+from ..pixels.store import PixelStore, fill_pixels, open_pixels
+from ..pixels.unmixing import keep_pure, unmix_pixels
+from ..run.chain import Tools
+from ..run.stage_settings import (
+    CheckSettings,
+    NoSettings,
+    PhotometrySettings,
+    RefitSettings,
+    UnmixSettings,
+)
+from ..surface.room import Room
+from .light_stages import BrightInputs, find_presumed_lamps, first_baking, observed_light
+
+_RAYS_TO_TRACE, _RAYS_TO_MARK = 1, 5  # a pixel, for the statistics
+
+
+@dataclass(frozen=True)
+class TraceInputs:
+    """The training views, and the room that they show."""
+
+    views: list[View]
+    room: Room
+
+
+@dataclass(frozen=True)
+class TracedPixels:
+    """First hits.
+
+    Attributes:
+        pixels: all pixels; pure ones are marked, the radiance of mixed ones is not divided yet.
+        parts: of the room's triangles.
+        scale: median radiance of the photographs, in their unit.
+    """
+
+    pixels: PixelStore
+    parts: Parts
+    scale: float
+
+
+def trace_pixels(inputs: TraceInputs, settings: NoSettings, tools: Tools) -> TracedPixels:
+    """Intersect the photographs' pixels with the mesh, and choose the parts of its triangles."""
+    pixels = open_pixels(tools.folder, inputs.views, create=True)
+    scale = fill_pixels(pixels, inputs.room, tools.progress_within(0.0, 0.6), tools.workers)
+    parts = parts_of(inputs.room, pixels)
+    mark_pure(pixels, inputs.room, parts.triangle_part, tools.progress_within(0.6, 1.0), tools.workers)
+    tools.facts["rays"] = (_RAYS_TO_TRACE + _RAYS_TO_MARK) * len(pixels)
+    return TracedPixels(pixels, parts, scale)
+
+
+def parts_of(room: Room, pixels: PixelStore) -> Parts:
+    """The parts of a room's triangles by what the pixels see."""
+    triangles = [np.asarray(pixels.triangle[pixels.rows(index)]) for index in range(len(pixels.views))]
+    return choose_parts(room, pixels.views, triangles)
+
+
+@dataclass(frozen=True)
+class PhotometryInputs:
+    """Traced pixels whose values are decoded by sRGB's curve."""
+
+    pixels: PixelStore
+    room: Room
+    parts: Parts
+    scale: float
+
+
+@dataclass(frozen=True)
+class AdjustedPhotographs:
+    """Radiance of photographs that are not HDR; fields as of :class:`TracedPixels`."""
+
+    pixels: PixelStore
+    photometry: Photometry
+    scale: float
+
+
+def find_photometry(
+    inputs: PhotometryInputs, settings: PhotometrySettings, tools: Tools
+) -> AdjustedPhotographs:
+    """Turn photographs that are not HDR into radiance."""
+    pixels = inputs.pixels.with_copies(tools.folder, "radiance")
+    labels = surface_labels(inputs.room, inputs.parts)
+    found = adjust_photographs(pixels, inputs.room, labels, inputs.scale, settings, tools.folder)
+    found = replace(found, facts={**found.facts, "median_shown": inputs.scale})
+    return AdjustedPhotographs(pixels, found, found.scale)
+
+
+@dataclass(frozen=True)
+class CheckInputs:
+    """Pixels, and indices of views whose poses are far off with their correlation with the others."""
+
+    pixels: PixelStore
+    room: Room
+    parts: Parts
+    far_off: dict[int, float]
+
+
+@dataclass(frozen=True)
+class CheckedPixels:
+    """Pixels without those of misaligned views, and with radiance of one exposure."""
+
+    pixels: PixelStore
+    parts: Parts
+    view_check: ViewCheck
+
+
+def check_poses(inputs: CheckInputs, settings: CheckSettings, tools: Tools) -> CheckedPixels:
+    """Leave out misaligned views, bring the others to one exposure, leave out lamps that the mesh lacks."""
+    room, parts = inputs.room, inputs.parts
+    pixels = inputs.pixels.with_copies(tools.folder, "radiance", "triangle", "pure")
+    check = check_views(pixels, room, parts.triangle_part, settings, tools.reporter, inputs.far_off)
+    if check.left_out:  # their masks no longer count
+        parts = parts_of(room, pixels)
+        mark_pure(pixels, room, parts.triangle_part, tools.progress_within(0.5, 1.0), tools.workers)
+    return CheckedPixels(pixels, parts, check)
+
+
+@dataclass(frozen=True)
+class UnmixInputs:
+    """Pixels whose radiance is final, but for a second adjustment of photographs that are not HDR."""
+
+    pixels: PixelStore
+    room: Room
+    parts: Parts
+    photometry: Photometry | None = None
+
+
+@dataclass(frozen=True)
+class UnmixedPixels:
+    """Pixels with the radiance of their own surface, and its weight."""
+
+    pixels: PixelStore
+
+
+def divide_mixed_pixels(inputs: UnmixInputs, settings: UnmixSettings, tools: Tools) -> UnmixedPixels:
+    """Find the radiance of the surface at the centre of each pixel."""
+    pixels = inputs.pixels.with_copies(tools.folder, "own", "weight")
+    labels = surface_labels(inputs.room, inputs.parts)
+    progress = tools.reporter.progress
+    _unmix(pixels, inputs.room, labels, inputs.photometry, settings, progress, tools)
+    rows = (pixels.rows(index) for index in range(len(pixels.views)))
+    pure = sum(int(np.count_nonzero(pixels.pure[view])) for view in rows)
+    tools.facts["rays"] = len(SUBPIXELS) * (len(pixels) - pure)
+    return UnmixedPixels(pixels)
+
+
+def _unmix(
+    pixels: PixelStore,
+    room: Room,
+    labels: np.ndarray,
+    photometry: Photometry | None,
+    settings: UnmixSettings,
+    progress: Callable[[float], None],
+    tools: Tools,
+) -> None:
+    if settings.unmix:
+        unmix_pixels(pixels, room, labels, progress, tools.workers)
+    else:
+        keep_pure(pixels)
+    if photometry is not None:
+        for index in range(len(pixels.views)):
+            rows = pixels.rows(index)
+            pixels.weight[rows] *= photometry.weight[rows]
+
+
+@dataclass(frozen=True)
+class RefitInputs:
+    """Pixels with the first photometry."""
+
+    pixels: PixelStore
+    room: Room
+    parts: Parts
+    photometry: Photometry
+
+
+def refit_photometry(inputs: RefitInputs, settings: RefitSettings, tools: Tools) -> AdjustedPhotographs:
+    """Find the response and the clipped lamps again, with the light of shadings of stage 1."""
+    pixels, found = inputs.pixels, inputs.photometry
+    if settings.refit_photographs:
+        labels = surface_labels(inputs.room, inputs.parts)
+        pixels = pixels.with_copies(tools.folder, "radiance", "own", "weight")
+        observations = observed_light(inputs.room, pixels, inputs.parts, labels, settings, tools.folder)
+        lamps = find_presumed_lamps(BrightInputs(pixels, inputs.room), settings, tools)
+        baking = first_baking(inputs.room, inputs.parts, observations, lamps, settings)
+        found = replace(found, found=found.found.of_pixels(pixels))
+        again = refit_photographs(found, pixels, inputs.room, labels, partial(baked_light, baking, pixels))
+        facts = {**again.facts, "median_shown": found.facts["median_shown"]}
+        found = replace(again, facts=facts)
+        progress = tools.progress_within(0.5, 1.0)
+        _unmix(pixels, inputs.room, labels, found, settings, progress, tools)
+    warn_of_photographs(found.facts, tools.reporter)
+    return AdjustedPhotographs(pixels, found, found.scale)

@@ -1,0 +1,402 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A computation as a chain of stages, which is resumed after a kill or with other settings.
+
+A stage is a pure function `work(inputs, settings, tools) -> outputs`; all but `tools` are frozen dataclasses.
+A field of its inputs is the output of that name of the last stage before it, or a value that the chain was
+given. Its key is a hash of the method, of the settings that it reads and of the keys of what it takes;
+a stage is done again when its key changes. The chain keeps the outputs (:mod:`.stage_files`), gives a stage
+that was interrupted its finished views back, repeats warnings, and does again what can't be read.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from .documents import read_json
+from .errors import FiptError
+from .finished_views import FinishedViews
+from .messages import Reporter
+from .method import method_digest
+from .per_view import LocalWorkers, Workers
+from .runfolder import explained_write_errors, write_json
+from .settings import Settings
+from .shapes import STAGES
+from .stage_files import UnreadableArray, loaded, saved
+from .stage_settings import chosen
+
+START_AGAIN = "Start the estimation again without resuming it."
+_DOCUMENT, _FINISHED = "outputs.json", "finished.json"
+Target = TypeVar("Target")
+
+
+@dataclass(frozen=True)
+class Tools:
+    """What a stage may use beside its inputs.
+
+    Attributes:
+        folder: of the stage: for arrays that do not fit into memory and for unfinished work.
+        reporter: gets progress and warnings.
+        workers: do the work that each view needs for itself.
+        finished: views that an interrupted run has finished.
+        facts: the stage's entry in the statistics, such as the number of `rays`.
+    """
+
+    folder: Path
+    reporter: Reporter
+    workers: Workers
+    finished: FinishedViews
+    facts: dict[str, Any]
+
+    def progress_within(self, begin: float, end: float) -> Callable[[float], None]:
+        """Progress of a piece of work that takes the stage from the share `begin` to `end`."""
+        return lambda done: self.reporter.progress(begin + (end - begin) * done)
+
+
+Work = Callable[[Any, Any, Tools], Any]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage of a chain.
+
+    Attributes:
+        name: in files and messages.
+        work: the function; the annotations of its arguments are the types of inputs, settings and outputs.
+        text: what it does, for the user; "" if the outputs are quick to make and are not kept.
+        cost: expected time relative to other stages, for the progress bar only.
+        takes: names of values by the fields of the inputs that are called otherwise.
+        replaces: a stage whose files are removed when this one begins; nothing that follows needs them.
+    """
+
+    name: str
+    work: Work
+    text: str = ""
+    cost: float = 0.0
+    takes: Mapping[str, str] = field(default_factory=dict)
+    replaces: str = ""
+
+    @property
+    def types(self) -> tuple[type, type, type]:
+        """Of inputs, settings and outputs."""
+        hints = get_type_hints(self.work)
+        return hints["inputs"], hints["settings"], hints["return"]
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """A value that a chain starts from, and the key that changes with it."""
+
+    value: Any
+    key: str
+
+
+class Watch:
+    """Is told of the stages that have a text; does nothing by itself."""
+
+    def before(self, name: str) -> None:
+        """A stage begins, or would if it were not done."""
+
+    def after(self, name: str, new: bool) -> None:
+        """A stage has ended; `new`: it was done just now."""
+
+
+class DamagedStage(Exception):
+    """The outputs of a stage can't be read; the text says why.
+
+    Attributes:
+        stage: its name.
+    """
+
+    def __init__(self, stage: str, text: str) -> None:
+        super().__init__(text)
+        self.stage = stage
+
+
+class Chain:
+    """A chain of stages on a folder.
+
+    Args:
+        stages: in their order.
+        given: the values that it starts from, by name.
+        settings: of the run.
+        folder: for the files of all stages; those of other keys are removed.
+        reporter: gets stages, progress and warnings.
+        workers: None: this process.
+
+    """
+
+    def __init__(
+        self,
+        stages: Sequence[Stage],
+        given: Mapping[str, Given],
+        settings: Settings,
+        folder: Path,
+        reporter: Reporter,
+        workers: Workers | None = None,
+    ) -> None:
+        self.stages, self.given, self.settings = list(stages), dict(given), settings
+        self._reporter, self._workers = reporter, workers or LocalWorkers()
+        self._values = {name: each.value for name, each in given.items()}
+        self._outputs: dict[int, Any] = {}
+        self._places = {stage.name: index for index, stage in enumerate(stages)}
+        self._providers = [
+            self._providers_of(stage.types[0], stage.takes, index) for index, stage in enumerate(stages)
+        ]
+        for index, stage in enumerate(stages):
+            replaced = self._places.get(stage.replaces, len(stages))
+            if any(replaced in providers.values() for providers in self._providers[index:]):
+                raise TypeError(f"{stage.replaces} is needed after {stage.name} has replaced it")
+        self._keys: list[str] = []
+        for index in range(len(stages)):
+            self._keys.append(self._key(index))
+        self._root = folder.resolve()
+        self._path = self._root / "stages.json"
+        self._data: dict[str, Any] = {}
+
+    # What each stage takes
+
+    def _providers_of(self, kind: type, takes: Mapping[str, str], before: int) -> dict[str, int | str]:
+        """For each field of inputs the stage, or the name of the given value, that it is taken from.
+
+        Fields with a default may have none.
+        """
+        found: dict[str, int | str] = {}
+        for item in fields(kind):
+            name = takes.get(item.name, item.name)
+            makes = (i for i in reversed(range(before)) if name in _names(self.stages[i].types[2]))
+            provider = next(makes, None)
+            if provider is not None:
+                found[item.name] = provider
+            elif name in self.given:
+                found[item.name] = name
+            elif item.default is MISSING:
+                raise TypeError(f"nothing before stage {before} makes {name}")
+        return found
+
+    def _key(self, index: int) -> str:
+        stage = self.stages[index]
+        sources = {
+            name: self.given[of].key if isinstance(of, str) else self._keys[of]
+            for name, of in self._providers[index].items()
+        }
+        kind = stage.types[1]
+        read = {
+            item.name: getattr(self.settings, item.name) for item in fields(kind) if item.metadata["keyed"]
+        }
+        text = json.dumps([method_digest(), stage.name, sources, dict(stage.takes), read], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def _kept(self, index: int) -> bool:
+        return bool(self.stages[index].text)
+
+    # What an earlier run has left
+
+    def _open(self) -> None:
+        keys = {stage.name: key for stage, key in zip(self.stages, self._keys, strict=True) if stage.text}
+        before: dict[str, Any] = {"keys": {}, "stages": {}, "warnings": {}}
+        try:
+            if self._path.exists():
+                before = read_json(self._path, STAGES)
+        except FiptError as error:
+            self._warn_of_damage(error.text)
+        valid = {name: key for name, key in keys.items() if before["keys"].get(name) == key}
+        done = [name for name in keys if name in before["stages"] and name in valid]
+        self._data = {
+            "keys": keys,
+            "stages": {name: before["stages"][name] for name in done},
+            "warnings": {name: before["warnings"].get(name, []) for name in done},
+            "dropped": [name for name in before.get("dropped", []) if name in done],
+        }
+        self._root.mkdir(parents=True, exist_ok=True)
+        if self._path.exists():
+            write_json(self._path, {**self._data, "keys": valid})  # first: it never lists what is gone
+        for path in self._root.iterdir():
+            if path.is_dir() and path.name not in valid:
+                shutil.rmtree(path)
+        write_json(self._path, self._data)
+
+    def _done(self, index: int) -> bool:
+        return self.stages[index].name in self._data["stages"]
+
+    def _dropped(self, index: int) -> bool:
+        return self.stages[index].name in self._data["dropped"]
+
+    def _discard(self, name: str) -> None:
+        """Forget the outputs of a stage that can't be read."""
+        self._outputs.clear()
+        self._data["stages"].pop(name, None)
+        write_json(self._path, self._data)
+        shutil.rmtree(self._root / name, ignore_errors=True)
+
+    # Work
+
+    def run(self, target: type[Target], watch: Watch | None = None) -> Target:
+        """Do all stages that are not done, and return what `target` takes of their outputs, like a stage.
+
+        Args:
+            target: a dataclass, whose fields are filled like inputs.
+            watch: is told of the stages.
+
+        Raises:
+            FiptError: those of the stages, ``disk-full`` or ``run-unwritable``.
+        """
+        with explained_write_errors(self._root):
+            self._open()
+        providers = self._providers_of(target, {}, len(self.stages))
+        damaged: set[str] = set()
+        while True:
+            try:
+                with explained_write_errors(self._root):
+                    self._do_all(providers, watch or Watch())
+                    return self._inputs(target, providers, {})
+            except DamagedStage as damage:
+                if damage.stage in damaged:  # its files can't be kept here
+                    raise FiptError("file-damaged", str(damage), START_AGAIN) from None
+                damaged.add(damage.stage)
+                self._warn_of_damage(str(damage))
+                self._discard(damage.stage)
+
+    def value(self, name: str, after: str) -> Any:
+        """The output of this name as it is after a stage; made where it is not kept."""
+        place = self._places[after] + 1
+        index = next(i for i in reversed(range(place)) if name in _names(self.stages[i].types[2]))
+        return getattr(self._outputs_of(index), name)
+
+    def facts(self) -> list[dict[str, Any]]:
+        """The facts of all finished stages in order, each with its name."""
+        listed = [stage.name for stage in self.stages if stage.name in self._data["stages"]]
+        return [{"name": name, **self._data["stages"][name]} for name in listed]
+
+    def _do_all(self, target: Mapping[str, int | str], watch: Watch) -> None:
+        kept = [index for index in range(len(self.stages)) if self._kept(index)]
+        due = self._due(target)
+        last_use = self._last_uses(target)
+        self._reporter.plan([self.stages[index].cost for index in kept])
+        for index in kept:
+            watch.before(self.stages[index].name)
+            if index in due:
+                self._do_kept(index)
+            else:
+                self._reporter.skip()
+                for warning in self._data["warnings"][self.stages[index].name]:
+                    if warning not in self._reporter.warnings:  # after damage all stages come by once more
+                        self._reporter.warning(**warning)
+            watch.after(self.stages[index].name, index in due)
+            for held in [each for each in self._outputs if last_use.get(each, -1) <= index]:
+                del self._outputs[held]
+
+    def _due(self, target: Mapping[str, int | str]) -> set[int]:
+        """The stages to do: those that are not done, and those that they need and whose files are removed."""
+        due: set[int] = set()
+
+        def demand(providers: Mapping[str, int | str]) -> None:
+            for index in providers.values():
+                if isinstance(index, int):
+                    visit(index)
+
+        def visit(index: int) -> None:
+            if self._kept(index):
+                if index in due or (self._done(index) and not self._dropped(index)):
+                    return
+                due.add(index)
+            demand(self._providers[index])
+
+        demand(target)
+        for index in range(len(self.stages)):
+            if self._kept(index) and not self._done(index):
+                visit(index)
+        return due
+
+    def _last_uses(self, target: Mapping[str, int | str]) -> dict[int, int]:
+        """For each stage the last one with files of its own that takes its outputs, maybe through others."""
+        end = len(self.stages)
+        last = {index: end for index in target.values() if isinstance(index, int)}
+        for index in reversed(range(end)):
+            use = index if self._kept(index) else last.get(index, -1)
+            for provider in self._providers[index].values():
+                if isinstance(provider, int):
+                    last[provider] = max(last.get(provider, -1), use)
+        return last
+
+    def _do_kept(self, index: int) -> None:
+        stage = self.stages[index]
+        self._reporter.stage(stage.name, stage.text)
+        if stage.replaces and stage.replaces in self._data["stages"]:
+            self._outputs.pop(self._places[stage.replaces], None)
+            if stage.replaces not in self._data["dropped"]:
+                self._data["dropped"].append(stage.replaces)
+            write_json(self._path, self._data)
+            shutil.rmtree(self._root / stage.replaces, ignore_errors=True)
+        started, warned = time.monotonic(), len(self._reporter.warnings)
+        outputs, facts = self._work(index)
+        folder = self._root / stage.name
+        write_json(folder / _DOCUMENT, saved(outputs, folder / "outputs", self._root, self._values))
+        for path in self._unfinished(folder):
+            path.unlink(missing_ok=True)
+        seconds = time.monotonic() - started
+        facts["seconds"] = round(seconds, 2)
+        if facts.get("rays") and seconds > 0.0:
+            facts["mrays_per_second"] = round(facts["rays"] / seconds / 1e6, 3)
+        name = stage.name
+        self._data["stages"][name], self._data["warnings"][name] = facts, self._reporter.warnings[warned:]
+        if name in self._data["dropped"]:
+            self._data["dropped"].remove(name)
+        write_json(self._path, self._data)
+
+    def _unfinished(self, folder: Path) -> list[Path]:
+        return [folder / _FINISHED, *folder.glob("unfinished*")]
+
+    def _work(self, index: int) -> tuple[Any, dict[str, Any]]:
+        """The outputs of a stage, made now, and its facts."""
+        stage = self.stages[index]
+        inputs: Any = self._inputs(stage.types[0], self._providers[index], stage.takes)
+        folder, facts = self._root / stage.name, dict[str, Any]()
+        folder.mkdir(exist_ok=True)
+        finished = FinishedViews(folder / _FINISHED, self._keys[index])
+        tools = Tools(folder, self._reporter, self._workers, finished, facts)
+        return stage.work(inputs, chosen(self.settings, stage.types[1]), tools), facts
+
+    def _inputs(
+        self, kind: type[Target], providers: Mapping[str, int | str], takes: Mapping[str, str]
+    ) -> Target:
+        values = {}
+        for name, of in providers.items():
+            if isinstance(of, str):
+                values[name] = self._values[of]
+            else:
+                values[name] = getattr(self._outputs_of(of), takes.get(name, name))
+        return kind(**values)
+
+    def _outputs_of(self, index: int) -> Any:
+        """The outputs of a stage: read, or made where they are not kept."""
+        if index not in self._outputs:
+            made = self._read(index) if self._kept(index) else self._work(index)[0]
+            self._outputs[index] = made
+        return self._outputs[index]
+
+    def _read(self, index: int) -> Any:
+        stage, path = self.stages[index], self._root / self.stages[index].name / _DOCUMENT
+        try:
+            return loaded(json.loads(path.read_text("utf-8")), stage.types[2], self._root, self._values)
+        except (OSError, ValueError, RecursionError) as error:
+            # It may have passed on an array of a stage before it.
+            name = error.stage if isinstance(error, UnreadableArray) else stage.name
+            name = name if name in self._data["stages"] else stage.name
+            raise DamagedStage(name, f"The outputs of the stage {name} can't be read ({error}).") from None
+
+    def _warn_of_damage(self, text: str) -> None:
+        self._reporter.warning(
+            "checkpoint-damaged", f"{text} What is missing is done again.", "There is nothing to do."
+        )
+
+
+def _names(kind: type) -> set[str]:
+    return {item.name for item in fields(kind)}

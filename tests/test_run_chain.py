@@ -1,0 +1,304 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A chain of stages: what is kept, resumed, dropped and done again; outputs as files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fipt_blender.core.run import chain as chain_module
+from fipt_blender.core.run import finished_views
+from fipt_blender.core.run.chain import Chain, Given, Stage, Tools, Watch
+from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.core.run.settings import Settings
+from fipt_blender.core.run.stage_files import loaded, saved
+from fipt_blender.core.run.stage_settings import NoSettings, Seeded, TrainingSettings
+
+
+@dataclass(frozen=True)
+class Start:
+    number: int
+
+
+@dataclass(frozen=True)
+class Table:
+    table: np.ndarray
+    source: list[str]
+
+
+@dataclass(frozen=True)
+class TableInputs:
+    table: np.ndarray
+
+
+@dataclass(frozen=True)
+class Total:
+    total: float
+
+
+@dataclass(frozen=True)
+class Target:
+    total: float
+    doubled: np.ndarray
+
+
+@dataclass(frozen=True)
+class Doubled:
+    doubled: np.ndarray
+
+
+@dataclass(frozen=True)
+class DoubledInputs:
+    doubled: np.ndarray
+
+
+SOURCE = ["photograph"]  # given, and passed on
+
+
+@dataclass(frozen=True)
+class StartInputs:
+    number: int
+    source: list[str]
+
+
+def make_table(inputs: StartInputs, settings: Seeded, tools: Tools) -> Table:
+    table = np.lib.format.open_memmap(tools.folder / "table.npy", mode="w+", dtype=np.float64, shape=(4, 2))
+    table[:] = inputs.number + settings.seed
+    tools.reporter.warning("a-code", "A text.", "A remedy.")
+    tools.facts["rays"] = 7
+    return Table(table, inputs.source)
+
+
+def add_up(inputs: TableInputs, settings: NoSettings, tools: Tools) -> Total:
+    return Total(float(inputs.table.sum()))
+
+
+def double(inputs: TableInputs, settings: NoSettings, tools: Tools) -> Doubled:
+    return Doubled(2.0 * inputs.table)
+
+
+def train(inputs: DoubledInputs, settings: TrainingSettings, tools: Tools) -> Total:
+    return Total(float(inputs.doubled.mean()) + settings.learning_rate)
+
+
+STAGES = [
+    Stage("table", make_table, "Making"),
+    Stage("sum", add_up, "Adding"),
+    Stage("double", double),  # quick: not kept
+    Stage("train", train, "Training"),
+]
+
+
+class Heard(Watch):
+    """Which stages were done."""
+
+    def __init__(self) -> None:
+        self.done: list[str] = []
+
+    def after(self, name: str, new: bool) -> None:
+        self.done += [name] * new
+
+
+def chain_on(
+    folder: Path,
+    settings: Settings | None = None,
+    stages: Sequence[Stage] = STAGES,
+    number: int = 3,
+    reporter: Reporter | None = None,
+) -> Chain:
+    given = {"number": Given(number, str(number)), "source": Given(SOURCE, "")}
+    return Chain(stages, given, settings or Settings(), folder, reporter or Reporter())
+
+
+def work(folder: Path, **options) -> tuple[Target, list[str], Reporter]:
+    heard, reporter = Heard(), Reporter()
+    target = chain_on(folder, reporter=reporter, **options).run(Target, heard)
+    return target, heard.done, reporter
+
+
+def test_a_resumed_chain_does_what_has_changed_and_no_more(tmp_path: Path) -> None:
+    target, done, _ = work(tmp_path)
+    assert done == ["table", "sum", "train"]
+    assert target.total == pytest.approx(6.0 + Settings().learning_rate) and (target.doubled == 6.0).all()
+    again, done, reporter = work(tmp_path)
+    assert done == [] and again.total == target.total and (again.doubled == 6.0).all()
+    assert [warning["code"] for warning in reporter.warnings] == ["a-code"], "it is repeated"
+    assert work(tmp_path, settings=Settings(learning_rate=1.0))[1] == ["train"]
+    assert work(tmp_path, settings=Settings(learning_rate=1.0, checkpoint_steps=7))[1] == []
+    assert work(tmp_path, settings=Settings(seed=1))[1] == ["table", "sum", "train"]
+    assert work(tmp_path, number=4)[1] == ["table", "sum", "train"]
+
+
+def test_the_method_is_part_of_the_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    work(tmp_path)
+    monkeypatch.setattr(chain_module, "method_digest", lambda: "other")
+    assert work(tmp_path)[1] == ["table", "sum", "train"]
+
+
+@pytest.mark.parametrize(
+    "name", ["table/outputs.json", "table/table.npy", "sum/outputs.json", "train/outputs.json"]
+)
+@pytest.mark.parametrize("content", [b"", b"cut off", None])
+def test_outputs_that_cannot_be_read_are_made_again(name: str, content: bytes | None, tmp_path: Path) -> None:
+    first = work(tmp_path)[0]
+    if content is None:
+        (tmp_path / name).unlink()
+    else:
+        (tmp_path / name).write_bytes(content)
+    target, done, reporter = work(tmp_path)
+    assert (target.total, target.doubled.tolist()) == (first.total, first.doubled.tolist())
+    stage = name.partition("/")[0]
+    # What nobody needs is not read: the sum is no input of anything that is left to do.
+    assert done == ([] if stage == "sum" else [stage])
+    assert [w["code"] for w in reporter.warnings].count("checkpoint-damaged") == len(done)
+    assert work(tmp_path)[1] == []
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"keys": {}}', "{"])
+def test_a_list_of_stages_that_cannot_be_read_begins_anew(text: str, tmp_path: Path) -> None:
+    first = work(tmp_path)[0]
+    (tmp_path / "stages.json").write_text(text)
+    target, done, reporter = work(tmp_path)
+    assert done == ["table", "sum", "train"] and target.total == first.total
+    assert "checkpoint-damaged" in [warning["code"] for warning in reporter.warnings]
+
+
+def test_a_stage_that_replaces_another_removes_its_files_and_they_are_made_again_when_needed(
+    tmp_path: Path,
+) -> None:
+    def remake(inputs: Start, settings: Seeded, tools: Tools) -> Table:
+        return Table(np.full((4, 2), float(inputs.number)), SOURCE)
+
+    other = Stage("other", remake, "Making again", replaces="table")
+    stages = [STAGES[0], STAGES[1], other, *STAGES[2:]]
+    assert work(tmp_path, stages=stages)[1] == ["table", "sum", "other", "train"]
+    assert not (tmp_path / "table").exists() and work(tmp_path, stages=stages)[1] == []
+    assert work(tmp_path, stages=STAGES)[1] == ["table", "train"], "the sum is still known"
+    with pytest.raises(TypeError, match="needed after"):
+        chain_on(tmp_path, stages=[*stages[:2], replace(other, work=add_up)])
+
+
+def test_a_kill_amid_a_stage_keeps_its_finished_views(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(finished_views, "NOTE_SECONDS", 0.0)
+    seen: list[set[int]] = []
+
+    def bake(inputs: StartInputs, settings: Seeded, tools: Tools) -> Table:
+        seen.append(set(tools.finished.views))
+        for view in range(3):
+            if view not in tools.finished.views:
+                tools.finished.add(view, 1)
+                if view in kills:
+                    raise KeyboardInterrupt
+        return Table(np.zeros((4, 2)), inputs.source)
+
+    stages = [Stage("table", bake, "Baking"), *STAGES[1:]]
+    kills = [0, 1]
+    for before in (set(), {0}):
+        with pytest.raises(KeyboardInterrupt):
+            work(tmp_path, stages=stages)
+        assert seen[-1] == before
+    with pytest.raises(KeyboardInterrupt):
+        work(tmp_path, stages=stages, settings=Settings(seed=1))
+    assert seen[-1] == set(), "those of another key do not count"
+    kills = []
+    work(tmp_path, stages=stages, settings=Settings(seed=1))
+    assert seen[-1] == {0} and not (tmp_path / "table" / "finished.json").exists()
+
+
+def test_a_stage_cannot_change_what_an_earlier_one_made(tmp_path: Path) -> None:
+    def spoil(inputs: TableInputs, settings: NoSettings, tools: Tools) -> Total:
+        inputs.table[:] = 0.0
+        return Total(0.0)
+
+    with pytest.raises(ValueError, match="read-only"):
+        work(tmp_path, stages=[STAGES[0], Stage("spoil", spoil, "Spoiling"), *STAGES[2:]])
+
+
+def test_inputs_that_nothing_makes_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match="nothing before"):
+        chain_on(tmp_path, stages=STAGES[1:])
+
+
+@dataclass(frozen=True)
+class Inner:
+    """Nested outputs."""
+
+    numbers: np.ndarray
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Everything:
+    """One of each kind of field."""
+
+    inner: Inner
+    maybe: Inner | None
+    either: np.ndarray | float
+    empty: np.ndarray
+    tables: dict[str, np.ndarray]
+    several: list[Inner]
+    number: float
+    count: int
+    flag: bool
+    source: list[str]
+
+
+def everything() -> Everything:
+    inner = Inner(np.arange(3, dtype=np.float16), ("a", "b"))
+    empty, tables = np.zeros((0, 3), np.float32), {"grid.table": np.eye(2)}
+    return Everything(inner, None, 0.1, empty, tables, [inner, inner], 1 / 3, 2**40, True, SOURCE)
+
+
+def test_outputs_come_back_as_they_were(tmp_path: Path) -> None:
+    value, given = everything(), {"source": SOURCE}
+    document = json.loads(json.dumps(saved(value, tmp_path / "one", tmp_path, given)))
+    back = loaded(document, Everything, tmp_path, given)
+    assert back.source is SOURCE and back.number == value.number and back.count == value.count
+    assert back.maybe is None and back.either == 0.1 and back.inner.names == ("a", "b")
+    assert back.inner.numbers.dtype == np.float16 and back.inner.numbers.tolist() == [0.0, 1.0, 2.0]
+    assert back.empty.shape == (0, 3) and (back.tables["grid.table"] == np.eye(2)).all()
+    passed_on = saved(back, tmp_path / "two", tmp_path, given)
+    assert passed_on["inner"] == document["inner"] and not (tmp_path / "two" / "inner").exists()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"count": "2"},
+        {"number": None},
+        {"flag": 1},
+        {"inner": {"numbers": 3}},
+        {"inner": None},
+        {"tables": {"x": {"array": "../x.npy", "shape": [1], "type": "<f4"}}},
+        {"empty": {"array": "one/inner/numbers.npy", "shape": [0, 3], "type": "<f4"}},
+        {"source": {"given": "unknown"}},
+        {"surplus": 1},
+    ],
+)
+def test_documents_of_another_form_are_refused(change: dict, tmp_path: Path) -> None:
+    document = saved(everything(), tmp_path / "one", tmp_path, {"source": SOURCE})
+    with pytest.raises(ValueError):
+        loaded({**document, **change}, Everything, tmp_path, {"source": SOURCE})
+
+
+def test_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "save", full)
+
+    def plain(inputs: StartInputs, settings: Seeded, tools: Tools) -> Table:
+        return Table(np.zeros((4, 2)), inputs.source)
+
+    with pytest.raises(FiptError) as caught:
+        work(tmp_path, stages=[Stage("table", plain, "Making"), *STAGES[1:]])
+    assert caught.value.code == "disk-full"
