@@ -10,9 +10,11 @@
   speed     time the engine against the paper's algorithm, stage by stage
   lock      write engine.lock from the pins in pyproject.toml
   lint      run ruff, its formatter as a check, and mypy
-  build     make the extension's zip in dist/ (needs no set-up)
+  build     make the extension's zip in dist/, and validate it with Blender's own tool
   index     build, and make dist/ a repository of extensions that a web server can offer to Blender
-  docs      write the documentation site to out/site
+  release   build for the tag v + VERSION, with checksums and notes of the changelog in dist/
+  docs      write the documentation site to out/site; a broken link is an error
+  results   write the tables of docs/results.md from docs/measurements/ (--add: with a new measurement)
   setup     only set up
 
 Standard library only. The set-up creates the virtual environment .venv with the packages pinned in
@@ -21,13 +23,14 @@ pyproject.toml and finds or fetches an LLVM. Nothing outside this folder is chan
 
 from __future__ import annotations
 
-import importlib.util
+import hashlib
 import json
 import platform
 import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 import zipfile
 from pathlib import Path
@@ -140,9 +143,9 @@ def read_versions() -> dict[str, str]:
 
 
 def build_extension(folder: Path = ROOT / "dist") -> Path:
-    """Build the extension's zip, with the manifest, the licence, the guide and the package's files.
+    """Make the extension's zip, with the manifest, the licence, the guide and the package's files.
 
-    The build is reproducible: the same files give the same bytes.
+    The zip is reproducible: the same files give the same bytes.
 
     Raises:
         SetupError: the versions in `read_versions` differ.
@@ -155,7 +158,7 @@ def build_extension(folder: Path = ROOT / "dist") -> Path:
         raise SetupError(f"The versions differ:\n{listed}\nMake them equal.")
     package = ROOT / "fipt_blender"
     contents = {name: (ROOT / name).read_bytes() for name in ("blender_manifest.toml", "LICENSE")}
-    contents |= _offline_pages()
+    contents |= _guide_pages()
     contents[PINS_NAME] = json.dumps({name: read_pins()[name] for name in ENGINE_GROUPS}, indent=1).encode()
     for path in package.rglob("*"):
         parts = path.relative_to(package).parts
@@ -176,21 +179,46 @@ def build_extension(folder: Path = ROOT / "dist") -> Path:
     return target
 
 
-def _offline_pages() -> dict[str, bytes]:
-    """The guide as HTML pages (docs/hooks/offline.py)."""
-    spec = importlib.util.spec_from_file_location("offline", ROOT / "docs" / "hooks" / "offline.py")
-    if spec is None or spec.loader is None:
-        raise SetupError("docs/hooks/offline.py is missing. Use a complete checkout.")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.offline_pages()
+def _guide_pages() -> dict[str, bytes]:
+    """The guide as HTML pages."""
+    with tempfile.TemporaryDirectory() as folder:
+        script = str(ROOT / "docs" / "hooks" / "offline.py")
+        subprocess.run([str(VENV_PYTHON), script, folder], check=True)
+        pages = [path for path in Path(folder).rglob("*") if path.is_file()]
+        return {f"guide/{path.relative_to(folder).as_posix()}": path.read_bytes() for path in pages}
+
+
+def extension_tool(*arguments: str) -> int:
+    """Run Blender's own command for extensions, which is part of bpy."""
+    return call(str(next(VENV.rglob("bl_pkg/cli/blender_ext.py"))), *arguments)
+
+
+def build(folder: Path = ROOT / "dist") -> int:
+    """Make the zip and validate it."""
+    return extension_tool("validate", str(build_extension(folder)))
 
 
 def index_extensions(folder: Path = ROOT / "dist") -> int:
-    """Build the zip, and write an index of all zips in the folder with Blender's own tool."""
+    """Make the zip, and write an index of all zips in the folder."""
     build_extension(folder)
-    tool = next(VENV.rglob("bl_pkg/cli/blender_ext.py"))  # part of bpy
-    return call(str(tool), "server-generate", f"--repo-dir={folder}", "--html")
+    return extension_tool("server-generate", f"--repo-dir={folder}", "--html")
+
+
+def release(tag: str, folder: Path = ROOT / "dist") -> int:
+    """Make the files of a release: the zip, SHA256SUMS, and NOTES.md, the version's chapter of the changelog.
+
+    Raises:
+        SetupError: the tag is not that of the version.
+    """
+    version = read_versions()["CHANGELOG.md"]
+    if tag != f"v{version}":
+        raise SetupError(f"The tag {tag} is not v{version}, the newest version in CHANGELOG.md.")
+    archive = build_extension(folder)
+    checksum = hashlib.sha256(archive.read_bytes()).hexdigest()
+    (folder / "SHA256SUMS").write_text(f"{checksum}  {archive.name}\n", encoding="utf-8")
+    chapters = re.split(r"^## .*\n", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    (folder / "NOTES.md").write_text(chapters[1].strip() + "\n", encoding="utf-8")
+    return extension_tool("validate", str(archive))
 
 
 def call(*arguments: str) -> int:
@@ -262,7 +290,10 @@ COMMANDS = {
     "lint": lambda extra: lint(),
     "lock": lambda extra: lock(),
     "docs": lambda extra: call("-m", "mkdocs", "build", "--strict", *extra),
+    "build": lambda extra: build(),
     "index": lambda extra: index_extensions(),
+    "release": lambda extra: release(*extra[:1] or [""]),
+    "results": lambda extra: call(str(ROOT / "benchmarks" / "results.py"), *extra),
     "setup": lambda extra: 0,
 }
 
@@ -279,7 +310,7 @@ def other_python() -> str | None:
 
 def main(argv: list[str]) -> int:
     """Run one command; returns its exit status."""
-    if not argv or argv[0] not in (*COMMANDS, "build"):
+    if not argv or argv[0] not in COMMANDS:
         print(__doc__.strip())
         return 0 if argv and argv[0] in ("-h", "--help") else 2
     if sys.version_info[:2] not in SUPPORTED_PYTHONS:
@@ -289,20 +320,13 @@ def main(argv: list[str]) -> int:
         print(f"This is Python {platform.python_version()}; Python {wanted} is needed.", file=sys.stderr)
         return 1
     try:
-        if argv[0] == "build":
-            print(build_extension())
-            return 0
         set_up()
+        return COMMANDS[argv[0]](argv[1:])
     except SetupError as error:
         print(f"dev.py: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
-    try:
-        return COMMANDS[argv[0]](argv[1:])
-    except SetupError as error:
-        print(f"dev.py: {error}", file=sys.stderr)
-        return 1
 
 
 if __name__ == "__main__":

@@ -20,11 +20,11 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks import cycles_views, disturb, ldr, metrics, picture_page, truth
+from benchmarks import cycles_views, disturb, ldr, metrics, picture_page, results, truth
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import PRODUCT_VERSION, RunFolder, write_json
@@ -106,12 +106,17 @@ def evaluate(arguments: argparse.Namespace, folder: Path) -> int:
     page.write(result)
     result |= figures
     result["camera"] = ldr.camera_errors(run, arguments.capture)
-    result |= {"version": PRODUCT_VERSION, "settings": asdict(run.read()), "spp": arguments.spp}
+    import mitsuba  # its variant is set by now
+
+    settings = run.read()
+    result |= {"version": PRODUCT_VERSION, "settings": asdict(settings), "spp": arguments.spp}
+    command = ["python3", "dev.py", "accuracy", *sys.argv[1:]]
+    result["measured"] = results.provenance(arguments.capture.name, settings.seed, mitsuba.variant(), command)
     print(format_table(result))
     print(f"pictures: {(arguments.page or run.root / 'accuracy') / 'index.html'}")
     if arguments.json:
         write_json(arguments.json.absolute(), result)
-    broken = out_of_bounds(result, read_json(arguments.bounds)) if arguments.bounds else []
+    broken = out_of_bounds(result, read_document(arguments.bounds, dict)) if arguments.bounds else []
     for line in broken:
         print(f"out of bounds: {line}", file=sys.stderr)
     return 1 if broken else 0
@@ -189,10 +194,10 @@ def recorded_costs(run: RunFolder) -> dict[str, Any]:
     costs: dict[str, Any] = {"seconds": None, "peak_memory_gb": None}
     steps = run.root / "steps.json"
     if steps.exists():
-        seconds = {name: step["seconds"] for name, step in read_json(steps)["steps"].items()}
+        seconds = {name: step["seconds"] for name, step in read_document(steps, dict)["steps"].items()}
         costs |= {"seconds": round(sum(seconds.values()), 1), "step_seconds": seconds}
     if run.statistics_json.exists():
-        costs["statistics"] = read_json(run.statistics_json)
+        costs["statistics"] = read_document(run.statistics_json, dict)
         costs["peak_memory_gb"] = costs["statistics"].get("peak_memory_gb")
     return costs
 
@@ -324,7 +329,7 @@ def score_cycles(run: RunFolder, spp: int, scored: Scored) -> None:
         ended = subprocess.run(command, input=text, stdout=log, stderr=log, check=False)
     if ended.returncode:
         raise FiptError("run-failed", "The renders in Cycles failed.", f"Mend what {run.log} reports.")
-    listed = read_json(cycles_views.apart(RunFolder(run.root)).renders_json)["renders"]
+    listed = read_document(cycles_views.apart(RunFolder(run.root)).renders_json, dict)["renders"]
     images = {(entry["kind"], entry["view"]): run.resolve(entry["image"]) for entry in listed}
     for split in SPLITS:
         found = [read_radiance(images["rerender", view.name]) for view in rendered[split]]

@@ -20,12 +20,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from benchmarks import fuzz_samples
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.hints import read_hints
+from fipt_blender.core.run.result_contents import Stages
 from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.core.run.shapes import STAGES
 from samples import capture_files, metashape_writers, rgbd_frames, rig_writers
 
 
@@ -84,7 +84,7 @@ def _read_run_files(sample: Path, out: Path) -> None:
     room, _ = read_room_files(run)
     read_atlas(run, len(room["triangles"]))
     read_emitters(run, len(room["triangles"]))
-    read_json(run.stage / "stages.json", STAGES)
+    read_document(run.stage / "stages.json", Stages)
     run.read()
 
 

@@ -25,11 +25,12 @@ from benchmarks import metrics, truth
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.run.arrays import read_arrays
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.hints import DIELECTRIC, METAL, Hint, write_hints
+from fipt_blender.core.run.result_contents import Doubt, Doubts
 from fipt_blender.core.run.runfolder import RunFolder, write_json
-from fipt_blender.core.run.shapes import DOUBTS, PARTS_ARRAYS
+from fipt_blender.core.run.shapes import PARTS_ARRAYS
 
 ROOT = Path(__file__).resolve().parent.parent
 COLUMNS = ("kd_psnr", "a_prime_psnr", "sigma_psnr", "metallic_psnr")
@@ -119,16 +120,16 @@ def true_answers(run: RunFolder, count: int, answers: str) -> list[Hint]:
     from fipt_blender.core.estimate.input import estimation_views
     from fipt_blender.core.textures.detail import solved_light
 
-    doubts = read_json(run.doubts_json, DOUBTS)["doubts"][:count]
+    doubts = read_document(run.doubts_json, Doubts).doubts[:count]
     views = estimation_views(run, run.read())
     pixels = solved_light(run, views).pixels
     part = read_arrays(run.parts_npz, PARTS_ARRAYS)["triangle_part"]
     names = [view.name for view in views]
-    return [answer(doubt, views, names.index(doubt["view"]), pixels, part, answers) for doubt in doubts]
+    return [answer(doubt, views, names.index(doubt.view), pixels, part, answers) for doubt in doubts]
 
 
 def answer(
-    doubt: dict[str, Any], views: Sequence[View], index: int, pixels: Any, part: np.ndarray, answers: str
+    doubt: Doubt, views: Sequence[View], index: int, pixels: Any, part: np.ndarray, answers: str
 ) -> Hint:
     """The true answer to one question, from the true maps of the view that shows the part best.
 
@@ -139,7 +140,7 @@ def answer(
     """
     rows = pixels.rows(index)
     triangle = np.asarray(pixels.triangle[rows])
-    place = np.square(np.asarray(pixels.position[rows]) - doubt["point"]).sum(axis=1).argmin()
+    place = np.square(np.asarray(pixels.position[rows]) - doubt.point).sum(axis=1).argmin()
     on_part = (triangle >= 0) & (part[triangle] == part[triangle[place]])
     maps = truth.read_maps(views[index])
     roughness = float(np.median(maps.roughness.reshape(-1)[on_part]))
@@ -148,9 +149,9 @@ def answer(
     bounds = (roughness, roughness)
     if answers == "words":
         bounds = (0.0, GLOSSY) if roughness < GLOSSY else (GLOSSY, 1.0)
-    point = tuple(doubt["point"])
+    point = tuple(doubt.point)
     material = METAL if metallic > 0.5 else DIELECTRIC
-    return Hint((point,), f"{doubt['name']}: {doubt['text']}", False, material, bounds, emits)
+    return Hint((point,), f"{doubt.name}: {doubt.text}", False, material, bounds, emits)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.conventions import transform_points
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.surface.room import load_room
@@ -89,6 +89,6 @@ def lamps_of_run(run: RunFolder, capture: Path) -> LampCounts:
         corners[slice(*lamp["triangles"])] for lamp in json.loads((capture / "emitters.json").read_text())
     ]
     room = load_room(run)
-    fixtures = read_json(run.emitters_json)["fixtures"]
+    fixtures = read_document(run.emitters_json, dict)["fixtures"]
     found = [room.vertices[room.triangles[fixture["triangles"]]].astype(float) for fixture in fixtures]
     return count_lamps(found, true)

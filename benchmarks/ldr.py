@@ -34,7 +34,7 @@ from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.radiometry.adjustment import usable
 from fipt_blender.core.radiometry.response import HIGH_ANCHOR, LOW_ANCHOR, interpolated
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 
 TRUTH = "ldr.json"
@@ -241,7 +241,7 @@ def camera_errors(run: RunFolder, capture: Path) -> dict[str, float] | None:
     photometry = _photometry(run)
     if photometry is None or not (capture / TRUTH).is_file():
         return None
-    true, found = read_json(capture / TRUTH), photometry["views"]
+    true, found = read_document(capture / TRUTH, dict), photometry["views"]
     codes, curve = np.arange(CURVE_STEPS) / (CURVE_STEPS - 1.0), np.array(photometry["log_curve"])
     light = np.interp(codes, true["values"], true["light"])
     logarithm = np.log(np.maximum(light, 1e-9))
@@ -265,7 +265,7 @@ def in_true_units(maps: Sequence[Maps], run: RunFolder, capture: Path) -> list[M
     photometry = _photometry(run)
     if photometry is None or not (capture / TRUTH).is_file():
         return list(maps)
-    true = read_json(capture / TRUTH)["views"]
+    true = read_document(capture / TRUTH, dict)["views"]
     found = photometry["views"]
     offsets = [
         np.log(2.0) * found[name]["exposure_ev"] - np.mean(np.log(true[name]["gains"])) for name in found
@@ -309,7 +309,7 @@ def _photometry(run: RunFolder) -> dict[str, Any] | None:
     """What a run has found of photographs that are not HDR, None where they are."""
     if not run.statistics_json.exists():
         return None
-    return read_json(run.statistics_json).get("photometry")
+    return read_document(run.statistics_json, dict).get("photometry")
 
 
 def main(argv: Sequence[str]) -> int:

@@ -29,7 +29,7 @@ from benchmarks.brackets import (
     write_bracket,
 )
 from fipt_blender.core.capture.images import read_radiance, write_exr
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 
 SPLITS = ("train", "val")
 
@@ -51,7 +51,7 @@ def main() -> None:
     folder, warnings = merge(photographs, arguments.out / "prepared", max(truths[0].shape[:2]), camera)
     for warning in warnings:
         print(f"warning: {warning['text']}")
-    unit = CEILING_EXPOSURE * float(read_json(folder / "stage" / "merge.json")["scale"])
+    unit = CEILING_EXPOSURE * float(read_document(folder / "stage" / "merge.json", dict)["scale"])
     merged = [read_radiance(file) / np.float32(unit) for file in sorted((folder / "images").glob("*.exr"))]
     if (
         camera.kind == "jpeg"

@@ -26,7 +26,7 @@ from fipt_blender.core.optics.brdf import Material
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.pixels.camera_rays import trace_pixels
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.run_files import read_emitters
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.surface.room import load_room
 
@@ -43,12 +43,12 @@ def load_result(run: RunFolder, spacing: float = LATTICE_SPACING) -> tuple[LitRo
     room = load_room(run)
     fields = RoomFields.load(run)
     materials = LatticeMaterials(room, fields.query, spacing)
-    data = read_json(run.emitters_json)
-    table = EmitterTable.from_fixtures(data)
+    emitters = read_emitters(run, len(room.triangles))
+    table = EmitterTable.from_fixtures(emitters.fixtures)
     lights = AreaLights(room.vertices, room.triangles, table)
     environment = None
-    if data.get("environment"):
-        environment = EnvironmentLight(read_radiance(run.results / data["environment"]["image"]))
+    if emitters.environment:
+        environment = EnvironmentLight(read_radiance(run.results / emitters.environment.image))
     return LitRoom(room, materials, lights, environment), table
 
 

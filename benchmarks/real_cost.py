@@ -31,7 +31,7 @@ from fipt_blender.bridge.interpreter import engine_command, engine_environment
 from fipt_blender.core.capture.encoded import srgb_encoded
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
 from fipt_blender.core.conventions import opencv_to_opengl_camera
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
@@ -79,7 +79,7 @@ def main(argv: Sequence[str]) -> int:
                 rows[-1]["folders_gb"] = {
                     path.name: size_gb(path) for path in sorted(run.root.iterdir()) if path.is_dir()
                 }
-                rows[-1]["stages"] = read_json(run.statistics_json)["stages"]
+                rows[-1]["stages"] = read_document(run.statistics_json, dict)["stages"]
                 write_json(arguments.output.absolute() / "real_cost.json", {"runs": rows})
                 print(format_row(rows[-1]), flush=True)
     except FiptError as error:
@@ -101,7 +101,7 @@ def write_capture(source: RunFolder, folder: Path, views: int, megapixels: float
     write_views(source, small, views)
     height = round((megapixels * 1e6 / ASPECT) ** 0.5)
     size = round(height * ASPECT), height
-    entries = read_json(small.capture_json)["views"]
+    entries = read_document(small.capture_json, dict)["views"]
     images = [read_radiance(small.resolve(entry["image"])) for entry in entries]
     white = float(np.quantile(np.concatenate([image.ravel() for image in images]), SATURATED))
     grain = np.random.default_rng(0).normal(0.0, NOISE, (size[1], size[0], 3)).astype(np.float32)
@@ -152,7 +152,7 @@ def measure(source: RunFolder, capture: Path, run: RunFolder, survey: bool) -> d
         checked.root.mkdir()
         for path in (run.room_npz, run.room_json):
             shutil.copyfile(path, checked.root / path.name)
-        data = read_json(run.capture_json)
+        data = read_document(run.capture_json, dict)
         for entry in data["views"]:
             for kind in ("image", "parts", "semantics", "mask"):
                 if entry.get(kind):

@@ -39,7 +39,7 @@ from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.conventions import transform_poses
 from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.run_files import read_atlas
 from fipt_blender.core.run.runfolder import RunFolder
 
@@ -82,7 +82,7 @@ class Textures:
         _, arrays = read_atlas(run, len(self.room.triangles))
         self.uv, self.image = arrays["corner_uv"], arrays["triangle_image"]
         self.island = uv_islands(self.room.triangles, self.uv).astype(np.int64)
-        listed = read_json(run.textures_json)["images"]
+        listed = read_document(run.textures_json, dict)["images"]
         self.base_color = [read_radiance(run.root / entry["base_color"]) for entry in listed]
         self.metallic = [read_radiance(run.root / entry["metallic"])[..., 0] for entry in listed]
 
@@ -278,7 +278,7 @@ def main(argv: list[str]) -> int:
     options = parser.parse_args(argv)
     set_variant()
     run = RunFolder(options.run)
-    placed = np.array(read_json(run.capture_json)["world_from_source"])
+    placed = np.array(read_document(run.capture_json, dict)["world_from_source"])
     rig = read_rig(options.capture, "auto", CaptureOptions())
     every = [
         View(
@@ -297,7 +297,7 @@ def main(argv: list[str]) -> int:
     textures = Textures(run)
     predicted = [textures.kd(view) for view in views]
     true = [read_truth(view, *textures.labels(view, training)) for view in views]
-    table = read_json(options.capture / "materials.json")["materials"]
+    table = read_document(options.capture / "materials.json", dict)["materials"]
     textured = np.zeros(max(entry["id"] for entry in table) + 1, bool)
     for entry in table:
         textured[entry["id"]] = bool(entry["texture"])

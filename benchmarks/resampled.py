@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 
@@ -35,7 +35,7 @@ def write_views(source: RunFolder, target: RunFolder, count: int, height: int | 
     Raises:
         FiptError: ``views-none``, or an image can't be read or written.
     """
-    data = read_json(source.capture_json)
+    data = read_document(source.capture_json, dict)
     train = [entry for entry in data["views"] if entry["split"] == "train"]
     if not train:
         raise FiptError("views-none", "The capture has no training views.", "Add photographs.")

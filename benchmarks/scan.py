@@ -31,7 +31,7 @@ from fipt_blender.core.depth.ply import write_ply
 from fipt_blender.core.depth.range_image import RangeImage
 from fipt_blender.core.depth.volume import BlockVolume
 from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 
 MESH = "scene.ply"
@@ -115,7 +115,7 @@ def read_truth(capture: Path) -> Truth:
     vertices, triangles = read_obj(capture / "scene.obj")
     with np.load(capture / "scene.npz", allow_pickle=False) as table:
         material, emits = table["material"], table["is_emitter"]
-    entries = read_json(capture / "materials.json")["materials"]
+    entries = read_document(capture / "materials.json", dict)["materials"]
     # Ids begin at 1; where 0 is among them, they are places in the list.
     row = material if material.min() == 0 else np.argsort([entry["id"] for entry in entries])[material - 1]
     reflectance = np.array([1.0 if entry.get("texture") else max(entry["base_color"]) for entry in entries])

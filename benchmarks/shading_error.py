@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "examples"))
 from benchmarks.prepared import copy_input
 from fipt_blender.bridge.interpreter import engine_command
 from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 
@@ -87,7 +87,8 @@ def evaluate(capture: Path, run: RunFolder, count: int) -> dict[str, Any]:
     levels = roughness_levels(settings.roughness_levels, settings.roughness_min, settings.roughness_spacing)
     train = load_capture(run).train
     pixels = solved_light(run, train).pixels
-    emitting = [t for fixture in read_json(run.emitters_json)["fixtures"] for t in fixture["triangles"]]
+    fixtures = read_document(run.emitters_json, dict)["fixtures"]
+    emitting = [t for fixture in fixtures for t in fixture["triangles"]]
     lit = true_room(capture, load_capture(run).world_from_source)
     stages = {"stage 1": bake_stage_1(run), "stage 3": run}
     names = (*stages, "truth, other seed")
@@ -150,7 +151,7 @@ def read_shadings(run: RunFolder, rows: np.ndarray, views: list[Any]) -> Views:
     """Baked shadings of some pixels of the views in the photographs' units."""
     from fipt_blender.core.textures.detail import solved_light
 
-    scale = float(read_json(run.statistics_json)["radiance_scale"])
+    scale = float(read_document(run.statistics_json, dict)["radiance_scale"])
     store = solved_light(run, views).shadings
     diffuse, specular = (
         np.asarray(array[rows], np.float32) * scale for array in (store.diffuse, store.specular)
@@ -325,7 +326,9 @@ def has_true_materials(capture: Path) -> bool:
     """Whether a capture has true materials with all of their textures."""
     if not (capture / "scene.npz").is_file() or not (capture / "materials.json").is_file():
         return False
-    textures = [entry.get("texture") for entry in read_json(capture / "materials.json")["materials"]]
+    textures = [
+        entry.get("texture") for entry in read_document(capture / "materials.json", dict)["materials"]
+    ]
     return all((capture / texture).is_file() for texture in textures if texture)
 
 
@@ -349,7 +352,8 @@ def baked_errors(
 
     captured = load_capture(run)
     pixels = solved_light(run, estimation_views(run, run.read())).pixels
-    emitting = [t for fixture in read_json(run.emitters_json)["fixtures"] for t in fixture["triangles"]]
+    fixtures = read_document(run.emitters_json, dict)["fixtures"]
+    emitting = [t for fixture in fixtures for t in fixture["triangles"]]
     triangle = np.asarray(pixels.triangle[kept])
     usable = (triangle >= 0) & np.asarray(pixels.pure[kept]) & ~np.isin(triangle, emitting)
     chosen = np.random.default_rng(0).permutation(np.flatnonzero(usable))[:count]

@@ -28,7 +28,7 @@ from benchmarks.prepared import clear, copy_input, prepare
 from benchmarks.speed_engine import kept_path
 from benchmarks.turns import merged, take_turns, tell
 from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import PRODUCT_VERSION, RunFolder, write_json
 from fipt_blender.core.run.settings import Settings, make_settings
@@ -92,7 +92,7 @@ def main(argv: Sequence[str]) -> int:
     arguments = make_parser().parse_args(list(argv))
     folder = arguments.output or ROOT / "out" / "speed" / arguments.capture.absolute().name
     try:
-        result = read_json(folder / TIMES_NAME) if arguments.reuse else measure(arguments, folder)
+        result = read_document(folder / TIMES_NAME, dict) if arguments.reuse else measure(arguments, folder)
         judge(result, arguments, folder)
     except FiptError as error:
         print(f"error: {error.text} {error.remedy}", file=sys.stderr)

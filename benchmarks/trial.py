@@ -4,7 +4,7 @@
 
     python benchmarks/trial.py WORK --room a=DIR --captures a:2cm:hdr:none,parts --off torn_parts,outlines
     python benchmarks/trial.py WORK --room a=DIR --captures a:2cm:hdr:none --numbers views.torn_parts
-    python benchmarks/trial.py WORK --table results.md
+    python benchmarks/trial.py WORK --table docs/measurements/mechanisms.json      # then: dev.py results
     python benchmarks/trial.py --list
 
 Captures: see benchmarks/trial_captures.py; several words divided by commas stand for all of them. Numbers are
@@ -27,11 +27,11 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks import prepared
+from benchmarks import prepared, results
 from benchmarks.trial_captures import Case, Jury, cases
 from benchmarks.trial_changes import BASE, Change, changes_of, format_list
 from benchmarks.trial_run import BAKED, CLEANED, CLEANED_FILES, COMPLETED, COMPLETED_FILES, copy_files
-from benchmarks.trial_table import format_table
+from benchmarks.trial_table import as_table
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.method import method_digest
 from fipt_blender.core.run.runfolder import RunFolder
@@ -132,7 +132,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one setting of all runs")
     add("--seed", type=int, default=0, help="of scans, cameras and faults of masks")
     add("--most", type=int, metavar="N", help="do at most so many runs")
-    add("--table", type=Path, metavar="FILE", help="also write the table of the finished runs to a file")
+    add("--table", type=Path, metavar="FILE", help="write the table of the finished runs, for dev.py results")
     return parser
 
 
@@ -161,10 +161,14 @@ def main(argv: Sequence[str]) -> int:
         print(f"error: {error.text} {error.remedy}", file=sys.stderr)
         return 1
     rows = trial.finished()
-    text = format_table(rows)
-    print(text)
+    captures = ", ".join(sorted({row["capture"] for row in rows}))
+    command = ["benchmarks/trial.py", *argv]
+    table = as_table(
+        rows, results.provenance(captures, arguments.seed, str(settings.get("device", "auto")), command)
+    )
+    print(results.markdown(table))
     if arguments.table:
-        arguments.table.write_text(text + "\n", encoding="utf-8")
+        arguments.table.write_text(results.written(table), encoding="utf-8", newline="\n")
     return 1 if any("error" in row for row in rows) else 0
 
 

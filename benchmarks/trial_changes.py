@@ -13,6 +13,7 @@ from benchmarks.trial_captures import JPEG, MASKS, SCAN
 from benchmarks.trial_run import BAKED, CLEANED, COMPLETED
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.settings import Settings, make_settings
+from fipt_blender.core.run.stage_settings import TextureSettings
 
 FACTORS = (0.5, 2.0)
 SETTINGS = "settings"
@@ -154,10 +155,11 @@ def scaled(constant: Constant, factor: float) -> Change:
 def all_numbers(preset: str = "draft") -> list[Constant]:
     """The settings of a preset that are numbers and decide something, and the engine's constants."""
     settings = make_settings(preset)
+    unread = {"seed", "rounds", *(item.name for item in fields(TextureSettings))}
     found = [
         Constant(SETTINGS, item.name, getattr(settings, item.name), item.metadata["help"])
         for item in fields(Settings)
-        if type(item.default) in (int, float) and item.metadata["stage"] and item.name != "seed"
+        if type(item.default) in (int, float) and item.metadata["keyed"] and item.name not in unread
     ]
     return found + all_constants()
 

@@ -105,22 +105,36 @@ def effects(rows: Sequence[Mapping[str, Any]]) -> dict[str, Effect]:
     return found
 
 
-def format_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Markdown: a row for each mechanism, with its mean gains, its worst loss, its price and the verdict."""
-    head = ["off", "captures", *TITLES, "worst", "seconds", "lines", "verdict"]
-    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+def as_table(rows: Sequence[Mapping[str, Any]], common: Mapping[str, Any]) -> dict[str, Any]:
+    """A row for each mechanism, with its mean gains, its worst loss, its price and the verdict.
+
+    Args:
+        common: where the runs come from; see benchmarks/results.py, which writes the table.
+    """
+    forms = [f"{{{name}:{'+.3f' if least < 0.1 else '+.2f'}}}" for name, least in COLUMNS.items()]
+    others = (
+        ("worst", "{worst}"),
+        ("seconds", "{seconds:.0f}"),
+        ("lines", "{lines}"),
+        ("verdict", "{verdict}"),
+    )
+    columns = [["captures", "{captures}"], *map(list, zip(TITLES, forms, strict=True)), *map(list, others)]
     found = effects(rows)
-    order = [name for name in MECHANISMS if name in found] + [
-        name for name in found if name not in MECHANISMS
-    ]
+    order = [name for name in MECHANISMS if name in found]
+    order += [name for name in found if name not in MECHANISMS]
+    made = []
     for name in order:
         effect = found[name]
-        cells = [f"`{name}`", f"{effect.acted} of {effect.tried}"]
-        cells += [_number(*each) for each in zip(effect.mean, COLUMNS.values(), strict=True)]
-        cells += [worst(effect), f"{effect.seconds:.0f}", str(lines_of(name) or "-")]
-        cells.append(effect.verdict() if name in MECHANISMS else "")
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        figures = {"captures": f"{effect.acted} of {effect.tried}"}
+        figures |= dict(zip(COLUMNS, effect.mean.round(4).tolist(), strict=True))
+        figures |= {
+            "worst": worst(effect),
+            "seconds": round(effect.seconds, 1),
+            "lines": lines_of(name) or None,
+        }
+        figures |= {"verdict": effect.verdict() if name in MECHANISMS else None}
+        made.append({"label": f"`{name}`", "figures": figures})
+    return {"first": "off", "columns": columns, "common": dict(common), "rows": made}
 
 
 def worst(effect: Effect) -> str:

@@ -19,7 +19,7 @@ from benchmarks.metrics import Maps
 from fipt_blender.core import conventions
 from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
 from fipt_blender.core.capture.views import Capture, View
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 
 COLOR_MAPS = {"kd": "DiffCol", "base_color": "BaseColor", "emission": "Emit"}
@@ -118,7 +118,7 @@ def read_relight(folder: Path, capture: Capture) -> Relight | None:
     path = folder / "relight.json"
     if not path.is_file() or not capture.held_back:
         return None
-    data = read_json(path)
+    data = read_document(path, dict)
     try:
         light = data["light"]
         vertices = conventions.transform_points(capture.world_from_source, light["vertices"])

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Protocol, TypedDict, cast
 import bpy
 
 from .bridge import places
-from .core.run.documents import read_json
 from .core.run.errors import FiptError
 from .core.run.runfolder import RunFolder, write_json
 
@@ -220,10 +219,9 @@ def recall() -> None:
     preferences: Any = get_preferences()
     if preferences is DEFAULTS or any(preferences.is_property_set(name) for name in asdict(DEFAULTS)):
         return
-    try:
-        kept = read_json(places.default_data_folder() / KEPT_NAME)
-    except FiptError:
-        return
+    from .core.run.documents import optional_document
+
+    kept = optional_document(places.default_data_folder() / KEPT_NAME, dict) or {}
     for name, default in asdict(DEFAULTS).items():
         value = kept.get(name)
         if type(value) is type(default) and value != default:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, picture_page, predict, truth
+from benchmarks import predict, truth
 from benchmarks.metrics import Maps
 from benchmarks.tracer.forward import LitRoom
 from benchmarks.tracer.surfaces import TriangleMaterials
@@ -111,25 +111,3 @@ def test_predicted_maps_of_a_floor_with_a_lamp(tmp_path: Path) -> None:
         specular = maps.a_prime[:, 4:] - maps.kd[:, 4:]
         ks = 0.03 + 0.25 * np.array([0.6, 0.4, 0.2])
         assert (specular > 0.5 * ks).all() and (specular < 1.5 * ks).all()
-
-
-def test_page_and_table_show_all_figures(tmp_path: Path) -> None:
-    maps = make_maps()
-    page = picture_page.PicturePage(tmp_path)
-    page.add_maps("val/000", maps, maps)
-    page.add_images("val/000", "Relit", maps.kd, maps.kd)
-    columns = {
-        "strict": dict.fromkeys(accuracy.METRICS, 1.5),
-        "edge": {"kd_psnr": 2.25},
-        "inside": {},
-        "edge_share": 0.125,
-    }
-    result = {split: {**dict.fromkeys(accuracy.METRICS), **columns} for split in accuracy.SPLITS}
-    page.write(result)
-    text = (tmp_path / "index.html").read_text(encoding="utf-8")
-    assert all(name in text for name in accuracy.METRICS)
-    assert text.count("<img") == 18 and len(list(tmp_path.glob("*.png"))) == 18
-    table = accuracy.format_table({**result, "seconds": 12.0, "version": "1", "spp": 48})
-    assert all(name in table for name in accuracy.METRICS)
-    assert [table.count(word) for word in ("1.50", "2.25", "0.125", "held back inside")] == [20, 2, 2, 1]
-    assert table.splitlines()[-1].split() == ["spp", "48"]

@@ -47,18 +47,6 @@ def test_only_diffuse_pixels_count_for_kd_and_emitters_for_none() -> None:
     assert found["kd_psnr"] == found["sigma_psnr"] == 100.0
 
 
-def test_borders_reach_one_pixel_to_all_sides() -> None:
-    """A single pixel of another material has its eight neighbours near its border; image borders are none."""
-    material = np.ones((5, 6), int)
-    material[2, 3] = 7
-    expected = np.zeros((5, 6), bool)
-    expected[1:4, 2:5] = True
-    assert np.array_equal(metrics.near_borders(material), expected)
-    assert not metrics.near_borders(np.full((3, 3), 2)).any()
-    halves = np.repeat([[1, 1, 1, 2, 2, 2]], 4, axis=0)
-    assert metrics.near_borders(halves).sum(axis=0).tolist() == [0, 0, 4, 4, 0, 0]
-
-
 def test_errors_at_borders_and_inside_are_told_apart() -> None:
     """Errors of 0.2 at the two columns of a border and of 0.02 elsewhere, in views of different size."""
 
@@ -78,19 +66,6 @@ def test_errors_at_borders_and_inside_are_told_apart() -> None:
         assert found["inside"][name] == pytest.approx(-20 * np.log10(0.02))
     assert found["edge"]["a_prime_psnr"] == found["inside"]["a_prime_psnr"] == 100.0
     assert found["edge_share"] == pytest.approx(1.0 / 3.0)
-
-
-def test_excluded_pixels_count_neither_at_borders_nor_inside() -> None:
-    """Emitters are borders of what is beside them but have no errors; kd counts diffuse surfaces alone."""
-    true = dataclasses.replace(make_maps(), material=np.array([[0, 5, 3, 3], [1, 1, 3, 3]]))
-    off = np.zeros((2, 4))
-    off[0, :2] = 9.0  # a miss and an emitter
-    off[0, 2] = 0.5  # glossy, beside the emitter
-    predicted = dataclasses.replace(true, metallic=off, kd=true.kd + off[..., None])
-    found = metrics.border_metrics([predicted], [true])
-    assert found["edge_share"] == 0.75
-    assert found["edge"]["metallic_psnr"] == pytest.approx(-10 * np.log10(0.25 / 4))
-    assert found["edge"]["kd_psnr"] == found["inside"]["metallic_psnr"] == 100.0
 
 
 def test_errors_are_pooled_over_views() -> None:
@@ -152,12 +127,6 @@ def test_bounds() -> None:
     assert len(accuracy.out_of_bounds(result, bad)) == 3
 
 
-def test_views_are_spread_evenly() -> None:
-    assert accuracy.spread(list(range(10)), 5) == [0, 2, 4, 6, 8]
-    assert accuracy.spread([1, 2], 5) == [1, 2]
-    assert accuracy.spread([1, 2], 0) == []
-
-
 def test_the_factor_of_each_channel_is_found_beside_outliers() -> None:
     rng = np.random.default_rng(0)
     image = rng.uniform(0.1, 1.0, (20, 30, 3))
@@ -167,7 +136,3 @@ def test_the_factor_of_each_channel_is_found_beside_outliers() -> None:
     assert exposed(image, photograph) == pytest.approx(image * [2.0, 0.5, 1.5], rel=0.2)
     clean = image * [2.0, 0.5, 1.5]
     assert exposed(image, clean) == pytest.approx(clean)
-
-
-def test_a_black_render_stays_black() -> None:
-    assert not exposed(np.zeros((2, 2, 3)), np.ones((2, 2, 3))).any()

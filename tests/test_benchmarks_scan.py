@@ -10,21 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.scan import (
-    MESH,
-    Scanner,
-    believed_pose,
-    disturbed,
-    link_capture,
-    read_truth,
-    smoothed,
-    turned,
-)
+from benchmarks.scan import MESH, Scanner, believed_pose, disturbed, link_capture, read_truth, smoothed
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.depth.extraction import FusedMesh
 from fipt_blender.core.depth.ply import write_ply
-from fipt_blender.core.run.errors import FiptError
 
 
 def test_ranges_of_a_wall_have_the_noise_that_the_scanner_states() -> None:
@@ -44,12 +34,6 @@ def test_flying_pixels_lie_between_both_sides_of_a_depth_edge_and_nowhere_else()
     away = np.ones(100, bool)
     away[[0, 50]] = False  # the first column's neighbour is the last one, as images are rolled
     assert np.array_equal(found[:, away], distance[:, away])
-
-
-def test_what_does_not_return_is_not_measured() -> None:
-    returns = np.random.default_rng(1).random((40, 40)) < 0.5
-    found = disturbed(np.full((40, 40), 2.0), returns, Scanner(), np.random.default_rng(0))
-    assert np.array_equal(found > 0.0, returns)
 
 
 def test_smoothing_flattens_noise_and_keeps_the_place() -> None:
@@ -77,15 +61,6 @@ def test_poses_are_wrong_by_what_the_scanner_states() -> None:
     assert np.array_equal(believed_pose(view, Scanner(), rng), np.eye(4))
 
 
-def test_a_turn_by_a_vector_keeps_the_vector() -> None:
-    vector = np.array([0.2, -0.4, 0.3])
-    rotation = turned(vector)
-    assert np.allclose(rotation @ vector, vector) and np.allclose(rotation @ rotation.T, np.eye(3))
-    assert np.degrees(np.arccos((np.trace(turned(np.array([0.0, 0.1, 0.0]))) - 1.0) / 2.0)) == pytest.approx(
-        np.degrees(0.1)
-    )
-
-
 def write_small_truth(folder: Path, first_id: int) -> None:
     """Two triangles: the first of a dark material, the second of a textured shiny one."""
     folder.mkdir()
@@ -105,11 +80,6 @@ def test_materials_are_found_by_either_numbering(tmp_path: Path, first_id: int) 
     truth = read_truth(tmp_path / "room")
     assert truth.reflectance.tolist() == [0.02, 1.0] and truth.roughness.tolist() == [1.0, 0.1]
     assert truth.emits.tolist() == [False, True]
-
-
-def test_a_capture_without_truth_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FiptError, match=r"scene\.obj does not exist"):
-        read_truth(tmp_path)
 
 
 def test_the_new_capture_has_all_files_but_the_true_mesh(tmp_path: Path) -> None:

@@ -3,19 +3,13 @@
 """The trial of mechanisms: the jury, switches, numbers of the source, runs that begin with stored stages."""
 
 import dataclasses
-import json
-import shutil
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks import constants, lamps, trial, trial_captures, trial_changes, trial_run, trial_table
+from benchmarks import constants, lamps, results, trial_changes, trial_table
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import Settings, make_settings
-from samples.small_captures import PANEL_TRIANGLES, panel_capture, write_run
 
 SOURCE = """
 # Of a wall.
@@ -45,24 +39,6 @@ def test_numbers_in_capitals_are_found_with_their_comments() -> None:
     assert not [each.key for each in constants.all_constants(skipped=()) if not each.comment]
 
 
-def test_another_number_reaches_all_that_follows_from_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    package = tmp_path / "other_numbers"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    (package / "wall.py").write_text(SOURCE)
-    (package / "house.py").write_text("from .wall import HEIGHT\ndef high(value=HEIGHT): return value\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(sys, "meta_path", list(sys.meta_path))
-    constants.use({"wall.HEIGHT": 3.0, "wall._COUNT": 9}, package, "other_numbers")
-    from other_numbers import house, wall
-
-    assert (wall.WIDTH, wall.HEIGHT, vars(wall)["_COUNT"], wall.AREA, house.high()) == (2.0, 3.0, 9, 6.0, 3.0)
-    with pytest.raises(ValueError, match="imported already"):
-        constants.use({"wall.WIDTH": 1.0}, package, "other_numbers")
-
-
 def test_every_switch_is_on_and_is_tried() -> None:
     switches = {
         item.name
@@ -76,17 +52,6 @@ def test_every_switch_is_on_and_is_tried() -> None:
         assert trial_changes.lines_of(name) >= 0 and trial_changes.without(name).settings == mechanism.off
     with pytest.raises(FiptError, match="no mechanism"):
         trial_changes.without("no_such")
-
-
-def test_words_of_a_jury() -> None:
-    found = trial_captures.cases("a:2cm:hdr:parts,none b:exact:jpeg:linked")
-    assert [case.name for case in found] == ["a:2cm:hdr:parts", "a:2cm:hdr:none", "b:exact:jpeg:linked"]
-    assert found[0].voxel == 0.02 and found[2].voxel is None
-    assert found[0].has(("scan", "masks", "parts")) and not found[1].has(("masks",))
-    assert found[2].has(("jpeg", "masks")) and not found[2].has(("scan",))
-    for wrong in ("a:2cm:hdr", "a:cm:hdr:none", "a:2cm:raw:none", "a:2cm:hdr:some"):
-        with pytest.raises(FiptError, match="no capture"):
-            trial_captures.cases(wrong)
 
 
 def row(capture: str, change: str, seconds: dict[str, float], **figures: float) -> dict:
@@ -118,7 +83,7 @@ def test_a_mechanism_pays_where_it_gains_more_than_it_loses() -> None:
     assert verdicts == {
         "panes": "pays", "outlines": "loses as much", "unmix": "does not pay", "presumed_lamps": "pays",
     }  # fmt: skip
-    lines = trial_table.format_table(rows).splitlines()
+    lines = results.markdown(trial_table.as_table(rows, {})).splitlines()
     assert lines[2].startswith("| `panes` | 1 of 2 | +1.00 |") and lines[2].endswith("| pays |")
     assert "| relit −0.10 | 4 |" in lines[2] and "| IoU −0.050 |" in lines[5]
 
@@ -146,59 +111,3 @@ def test_lamps_are_compared_by_where_they_are() -> None:
     assert lamps.count_lamps([square], []).false == 1
     spread = lamps.points_on(square, 4000, np.random.default_rng(0))
     assert np.abs(spread.mean(axis=0) - (0.5, 0.5, 0.0)).max() < 0.02
-
-
-def test_runs_are_resumed_after_the_method_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done: list[tuple[str, str]] = []
-
-    def do(self: trial.Trial, case: trial_captures.Case, change: trial_changes.Change) -> None:
-        done.append((case.name, change.name))
-        line = {
-            "capture": case.name,
-            "change": change.name,
-            "method": trial.method_digest(),
-            **self._made_with,
-        }
-        line |= {"error": ["no"]} if case.room == "b" else row(case.name, change.name, {})
-        with self.lines.open("a") as file:
-            file.write(json.dumps(line) + "\n")
-
-    monkeypatch.setattr(trial.Trial, "do", do)
-    words = [str(tmp_path), "--room", "a=x", "--room", "b=y", "--captures", "a,b:2cm:hdr:none"]
-    words += ["--off", "panes,torn_parts", "--numbers", "settings.view_err"]
-    assert trial.main([*words, "--most", "1"]) == 0 and done == [("a:2cm:hdr:none", "")]
-    assert trial.main(words) == 1
-    # Torn parts need masks, and a capture that fails as it is is left alone.
-    changes = [name for capture, name in done if capture.startswith("a")]
-    assert changes == ["", "panes", "settings.view_error*0.5", "settings.view_error*2"]
-    assert [name for capture, name in done if capture.startswith("b")] == [""]
-    count = len(done)
-    trial.main([*words, "--table", str(tmp_path / "t.md")])
-    assert len(done) == count and "`panes`" in (tmp_path / "t.md").read_text()
-    assert trial.main([*words, "--set", "seed=3", "--most", "1"]) == 0 and len(done) == count + 1
-    assert trial.main([str(tmp_path), "--captures", "c:2cm:hdr:none"]) == 1 and trial.main([]) == 2
-
-
-@pytest.mark.usefixtures("one_thread")
-def test_a_run_that_begins_with_stored_stages_finds_the_same(tmp_path: Path) -> None:
-    few = {"diffuse_spp": 4, "specular_spp": 1, "light_spp": 4, "batch_size": 64}
-    first = write_run(tmp_path / "first", panel_capture(), rounds=0, training_steps=1, **few)
-    found = trial_run.estimate(first.root, tmp_path / "store")
-    vertices, triangles = panel_capture().room.vertices, panel_capture().room.triangles
-    lines = [f"v {x} {y} {z}" for x, y, z in vertices.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
-    (tmp_path / "scene.obj").write_text("\n".join(lines))
-    span = [int(PANEL_TRIANGLES[0]), int(PANEL_TRIANGLES[-1]) + 1]
-    (tmp_path / "emitters.json").write_text(json.dumps([{"triangles": span}]))
-    assert lamps.lamps_of_run(first, tmp_path) == lamps.LampCounts(1, 0, 0.0, 0)
-    assert found["fixtures"] == 1 and set(found["seconds"]) > {"pixels", "shadings", "training"}
-    again = RunFolder(tmp_path / "again")
-    trial.prepared.copy_input(
-        first, again, make_settings("draft", vars(first.read()) | {"lamp_doubt": False})
-    )
-    shutil.copytree(tmp_path / "store" / trial_run.BAKED, again.stage, dirs_exist_ok=True)
-    assert set(trial_run.estimate(again.root, None)["seconds"]) & {"pixels", "shadings", "estimate-0"} == {
-        "estimate-0"
-    }
-    with np.load(first.fields_npz) as one, np.load(again.fields_npz) as other:
-        assert all(np.array_equal(one[name], other[name]) for name in one.files)

@@ -9,7 +9,7 @@ import pytest
 from fipt_blender.blend.room import charts, exporting, islands, packing
 from fipt_blender.blend.room.atlas import make_atlas
 from fipt_blender.blend.slices import run_through
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures.raster import cover_count
@@ -101,18 +101,18 @@ def test_islands_that_overlap_each_other_are_packed_apart(run):
     check_layout(atlas, corner_uv, image)
 
 
-def test_500_small_objects_share_few_images(run):
+def test_many_small_objects_share_an_image(run):
     random = np.random.default_rng(0)
     source = cube(keep_uvs=False)
     objects = []
-    for index in range(500):
+    for index in range(100):
         item = bpy.data.objects.new(f"item {index}", source.data)
         item.scale = random.uniform(0.05, 0.3, 3)
         bpy.context.scene.collection.objects.link(item)
         objects.append(item)
     bpy.context.view_layer.update()
     _, atlas, corner_uv, image = atlas_of(objects, run)
-    assert len(atlas.images) <= 2
+    assert len(atlas.images) == 1
     check_layout(atlas, corner_uv, image)
 
 
@@ -176,7 +176,7 @@ def test_colour_attribute_mode_and_changed_rooms(run):
     item = cube()
     _, atlas, _, image = atlas_of([item], run, atlas_mode="color_attribute")
     assert atlas.images == [] and (image == -1).all()
-    assert read_json(run.atlas_json) == {"mode": "color_attribute", "images": []}
+    assert read_document(run.atlas_json, dict) == {"mode": "color_attribute", "images": []}
     # The atlas holds the room as it was exported, whatever the artist has made of it.
     as_exported = make_atlas([item], run, make_settings())
     item.modifiers.new("Bevel", "BEVEL")

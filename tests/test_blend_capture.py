@@ -15,7 +15,7 @@ from fipt_blender.blend.capture import importing
 from fipt_blender.blend.capture.exporting import export_capture
 from fipt_blender.blend.slices import run_through
 from fipt_blender.core import conventions
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from samples.camera_views import points_before, projections, random_views
@@ -51,13 +51,13 @@ def bring_in(run: RunFolder, path: str = "somewhere") -> list:
 
 
 def entries(run: RunFolder) -> dict[str, dict]:
-    return {entry["name"]: entry for entry in read_json(run.capture_json)["views"]}
+    return {entry["name"]: entry for entry in read_document(run.capture_json, dict)["views"]}
 
 
 def test_unmoved_cameras_keep_their_poses_to_the_bit(run, scene):
     bring_in(run)
     assert export_capture(scene, run) == 5
-    before = {entry["name"]: entry for entry in read_json(run.ingest_json)["views"]}
+    before = {entry["name"]: entry for entry in read_document(run.ingest_json, dict)["views"]}
     assert entries(run) == before
     bpy.context.view_layer.update()
     time = run.capture_json.stat().st_mtime_ns
@@ -77,7 +77,7 @@ def test_round_trip_with_a_moved_rotated_and_scaled_alignment(run, scene, evalua
         scene.view_layers[0].layer_collection.children["FIPT Cameras"].hide_viewport = True
     export_capture(scene, run)
     move = np.array(ALIGNED, np.float64)
-    for before in read_json(run.ingest_json)["views"]:
+    for before in read_document(run.ingest_json, dict)["views"]:
         after = entries(run)[before["name"]]
         points = points_before(before)
         expected = projections(before, points)
@@ -105,7 +105,7 @@ def test_a_camera_moved_by_hand_is_exported(run, scene):
     camera = scene.fipt.capture.views[1].camera_object()
     camera.location.x += 0.25
     export_capture(scene, run)
-    before = np.array(read_json(run.ingest_json)["views"][1]["camera_to_world"])
+    before = np.array(read_document(run.ingest_json, dict)["views"][1]["camera_to_world"])
     after = np.array(entries(run)["train/off-centre"]["camera_to_world"])
     assert (after - before)[0, 3] == pytest.approx(0.25, abs=1e-6)
     assert camera.name in scene.objects and np.allclose(after[:3, :3], before[:3, :3], atol=1e-6)
@@ -161,7 +161,7 @@ def test_importing_again_keeps_ticks_and_alignment_and_adds_nothing(run, scene):
     export_capture(scene, run)
     moved = np.array(entries(run)["train/plain"]["camera_to_world"])[0, 3]
     assert moved == pytest.approx(
-        read_json(run.ingest_json)["views"][0]["camera_to_world"][0][3] + 3.0, abs=1e-5
+        read_document(run.ingest_json, dict)["views"][0]["camera_to_world"][0][3] + 3.0, abs=1e-5
     )
 
 
@@ -170,7 +170,7 @@ def test_another_capture_removes_the_cameras_and_hides_the_mesh_of_the_first(run
     (old,) = scene.fipt.capture.room_objects(scene)
     own = bpy.data.objects.new("Artist's", bpy.data.cameras.new("Artist's"))
     scene.collection.objects.link(own)
-    data = read_json(run.ingest_json)
+    data = read_document(run.ingest_json, dict)
     other = tmp_path / "other.obj"
     other.write_text(Path(data["mesh"]).read_text())
     data["views"] = [{**view, "name": f"b/{index}"} for index, view in enumerate(data["views"][:3])]
@@ -201,7 +201,7 @@ def test_chosen_objects_stay_the_room_and_are_not_changed(run, scene):
 
 
 def test_a_capture_without_mesh_warns(run, scene):
-    write_json(run.ingest_json, {**read_json(run.ingest_json), "mesh": None})
+    write_json(run.ingest_json, {**read_document(run.ingest_json, dict), "mesh": None})
     assert [message["code"] for message in bring_in(run)] == ["mesh-missing"]
     assert len(scene.fipt.capture.views) == 5
 

@@ -121,7 +121,7 @@ def check(found: dict, usual: dict) -> None:
         np.testing.assert_allclose(found[name], value, rtol=tolerance, atol=5e-3, err_msg=name)
 
 
-@pytest.mark.parametrize(("linear", "seed"), [("Rec.709", 1), ("AP1", 2), ("Rec.2020", 3), ("P3", 4)])
+@pytest.mark.parametrize(("linear", "seed"), [("Rec.709", 1), ("AP1", 2), ("P3", 4)])
 def test_a_studios_configuration_changes_no_colour(tmp_path, usual, linear, seed):
     check(seen(tmp_path, write_config(tmp_path / "studio.ocio", linear, seed)), usual)
 

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 
@@ -171,20 +170,6 @@ def test_cycles_renders_the_radiance_of_both_sides(front, back):
     lamp(front, back)
     for height, radiance in ((1.0, front), (-1.0, back)):
         assert np.allclose(spot((0, 0, height), (0, 0, 0)), radiance, atol=1e-4)
-
-
-@SIDES
-def test_gltf_files_receive_the_emission_of_the_brighter_side(tmp_path: Path, front, back):
-    lamp(front, back)
-    import addon_utils  # importing bpy makes it known
-
-    addon_utils.enable("io_scene_gltf2", default_set=False)
-    path = tmp_path / "lamp.gltf"
-    bpy.ops.export_scene.gltf(filepath=str(path), export_format="GLTF_SEPARATE")
-    (material,) = json.loads(path.read_text(encoding="utf-8"))["materials"]
-    strength = material["extensions"]["KHR_materials_emissive_strength"]["emissiveStrength"]
-    assert np.allclose(np.array(material["emissiveFactor"]) * strength, WARM)
-    assert np.allclose(material["pbrMetallicRoughness"]["baseColorFactor"][:3], BLACK)
 
 
 def profile_file(folder: Path, candela: list[float], vertical: list[float], multiplier: float = 1.0) -> Path:

@@ -45,7 +45,7 @@ def scene(scene, monkeypatch):
 
     def with_parts(run, fields):
         room, names = read_room_files(run)
-        parts = read_parts(run, room["triangle_object"], names["objects"])
+        parts = read_parts(run, room["triangle_object"], names.objects)
         return real(run, PlacedFields(), ranges=bake.PartRanges(parts))
 
     monkeypatch.setattr(bake, "bake", with_parts)
@@ -134,7 +134,7 @@ def test_names_of_files_differ_on_every_system():
 def test_ranges_tell_parts_of_one_value(scene):
     run = RunFolder(scene.fipt.run_folder)
     room, names = read_room_files(run)
-    parts = read_parts(run, room["triangle_object"], names["objects"])
+    parts = read_parts(run, room["triangle_object"], names.objects)
     ranges = bake.PartRanges(parts)
     triangles = np.arange(len(parts.triangle))
     values = np.full(len(triangles), 0.5, np.float32)

@@ -18,6 +18,7 @@ from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake
 from samples.applied_rooms import ConstantFields
+from samples.combinations import pairs
 
 
 def plate(corners: int, matrix: Matrix) -> bpy.types.Object:
@@ -41,9 +42,7 @@ def area(item: bpy.types.Object) -> float:
     return sum(polygon.area for polygon in item.data.polygons)
 
 
-@pytest.mark.parametrize("mirrored", [False, True])
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("corners", [4, 9, 24])
+@pytest.mark.parametrize(("mirrored", "seed", "corners"), pairs((False, True), range(4), (4, 9, 24)))
 def test_no_lamp_of_an_estimate_is_dropped(tmp_path, corners, seed, mirrored):
     """Lamps of random triangles, whatever their share of a polygon; applied twice, and after an estimate
     without lamps.

@@ -16,6 +16,7 @@ from mathutils import Matrix, Quaternion
 from fipt_blender.blend.capture.mesh_import import import_room
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from samples import mesh_writers
+from samples.combinations import pairs
 from samples.mesh_writers import CONVEX, Gltf, GltfStyle, ObjStyle, PlyStyle, Solid, together
 from samples.refusals import error_of
 
@@ -67,10 +68,10 @@ def check_file(path: Path, solid: Solid, exact: float = 2e-5) -> None:
         np.testing.assert_allclose(found.figures, solid.figures, atol=exact * np.abs(solid.figures).max())
 
 
-@pytest.mark.parametrize("outline", OUTLINES)
-@pytest.mark.parametrize("blank", [" ", "\t", " \t "])
-@pytest.mark.parametrize("negative", [False, True])
-@pytest.mark.parametrize("apart", [False, True])
+@pytest.mark.parametrize(
+    ("outline", "blank", "negative", "apart"),
+    pairs(OUTLINES, (" ", "\t", " \t "), (False, True), (False, True)),
+)
 def test_obj(
     tmp_path: Path, drawn: np.random.Generator, outline: str, blank: str, negative: bool, apart: bool
 ):
@@ -88,9 +89,10 @@ def test_obj(
     check_file(tmp_path / "room.obj", solid)
 
 
-@pytest.mark.parametrize("outlines", [(name,) for name in OUTLINES] + [("box", "star", "triangle")])
-@pytest.mark.parametrize("order", ["", "<", ">"])
-@pytest.mark.parametrize("extra", [False, True])
+@pytest.mark.parametrize(
+    ("outlines", "order", "extra"),
+    pairs([*((name,) for name in OUTLINES), ("box", "star", "triangle")], ("", "<", ">"), (False, True)),
+)
 def test_ply(tmp_path: Path, drawn: np.random.Generator, outlines: tuple, order: str, extra: bool) -> None:
     style = PlyStyle(
         order,

@@ -17,7 +17,7 @@ from fipt_blender.blend.pictures import cycles, image_files, orders, renders, vi
 from fipt_blender.blend.pictures.cycles import RenderOptions
 from fipt_blender.blend.room.exporting import export_room
 from fipt_blender.blend.save import save_blend
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs.options import MainJobOptions
 from fipt_blender.jobs.room_steps import RoomSteps
@@ -207,7 +207,7 @@ def test_the_name_of_a_folder_stops_no_step(tmp_path, name, monkeypatch):
     scene = bpy.context.scene
     export_room([bpy.data.objects["Floor"], bpy.data.objects["Wall"]], run)
     RoomSteps(MainJobOptions(capture=folder, output=run.root, render_spp=4), run).rerender()
-    (entry,) = read_json(run.renders_json)["renders"]
+    (entry,) = read_document(run.renders_json, dict)["renders"]
     render = image_files.read_pixels(run.resolve(entry["image"]))
     assert render.mean() == pytest.approx(photo.mean(), rel=0.2)
     order = orders.make_order(scene, run, orders.COMPOSITE, [VIEW], 2)

@@ -62,34 +62,6 @@ LENSES = {
 }
 
 
-@pytest.mark.parametrize("size", [(96, 64), (64, 96)])
-@pytest.mark.parametrize("aspect", [(1.0, 1.0), (1.0, 1.5), (2.0, 1.0)])
-@pytest.mark.parametrize("lens", LENSES)
-def test_cameras_of_the_scene_project_as_blender_does(scene, tmp_path, size, aspect, lens):
-    """Against Blender's own projection matrix, for each sensor fit, shift, pixel aspect and orientation."""
-    run = RunFolder(tmp_path / "run")
-    render = scene.render
-    render.resolution_x, render.resolution_y = size
-    render.pixel_aspect_x, render.pixel_aspect_y = aspect
-    item = own_camera(scene, tmp_path / "photo.exr", size, **LENSES[lens])
-    bpy.context.view_layer.update()
-    path, left_out = scene_cameras.write_scene_cameras(scene, run)
-    frame = frames(path)["photo"]
-    pose = conventions.opengl_to_opencv_camera(np.array(frame["transform_matrix"]))
-    entry = {"width": frame["w"], "height": frame["h"], "fx": frame["fl_x"], "fy": frame["fl_y"]}
-    entry |= {"cx": frame["cx"], "cy": frame["cy"], "camera_to_world": pose}
-    points = points_before(entry)
-    matrix = np.array(
-        item.calc_matrix_camera(
-            bpy.context.evaluated_depsgraph_get(), x=size[0], y=size[1], scale_x=aspect[0], scale_y=aspect[1]
-        ),
-        np.float64,
-    ) @ np.linalg.inv(np.array(item.matrix_world, np.float64))
-    clip = np.column_stack([points, np.ones(len(points))]) @ matrix.T
-    blender = (clip[:, :2] / clip[:, 3:] * [0.5, -0.5] + 0.5) * size
-    assert np.abs(projections(entry, points) - blender).max() < 1e-4 and not left_out
-
-
 PHOTOGRAPHS = {"landscape": (400, 300), "portrait": (267, 400), "wide": (410, 111), "square": (150, 150)}
 FRAMES = [(1920, 1080), (1080, 1920), (64, 64), (401, 300)]
 
@@ -144,8 +116,11 @@ def use_scene_cameras(scene, run) -> dict[str, dict]:
     return entries
 
 
-@pytest.mark.parametrize("aspect", [(1.0, 1.0), (1.0, 1.5), (2.0, 1.0)])
-@pytest.mark.parametrize("size", FRAMES, ids=str)
+@pytest.mark.parametrize(
+    ("size", "aspect"),
+    [*zip(FRAMES, [(1.0, 1.0), (1.0, 1.5), (2.0, 1.0), (1.0, 1.0)], strict=True), (FRAMES[0], (2.0, 1.0))],
+    ids=str,
+)
 def test_a_camera_is_the_same_in_blender_and_in_the_engine(scene, tmp_path, size, aspect):
     """Sensor fit × frame method × shape of photograph × shift × image pixels, in each shape of frame."""
     run, random = RunFolder(tmp_path / "run"), np.random.default_rng(7)

@@ -268,15 +268,6 @@ def test_records_that_store_at_the_same_time_lose_nothing(tmp_path):
     assert [name for own in names for name in own if read.key(name) != "key"] == []
 
 
-def test_keys_form_a_chain():
-    def keys(*inputs):
-        return chain_keys([Step(str(i), "", 1.0, inputs={"v": v}) for i, v in enumerate(inputs)])
-
-    before, after = keys(1, 2, 3), keys(1, 5, 3)
-    assert before[0] == after[0] and before[1] != after[1] and before[2] != after[2]
-    assert keys(1, 2, 3) == before
-
-
 def test_a_resumed_job_repeats_the_warnings_of_finished_steps(tmp_path):
     def warn(code):
         return {"type": "warning", "code": code, "text": "t", "remedy": "r"}

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import errno
-import io
 import json
 import shutil
 import subprocess
@@ -76,7 +75,8 @@ def test_child_process_tells_in_messages_and_says_what_is_missing(
     assert result.returncode == 1 and messages[-1]["code"] == "package-broken"
     assert "torch" in messages[-1]["text"] and "pip install" in result.stderr
     (folder,) = pins.environments(tmp_path / "data")
-    assert pins.read_stamp(folder)["installed"] and not pins.read_stamp(folder)["complete"]
+    stamp = pins.read_stamp(folder)
+    assert stamp.installed and not stamp.complete
 
 
 def test_second_set_up_in_one_data_folder_waits_its_turn(installed: list[str], tmp_path: Path) -> None:
@@ -86,17 +86,6 @@ def test_second_set_up_in_one_data_folder_waits_its_turn(installed: list[str], t
         result = subprocess.run(installed, capture_output=True, text=True)
     error = parse_message(result.stdout.splitlines()[-1])
     assert result.returncode == 1 and error["code"] == "run-busy"
-
-
-def test_stdout_of_set_up_is_for_messages_alone() -> None:
-    stdout = io.StringIO()
-    listener = setup.SetupReporter(stdout)
-    listener.plan((1.0, 1.0))
-    listener.stage("a", "A")
-    listener.detail("more of A")
-    lines = [json.loads(line) for line in stdout.getvalue().splitlines()]
-    assert [line["text"] for line in lines if line["type"] == "stage"] == ["A", "more of A"]
-    assert {line["index"] for line in lines if line["type"] == "stage"} == {0}
 
 
 def test_data_folder_is_the_platforms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,8 +22,7 @@ from fipt_blender.core.capture.formats.rig_files import stored_rotation
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import load_capture
-from fipt_blender.core.run import documents
-from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run import documents, kinds
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from samples.counted import counted_calls
@@ -57,32 +56,11 @@ def edit(path: Path, change) -> None:
 # ------------------------------------------------------------------------------------- cameras and scales
 
 
-@pytest.mark.parametrize("focal", [1e308, 1e-5, 12 * 101, 1e-308])
-def test_focal_lengths_that_no_lens_has(tmp_path: Path, focal: float) -> None:
-    fuzz_samples.write_transforms(tmp_path)
-    edit(tmp_path / "transforms.json", lambda data: data.update(fl_x=focal))
-    assert error_of(run_ingest, tmp_path, tmp_path / "run").code == "intrinsics-invalid"
-    assert not (tmp_path / "run").exists()
-
-
 @pytest.mark.parametrize("length", [1e-308, 1.0, 1e300])
 def test_quaternions_of_any_length(length: float) -> None:
     half = length * np.sqrt(0.5)
     turned = stored_rotation(np.array([half, 0.0, 0.0, half])) @ [1.0, 0.0, 0.0]
     assert turned == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
-
-
-@pytest.mark.parametrize("far", [1e308, -1e9])
-def test_positions_that_no_room_has(tmp_path: Path, far: float) -> None:
-    fuzz_samples.write_transforms(tmp_path)
-
-    def move(data) -> None:
-        data["frames"][1]["transform_matrix"][0][3] = far
-
-    edit(tmp_path / "transforms.json", move)
-    error = error_of(run_ingest, tmp_path, tmp_path / "run")
-    assert error.code in ("pose-far", "pose-not-rotation") and "images/001" in error.text
-    assert not (tmp_path / "run").exists()
 
 
 def test_positions_are_checked_in_metres(tmp_path: Path) -> None:
@@ -95,14 +73,6 @@ def test_positions_are_checked_in_metres(tmp_path: Path) -> None:
     edit(tmp_path / "transforms.json", move)
     run, _ = run_ingest(tmp_path, tmp_path / "run", scale=1e-3)
     assert load_capture(run).views[1].camera_to_world[0, 3] == pytest.approx(1e6)
-
-
-@pytest.mark.parametrize("scale", [1e308, 1e-308, 1e7, 0.0, float("nan")])
-def test_scales_that_no_unit_has(tmp_path: Path, scale: float) -> None:
-    fuzz_samples.write_transforms(tmp_path)
-    with pytest.raises(FiptError, match="unit of") as caught:
-        run_ingest(tmp_path, tmp_path / "run", scale=scale)
-    assert caught.value.code == "setting-invalid" and not (tmp_path / "run").exists()
 
 
 def test_a_capture_json_of_others_has_the_same_bounds(tmp_path: Path) -> None:
@@ -159,9 +129,9 @@ def test_corners_of_a_ply_that_are_no_list(tmp_path: Path, kind: str, name: str)
 def test_numbers_beyond_a_float_are_no_numbers() -> None:
     values = documents.parse_document(f"[{HUGE}, -{HUGE}, 1e999, Infinity, 1{'0' * 30}, 7]", strict=False)
     assert np.isnan(values[:4]).all() and values[4:] == [1e30, 7] and isinstance(values[5], int)
-    for shape in (documents.Number(), documents.Number(whole=True), float, int):
+    for kind in (float, int):
         with pytest.raises(ValueError, match="should be"):
-            documents.check_shape(values[0], shape)
+            kinds.as_kind(values[0], kind)
 
 
 # The camera file of each reader in JSON, and a number in it that the reader uses.

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import struct
 import zlib
@@ -19,7 +18,8 @@ import pytest
 from benchmarks import fuzz, fuzz_samples, fuzz_targets
 from fipt_blender.core.capture import encoded, images, ingest
 from fipt_blender.core.capture.files import view_name
-from fipt_blender.core.capture.formats.registry import colmap_sizes, read_rig
+from fipt_blender.core.capture.formats import colmap_sizes
+from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import RigView
 from fipt_blender.core.capture.views import load_capture
@@ -38,6 +38,10 @@ def test_a_colmap_file_cut_off_anywhere_is_refused(tmp_path: Path, name: str) ->
     model = tmp_path / "sparse" / "0"
     data = (model / name).read_bytes()
     colmap_sizes.check_model(model)
+    for length in (0, 8, len(data) - 4):
+        (model / name).write_bytes(data[:length])
+        error = error_of(read_rig, tmp_path, "colmap", CaptureOptions())
+        assert error.code == "rig-damaged" and name in error.text
     for length in range(len(data)):
         (model / name).write_bytes(data[:length])
         with pytest.raises(ValueError, match=rf"^{name} is cut off"):
@@ -45,18 +49,6 @@ def test_a_colmap_file_cut_off_anywhere_is_refused(tmp_path: Path, name: str) ->
     (model / name).write_bytes(data + b"\0")
     with pytest.raises(ValueError, match="1 bytes more"):
         colmap_sizes.check_model(model)
-
-
-@pytest.mark.parametrize("length", [0, 8, -4, -24])
-def test_a_cut_off_colmap_model_is_a_damaged_rig(tmp_path: Path, length: int) -> None:
-    fuzz_samples.write_colmap(tmp_path, text=False)
-    for name in COLMAP_FILES:
-        path = tmp_path / "sparse" / "0" / name
-        data = path.read_bytes()
-        path.write_bytes(data[: length % len(data)])
-        error = error_of(read_rig, tmp_path, "colmap", CaptureOptions())
-        assert error.code == "rig-damaged" and name in error.text
-        path.write_bytes(data)
 
 
 def test_a_count_beyond_the_file_is_refused_at_once(tmp_path: Path) -> None:
@@ -101,23 +93,6 @@ def test_wrong_types_in_transforms_are_named(tmp_path: Path, change: dict, text:
     error = error_of(read_rig, tmp_path, "transforms", CaptureOptions())
     assert error.code == "rig-damaged"
     assert re.search(text, error.text), error.text
-
-
-def test_nan_in_a_field_that_nobody_reads_does_no_harm(tmp_path: Path) -> None:
-    fuzz_samples.write_transforms(tmp_path)
-    data = json.loads((tmp_path / "transforms.json").read_text())
-    (tmp_path / "transforms.json").write_text(json.dumps({**data, "depth_scale": float("nan")}))
-    assert len(read_rig(tmp_path, "transforms", CaptureOptions()).views) == 3
-
-
-@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may read everything")
-def test_a_folder_without_permission_is_named(tmp_path: Path) -> None:
-    fuzz_samples.write_transforms(tmp_path)
-    (tmp_path / "images").chmod(0)
-    try:
-        assert error_of(read_rig, tmp_path, "transforms", CaptureOptions()).code == "capture-unreadable"
-    finally:
-        (tmp_path / "images").chmod(0o700)
 
 
 def test_a_refusal_of_the_system_is_an_error_with_a_remedy(tmp_path: Path, monkeypatch) -> None:

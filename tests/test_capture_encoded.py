@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import OpenEXR
@@ -24,25 +25,17 @@ from fipt_blender.core.capture.images import (
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View, load_capture
-from fipt_blender.core.checks.survey import photograph_facts, view_warning
+from fipt_blender.core.checks.survey import examined, view_warning, with_misfit
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.runfolder import RunFolder
 from samples.capture_files import make_samples, write_transforms
-from samples.deep_images import write_deep_png, write_deep_tiff
+from samples.image_files import write_png, write_tiff
 from samples.photographs import exif, write_jpeg
 from samples.refusals import error_of
 from samples.small_rooms import BOX, make_room
 
 CODES = np.random.default_rng(3).integers(0, 256, (6, 8, 3)).astype(np.uint8)
-
-
-@pytest.mark.parametrize("name", ["a.png", "a.tif", "a.TIFF"])
-def test_codes_come_back(tmp_path, name):
-    Image.fromarray(CODES).save(tmp_path / name)
-    pixels = read_radiance(tmp_path / name)
-    assert pixels.dtype == np.float32 and read_size(tmp_path / name) == (8, 6)
-    assert np.array_equal(np.round(srgb_encoded(pixels) * 255.0), CODES)
 
 
 def test_grey_alpha_palette_and_sixteen_bits(tmp_path):
@@ -62,11 +55,10 @@ def test_grey_alpha_palette_and_sixteen_bits(tmp_path):
 @pytest.mark.parametrize("channels", [3, 4])
 def test_colors_keep_all_sixteen_bits(tmp_path, channels):
     codes = np.random.default_rng(4).integers(0, 65536, (6, 8, channels)).astype(np.uint16)
-    paths = [write_deep_png(tmp_path / "a.png", codes)]
-    for order, packed in ((o, p) for o in "<>" for p in (False, True)):
-        name = f"{'little' if order == '<' else 'big'}-{packed}.tif"
-        paths.append(write_deep_tiff(tmp_path / name, codes, order, packed))
-    for path in paths:
+    for path in (
+        write_png(tmp_path / "a.png", codes, 16, {3: 2, 4: 6}[channels]),
+        write_tiff(tmp_path / "a.tif", codes),
+    ):
         assert np.array_equal(read_codes(path)[0], codes[..., :3]), path.name
         values = srgb_encoded(read_radiance(path).astype(np.float64))
         assert np.abs(values * 65535.0 - codes[..., :3]).max() < 0.1
@@ -74,10 +66,7 @@ def test_colors_keep_all_sixteen_bits(tmp_path, channels):
 
 def test_a_damaged_file_of_sixteen_bits_is_refused(tmp_path):
     codes = np.zeros((60, 80, 3), np.uint16)
-    for path in (
-        write_deep_png(tmp_path / "a.png", codes),
-        write_deep_tiff(tmp_path / "a.tif", codes, "<", True),
-    ):
+    for path in (write_png(tmp_path / "a.png", codes, 16, 2), write_tiff(tmp_path / "a.tif", codes)):
         path.write_bytes(path.read_bytes()[:-40])
         assert error_of(read_radiance, path).code == "image-unreadable"
 
@@ -143,9 +132,9 @@ def test_check_views_warns_of_single_photographs_that_are_not_hdr(tmp_path, rows
     pose = np.eye(4)
     pose[2, 3] = 1.0
     view = View("a", "train", tmp_path / "a.png", 10, 10, 9.0, 9.0, 5.0, 5.0, pose, encoded=True)
-    facts = photograph_facts(view, room)
-    assert facts["clipped_share"] == pytest.approx(0.1 * rows) and not facts["looks_ldr"]
-    assert view_warning(facts | {"room_share": 1.0, "much_off": False}) == warning
+    facts = with_misfit(examined(view), view, room)
+    assert facts.clipped_share == pytest.approx(0.1 * rows) and not facts.looks_ldr
+    assert view_warning(replace(facts, much_off=False), 1.0) == warning
 
 
 RNG = np.random.default_rng(0)
@@ -181,18 +170,6 @@ def test_half_round_trip_keeps_eleven_bits_and_the_range(tmp_path):
 def test_one_channel_is_luminance(tmp_path):
     write_exr(tmp_path / "y.exr", PIXELS[..., 0])
     np.testing.assert_array_equal(read_radiance(tmp_path / "y.exr"), np.repeat(PIXELS[..., :1], 3, axis=2))
-
-
-@pytest.mark.parametrize("prefix", ["Combined.", "ViewLayer.Combined.", "layer."])
-def test_layers(tmp_path, prefix):
-    write_channels(tmp_path / "a.exr", {**planes(prefix), "Depth.Z": PIXELS[..., 0].copy()})
-    np.testing.assert_array_equal(read_radiance(tmp_path / "a.exr"), PIXELS)
-
-
-def test_unnamed_layer_wins_and_alpha_is_left_out(tmp_path):
-    channels = {**planes("AO.", PIXELS * 0.5), **planes(), "A": np.ones((5, 7), np.float32)}
-    write_channels(tmp_path / "a.exr", channels)
-    np.testing.assert_array_equal(read_radiance(tmp_path / "a.exr"), PIXELS)
 
 
 def test_data_window_is_placed_on_the_display_window(tmp_path):

@@ -207,16 +207,6 @@ def test_transforms_splits_masks_and_up_axis(tmp_path):
     assert [view.mask for view in rig.views] == [tmp_path / "masks" / "0.png", None, None]
 
 
-def test_fipt_synthetic_from_a_split_or_its_camera_file(tmp_path):
-    """If another reader took its transforms.json, the cameras would look backwards."""
-    pose = level_pose(np.random.default_rng(1), np.array([0.0, 1.0, 0.0]))
-    write_fipt_synthetic(tmp_path, {"train": [pose], "val": [pose]})
-    for path in (tmp_path, tmp_path / "train", tmp_path / "val" / "transforms.json"):
-        rig = read(path)
-        assert rig.source == "fipt-synthetic" and len(rig.views) == 2
-        np.testing.assert_allclose(rig.views[0].camera_to_world, pose, atol=1e-5)
-
-
 def test_transforms_names_of_frames(tmp_path):
     write_transforms(tmp_path, make_samples(2))
     edit_json(tmp_path / "transforms.json", lambda data: data["frames"][1].update(name="Camera.001"))
@@ -228,21 +218,6 @@ def test_transforms_one_file_a_split(tmp_path):
     (tmp_path / "transforms_test.json").write_text((tmp_path / "transforms.json").read_text())
     (tmp_path / "transforms.json").rename(tmp_path / "transforms_train.json")
     assert [view.split for view in read(tmp_path).views] == ["train", "train", "held_back", "held_back"]
-
-
-@pytest.mark.parametrize(
-    ("text", "code"),
-    [
-        ("{", "rig-damaged"),
-        ("[]", "rig-damaged"),
-        ('{"frames": [3]}', "rig-damaged"),
-        ('{"frames": [{"file_path": "a.exr", "w": 4, "h": 4, "fl_x": 1}]}', "rig-damaged"),
-        ('{"frames": [{"file_path": "a.exr", "w": "x", "h": 4, "transform_matrix": 0}]}', "rig-damaged"),
-    ],
-)
-def test_damaged_transforms(tmp_path, text, code):
-    (tmp_path / "transforms.json").write_text(text)
-    assert error_of(read, tmp_path).code == code
 
 
 def test_transforms_without_focal_length(tmp_path):
@@ -258,6 +233,10 @@ def test_fipt_synthetic(tmp_path, named):
     write_fipt_synthetic(tmp_path, {"train": poses[:3], "val": poses[3:]}, named)
     write_mesh(tmp_path / "scene.obj")
     rig = read(tmp_path)
+    for path in (tmp_path / "train", tmp_path / "val" / "transforms.json"):
+        again = read(path)  # another reader's cameras would look backwards
+        assert again.source == "fipt-synthetic"
+        assert all(map(np.array_equal, *([v.camera_to_world for v in r.views] for r in (rig, again))))
     assert rig.source == "fipt-synthetic" and rig.up_axis == "y" and rig.mesh == tmp_path / "scene.obj"
     names = ["train/000", "train/001", "train/002", "val/000", "val/001"]
     assert [view.name for view in rig.views] == names

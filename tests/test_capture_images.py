@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 
 import numpy as np
@@ -26,6 +25,7 @@ from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.prepare.exif import describe
 from fipt_blender.prepare.frames import load, upright
 from samples.capture_files import make_samples, write_transforms
+from samples.combinations import pairs
 from samples.image_files import (
     CURVES,
     PRIMARIES,
@@ -43,11 +43,6 @@ from samples.photographs import exif
 from samples.refusals import error_of
 
 HEIGHT, WIDTH = 6, 8
-
-
-def cases(*choices):
-    """All combinations."""
-    return list(itertools.product(*choices))
 
 
 BEAUTIES = ("Combined", "beauty", "RGBA", "rgba", "rgb", "C", "Ci", "Image", "color", "ViewLayer.Combined")
@@ -79,7 +74,7 @@ def some_layers(seed: int, beauties: int) -> tuple[dict[str, dict[str, np.ndarra
     return {name: layers[name] for name in rng.permutation(list(layers)).tolist()}, chosen, parts
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(16))
 def test_the_picture_of_an_exr_is_found_by_its_name(tmp_path, seed):
     layers, (name,), parts = some_layers(seed, 1)
     path = write_exr_layers(tmp_path / "a.exr", layers, parts)
@@ -90,7 +85,7 @@ def test_the_picture_of_an_exr_is_found_by_its_name(tmp_path, seed):
     np.testing.assert_array_equal(read_radiance(path), stacked(layers["other"]))
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(8))
 def test_several_pictures_in_an_exr_are_listed_and_one_can_be_named(tmp_path, seed):
     layers, names, parts = some_layers(seed, 2)
     path = write_exr_layers(tmp_path / "a.exr", layers, parts)
@@ -108,7 +103,7 @@ def test_several_pictures_in_an_exr_are_listed_and_one_can_be_named(tmp_path, se
     assert read_size(path) == (WIDTH, HEIGHT)
 
 
-@pytest.mark.parametrize(("name", "channels"), cases(("N", "ao", "Layer.DiffCol"), ("RGB", "XYZ", "Y")))
+@pytest.mark.parametrize(("name", "channels"), pairs(("N", "ao", "Layer.DiffCol"), ("RGB", "XYZ", "Y")))
 def test_a_pass_alone_is_no_picture_unless_it_is_asked_for(tmp_path, name, channels):
     planes = layer(np.random.default_rng(0), channels)
     path = write_exr_layers(tmp_path / "a.exr", {name: planes}, parts=False)
@@ -134,7 +129,7 @@ def test_colors_come_before_luminance_and_the_unnamed_layer_before_all(tmp_path)
     np.testing.assert_array_equal(read_radiance(path), stacked(layers[""]))
 
 
-@pytest.mark.parametrize(("step", "primaries"), cases((1, 2), ("Rec.709", "P3")))
+@pytest.mark.parametrize(("step", "primaries"), pairs((1, 2), ("Rec.709", "P3")))
 def test_luminance_with_chroma(tmp_path, step, primaries):
     """Luminance is CIE Y of the file's primaries; chroma lies on the first pixel of each square."""
     rows, columns = np.mgrid[:HEIGHT, :WIDTH] / 10.0
@@ -176,7 +171,7 @@ def test_exr_files_of_cie_xyz(tmp_path, white):
 EXPOSURES = (b"", b"EXPOSURE=2\nEXPOSURE=.25\n", b"COLORCORR= 2 1 .5\n")
 
 
-@pytest.mark.parametrize(("primaries", "exposure"), cases(PRIMARIES, EXPOSURES))
+@pytest.mark.parametrize(("primaries", "exposure"), pairs(PRIMARIES, EXPOSURES))
 def test_radiance_files_with_primaries_and_exposures(tmp_path, primaries, exposure):
     header, pixels = exposure, RADIANCE
     if primaries != "Rec.709":
@@ -188,6 +183,10 @@ def test_radiance_files_with_primaries_and_exposures(tmp_path, primaries, exposu
     assert is_plain(path) == (primaries == "Rec.709" and not exposure)
     np.testing.assert_allclose(read_radiance(path), RADIANCE, atol=0.012)  # of 8 bits, before the matrix
     assert describe(path, "a.hdr").exposure == 1.0
+    whole = path.read_bytes()
+    for length in (len(whole) - 4 * pixels[..., 0].size + 3, len(whole) - 1):
+        path.write_bytes(whole[:length])
+        assert error_of(read_radiance, path).code == "image-unreadable"
     assert "XYZ" in error_of(read_radiance, write_hdr(path, pixels, form=b"xyze")).text
 
 
@@ -206,7 +205,7 @@ def write_codes(path, codes, profile):
 
 @pytest.mark.parametrize(
     ("suffix", "primaries", "curve"),
-    cases((".jpg", ".png", ".tif", ".webp", ".heic"), ("P3", "Adobe RGB", "Rec.709"), CURVES),
+    pairs((".jpg", ".png", ".tif", ".webp", ".heic"), ("P3", "Adobe RGB", "Rec.709"), CURVES),
 )
 def test_icc_profiles_say_primaries_and_curve(tmp_path, suffix, primaries, curve):
     colors = np.kron(0.2 + 0.6 * RADIANCE, np.ones((16, 16, 1)))  # within all curves and primaries
@@ -226,7 +225,7 @@ def test_icc_profiles_say_primaries_and_curve(tmp_path, suffix, primaries, curve
     assert codes.dtype == (np.uint8 if curve == "sRGB" and suffix != ".tif" else np.uint16)
 
 
-@pytest.mark.parametrize(("gamma", "primaries"), cases((0.45455, 1.0, 1 / 1.8), PRIMARIES))
+@pytest.mark.parametrize(("gamma", "primaries"), pairs((0.45455, 1.0, 1 / 1.8), PRIMARIES))
 def test_png_chunks_say_primaries_and_gamma(tmp_path, gamma, primaries):
     values = np.round(np.roll(PRIMARIES[primaries], 2) * 1e5).astype(">u4").tobytes()
     chunks = [(b"gAMA", int(gamma * 1e5).to_bytes(4, "big")), (b"cHRM", values)]
@@ -260,7 +259,7 @@ WRITERS = {
 
 
 @pytest.mark.parametrize(
-    ("kind", "suffix"), cases(WRITERS, (".jpg", ".png", ".tif", ".exr", ".webp", ".hdr", ".bin"))
+    ("kind", "suffix"), pairs(WRITERS, (".jpg", ".png", ".tif", ".exr", ".webp", ".hdr", ".bin"))
 )
 def test_the_content_of_a_file_decides_not_its_suffix(tmp_path, kind, suffix):
     path = tmp_path / f"a{suffix}"
@@ -270,8 +269,7 @@ def test_the_content_of_a_file_decides_not_its_suffix(tmp_path, kind, suffix):
 
 
 @pytest.mark.parametrize(
-    ("planar", "channels", "kind"),
-    cases((False, True), (1, 2, 3, 4), ("uint8", "uint16", "float32")),
+    ("planar", "channels", "kind"), pairs((False, True), (1, 2, 3, 4), ("uint8", "uint16", "float32"))
 )
 def test_tiff_of_any_depth_planes_apart_or_not(tmp_path, planar, channels, kind):
     values = np.random.default_rng(channels).random((HEIGHT, WIDTH, channels), np.float32)
@@ -286,7 +284,7 @@ def test_tiff_of_any_depth_planes_apart_or_not(tmp_path, planar, channels, kind)
     )
 
 
-@pytest.mark.parametrize(("suffix", "orientation"), cases((".jpg", ".png", ".tif", ".webp"), range(1, 9)))
+@pytest.mark.parametrize(("suffix", "orientation"), pairs((".jpg", ".png", ".tif", ".webp"), range(1, 9)))
 def test_pixels_are_as_stored_and_upright_once(tmp_path, suffix, orientation):
     """A camera's pose belongs to the stored pixels; `prepare` turns them."""
     tall = np.kron(CODES, np.ones((8, 8, 1))).astype(np.uint8)

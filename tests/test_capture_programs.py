@@ -22,7 +22,6 @@ from samples.metashape_writers import (
     metashape_chunk,
     metashape_sensor,
     write_metashape,
-    write_realityscan_colmap,
     write_realityscan_csv,
     write_realityscan_xmp,
 )
@@ -381,14 +380,6 @@ def test_realityscan_xmp_values_may_be_attributes(tmp_path: Path) -> None:
     assert_same(read(tmp_path), shots)
 
 
-def test_realityscan_colmap_export(tmp_path: Path) -> None:
-    shots = write.make_shots(write.Style(aspect=1.01))
-    write_realityscan_colmap(tmp_path, shots)
-    rig = read(tmp_path)
-    assert rig.source == "colmap"
-    assert_same(rig, shots)
-
-
 @pytest.mark.parametrize(
     ("old", "new"), [("brown4t2", "division"), ('Skew="0"', 'Skew="0.1"'), ('Ratio="1"', 'Ratio="1.1"')]
 )
@@ -397,11 +388,3 @@ def test_realityscan_lenses_that_are_not_supported(tmp_path: Path, old: str, new
     path = tmp_path / "IMG_0000.xmp"
     path.write_text(path.read_text().replace(old, new))
     assert error_of(read, tmp_path).code == "camera-model"
-
-
-@pytest.mark.parametrize("writer", [write_realityscan_csv, write_realityscan_xmp])
-def test_sizes_that_only_photographs_have_need_the_photographs(tmp_path: Path, writer) -> None:
-    writer(tmp_path, write.make_shots(BROWN3, 2))
-    (tmp_path / "IMG_0001.jpg").unlink()
-    error = error_of(read, tmp_path)
-    assert error.code == "image-missing" and "IMG_0001" in error.text

@@ -52,6 +52,10 @@ def nan_pose(frame):
     frame["transform_matrix"][0][3] = float("nan")
 
 
+def far_pose(frame):
+    frame["transform_matrix"][0][3] = -1e9
+
+
 def rename(tmp_path, suffix):
     path = tmp_path / "in" / "images" / "001_0001"
     path.with_suffix(".exr").unlink()
@@ -77,6 +81,9 @@ BAD = {
     "scaled": ("pose-not-rotation", lambda p: change_frame(p, scale_pose)),
     "mirrored": ("pose-not-rotation", lambda p: change_frame(p, mirror_pose)),
     "nan pose": ("pose-not-rotation", lambda p: change_frame(p, nan_pose)),
+    "far": ("pose-far", lambda p: change_frame(p, far_pose)),
+    "short": ("intrinsics-invalid", lambda p: change_frame(p, lambda f: f.update(fl_x=1e-5))),
+    "long": ("intrinsics-invalid", lambda p: change_frame(p, lambda f: f.update(fl_x=1e308))),
     "focal": ("intrinsics-invalid", lambda p: change_frame(p, lambda f: f.update(fl_x=-40.0))),
     "centre": ("intrinsics-invalid", lambda p: change_frame(p, lambda f: f.update(cx=400.0))),
     "mask size": ("mask-size", lambda p: write_exr(p / "in/parts/001_0001.exr", np.ones((4, 4)))),
@@ -110,6 +117,8 @@ def test_bad_captures_leave_nothing_behind(tmp_path, run, case):
     [
         ({"scale": 0.0}, "setting-invalid"),
         ({"scale": float("nan")}, "setting-invalid"),
+        ({"scale": 1e7}, "setting-invalid"),
+        ({"scale": 1e-308}, "setting-invalid"),
         ({"hold_back": 1}, "setting-invalid"),
         ({"hold_back": -3}, "setting-invalid"),
         ({"format": "colmap"}, "format-unknown"),

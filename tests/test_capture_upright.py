@@ -18,6 +18,7 @@ from fipt_blender.core.depth.ply import write_ply
 from fipt_blender.core.run.runfolder import RunFolder
 from samples.camera_poses import look_at, random_rotation
 from samples.capture_files import make_samples, write_colmap, write_fipt_real, write_transforms
+from samples.combinations import pairs
 from samples.ingesting import run_ingest, warnings
 
 SIZE = np.array([5.0, 4.0, 2.6])
@@ -89,10 +90,9 @@ def off(upright, up: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip(rotation[2] @ up, -1.0, 1.0))))
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.005, 0.02])  # metres
-@pytest.mark.parametrize("sideways", [0.0, 0.4, 1.0])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("noise", "sideways", "seed"), pairs((0.0, 0.005, 0.02), (0.0, 0.4, 1.0), range(4)))
 def test_rooms_in_any_frame_stand_upright(tmp_path: Path, noise: float, sideways: float, seed: int) -> None:
+    """With noise in metres."""
     rng = np.random.default_rng(seed)
     rotation, poses = random_rotation(rng), held(rng, 24, sideways)
     vertices, triangles = furnished(rng, noise)

@@ -17,7 +17,7 @@ from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
-from fipt_blender.cli.output import format_seconds, format_size
+from fipt_blender.cli.output import Display
 from fipt_blender.core.run.errors import FiptError
 from samples.child_processes import PATIENCE_SECONDS, is_alive, wait_for
 
@@ -137,6 +137,14 @@ def test_a_good_run_shows_progress_and_ends_with_the_files(capture, monkeypatch,
     assert output.err == "warning: Odd. Even it.\n"
 
 
+def test_what_to_look_at_first_is_nearest_to_the_prompt(capsys):
+    display = Display(sys.stdout, as_json=False, quiet=False)
+    display.show({"type": "done", "files": ["room.blend", "report.html", "log.txt"], "data": {}})
+    assert [line.split()[-1] for line in capsys.readouterr().out.splitlines()] == [
+        *("log.txt", "report.html", "room.blend")
+    ]
+
+
 def test_quiet_prints_no_progress(capture, monkeypatch, capfd):
     fake_job(monkeypatch, GOOD)
     assert cli.main(["estimate", "room", "--quiet"]) == 0
@@ -227,15 +235,3 @@ def test_the_package_runs_as_a_file_and_as_a_module(command, tmp_path):
         assert "Traceback" not in result.stderr
     assert "error: The capture no such folder does not exist." in result.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"), [(0.2, "0 s"), (59.4, "59 s"), (59.6, "1 min 0 s"), (3900, "1 h 5 min")]
-)
-def test_times_for_people(seconds, text):
-    assert format_seconds(seconds) == text
-
-
-@pytest.mark.parametrize(("size", "text"), [(7, "7 B"), (1500, "1.5 kB"), (2_340_000, "2.3 MB")])
-def test_sizes_for_people(size, text):
-    assert format_size(size) == text

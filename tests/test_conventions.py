@@ -4,20 +4,14 @@
 
 from __future__ import annotations
 
-import importlib.util
-import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fipt_blender.core import conventions
-from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import View
 from samples.camera_poses import random_rotation
-from samples.child_processes import PATIENCE_SECONDS
 
 # width, height, fx, fy, cx, cy: fx != fy, off-centre, portrait
 INTRINSICS = [
@@ -167,91 +161,3 @@ def test_equirect_image_has_the_sky_on_top():
     assert (directions[0, :, 2] > 0.9).all() and (directions[-1, :, 2] < -0.9).all()
     assert directions[1, 3, 0] > 0 and directions[1, 4, 0] > 0  # the middle looks along +X
     assert directions[1, 5, 1] < 0 < directions[1, 2, 1]
-
-
-BLENDER_SCRIPT = """
-import json, os, sys
-import bpy, mathutils
-table = json.load(open(sys.argv[1]))
-bpy.ops.wm.read_factory_settings(use_empty=True)
-scene = bpy.context.scene
-scene.render.engine = "CYCLES"
-scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.use_adaptive_sampling = 1, False, False
-scene.cycles.pixel_filter_type = "BOX"
-scene.cycles.filter_width = 0.01
-scene.render.image_settings.file_format = "OPEN_EXR"
-scene.render.image_settings.color_depth = "32"
-scene.render.resolution_percentage = 100
-scene.world = bpy.data.worlds.new("w")
-scene.world.use_nodes = True
-tree = scene.world.node_tree
-node = tree.nodes.new("ShaderNodeTexEnvironment")
-node.image = bpy.data.images.load(table["environment"])
-node.image.colorspace_settings.is_data = True
-tree.links.new(node.outputs[0], tree.nodes["Background"].inputs[0])
-data = bpy.data.cameras.new("c")
-thing = bpy.data.objects.new("c", data)
-scene.collection.objects.link(thing)
-scene.camera = thing
-for entry in table["cameras"]:
-    scene.render.resolution_x, scene.render.resolution_y = entry["size"]
-    for name, value in entry["camera"].items():
-        setattr(scene.render if name.startswith("pixel") else data, name, value)
-    thing.matrix_world = mathutils.Matrix(entry["matrix"])
-    scene.render.filepath = entry["image"]
-    bpy.ops.render.render(write_still=True)
-sys.stdout.flush()
-os._exit(0)
-"""
-
-
-@pytest.mark.skipif(
-    importlib.util.find_spec("bpy") is None, reason="Blender's Python module is not installed"
-)
-def test_cycles_sees_the_same_directions(tmp_path):
-    """Cameras and the world texture at once: Cycles renders a map whose colours are its directions."""
-    from dataclasses import asdict
-
-    from fipt_blender.core.capture.images import write_exr
-
-    rng = np.random.default_rng(5)
-    environment = tmp_path / "environment.exr"
-    write_exr(environment, 0.5 + 0.5 * conventions.equirect_pixel_directions(512, 256))
-    sizes = [
-        (40, 24, 30.0, 30.0, 20.0, 12.0),
-        (40, 24, 30.0, 42.0, 14.5, 15.0),
-        (24, 40, 33.0, 25.0, 9.0, 21.5),
-    ]
-    views = [make_view(rng, values) for values in sizes]
-    table = {
-        "environment": str(environment),
-        "cameras": [
-            {
-                "size": [view.width, view.height],
-                "camera": asdict(
-                    conventions.intrinsics_to_blender(
-                        view.width, view.height, view.fx, view.fy, view.cx, view.cy
-                    )
-                ),
-                "matrix": conventions.opencv_to_blender_camera(view.camera_to_world).tolist(),
-                "image": str(tmp_path / f"{index}.exr"),
-            }
-            for index, view in enumerate(views)
-        ],
-    }
-    (tmp_path / "table.json").write_text(json.dumps(table))
-    (tmp_path / "script.py").write_text(BLENDER_SCRIPT)
-    subprocess.run(
-        [sys.executable, tmp_path / "script.py", tmp_path / "table.json"],
-        check=True,
-        timeout=PATIENCE_SECONDS,
-        stdout=subprocess.DEVNULL,
-    )
-    for index, view in enumerate(views):
-        seen = 2.0 * read_radiance(tmp_path / f"{index}.exr").reshape(-1, 3) - 1.0
-        _, directions = conventions.pixel_rays(view)
-        # at the seam and the poles Blender interpolates across the image's edge
-        uv = conventions.direction_to_equirect(directions)
-        inner = (np.abs(uv - 0.5) < 0.49).all(axis=1)
-        assert inner.mean() > 0.8
-        assert np.abs(seen - directions)[inner].max() < 2e-3  # half a pixel here would be 1e-2

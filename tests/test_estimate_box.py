@@ -237,11 +237,7 @@ def test_views_baked_before_a_kill_are_not_baked_again(
 
 @pytest.mark.parametrize(
     "length, radiance, shift",
-    [
-        (100.0, 1000.0, (0.0, 0.0, 0.0)),
-        (0.01, 0.001, (0.0, 0.0, 0.0)),
-        (1.0, 1.0, (1000.0, -600.0, 300.0)),
-    ],
+    [(100.0, 1000.0, (0.0, 0.0, 0.0)), (0.01, 0.001, (0.0, 0.0, 0.0)), (1.0, 1.0, (1000.0, -600.0, 300.0))],
     ids=["large and bright", "small and dark", "far away"],
 )
 def test_nothing_depends_on_unit_exposure_or_place(

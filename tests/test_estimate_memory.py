@@ -76,15 +76,7 @@ def learn_from(seen: Observations, pieces: np.ndarray | None) -> None:
     assert len(units.triangle) == len(seen.parts.triangle_part)
 
 
-ACTIONS = (
-    "observe",
-    "look up",
-    "lamps",
-    "agree",
-    "look outside",
-    "learn",
-    "learn without parts",
-)
+ACTIONS = ("observe", "look up", "lamps", "agree", "look outside", "learn", "learn without parts")
 
 
 @pytest.mark.parametrize("action", ACTIONS)

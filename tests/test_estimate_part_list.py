@@ -13,7 +13,7 @@ import pytest
 from fipt_blender.core.estimate.part_list import write_part_list
 from fipt_blender.core.material.groups import Units
 from fipt_blender.core.parts.labels import Parts, label_parts
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.parts import read_parts
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from samples.small_rooms import BOX, make_room
@@ -65,7 +65,7 @@ def test_objects_give_names_counts_and_values(tmp_path):
     assert parts[0].base_color == pytest.approx((0.2, 0.2, 0.2))
     assert (parts[1].roughness, parts[1].metallic, parts[1].confidence) == (0.5, 1.0, (1.0, 0.5, 0.0))
     assert parts[2].base_color is None and parts[2].confidence is None  # it has no cell
-    assert read_json(run.parts_json)["parts"][0]["area"] == pytest.approx(16.0)
+    assert read_document(run.parts_json, dict)["parts"][0]["area"] == pytest.approx(16.0)
 
 
 def test_places_name_the_parts_of_one_mesh(tmp_path):
@@ -90,7 +90,7 @@ def test_semantic_masks_give_classes(tmp_path):
     _, found = listed(tmp_path, room, parts, [view], Units(parts.triangle_part, np.zeros(2, bool)))
     assert [(each.name, each.class_name, each.single) for each in found] == [
         ("Painted wall", "painted wall", False),
-        ("Class 9", "", False),
+        ("Class 9", None, False),
     ]
 
 

@@ -31,10 +31,7 @@ def downward_view(folder: Path, name: str, x: float, height: float) -> View:
 def preview(tmp_path: Path) -> Preview:
     """Of a floor, mostly shown by the first view, and of a panel beside it, only shown by the second."""
     room = make_room(
-        [
-            [[-3, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]],
-            [[9, -1, 0], [10, -1, 0], [10, 1, 0], [9, 1, 0]],
-        ]
+        [[[-3, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]], [[9, -1, 0], [10, -1, 0], [10, 1, 0], [9, 1, 0]]]
     )
     views = [downward_view(tmp_path, "floor", 0.0, 4.0)]
     views.append(downward_view(tmp_path, "panel", 9.5, 2.0))

@@ -17,7 +17,7 @@ import pytest
 from fipt_blender.core.estimate import material_stages
 from fipt_blender.core.material import training
 from fipt_blender.core.run import chain
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
@@ -156,6 +156,6 @@ def test_stages_that_take_no_time_have_no_rate(
     monkeypatch.setattr(chain, "time", SimpleNamespace(monotonic=lambda: 7.0))
     run = write_run(tmp_path / "run", capture, **BASE)
     run_here(run)
-    listed = read_json(run.statistics_json)["stages"]
+    listed = read_document(run.statistics_json, dict)["stages"]
     assert [stage["seconds"] for stage in listed] == [0.0] * 7
     assert listed[4]["rays"] > 0 and "mrays_per_second" not in listed[4]

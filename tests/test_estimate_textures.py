@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.capture.images import read_radiance
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.textures import bake
@@ -73,9 +73,12 @@ def test_textures_and_maps_follow_every_estimate(
 ) -> None:
     run = write_run(tmp_path / "run", make_capture(), rounds=0, force=True)  # one room shows nothing
     assert run_here(run)[-1]["type"] == "done"
-    assert len(read_json(run.emitters_json)["fixtures"]) == fixtures
+    assert len(read_document(run.emitters_json, dict)["fixtures"]) == fixtures
     assert bake_here(run)[-1]["type"] == "done"
-    listed = read_json(run.textures_json)["images"] + read_json(run.results / "maps" / "maps.json")["views"]
+    listed = (
+        read_document(run.textures_json, dict)["images"]
+        + read_document(run.results / "maps" / "maps.json", dict)["views"]
+    )
     assert len(listed) == 4
     for entry in listed:
         for path in list(entry.values())[1:]:

@@ -125,7 +125,7 @@ def test_a_closing_that_does_not_fit_is_left_out(
             arrays["source"] = arrays["source"][::-1].copy()
         np.savez(run.closing_npz, **arrays)
     found, names = read_room_files(run)
-    assert len(found["triangles"]) == len(scan.triangles) and CLOSING not in names["objects"]
+    assert len(found["triangles"]) == len(scan.triangles) and CLOSING not in names.objects
     prepare_geometry(run, most_edges=120)
     assert files(run) == whole
 

@@ -20,7 +20,6 @@ import pytest
 from samples.development import load_dev
 from samples.enabling import needless
 
-ROOT = Path(__file__).resolve().parent.parent
 BLENDER = os.environ.get("FIPT_TEST_BLENDER", "")
 MODULE = "bl_ext.user_default.fipt_blender"
 

@@ -20,110 +20,33 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "fipt_blender"
 CORE = PACKAGE / "core"
 PREPARE = PACKAGE / "prepare"  # of the engine, too
-HEAVY = (
-    "mitsuba",
-    "drjit",
-    "torch",
-    "OpenEXR",
-    "OpenImageIO",
-    "pycolmap",
-    "pyoidn",
-    "rawpy",
-    "exifread",
-    "lensfunpy",
-    "trimesh",
-)
+HEAVY = """
+    mitsuba drjit torch OpenEXR OpenImageIO pycolmap pyoidn rawpy exifread lensfunpy trimesh
+""".split()
 # What Blender's side may import of the engine: the standard library and numpy are enough for these.
-SHARED = (
-    "alignment.gltf_document",
-    "alignment.obj_file",
-    "alignment.pairs",
-    "alignment.ply_file",
-    "alignment.polygons",
-    "alignment.sights",
-    "alignment.turns",
-    "capture.averaging",
-    "capture.files",
-    "capture.options",
-    "capture.suffixes",
-    "conventions",
-    "device.cuda",
-    "optics.factorised",
-    "run.arrays",
-    "run.documents",
-    "run.errors",
-    "run.hints",
-    "run.light_size",
-    "run.lock",
-    "run.messages",
-    "run.method",
-    "run.parts",
-    "run.paths",
-    "run.process_identity",
-    "run.run_files",
-    "run.runfolder",
-    "run.settings",
-    "run.shapes",
-    "run.version_figures",
-    "run.versions",
-    "report.comparison",
-    "report.fixture_names",
-    "textures.raster",
-    "textures.write_back",
-)
+SHARED = """
+    alignment.gltf_document alignment.obj_file alignment.pairs alignment.ply_file alignment.polygons
+    alignment.sights alignment.turns capture.averaging capture.files capture.options capture.suffixes
+    conventions device.cuda optics.factorised run.arrays run.contents run.documents run.errors run.hints
+    run.kinds run.light_size
+    run.lock run.messages run.method run.parts run.paths run.process_identity run.result_contents
+    run.run_files run.runfolder
+    run.settings run.shapes run.version_figures run.versions report.comparison report.fixture_names
+    textures.raster textures.write_back
+""".split()
 SHARED_MODULES = (
     *(f"core.{name}" for name in SHARED),
     *("prepare.editing", "prepare.facts", "prepare.preparation"),
 )
 # The rooms from the lowest floor to the highest: each imports only from itself and from rooms before it.
-FLOORS = (
-    "core.run",
-    "core.conventions",
-    "core.robust",
-    "core.device",
-    "core.alignment",
-    "core.depth",
-    "core.capture",
-    "core.surface",
-    "core.radiometry",
-    "core.pixels",
-    "core.parts",
-    "core.optics",
-    "core.light",
-    "core.checks",
-    "core.photometry",
-    "core.completion",
-    "core.material",
-    "core.textures",
-    "core.report",
-    "core.estimate",
-    "prepare",
-    "core.__main__",
-    "core",
-    "bridge",
-    "machine",
-    "blend",
-    "blend.room",
-    "blend.capture",
-    "blend.lights",
-    "blend.results",
-    "blend.export",
-    "blend.hints",
-    "blend.insert",
-    "blend.pictures",
-    "properties",
-    "jobs",
-    "api",
-    "panels",
-    "operators",
-    "cli",
-    "__main__",
-    "__init__",
-)
-LIGHT_MODULES = (
-    *SHARED_MODULES,
-    *(f"core.device.{name}" for name in ("llvm", "variant", "probe", "check")),
-)
+FLOORS = """
+    core.run core.conventions core.robust core.device core.alignment core.depth core.capture core.surface
+    core.radiometry core.pixels core.parts core.optics core.light core.checks core.photometry
+    core.completion core.material core.textures core.report core.estimate prepare core.__main__ core
+    bridge machine blend blend.room blend.capture blend.lights blend.results blend.export blend.hints
+    blend.insert blend.pictures properties jobs api panels operators cli __main__ __init__
+""".split()
+LIGHT_MODULES = (*SHARED_MODULES, *(f"core.device.{name}" for name in ("llvm", "variant", "probe", "check")))
 
 BLOCK = """
 import importlib, sys

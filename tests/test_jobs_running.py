@@ -72,18 +72,6 @@ def test_only_one_job_runs(run):
     tick_until(lambda: info.state == "cancelled")
 
 
-def test_cancel_never_blocks(run):
-    info = start(make_job(run), run)
-    tick_until(lambda: at_work(info))
-    engine = find_engine(run)
-    assert engine is not None and bpy.ops.fipt.cancel.poll()
-    assert bpy.ops.fipt.cancel() == {"FINISHED"}
-    assert info.state == "running" and info.stopping and not bpy.ops.fipt.cancel.poll()
-    tick_until(lambda: info.state == "cancelled")
-    assert not info.stopping and info.error is None
-    wait_for(lambda: find_engine(run) is None)
-
-
 def press_escape(playing: bool = False) -> tuple[set[str], list[str]]:
     """What the shortcut returns, and the messages of the dialogs that it opens."""
     asked = []

@@ -9,12 +9,7 @@ import torch
 from fipt_blender.core.material import losses
 from fipt_blender.core.material.emission_mask import EmissionNetwork, emission_mask, positional_encoding
 from fipt_blender.core.material.hashgrid import HashGrid
-from fipt_blender.core.material.networks import (
-    BrdfNetwork,
-    Prediction,
-    typical_values,
-    useful_hash_levels,
-)
+from fipt_blender.core.material.networks import BrdfNetwork, Prediction, typical_values, useful_hash_levels
 from fipt_blender.core.optics.factorised import level_roughness
 from fipt_blender.core.run.settings import Settings
 
@@ -69,26 +64,6 @@ def test_hash_grid_is_its_definition_forward_and_backward(rng: np.random.Generat
     features.backward(torch.from_numpy(upstream.astype(np.float32)))
     gradient = np.einsum("nlt,nlf->tf", weights, upstream.reshape(200, 5, 2))
     np.testing.assert_allclose(grid.table.grad.numpy(), gradient, atol=2e-5 * np.abs(gradient).max())
-
-
-def test_hash_grid_gradient_is_the_finite_difference(rng: np.random.Generator) -> None:
-    grid = make_grid()
-    positions = torch.from_numpy(rng.random((500, 3)).astype(np.float32))
-
-    def loss() -> torch.Tensor:
-        return torch.sin(grid(positions, units_of(positions)).double()).sum()
-
-    loss().backward()
-    direction = torch.from_numpy(rng.normal(size=grid.table.shape).astype(np.float32))
-    slope = float((grid.table.grad.double() * direction).sum())
-    step = 1e-2
-    values = []
-    for sign in (1.0, -1.0):
-        with torch.no_grad():
-            grid.table.add_(sign * step * direction)
-            values.append(float(loss()))
-            grid.table.sub_(sign * step * direction)
-    assert (values[0] - values[1]) / (2 * step) == pytest.approx(slope, rel=2e-3)
 
 
 def test_hash_grid_at_the_borders_and_with_no_gradient() -> None:

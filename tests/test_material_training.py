@@ -53,9 +53,7 @@ def make_data(kind: str = "part") -> TrainingData:
         part=part,
         parts=SimpleNamespace(kind=kind),
         pixels=SimpleNamespace(
-            position=position * 4.0 - 2.0,
-            own=radiance.astype(np.float32),
-            triangle=np.where(lamp, 2, part),
+            position=position * 4.0 - 2.0, own=radiance.astype(np.float32), triangle=np.where(lamp, 2, part)
         ),
     )
     return TrainingData(
@@ -78,12 +76,7 @@ def do_train(
 ) -> None:
     data = make_data()
     train(
-        networks,
-        data,
-        make_surfaces(),
-        replace(SETTINGS, training_steps=steps, **changes),
-        resume,
-        progress,
+        networks, data, make_surfaces(), replace(SETTINGS, training_steps=steps, **changes), resume, progress
     )
 
 

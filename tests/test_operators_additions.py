@@ -18,8 +18,7 @@ from fipt_blender.blend.capture.additions import added_surfaces
 from fipt_blender.blend.marks import ADDED, CLOSED, FOUND
 from fipt_blender.blend.room.mesh_arrays import world_bounds
 from fipt_blender.core import conventions
-from fipt_blender.core.device.variant import set_variant
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.run_files import CLOSING
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs.room_steps import export_scene_room
@@ -34,7 +33,6 @@ pytestmark = pytest.mark.usefixtures("registered")
 @pytest.fixture(scope="module")
 def sample(tmp_path_factory) -> Path:
     """A capture whose scan lacks a box, and some triangles of the ceiling."""
-    set_variant("llvm")
     root = tmp_path_factory.mktemp("capture") / "lacking"
     (root / "images").mkdir(parents=True)
     rng = np.random.default_rng(3)
@@ -75,7 +73,7 @@ def exported(scene: bpy.types.Scene) -> tuple[dict, dict[str, np.ndarray]]:
     for _ in export_scene_room(run):
         pass
     with np.load(run.room_npz) as arrays:
-        return read_json(run.room_json), dict(arrays)
+        return read_document(run.room_json, dict), dict(arrays)
 
 
 def bounds(item: bpy.types.Object) -> np.ndarray:

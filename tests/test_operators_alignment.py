@@ -20,7 +20,9 @@ from fipt_blender.blend.capture.placements import take_alignment
 from fipt_blender.blend.capture.view_geometry import view_geometry
 from fipt_blender.core import conventions
 from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.run.contents import CapturedView
 from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.kinds import as_matrix
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from samples import rig_writers
 from samples.camera_poses import look_at
@@ -58,29 +60,29 @@ def truth(tmp_path):
     for index in range(4):
         lens = {"width": 200, "height": 100, "fx": 40.0, "fy": 42.0, "cx": 103.0, "cy": 49.0}
         pose = toward_the_middle(1.5 * index + 0.3)
-        view = {"name": f"{index:03d}", "split": "train", "image": "a.exr", **lens}
-        views.append({**view, "camera_to_world": pose.tolist()})
-        solved = {**views[-1], "camera_to_world": conventions.transform_poses(off, pose).tolist()}
+        view = {"name": f"{index:03d}", "split": "train", "image": "a.exr", "parts": None, "semantics": None}
+        views.append(CapturedView(**view, **lens, camera_to_world=as_matrix(pose)))
+        solved = replace(views[-1], camera_to_world=as_matrix(conventions.transform_poses(off, pose)))
         parent = find_alignment(scene)
         cameras.add_camera(scene, run, solved, photograph=False, parent=parent)
         listed = scene.fipt.capture.views.add()
-        listed.name = listed.camera = view["name"]
+        listed.name = listed.camera = solved.name
     scene.fipt.capture.alignment.scale = (2.0, 2.0, 2.0)  # the artist's own; the mesh is not its child
     return views
 
 
-def sights(point: np.ndarray, views: list[dict]) -> list[tuple[str, tuple[float, float]]]:
+def sights(point: np.ndarray, views: list[CapturedView]) -> list[tuple[str, tuple[float, float]]]:
     """The views that see a point, with its pixels."""
     found = []
     for view in views:
         geometry = view_geometry(view)
         (pixel,), _ = conventions.project(point[None], geometry)
         if np.isfinite(pixel).all() and (pixel >= 0.0).all() and (pixel <= (200.0, 100.0)).all():
-            found.append((view["name"], tuple(pixel)))
+            found.append((view.name, tuple(pixel)))
     return found
 
 
-def pick(point: np.ndarray, views: list[dict], most: int = 2) -> None:
+def pick(point: np.ndarray, views: list[CapturedView], most: int = 2) -> None:
     chosen = sights(point, views)[:most]
     values = dict(zip(("view", "second_view"), (name for name, _ in chosen), strict=False))
     pixels = dict(zip(("pixel", "second_pixel"), (pixel for _, pixel in chosen), strict=False))
@@ -100,8 +102,8 @@ def test_cameras_come_to_the_mesh(truth):
     assert 0.0 <= settings.error < 1e-3 and settings.problem == ""
     assert ops.align_by_pairs() == {"FINISHED"}
     for view in truth:
-        pose = camera_pose(scene.objects[view["name"]])
-        np.testing.assert_allclose(pose, np.array(view["camera_to_world"]), atol=1e-3)
+        pose = camera_pose(scene.objects[view.name])
+        np.testing.assert_allclose(pose, np.array(view.camera_to_world), atol=1e-3)
     assert tuple(scene.objects["Wall"].location) == (1.0, 0.0, 0.0)
     assert 0.0 <= settings.error < 1e-3
 
@@ -128,8 +130,8 @@ def test_pairs_follow_the_mesh_and_survive_its_deletion(truth):
         pick(point, truth)
     scene.objects["Wall"].location.x += 5.0
     ops.align_by_pairs()
-    pose = camera_pose(scene.objects[truth[0]["name"]])
-    np.testing.assert_allclose(pose[0, 3], truth[0]["camera_to_world"][0][3] + 5.0, atol=1e-3)
+    pose = camera_pose(scene.objects[truth[0].name])
+    np.testing.assert_allclose(pose[0, 3], truth[0].camera_to_world[0][3] + 5.0, atol=1e-3)
     bpy.data.objects.remove(scene.objects["Wall"])
     assert "too few" in refused(ops.align_by_pairs)
 
@@ -148,21 +150,21 @@ def test_bad_picks_are_refused(truth):
 def test_the_artists_own_cameras_stay(truth):
     scene = bpy.context.scene
     for view in truth:
-        item = scene.objects[view["name"]]
+        item = scene.objects[view.name]
         scene.collection.objects.link(item)
         bpy.data.collections["FIPT Cameras"].objects.unlink(item)
     seen = [point + (1.0, 0.0, 0.0) for point in POINTS if len(sights(point + (1.0, 0.0, 0.0), truth)) > 1]
     for point in seen:
         pick(point, truth)
-    before = [tuple(scene.objects[view["name"]].location) for view in truth]
+    before = [tuple(scene.objects[view.name].location) for view in truth]
     assert "your own" in refused(ops.align_by_pairs)
-    assert [tuple(scene.objects[view["name"]].location) for view in truth] == before
+    assert [tuple(scene.objects[view.name].location) for view in truth] == before
 
 
 def test_placements_of_the_engine_are_taken_and_chosen(truth, tmp_path):
     scene = bpy.context.scene
     settings, run = scene.fipt.alignment, RunFolder(tmp_path)
-    before = {view["name"]: camera_pose(scene.objects[view["name"]]) for view in truth}
+    before = {view.name: camera_pose(scene.objects[view.name]) for view in truth}
     moves = []
     for angle, shift in ((0.5, 1.0), (2.0, -3.0)):
         matrix = np.eye(4)
@@ -185,11 +187,11 @@ def test_placements_of_the_engine_are_taken_and_chosen(truth, tmp_path):
             expected = conventions.transform_poses(moves[chosen], pose)
             np.testing.assert_allclose(camera_pose(scene.objects[name]), expected, atol=1e-4)
     assert "no placement 2" in refused(ops.choose_placement, index=2)
-    pose = np.array(truth[0]["camera_to_world"])
-    polished = {**data, "candidates": [], "poses": {truth[0]["name"]: pose.tolist()}}
+    pose = np.array(truth[0].camera_to_world)
+    polished = {**data, "candidates": [], "poses": {truth[0].name: pose.tolist()}}
     write_json(tmp_path / "align" / "align.json", polished)
     take_alignment(scene, run)
-    np.testing.assert_allclose(camera_pose(scene.objects[truth[0]["name"]]), pose, atol=1e-5)
+    np.testing.assert_allclose(camera_pose(scene.objects[truth[0].name]), pose, atol=1e-5)
     assert not settings.candidates
     (tmp_path / "align" / "align.json").write_text("{}")
     with pytest.raises(FiptError):

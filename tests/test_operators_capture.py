@@ -18,7 +18,7 @@ from fipt_blender.blend.capture import overlay
 from fipt_blender.blend.capture.importing import find_alignment
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.conventions import UP_AXES, world_from_source
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
 from samples.capture_files import make_samples, write_colmap, write_mesh, write_transforms
@@ -267,7 +267,7 @@ def test_check_fills_the_list_and_colours_follow_the_ticks(imported, sample, dra
     assert parts.auto_source == "materials"
     assert json.loads(parts.counts) == {"materials": 6, "loose": 1}
     run = RunFolder(imported.fipt.run_folder)
-    splits = [view["split"] for view in read_json(run.survey / "capture.json")["views"]]
+    splits = [view["split"] for view in read_document(run.survey / "capture.json", dict)["views"]]
     assert splits.count("unused") == 1 and len(splits) == 9
 
     assert ops.show_coverage() == {"FINISHED"} and overlay.shown(imported) == "coverage"

@@ -17,6 +17,7 @@ from fipt_blender.blend.collecting import missing_pictures
 from fipt_blender.blend.unused_pictures import unused_pictures
 from fipt_blender.core.run.runfolder import RunFolder
 from samples.applied_rooms import ConstantFields
+from samples.combinations import pairs
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
@@ -51,9 +52,10 @@ def sets(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()} if folder.is_dir() else set()
 
 
-@pytest.mark.parametrize("keep", ["BESIDE", "IN_RUN"])
-@pytest.mark.parametrize("kind", ["plain", "zstd", "gzip"])
-@pytest.mark.parametrize("place", ["beside", "backup", "run", "recent"])
+@pytest.mark.parametrize(
+    ("keep", "kind", "place"),
+    pairs(("BESIDE", "IN_RUN"), ("plain", "zstd", "gzip"), ("beside", "backup", "run", "recent")),
+)
 def test_pictures_of_known_files_stay(scene, tmp_path, monkeypatch, estimate_again, keep, kind, place):
     blend = tmp_path / "shot" / "kitchen.blend"
     blend.parent.mkdir()

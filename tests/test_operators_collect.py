@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.blend.image_datablocks import image_values
+from samples.combinations import pairs
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
@@ -53,9 +54,9 @@ def state() -> dict[str, tuple[object, ...]]:
     }
 
 
-@pytest.mark.parametrize("pack", [False, True])
-@pytest.mark.parametrize("keep", ["BESIDE", "PACKED", "IN_RUN"])
-@pytest.mark.parametrize("tiled", [False, True])
+@pytest.mark.parametrize(
+    ("pack", "keep", "tiled"), pairs((False, True), ("BESIDE", "PACKED", "IN_RUN"), (False, True))
+)
 def test_a_collected_room_opens_elsewhere(scene, tmp_path, pack, keep, tiled):
     first, target = tmp_path / "first", tmp_path / "second" / "room"
     first.mkdir()

@@ -22,7 +22,7 @@ from fipt_blender.api.estimating import make_steps, scene_settings
 from fipt_blender.bridge import interpreter
 from fipt_blender.bridge.attached import find_engine
 from fipt_blender.core.run import settings as settings_module
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import run_job, running, runstate
@@ -35,7 +35,10 @@ from samples.small_rooms import BOX
 
 ops = bpy.ops.fipt
 posix = pytest.mark.skipif(os.name == "nt", reason="signals")
-STAGES = ["pixels", "shadings", "estimate-0", "refinement-1", "estimate-1", "training"]
+STAGES = [
+    *("pixels", "checks", "unmixing", "outside", "shadings", "estimate-0"),
+    *("reflection-1", "refinement-1", "estimate-1", "training"),
+]
 
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -119,14 +122,14 @@ def worked(run: RunFolder) -> list[str]:
 
 def done(run: RunFolder) -> list[str]:
     path = run.stage / "stages.json"
-    return list(read_json(path)["stages"]) if path.exists() else []
+    return list(read_document(path, dict)["stages"]) if path.exists() else []
 
 
 def test_estimate_works_on_the_scene_as_it_is_and_starts_anew_unless_stages_are_to_be_kept(scene, run, quick):
     assert ops.estimate() == {"FINISHED"}
     assert done(run) == worked(run) == STAGES
-    assert read_json(run.room_json)["objects"] == [f"wall {index}" for index in range(7)]
-    assert read_json(run.emitters_json)["fixtures"][0]["triangles"] == [12, 13]
+    assert read_document(run.room_json, dict)["objects"] == [f"wall {index}" for index in range(7)]
+    assert read_document(run.emitters_json, dict)["fixtures"][0]["triangles"] == [12, 13]
     assert run.read().training_steps == 20 and run.read().device == "llvm"
     job = running.last("estimate")
     assert job.state == "finished" and all(path.is_file() for path in job.pictures)
@@ -145,70 +148,57 @@ def test_estimate_works_on_the_scene_as_it_is_and_starts_anew_unless_stages_are_
     assert run.emitters_json.stat().st_mtime_ns > before
 
 
-@posix
-def test_killed_at_every_stage_it_resumes_and_blender_lives_on(scene, run, quick):
-    quick |= {"refine_diffuse_spp": 512, "training_steps": 300}  # long enough to be met
-    for number, stage in enumerate(STAGES):
-        info = start(resume=number > 0)
-        tick_to_stage(run, stage)
+def stop(run: RunFolder, stage: str, killed: bool, resume: bool = False) -> None:
+    """Start an estimate, and kill or cancel it when it has begun a stage."""
+    run.messages("estimate").unlink(missing_ok=True)
+    info = start(resume)
+    tick_to_stage(run, stage)
+    if killed:
         os.kill(find_engine(run).pid, signal.SIGKILL)
-        tick_to_end()
-        assert info.state == "failed" and info.error["code"] == "out-of-memory" and info.error["remedy"]
-        assert done(run)[:number] == STAGES[:number] and not run.fields_npz.exists()
-        bpy.data.objects.new(f"still alive {number}", None)
-        assert number == 0 or ops.resume.poll()
-    assert ops.resume() == {"FINISHED"}
+    else:
+        ops.cancel()
+        assert info.state == "running" and info.stopping
+    tick_to_end()
+    assert info.state == ("failed" if killed else "cancelled") and ops.resume.poll()
+    if killed:
+        assert info.error["code"] == "out-of-memory" and info.error["remedy"]
+    else:
+        assert info.error is None
+        wait_for(lambda: find_engine(run) is None)
+
+
+@posix
+def test_killed_or_cancelled_it_resumes_and_blender_lives_on(scene, run, quick):
+    quick |= {"diffuse_spp": 2048, "training_steps": 5000}  # long enough to be met
+    for stage, killed in (("shadings", True), ("shadings", False), ("training", True), ("training", False)):
+        stop(run, stage, killed, resume=bool(done(run)))
+        assert done(run) == STAGES[: STAGES.index(stage)] and not run.fields_npz.exists()
+        bpy.data.objects.new("still alive", None)
+    quick["training_steps"] = 20
+    assert ops.resume() == {"FINISHED"} and worked(run) == ["training"]
     assert done(run) == STAGES and run.emitters_json.exists()
 
 
 @posix
-def test_cancelled_while_baking_and_while_training(scene, run, quick):
-    quick |= {"diffuse_spp": 2048, "training_steps": 5000}
-    for stage, kept in (("shadings", 1), ("training", 5)):
-        info = start(resume=kept > 1)
-        tick_to_stage(run, stage)
-        ops.cancel()
-        assert info.state == "running" and info.stopping
-        tick_to_end()
-        assert info.state == "cancelled" and info.error is None
-        wait_for(lambda: find_engine(run) is None)
-        assert done(run) == STAGES[:kept] and ops.resume.poll()
-
-
-@posix
-@pytest.mark.parametrize("killed", [False, True])
-def test_a_second_estimate_that_is_stopped_leaves_the_first_one_usable(scene, run, quick, killed):
+def test_a_second_estimate_that_is_stopped_leaves_the_first_one_usable(scene, run, quick):
     assert ops.estimate() == {"FINISHED"} and ops.apply_results() == {"FINISHED"}
     folders = run.results, run.textures
     files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
     before = {path: path.read_bytes() for path in files}
     bpy.data.objects["wall 0"].location.x += 5.0  # the next estimate has another room and other settings
     quick |= {"diffuse_spp": 2048, "hash_levels": 4}
-    run.messages("estimate").unlink()
-    info = start()
-    tick_to_stage(run, "shadings")
-    if killed:
-        os.kill(find_engine(run).pid, signal.SIGKILL)
-    else:
-        ops.cancel()
-    tick_to_end()
-    assert info.state == ("failed" if killed else "cancelled")
-    assert {path: path.read_bytes() for path in before} == before
-    state = runstate.look(run)
-    assert state.results and not state.finished and state.stages == 1 and ops.resume.poll()
-    assert not ops.reestimate.poll()  # its stages are those of the new one
+    for killed in (False, True):
+        stop(run, "shadings", killed, resume=killed)
+        assert {path: path.read_bytes() for path in before} == before
+        state = runstate.look(run)
+        assert state.results and not state.finished and state.stages == STAGES.index("shadings")
+        assert not ops.reestimate.poll()  # its stages are those of the new one
     bpy.data.objects["wall 0"].location.x -= 5.0
     scene.fipt.materials.texel_density = 20.0  # so that the textures are baked again, from the first results
     assert ops.apply_results() == {"FINISHED"}
-    assert read_json(run.room_json)["objects"] and {
-        path: path.read_bytes()
-        for path in files
-        if path.is_relative_to(run.results) and "maps" not in path.parts
-    } == {
-        path: data
-        for path, data in before.items()
-        if path.is_relative_to(run.results) and "maps" not in path.parts
-    }
+    kept = [path for path in files if path.is_relative_to(run.results) and "maps" not in path.parts]
+    assert read_document(run.room_json, dict)["objects"]
+    assert [path.read_bytes() for path in kept] == [before[path] for path in kept]
     assert run.read().hash_levels == 4 and run.read_estimated().hash_levels == QUICK["hash_levels"]
 
 

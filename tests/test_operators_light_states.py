@@ -43,23 +43,6 @@ def test_states_are_saved_recalled_blended_and_removed(scene):
     assert not len(settings.states) and not ops.remove_light_state.poll()
 
 
-def test_keyframes_by_operators(scene):
-    row = scene.fipt.lights.lights[0]
-    assert "no keyframes" in refused(ops.clear_light_keyframes)
-    scene.frame_set(1)
-    assert ops.keyframe_lights() == {"FINISHED"}
-    scene.frame_set(5)
-    row.stops = 1.0
-    assert ops.keyframe_lights(everything=True) == {"FINISHED"}
-    scene.frame_set(1)
-    assert row.stops == 0.0 and np.allclose(front(row.object), RADIANCE)
-    scene.frame_set(5)
-    assert np.allclose(front(row.object), 2.0 * np.array(RADIANCE))
-    assert ops.clear_light_keyframes() == {"FINISHED"}
-    scene.frame_set(1)
-    assert np.allclose(front(row.object), 2.0 * np.array(RADIANCE))
-
-
 def test_an_ies_profile_needs_a_blender_light(scene, tmp_path):
     path = tmp_path / "lamp.ies"
     path.write_text("IESNA\nTILT=NONE\n1 1 1 2 1 1 1 0 0 0 1 1 1 0 90 0 10 10", encoding="utf-8")

@@ -13,7 +13,7 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend.lights.color import blackbody, luminance, temperature_of
-from fipt_blender.panels import lights, path
+from fipt_blender.panels import lights
 from samples.applied_rooms import (
     RADIANCE,
     front,
@@ -127,18 +127,6 @@ def test_on_solo_and_all(scene):
     assert not scene.fipt.lights.environment_on and not lamp.on and not new.on
     assert ops.switch_lights(on=True) == {"FINISHED"} and front(lamp.object).any()
     assert lamp.on and new.on and new.object.data.energy == energy and world_strength() == 1.0
-
-
-def test_the_header_counts_the_lights_of_the_list(scene):
-    for _ in range(3):
-        ops.add_light(location=(0, 0, 3), size=1.0, power=50.0)
-    place = path.PLACES["FIPT_PT_lights"]
-    assert place.state(bpy.context) == ("4 lights",)
-    bpy.ops.object.select_all(action="DESELECT")
-    scene.fipt.lights.lights[1].object.select_set(True)
-    assert bpy.ops.object.delete() == {"FINISHED"}
-    assert sum(light.is_alive() for light in scene.fipt.lights.lights) == 3
-    assert place.state(bpy.context) == ("3 lights",)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
 from samples import artist, artist_sequences
 from samples.applied_rooms import ConstantFields
+from samples.combinations import pairs
 
 ops = bpy.ops.fipt
 
@@ -66,10 +67,10 @@ def state(scene) -> dict[str, tuple]:
     }
 
 
-@pytest.mark.parametrize("mode", ["uv", "color_attribute"])
-@pytest.mark.parametrize("moved", [False, True])
-@pytest.mark.parametrize("density", [16.0, 32.0])
-@pytest.mark.parametrize("modelling", MODELLING)
+@pytest.mark.parametrize(
+    ("modelling", "density", "moved", "mode"),
+    pairs(MODELLING, (16.0, 32.0), (False, True), ("uv", "color_attribute")),
+)
 def test_applying_again_keeps_what_the_artist_has_modelled(scene, modelling, density, moved, mode):
     scene.fipt.materials.atlas_mode = mode
     ops.apply_results()
@@ -191,9 +192,9 @@ def test_nothing_is_lost_in_random_sequences_of_actions(applied, tmp_path, seed)
         raise AssertionError(f"seed {seed}: {', '.join(sequence.done)}: {error!r}") from error
 
 
-@pytest.mark.parametrize("modelled", [False, True])
-@pytest.mark.parametrize("density", [16.0, 32.0])
-@pytest.mark.parametrize("how", ["delete", "remove", "hide"])
+@pytest.mark.parametrize(
+    ("how", "density", "modelled"), pairs(("delete", "remove", "hide"), (16.0, 32.0), (False, True))
+)
 def test_a_deleted_lamp_stays_deleted_until_revert(applied, modelled, density, how):
     def lamps() -> list[str]:
         return [item.name for item in applied.objects if marks.is_fixture(item)]

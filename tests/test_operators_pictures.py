@@ -22,7 +22,7 @@ from fipt_blender.blend.pictures import check_pictures, composite, image_files, 
 from fipt_blender.blend.pictures.cycles import exposure_of
 from fipt_blender.blend.results.scene_state import median_shown
 from fipt_blender.core.report.comparison import ERROR_STOPS, psnr
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import write_json
 from fipt_blender.jobs import running
@@ -54,7 +54,7 @@ def test_without_an_object_the_rendered_composite_is_the_photograph(run):
     path = run.renders / "composite" / "val_000.exr"
     np.testing.assert_array_equal(image_files.read_pixels(path), photo)
     assert bpy.context.scene.fipt.insert.picture == str(path) and path.with_suffix(".png").exists()
-    (entry,) = read_json(run.renders_json)["renders"]
+    (entry,) = read_document(run.renders_json, dict)["renders"]
     assert entry == {"kind": "composite", "view": VIEW, "image": "renders/composite/val_000.exr"}
 
 
@@ -168,7 +168,7 @@ def test_pictures_are_made_of_the_scene_that_was_asked_for(run, tmp_path):
 def test_the_room_backdrop_renders_the_whole_view(run):
     ball(kind="MIRROR_BALL")
     assert bpy.ops.fipt.render_composite(view=VIEW, samples=4) == {"FINISHED"}
-    (entry,) = read_json(run.renders_json)["renders"]
+    (entry,) = read_document(run.renders_json, dict)["renders"]
     assert entry["kind"] == "insert" and (run.renders / "insert" / "val_000.png").exists()
 
 
@@ -212,7 +212,7 @@ def test_views_are_checked_without_inserted_objects(run):
     assert line.name == VIEW and line.held_back
     assert line.psnr == pytest.approx(psnr(render, photo), abs=1e-3) and line.psnr > 25.0
     assert scene.fipt.check.mean_psnr == pytest.approx(line.psnr)
-    assert read_json(run.renders_json)["renders"][0]["kind"] == "rerender"
+    assert read_document(run.renders_json, dict)["renders"][0]["kind"] == "rerender"
     error = bpy.data.images.load(line.error)
     assert tuple(error.size) == SIZE
 

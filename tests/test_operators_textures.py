@@ -15,11 +15,12 @@ from mathutils import Matrix, Vector
 from fipt_blender.blend import marks
 from fipt_blender.blend.collecting import missing_pictures, pictures_elsewhere
 from fipt_blender.blend.image_datablocks import image_values, linear_values
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running
 from samples import artist
 from samples.applied_rooms import ConstantFields, fingerprint, picture
+from samples.combinations import pairs
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
@@ -55,9 +56,10 @@ def test_textures_of_a_saved_file_lie_beside_it(scene, tmp_path):
     assert sizes != {image.size[:] for image in textures(scene)}  # the copies are the new ones
 
 
-@pytest.mark.parametrize("keep", ["BESIDE", "PACKED", "IN_RUN"])
-@pytest.mark.parametrize("change", ["open", "undo", "save"])
-@pytest.mark.parametrize("suffix", ["EXR", "PNG"])
+@pytest.mark.parametrize(
+    ("keep", "change", "suffix"),
+    pairs(("BESIDE", "PACKED", "IN_RUN"), ("open", "undo", "save"), ("EXR", "PNG")),
+)
 def test_a_file_shows_the_results_that_it_was_saved_with(scene, tmp_path, monkeypatch, keep, change, suffix):
     blend = str(tmp_path / "kitchen.blend")
     bpy.ops.wm.save_as_mainfile(filepath=blend)
@@ -218,7 +220,7 @@ def test_objects_are_found_by_their_ids_not_by_the_names_of_others(applied):
 
 def test_runs_without_ids_match_by_name(scene):
     run = RunFolder(scene.fipt.run_folder)
-    names = read_json(run.room_json)
+    names = read_document(run.room_json, dict)
     assert names.pop("object_ids") == ["panel", "cube"]
     write_json(run.room_json, names)
     for item in scene.objects:
@@ -241,9 +243,7 @@ def test_a_room_without_any_estimated_object_is_refused(applied):
     assert fingerprint(applied) == before
 
 
-@pytest.mark.parametrize("pack", [False, True])
-@pytest.mark.parametrize("suffix", ["EXR", "PNG"])
-@pytest.mark.parametrize("tiled", [False, True])
+@pytest.mark.parametrize(("pack", "suffix", "tiled"), pairs((False, True), ("EXR", "PNG"), (False, True)))
 def test_a_file_saved_elsewhere_collects_its_pictures(scene, tmp_path, pack, suffix, tiled):
     first, second = tmp_path / "first" / "room.blend", tmp_path / "second" / "shot.blend"
     for blend in (first, second):

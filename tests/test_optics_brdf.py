@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The paper's BRDF and its Mitsuba plugin: sampling fits the density, energy and symmetry are right."""
 
-import itertools
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -11,12 +9,13 @@ import pytest
 
 from benchmarks.tracer import bsdf
 from fipt_blender.core.optics import brdf, factorised
+from samples.combinations import pairs
 
 bsdf.register()
 
 SIGMAS = (0.25, 0.5, 1.0)
 ANGLES = (5.0, 50.0, 75.0)
-CASES = list(itertools.product(SIGMAS, (0.0, 1.0), ANGLES))
+CASES = pairs(SIGMAS, (0.0, 1.0), ANGLES)
 
 
 def viewer(degrees: float) -> list[float]:
@@ -131,38 +130,3 @@ def test_reciprocity() -> None:
     other = np.array(brdf.evaluate(second, first, *material) / second.z)
     high = np.array((first.z > 0.01) & (second.z > 0.01))  # below, the model is cut off
     assert np.allclose(one[:, high], other[:, high], rtol=1e-3)
-
-
-def test_plugin_reads_textures_and_can_be_edited() -> None:
-    plugin = mi.load_dict(
-        {
-            "type": bsdf.PLUGIN_NAME,
-            "base_color": {"type": "rgb", "value": [0.2, 0.4, 0.6]},
-            "roughness": {"type": "mesh_attribute", "name": "vertex_roughness"},
-            "metallic": 0.25,
-        }
-    )
-    parameters = mi.traverse(plugin)
-    assert {"base_color.value", "metallic.value"} <= set(parameters.keys())
-    parameters["metallic.value"] = 0.5
-    parameters.update()
-    mesh = mi.Mesh("triangle", 3, 1, has_vertex_texcoords=False, props=_with_bsdf(plugin))
-    mesh.add_attribute("vertex_roughness", 1, [0.2, 0.4, 0.9])
-    shape = mi.traverse(mesh)
-    shape["vertex_positions"] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
-    shape["faces"] = [0, 1, 2]
-    shape.update()
-    scene = mi.load_dict({"type": "scene", "triangle": mesh})
-    hit = scene.ray_intersect(mi.Ray3f([0.25, 0.5, 1.0], [0.0, 0.0, -1.0]))
-    light = mi.Vector3f(viewer(30.0))
-    value, density = hit.bsdf().eval_pdf(mi.BSDFContext(), hit, light)
-    roughness = 0.25 * 0.2 + 0.25 * 0.4 + 0.5 * 0.9
-    material = (mi.Color3f(0.2, 0.4, 0.6), mi.Float(roughness), mi.Float(0.5))
-    assert np.allclose(np.array(value), np.array(brdf.evaluate(light, hit.wi, *material)), rtol=1e-4)
-    assert np.allclose(np.array(density), np.array(brdf.pdf(light, hit.wi, *material)), rtol=1e-4)
-
-
-def _with_bsdf(plugin: mi.BSDF) -> mi.Properties:
-    properties = mi.Properties()
-    properties["bsdf"] = plugin
-    return properties

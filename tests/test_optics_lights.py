@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import mitsuba as mi
 import numpy as np
-import pytest
 
-from benchmarks.tracer.forward import power_heuristic
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
+from fipt_blender.core.run.result_contents import EmitterFixture
 
 # triangle 0 emits nothing, 1 both sides, 2 its back, 3 its front but has no area, 4 its front
 VERTICES = np.array(
@@ -118,13 +117,6 @@ def test_lookup_by_side() -> None:
     assert np.array(lights.is_emitter(triangle)).tolist() == [False] + [True] * 4 + [False] * 2
 
 
-def test_a_room_without_emitters() -> None:
-    lights = AreaLights(VERTICES, TRIANGLES, EmitterTable.empty())
-    assert lights.count == 0
-    assert not np.array(lights.is_emitter(mi.UInt32([0, 1]))).any()
-    assert np.array(lights.radiance(mi.UInt32([0, 1]), mi.Float([1, 1]))).sum() == 0
-
-
 def test_irradiance_of_a_triangle_is_lamberts_formula() -> None:
     """Irradiance from a polygon, sum of edge angles: sampled directions agree (z-test)."""
     table = EmitterTable(np.array([1], np.int32), np.ones((1, 3), np.float32), np.ones((1, 3), np.float32))
@@ -145,22 +137,12 @@ def test_irradiance_of_a_triangle_is_lamberts_formula() -> None:
 
 
 def test_fixtures_give_one_entry_a_triangle() -> None:
-    data = {
-        "fixtures": [
-            {"triangles": [4, 7], "radiance": [1, 2, 3], "back_radiance": [0, 0, 0]},
-            {"triangles": [2], "radiance": [0, 0, 0], "back_radiance": [4, 5, 6]},
-        ]
-    }
-    table = EmitterTable.from_fixtures(data)
+    fixtures = [
+        EmitterFixture("a", (4, 7), (1, 2, 3), (0, 0, 0)),
+        EmitterFixture("b", (2,), (0, 0, 0), (4, 5, 6)),
+    ]
+    table = EmitterTable.from_fixtures(fixtures)
     assert table.triangles.tolist() == [4, 7, 2]
     assert table.radiance.tolist() == [[1, 2, 3], [1, 2, 3], [0, 0, 0]]
     assert table.back_radiance[2].tolist() == [4, 5, 6]
-    assert EmitterTable.from_fixtures({"fixtures": []}).radiance.shape == (0, 3)
-
-
-@pytest.mark.parametrize("first, second", [(1.0, 2.0), (1e-20, 1e20), (1e30, 1e30), (0.0, 1.0)])
-def test_heuristic_weights_sum_to_one(first: float, second: float) -> None:
-    total = power_heuristic(mi.Float(first), mi.Float(second)) + power_heuristic(
-        mi.Float(second), mi.Float(first)
-    )
-    assert abs(float(total[0]) - 1.0) < 1e-6
+    assert EmitterTable.from_fixtures([]).radiance.shape == (0, 3)

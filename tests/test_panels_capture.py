@@ -84,15 +84,6 @@ def test_the_room_says_that_missing_surfaces_come_after_the_check_until_it_is_do
     assert "Check Views" not in room_texts() and "fipt.find_missing_surfaces" in room_texts()
 
 
-def test_few_import_settings_are_shown_at_first():
-    """The others are in a part that is closed."""
-    settings = bpy.context.scene.fipt.capture
-    first = drawn_by(capture.FIPT_PT_capture_import)[1]
-    every = drawn_by(capture.FIPT_PT_capture_import, is_open=True)[1]
-    assert 1 <= len(first) <= 5 and len(every) > len(first)
-    assert all(hasattr(settings, name) for name in every)
-
-
 @pytest.mark.parametrize(
     ("source", "told"),
     [

@@ -14,7 +14,7 @@ from fipt_blender.bridge.sequence import own_job
 from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.jobs import running, runstate, window
-from fipt_blender.panels import estimate, materials, statusbar
+from fipt_blender.panels import estimate, statusbar
 from samples.layouts import drawn_by
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -56,13 +56,6 @@ def test_results_of_the_estimate_before_can_be_applied_while_a_new_one_is_stoppe
     assert {"fipt.resume", "fipt.apply_results"} <= set(drawn) and "Finished" not in drawn
 
 
-@pytest.mark.usefixtures("finished")
-def test_opened_warnings_show_what_helps():
-    drawn = drawn_by(estimate.FIPT_PT_estimate, is_open=True)[0]
-    told = ["The lamp is odd.", "Mend the lamp.", "The wall is odd.", "Mend the wall."]
-    assert drawn[-5:] == ["2 warnings", *told]
-
-
 def test_warnings_of_an_estimation_that_another_blender_has_run(monkeypatch, tmp_path):
     bpy.context.scene.fipt.run_folder = str(tmp_path)
     state = runstate.RunState(stages=5, results=True, finished=True, warnings=tuple(WARNINGS[:1]))
@@ -86,18 +79,6 @@ def test_estimate_says_for_what_it_waits_and_how_to_stop_that(monkeypatch, tmp_p
     assert drawn.index("fipt.estimate") < drawn.index("Check Views: 42%") < drawn.index("fipt.cancel")
     with pytest.raises(RuntimeError, match=r"Check Views is running\. Wait for its end, or stop it with Esc"):
         bpy.ops.fipt.estimate()
-
-
-@pytest.mark.parametrize("applied", [False, True])
-def test_warnings_of_apply_results_come_last(monkeypatch, tmp_path, applied):
-    scene = bpy.context.scene
-    scene.fipt.run_folder = str(tmp_path)
-    scene.fipt.materials.object_count = int(applied)
-    job = running.RunningJob("Apply Results", "materials", scene.name, tmp_path, state="finished")
-    job.warnings += WARNINGS
-    monkeypatch.setattr(running, "last", lambda kind: job if kind == "materials" else None)
-    drawn = drawn_by(materials.FIPT_PT_materials)[0]
-    assert drawn[-1] == "2 warnings" and ("fipt.revert" in drawn) is applied
 
 
 def test_the_resolution_of_light_and_the_cost_are_told_before_the_start():

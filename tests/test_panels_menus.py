@@ -6,15 +6,13 @@ from __future__ import annotations
 
 import contextlib
 import fnmatch
-import tomllib
 from pathlib import Path
 
 import bpy
 import pytest
 
 from fipt_blender import operators
-from fipt_blender.panels import manual, menus, presets
-from fipt_blender.properties import classes_of
+from fipt_blender.panels import manual, menus
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -46,12 +44,6 @@ def test_each_section_has_a_chapter():
     assert '<a id="install"></a>' in guide
     assert manual.chapter_of("FIPT_PT_capture_alignment") == "capture" and manual.chapter_of("X") == ""
     assert manual.chapter_page("") == "guide.html"
-
-
-def test_the_manifest_names_the_site(monkeypatch):
-    monkeypatch.undo()
-    with (ROOT / "blender_manifest.toml").open("rb") as file:
-        assert tomllib.load(file).get("website", "") == manual.SITE
 
 
 def test_without_any_pages_nothing_links_to_them(monkeypatch, tmp_path):
@@ -122,13 +114,6 @@ def _browser(opened):
         bpy.utils.register_class(original)
 
 
-def test_help_opens_the_chapter():
-    opened = []
-    with _browser(opened):
-        assert bpy.ops.fipt.help(chapter="lights") == {"FINISHED"}
-    assert opened == [f"{manual.SITE}guide.html#lights"]
-
-
 def test_the_pie_menu_has_a_key_that_no_other_shortcut_of_the_viewport_has():
     keymap = bpy.context.window_manager.keyconfigs.addon.keymaps["3D View"]
     items = [item for item in keymap.keymap_items if item.idname == "wm.call_menu_pie"]
@@ -172,22 +157,3 @@ def test_estimate_settings_come_back(folder):
     recall(path, "estimate")
     assert (settings.preset, settings.device, settings.diffuse_samples) == ("high", "llvm", 77)
     assert not settings.denoise and not settings.is_changed("rounds")
-
-
-def test_import_and_check_settings_come_back(folder):
-    capture, check = bpy.context.scene.fipt.capture, bpy.context.scene.fipt.check
-    capture.up_axis, capture.hold_back, capture.align_mesh = "y", 5, True
-    check.samples, check.which = 333, "TICKED"
-    paths = {section: store(section, folder) for section in ("import", "check")}
-    capture.up_axis, capture.hold_back, capture.align_mesh = "z", 8, False
-    check.samples, check.which = 1, "CURRENT"
-    for section, path in paths.items():
-        recall(path, section)
-    assert (capture.up_axis, capture.hold_back, capture.align_mesh) == ("y", 5, True)
-    assert (check.samples, check.which) == (333, "TICKED")
-
-
-def test_each_menu_knows_its_operator():
-    for menu in classes_of([presets]):
-        section, operator = menu.preset_add_operator.split(".")
-        assert getattr(getattr(bpy.ops, section), operator).get_rna_type().identifier

@@ -10,13 +10,9 @@ import bpy
 import pytest
 
 from fipt_blender import machine
-from fipt_blender.blend.marks import FIXTURE, NAMED
-from fipt_blender.blend.results import part_list
-from fipt_blender.blend.results.adjust import Adjustment
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.jobs import running, runstate, session, setup_size
 from fipt_blender.panels import estimate, materials, path, start
-from fipt_blender.panels.lights import report_name
 from samples.layouts import Layout, drawn_by, tab_count
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -115,14 +111,6 @@ def test_a_python_that_can_not_make_environments_is_told_before_the_set_up(monke
     assert ("apt-get install python3-venv" in before) is not there
 
 
-def test_the_size_of_the_download_is_told_where_it_is_known(monkeypatch):
-    monkeypatch.setattr(machine, "has_engine", lambda: False)
-    monkeypatch.setattr(machine.DEFAULTS, "device", "llvm")
-    assert "GB" not in " ".join(drawn_by(start.FIPT_PT_start)[0])
-    size = setup_size.size()
-    assert f"{size.download_gb:.1f} GB" in " ".join(drawn_by(start.FIPT_PT_start)[0])
-
-
 def test_a_set_up_that_runs_is_shown_with_its_way_to_stop_it(monkeypatch, tmp_path):
     job = running.RunningJob("Set Up Engine", running.DATA_KIND, "", tmp_path, fraction=0.25)
     monkeypatch.setattr(running, "current", lambda: job)
@@ -203,29 +191,6 @@ def test_no_process_is_started_while_drawing(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("shading", "hue", "told"), [("SOLID", 0.3, True), ("SOLID", 0.0, False), ("RENDERED", 0.3, False)]
-)
-def test_solid_shading_does_not_show_the_sliders(monkeypatch, shading, hue, told):
-    monkeypatch.setattr(part_list, "adjustment", lambda scene, key: Adjustment(hue=hue))
-    parts = bpy.context.scene.fipt.materials.parts
-    parts.clear()
-    part = parts.add()
-    part.known = True
-    labels: list[str] = []
-    context = SimpleNamespace(
-        scene=bpy.context.scene,
-        space_data=SimpleNamespace(shading=SimpleNamespace(type=shading)),
-        region=None,
-        preferences=bpy.context.preferences,
-    )
-    panel = SimpleNamespace(fields=lambda: Layout(labels))
-    materials.FIPT_PT_materials_parts.draw(panel, context)
-    assert ("Solid shading" in " ".join(labels)) is told
-    assert "Estimated" in " ".join(labels)
-    parts.clear()
-
-
-@pytest.mark.parametrize(
     ("shading", "shown", "offered"),
     [("SOLID", "ESTIMATED", True), ("SOLID", "ROUGHNESS", False), ("MATERIAL", "ESTIMATED", False)],
 )
@@ -244,21 +209,3 @@ def test_the_light_is_a_click_away_where_the_viewport_shows_textures_alone(shadi
     panel = SimpleNamespace(fields=lambda: Layout([], properties=properties))
     materials.FIPT_PT_materials.draw(panel, context)
     assert ("type" in properties) is offered
-
-
-def test_after_apply_the_parts_come_first_and_settings_are_closed():
-    parts, settings = materials.FIPT_PT_materials_parts, materials.FIPT_PT_materials_settings
-    assert parts.bl_order < settings.bl_order
-    assert "DEFAULT_CLOSED" in settings.bl_options and "DEFAULT_CLOSED" not in getattr(
-        parts, "bl_options", set()
-    )
-
-
-def test_the_reports_name_is_told_of_renamed_fixtures_only():
-    item = bpy.data.objects.new("Ceiling panel", None)
-    assert report_name(item) == ""
-    item[FIXTURE], item[NAMED] = "Fixture.001", "Ceiling panel"
-    assert report_name(item) == ""
-    item.name = "Big light"
-    assert report_name(item) == "Ceiling panel"
-    bpy.data.objects.remove(item)

@@ -19,7 +19,6 @@ import pytest
 
 from fipt_blender import cli
 from fipt_blender.core.capture import encoded
-from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.extras import EXTRAS, optional
 from fipt_blender.core.run.messages import Reporter
@@ -110,33 +109,6 @@ def test_linear_pictures_hold_radiance(tmp_path: Path) -> None:
     OpenEXR.File({"type": OpenEXR.scanlineimage}, planes).write(str(tmp_path / "a.exr"))
     found = describe(tmp_path / "a.exr", "a.exr")
     assert (found.kind, found.width, found.height, found.exposure) == ("linear", 5, 3, 1.0)
-
-
-@pytest.mark.parametrize("width", [4, 300])
-def test_radiance_pictures_plain_and_run_length_encoded(tmp_path: Path, width: int) -> None:
-    rgbe = np.zeros((2, width, 4), np.uint8)
-    rgbe[..., :3], rgbe[..., 3] = [128, 64, 32], 130
-    rgbe[1, 0] = 0
-    if width < 8:
-        body = rgbe.tobytes()
-    else:
-        body = b""
-        for row in rgbe:
-            body += bytes([2, 2, width >> 8, width & 255])
-            for plane in row.T:
-                body += bytes([1, plane[0]])
-                for start in range(1, width, 100):  # runs of at most 127
-                    body += bytes([128 + len(plane[start : start + 100]), plane[start]])
-    header = b"#?RADIANCE\nEXPOSURE=2\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X %d\n" % width
-    path = tmp_path / "a.hdr"
-    path.write_bytes(header + body)
-    pixels = read_radiance(path)
-    assert describe(path, "a.hdr").width == width and pixels.shape == (2, width, 3)
-    np.testing.assert_allclose(pixels[0], np.full((width, 3), [1.0, 0.5, 0.25]), rtol=0.02)
-    assert pixels[1, 0].max() == 0.0
-    for cut in (len(header) + 3, len(header + body) - 1):
-        path.write_bytes((header + body)[:cut])
-        assert error_of(read_radiance, path).code == "image-unreadable"
 
 
 def test_brackets_by_time_and_exposure(tmp_path: Path) -> None:

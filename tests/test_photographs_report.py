@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import Lens, Rig, RigView
@@ -21,10 +20,9 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.prepare import command
-from fipt_blender.prepare.facts import shutter_text
 from fipt_blender.prepare.lens import FULL_FRAME_DIAGONAL
 from fipt_blender.prepare.preparation import PreparationFolder, write_preparation
-from fipt_blender.prepare.report import make_plan, small, write_report
+from fipt_blender.prepare.report import make_plan, write_report
 from fipt_blender.prepare.steps import STEPS, run_steps
 from samples import textured_room
 from samples.camera_poses import look_at
@@ -109,13 +107,6 @@ def test_damaged_facts_and_masks_are_refused_and_leave_no_page(folder, tmp_path)
     assert not (folder.report / "index.html").exists()
 
 
-def test_large_images_keep_their_shape_and_mean(tmp_path):
-    path = tmp_path / "large.exr"
-    write_exr(path, np.full((600, 1300, 3), 0.25, np.float32))
-    picture = small(path, 100)
-    assert picture.shape == (46, 100, 3) and np.allclose(picture, 0.25)
-
-
 def camera(name: str, place: tuple[float, float, float], forward: tuple[float, float, float]) -> RigView:
     """A view whose third axis is `forward`."""
     pose = np.eye(4)
@@ -138,10 +129,6 @@ def test_plan_shows_cameras_from_above():
 def test_one_camera_makes_a_plan_of_finite_size():
     plan = make_plan(Rig("colmap", (camera("a", (5, 5, 5), (0, 0, -1)),), None, None))
     assert 0.0 < plan.width < 1000.0 and plan.arrows[0].x == pytest.approx(plan.arrows[0].tip_x)
-
-
-def test_shutter_times_are_written_as_on_cameras():
-    assert [shutter_text(value) for value in (0.004, 8 / 15, 8.0, None)] == ["1/250 s", "0.533 s", "8 s", "?"]
 
 
 SHUTTERS = (1 / 125, 1 / 30)

@@ -12,7 +12,6 @@ import pycolmap
 import pytest
 from PIL import Image
 
-from fipt_blender.core.alignment.turns import rotation_between
 from fipt_blender.core.capture.upright import common_up
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.prepare import scale
@@ -77,13 +76,6 @@ def test_the_room_frame_stands_on_the_floor_and_is_in_meters() -> None:
     distances = np.linalg.norm(result.T[0] - result.T[1:], axis=1)
     assert np.allclose(distances, np.linalg.norm(places[0] - places[1:], axis=1))
     assert np.allclose(scale.room_frame(moved, np.empty((0, 3)), 4.0)[:3, :3], frame[:3, :3])
-
-
-@pytest.mark.parametrize("up", [[0, 0, 1], [0, 0, -1], [1, 0, 0], [0.6, 0.0, -0.8]])
-def test_rotation_to_z(up: list[float]) -> None:
-    matrix = rotation_between(np.array(up, float), np.array([0.0, 0.0, 1.0]))
-    assert np.allclose(matrix @ up, [0, 0, 1]) and np.linalg.det(matrix) == pytest.approx(1.0)
-    assert np.allclose(matrix @ matrix.T, np.eye(3))
 
 
 def test_rays_meet_and_a_wrong_one_is_dropped() -> None:

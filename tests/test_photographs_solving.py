@@ -32,14 +32,7 @@ from fipt_blender.prepare.preparation import (
     PrepareSettings,
     write_preparation,
 )
-from fipt_blender.prepare.solving import (
-    Connections,
-    SolveView,
-    camera_groups,
-    copy_name,
-    left_out,
-    solve,
-)
+from fipt_blender.prepare.solving import Connections, SolveView, camera_groups, copy_name, left_out, solve
 from fipt_blender.prepare.steps import run_steps
 from fipt_blender.prepare.tonemap import tone_mapped
 from samples import textured_room

@@ -92,7 +92,8 @@ def test_claimed_errors_cover_the_made_ones():
         grey, true = found.log_gains.mean(axis=1), log_gains.mean(axis=1)
         error = (grey - grey.mean()) - (true - true.mean())
         ratios.append(np.square(error / found.exposure_errors()))
-    assert 0.05 < np.mean(ratios) < 4.0
+    # What is claimed is more than is made, but not five times as much.
+    assert 0.2 < np.sqrt(np.mean(ratios)) < 1.0
 
 
 def test_views_of_one_exposure_leave_the_prior():

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.lock import hold, holder, open_lockable
 from fipt_blender.core.run.replacing import atomic_folder
 from fipt_blender.core.run.runfolder import RunFolder
@@ -65,7 +65,7 @@ def test_a_pipe_in_place_of_a_file_stops_nothing(run_folder: RunFolder) -> None:
     for path in (run_folder.engine_lock, run_folder.statistics_json):
         os.mkfifo(path)
     assert holder(run_folder) is None
-    assert "no regular file" in str(error_of(read_json, run_folder.statistics_json))
+    assert "no regular file" in str(error_of(read_document, run_folder.statistics_json))
 
 
 def test_a_lock_is_no_link_and_no_other_special_file(tmp_path: Path, outside: Path) -> None:

@@ -19,10 +19,10 @@ from fipt_blender.core.alignment.turns import cross_matrix, turn_by
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.checks import align
 from fipt_blender.core.conventions import split_similarity, transform_points, transform_poses
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.contents import Placements
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
-from fipt_blender.core.run.shapes import ALIGN
 from fipt_blender.core.surface.room import Room
 from samples import rig_writers
 from samples.camera_poses import look_at
@@ -91,12 +91,12 @@ def write_solve(folder: Path, points: np.ndarray, poses: dict[str, np.ndarray]) 
     rig_writers.write_opensfm(folder, [shots], "perspective", points)
 
 
-def run_align(folder: Path, how: str, capture: Path | None) -> tuple[dict, list[dict]]:
+def run_align(folder: Path, how: str, capture: Path | None) -> tuple[Placements, list[dict]]:
     stream = io.StringIO()
     arguments = Namespace(folder=folder, how=how, capture=capture, format="auto", device="llvm")
     align.run(arguments, Reporter(stream))
     messages = [json.loads(line) for line in stream.getvalue().splitlines()]
-    return read_json(folder / "align.json", ALIGN, "Again."), messages
+    return read_document(folder / "align.json", Placements), messages
 
 
 def level_poses() -> dict[str, np.ndarray]:
@@ -122,10 +122,10 @@ def test_cameras_come_back_to_the_mesh(tmp_path: Path, room: Room, how: str) -> 
     placed = far if how == "points" else near
     write_input(tmp_path / "align", room, {n: transform_poses(placed, pose) for n, pose in true.items()})
     data, _ = run_align(tmp_path / "align", how, tmp_path / "solve")
-    back = np.array(data["candidates"][0]["similarity"]) @ placed
+    back = np.array(data.candidates[0].similarity) @ placed
     np.testing.assert_allclose(back, np.eye(4), atol=0.004)
-    assert data["candidates"][0]["inliers"] > 0.95 and "% of the points" in data["text"]
-    assert data["poses"] == {}
+    assert data.candidates[0].inliers > 0.95 and "% of the points" in data.text
+    assert data.poses == {}
 
 
 def test_a_mirrored_mesh_and_another_room_are_named(tmp_path: Path, room: Room) -> None:

@@ -14,17 +14,11 @@ from fipt_blender.core.alignment.edges import corrected_pose, edge_flow
 from fipt_blender.core.alignment.turns import turn_by
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.checks import survey
-from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at
 from samples.small_rooms import BOX, make_room
 
 WIDTH, HEIGHT, FINER = 320, 240, 4
-
-
-@pytest.fixture(scope="module", autouse=True)
-def variant() -> None:
-    set_variant("llvm")
 
 
 def cuboid(low: tuple, high: tuple) -> list:
@@ -132,7 +126,6 @@ def test_large_photographs_are_compared_smaller_in_their_own_pixels(room: Room, 
 
 
 def test_the_words_for_a_view() -> None:
-    facts = {"image_missing": False, "image_problem": "", "room_share": 1.0, "looks_ldr": True}
-    facts |= {"clipped_share": 0.0, "misfit": 3.24, "much_off": True}
-    assert survey.view_warning(facts) == "the mesh is 3.2 pixels off in this view"
-    assert "8-bit" in survey.view_warning(facts | {"much_off": False})
+    facts = survey.PhotographFacts(looks_ldr=True, misfit=3.24, much_off=True)
+    assert survey.view_warning(facts, 1.0) == "the mesh is 3.2 pixels off in this view"
+    assert "8-bit" in survey.view_warning(replace(facts, much_off=False), 1.0)

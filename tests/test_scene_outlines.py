@@ -15,7 +15,7 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.parts.labels import Parts
 from fipt_blender.core.parts.outlines import outline_parts, outlined_vertices, without_folds
 from fipt_blender.core.pixels.camera_rays import trace_pixels
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.surface.adjacency import Mesh, face_vectors
 from fipt_blender.core.surface.clean import clean_mesh
@@ -176,7 +176,7 @@ def masked_capture(root: Path, own_ids: bool) -> RunFolder:
     triangles = np.concatenate([scan.triangles, corners[[[0, 1, 2], [0, 2, 3]]]])
     room = mesh_room(vertices, triangles, np.zeros(len(triangles)), parts="masks")
     run = small_captures.write_run(root, replace(exact, room=room), rounds=0, training_steps=6)
-    head = read_json(run.capture_json)
+    head = read_document(run.capture_json, dict)
     for number, (view, pose) in enumerate(zip(head["views"], exact.poses, strict=True)):
         surface = trace_pixels(exact.room, pinhole(pose))
         ids = exact.room.triangle_object[np.array(surface.triangle)] + 1 + 100 * number * own_ids

@@ -9,7 +9,7 @@ import pytest
 
 from fipt_blender.core.capture import images
 from fipt_blender.core.capture.images import read_radiance
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
@@ -89,7 +89,7 @@ def look_up(image, uv):
 
 
 def read_map(folder, name):
-    entry = read_json(folder.textures_json)["images"][0]
+    entry = read_document(folder.textures_json, dict)["images"][0]
     return read_radiance(folder.root / entry[name])
 
 
@@ -111,7 +111,7 @@ def test_baked_field_equals_the_field_on_the_surface(run):
 
 def test_each_image_holds_the_triangles_of_its_own(run):
     fields = AnalyticFields()
-    atlas = read_json(run.atlas_json)
+    atlas = read_document(run.atlas_json, dict)
     entry = atlas["images"][0]
     names = ["Room.001", "Room.002", "Room.003"]
     write_json(run.atlas_json, {**atlas, "images": [{**entry, "name": name} for name in names]})
@@ -120,7 +120,7 @@ def test_each_image_holds_the_triangles_of_its_own(run):
         np.savez(run.atlas_npz, corner_uv=arrays["corner_uv"], triangle_image=image_of)
     told = []
     files = bake.bake(run, fields, told.append)
-    entries = read_json(run.textures_json)["images"]
+    entries = read_document(run.textures_json, dict)["images"]
     assert [each["name"] for each in entries] == names
     assert files == [run.root / each[name] for each in entries for name in bake.MAPS] + [run.textures_json]
     assert told == sorted(told) and told[-1] == 1.0

@@ -5,7 +5,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from fipt_blender.core.capture import views as views_module
@@ -29,13 +28,6 @@ PLACES = (
     (1.6, 1.3, 1.7),
 )  # of the cameras, which look down on a wall of 2 x 2 m
 PHOTOGRAPHS = 3
-
-
-@pytest.fixture(scope="module", autouse=True)
-def variant():
-    from fipt_blender.core.device.variant import set_variant
-
-    set_variant("llvm")
 
 
 def texture(x, y):

@@ -7,7 +7,7 @@ import pytest
 
 from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.run.documents import read_json
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.textures.view_maps import shrunk, write_view_maps
 
@@ -47,7 +47,7 @@ def run(tmp_path) -> RunFolder:
 
 def test_held_back_views_come_first_and_their_maps_are_right(run):
     files = write_view_maps(run, Fields(), VIEWS)
-    listed = read_json(files[-1])["views"]
+    listed = read_document(files[-1], dict)["views"]
     assert [entry.pop("view") for entry in listed] == ["held_back/3", "train/0", "train/1"]
     maps = {name: read_radiance(run.resolve(path)) for name, path in listed[0].items()}
     lit, painted = maps["emission"][..., 0] / 8.0, maps["roughness"][..., 0] / 0.25

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""dev.py: the extension's zip, the manifest, pins, set-up that runs only once."""
+"""dev.py: the extension's zip, a release, pins, set-up that runs only once."""
 
 from __future__ import annotations
 
@@ -21,10 +21,6 @@ from fipt_blender.bridge.places import environment_python
 from samples.development import load_dev
 
 ROOT = Path(__file__).resolve().parent.parent
-# Blender's fixed list of tags for add-ons
-TAGS = """3D View,Add Curve,Add Mesh,Animation,Bake,Camera,Compositing,Development,Game Engine,Geometry Nodes,
-Grease Pencil,Import-Export,Lighting,Material,Modeling,Mesh,Node,Object,Paint,Pipeline,Physics,Render,Rigging,
-Scene,Sculpt,Sequencer,System,Text Editor,Tracking,User Interface,UV""".replace("\n", "").split(",")
 
 
 @pytest.fixture(scope="module")
@@ -36,17 +32,6 @@ def test_versions_agree(dev: ModuleType) -> None:
     versions = dev.read_versions()
     assert len(set(versions.values())) == 1, versions
     assert re.fullmatch(r"\d+\.\d+\.\d+", versions["pyproject.toml"])
-
-
-def test_manifest_keeps_blenders_rules() -> None:
-    manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
-    assert manifest["schema_version"] == "1.0.0" and manifest["type"] == "add-on"
-    assert manifest["id"] == "fipt_blender" and "blender" not in manifest["name"].lower()
-    for text in (manifest["tagline"], *manifest["permissions"].values()):
-        assert len(text) <= 64 and text[-1].isalnum()
-    assert set(manifest["tags"]) <= set(TAGS)
-    assert manifest["license"] == ["SPDX:GPL-3.0-or-later"]
-    assert manifest["blender_version_min"].count(".") == 2
 
 
 def test_zip_is_the_extension_and_reproducible(dev: ModuleType, tmp_path: Path) -> None:
@@ -82,6 +67,18 @@ def test_the_index_offers_the_zip_to_blender(
     assert entry["id"] == "fipt_blender" and entry["version"] in archive.name
     assert entry["archive_hash"] == "sha256:" + hashlib.sha256(archive.read_bytes()).hexdigest()
     assert (tmp_path / "index.html").is_file()
+
+
+def test_a_release_has_the_zip_its_checksum_and_notes(dev: ModuleType, tmp_path: Path) -> None:
+    version = dev.read_versions()["CHANGELOG.md"]
+    with pytest.raises(dev.SetupError, match=version):
+        dev.release(f"{version}", tmp_path)
+    assert dev.release(f"v{version}", tmp_path) == 0
+    checksum, name = (tmp_path / "SHA256SUMS").read_text(encoding="utf-8").split()
+    assert checksum == hashlib.sha256((tmp_path / name).read_bytes()).hexdigest()
+    notes = (tmp_path / "NOTES.md").read_text(encoding="utf-8")
+    assert notes.startswith("### ") and "\n## " not in notes
+    assert notes.strip() in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
 def test_build_refuses_versions_that_disagree(

@@ -118,4 +118,4 @@ def test_panes_that_do_not_fit_are_left_out(tmp_path: Path, fault: str) -> None:
             arrays["source"] = arrays["source"][::-1].copy()
         np.savez(run.panes_npz, **arrays)
     found, names = read_room_files(run)
-    assert len(found["triangles"]) == count and PANES not in names["objects"]
+    assert len(found["triangles"]) == count and PANES not in names.objects

@@ -48,7 +48,7 @@ def set_up(plan: Plan, tell: Teller) -> None:
 
 
 def _stamp(plan: Plan, complete: bool, llvm: str | None) -> None:
-    stamp = {"key": plan.key, "installed": True, "complete": complete, "llvm": llvm, "torch": plan.torch}
+    stamp = pins.Stamp(plan.key, True, complete, llvm, plan.torch)
     write_json(plan.folder / pins.STAMP_NAME, stamp)
 
 
@@ -61,7 +61,7 @@ def check_space(plan: Plan, build: str, tell: Teller) -> None:
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    if pins.read_stamp(plan.folder).get("installed"):
+    if pins.read_stamp(plan.folder).installed:
         return
     with explained_write_errors(plan.folder):
         plan.folder.parent.mkdir(parents=True, exist_ok=True)
@@ -91,7 +91,7 @@ def make_environment(plan: Plan) -> None:
         raise FiptError("python-unfit", f"{plan.base} does not start.", "Choose another Python.")
     if folder.exists():
         fits = answer(python, PIP_INSIDE) == wanted
-        if fits and pins.read_stamp(folder).get("installed"):
+        if fits and pins.read_stamp(folder).installed:
             return
         shutil.rmtree(folder, ignore_errors=True)
     if run_quietly([str(plan.base), "-I", "-m", "venv", str(folder)]).returncode == 0:
@@ -127,7 +127,7 @@ def install(plan: Plan, tell: Teller) -> None:
         FiptError: ``torch-large``, ``package-hash`` and those of `pip_error`.
     """
     packages = site_packages(plan.folder)
-    if pins.read_stamp(plan.folder).get("torch", plan.torch) != plan.torch:
+    if (pins.read_stamp(plan.folder).torch or plan.torch) != plan.torch:
         run_pip(plan.python, ["uninstall", "--yes", "torch"], PipProgress(packages, 0.01, tell))
     _update_pip(plan, tell)
     bar = progress_bar(answer(plan.python, _PIP_VERSION) or "")

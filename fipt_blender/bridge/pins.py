@@ -13,10 +13,10 @@ import platform
 import re
 import sys
 import zipfile
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from ..core.run.documents import read_json
+from ..core.run.documents import optional_document, read_document
 from ..core.run.errors import FiptError
 from .places import PACKAGE_FOLDER, environment_python
 
@@ -43,7 +43,7 @@ def read_pins(package: Path = PACKAGE_FOLDER) -> dict[str, list[str]]:
     """
     copied = package / PINS_NAME
     if copied.exists():
-        return read_json(copied)
+        return read_document(copied, dict[str, list])
     import tomllib
 
     file = package.parent / "pyproject.toml"
@@ -107,29 +107,41 @@ def managed_environments(data: Path) -> list[Path]:
     ranked = []
     for folder in environments(data):
         version = _version(folder)
-        if version and folder.name == environment_name(pins, version) and read_stamp(folder).get("complete"):
+        if version and folder.name == environment_name(pins, version) and read_stamp(folder).complete:
             ranked.append((version != sys.version_info[:2], folder))
     return [folder for _, folder in sorted(ranked)]
 
 
-def read_stamp(folder: Path) -> dict[str, Any]:
-    """The record that set-up has written into an environment; empty if there is none.
+@dataclass(frozen=True)
+class Stamp:
+    """What set-up has written into an environment.
 
-    ``key`` (`plan_key`), ``installed`` (whether the packages are installed), ``complete``, ``llvm`` (path of
-    the LLVM that it uses, or null), ``torch`` (the build).
+    Attributes:
+        key: of `plan_key`.
+        installed: whether the packages are installed.
+        complete: whether all is done.
+        llvm: path of the LLVM that it uses, or None.
+        torch: the build.
     """
-    try:
-        return read_json(folder / STAMP_NAME)
-    except FiptError:
-        return {}
+
+    key: str = ""
+    installed: bool = False
+    complete: bool = False
+    llvm: str | None = None
+    torch: str = ""
+
+
+def read_stamp(folder: Path) -> Stamp:
+    """The record of an environment; empty if there is none."""
+    return optional_document(folder / STAMP_NAME, Stamp) or Stamp()
 
 
 def is_set_up(folder: Path, key: str) -> bool:
     """Whether an environment was completed with this key and still exists."""
     stamp = read_stamp(folder)
-    if stamp.get("key") != key or not stamp.get("complete") or not environment_python(folder).exists():
+    if stamp.key != key or not stamp.complete or not environment_python(folder).exists():
         return False
-    return stamp.get("llvm") is None or Path(stamp["llvm"]).exists()
+    return stamp.llvm is None or Path(stamp.llvm).exists()
 
 
 def wheel_command(pins: dict[str, list[str]], version: Version) -> str:

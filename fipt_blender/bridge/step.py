@@ -12,15 +12,15 @@ import json
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ..core.run.documents import head, read_json
+from ..core.run.contents import Problem, StepNote, Steps
+from ..core.run.documents import read_document
 from ..core.run.errors import FiptError
 from ..core.run.lock import briefly_locked
 from ..core.run.runfolder import write_json
-from ..core.run.shapes import STEPS
 from .process import Engine, Message
 
 Result = TypeVar("Result")
@@ -63,6 +63,9 @@ class Step:
     restore: Callable[[], None] | None = None
 
 
+_VERSION = 1  # of steps.json
+
+
 class StepRecord:
     """The file steps.json: key, finished, seconds and warnings by the name of a step.
 
@@ -75,7 +78,7 @@ class StepRecord:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._steps: dict[str, dict[str, Any]] = {}
+        self._steps: dict[str, StepNote] = {}
         self._changed: set[str] = set()  # steps that this record has stored or forgotten
         self.problem = ""
         try:
@@ -85,11 +88,12 @@ class StepRecord:
 
     def key(self, name: str) -> str | None:
         """The key with which a step was last started, or None."""
-        return self._steps[name]["key"] if name in self._steps else None
+        return self._steps[name].key if name in self._steps else None
 
     def warnings(self, name: str) -> list[Message]:
         """The warnings with which a step has finished."""
-        return self._steps.get(name, {}).get("warnings", [])
+        noted = self._steps[name].warnings if name in self._steps else ()
+        return [{"type": "warning", **asdict(warning)} for warning in noted]
 
     def forget(self, names: Iterable[str]) -> None:
         """Forget the entries of some steps; the file is written with the next `store`."""
@@ -101,7 +105,7 @@ class StepRecord:
         """Whether a step is finished with this key and its outputs exist."""
         return (
             self.key(step.name) == key
-            and self._steps[step.name].get("finished") is True
+            and self._steps[step.name].finished
             and all(path.exists() for path in step.outputs)
         )
 
@@ -113,18 +117,14 @@ class StepRecord:
         Raises:
             FiptError: ``disk-full`` or ``run-unwritable``.
         """
-        self._steps[name] = {
-            "key": key,
-            "finished": finished,
-            "seconds": round(seconds, 2),
-            "warnings": list(warnings),
-        }
+        noted = tuple(Problem(each["code"], each["text"], each["remedy"]) for each in warnings)
+        self._steps[name] = StepNote(key, finished, round(seconds, 2), noted)
         self._changed.add(name)
         with briefly_locked(self._path.with_name(f".{self._path.name}.lock")):
             self._take_others()
-            write_json(self._path, {**head("steps"), "steps": self._steps})
+            write_json(self._path, Steps(_VERSION, self._steps))
 
-    def _read(self) -> dict[str, dict[str, Any]]:
+    def _read(self) -> dict[str, StepNote]:
         """The steps in the file.
 
         Raises:
@@ -132,11 +132,8 @@ class StepRecord:
         """
         if not self._path.exists():
             return {}
-        data = read_json(self._path, STEPS)
-        steps: dict[str, dict[str, Any]] = (
-            data["steps"] if data["version"] == head("steps")["version"] else {}
-        )
-        return steps
+        record = read_document(self._path, Steps)
+        return dict(record.steps) if record.version == _VERSION else {}
 
     def _take_others(self) -> None:
         """Take what others have written into the file since it was read."""

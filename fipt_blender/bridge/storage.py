@@ -15,8 +15,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..core.run.contents import RunNote
 from ..core.run.documents import load_document
 from ..core.run.errors import FiptError
+from ..core.run.kinds import HeadError
 from ..core.run.lock import holder
 from ..core.run.runfolder import RunFolder
 from .pins import environments, managed_environments
@@ -58,12 +60,12 @@ def is_run(folder: Path) -> bool:
     if folder.is_symlink() or not folder.is_dir():
         return False
     try:
-        data = load_document(folder / "run.json")
+        load_document(folder / "run.json", RunNote)
     except FileNotFoundError:
         return not any(folder.iterdir())
-    except (OSError, ValueError):
-        return False
-    return bool(data.get("format") == "fipt-run")
+    except (OSError, ValueError) as error:
+        return isinstance(error, HeadError) and error.field == "version"
+    return True
 
 
 def why_in_use(item: Item, used: Sequence[Path]) -> str:

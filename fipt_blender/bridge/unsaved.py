@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..core.run.documents import read_json
-from ..core.run.errors import FiptError
+from ..core.run.documents import optional_document
 from ..core.run.process_identity import host_name, process_start
 from ..core.run.runfolder import RunFolder, write_json
 from .places import runs_folder
@@ -34,6 +33,15 @@ class Unsaved:
     size: int
 
 
+@dataclass(frozen=True)
+class _Mark:
+    """The process of a Blender, its machine and its start."""
+
+    pid: int
+    host: str
+    started: str
+
+
 def mark(folder: Path) -> None:
     """Note that only this process knows of a run.
 
@@ -41,7 +49,7 @@ def mark(folder: Path) -> None:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     pid = os.getpid()
-    write_json(mark_of(folder), {"pid": pid, "host": host_name(), "started": process_start(pid)})
+    write_json(mark_of(folder), _Mark(pid, host_name(), process_start(pid)))
 
 
 def unmark(folder: Path) -> None:
@@ -76,11 +84,7 @@ def newest(data: Path, used: Sequence[Path]) -> Unsaved | None:
 
 def _is_alive(path: Path) -> bool:
     """Whether the Blender that has written a mark may still be running."""
-    try:
-        data = read_json(path)
-    except FiptError:
+    blender = optional_document(path, _Mark)
+    if blender is None or blender.host != host_name() or not blender.started:
         return False
-    pid, started = data.get("pid"), data.get("started")
-    if data.get("host") != host_name() or not isinstance(pid, int) or not started:
-        return False
-    return process_start(pid) == started
+    return process_start(blender.pid) == blender.started

@@ -78,7 +78,7 @@ class Display:
         self._stream.flush()
 
     def _files(self, files: Sequence[str]) -> None:
-        for name in files:
+        for name in reversed(files):  # what to look at first is nearest to the prompt
             try:
                 size = format_size(os.path.getsize(name))
             except OSError:

@@ -35,8 +35,9 @@ _RENDER_TEXTS = {
     "relight": "Rendering the view with the estimated lights off and a new area light",
     "insert": "Rendering the view with an inserted object",
 }
-# Seconds on a small capture with two CPU cores, for the progress bar only.
-_ESTIMATE_SECONDS = {"draft": 120.0, "medium": 220.0, "high": 2400.0}
+# Expected times of these and of the steps below: seconds for the example room on two idle cores.
+_RENDER_SECONDS = {"rerender": 28.0, "relight": 10.0, "insert": 10.0}
+_ESTIMATE_SECONDS = {"draft": 85.0, "medium": 150.0, "high": 2400.0}
 
 
 def make_main_job(options: MainJobOptions) -> Job:
@@ -143,14 +144,14 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
         Step(
             "import",
             "Importing the room and its cameras",
-            5.0,
+            1.0,
             function=lambda: room().import_room(),
             repeat=True,
         ),
         Step(
             "export",
             EXPORT_TEXT,
-            2.0,
+            1.0,
             inputs={"parts": options.parts},
             function=lambda: room().export_room(),
             outputs=[run.room_npz, run.room_json],
@@ -161,7 +162,7 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
         Step(
             "report",
             "Writing the report",
-            5.0,
+            3.0,
             command=["report", str(run.root)],
             outputs=[run.report / "index.html"],
             reset=lambda: _remove(run.report),
@@ -173,7 +174,7 @@ def _capture_step(options: MainJobOptions, run: RunFolder) -> Step:
     capture, arguments = options.capture.absolute(), options.arguments()
     mesh, images = (None if path is None else path.absolute() for path in (options.mesh, options.images))
     return replace(
-        ingest_step(run, capture, arguments, "Reading the capture", 5.0),
+        ingest_step(run, capture, arguments, "Reading the capture", 2.0),
         inputs={
             "version": PRODUCT_VERSION,
             "capture": folder_fingerprint(capture, exclude=run.root),
@@ -191,19 +192,19 @@ def _result_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], Ro
         Step(
             "atlas",
             "Creating texture coordinates",
-            5.0,
+            1.0,
             inputs={name: getattr(options.settings, name) for name in TEXTURE_SETTINGS},
             function=lambda: room().make_atlas(),
             outputs=[run.atlas_npz, run.atlas_json],
             repeat=True,
         ),
         Step(
-            "textures", "Baking textures", 20.0, command=["textures", str(run.root)], outputs=[run.textures]
+            "textures", "Baking textures", 11.0, command=["textures", str(run.root)], outputs=[run.textures]
         ),
         Step(
             "save",
             "Building materials and lights, and saving the .blend file",
-            5.0,
+            3.0,
             function=lambda: room().apply_and_save(),
             outputs=[run.root / BLEND_NAME],
             reset=lambda: _remove(run.root / BLEND_NAME, run.renders),
@@ -222,7 +223,7 @@ def _render_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], Ro
         Step(
             f"render-{kind}",
             _RENDER_TEXTS[kind],
-            20.0,
+            _RENDER_SECONDS[kind],
             inputs={"spp": options.render_spp, "view": options.render_view},
             function=functions[kind],
             outputs=[run.renders_json],

@@ -7,8 +7,6 @@ Objects are kept by name, since undo and loading a file invalidate every pointer
 
 from __future__ import annotations
 
-from typing import Any
-
 import bpy
 import numpy as np
 from mathutils import Vector
@@ -37,6 +35,7 @@ from ..blend.room.rays import make_cast
 from ..blend.save import save_blend
 from ..bridge.process import Message
 from ..bridge.step import Slices
+from ..core.run.contents import CapturedView, CapturedViews
 from ..core.run.errors import FiptError
 from ..core.run.run_files import read_capture
 from ..core.run.runfolder import RunFolder
@@ -69,15 +68,15 @@ class RoomSteps:
         """
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True, load_ui=False)
         capture = read_capture(self._run.capture_json)
-        if not capture["mesh"]:
+        if not capture.mesh:
             raise FiptError(
                 "mesh-missing",
                 "No mesh of the room was found beside the cameras: there is none, or there are several.",
                 "Give the room's mesh file (--mesh) or a capture with depth images, or model the room in"
                 " Blender over the photographs: there it becomes the room by From Selection.",
             )
-        matrix = np.array(capture["world_from_source"], np.float64)
-        mesh_import.import_room(self._run.resolve(capture["mesh"]), matrix)
+        matrix = np.array(capture.world_from_source)
+        mesh_import.import_room(self._run.resolve(capture.mesh), matrix)
         cameras.add_cameras(self._run)
 
     def export_room(self) -> Slices[None]:
@@ -117,7 +116,7 @@ class RoomSteps:
         """Render the chosen view and further held-back views, as photographed."""
         chosen, _ = self._view()
         views = preferred_views(read_capture(self._run.capture_json), self._options.render_view)
-        others = [view["name"] for view in views if view["split"] == "held_back" and view["name"] != chosen]
+        others = [view.name for view in views if view.split == "held_back" and view.name != chosen]
         self._render("rerender", [chosen, *others[:2]])
 
     def relight(self) -> list[Message]:
@@ -129,7 +128,7 @@ class RoomSteps:
         room = read_room(self._run)
         low, high = room.vertices.min(axis=0), room.vertices.max(axis=0)
         capture = read_capture(self._run.capture_json)
-        eye_height = float(np.mean([view["camera_to_world"][2][3] for view in capture["views"]]))
+        eye_height = float(np.mean([view.camera_to_world[2][3] for view in capture.views]))
         place = find_light_place(make_cast(room), low, high, eye_height)
         photographed, warnings = self.photographed_radiance(self._view()[0])
         power = room_light_power(float(np.median(photographed)), low, high)
@@ -176,7 +175,7 @@ class RoomSteps:
         The values of a photograph that is not HDR are no radiances: the median of all takes their place.
         """
         view = preferred_views(read_capture(self._run.capture_json), name)[0]
-        if view.get("encoded"):
+        if view.encoded:
             return np.array([median_radiance(self._run)]), []
         try:
             return photograph(self._run, view), []
@@ -195,7 +194,7 @@ class RoomSteps:
         """The view to render, and a place in it for an object, if there is one."""
         if self._choice is None:
             views = preferred_views(read_capture(self._run.capture_json), self._options.render_view)
-            geometry = [(view["name"], view_geometry(view)) for view in views]
+            geometry = [(view.name, view_geometry(view)) for view in views]
             self._choice = choose_view(make_cast(read_room(self._run)), geometry)
         return self._choice
 
@@ -233,19 +232,11 @@ def export_scene_room(run: RunFolder) -> Slices[list[Message]]:
     return warnings
 
 
-def preferred_views(capture: dict[str, Any], name: str = "") -> list[dict[str, Any]]:
+def preferred_views(capture: CapturedViews, name: str = "") -> list[CapturedView]:
     """The capture's views, held-back ones first; with a name, only that view.
 
     Raises:
         FiptError: ``view-missing``.
     """
-    views = capture["views"]
-    if name:
-        views = [view for view in views if view["name"] == name]
-        if not views:
-            raise FiptError(
-                "view-missing",
-                f"The capture has no view '{name}'.",
-                "Use the name of a view in capture.json.",
-            )
-    return sorted(views, key=lambda view: view["split"] != "held_back")
+    views = [capture.view(name)] if name else capture.views
+    return sorted(views, key=lambda view: view.split != "held_back")

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import bpy
 
@@ -20,6 +20,7 @@ from ..core.run.runfolder import RunFolder
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
+    from ..core.run.result_contents import Stages
     from ..core.run.versions import Version
 
 _FRESH_SECONDS = 2.0
@@ -105,6 +106,8 @@ def look(run: RunFolder) -> RunState:
     from ..blend.collecting import missing_pictures
     from ..bridge.attached import find_engine
     from ..core.run import versions
+    from ..core.run.documents import optional_document
+    from ..core.run.result_contents import Stages
 
     engine = find_engine(run)
     warnings, pictures, error = [], (), None
@@ -116,12 +119,12 @@ def look(run: RunFolder) -> RunState:
         elif message.get("files") and message["type"] == "progress":
             pictures = tuple(run.root / name for name in message["files"])
     results = run.statistics_json.exists() and run.emitters_json.exists() and run.fields_npz.exists()
-    stages = _stages(run.stages_json)
+    stages = optional_document(run.stages_json, Stages)
     finished = results and _of_last_estimation(run, stages)
     listed = tuple(versions.list_versions(run))
     last = versions.stages_last(run)
     return RunState(
-        stages=0 if stages is None else len(stages["stages"]),
+        stages=0 if stages is None else len(stages.stages),
         results=results,
         finished=finished,
         earlier=results and not finished and any(version.id == last for version in listed),
@@ -146,22 +149,15 @@ def _look_soon() -> None:
             listener(Path(folder), state, state != previous)
 
 
-def _stages(path: Path) -> dict[str, Any] | None:
-    from ..core.run.documents import load_document
-    from ..core.run.shapes import STAGES
-
-    try:
-        return load_document(path, STAGES)
-    except (OSError, ValueError):
-        return None
-
-
-def _of_last_estimation(run: RunFolder, stages: dict[str, Any] | None) -> bool:
+def _of_last_estimation(run: RunFolder, stages: Stages | None) -> bool:
     """Whether the results come from the last estimation, which has done `stages`."""
-    done = _stages(run.results / run.stages_json.name)
+    from ..core.run.documents import optional_document
+    from ..core.run.result_contents import Stages
+
+    done = optional_document(run.results / run.stages_json.name, Stages)
     if done is None:  # results of an earlier version
-        return stages is None or stages["keys"].keys() <= stages["stages"].keys()
-    return stages is not None and stages["keys"] == done["keys"]
+        return stages is None or stages.keys.keys() <= stages.stages.keys()
+    return stages is not None and stages.keys == done.keys
 
 
 def _messages(path: Path) -> list[Message]:

@@ -7,54 +7,147 @@ Standard library only: Blender's side imports it.
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from pathlib import Path
 
-from ..core.run.documents import Fields, Items, Maybe, Number, Numbers, read_json
+from ..core.run.contents import Problem
+from ..core.run.documents import read_document
+from ..core.run.kinds import Count, Matrix, NotNegative, Share, T
 from .preparation import PreparationFolder
 
-_SHARE = Maybe(Number(0.0, 1.0))
-_SIZE = Maybe(Number(low=0.0))
-_EVERY_STEP = {
-    "seconds": Number(low=0.0),
-    "messages": Items(Fields(dict.fromkeys(("code", "text", "remedy"), str))),
-}
-# Of each step, what is read of its facts; all of it may be missing.
-_FACTS: dict[str, dict[str, Any]] = {
-    "read": {"skipped": Items(Fields({"path": str, "reason": str}))},
-    "merge": {
-        "images": Items(
-            Fields({"name": str}, {"clipped_share": _SHARE, "moved_share": _SHARE, "shift_pixels": _SIZE})
-        ),
-        "response": Maybe(Fields({"curves": Numbers(None, None)}, {"uncertainty": _SIZE})),
-    },
-    "solve": {
-        "registered": Items(Fields({"name": str}, {"points": _SIZE, "reprojection_error": _SIZE})),
-        "left_out": Items(Fields({"name": str, "reason": str}, {"remedy": str})),
-        "reprojection_error": _SIZE,
-    },
-    "vignetting": {
-        "lenses": Items(
-            Fields(
-                {"lens": str, "applied": bool},
-                {"corner": _SIZE, "corner_error": _SIZE, "source": str, "views": Number(low=0, whole=True)},
-            )
-        )
-    },
-    "scale": {"meters_per_unit": _SIZE},
-}
+
+@dataclass(frozen=True)
+class FinishedStep:
+    """What stage/STEP.json says of every step, beside its facts: key, time and warnings."""
+
+    key: str
+    messages: tuple[Problem, ...]
+    seconds: NotNegative = 0.0
 
 
-def read_facts(folder: PreparationFolder, step: str) -> dict[str, Any]:
-    """What a step has noted; empty if it has not run.
+@dataclass(frozen=True)
+class Skipped:
+    """A file that can't be used, and why."""
+
+    path: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class ReadFacts:
+    """Of the step `read`: the files that can't be used, and how many others and groups there are."""
+
+    skipped: tuple[Skipped, ...] = ()
+    photographs: Count = 0
+    groups: Count = 0
+
+
+@dataclass(frozen=True)
+class MergedImage:
+    """A merged group: `image` relative to the capture, `exposures` of what was merged, `left_out` paths."""
+
+    name: str
+    image: str = ""
+    clipped_share: Share | None = None
+    moved_share: Share | None = None
+    shift_pixels: NotNegative | None = None
+    exposures: tuple[float, ...] = ()
+    left_out: tuple[str, ...] = ()
+    width: Count = 0
+    height: Count = 0
+    reduction: float = 1.0
+
+
+@dataclass(frozen=True)
+class ResponseFacts:
+    """The response of each channel, and the median standard deviation of its logarithm."""
+
+    curves: tuple[tuple[float, ...], ...]
+    uncertainty: NotNegative | None = None
+
+
+@dataclass(frozen=True)
+class MergeFacts:
+    """Of the step `merge`; `scale` is the exposure by which radiance was divided."""
+
+    images: tuple[MergedImage, ...] = ()
+    scale: float = 1.0
+    response: ResponseFacts | None = None
+
+
+@dataclass(frozen=True)
+class Registered:
+    """A solved camera; the error in pixels."""
+
+    name: str
+    points: NotNegative | None = None
+    reprojection_error: NotNegative | None = None
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A photograph without a pose, why, and what to do about it."""
+
+    name: str
+    reason: str
+    remedy: str = ""
+
+
+@dataclass(frozen=True)
+class SolveFacts:
+    """Of the step `solve`; `models` are the numbers of views of the unconnected sets."""
+
+    registered: tuple[Registered, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    models: tuple[int, ...] = ()
+    points: Count = 0
+    cameras: Count = 0
+    reprojection_error: NotNegative | None = None
+
+
+@dataclass(frozen=True)
+class LensFacts:
+    """The vignetting of a lens: radiance in the corner relative to the middle, and what tells it."""
+
+    lens: str
+    applied: bool
+    views: Count = 0
+    source: str = ""
+    corner: NotNegative | None = None
+    corner_error: NotNegative | None = None
+    noise: NotNegative | None = None
+
+
+@dataclass(frozen=True)
+class VignettingFacts:
+    """Of the step `vignetting`."""
+
+    lenses: tuple[LensFacts, ...] = ()
+
+
+@dataclass(frozen=True)
+class ScaleFacts:
+    """Of the step `scale`; `difference` is the relative disagreement of a marker's edges."""
+
+    source: str = ""
+    meters_per_unit: NotNegative | None = None
+    room_from_solve: Matrix | None = None
+    difference: NotNegative | None = None
+
+
+@dataclass(frozen=True)
+class ReportFacts:
+    """Of the step `report`, which has none."""
+
+
+def read_facts(folder: PreparationFolder, step: str, kind: type[T]) -> T | None:
+    """What a step has noted, of one of the kinds above; None if it has not run.
 
     Raises:
         FiptError: ``file-damaged``.
     """
-    path = folder.facts(step)
-    if not path.exists():
-        return {}
-    remedy = f"Repeat the step '{step}'."
-    return read_json(path, Fields(optional={**_EVERY_STEP, **_FACTS[step]}), remedy)
+    path: Path = folder.facts(step)
+    return read_document(path, kind, f"Repeat the step '{step}'.") if path.exists() else None
 
 
 def shutter_text(seconds: float | None) -> str:

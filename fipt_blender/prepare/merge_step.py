@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from ..core.capture.images import HALF_MAX, write_exr
-from ..core.run.documents import Fields, load_document
+from ..core.run.documents import optional_document
 from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter
 from ..core.run.runfolder import atomic_path, write_json
@@ -27,6 +27,7 @@ from .calibration import (
     survey_group,
     with_correction,
 )
+from .facts import MergedImage, MergeFacts, ResponseFacts
 from .frames import Frame, Stored, common_ceiling, linear_frame, load, upright
 from .lens import vignetting
 from .merging import Noise, code_noise, in_rec709, merge_group, resized, sensor_noise
@@ -37,7 +38,6 @@ from .steps import code_digest
 MUCH_CLIPPED = 2e-4  # share of a view's pixels
 _LINEAR_CURVE = np.repeat(np.linspace(0.0, 1.0, 256)[:, None], 3, 1)
 _UNKNOWN_NOISE = (1e-4, 1e-3)
-_FACTS = Fields({"key": str, "facts": dict})
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
     return [_settings_key(preparation), [_group_key(preparation, group) for group in preparation.used_groups]]
 
 
-def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> dict[str, Any]:
+def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> MergeFacts:
     """Merge all used groups.
 
     Raises:
@@ -98,17 +98,14 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
         entries.append(merged_group(folder, preparation, group, survey, calibration))
         reporter.progress(0.5 + 0.5 * (index + 1) / len(groups))
     _warn(reporter, entries)
-    return {
-        "images": entries,
-        "scale": calibration.scale,
-        "response": None if response is None else _response_facts(response),
-    }
+    facts = None if response is None else _response_facts(response)
+    return MergeFacts(tuple(entries), calibration.scale, facts)
 
 
-def _response_facts(response: Response) -> dict[str, Any]:
+def _response_facts(response: Response) -> ResponseFacts:
     """The curve of each channel, and the median standard deviation of its logarithm."""
     middle = response.uncertainty[16:240]  # the ends are clipped or noise
-    return {"curves": response.curve.T.tolist(), "uncertainty": round(float(np.median(middle)), 5)}
+    return ResponseFacts(response.curve.T.tolist(), round(float(np.median(middle)), 5))
 
 
 def calibrate(
@@ -210,7 +207,7 @@ def merged_group(
     group: Group,
     survey: Survey,
     calibration: Calibration,
-) -> dict[str, Any]:
+) -> MergedImage:
     """Merge one group and write its files; returns the facts of this or of an earlier, equal merge."""
     photographs = [calibration.photographs[item.path] for item in preparation.of(group)]
     kept = [index for index in range(len(photographs)) if index not in survey.strangers]
@@ -219,9 +216,9 @@ def merged_group(
     text = json.dumps([*parts, code_digest()])
     note = folder.stage / "merge" / f"{group.name}.json"
     digest = hashlib.sha256(text.encode()).hexdigest()[:24]
-    known = _noted(note, digest)
-    if known is not None and folder.image(group).is_file():
-        return known
+    known = optional_document(note, _Note)
+    if known is not None and known.key == digest and folder.image(group).is_file():
+        return known.facts
     note.unlink(missing_ok=True)
     items = [photographs[index] for index in kept]
     exposures = [(item.exposure or 1.0) / calibration.scale for item in items]
@@ -246,19 +243,19 @@ def merged_group(
     write_exr(folder.image(group), radiance, half=bool(radiance.max(initial=0.0) < HALF_MAX))
     _write_clipped(folder, group, clipped)
     size = max(items[0].width, items[0].height)
-    facts = {
-        "name": group.name,
-        "image": folder.image(group).relative_to(folder.root).as_posix(),
-        "clipped_share": round(float(clipped.mean()), 6),
-        "moved_share": round(float(moved.mean()), 6),
-        "shift_pixels": round(max(m.corner_shift(*items[0].upright_size) for m in motions), 2),
-        "exposures": [round(exposure, 9) for exposure in exposures],
-        "left_out": [photographs[index].path for index in survey.strangers],
-        "width": radiance.shape[1],
-        "height": radiance.shape[0],
-        "reduction": round(size / max(radiance.shape[:2]), 4),
-    }
-    write_json(note, {"key": digest, "facts": facts})
+    facts = MergedImage(
+        name=group.name,
+        image=folder.image(group).relative_to(folder.root).as_posix(),
+        clipped_share=round(float(clipped.mean()), 6),
+        moved_share=round(float(moved.mean()), 6),
+        shift_pixels=round(float(max(m.corner_shift(*items[0].upright_size) for m in motions)), 2),
+        exposures=tuple(round(exposure, 9) for exposure in exposures),
+        left_out=tuple(photographs[index].path for index in survey.strangers),
+        width=radiance.shape[1],
+        height=radiance.shape[0],
+        reduction=round(size / max(radiance.shape[:2]), 4),
+    )
+    write_json(note, _Note(digest, facts))
     return facts
 
 
@@ -306,12 +303,12 @@ def _group_key(preparation: Preparation, group: Group) -> Any:
     return [group.name, entries]
 
 
-def _noted(note: Any, digest: str) -> dict[str, Any] | None:
-    try:
-        data = load_document(note, _FACTS)
-    except (OSError, ValueError):
-        return None
-    return data["facts"] if data["key"] == digest else None
+@dataclass(frozen=True)
+class _Note:
+    """stage/merge/NAME.json: of a merge that need not be done again."""
+
+    key: str
+    facts: MergedImage
 
 
 def _forget_others(folder: PreparationFolder, groups: Sequence[Group]) -> None:
@@ -324,8 +321,8 @@ def _forget_others(folder: PreparationFolder, groups: Sequence[Group]) -> None:
             note.unlink()
 
 
-def _warn(reporter: Reporter, entries: Sequence[Mapping[str, Any]]) -> None:
-    clipped = [entry["name"] for entry in entries if entry["clipped_share"] > MUCH_CLIPPED]
+def _warn(reporter: Reporter, entries: Sequence[MergedImage]) -> None:
+    clipped = [entry.name for entry in entries if (entry.clipped_share or 0.0) > MUCH_CLIPPED]
     if clipped:
         reporter.warning(
             "clipped",
@@ -333,7 +330,7 @@ def _warn(reporter: Reporter, entries: Sequence[Mapping[str, Any]]) -> None:
             f" '{clipped[0]}': lamps and windows will be too dim there.",
             "Take darker exposures as well; the folder 'clipped' shows the places.",
         )
-    left_out = [name for entry in entries for name in entry["left_out"]]
+    left_out = [name for entry in entries for name in entry.left_out]
     if left_out:
         reporter.warning(
             "exposures-left-out",

@@ -11,13 +11,14 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
-from ..core.run.documents import head, read_json
+from ..core.run.documents import read_document
 from ..core.run.errors import FiptError
+from ..core.run.kinds import Choice, FileName, Least, Number, Pixels
 from ..core.run.paths import is_network, leads_outside
 from ..core.run.runfolder import write_json
-from ..core.run.shapes import MOST_SIDE, PREPARE
+from ..core.run.shapes import MOST_SIDE
 
 GROUPINGS = ("auto", "folders", "single")
 RESPONSES = ("auto", "srgb", "linear")
@@ -25,6 +26,7 @@ VIGNETTINGS = ("auto", "none")
 SCALES = ("none", "points", "marker", "mesh")
 WHITE_BALANCES = ("camera", "daylight")
 _REMOVED_SETTINGS = {"masks"}  # of earlier versions, which their prepare.json names
+_Positive = Annotated[float, Number(1e-12, 1e12)]
 _REMEDY = "Correct the file, or delete it and find the brackets again."
 
 
@@ -50,21 +52,21 @@ class Photograph:
     """
 
     path: str
-    kind: str
-    width: int
-    height: int
-    orientation: int = 1
-    shutter: float | None = None
-    aperture: float | None = None
-    iso: float | None = None
-    focal_length: float | None = None
-    focal_35mm: float | None = None
+    kind: Annotated[str, Choice("raw", "ldr", "linear")]
+    width: Pixels
+    height: Pixels
+    orientation: Annotated[int, Number(1, 8)] = 1
+    shutter: _Positive | None = None
+    aperture: _Positive | None = None
+    iso: _Positive | None = None
+    focal_length: _Positive | None = None
+    focal_35mm: _Positive | None = None
     make: str = ""
     model: str = ""
     lens: str = ""
     corrected: bool | None = None
     time: float | None = None
-    exposure: float | None = None
+    exposure: _Positive | None = None
 
     @property
     def has_vignetting(self) -> bool:
@@ -87,8 +89,8 @@ class Group:
         used: whether it becomes a view.
     """
 
-    name: str
-    photographs: tuple[str, ...]
+    name: Annotated[str, FileName()]
+    photographs: Annotated[tuple[str, ...], Least(1)]
     used: bool = True
 
 
@@ -177,8 +179,19 @@ class Preparation:
         return self.source / photograph.path
 
 
+@dataclass(frozen=True)
+class _Document:
+    """prepare.json."""
+
+    document: ClassVar[str] = "prepare"
+    source: str
+    settings: Mapping[str, Any]
+    photographs: tuple[Photograph, ...]
+    groups: tuple[Group, ...]
+
+
 class PreparationFolder:
-    """Paths of the files that `prepare` writes; docs/architecture.md lists them."""
+    """Paths of the files that `prepare` writes; docs/run_folder.md lists them."""
 
     def __init__(self, root: str | Path) -> None:
         self.root = Path(root).absolute()
@@ -220,13 +233,8 @@ def write_preparation(folder: PreparationFolder, preparation: Preparation) -> No
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    data = {
-        **head("prepare"),
-        "source": str(preparation.source),
-        "settings": asdict(preparation.settings),
-        "photographs": [asdict(photograph) for photograph in preparation.photographs],
-        "groups": [asdict(group) for group in preparation.groups],
-    }
+    settings = asdict(preparation.settings)
+    data = _Document(str(preparation.source), settings, preparation.photographs, preparation.groups)
     write_json(folder.prepare_json, data)
 
 
@@ -236,28 +244,20 @@ def read_preparation(folder: PreparationFolder) -> Preparation:
     Raises:
         FiptError: ``file-missing``, ``file-damaged``, ``setting-unknown`` or ``setting-invalid``.
     """
-    data = read_json(folder.prepare_json, PREPARE, _REMEDY)
-    known = {item.name for item in dataclasses.fields(Photograph)}
-    photographs = tuple(
-        Photograph(**{key: value for key, value in entry.items() if key in known})
-        for entry in data["photographs"]
-    )
-    groups = tuple(
-        Group(entry["name"], tuple(entry["photographs"]), entry.get("used", True)) for entry in data["groups"]
-    )
-    fault = _fault(Path(data["source"]), photographs, groups)
+    data = read_document(folder.prepare_json, _Document, _REMEDY)
+    fault = _fault(Path(data.source), data.photographs, data.groups)
     if fault:
         raise FiptError("file-damaged", f"{folder.prepare_json} can't be used: {fault}.", _REMEDY)
-    kept = {name: value for name, value in data["settings"].items() if name not in _REMOVED_SETTINGS}
+    kept = {name: value for name, value in data.settings.items() if name not in _REMOVED_SETTINGS}
     settings = make_prepare_settings(kept)
-    for path in (data["source"], settings.cameras):
+    for path in (data.source, settings.cameras):
         if is_network(path):
             raise FiptError(
                 "path-network",
                 f"{folder.prepare_json} names {path[:200]}, which is on another computer.",
                 "Map the network folder to a drive letter, or copy it to your own disk; then start anew.",
             )
-    return Preparation(Path(data["source"]), photographs, groups, settings)
+    return Preparation(Path(data.source), data.photographs, data.groups, settings)
 
 
 def _fault(source: Path, photographs: tuple[Photograph, ...], groups: tuple[Group, ...]) -> str:

@@ -15,6 +15,7 @@ from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter
 from .brackets import find_groups, in_order, remarks
 from .exif import describe
+from .facts import ReadFacts, Skipped
 from .likeness import Likeness
 from .preparation import Group, Photograph, Preparation, PreparationFolder, write_preparation
 
@@ -27,39 +28,33 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
     return [str(preparation.source), preparation.settings.grouping, files]
 
 
-def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> dict[str, Any]:
+def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> ReadFacts:
     """Read all headers and write prepare.json.
 
     Exposures that the user entered are kept.
-
-    Returns:
-        ``skipped`` (path and reason of each file that can't be used).
 
     Raises:
         FiptError: ``no-photographs``.
     """
     photographs: list[Photograph] = []
-    skipped: list[dict[str, str]] = []
+    skipped: list[Skipped] = []
     names = list_photographs(preparation.source)
     for index, name in enumerate(names):
         try:
             photographs.append(describe(preparation.source / name, name))
         except FiptError as error:
-            skipped.append({"path": name, "reason": error.text})
-            if error.code == "package-optional":
-                skipped[-1]["reason"] += f" {error.remedy}"
+            remedy = f" {error.remedy}" if error.code == "package-optional" else ""
+            skipped.append(Skipped(name, error.text + remedy))
         reporter.progress(0.7 * (index + 1) / len(names))  # of the time; the rest compares photographs
     photographs, doubles = without_doubles(in_order(photographs))
-    skipped += [
-        {"path": item.path, "reason": "the RAW photograph of the same name is used"} for item in doubles
-    ]
+    skipped += [Skipped(item.path, "the RAW photograph of the same name is used") for item in doubles]
     if not photographs:
         raise _none_usable(preparation.source, skipped)
     photographs = with_entered_exposures(photographs, preparation.photographs)
     groups = find_groups(photographs, preparation.settings.grouping, Likeness(preparation.source))
     _warn(reporter, skipped[: len(skipped) - len(doubles)], photographs, groups)
     write_preparation(folder, replace(preparation, photographs=tuple(photographs), groups=tuple(groups)))
-    return {"skipped": skipped, "photographs": len(photographs), "groups": len(groups)}
+    return ReadFacts(tuple(skipped), len(photographs), len(groups))
 
 
 def list_photographs(source: Path) -> list[str]:
@@ -115,17 +110,17 @@ def _stem(photograph: Photograph) -> str:
     return str(PurePath(photograph.path).with_suffix("")).casefold()
 
 
-def _none_usable(source: Path, skipped: Sequence[dict[str, str]]) -> FiptError:
+def _none_usable(source: Path, skipped: Sequence[Skipped]) -> FiptError:
     return FiptError(
         "no-photographs",
-        f"None of the {len(skipped)} photographs in {source} can be read; the first: {skipped[0]['reason']}",
+        f"None of the {len(skipped)} photographs in {source} can be read; the first: {skipped[0].reason}",
         "Copy them from the camera again, or export them in another format.",
     )
 
 
 def _warn(
     reporter: Reporter,
-    damaged: Sequence[dict[str, str]],
+    damaged: Sequence[Skipped],
     photographs: Sequence[Photograph],
     groups: Sequence[Group],
 ) -> None:
@@ -133,7 +128,7 @@ def _warn(
         more = f" and {len(damaged) - 1} more" if len(damaged) > 1 else ""
         reporter.warning(
             "photographs-skipped",
-            f"{damaged[0]['path']}{more} can't be used: {damaged[0]['reason']}",
+            f"{damaged[0].path}{more} can't be used: {damaged[0].reason}",
             "Copy them from the camera again, or remove them.",
         )
     for remark in remarks(photographs, groups):

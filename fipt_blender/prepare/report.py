@@ -7,7 +7,7 @@ Any step may be missing (only `read` has run, or the job was stopped); the page 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -26,10 +26,22 @@ from ..core.report.pictures import write_jpeg
 from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter
 from ..core.run.runfolder import PRODUCT_VERSION
-from .facts import read_facts, shutter_text
+from .facts import (
+    FinishedStep,
+    MergedImage,
+    MergeFacts,
+    ReadFacts,
+    ReportFacts,
+    ResponseFacts,
+    ScaleFacts,
+    SolveFacts,
+    VignettingFacts,
+    read_facts,
+    shutter_text,
+)
 from .preparation import Group, Preparation, PreparationFolder
 
-_FACTS = ("read", "merge", "solve", "vignetting", "scale")
+_STEPS = ("read", "merge", "solve", "vignetting", "scale")
 _SOURCES = {
     "database": "corrected, by the lens database",
     "overlap": "corrected, measured where views overlap",
@@ -86,10 +98,10 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
     return [asdict(group) for group in preparation.groups]
 
 
-def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> dict[str, Any]:
+def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> ReportFacts:
     """The step `report`; it has no facts of its own."""
     write_report(folder, preparation, reporter.progress)
-    return {}
+    return ReportFacts()
 
 
 def write_report(
@@ -108,15 +120,19 @@ def write_report(
     Raises:
         FiptError: ``file-damaged``, ``image-unreadable``, ``disk-full`` or ``run-unwritable``.
     """
-    facts = {name: read_facts(folder, name) for name in _FACTS}
+    merge = read_facts(folder, "merge", MergeFacts) or MergeFacts()
+    solve = read_facts(folder, "solve", SolveFacts)
+    vignetting = read_facts(folder, "vignetting", VignettingFacts) or VignettingFacts()
+    scale = read_facts(folder, "scale", ScaleFacts) or ScaleFacts()
+    finished = {name: read_facts(folder, name, FinishedStep) for name in _STEPS}
+    steps = {name: step for name, step in finished.items() if step is not None}
     exposure = _exposure([folder.image(group) for group in preparation.used_groups])
     rows = []
     for index, group in enumerate(preparation.groups):
         picture = _picture(folder, group, index, exposure) if group.used else ""
-        rows.append(_row(preparation, group, picture, facts))
+        rows.append(_row(preparation, group, picture, merge, solve))
         progress(0.95 * (index + 1) / len(preparation.groups))
     used = [row for row in rows if row.used]
-    response = facts["merge"].get("response") or {}
     context = {
         "title": folder.root.name,
         "version": PRODUCT_VERSION,
@@ -124,33 +140,29 @@ def write_report(
         "rows": rows,
         "used": used,
         "photograph_count": sum(len(row.photographs) for row in used),
-        "registered_count": sum(row.state == "registered" for row in rows) if facts["solve"] else None,
-        "reprojection_error": facts["solve"].get("reprojection_error"),
-        "meters_per_unit": facts["scale"].get("meters_per_unit"),
-        "left_out": _left_out(facts),
-        "lenses": [
-            (entry["lens"], entry.get("corner"), _SOURCES.get(entry.get("source", ""), ""))
-            for entry in facts["vignetting"].get("lenses", [])
-        ],
+        "registered_count": sum(row.state == "registered" for row in rows) if solve else None,
+        "reprojection_error": solve.reprojection_error if solve else None,
+        "meters_per_unit": scale.meters_per_unit,
+        "left_out": _left_out(folder, solve),
+        "lenses": [(lens.lens, lens.corner, _SOURCES.get(lens.source, "")) for lens in vignetting.lenses],
         "plan": _plan(folder.root),
-        "curves": _curves(response),
-        "uncertainty": response.get("uncertainty"),
+        "curves": _curves(merge.response),
+        "uncertainty": merge.response.uncertainty if merge.response else None,
         "curve_size": _CURVE_SIZE,
-        "warnings": [warning for step in facts.values() for warning in step.get("messages", [])],
-        "times": [(name, step["seconds"]) for name, step in facts.items() if "seconds" in step],
+        "warnings": [warning for step in steps.values() for warning in step.messages],
+        "times": [(name, step.seconds) for name, step in steps.items()],
     }
     page = folder.report / "index.html"
     write_page(Path(__file__).with_name("template.html"), context, page)
     return page
 
 
-def _left_out(facts: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, str]]:
+def _left_out(folder: PreparationFolder, solve: SolveFacts | None) -> list[tuple[str, str]]:
     """Views without a camera and files that are no photographs, each with the reason."""
-    views = [
-        (view["name"], f"{view['reason']} {view.get('remedy', '')}".strip())
-        for view in facts["solve"].get("left_out", [])
-    ]
-    return views + [(file["path"], file["reason"]) for file in facts["read"].get("skipped", [])]
+    skipped = (read_facts(folder, "read", ReadFacts) or ReadFacts()).skipped
+    views = solve.left_out if solve else ()
+    named = [(view.name, f"{view.reason} {view.remedy}".strip()) for view in views]
+    return named + [(file.path, file.reason) for file in skipped]
 
 
 def _exposure(images: Sequence[Path]) -> float:
@@ -198,11 +210,12 @@ def _clipped_pixels(path: Path, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _row(
-    preparation: Preparation, group: Group, picture: str, facts: Mapping[str, Mapping[str, Any]]
+    preparation: Preparation, group: Group, picture: str, merge: MergeFacts, solve: SolveFacts | None
 ) -> GroupRow:
-    merged = _named(facts["merge"].get("images", []), group.name)
-    view = _named(facts["solve"].get("registered", []), group.name)
-    state = "" if not group.used or not facts["solve"] else "registered" if view else "not registered"
+    merged = next((image for image in merge.images if image.name == group.name), MergedImage(group.name))
+    registered = solve.registered if solve else ()
+    view = next((view for view in registered if view.name == group.name), None)
+    state = "" if not group.used or solve is None else "registered" if view else "not registered"
     photographs = preparation.of(group)
     return GroupRow(
         name=group.name,
@@ -210,18 +223,13 @@ def _row(
         photographs=tuple(Path(photograph.path).name for photograph in photographs),
         shutters=tuple(shutter_text(photograph.shutter) for photograph in photographs),
         picture=picture,
-        clipped_share=merged.get("clipped_share"),
-        moved_share=merged.get("moved_share"),
-        shift_pixels=merged.get("shift_pixels"),
+        clipped_share=merged.clipped_share,
+        moved_share=merged.moved_share,
+        shift_pixels=merged.shift_pixels,
         state=state,
-        points=view.get("points"),
-        reprojection_error=view.get("reprojection_error"),
+        points=view.points if view else None,
+        reprojection_error=view.reprojection_error if view else None,
     )
-
-
-def _named(entries: Sequence[Mapping[str, Any]], name: str) -> Mapping[str, Any]:
-    """The entry of a name; empty if there is none."""
-    return next((entry for entry in entries if entry["name"] == name), {})
 
 
 def _plan(capture: Path) -> Plan | None:
@@ -248,12 +256,12 @@ def make_plan(rig: Rig) -> Plan | None:
     return Plan(float(size[0]), float(size[1]), tuple(arrows), float(length * scale), float(length))
 
 
-def _curves(response: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _curves(response: ResponseFacts | None) -> list[tuple[str, str]]:
     """Colour and points (SVG) of the recovered response of each channel: pixel value against exposure."""
-    if not response:
+    if response is None:
         return []
     curves = []
-    for color, values in zip(("#d33", "#3a3", "#36c"), response["curves"], strict=False):
+    for color, values in zip(("#d33", "#3a3", "#36c"), response.curves, strict=False):
         array = np.asarray(values, np.float64)
         array = array / max(float(array.max(initial=0.0)), 1e-12)
         x = np.clip(array, 0.0, 1.0) * _CURVE_SIZE

@@ -15,8 +15,10 @@ from PIL import Image
 
 from ..core.run.errors import FiptError
 from ..core.run.extras import optional
+from ..core.run.kinds import as_matrix
 from ..core.run.messages import Reporter
 from . import scale
+from .facts import ScaleFacts
 from .models import points, poses, rays, read_model, seen_points, transform_model, write_model
 from .preparation import Preparation, PreparationFolder
 from .solve_step import copy_file, model_folder
@@ -38,7 +40,7 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
     return chosen
 
 
-def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> dict[str, Any]:
+def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> ScaleFacts:
     """Write sparse/0 in the room's frame; returns facts for the report.
 
     Raises:
@@ -47,7 +49,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     """
     model = read_model(model_folder(folder))
     settings = preparation.settings
-    facts: dict[str, Any] = {"source": settings.scale}
+    doubt = None
     if settings.scale == "mesh":
         frame = scale.parse_similarity(settings.scale_matrix)
         unit = float(np.cbrt(np.linalg.det(frame[:3, :3])))
@@ -66,13 +68,13 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
                 length = _picked_length(model, settings.scale_picks)
             else:
                 length, difference = _marker_length(folder, model, settings.marker_dictionary, reporter)
-                facts["difference"] = round(difference, 4)
+                doubt = round(float(difference), 4)
             unit = settings.scale_length / length
         frame = scale.room_frame(poses(model), points(model), unit)
     transform_model(model, frame)
     write_model(folder.sparse, model)
     known = None if settings.scale == "none" else unit
-    return {**facts, "meters_per_unit": known, "room_from_solve": frame.tolist()}
+    return ScaleFacts(settings.scale, known, as_matrix(frame), doubt)
 
 
 def _check_length(length: float) -> None:

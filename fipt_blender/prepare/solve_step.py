@@ -22,9 +22,10 @@ from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter
 from ..core.run.runfolder import atomic_path, explained_write_errors
 from . import lens
+from .facts import LeftOut, Registered, SolveFacts
 from .models import WantedView, model_from_rig, write_model
 from .preparation import Group, Preparation, PreparationFolder
-from .solving import LeftOut, Solve, SolveView, camera_groups, copy_name, registered_names, solve
+from .solving import Solve, SolveView, camera_groups, copy_name, registered_names, solve
 from .tonemap import tone_mapped
 
 _COPIES_SHARE = 0.1  # of the step's time
@@ -54,7 +55,7 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
     return {"cameras": settings.cameras, "seed": settings.seed, "lenses": lenses}
 
 
-def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> dict[str, Any]:
+def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> SolveFacts:
     """Solve the cameras, or take those of an existing solve; returns facts for the report.
 
     Raises:
@@ -172,34 +173,27 @@ def _existing(folder: PreparationFolder, preparation: Preparation, reporter: Rep
     return Solve(model, left_out, (len(placed),))
 
 
-def _facts(solved: Solve) -> dict[str, Any]:
+def _facts(solved: Solve) -> SolveFacts:
     model = solved.model
     registered = []
     for index in sorted(model.reg_image_ids(), key=lambda index: model.images[index].name):
         image = model.images[index]
         errors = [model.points3D[item.point3D_id].error for item in image.points2D if item.has_point3D()]
-        registered.append(
-            {
-                "name": image.name.removesuffix(".exr"),
-                "points": len(errors),
-                "reprojection_error": round(float(np.mean(errors)), 3) if errors else None,
-            }
-        )
-    return {
-        "registered": registered,
-        "left_out": [
-            {"name": item.name, "reason": item.reason, "remedy": item.remedy} for item in solved.left_out
-        ],
-        "models": list(solved.sizes),
-        "points": model.num_points3D(),
-        "cameras": model.num_cameras(),
-        "reprojection_error": (
+        error = round(float(np.mean(errors)), 3) if errors else None
+        registered.append(Registered(image.name.removesuffix(".exr"), len(errors), error))
+    return SolveFacts(
+        registered=tuple(registered),
+        left_out=solved.left_out,
+        models=solved.sizes,
+        points=model.num_points3D(),
+        cameras=model.num_cameras(),
+        reprojection_error=(
             round(model.compute_mean_reprojection_error(), 3) if model.num_points3D() else None
         ),
-    }
+    )
 
 
-def _warn(solved: Solve, facts: dict[str, Any], count: int, reporter: Reporter) -> None:
+def _warn(solved: Solve, facts: SolveFacts, count: int, reporter: Reporter) -> None:
     if len(solved.sizes) > 1:
         reporter.warning(
             "solve-split",
@@ -220,7 +214,7 @@ def _warn(solved: Solve, facts: dict[str, Any], count: int, reporter: Reporter) 
             f"{solved.left_out[0].name}: {solved.left_out[0].reason}.",
             f"{remedy} The report lists the reason for each.",
         )
-    error = facts["reprojection_error"]
+    error = facts.reprojection_error
     if error is not None and error > POOR_ERROR:
         reporter.warning(
             "solve-inaccurate",

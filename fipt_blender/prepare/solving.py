@@ -18,6 +18,7 @@ import numpy as np
 import pycolmap
 
 from ..core.run.errors import FiptError
+from .facts import LeftOut
 from .pairs import image_pairs
 
 Progress = Callable[[float], None]
@@ -46,15 +47,6 @@ class SolveView:
     camera: str = ""
     focal: float | None = None
     distortion: tuple[float, float] = (0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """A photograph without a pose, why, and what to do about it."""
-
-    name: str
-    reason: str
-    remedy: str
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 """The steps of `prepare` in their order; each leaves stage/STEP.json, which says that it is done.
 
 A step is a module with `key(folder, preparation)`, a JSON value of what its result depends on besides the
-steps before it, and `run(folder, preparation, reporter)`, which returns facts (JSON) for the report.
+steps before it, and `run(folder, preparation, reporter)`, which returns its `facts` for the report.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..core.run.documents import Fields, Items, load_document
+from ..core.run.contents import Problem
+from ..core.run.documents import optional_document
 from ..core.run.errors import FiptError
+from ..core.run.kinds import as_json
 from ..core.run.messages import Reporter
 from ..core.run.runfolder import write_json
+from .facts import FinishedStep
 from .preparation import PreparationFolder, read_preparation
-
-_FACTS = Fields({"key": str, "messages": Items(Fields(dict.fromkeys(("code", "text", "remedy"), str)))})
 
 
 @dataclass(frozen=True)
@@ -94,10 +95,10 @@ def _run_step(folder: PreparationFolder, name: str, reporter: Reporter) -> None:
     preparation = read_preparation(folder)
     key = step_key(name, folder, module.key(folder, preparation))
     path = folder.facts(name)
-    done = finished_facts(path, key)
-    if done is not None:
-        for message in done["messages"]:
-            reporter.warning(message["code"], message["text"], message["remedy"])
+    done = _finished(path)
+    if done is not None and done.key == key:
+        for message in done.messages:
+            reporter.warning(message.code, message.text, message.remedy)
         reporter.skip()
         return
     reporter.stage(name, step.text)
@@ -105,8 +106,8 @@ def _run_step(folder: PreparationFolder, name: str, reporter: Reporter) -> None:
     started, told = time.monotonic(), len(reporter.warnings)
     facts = module.run(folder, preparation, reporter)
     seconds = round(time.monotonic() - started, 2)
-    messages = reporter.warnings[told:]
-    write_json(path, {"key": key, "seconds": seconds, "messages": messages, **facts})
+    messages = tuple(Problem(**warning) for warning in reporter.warnings[told:])
+    write_json(path, as_json(FinishedStep(key, messages, seconds)) | as_json(facts))
 
 
 def _report_stop(folder: PreparationFolder, error: FiptError) -> None:
@@ -129,21 +130,15 @@ def step_key(name: str, folder: PreparationFolder, value: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
-def finished_facts(path: Path, key: str) -> dict[str, Any] | None:
-    """The facts of a finished step, None where it has to run."""
-    try:
-        facts = load_document(path, _FACTS)
-    except (OSError, ValueError):  # only time is lost
-        return None
-    return facts if facts["key"] == key else None
+def _finished(path: Path) -> FinishedStep | None:
+    """What is noted of a step's last run, None without one; where it is damaged, only time is lost."""
+    return optional_document(path, FinishedStep)
 
 
 def finished_key(path: Path) -> str:
     """The key of a step's last run, "" without one."""
-    try:
-        return str(load_document(path, _FACTS)["key"])
-    except (OSError, ValueError):
-        return ""
+    done = _finished(path)
+    return "" if done is None else done.key
 
 
 def code_digest() -> str:

@@ -9,6 +9,7 @@ measured. stage/corrected.json lists which images are corrected and how, so that
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,11 @@ import numpy as np
 import pycolmap
 
 from ..core.capture.images import read_radiance, write_exr
-from ..core.run.documents import Entries, Fields, Items, Numbers, load_document
+from ..core.run.documents import optional_document
 from ..core.run.messages import Reporter
 from ..core.run.runfolder import write_json
 from . import lens
+from .facts import LensFacts, VignettingFacts
 from .models import read_model
 from .preparation import Group, Photograph, Preparation, PreparationFolder
 from .solve_step import model_folder
@@ -28,7 +30,14 @@ from .vignetting import TERMS, Falloff, Observations, fit_falloff, light_share
 _PATCH = 2  # pixels on each side of a point over which radiance is averaged
 # Share of an image's pixels, the brightest ones, that are not used: lamps may be clipped.
 _BRIGHTEST = 0.02
-_CORRECTED = Entries(Items(Fields({"digest": str, "coefficients": Numbers(TERMS)})))
+
+
+@dataclass(frozen=True)
+class _Correction:
+    """The digest of an image, and the `TERMS` coefficients by which it is corrected."""
+
+    digest: str
+    coefficients: tuple[float, ...]
 
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
@@ -38,7 +47,7 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
     return {"lenses": groups, "database": known, "vignetting": preparation.settings.vignetting}
 
 
-def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> dict[str, Any]:
+def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> VignettingFacts:
     """Fit and divide out the vignetting of each lens that the database did not correct; returns facts.
 
     Raises:
@@ -58,12 +67,12 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
                 samples.append(_observations(images[f"{group.name}.exr"], pixels, len(samples)))
             done += 1
             reporter.progress(0.5 * done / sum(map(len, lenses.values())))
-        found = fit_falloff(_joined(samples)) if samples else None
-        applied = found is not None and found.certain
+        falloff = fit_falloff(_joined(samples)) if samples else None
+        applied = falloff is not None and falloff.certain
         for group in groups:
-            corrected.apply(group, found.coefficients if applied and found else np.zeros(TERMS))
-        facts.append(_fact(name, groups, found, applied))
-        if found is None and preparation.of(groups[0])[0].corrected is None:
+            corrected.apply(group, falloff.coefficients if applied and falloff else np.zeros(TERMS))
+        facts.append(_fact(name, groups, falloff, applied))
+        if falloff is None and preparation.of(groups[0])[0].corrected is None:
             reporter.warning(
                 "vignetting-unknown",
                 f"The vignetting of {name} is unknown: neither the lens database nor the files, and"
@@ -71,19 +80,14 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
                 "Use RAW photographs, switch the camera's correction on, or take views that overlap more.",
             )
     corrected.restore_others({group.name for groups in lenses.values() for group in groups})
-    return {"lenses": facts}
+    return VignettingFacts(tuple(facts))
 
 
-def _fact(name: str, groups: list[Group], found: Falloff | None, applied: bool) -> dict[str, Any]:
-    source = "unknown" if found is None else "overlap" if applied else "none"
-    fact: dict[str, Any] = {"lens": name, "views": len(groups), "applied": applied, "source": source}
-    if found is not None:
-        fact |= {
-            "corner": round(found.corner, 4),
-            "corner_error": round(found.corner_error, 4),
-            "noise": round(found.noise, 4),
-        }
-    return fact
+def _fact(name: str, groups: list[Group], falloff: Falloff | None, applied: bool) -> LensFacts:
+    if falloff is None:
+        return LensFacts(name, applied, len(groups), "unknown")
+    figures = (round(value, 4) for value in (falloff.corner, falloff.corner_error, falloff.noise))
+    return LensFacts(name, applied, len(groups), "overlap" if applied else "none", *figures)
 
 
 def _lenses(preparation: Preparation, by_database: bool = False) -> dict[str, list[Group]]:
@@ -98,7 +102,7 @@ def _lenses(preparation: Preparation, by_database: bool = False) -> dict[str, li
     return lenses
 
 
-def _database_facts(preparation: Preparation) -> list[dict[str, Any]]:
+def _database_facts(preparation: Preparation) -> list[LensFacts]:
     """What the merge has corrected by lensfun's database."""
     facts = []
     for name, groups in _lenses(preparation, by_database=True).items():
@@ -106,15 +110,7 @@ def _database_facts(preparation: Preparation) -> list[dict[str, Any]]:
         reduction = max(1, max(photograph.width, photograph.height) // 256)
         gain = lens.vignetting(photograph, photograph.width // reduction, photograph.height // reduction)
         corner = 1.0 if gain is None else 1.0 / float(gain[0, 0])
-        facts.append(
-            {
-                "lens": name,
-                "views": len(groups),
-                "applied": True,
-                "source": "database",
-                "corner": round(corner, 4),
-            }
-        )
+        facts.append(LensFacts(name, True, len(groups), "database", round(corner, 4)))
     return facts
 
 
@@ -160,17 +156,15 @@ class _Corrected:
     def __init__(self, folder: PreparationFolder) -> None:
         self._folder = folder
         self._path = folder.stage / "corrected.json"
-        try:
-            self._known = dict(load_document(self._path, _CORRECTED))
-        except (OSError, ValueError):  # no image was corrected
-            self._known = {}
+        # Without the file no image was corrected.
+        self._known = optional_document(self._path, dict[str, tuple[_Correction, ...]]) or {}
 
     def coefficients(self, name: str) -> np.ndarray:
         """By what the image of a view is corrected at present; zeros for an image that was merged again."""
         file = self._file(name)
         digest = _digest(file) if self._known.get(name) and file.is_file() else ""
-        found = [entry for entry in self._known.get(name, []) if entry["digest"] == digest]
-        return np.array(found[-1]["coefficients"] if found else [0.0] * TERMS, np.float64)
+        valid = [each.coefficients for each in self._known.get(name, ()) if each.digest == digest]
+        return np.array(valid[-1]) if valid and len(valid[-1]) == TERMS else np.zeros(TERMS)
 
     def original(self, group: Group) -> np.ndarray:
         """The image without correction."""
@@ -198,7 +192,7 @@ class _Corrected:
         temporary = self._folder.stage / "corrected.exr"
         write_exr(temporary, pixels)
         entries = [(_digest(file), before), (_digest(temporary), coefficients)]
-        self._known[name] = [{"digest": digest, "coefficients": list(map(float, c))} for digest, c in entries]
+        self._known[name] = tuple(_Correction(digest, tuple(map(float, c))) for digest, c in entries)
         write_json(self._path, self._known)
         temporary.replace(file)
 

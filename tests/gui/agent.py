@@ -1,18 +1,14 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs inside Blender and answers the driver's questions from a timer; it only observes.
-
-Started by `blender --python`. Questions are names of functions of this module, or `module.function` of the
-modules named in $FIPT_GUI_INSIDE, with JSON arguments; they come over the socket named in $FIPT_GUI_SOCKET.
-"""
+"""What a driver in another thread may ask of Blender; only `simulate` acts, by events."""
 
 from __future__ import annotations
 
-import importlib.util
-import json
-import os
-import socket
+import inspect
+import queue
 import sys
+import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,6 +17,7 @@ from typing import Any
 import bpy
 
 _TICK_SECONDS = 0.005
+_ANSWER_SECONDS = 600.0  # longer than anything for which Blender stands still
 
 
 class _Watch:
@@ -53,7 +50,8 @@ class _Watch:
         return watched
 
     def _note(self, event: str, arguments: tuple[Any, ...]) -> None:
-        self.asked += event in ("open", "os.listdir", "os.scandir", "subprocess.Popen", "import")
+        if threading.current_thread() is threading.main_thread():
+            self.asked += event in ("open", "os.listdir", "os.scandir", "subprocess.Popen", "import")
 
 
 _watch = _Watch()
@@ -235,6 +233,14 @@ def draw_requests() -> dict[str, list[int]]:
     return requests
 
 
+def simulate(kind: str, value: str, x: int, y: int, more: dict[str, Any]) -> None:
+    """An event of pointer or keyboard in the newest window at a pixel of the screen, from its top left."""
+    windows = bpy.context.window_manager.windows
+    y = windows[0].y + windows[0].height - 1 - y
+    at = [w for w in windows if 0 <= x - w.x < w.width and 0 <= y - w.y < w.height]
+    at[-1].event_simulate(kind, value, x=x - at[-1].x, y=y - at[-1].y, **more)
+
+
 def settings(values: dict[str, Any]) -> None:
     """Set preferences of Blender's interface, for instance `show_splash`."""
     for name, value in values.items():
@@ -257,74 +263,80 @@ def open_file(path: str) -> None:
     bpy.ops.wm.open_mainfile(filepath=path)
 
 
-def leave() -> None:
-    """Quit Blender without asking."""
-    bpy.ops.wm.quit_blender()
-
-
-class _Agent:
-    """Reads questions without blocking and answers each after as many ticks as it asks for."""
-
-    def __init__(self, address: str) -> None:
-        self._socket = socket.socket(socket.AF_UNIX)
-        self._socket.connect(address)
-        self._socket.setblocking(False)
-        self._received = b""
-        self._waiting: list[dict[str, Any]] = []
-        self._modules = {"": sys.modules[__name__]}
-        for file in filter(None, os.environ.get("FIPT_GUI_INSIDE", "").split(os.pathsep)):
-            self._modules[Path(file).stem] = _load(Path(file))
-
-    def tick(self) -> float:
-        try:
-            while data := self._socket.recv(1 << 16):
-                self._received += data
-        except BlockingIOError:
-            pass
-        *lines, self._received = self._received.split(b"\n")
-        ready = [question for question in self._waiting if question["ticks"] <= 0]
-        self._waiting = [question for question in self._waiting if question["ticks"] > 0]
-        for question in self._waiting:
-            question["ticks"] -= 1
-        self._waiting += [json.loads(line) for line in lines]
-        for question in ready:
-            self._answer(question)
-        return _TICK_SECONDS
-
-    def _answer(self, question: dict[str, Any]) -> None:
-        try:
-            module, _, name = question["call"].rpartition(".")
-            result = getattr(self._modules[module], name)(*question["arguments"])
-            answer = json.dumps({"result": result})
-        except Exception:
-            answer = json.dumps({"error": traceback.format_exc()})
-        self._socket.setblocking(True)
-        self._socket.sendall(answer.encode() + b"\n")
-        self._socket.setblocking(False)
-
-
-def _load(file: Path) -> Any:
-    spec = importlib.util.spec_from_file_location(f"fipt_gui_{file.stem}", file)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def _count_redraw() -> None:
+def count_redraw() -> None:
+    """Called whenever the sidebar is drawn."""
     _watch.redraws += 1
 
 
-def main() -> None:
-    """Connect to the driver, and hide whatever would cover the window in screenshots."""
-    bpy.context.preferences.use_preferences_save = False
-    settings({"show_splash": False, "show_tooltips": False})
-    bpy.types.SpaceView3D.draw_handler_add(_count_redraw, (), "UI", "POST_PIXEL")
-    agent = _Agent(os.environ["FIPT_GUI_SOCKET"])
-    bpy.app.timers.register(agent.tick, first_interval=0.5, persistent=True)
+class Lost(AssertionError):
+    """An expected button, window or condition did not appear."""
 
 
-if __name__ == "__main__":
-    sys.modules.setdefault("fipt_gui_agent", sys.modules["__main__"])
-    main()
+class Blender:
+    """Blender's main thread, which answers a driver in another thread; made in the main thread.
+
+    Args:
+        shots: folder of the pictures.
+    """
+
+    def __init__(self, shots: Path) -> None:
+        self.shots = shots
+        window = bpy.context.window_manager.windows[0]
+        self.height = window.y + window.height  # of the screen
+        self._questions: queue.SimpleQueue[list[Any]] = queue.SimpleQueue()
+        self._waiting: list[list[Any]] = []
+        bpy.app.timers.register(self._tick, first_interval=0.5, persistent=True)
+
+    def ask(self, call: Callable[..., Any], *arguments: Any, ticks: int = 0) -> Any:
+        """What a function returns in Blender's main thread: plain values alone.
+
+        Args:
+            ticks: rounds of Blender's main loop to let pass before.
+
+        Raises:
+            Lost: the function raised, or Blender does not answer.
+        """
+        answer: queue.SimpleQueue[tuple[Any, str]] = queue.SimpleQueue()
+        self._questions.put([ticks, call, arguments, answer])
+        try:
+            result, error = answer.get(timeout=_ANSWER_SECONDS)
+        except queue.Empty:
+            raise Lost(f"Blender does not answer {call.__name__}") from None
+        if error:
+            raise Lost(error)
+        return result
+
+    def wait(
+        self,
+        call: Callable[..., Any],
+        *arguments: Any,
+        seconds: float = 20.0,
+        until: Callable[[Any], bool] = bool,
+        every: float = 0.05,
+    ) -> Any:
+        """Ask until the answer is true (or satisfies `until`); returns the answer.
+
+        Raises:
+            Lost: it did not come true in time.
+        """
+        end = time.monotonic() + seconds
+        while not until(answer := self.ask(call, *arguments)):
+            if time.monotonic() > end:
+                line = inspect.getsource(call).strip() if call.__name__ == "<lambda>" else call.__name__
+                raise Lost(f"{line} {arguments or ''} was {answer!r} after {seconds:g} seconds")
+            time.sleep(every)
+        return answer
+
+    def _tick(self) -> float:
+        ready = [question for question in self._waiting if question[0] <= 0]
+        self._waiting = [question for question in self._waiting if question[0] > 0]
+        for question in self._waiting:
+            question[0] -= 1
+        while not self._questions.empty():
+            self._waiting.append(self._questions.get())
+        for _, call, arguments, answer in ready:
+            try:
+                answer.put((call(*arguments), ""))
+            except Exception:
+                answer.put((None, traceback.format_exc()))
+        return _TICK_SECONDS

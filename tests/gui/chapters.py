@@ -1,14 +1,18 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the story's chapters share, and the order in which some of them are told."""
+"""What the story's chapters share."""
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import agent
+import inside
 
 if TYPE_CHECKING:
     from window import Window
@@ -51,57 +55,29 @@ class Chapter:
         return self.act.__name__
 
 
-def plan(
-    chapters: Iterable[Chapter], only: Iterable[str], told: Callable[[str], bool]
-) -> tuple[str, list[Chapter]]:
-    """The chapters that must be acted, in order, so that some of them can be.
-
-    Args:
-        chapters: all, in the order of the story.
-        only: names of the chapters that are wanted; none for all.
-        told: whether the scene that a chapter has left behind is at hand.
-
-    Returns:
-        The chapter whose scene is opened first ("" for none), and the chapters to act.
-    """
-    order = list(chapters)
-    wanted = set(only) or {chapter.name for chapter in order}
-    after = {chapter.name: chapter.after for chapter in order}
-    needed = set(wanted)
-    for name in wanted:
-        while name := after[name]:
-            needed.add(name)
-    names = [chapter.name for chapter in order if chapter.name in needed]
-    first = min(names.index(name) for name in wanted)
-    # A scene will do that holds all that comes before the first wanted chapter.
-    start = next((name for name in reversed(names[:first]) if told(name)), "")
-    rest = names[names.index(start) + 1 :] if start else names
-    return start, [chapter for chapter in order if chapter.name in rest]
-
-
 def act(window: Window, options: Options, chapters: Iterable[Chapter]) -> None:
     """Act chapters one after the other; the scene is saved after each.
 
     Raises:
         AssertionError: something is not as it should be.
     """
-    for chapter in chapters:
+    for number, chapter in enumerate(chapters):
         start = time.monotonic()
-        if chapter.anew:
-            window.ask("open_file", str(window.shots / f"{chapter.after}.blend"))
+        if chapter.anew or (chapter.after and number == 0):
+            window.ask(agent.open_file, str(window.shots / f"{chapter.after}.blend"))
             window.settle()
         chapter.act(window, options)
-        print(f"{chapter.name}: {time.monotonic() - start:.0f} s", flush=True)
-        window.ask("save_copy", str(window.shots / f"{chapter.name}.blend"))
+        print(f"{chapter.name}: {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
+        window.ask(agent.save_copy, str(window.shots / f"{chapter.name}.blend"))
 
 
 def finish(window: Window, kind: str, seconds: float = _JOB_SECONDS) -> dict[str, Any]:
     """Wait for a job to finish without an error, with the pointer out of the way."""
     window.point_in_view()
     job = window.wait(
-        "inside.job", kind, until=lambda job: job["state"] not in ("", "running"), seconds=seconds, every=0.3
+        inside.job, kind, until=lambda job: job["state"] not in ("", "running"), seconds=seconds, every=0.3
     )
     assert job["state"] == "finished", job
-    window.wait("inside.busy", until=lambda busy: not busy, seconds=seconds)  # another job may follow
+    window.wait(inside.busy, until=lambda busy: not busy, seconds=seconds)  # another job may follow
     window.settle()
     return job

@@ -8,13 +8,14 @@ Buttons are found by moving the pointer over them and asking Blender which opera
 from __future__ import annotations
 
 import json
+import subprocess
 import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from blender import Blender, Lost
-from drop import FileDrag
+import agent
+from agent import Blender, Lost
 
 VIEW, SIDEBAR = ("VIEW_3D", "WINDOW"), ("VIEW_3D", "UI")
 MARGIN = 10  # pixels at the left of a region: beside its edge, which is to be dragged, and without buttons
@@ -29,55 +30,49 @@ Where = tuple[str, str]  # types of an area and of its region
 
 
 class Hand(Blender):
-    """A Blender driven by pointer and keyboard; see `Blender` for the arguments."""
+    """Pointer and keyboard of Blender."""
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
+    def __init__(self, shots: Path) -> None:
+        super().__init__(shots)
         self._places: dict[tuple[Where, str], list[tuple[int, int]]] = {}
+        self.pointer = (0, 0)
         self._last_press = (0, 0, 0.0)
         self.presses = 0  # of mouse buttons, by `press`
-
-    def drop_files(self, files: Iterable[Path], where: Where = SIDEBAR) -> None:
-        """Drop files from outside on the middle of a region."""
-        left, top, width, height = self.box(where)
-        x, y = left + width // 2, top + height // 2
-        self.display.move(x, y)
-        self._let_pass()
-        with FileDrag(self.display.name, files) as drag:
-            drag.drop(x, y)
-        self._let_pass()
-        self.settle()
 
     def settle(self, seconds: float = 2.0) -> None:
         """Wait until an action's effects are over: the sidebar is no longer redrawn."""
         end = time.monotonic() + seconds
-        count, since = self.ask("redraws", ticks=2), time.monotonic()
+        count, since = self.ask(agent.redraws, ticks=2), time.monotonic()
         while time.monotonic() < end and time.monotonic() - since < _CALM_SECONDS:
-            if (now := self.ask("redraws", ticks=2)) != count:
+            if (now := self.ask(agent.redraws, ticks=2)) != count:
                 count, since = now, time.monotonic()
 
-    def shot(self, name: str, where: Where | None = None) -> Path:
-        """Write a screenshot of the screen, or of a region, as NAME.png; returns its path."""
-        file = self.shots / f"{name}.png"
-        if where is None:
-            self.display.save(file)
-        else:
-            left, top, width, height = self.box(where)
-            self.display.save(file, (left, top, width, height))
-        return file
+    def shot(self, name: str) -> None:
+        """Write a picture of the screen as NAME.png."""
+        # Blender's own pictures are black where nothing composes windows.
+        subprocess.run(["import", "-window", "root", str(self.shots / f"{name}.png")], check=True)
+
+    def event(self, kind: str, value: str, **more: Any) -> None:
+        """A key, a button or a motion where the pointer is, by the names of `Window.event_simulate`."""
+        self.ask(agent.simulate, kind, value, *self.pointer, more)
+
+    def move(self, x: int, y: int) -> None:
+        """Move the pointer to a pixel of the screen, from its top left."""
+        self.pointer = (x, y)
+        self.event("MOUSEMOVE", "NOTHING")
 
     def under(self, where: Where = SIDEBAR) -> dict[str, str]:
         """The button under the pointer: `operator` as Python, `property` as full path; or empty."""
-        return self.ask("button", *where, ticks=2)
+        return self.ask(agent.button, *where, ticks=2)
 
     def point(self, where: Where, x: float, y: float) -> None:
         """Move to a pixel of a region, from its lower left as in Blender."""
         left, top, _, height = self.box(where)
-        self.display.move(round(left + x), round(top + height - 1 - y))
+        self.move(round(left + x), round(top + height - 1 - y))
 
     def point_at(self, location: Iterable[float]) -> None:
         """Move to where the 3D viewport shows a world position."""
-        pixel = self.ask("project", list(location))
+        pixel = self.ask(agent.project, list(location))
         if pixel is None:
             raise Lost(f"the view does not show {list(location)}")
         self.point(VIEW, *pixel)
@@ -87,33 +82,37 @@ class Hand(Blender):
         _, _, width, height = self.box(VIEW)
         self.point(VIEW, right * width, up * height)
 
-    def press(self, button: int = 1) -> None:
-        """Press a mouse button where the pointer is; never as the second click of a double click."""
+    def press(self) -> None:
+        """Press the left mouse button where the pointer is; never as the second click of a double click."""
         x, y, at = self._last_press
-        if (x, y) == self.display.pointer:
+        if (x, y) == self.pointer:
             time.sleep(max(0.0, at + _DOUBLE_CLICK_SECONDS - time.monotonic()))
-        for down in (True, False):
+        for value in ("PRESS", "RELEASE"):
             self._let_pass()
-            self.display.button(button, down)
-        self._last_press = (*self.display.pointer, time.monotonic())
+            self.event("LEFTMOUSE", value)
+        self._last_press = (*self.pointer, time.monotonic())
         self.presses += 1
         self._let_pass()
         self.settle()
 
     def key(self, *chords: str) -> None:
-        """Press keys by X names (`Return`, `ctrl+z`, `F3`); the region under the pointer receives them."""
+        """Press keys by Blender's names (`RET`, `ctrl+Z`); the region under the pointer receives them."""
         for chord in chords:
-            self._let_pass()
-            self.display.key(chord)
+            *held, name = chord.split("+")
+            for value in ("PRESS", "RELEASE"):
+                self._let_pass()
+                self.event(name, value, **dict.fromkeys(held, True))
         self._let_pass()
 
     def _let_pass(self) -> None:
         """Wait until Blender has handled all events: a click acts where Blender last saw the pointer."""
-        self.ask("redraws", ticks=3)
+        self.ask(agent.redraws, ticks=2)
 
     def type(self, text: str) -> None:
         """Type a text."""
-        self.display.type(text)
+        for character in text:
+            self.event("A", "PRESS", unicode=character)  # a field reads the character alone
+            self.event("A", "RELEASE")
         self._let_pass()
 
     def hover(self, target: str, where: Where = SIDEBAR, **values: Any) -> str:
@@ -124,7 +123,7 @@ class Hand(Blender):
         """
         key = (where, f"{target} {values}" if values else target)
         for place in self._places.get(key, ()):
-            self.display.move(*place)
+            self.move(*place)
             if found := _matches(self.under(where), target, values):
                 return found
         if found := self._scan(where, target, values):
@@ -137,7 +136,7 @@ class Hand(Blender):
 
     def extent(self, path: str, where: Where, axis: int) -> tuple[int, int]:
         """Extent of a property's buttons from the pointer along an axis; restores the pointer."""
-        home = self.display.pointer
+        home = self.pointer
         low, size = self.box(where)[axis], self.box(where)[2 + axis]
         ends = []
         for step in (-4, 4):
@@ -146,13 +145,13 @@ class Hand(Blender):
                 place[axis] += step
                 if not low <= place[axis] < low + size:  # Blender still names the button that was left last
                     break
-                self.display.move(place[0], place[1], 1)
+                self.move(place[0], place[1])
                 if self.under(where)["property"] == path:
                     last, misses = place[axis], 0
                 else:
                     misses += 1
             ends.append(last)
-            self.display.move(*home, 2)
+            self.move(*home)
             self.under(where)
         return ends[0], ends[1]
 
@@ -169,14 +168,14 @@ class Hand(Blender):
         for column in columns:
             for y in range(top + 4, top + height - 4, round(unit * 0.75)):  # the lowest buttons have 0.8
                 place = (left + round(column), y)
-                self.display.move(*place, 1)
+                self.move(*place)
                 report = self.under(where)
                 if found := _matches(report, target, values):
                     inner = (place[0], y + round(unit * 0.3))
-                    self.display.move(*inner, 2)
+                    self.move(*inner)
                     if not _matches(self.under(where), target, values):
                         inner = place
-                        self.display.move(*place, 2)
+                        self.move(*place)
                         self.under(where)
                     key = (where, f"{target} {values}" if values else target)
                     self._places.setdefault(key, []).insert(0, inner)
@@ -185,8 +184,8 @@ class Hand(Blender):
 
     def to_top(self, where: Where) -> None:
         last = None
-        while (now := self.ask("scroll", *where)) != last and now < 0:
-            self._wheel(where, 4, 10)
+        while (now := self.ask(agent.scroll, *where)) != last and now < 0:
+            self._wheel(where, "UP", 10)
             last = now
 
     def _pages(self, where: Where) -> Iterable[int]:
@@ -201,33 +200,32 @@ class Hand(Blender):
 
     def scroll_down(self, where: Where, pixels: int) -> bool:
         """Scroll a region down by about so many pixels; False where it shows its end already."""
-        before = self.ask("scroll", *where)
+        before = self.ask(agent.scroll, *where)
         for _ in range(8):
-            self._wheel(where, 5, 1)
-            if abs(self.ask("scroll", *where) - before) >= pixels:
+            self._wheel(where, "DOWN", 1)
+            if abs(self.ask(agent.scroll, *where) - before) >= pixels:
                 break
-        return bool(self.ask("scroll", *where) != before)
+        return bool(self.ask(agent.scroll, *where) != before)
 
-    def _wheel(self, where: Where, button: int, times: int) -> None:
+    def _wheel(self, where: Where, way: str, times: int) -> None:
         left, top, _, height = self.box(where)
-        self.display.move(left + MARGIN, top + height // 2)  # a list under the pointer would scroll instead
-        self.turn_wheel(button, times)
+        self.move(left + MARGIN, top + height // 2)  # a list under the pointer would scroll instead
+        self.turn_wheel(way, times)
 
-    def turn_wheel(self, button: int, times: int) -> None:
-        """Turn the wheel where the pointer is: 4 is upwards, 5 downwards."""
+    def turn_wheel(self, way: str, times: int) -> None:
+        """Turn the wheel where the pointer is, UP or DOWN."""
         for _ in range(times):
-            self.display.button(button, True)
-            self.display.button(button, False)
+            self.event(f"WHEEL{way}MOUSE", "PRESS")
         self.settle()
 
     def box(self, where: Where) -> tuple[int, int, int, int]:
         """Left, top, width and height of a region in screen pixels."""
-        place = self.ask("place", *where)
-        top = self.display.height - place["y"] - place["height"]
+        place = self.ask(agent.place, *where)
+        top = self.height - place["y"] - place["height"]
         return place["x"], top, place["width"], place["height"]
 
     def scale(self) -> float:
-        return self.ask("place", *VIEW)["scale"]
+        return self.ask(agent.place, *VIEW)["scale"]
 
 
 def _matches(report: dict[str, str], target: str, values: dict[str, Any]) -> str:

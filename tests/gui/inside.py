@@ -15,14 +15,10 @@ import bpy
 from mathutils import Vector
 
 
-def _ours(name: str) -> Any:
+def ours(name: str) -> Any:
+    """A module of the extension."""
     package = next(key for key in sys.modules if key.split(".")[-1] == "fipt_blender")
     return importlib.import_module(f"{package}.{name}")
-
-
-def module_name() -> str:
-    """The extension's name in Blender's list of add-ons."""
-    return _ours("machine").ADDON
 
 
 def counts() -> dict[str, int]:
@@ -54,9 +50,19 @@ def photographs() -> dict[str, Any]:
     }
 
 
+def drop(files: list[str]) -> None:
+    """Run the operator that Blender runs where files are dropped on the sidebar, as it does."""
+    handler = bpy.types.FIPT_FH_photographs
+    module, _, name = handler.bl_import_operator.partition(".")
+    names = [{"name": Path(file).name} for file in files]
+    with bpy.context.temp_override(**_view()):
+        operator = getattr(getattr(bpy.ops, module), name)
+        operator("INVOKE_DEFAULT", directory=str(Path(files[0]).parent), files=names)
+
+
 def job(kind: str) -> dict[str, Any]:
     """State of the running job of a kind, or of the last one; an empty state if there was none."""
-    running = _ours("jobs.running")
+    running = ours("jobs.running")
     info = running.current()
     if info is None or info.kind != kind:
         info = running.last(kind)
@@ -75,12 +81,12 @@ def job(kind: str) -> dict[str, Any]:
 
 def busy() -> bool:
     """Whether any job runs."""
-    return _ours("jobs.running").current() is not None
+    return ours("jobs.running").current() is not None
 
 
 def engine_status() -> dict[str, Any]:
     """What the preferences show about the engine: whether it is ready, and the error if not."""
-    status = _ours("machine").status()
+    status = ours("machine").status()
     return {"ready": bool((status.get("engine") or {}).get("ready")), "error": status.get("error")}
 
 
@@ -159,12 +165,6 @@ def camera_places() -> list[list[float]]:
     return [list(bpy.data.objects[name].matrix_world.translation) for name in view_cameras()]
 
 
-def run_stages() -> int:
-    """How many stages of the estimate are finished on disk."""
-    folder = bpy.context.scene.fipt.run_folder
-    return _ours("jobs.runstate").known(folder).stages
-
-
 def textured() -> dict[str, int]:
     """Room objects, and those whose materials all take their base colour from an image."""
     room = bpy.context.scene.fipt.capture.room_objects(bpy.context.scene)
@@ -206,31 +206,12 @@ def emission_strengths(name: str) -> list[float]:
     return strengths
 
 
-def inserted() -> list[dict[str, Any]]:
-    """Selected objects with their locations: what was placed last."""
-    return [
-        {"name": item.name, "location": list(item.matrix_world.translation)}
-        for item in bpy.context.view_layer.objects.selected
-    ]
-
-
-def names() -> list[str]:
-    """All objects of the scene."""
-    return sorted(item.name for item in bpy.context.scene.objects)
-
-
 def checks() -> list[dict[str, Any]]:
     """The views that were re-rendered."""
     return [
         {"name": view.name, "psnr": view.psnr, "render": view.render}
         for view in bpy.context.scene.fipt.check.views
     ]
-
-
-def fit_texts() -> dict[str, str]:
-    """Paths that the panel shows."""
-    fipt = bpy.context.scene.fipt
-    return {"run": fipt.run_folder, "picture": fipt.insert.picture, "report": fipt.check.report}
 
 
 def change(before: str, after: str) -> float:
@@ -269,16 +250,10 @@ def states() -> dict[str, Any]:
     }
 
 
-def comparison() -> dict[str, Any]:
-    """What is compared, and where the divider is."""
-    check = bpy.context.scene.fipt.check
-    return {"mode": check.compare, "divider": check.divider}
-
-
 def divider_pixel() -> list[float]:
     """The middle of the divider in the 3D view's region."""
     with bpy.context.temp_override(**_view()):
-        left, bottom, right, top = _ours("operators.compare").frame_of(bpy.context)
+        left, bottom, right, top = ours("operators.compare").frame_of(bpy.context)
     return [left + bpy.context.scene.fipt.check.divider * (right - left), 0.5 * (bottom + top)]
 
 
@@ -288,19 +263,10 @@ def beam() -> dict[str, Any]:
 
     item = bpy.context.view_layer.objects.active
     graph = bpy.context.evaluated_depsgraph_get()
-    end = _ours("blend.lights.new_lights").beam_end(bpy.context.scene, graph, item, 2.0)
+    end = ours("blend.lights.new_lights").beam_end(bpy.context.scene, graph, item, 2.0)
     view = _view()
     pixel = location_3d_to_region_2d(view["region"], view["area"].spaces.active.region_3d, end)
     return {"pixel": list(pixel), "turn": [round(value, 4) for value in item.matrix_world.to_euler()]}
-
-
-def engine() -> dict[str, Any]:
-    """The render engine, and whether there is a light probe volume."""
-    scene = bpy.context.scene
-    return {
-        "engine": scene.render.engine,
-        "volume": any(item.type == "LIGHT_PROBE" for item in scene.objects),
-    }
 
 
 def part_rows() -> dict[str, Any]:

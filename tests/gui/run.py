@@ -1,128 +1,67 @@
 #!/usr/bin/env python3
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The GUI test's command: builds and installs the extension, opens a window, drives it (see README.md)."""
+"""The GUI test's command: builds and installs the extension, opens a window, tells the story (README.md)."""
 
 from __future__ import annotations
 
 import argparse
+import json
+import os
 import shutil
+import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
-sys.path[:0] = [str(HERE), str(ROOT)]
-
-import chapters  # noqa: E402
-import story  # noqa: E402
-import x11  # noqa: E402
-from hand import SIDEBAR  # noqa: E402
-from window import Window  # noqa: E402
+sys.path.insert(0, str(ROOT))
 
 import dev  # noqa: E402
 
-
-def look(window: Window, sections: list[str]) -> None:
-    """Open sections one by one and take a screenshot of each."""
-    for label in sections or window.sections():
-        window.open_section(label)
-        window.shot(f"section_{label.lower()}", SIDEBAR)
+SIZE = (1600, 900)  # of the screen and the window
+TOLD = 42  # of play.py
 
 
 def main(argv: list[str]) -> int:
-    """Run the test, or only take screenshots; returns the exit status."""
+    """Run the test, or some of its chapters; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--blender", default="blender", help="Blender's executable")
     parser.add_argument("--shots", type=Path, required=True, help="folder of the pictures")
-    parser.add_argument("--look", nargs="*", metavar="SECTION", help="only open sections and picture them")
-    parser.add_argument("--open", type=Path, metavar="BLEND", help="a file to open first")
-    parser.add_argument("--before", type=Path, metavar="PY", help="with --look: a script to run first")
     parser.add_argument(
-        "--engine", type=Path, metavar="PYTHON", help="interpreter with the engine's packages"
+        "--engine", type=Path, required=True, metavar="PYTHON", help="interpreter with the engine's packages"
     )
     parser.add_argument("--capture", type=Path, default=ROOT / "examples" / "room", help="the capture")
     parser.add_argument("--fast", action="store_true", help="few rays and steps: for work on the test itself")
-    names = [chapter.name for chapter in story.CHAPTERS]
     chosen = parser.add_mutually_exclusive_group()
-    chosen.add_argument("--only", type=_names, default=[], metavar="CHAPTER,...", help=", ".join(names))
-    chosen.add_argument("--from", dest="first", choices=names, help="a chapter and all after it")
-    parser.add_argument("--base", type=Path, metavar="SHOTS", help="earlier run of which to continue a copy")
+    chosen.add_argument("--only", nargs="+", metavar="CHAPTER", default=[], help="by their names in story.py")
+    chosen.add_argument("--from", dest="first", metavar="CHAPTER", default="", help="and all after it")
     options = parser.parse_args(argv)
-    if options.look is None and options.engine is None:
-        parser.error("--engine is needed, or --look")
-    if lacking := x11.missing():
-        print(f"{lacking} is needed for a window without a screen.", file=sys.stderr)
+    if not (shutil.which("xvfb-run") and shutil.which("import")):
+        print("xvfb-run and ImageMagick are needed for a window without a screen.", file=sys.stderr)
         return 2
-    if options.look is not None:
-        arguments = [str(options.open.resolve())] if options.open else []
-        arguments += ["--python", str(options.before.resolve())] if options.before else []
-        return _drive(options, arguments, {}, lambda window: look(window, options.look))
-    only = names[names.index(options.first) :] if options.first else options.only
-    options.shots.mkdir(parents=True, exist_ok=True)
-    if options.base is not None:
-        _copy(options.base, options.shots)
-    start, rest = chapters.plan(
-        story.CHAPTERS, only, lambda name: (options.shots / f"{name}.blend").is_file()
-    )
-    arguments, moved = [], {}
-    if start:
-        arguments = [str(options.shots.resolve() / f"{start}.blend")]
-    else:
-        shutil.rmtree(options.shots / "data", ignore_errors=True)
-    if start and options.base is not None:
-        arguments += ["--python", str(HERE / "moved.py")]
-        moved = {
-            "FIPT_GUI_BASE": str(options.base.resolve()),
-            "FIPT_GUI_SHOTS": str(options.shots.resolve()),
-        }
-    told = chapters.Options(options.capture.resolve(), options.engine, options.fast)
-    return _drive(options, arguments, moved, lambda window: chapters.act(window, told, rest))
-
-
-def _names(text: str) -> list[str]:
-    """Names of chapters, of a list with commas."""
-    names = text.split(",")
-    if unknown := set(names) - {chapter.name for chapter in story.CHAPTERS}:
-        raise argparse.ArgumentTypeError(f"there is no chapter {', '.join(sorted(unknown))}")
-    return names
-
-
-def _copy(base: Path, shots: Path) -> None:
-    """Bring an earlier run's scenes, their textures and data, in place of those that are there."""
-    for folder in (base / "data", *base.glob("*_textures")):
-        shutil.rmtree(shots / folder.name, ignore_errors=True)
-        shutil.copytree(folder, shots / folder.name)
-    for file in base.glob("*.blend"):
-        shutil.copyfile(file, shots / file.name)
-
-
-def _drive(
-    options: argparse.Namespace,
-    arguments: list[str],
-    environment: dict[str, str],
-    act: Callable[[Window], None],
-) -> int:
-    """Open a window with the extension and act in it; the exit status."""
-    data = options.shots.resolve() / "data"  # the run and the saved preferences
-    with tempfile.TemporaryDirectory() as folder:
+    shots = options.shots.resolve()
+    shots.mkdir(parents=True, exist_ok=True)
+    if not options.only and not options.first:
+        shutil.rmtree(shots / "data", ignore_errors=True)
+    asked = {"shots": str(shots), "capture": str(options.capture.resolve()), "fast": options.fast}
+    asked |= {"engine": os.path.abspath(options.engine), "only": options.only, "first": options.first}
+    with tempfile.TemporaryDirectory(prefix="fipt-gui-") as folder, (shots / "blender.log").open("wb") as log:
+        variables = {**os.environ, "BLENDER_USER_RESOURCES": f"{folder}/blender"}
+        variables |= {"FIPT_DATA": str(shots / "data"), "FIPT_GUI": json.dumps(asked)}
+        variables.pop("WAYLAND_DISPLAY", None)
+        install = ["--command", "extension", "install-file", "-r", "user_default", "-e"]
         extension = dev.build_extension(Path(folder))
-        try:
-            with Window(
-                options.blender,
-                options.shots,
-                extension=extension,
-                inside=[HERE / "inside.py"],
-                arguments=arguments,
-                environment={"FIPT_DATA": str(data), **environment},
-            ) as window:
-                act(window)
-        except AssertionError as error:
-            print(f"FAILED: {error}", file=sys.stderr)
+        command = [options.blender, *install, str(extension)]
+        if subprocess.run(command, env=variables, stdout=log, stderr=log, check=False).returncode:
+            print(f"The extension can't be installed; see {log.name}.", file=sys.stderr)
             return 1
-    return 0
+        command = ["xvfb-run", "-a", "-s", "-screen 0 {}x{}x24 +extension GLX".format(*SIZE), options.blender]
+        command += ["--window-geometry", "0", "0", *map(str, SIZE), "--enable-event-simulate"]
+        command += ["--python", str(HERE / "play.py")]
+        result = subprocess.run(command, env=variables, stdin=subprocess.DEVNULL, stdout=log, check=False)
+    return 0 if result.returncode == TOLD else 1
 
 
 if __name__ == "__main__":

@@ -14,6 +14,9 @@ import subprocess
 import time
 from pathlib import Path
 
+import agent
+import bpy
+import inside
 import story_align
 import story_hints
 import story_lights
@@ -41,8 +44,8 @@ _MAPS = ("ORIGINAL", "BASE_COLOR", "ROUGHNESS", "METALLIC", "EMISSION", "CONFIDE
 def empty_scene(window: Window, options: Options) -> None:
     """Select all with the keyboard and delete it."""
     window.point_in_view()
-    window.key("a", "Delete")
-    window.wait("inside.counts", until=lambda counts: counts["objects"] == 0)
+    window.key("A", "DEL")
+    window.wait(inside.counts, until=lambda counts: counts["objects"] == 0)
     window.open_tab()
     window.settle()
     window.shot("01_empty_scene")
@@ -51,27 +54,26 @@ def empty_scene(window: Window, options: Options) -> None:
 
 def preferences(window: Window, options: Options) -> None:
     """Find the extension in the preferences, name the interpreter, press Check."""
-    module = window.ask("inside.module_name")
+    module = window.ask(lambda: inside.ours("machine").ADDON)
     window.point_in_view()
-    window.key("ctrl+comma")
-    window.wait("is_open", *PREFERENCES)
+    window.key("ctrl+COMMA")
+    window.wait(agent.is_open, *PREFERENCES)
     window.settle()
-    window.display.arrange()
-    pages = next(where for where in _PREFERENCES_PAGES if window.ask("is_open", *where))
+    pages = next(where for where in _PREFERENCES_PAGES if window.ask(agent.is_open, *where))
     window.pick("preferences.active_section", "ADDONS", pages)
     window.set_text("addon_search", "fipt", PREFERENCES)
     window.click("preferences.addon_expand", PREFERENCES, module=module)
     window.shot("02_preferences_before")
-    assert not window.ask("inside.engine_status")["ready"]
+    assert not window.ask(inside.engine_status)["ready"]
     window.set_text("engine_python", str(options.engine), PREFERENCES)
     window.click("fipt.check_engine", PREFERENCES)
-    status = window.wait("inside.engine_status", until=lambda s: s["ready"] or s["error"], seconds=120)
+    status = window.wait(inside.engine_status, until=lambda s: s["ready"] or s["error"], seconds=120)
     assert status["ready"], status["error"]
-    window.wait("inside.busy", until=lambda busy: not busy)
+    window.wait(inside.busy, until=lambda busy: not busy)
     window.hover("engine_python", PREFERENCES)  # the Check button has moved away from the pointer
     window.settle()
     window.shot("03_preferences_after")
-    window.ask("close_window", "PREFERENCES")
+    window.ask(agent.close_window, "PREFERENCES")
     window.settle()
 
 
@@ -94,9 +96,9 @@ def example(window: Window, options: Options) -> None:
 
 def _assert_inside(window: Window, split: str) -> None:
     """The room has textures, and the 3D view shows its light through a view of this split."""
-    textured = window.ask("inside.textured")
+    textured = window.ask(inside.textured)
     assert textured["objects"] == textured["textured"] > 0, textured
-    seen = window.ask("inside.seen")
+    seen = window.ask(inside.seen)
     assert seen["split"] == split and seen["shading"] == "RENDERED", seen
 
 
@@ -107,22 +109,20 @@ def photographs(window: Window, options: Options) -> None:
     script = Path(__file__).with_name("brackets.py")
     subprocess.run([options.engine, script, options.capture, folder], check=True)
     window.open_section("Start")
-    window.drop_files(sorted((folder / "card").iterdir()))
-    if not window.ask("inside.photographs")["path"]:
-        window.press()  # a menu under the pointer asks what to do with images
+    window.ask(inside.drop, [str(file) for file in sorted((folder / "card").iterdir())])
     finish(window, "photographs")
     window.open_section("Photographs")
-    found = window.ask("inside.photographs")
+    found = window.ask(inside.photographs)
     assert Path(found["path"]) == folder / "card" and set(found["sizes"]) == {3}, found
     window.shot("03_photographs_found")
     window.click_row("photographs.active_group", 1)
     window.click_row("photographs.active_photograph", 2)
     window.click("fipt.split_bracket")
-    split = window.wait("inside.photographs", until=lambda now: now["sizes"][1:3] == [2, 1])
+    split = window.wait(inside.photographs, until=lambda now: now["sizes"][1:3] == [2, 1])
     assert len(split["sizes"]) == len(found["sizes"]) + 1
     window.shot("03_photographs_split")
     window.click("fipt.merge_brackets")
-    window.wait("inside.photographs", until=lambda now: now["sizes"] == found["sizes"])
+    window.wait(inside.photographs, until=lambda now: now["sizes"] == found["sizes"])
     window.tick("photographs.groups[4].used", False)
     window.open_section("Photographs", "Settings")
     window.set_text("photographs.cameras", str(folder / "solve"))
@@ -130,13 +130,13 @@ def photographs(window: Window, options: Options) -> None:
     window.open_section("Photographs")
     window.click("fipt.prepare")
     finish(window, "photographs")
-    prepared = window.ask("inside.photographs")
+    prepared = window.ask(inside.photographs)
     assert prepared["registered"] == sum(prepared["used"]) == len(found["sizes"]) - 1, prepared
     assert (Path(prepared["capture"]) / "report" / "index.html").is_file()
     window.shot("03_photographs_prepared")
     window.click("fipt.import_capture")
     finish(window, "capture")
-    counts = window.ask("inside.counts")
+    counts = window.ask(inside.counts)
     assert counts["views"] == counts["cameras"] == prepared["registered"], counts
     window.point_in_view()
     window.settle()
@@ -151,21 +151,21 @@ def capture(window: Window, options: Options) -> None:
     finish(window, "capture")
     window.shot("04_capture_closed")
     window.open_section("Capture", "Views")
-    counts = window.ask("inside.counts")
+    counts = window.ask(inside.counts)
     pictures = len(list(options.capture.glob("*/Image/*.exr")))
     assert counts["views"] == counts["cameras"] == pictures, (counts, pictures)
     assert counts["held_back"] > 0 and counts["room"] > 0, counts
     window.shot("04_capture_imported")
-    cameras = window.ask("inside.view_cameras")
+    cameras = window.ask(inside.view_cameras)
     for index in (2, 0):
         window.click_row("capture.active_view", index)
-        window.wait("inside.view_through", until=cameras[index].__eq__)
+        window.wait(inside.view_through, until=cameras[index].__eq__)
     window.click("fipt.look_through", step=1)
-    window.wait("inside.view_through", until=cameras[1].__eq__)
+    window.wait(inside.view_through, until=cameras[1].__eq__)
     window.shot("05_capture_view")
     window.click("fipt.check_views")
     finish(window, "survey")
-    assert window.ask("inside.counts")["checked"] == counts["views"]
+    assert window.ask(inside.counts)["checked"] == counts["views"]
     window.click("fipt.show_coverage")
     window.settle()
     window.shot("06_capture_coverage")
@@ -195,21 +195,21 @@ def estimate(window: Window, options: Options) -> None:
         window.open_section("Estimate")
     window.click("fipt.estimate")
     window.wait(
-        "inside.job",
+        inside.job,
         "estimate",
         until=lambda job: job["fraction"] >= 0.4 or job["error"],
         seconds=_ENGINE_SECONDS,
     )
     window.shot("08_estimate_running")
-    window.key("Escape")
+    window.key("ESC")
     if not _stops(window):  # a run of more than a minute asks first
         window.shot("08_estimate_asked")
-        window.key("Return")
-    job = window.wait("inside.job", "estimate", until=lambda job: job["state"] != "running", seconds=300)
+        window.key("RET")
+    job = window.wait(inside.job, "estimate", until=lambda job: job["state"] != "running", seconds=300)
     assert job["state"] == "cancelled", job
     window.settle()
     window.shot("09_estimate_cancelled")
-    stages = window.wait("inside.run_stages")
+    stages = window.wait(_stages)
     window.click("fipt.resume")
     _progress(window, 0.1)
     window.shot("10_estimate_resumed")
@@ -221,11 +221,16 @@ def estimate(window: Window, options: Options) -> None:
     window.shot("11_estimate_applied")
 
 
+def _stages() -> int:
+    """How many stages of the estimate are finished on disk."""
+    return inside.ours("jobs.runstate").known(bpy.context.scene.fipt.run_folder).stages
+
+
 def _stops(window: Window) -> bool:
     """Whether the estimate was told to stop within a second."""
     end = time.monotonic() + 1.0
     while time.monotonic() < end:
-        job = window.ask("inside.job", "estimate")
+        job = window.ask(inside.job, "estimate")
         if job["stopping"] or job["state"] != "running":
             return True
     return False
@@ -248,7 +253,7 @@ def check(window: Window, options: Options) -> None:
     window.set_text("check.samples", "8" if options.fast else "32")
     window.click("fipt.render_views")
     finish(window, "check")
-    found = window.ask("inside.checks")
+    found = window.ask(inside.checks)
     assert len(found) == 1 and found[0]["psnr"] > (10.0 if options.fast else 18.0), found
     window.shot("14_check_render")
     window.pick("check.picture", "ERROR")
@@ -256,7 +261,7 @@ def check(window: Window, options: Options) -> None:
     window.shot("15_check_error")
     window.click("fipt.write_report")
     finish(window, "report")
-    assert Path(window.ask("inside.fit_texts")["report"]).is_file()
+    assert Path(window.ask(lambda: bpy.context.scene.fipt.check.report)).is_file()
     window.pick("check.picture", "RENDER")
 
 
@@ -265,20 +270,20 @@ def lights(window: Window, options: Options) -> None:
     window.open_section("Capture", "Views")
     window.click_row("capture.active_view", 1)  # the photograph instead of the check's picture
     window.open_section("Lights")
-    rows = window.ask("inside.light_rows")
+    rows = window.ask(inside.light_rows)
     assert rows, "no fixtures"
-    before = window.ask("inside.emission_strengths", rows[0]["name"])
+    before = window.ask(inside.emission_strengths, rows[0]["name"])
     assert max(before) > 0.0, before
     window.shot("16_lights")
     window.tick("lights.lights[0].on", False)
-    after = window.ask("inside.emission_strengths", rows[0]["name"])
+    after = window.ask(inside.emission_strengths, rows[0]["name"])
     assert max(after) == 0.0, after
     window.settle()
     window.shot("17_fixture_off")
     window.click("fipt.add_light", place="PICK")
     window.point_in_view(0.45, 0.3)
     window.press()
-    added = window.wait("inside.light_rows", until=lambda now: len(now) == len(rows) + 1)
+    added = window.wait(inside.light_rows, until=lambda now: len(now) == len(rows) + 1)
     assert added[-1]["kind"] == "LIGHT" and added[-1]["on"], added
     window.settle()
     window.shot("18_light_added")
@@ -288,43 +293,47 @@ def insert(window: Window, options: Options) -> None:
     """Place a ball with the mouse, and render the relit room with it."""
     window.open_section("Insert")
     window.choose("insert.kind", "GREY_BALL")
-    before = set(window.ask("inside.names"))
+    before = set(window.ask(_names))
     window.click("fipt.insert_object")
     window.point_in_view(0.45, 0.35)
     window.settle()
     window.press()
-    new = window.wait("inside.names", until=lambda names: len(set(names) - before) > 0)
-    placed = [item for item in window.ask("inside.inserted") if item["name"] in set(new) - before]
-    assert placed, new
+    new = window.wait(_names, until=lambda names: len(set(names) - before) > 0)
+    selected = window.ask(lambda: [item.name for item in bpy.context.view_layer.objects.selected])
+    assert {*selected} & ({*new} - before), new
     window.shot("19_inserted")
     window.open_section("Render")
     window.set_text("check.samples", "8" if options.fast else "32")
     window.click("fipt.render_composite")
     finish(window, "insert")
-    picture = window.ask("inside.fit_texts")["picture"]
+    picture = window.ask(lambda: bpy.context.scene.fipt.insert.picture)
     assert Path(picture).is_file(), picture
-    rendered = window.ask("inside.checks")[0]["render"]
-    change = window.ask("inside.change", rendered, picture)
+    rendered = window.ask(inside.checks)[0]["render"]
+    change = window.ask(inside.change, rendered, picture)
     assert change > 0.05, change
     window.shot("20_relit_panel")
     window.click("fipt.open_picture")
-    window.wait("is_open", *_PICTURE)
-    window.display.arrange()
+    window.wait(agent.is_open, *_PICTURE)
     window.settle()
     window.shot("21_relit_render")
-    window.ask("close_window", _PICTURE[0])
+    window.ask(agent.close_window, _PICTURE[0])
+
+
+def _names() -> list[str]:
+    """All objects of the scene."""
+    return sorted(item.name for item in bpy.context.scene.objects)
 
 
 def draw_requests(window: Window, options: Options) -> None:
     """Have each panel drawn many times on the finished scene: most draws ask the system for nothing."""
-    window.ask("draw_requests")
+    window.ask(agent.draw_requests)
     for label in window.sections():
         window.open_section(label)
         for _ in range(_DRAWS):
             window.redraw()
     found = {
         name: {"median": statistics.median(counts), "max": max(counts), "draws": len(counts)}
-        for name, counts in sorted(window.ask("draw_requests").items())
+        for name, counts in sorted(window.ask(agent.draw_requests).items())
     }
     (window.shots / "draw_requests.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     asking = {name: counts for name, counts in found.items() if counts["median"]}
@@ -335,13 +344,13 @@ def _progress(window: Window, fraction: float) -> None:
     """Wait until the estimate has reached a stage, with the pointer out of the way."""
     window.point_in_view()
     window.wait(
-        "inside.job",
+        inside.job,
         "estimate",
         until=lambda job: job["fraction"] >= fraction or job["state"] != "running",
         seconds=_ENGINE_SECONDS,
         every=0.2,
     )
-    job = window.ask("inside.job", "estimate")
+    job = window.ask(inside.job, "estimate")
     assert job["state"] == "running", job
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import inside
 from chapters import Options, finish
 from window import Window
 
@@ -17,19 +18,19 @@ def hints(window: Window, options: Options) -> None:
     window.click("fipt.add_hint", what="PART")
     window.point_in_view(0.45, 0.35)
     window.press()
-    window.wait("inside.hints", until=lambda now: len(now["hints"]) == 1)
+    window.wait(inside.hints, until=lambda now: len(now["hints"]) == 1)
     window.open_section("Estimate", "Hints")
     window.choose("hints.hints[0].material", "METAL")
-    found = window.wait("inside.hints", until=lambda now: now["hints"][0]["material"] == "METAL")
+    found = window.wait(inside.hints, until=lambda now: now["hints"][0]["material"] == "METAL")
     assert found["hints"][0]["object"], found
     window.shot("32_hints_metal")
     window.click("fipt.reestimate")
     finish(window, "estimate", _ENGINE_SECONDS)
     window.open_section("Estimate", "Hints")
-    found = window.ask("inside.hints")
+    found = window.ask(inside.hints)
     assert found["told"][0]["metallic"] == 1.0, found
     window.shot("33_hints_questions")
     if found["questions"]:  # with few rays and steps, which these are is chance
         window.click("fipt.answer_doubt", answer="LEAVE")
-        window.wait("inside.hints", until=lambda now: len(now["hints"]) == 2)
+        window.wait(inside.hints, until=lambda now: len(now["hints"]) == 2)
         window.shot("33_hints_answered")

@@ -4,6 +4,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import agent
+import bpy
+import inside
 from chapters import Options
 from hand import VIEW
 from window import Window
@@ -16,7 +21,7 @@ def light_states(window: Window, options: Options) -> None:
     window.open_section("Capture", "Views")
     window.click_row("capture.active_view", 1)
     window.open_section("Lights")
-    rows = window.ask("inside.light_rows")
+    rows = window.ask(inside.light_rows)
     names = [row["name"] for row in rows]
     assert not any(name.startswith("Fixture") for name in names), names
     window.shot("30_lights_named")
@@ -27,17 +32,17 @@ def light_states(window: Window, options: Options) -> None:
     window.open_section("Lights", "Light States")
     window.shot("31_states_empty")
     window.click("fipt.save_light_state")
-    window.wait("inside.states", until=lambda states: len(states["names"]) == 1)
+    window.wait(inside.states, until=lambda states: len(states["names"]) == 1)
     window.open_section("Lights")
     window.set_text("lights.lights[0].stops", "2")
     window.open_section("Lights", "Light States")
     window.click("fipt.save_light_state")
-    states = window.wait("inside.states", until=lambda states: len(states["names"]) == 2)
+    states = window.wait(inside.states, until=lambda states: len(states["names"]) == 2)
     window.shot("31_states_saved")
     window.click("fipt.recall_light_state", state=states["names"][0])
-    window.wait("inside.states", until=lambda now: now["stops"] == 0.0)
+    window.wait(inside.states, until=lambda now: now["stops"] == 0.0)
     window.click("fipt.keyframe_lights", everything=True)
-    window.wait("inside.states", until=lambda now: now["keyframes"] > 0)
+    window.wait(inside.states, until=lambda now: now["keyframes"] > 0)
     window.shot("31_states_keyframes")
 
 
@@ -46,38 +51,41 @@ def seeing(window: Window, options: Options) -> None:
     window.open_section("Render")
     window.click_row("check.active", 0)  # the view that was rendered
     window.click("fipt.compare", mode="VIEWPORT")
-    window.wait("inside.comparison", until=lambda now: now["mode"] == "VIEWPORT")
+    window.wait(lambda: _check().compare == "VIEWPORT")
     window.point_in_view(0.9, 0.9)
     window.settle()
     window.shot("32_compare_viewport")
     window.click("fipt.compare", mode="RENDER")
-    window.wait("inside.comparison", until=lambda now: now["mode"] == "RENDER")
+    window.wait(lambda: _check().compare == "RENDER")
     window.settle()
     window.shot("32_compare_render")
-    place = window.ask("inside.divider_pixel")
-    before = window.ask("inside.comparison")["divider"]
+    place = window.ask(inside.divider_pixel)
+    before = window.ask(lambda: _check().divider)
     _drag(window, place, (-120, 0))
-    window.wait("inside.comparison", until=lambda now: now["divider"] < before - 0.02)
+    window.wait(lambda: _check().divider < before - 0.02)
     window.settle()
     window.shot("32_compare_dragged")
     window.click("fipt.compare", mode="RENDER", window=True)
-    window.wait("is_open", *_PICTURE)
-    window.display.arrange()
+    window.wait(agent.is_open, *_PICTURE)
     window.settle()
     window.shot("32_compare_picture")
-    window.ask("close_window", _PICTURE[0])
+    window.ask(agent.close_window, _PICTURE[0])
     window.settle()
     window.click("fipt.compare", mode="OFF")
-    window.wait("inside.comparison", until=lambda now: now["mode"] == "OFF")
+    window.wait(lambda: _check().compare == "OFF")
+
+
+def _check() -> Any:
+    return bpy.context.scene.fipt.check
 
 
 def menus(window: Window, options: Options) -> None:
     """The pie menu on its key, the menu search, and the shortcut in the preferences."""
     window.point_in_view(0.45, 0.5)
-    window.key("shift+alt+f")
+    window.key("shift+alt+F")
     window.settle()
     window.shot("33_pie")
-    window.key("Escape")
+    window.key("ESC")
     window.point_in_view(0.45, 0.5)
     window.search("Exposure from Photographs")
     window.shot("33_searched")
@@ -90,24 +98,25 @@ def aim(window: Window, options: Options) -> None:
     window.point_in_view(0.45, 0.4)
     window.settle()
     window.press()
-    window.wait("inside.light_rows", until=lambda now: now[-1]["kind"] == "LIGHT")
+    window.wait(inside.light_rows, until=lambda now: now[-1]["kind"] == "LIGHT")
     window.settle()
-    before = window.ask("inside.beam")
+    before = window.ask(inside.beam)
     window.shot("34_light_to_aim")
     _drag(window, before["pixel"], (90, 40))
-    window.wait("inside.beam", until=lambda now: now["turn"] != before["turn"])
+    window.wait(inside.beam, until=lambda now: now["turn"] != before["turn"])
     window.settle()
     window.shot("34_light_aimed")
     window.point_in_view(0.9, 0.9)
-    window.key("ctrl+z")
-    window.wait("inside.beam", until=lambda now: now["turn"] == before["turn"])
+    window.key("ctrl+Z")
+    window.wait(inside.beam, until=lambda now: now["turn"] == before["turn"])
 
 
 def eevee(window: Window, options: Options) -> None:
     """Set the room up for EEVEE and look at it."""
     window.open_section("Lights", "Scene and Passes")
     window.click("fipt.prepare_eevee")
-    window.wait("inside.engine", until=lambda now: "EEVEE" in now["engine"] and now["volume"])
+    window.wait(lambda: "EEVEE" in bpy.context.scene.render.engine)
+    window.wait(lambda: any(item.type == "LIGHT_PROBE" for item in bpy.context.scene.objects))
     window.settle(30.0)  # Blender shows the progress of the bake
     window.shot("35_eevee_set_up")
 
@@ -115,11 +124,11 @@ def eevee(window: Window, options: Options) -> None:
 def _drag(window: Window, place: tuple[int, int], by: tuple[int, int]) -> None:
     """Drag with the left button from a place of the 3D viewport, in pixels of its region."""
     window.point(VIEW, *place)
-    x, y = window.display.pointer
+    x, y = window.pointer
     window.settle()
-    window.display.button(1, True)
+    window.event("LEFTMOUSE", "PRESS")
     for step in range(1, 9):
-        window.display.move(x + by[0] * step // 8, y + by[1] * step // 8)
+        window.move(x + by[0] * step // 8, y + by[1] * step // 8)
         window.settle()
-    window.display.button(1, False)
+    window.event("LEFTMOUSE", "RELEASE")
     window.settle()

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from blender import Lost
+import agent
+from agent import Lost
 from hand import SIDEBAR, TABS, UNIT, Hand, Where
 
 TAB = "FIPT"
@@ -15,7 +16,7 @@ _TRIES = 6
 
 
 class Window(Hand):
-    """A script's actions on a window; see `Blender` for the arguments."""
+    """A script's actions on a window."""
 
     def click(self, target: str, where: Where = SIDEBAR, **values: Any) -> None:
         """Click a button by its operator (`fipt.estimate`) or property (`estimate.preset`).
@@ -29,55 +30,55 @@ class Window(Hand):
     def set_text(self, target: str, text: str, where: Where = SIDEBAR) -> None:
         """Type a text or a number into a field, and check the property."""
         path = self.hover(target, where)
-        before = self.ask("value", path)
+        before = self.ask(agent.value, path)
         if isinstance(before, str):
             self.press()
         else:
             first, last = self.extent(path, where, 0)
-            self.display.move((first + last) // 2, self.display.pointer[1])  # its ends are arrows
-            self.key("Return")  # a click would start dragging the number
-        self.key("ctrl+a")
+            self.move((first + last) // 2, self.pointer[1])  # its ends are arrows
+            self.key("RET")  # a click would start dragging the number
+        self.key("ctrl+A")
         self.type(text)
-        self.key("Return")
+        self.key("RET")
         wanted = type(before)(text)
         near = (lambda v: abs(v - wanted) < 1e-4) if isinstance(wanted, float) else wanted.__eq__
-        self.wait("value", path, until=near, seconds=60)
+        self.wait(agent.value, path, until=near, seconds=60)
         self.settle()
 
     def tick(self, target: str, value: bool = True, where: Where = SIDEBAR) -> None:
         """Set a checkbox, and check the property."""
         path = self.hover(target, where)
-        if self.ask("value", path) != value:
+        if self.ask(agent.value, path) != value:
             self.press()
-        self.wait("value", path, until=value.__eq__, seconds=60)
+        self.wait(agent.value, path, until=value.__eq__, seconds=60)
 
     def choose(self, target: str, item: str, where: Where = SIDEBAR) -> None:
         """Open a menu property and choose an item by its identifier, with the arrow keys."""
         path = self.hover(target, where)
-        index = self.ask("items", path).index(item)
-        if self.ask("value", path) != item:
+        index = self.ask(agent.items, path).index(item)
+        if self.ask(agent.value, path) != item:
             self.press()
-            self.key("Home", *["Down"] * index, "Return")
-        self.wait("value", path, until=item.__eq__, seconds=60)
+            self.key("HOME", *["DOWN_ARROW"] * index, "RET")
+        self.wait(agent.value, path, until=item.__eq__, seconds=60)
         self.settle()
 
     def pick(self, target: str, item: str, where: Where = SIDEBAR) -> None:
         """Click an item, by its identifier, of an enumeration that shows all items in a row or column."""
         path = self.hover(target, where)
-        names = self.ask("items", path)
-        x, y = self.display.pointer
+        names = self.ask(agent.items, path)
+        x, y = self.pointer
         (left, right), (upper, lower) = self.extent(path, where, 0), self.extent(path, where, 1)
         column = lower - upper > 2 * UNIT * self.scale()
         start, end = (upper, lower) if column else (left, right)
         step = (end - start) / len(names)
         place = start + step * (names.index(item) + 0.5)
         for _ in range(_TRIES):
-            self.display.move(*((x, round(place)) if column else (round(place), y)))
+            self.move(*((x, round(place)) if column else (round(place), y)))
             if self.under(where)["property"] != path:  # a gap
                 place += step / 3.0
                 continue
             self.press()
-            got = self.ask("value", path)
+            got = self.ask(agent.value, path)
             if got == item:
                 return
             place += step * (names.index(item) - names.index(got))
@@ -86,10 +87,10 @@ class Window(Hand):
     def click_row(self, target: str, index: int, where: Where = SIDEBAR) -> None:
         """Click one of the first rows of a list, named by the property of the active row's index."""
         path = self.hover(target, where)
-        self.turn_wheel(4, self.ask("value", path))  # the list shows its first row
+        self.turn_wheel("UP", self.ask(agent.value, path))  # the list shows its first row
         if self.under(where)["property"] != path:  # the region has moved as well
             self.hover(target, where)
-        x, _ = self.display.pointer
+        x, _ = self.pointer
         row = UNIT * self.scale()
         first, last = self.extent(path, where, 1)
         y = first + row * (index + 0.5)
@@ -97,9 +98,9 @@ class Window(Hand):
         for _ in range(_TRIES):
             if not first <= y <= last:
                 break
-            self.display.move(x, round(y))
+            self.move(x, round(y))
             self.press()
-            got = self.ask("value", path)
+            got = self.ask(agent.value, path)
             if got == index:
                 return
             y += row * (index - got)
@@ -112,31 +113,31 @@ class Window(Hand):
         self.settle()
         self.type(text)
         self.settle()
-        self.key("Return")
+        self.key("RET")
         self.settle()
 
     def open_tab(self, tab: str = TAB) -> None:
         """Open the sidebar with its shortcut and one of its tabs with the mouse."""
-        if not self.ask("is_open", *SIDEBAR):
+        if not self.ask(agent.is_open, *SIDEBAR):
             self.point_in_view()
-            self.key("n")
-            self.wait("is_open", *SIDEBAR)
+            self.key("N")
+            self.wait(agent.is_open, *SIDEBAR)
             self.settle()
-        if self.ask("tab") == tab:
+        if self.ask(agent.tab) == tab:
             return
         left, top, width, height = self.box(SIDEBAR)
         scale = self.scale()
         for offset in range(10, height, round(UNIT * scale * 0.7)):
-            self.display.move(left + width - round(TABS * scale / 2), top + offset)
+            self.move(left + width - round(TABS * scale / 2), top + offset)
             self.press()
-            if self.ask("tab") == tab:
+            if self.ask(agent.tab) == tab:
                 return
         raise Lost(f"the sidebar has no tab {tab}")
 
     def open_section(self, label: str, *parts: str) -> None:
         """Open a section of the sidebar, close the others, and open its subpanels by their labels."""
         self.open_tab()
-        panels = self.ask("panels")
+        panels = self.ask(agent.panels)
         sections = [panel for panel in panels if not panel["parent"]]
         names = [panel["label"] for panel in sections]
         if label not in names:
@@ -161,17 +162,17 @@ class Window(Hand):
 
     def sections(self) -> list[str]:
         """Labels of the sections, from top to bottom."""
-        return [panel["label"] for panel in self.ask("panels") if not panel["parent"]]
+        return [panel["label"] for panel in self.ask(agent.panels) if not panel["parent"]]
 
     def redraw(self) -> None:
         """Have the sidebar redrawn once."""
-        self.ask("forget_drawn")
-        self.wait("drawn_anew", every=0.01)
+        self.ask(agent.forget_drawn)
+        self.wait(agent.drawn_anew, every=0.01)
 
     def _drawn(self) -> set[str]:
         """The panels that are open."""
         self.redraw()
-        return set(self.ask("drawn"))
+        return set(self.ask(agent.drawn))
 
     def _open_sections(self, sections: list[dict[str, Any]]) -> set[str]:
         return self._drawn() & {section["name"] for section in sections}
@@ -194,7 +195,7 @@ class Window(Hand):
         return left + round(110 * scale), top + round((14.0 + index * _HEADER) * scale)
 
     def _press_header(self, index: int) -> None:
-        self.display.move(*self._header(index))
+        self.move(*self._header(index))
         self.press()
 
     def _open_part(self, name: str, below: int) -> int:
@@ -221,7 +222,7 @@ class Window(Hand):
         before = self._drawn()
         places = range(below + 2 * step, top + height, step)
         for y in reversed(places) if upwards else places:
-            self.display.move(x, y)
+            self.move(x, y)
             if any(self.under().values()):
                 continue
             self.press()

@@ -13,9 +13,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ...core.run.documents import read_json
+from ...core.run.contents import Matrices, SurveyNote
+from ...core.run.documents import read_document
 from ...core.run.runfolder import RunFolder
-from ...core.run.shapes import MATRICES, SURVEY
 from ..marks import ADDED, DRAWN, all_view_cameras, was_found
 from ..outliner import remove_object
 from ..room.arrays import read_room
@@ -61,7 +61,7 @@ def take_found(scene: bpy.types.Scene, run: RunFolder) -> list[str]:
     """
     survey = RunFolder(run.survey)
     room = read_room(survey)
-    exported = read_json(survey.root / "matrices.json", MATRICES, "Look for missing surfaces again.")
+    exported = read_document(survey.root / "matrices.json", Matrices, "Look for missing surfaces again.")
     settings = scene.fipt.capture
     for item in settings.room_objects(scene):
         if was_found(item):
@@ -133,11 +133,11 @@ def place_of_disagreement(scene: bpy.types.Scene) -> Place | None:
         FiptError: ``file-missing`` or ``file-damaged``.
     """
     run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-    boxes = read_json(run.survey_json, SURVEY, "Check the views again.")["missing"]
+    boxes = read_document(run.survey_json, SurveyNote, "Check the views again.").missing
     drawn = [world_bounds([item]) for item in added_surfaces(scene) if item[ADDED] == DRAWN]
     cameras = np.mean([list(item.matrix_world.translation) for item in all_view_cameras(scene)], axis=0)
     for box in boxes:
-        low, high = np.array(box["low"]), np.array(box["high"])
+        low, high = np.array(box.low), np.array(box.high)
         middle, size = 0.5 * (low + high), high - low
         if any(bounds is not None and _within(middle, *bounds) for bounds in drawn):
             continue

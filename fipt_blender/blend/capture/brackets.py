@@ -8,11 +8,10 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
-from typing import Any
 
 import bpy
 
-from ...prepare.facts import read_facts, shutter_text
+from ...prepare.facts import MergeFacts, SolveFacts, read_facts, shutter_text
 from ...prepare.preparation import Group, Photograph, PreparationFolder, read_preparation
 
 
@@ -26,7 +25,7 @@ def list_groups(settings: bpy.types.PropertyGroup, folder: PreparationFolder) ->
     exposures = {photograph.path: exposure_text(photograph) for photograph in preparation.photographs}
     fill(settings, preparation.groups, exposures)
     settings.listed = digest(preparation.groups)
-    show_outcome(settings, read_facts(folder, "merge"), read_facts(folder, "solve"))
+    show_outcome(settings, read_facts(folder, "merge", MergeFacts), read_facts(folder, "solve", SolveFacts))
 
 
 def fill(settings: bpy.types.PropertyGroup, groups: Sequence[Group], exposures: Mapping[str, str]) -> None:
@@ -72,12 +71,12 @@ def tick_chosen(settings: bpy.types.PropertyGroup) -> None:
 
 
 def show_outcome(
-    settings: bpy.types.PropertyGroup, merge: Mapping[str, Any], solve: Mapping[str, Any]
+    settings: bpy.types.PropertyGroup, merge: MergeFacts | None, solve: SolveFacts | None
 ) -> None:
     """Note in the list what merging and solving have found out of each group."""
-    clipped = {entry["name"]: entry.get("clipped_share") or 0.0 for entry in merge.get("images", [])}
-    registered = {entry["name"] for entry in solve.get("registered", [])}
-    left_out = {entry["name"]: entry["reason"] for entry in solve.get("left_out", [])}
+    clipped = {image.name: image.clipped_share or 0.0 for image in (merge.images if merge else ())}
+    registered = {view.name for view in (solve.registered if solve else ())}
+    left_out = {view.name: view.reason for view in (solve.left_out if solve else ())}
     for group in settings.groups:
         group.clipped_share = clipped.get(group.name, 0.0)
         group.problem = left_out.get(group.name, "")

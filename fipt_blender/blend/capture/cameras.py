@@ -9,13 +9,13 @@ camera, and `use_view` sets them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import bpy
 import numpy as np
 from mathutils import Matrix
 
 from ...core import conventions
+from ...core.run.contents import CapturedView, CapturedViews
 from ...core.run.errors import FiptError
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder
@@ -49,7 +49,7 @@ def add_cameras(run: RunFolder, scene: bpy.types.Scene | None = None, photograph
     capture = read_capture(run.capture_json)
     size = display_size(capture)
     names = []
-    for view in capture["views"]:
+    for view in capture.views:
         item = add_camera(scene, run, view, photographs)
         if item.name in collection(scene, CAMERAS).objects:  # not the artist's own
             item.data.display_size = size
@@ -57,16 +57,16 @@ def add_cameras(run: RunFolder, scene: bpy.types.Scene | None = None, photograph
     return names
 
 
-def display_size(capture: dict[str, Any]) -> float:
+def display_size(capture: CapturedViews) -> float:
     """Display size of a capture's cameras in metres, small enough for cameras in a small room."""
-    positions = np.array([np.array(view["camera_to_world"])[:3, 3] for view in capture["views"]])
+    positions = np.array([np.array(view.camera_to_world)[:3, 3] for view in capture.views])
     return float(np.clip(_SIZE * np.linalg.norm(np.ptp(positions, axis=0)), 1e-3, 1.0)) or 0.1
 
 
 def add_camera(
     scene: bpy.types.Scene,
     run: RunFolder,
-    view: dict[str, Any],
+    view: CapturedView,
     photograph: bool = True,
     parent: bpy.types.Object | None = None,
 ) -> bpy.types.Object:
@@ -80,12 +80,12 @@ def add_camera(
         parent: parent of the camera; the view's pose is then in the parent's space.
     """
     target = collection(scene, CAMERAS)
-    item = next((camera for camera in target.objects if camera.get(VIEW) == view["name"]), None)
+    item = next((camera for camera in target.objects if camera.get(VIEW) == view.name), None)
     if item is None:
-        camera_of_artist = view_cameras(scene).get(view["name"])
+        camera_of_artist = view_cameras(scene).get(view.name)
         if camera_of_artist is not None:
             return camera_of_artist
-        item = bpy.data.objects.new(view["name"], bpy.data.cameras.new(view["name"]))
+        item = bpy.data.objects.new(view.name, bpy.data.cameras.new(view.name))
         target.objects.link(item)
     if parent is not None:
         item.parent = parent
@@ -96,7 +96,7 @@ def add_camera(
     return item
 
 
-def set_camera(item: bpy.types.Object, view: dict[str, Any], local: bool = False) -> None:
+def set_camera(item: bpy.types.Object, view: CapturedView, local: bool = False) -> None:
     """Give a camera object the exact projection of a view.
 
     Args:
@@ -105,14 +105,14 @@ def set_camera(item: bpy.types.Object, view: dict[str, Any], local: bool = False
         local: whether the pose is in the space of the camera's parent.
     """
     parameters = conventions.intrinsics_to_blender(
-        view["width"], view["height"], view["fx"], view["fy"], view["cx"], view["cy"]
+        view.width, view.height, view.fx, view.fy, view.cx, view.cy
     )
     camera = item.data
     camera.type = "PERSP"
     set_lens(camera, parameters)
     camera.clip_start, camera.clip_end = 0.001, 10000.0
     camera.dof.use_dof = False
-    matrix = conventions.opencv_to_blender_camera(np.array(view["camera_to_world"], np.float64))
+    matrix = conventions.opencv_to_blender_camera(np.array(view.camera_to_world))
     if local:
         item.matrix_basis = Matrix(matrix.tolist())
     else:
@@ -126,20 +126,20 @@ def set_lens(camera: bpy.types.Camera, parameters: conventions.BlenderCamera) ->
         setattr(camera, name, getattr(parameters, name))
 
 
-def mark_camera(item: bpy.types.Object, view: dict[str, Any], parameters: conventions.BlenderCamera) -> None:
+def mark_camera(item: bpy.types.Object, view: CapturedView, parameters: conventions.BlenderCamera) -> None:
     """Store with a camera object which view it shows, and its render size."""
-    item[VIEW] = view["name"]
-    item[SPLIT] = view.get("split", "train")
-    item[RESOLUTION] = [int(view["width"]), int(view["height"])]
+    item[VIEW] = view.name
+    item[SPLIT] = view.split
+    item[RESOLUTION] = [view.width, view.height]
     item[PIXEL_ASPECT] = [parameters.pixel_aspect_x, parameters.pixel_aspect_y]
 
 
-def _load_photograph(run: RunFolder, view: dict[str, Any]) -> bpy.types.Image | None:
+def _load_photograph(run: RunFolder, view: CapturedView) -> bpy.types.Image | None:
     """A view's photograph, or its smaller copy where it has one; None where the file is missing."""
-    path = run.resolve(view["image"])
-    if not view.get("preview"):
+    path = run.resolve(view.image)
+    if not view.preview:
         return load_radiance(path)
-    image = load_radiance(run.resolve(view["preview"])) if path.is_file() else None
+    image = load_radiance(run.resolve(view.preview)) if path.is_file() else None
     if image is not None:
         image[LARGE_PHOTOGRAPH] = str(path)
     return image

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ import numpy as np
 
 from ...core import conventions
 from ...core.capture.files import Folders, ambiguous
+from ...core.run.contents import CapturedView, CapturedViews
 from ...core.run.errors import FiptError
+from ...core.run.kinds import as_matrix
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder, write_json
 from ..marks import view_cameras
@@ -39,8 +42,8 @@ def export_capture(scene: bpy.types.Scene, run: RunFolder) -> int:
             ``parts-folder``; the run folder's errors.
     """
     source = read_source(run)
-    entries = view_entries(scene, run, source, ticked=True)
-    train = sum(entry["split"] == "train" for entry in entries)
+    views = selected_views(scene, run, source, ticked=True)
+    train = sum(view.split == "train" for view in views)
     if train < MIN_VIEWS:
         raise FiptError(
             "views-few",
@@ -48,14 +51,13 @@ def export_capture(scene: bpy.types.Scene, run: RunFolder) -> int:
             f" {MIN_VIEWS} are needed.",
             "Tick more views in the list, or change some from Held Back to Estimation.",
         )
-    data = {**source, "views": entries}
-    data.pop("up", None)  # what the panel tells of the import
-    if not run.capture_json.exists() or read_capture(run.capture_json) != data:
-        write_json(run.capture_json, data)
-    return len(entries)
+    selected = replace(source, views=tuple(views), up=None)  # `up` is what the panel tells of the import
+    if not run.capture_json.exists() or read_capture(run.capture_json) != selected:
+        write_json(run.capture_json, selected)
+    return len(views)
 
 
-def read_source(run: RunFolder) -> dict[str, Any]:
+def read_source(run: RunFolder) -> CapturedViews:
     """ingest.json: all views as they were read; a run of the command line gets it at its first export.
 
     Raises:
@@ -72,10 +74,10 @@ def read_source(run: RunFolder) -> dict[str, Any]:
     return read_capture(run.ingest_json)
 
 
-def view_entries(
-    scene: bpy.types.Scene, run: RunFolder, source: dict[str, Any], ticked: bool
-) -> list[dict[str, Any]]:
-    """Entries of capture.json for the views that have a camera.
+def selected_views(
+    scene: bpy.types.Scene, run: RunFolder, source: CapturedViews, ticked: bool
+) -> list[CapturedView]:
+    """The views that have a camera, for capture.json.
 
     Args:
         scene: with the list of views.
@@ -86,38 +88,38 @@ def view_entries(
     Raises:
         FiptError: ``alignment-uneven``, ``camera-kind``, ``parts-folder`` or ``file-ambiguous``.
     """
-    known = {entry["name"]: entry for entry in source["views"]}
+    known = {view.name: view for view in source.views}
     masks, cameras = part_folder(scene), view_cameras(scene)
-    entries, folders = [], Folders()
+    views, folders = [], Folders()
     taken: dict[Path, str] = {}
     for view in scene.fipt.capture.views:
         camera = cameras.get(view.name)
         if camera is None or view.name not in known or (ticked and not view.enabled):
             continue
-        entry = dict(known[view.name])
-        pose, before = camera_pose(camera), np.array(entry["camera_to_world"], np.float64)
+        source_view = known[view.name]
+        changes: dict[str, Any] = {"split": view.split if view.enabled else "unused"}
+        pose, before = camera_pose(camera), np.array(source_view.camera_to_world)
         if np.abs(pose - before).max() > _UNMOVED * (1.0 + np.abs(before[:3, 3]).max()):
-            entry["camera_to_world"] = pose.tolist()
+            changes["camera_to_world"] = as_matrix(pose)
         lens = camera_geometry(scene, camera).lens
-        change = np.abs(np.subtract(lens, [entry[name] for name in _LENS]))
-        if change.max() > _UNMOVED * max(entry["width"], *lens):
-            entry.update(zip(_LENS, lens, strict=True))
-        entry["split"] = view.split if view.enabled else "unused"
+        change = np.abs(np.subtract(lens, [getattr(source_view, name) for name in _LENS]))
+        if change.max() > _UNMOVED * max(source_view.width, *lens):
+            changes.update(zip(_LENS, lens, strict=True))
         if masks is not None:
             # Named after the view ("train/000") or its photograph's file.
-            mask = folders.ids(masks, [view.name, Path(entry["image"]).name])
-            entry["parts"] = None if mask is None else str(mask)
+            mask = folders.ids(masks, [view.name, Path(source_view.image).name])
+            changes["parts"] = None if mask is None else str(mask)
             if mask is not None and (other := taken.setdefault(mask, view.name)) != view.name:
                 raise ambiguous(mask.name, [other, view.name])
-        entries.append(entry)
-    if masks is not None and entries and not any(entry["parts"] for entry in entries):
-        stem = Path(entries[0]["image"]).stem
+        views.append(replace(source_view, **changes))
+    if masks is not None and views and not any(view.parts for view in views):
+        stem = Path(views[0].image).stem
         raise FiptError(
             "parts-folder",
-            f"{masks} holds no mask for any of the {len(entries)} views.",
+            f"{masks} holds no mask for any of the {len(views)} views.",
             f"Name the masks like the photographs: {stem}.png or {stem}.exr.",
         )
-    return entries
+    return views
 
 
 def part_folder(scene: bpy.types.Scene) -> Path | None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
@@ -19,6 +18,7 @@ from mathutils import Matrix
 from ...bridge.process import Message
 from ...bridge.step import Slices
 from ...core import conventions
+from ...core.run.contents import CapturedViews, UpAxis
 from ...core.run.errors import FiptError
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder
@@ -51,15 +51,15 @@ def import_capture(run: RunFolder, path: str) -> Slices[list[Message]]:
     is_reimport = bpy.context.scene.fipt.capture.imported_path == path
     others = [] if is_reimport else _objects_beside(bpy.context.scene)
     if not is_reimport:
-        _remove_cameras(bpy.context.scene, {view["name"] for view in capture["views"]})
+        _remove_cameras(bpy.context.scene, {view.name for view in capture.views})
     size = cameras.display_size(capture)
-    for index, view in enumerate(capture["views"]):
+    for index, view in enumerate(capture.views):
         scene = bpy.context.scene
         item = cameras.add_camera(scene, run, view, parent=find_alignment(scene))
         item.data.display_size = size
-        yield 0.5 * index / len(capture["views"])
+        yield 0.5 * index / len(capture.views)
     warnings = _import_room(bpy.context.scene, run, capture)
-    _note_up(bpy.context.scene.fipt.capture, capture.get("up"), is_reimport)
+    _note_up(bpy.context.scene.fipt.capture, capture.up, is_reimport)
     yield 0.9
     fill_views(bpy.context.scene, run, keep=is_reimport)
     bpy.context.scene.fipt.capture.imported_path = path
@@ -80,12 +80,12 @@ def fill_views(scene: bpy.types.Scene, run: RunFolder, keep: bool = False) -> No
     settings.views.clear()
     present = view_cameras(scene)
     with settings.counting_later():
-        for entry in read_capture(path)["views"]:
+        for entry in read_capture(path).views:
             view = settings.views.add()
-            view.name = entry["name"]
+            view.name = entry.name
             view.camera = present[view.name].name
-            view.image = str(run.resolve(entry["image"]))
-            view.enabled, view.split = kept.get(view.name, (True, entry["split"]))
+            view.image = str(run.resolve(entry.image))
+            view.enabled, view.split = kept.get(view.name, (True, entry.split))
     settings.unseen_share = -1.0
     settings.count_views()
 
@@ -102,14 +102,14 @@ def find_alignment(scene: bpy.types.Scene) -> bpy.types.Object:
     return item
 
 
-def _note_up(settings: bpy.types.PropertyGroup, up: dict[str, Any] | None, is_reimport: bool) -> None:
+def _note_up(settings: bpy.types.PropertyGroup, up: UpAxis | None, is_reimport: bool) -> None:
     """Remember what ingest.json says of the up axis, and turn it up unless the alignment knows it already."""
     before, settings.imported_up = settings.imported_up, ""
     if up is None:  # of a run of the command line, or of an earlier version
         return
-    settings.imported_up, settings.up_source, settings.up_angle = up["axis"], up["source"], up["angle"]
-    if not is_reimport or before not in ("", up["axis"]):
-        settings.up = up["axis"]
+    settings.imported_up, settings.up_source, settings.up_angle = up.axis, up.source, up.angle
+    if not is_reimport or before not in ("", up.axis):
+        settings.up = up.axis
 
 
 def up_axis(settings: bpy.types.PropertyGroup) -> str:
@@ -135,7 +135,7 @@ def source_matrix(scene: bpy.types.Scene, run: RunFolder | None) -> np.ndarray:
         run: with ingest.json after an import.
     """
     if run is not None and run.ingest_json.exists():
-        return np.array(read_capture(run.ingest_json)["world_from_source"], np.float64)
+        return np.array(read_capture(run.ingest_json).world_from_source)
     settings = scene.fipt.capture
     up_axis = "z" if settings.up_axis == "auto" else settings.up_axis
     return conventions.world_from_source(up_axis, settings.scale)
@@ -258,10 +258,10 @@ def set_room(scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> None:
     scene.fipt.capture.room = None
 
 
-def _import_room(scene: bpy.types.Scene, run: RunFolder, capture: dict[str, Any]) -> list[Message]:
+def _import_room(scene: bpy.types.Scene, run: RunFolder, capture: CapturedViews) -> list[Message]:
     """Import the capture's mesh, unless it is there already or the artist chose other objects."""
     present = scene.fipt.capture.room_objects(scene)
-    if not capture["mesh"]:
+    if not capture.mesh:
         if present:
             return []
         text = "No mesh of the room was found beside the cameras."
@@ -270,7 +270,7 @@ def _import_room(scene: bpy.types.Scene, run: RunFolder, capture: dict[str, Any]
             " Selection."
         )
         return [_warning("mesh-missing", text, remedy)]
-    path, matrix = run.resolve(capture["mesh"]), np.array(capture["world_from_source"], np.float64)
+    path, matrix = run.resolve(capture.mesh), np.array(capture.world_from_source)
     imported = [item for item in present if is_imported(item)]
     if any(item[IMPORTED] == _origin(path, matrix) for item in imported):
         return []

@@ -12,7 +12,6 @@ import re
 import urllib.parse
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from ...core.alignment.gltf_document import read_document
 from ...core.run.paths import is_network, is_special, leads_outside
@@ -86,12 +85,6 @@ def _matches(path: Path, pattern: re.Pattern[bytes]) -> Iterator[str]:
 
 def _gltf_names(path: Path) -> set[str]:
     """Buffers and images of a glTF file."""
-    data, _ = read_document(path)
-    names = set()
-    for kind in ("buffers", "images"):
-        items: Any = data.get(kind)
-        for item in items if isinstance(items, list) else ():
-            name = item.get("uri") if isinstance(item, dict) else None
-            if isinstance(name, str) and not name.startswith("data:"):
-                names.add(urllib.parse.unquote(name))
-    return names
+    document, _ = read_document(path)
+    names = {each.uri or "data:" for each in (*document.buffers, *document.images)}
+    return {urllib.parse.unquote(name) for name in names if not name.startswith("data:")}

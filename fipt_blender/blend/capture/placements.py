@@ -7,10 +7,10 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ...core.run.documents import read_json
+from ...core.run.contents import Placements
+from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
-from ...core.run.shapes import ALIGN
 from ..marks import VIEW
 from .pairs import imported_cameras, move_cameras, place_camera, solve_pairs
 
@@ -21,19 +21,19 @@ def take_alignment(scene: bpy.types.Scene, run: RunFolder) -> None:
     Raises:
         FiptError: ``file-missing``, ``file-damaged`` or ``alignment-own-cameras``.
     """
-    data = read_json(run.align / "align.json", ALIGN, "Align the cameras again.")
+    aligned = read_document(run.align / "align.json", Placements, "Align the cameras again.")
     settings = scene.fipt.alignment
     settings.candidates.clear()
-    for entry in data["candidates"]:
+    for placement in aligned.candidates:
         candidate = settings.candidates.add()
-        candidate.matrix = np.array(entry["similarity"], np.float64).reshape(-1).tolist()
-        candidate.error, candidate.inliers = entry["error"], entry["inliers"]
-    settings.active_candidate, settings.summary = 0, data["text"]
-    if data["candidates"]:
-        move_cameras(scene, np.array(data["candidates"][0]["similarity"], np.float64))
+        candidate.matrix = np.ravel(placement.similarity).tolist()
+        candidate.error, candidate.inliers = placement.error, placement.inliers
+    settings.active_candidate, settings.summary = 0, aligned.text
+    if aligned.candidates:
+        move_cameras(scene, np.array(aligned.candidates[0].similarity))
     for item in imported_cameras(scene):
-        if item[VIEW] in data["poses"]:
-            place_camera(item, np.array(data["poses"][item[VIEW]], np.float64))
+        if item[VIEW] in aligned.poses:
+            place_camera(item, np.array(aligned.poses[item[VIEW]]))
     _moved(scene)
 
 

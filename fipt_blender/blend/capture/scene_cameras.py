@@ -8,7 +8,7 @@ They are written as transforms.json, so that the engine's `ingest` checks them l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from ...core import conventions
-from ...core.run.documents import Fields, Items, read_json
+from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder, write_json
@@ -26,12 +26,23 @@ from .exporting import camera_pose
 from .importing import fill_views
 
 SCENE_SOURCE = "scene-cameras"  # `imported_path` of such captures
-_LENS = Fields(
-    {field.name: str if field.name == "sensor_fit" else float for field in fields(conventions.BlenderCamera)}
-)
-_FRAMES = Fields({"frames": Items(Fields({"name": str, "camera": _LENS}))})
 _LEAST_SENSOR = 1.0  # mm; Blender takes no smaller ones
 _SAME_SHAPE = 1e-6  # relative difference of two aspects that is only rounding
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """The name of a camera, and its lens."""
+
+    name: str
+    camera: conventions.BlenderCamera
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """What `adopt_cameras` reads of transforms.json."""
+
+    frames: tuple[_Frame, ...]
 
 
 def write_scene_cameras(scene: bpy.types.Scene, run: RunFolder) -> tuple[Path, list[str]]:
@@ -71,20 +82,19 @@ def adopt_cameras(run: RunFolder) -> None:
     """
     scene = bpy.context.scene
     path = run.scene_cameras / "transforms.json"
-    frames = read_json(path, _FRAMES, "Import the cameras again.")["frames"]
-    views = read_capture(run.ingest_json)["views"]
+    frames = read_document(path, _Frames, "Import the cameras again.").frames
+    views = read_capture(run.ingest_json).views
     if len(frames) != len(views):
         text = f"{path} does not fit {run.ingest_json}."
         raise FiptError("file-damaged", text, "Import the cameras again.")
     for view, frame in zip(views, frames, strict=True):
-        item = scene.objects.get(frame["name"])
+        item = scene.objects.get(frame.name)
         if item is None:
             raise FiptError(
-                "camera-missing", f"The camera '{frame['name']}' was removed meanwhile.", "Import again."
+                "camera-missing", f"The camera '{frame.name}' was removed meanwhile.", "Import again."
             )
-        lens = conventions.BlenderCamera(**frame["camera"])
-        cameras.set_lens(item.data, lens)
-        cameras.mark_camera(item, view, lens)
+        cameras.set_lens(item.data, frame.camera)
+        cameras.mark_camera(item, view, frame.camera)
     fill_views(scene, run)
     scene.fipt.capture.imported_path, scene.fipt.capture.imported_up = SCENE_SOURCE, ""
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import bpy
 import numpy as np
@@ -15,15 +15,17 @@ import numpy as np
 from ...bridge.process import Message
 from ...bridge.step import Slices
 from ...core.run.arrays import check_layouts, read_arrays
-from ...core.run.documents import read_json
+from ...core.run.contents import Matrices, SurveyNote
+from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
+from ...core.run.kinds import as_matrix
 from ...core.run.runfolder import RunFolder, write_json
-from ...core.run.shapes import MATRICES, SURVEY, SURVEY_ARRAYS
+from ...core.run.shapes import SURVEY_ARRAYS
 from ..marks import was_found
 from ..room.arrays import read_room
 from ..room.exporting import export_slices
 from . import overlay
-from .exporting import read_source, view_entries, world_matrix
+from .exporting import read_source, selected_views, world_matrix
 from .importing import not_in_room, room_missing
 
 
@@ -100,7 +102,7 @@ def write_survey_input(run: RunFolder, search: bool = False) -> Slices[list[Mess
         Warnings about objects in the room's collection that are not meshes.
 
     Raises:
-        FiptError: ``room-missing``, ``mesh-empty`` and those of `view_entries`.
+        FiptError: ``room-missing``, ``mesh-empty`` and those of `selected_views`.
     """
     for stale in (run.survey_json, run.survey_npz):  # of a room that may have changed
         stale.unlink(missing_ok=True)
@@ -122,7 +124,7 @@ def write_views_and_room(run: RunFolder, target: RunFolder, search: bool = False
         Warnings about objects in the room's collection that are not meshes.
 
     Raises:
-        FiptError: ``room-missing``, ``mesh-empty`` and those of `view_entries`.
+        FiptError: ``room-missing``, ``mesh-empty`` and those of `selected_views`.
     """
     scene = bpy.context.scene
     objects = scene.fipt.capture.room_objects(scene)
@@ -130,15 +132,15 @@ def write_views_and_room(run: RunFolder, target: RunFolder, search: bool = False
     if not objects:
         raise room_missing()
     source = read_source(run)
-    entries = view_entries(scene, run, source, ticked=False)
-    for entry in entries:
-        for kind in ("image", "parts", "semantics", "mask"):
-            if entry.get(kind):
-                entry[kind] = str(run.resolve(entry[kind]))
-    mesh = None if source["mesh"] is None else str(run.resolve(source["mesh"]))
-    write_json(target.capture_json, {**source, "mesh": mesh, "views": entries})
+    views = []
+    for view in selected_views(scene, run, source, ticked=False):
+        files = [kind for kind in ("image", "parts", "semantics", "mask") if getattr(view, kind)]
+        paths: dict[str, Any] = {kind: str(run.resolve(getattr(view, kind))) for kind in files}
+        views.append(replace(view, **paths))
+    mesh = None if source.mesh is None else str(run.resolve(source.mesh))
+    write_json(target.capture_json, replace(source, mesh=mesh, views=tuple(views)))
     warnings = not_in_room(scene.fipt.capture.room_members(scene))
-    matrices = {item.name: world_matrix(item).tolist() for item in objects}
+    matrices = {item.name: as_matrix(world_matrix(item)) for item in objects}
     completed = scene.fipt.capture.completed and not search
     yield from export_slices(objects, target, scene.fipt.parts.engine_source, completed)
     write_json(target.root / "matrices.json", matrices)
@@ -147,25 +149,24 @@ def write_views_and_room(run: RunFolder, target: RunFolder, search: bool = False
 
 def take_survey(scene: bpy.types.Scene, run: RunFolder) -> None:
     """Show the engine's result in the list of views and in the section Parts."""
-    data = read_json(run.survey_json, SURVEY, "Check the views again.")
-    entries = {entry["name"]: entry for entry in data["views"]}
+    survey = read_document(run.survey_json, SurveyNote, "Check the views again.")
+    entries = {entry.name: entry for entry in survey.views}
     settings = scene.fipt.capture
     for view in settings.views:
         entry = entries.get(view.name)
         view.checked = entry is not None
-        view.warning = entry["warning"] if entry else "its camera was deleted"
-        view.image_missing = bool(entry and entry["image_missing"])
-        view.room_share = entry["room_share"] if entry else 0.0
-        view.clipped_share = entry["clipped_share"] if entry else 0.0
-        misfit = entry.get("misfit") if entry else None
-        view.misfit = -1.0 if misfit is None else misfit
+        view.warning = entry.warning if entry else "its camera was deleted"
+        view.image_missing = bool(entry and entry.image_missing)
+        view.room_share = entry.room_share if entry else 0.0
+        view.clipped_share = entry.clipped_share if entry else 0.0
+        view.misfit = -1.0 if entry is None or entry.misfit is None else entry.misfit
     known = [view.misfit for view in settings.views if view.misfit >= 0.0]
     settings.misfit = float(np.median(known)) if known else -1.0
     settings.unseen_share = 0.0
     settings.count_views()
     parts = scene.fipt.parts
-    parts.auto_source = data["parts"]["auto"]
-    parts.counts = json.dumps(data["parts"]["counts"])
+    parts.auto_source = survey.parts.auto
+    parts.counts = json.dumps(survey.parts.counts)
 
 
 def coverage_changed(scene: bpy.types.Scene) -> None:
@@ -281,7 +282,7 @@ def read_survey(run: RunFolder) -> Survey | None:
             labels = {name[6:]: array for name, array in arrays.items() if name.startswith("parts_")}
             seen, areas = arrays["seen"], arrays["areas"]
             check_layouts(labels, dict.fromkeys(labels, ("i", (len(areas),))))
-            names = [view["name"] for view in read_json(run.survey_json, SURVEY)["views"]]
+            names = [view.name for view in read_document(run.survey_json, SurveyNote).views]
             if seen.dtype != np.uint8 or seen.shape != (len(names), -(-len(areas) // 8)):
                 raise ValueError(f"{run.survey_npz} does not fit {run.survey_json}")
             _cached = str(run.survey_npz), time, Survey(names, seen, areas, labels, arrays["disagreement"])
@@ -305,5 +306,5 @@ def survey_of(scene: bpy.types.Scene) -> tuple[RunFolder, Survey]:
 
 def _show(scene: bpy.types.Scene, run: RunFolder, kind: str, colors: np.ndarray) -> None:
     room = read_room(RunFolder(run.survey))
-    matrices = read_json(run.survey / "matrices.json", MATRICES, "Check the views again.")
+    matrices = read_document(run.survey / "matrices.json", Matrices, "Check the views again.")
     overlay.show(scene, kind, overlay.object_parts(room, colors, matrices))

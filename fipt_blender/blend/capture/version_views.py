@@ -10,8 +10,8 @@ import bpy
 import numpy as np
 
 from ...core.run.documents import load_document
+from ...core.run.result_contents import Maps
 from ...core.run.runfolder import RunFolder
-from ...core.run.shapes import MAPS
 from ...core.run.versions import version_folder
 from ..image_datablocks import load_radiance
 from ..marks import view_cameras
@@ -57,8 +57,8 @@ def _pixels(path: Path) -> np.ndarray | None:
 def _pictures(results: Path) -> dict[str, Path]:
     """The pictures of base colour by the names of their views; none where no textures were baked."""
     try:
-        entries = load_document(results / "maps" / "maps.json", MAPS)["views"]
+        entries = load_document(results / "maps" / "maps.json", Maps).views
     except (OSError, ValueError):
         return {}
     # The paths are those in the run's results; a version has the same files in its own folder.
-    return {entry["view"]: results / "maps" / Path(entry["base_color"]).name for entry in entries}
+    return {entry.view: results / "maps" / Path(entry.base_color).name for entry in entries}

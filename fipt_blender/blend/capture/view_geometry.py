@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+
+from ...core.run.contents import CapturedView
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,7 @@ class ViewGeometry:
         return self.camera_to_world[:3, 3], direction / np.linalg.norm(direction)
 
 
-def view_geometry(view: dict[str, Any]) -> ViewGeometry:
+def view_geometry(view: CapturedView) -> ViewGeometry:
     """The camera of an entry of capture.json."""
-    pose = np.array(view["camera_to_world"], np.float64)
-    lens = [float(view[name]) for name in ("fx", "fy", "cx", "cy")]
-    return ViewGeometry(pose, int(view["width"]), int(view["height"]), *lens)
+    pose = np.array(view.camera_to_world)
+    return ViewGeometry(pose, view.width, view.height, view.fx, view.fy, view.cx, view.cy)

@@ -4,17 +4,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import bpy
 import numpy as np
 from mathutils import Vector
 
-from ...core.run.documents import read_json
+from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
 from ...core.run.hints import MOST_HINTS, MOST_POINTS, Hint, write_hints
+from ...core.run.result_contents import Doubt, Doubts
 from ...core.run.runfolder import RunFolder
-from ...core.run.shapes import DOUBTS
 from .anchors import in_scene, kept_object, set_area, surface_at_point, world_points
 
 # What an answer to a question says: properties of the hint.
@@ -93,15 +93,15 @@ def read_doubts(scene: bpy.types.Scene, run: RunFolder) -> int:
         FiptError: ``file-damaged``.
     """
     settings = scene.fipt.hints
-    entries: list[dict[str, Any]] = []
+    doubts: Sequence[Doubt] = ()
     if run.doubts_json.exists():
-        entries = read_json(run.doubts_json, DOUBTS, "Run the estimation again.")["doubts"]
+        doubts = read_document(run.doubts_json, Doubts, "Run the estimation again.").doubts
     settings.doubts.clear()
-    for entry in entries:
+    for doubt in doubts:
         row = settings.doubts.add()
-        row.name, row.text, row.view = entry["name"], entry["text"], entry["view"]
-        row.question, row.point = entry["question"].upper(), entry["point"]
-        row.picture = str(run.doubts / entry["picture"])
+        row.name, row.text, row.view = doubt.name, doubt.text, doubt.view
+        row.question, row.point = doubt.question.upper(), doubt.point
+        row.picture = str(run.doubts / doubt.picture)
         row.answered = any(_answers(hint, row) for hint in settings.hints)
     settings.active_doubt = min(settings.active_doubt, max(len(settings.doubts) - 1, 0))
     return len(settings.doubts)

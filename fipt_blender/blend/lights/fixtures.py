@@ -10,9 +10,8 @@ its triangles before (`divide`).
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import bmesh
 import bpy
@@ -21,6 +20,7 @@ from mathutils import Matrix, Vector
 
 from ...core.report.fixture_names import fixture_names
 from ...core.run.parts import RoomParts, free_name
+from ...core.run.result_contents import EmitterFixture
 from ..marks import BACK, BASE, CENTROID, FIXTURE, FIXTURE_SOURCES, NAMED, PLACED, PROBABILITY, object_id
 from ..outliner import FIXTURES, collection
 from ..room.arrays import Room
@@ -41,7 +41,7 @@ class NewFixture:
         sources: ids of the objects that it was split off.
     """
 
-    entry: Mapping[str, Any]
+    entry: EmitterFixture
     name: str
     mesh: bpy.types.Mesh
     center: Vector
@@ -72,7 +72,7 @@ class _Piece:
     polygons: np.ndarray  # indices into the mesh
 
 
-def triangle_fixtures(entries: Sequence[Mapping[str, Any]], count: int) -> np.ndarray:
+def triangle_fixtures(entries: Sequence[EmitterFixture], count: int) -> np.ndarray:
     """(T,) index of the fixture of each of the room's triangles, -1 for none.
 
     Args:
@@ -81,13 +81,13 @@ def triangle_fixtures(entries: Sequence[Mapping[str, Any]], count: int) -> np.nd
     """
     fixture = np.full(count, -1)
     for index, entry in enumerate(entries):
-        fixture[np.array(entry["triangles"], np.int64)] = index
+        fixture[np.array(entry.triangles, np.int64)] = index
     return fixture
 
 
 def split_off(
     room: Room,
-    entries: Sequence[Mapping[str, Any]],
+    entries: Sequence[EmitterFixture],
     sources: Sequence[Source],
     parts: RoomParts | None = None,
 ) -> list[NewFixture]:
@@ -125,23 +125,22 @@ def place(scene: bpy.types.Scene, fixtures: Sequence[NewFixture]) -> list[bpy.ty
     for fixture in fixtures:
         entry, name = fixture.entry, free_name(fixture.name, bpy.data.objects.keys())
         fixture.mesh.name = name
-        light = entry["radiance"], entry["back_radiance"]
-        fixture.mesh.materials.append(emission_material(name, *light))
+        fixture.mesh.materials.append(emission_material(name, entry.radiance, entry.back_radiance))
         item = bpy.data.objects.new(name, fixture.mesh)
         item.matrix_world = Matrix.Translation(fixture.center)
-        item[FIXTURE], item[NAMED], item[PLACED] = entry["name"], name, fixture.center
-        item[CENTROID] = [float(value) for value in entry.get("centroid", fixture.center)]
+        item[FIXTURE], item[NAMED], item[PLACED] = entry.name, name, fixture.center
+        item[CENTROID] = entry.centroid or fixture.center
         item[FIXTURE_SOURCES] = json.dumps(fixture.sources)
-        item[BASE] = [float(value) for value in entry["radiance"]]
-        item[PROBABILITY] = float(entry.get("probability", 1.0))
-        item[BACK] = [float(value) for value in entry["back_radiance"]]
+        item[BASE] = entry.radiance
+        item[PROBABILITY] = entry.probability
+        item[BACK] = entry.back_radiance
         target.objects.link(item)
         sign(fixture.mesh)
         items.append(item)
     return items
 
 
-def _make(entry: Mapping[str, Any], name: str, pieces: list[_Piece]) -> NewFixture:
+def _make(entry: EmitterFixture, name: str, pieces: list[_Piece]) -> NewFixture:
     """A fixture with copies of its polygons, wound as in room.npz."""
     points: list[Vector] = []
     faces: list[list[int]] = []

@@ -11,9 +11,10 @@ from typing import Any
 
 import bpy
 
-from ...core.run.documents import read_json
+from ...core.run.documents import read_document
+from ...core.run.kinds import as_json
+from ...core.run.result_contents import Emitters
 from ...core.run.runfolder import RunFolder
-from ...core.run.shapes import EMITTERS
 from ..marks import BASE, MISSING_LAMP, NEW_LIGHT
 from ..outliner import LIGHTS, collection
 from . import light_state
@@ -25,14 +26,12 @@ def note_missing(scene: bpy.types.Scene, run: RunFolder) -> None:
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
     """
-    emitters = read_json(run.emitters_json, EMITTERS, "Run the estimation again.")
+    emitters = read_document(run.emitters_json, Emitters, "Run the estimation again.")
     added = [list(item[MISSING_LAMP]) for item in scene.objects if MISSING_LAMP in item]
     lamps = [
-        lamp
-        for lamp in emitters.get("missing", [])
-        if max(lamp["radiance"]) > 0.0 and lamp["position"] not in added
+        lamp for lamp in emitters.missing if max(lamp.radiance) > 0.0 and list(lamp.position) not in added
     ]
-    scene.fipt.lights.missing_lamps = json.dumps(lamps) if lamps else ""
+    scene.fipt.lights.missing_lamps = json.dumps(lamps, default=as_json) if lamps else ""
 
 
 def add_missing(scene: bpy.types.Scene) -> list[bpy.types.Object]:

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import bpy
 
-from ...core.run.documents import read_json
+from ...core.run.documents import read_document
+from ...core.run.result_contents import Emitters
 from ...core.run.runfolder import RunFolder
-from ...core.run.shapes import EMITTERS
 from ..image_datablocks import remove_unused_images
 from ..marks import BACKGROUND, MAPPING, ORIGINAL_WORLD, RESULT_WORLD, WORLD, remove_marks, result_world
 from ..node_trees import node_tree
@@ -35,12 +35,12 @@ def apply_environment(
     Raises:
         FiptError: ``file-missing``, ``file-damaged`` or ``textures-unwritable``.
     """
-    environment = read_json(run.emitters_json, EMITTERS, "Run the estimation again.").get("environment")
+    environment = read_document(run.emitters_json, Emitters, "Run the estimation again.").environment
     image = None
     if environment:
         files = files or in_run_folder(run)
-        files.copy(run.results / environment["image"])
-        image = files.load(run.results / environment["image"], is_data=None)
+        files.copy(run.results / environment.image)
+        image = files.load(run.results / environment.image, is_data=None)
     scene = scene or bpy.context.scene
     world = result_world(scene)
     rotation = 0.0

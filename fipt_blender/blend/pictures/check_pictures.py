@@ -26,18 +26,16 @@ def take_checks(scene: bpy.types.Scene, run: RunFolder) -> None:
         FiptError: ``file-damaged``.
     """
     settings = scene.fipt.check
-    lines = sorted(
-        read_checks(run).get("views", []), key=lambda line: (line["split"] != "held_back", line["view"])
-    )
+    checked = sorted(read_checks(run).views, key=lambda view: (view.split != "held_back", view.view))
     settings.views.clear()
-    for line in lines:
+    for view in checked:
         item = settings.views.add()
-        item.name, item.held_back = line["view"], line["split"] == "held_back"
-        item.psnr, item.psnr_linear = line["psnr"], line["psnr_linear"]
-        item.render, item.error = str(run.resolve(line["render"])), str(run.resolve(line["error"]))
-    count = max(len(lines), 1)
-    settings.mean_psnr = sum(line["psnr"] for line in lines) / count
-    settings.mean_psnr_linear = sum(line["psnr_linear"] for line in lines) / count
+        item.name, item.held_back = view.view, view.split == "held_back"
+        item.psnr, item.psnr_linear = view.psnr, view.psnr_linear
+        item.render, item.error = str(run.resolve(view.render)), str(run.resolve(view.error))
+    count = max(len(checked), 1)
+    settings.mean_psnr = sum(view.psnr for view in checked) / count
+    settings.mean_psnr_linear = sum(view.psnr_linear for view in checked) / count
 
 
 def show_active(scene: bpy.types.Scene, context: bpy.types.Context) -> bpy.types.Image | None:

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
 
+from ...core.run.contents import CapturedView
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder, atomic_path
 from ..changed import changed
@@ -28,21 +28,7 @@ STILL_IMAGE = {
 }
 
 
-def view_entry(capture: dict[str, Any], name: str) -> dict[str, Any]:
-    """A view's entry of capture.json.
-
-    Raises:
-        FiptError: ``view-missing``.
-    """
-    for view in capture["views"]:
-        if view["name"] == name:
-            return view
-    raise FiptError(
-        "view-missing", f"The capture of this run has no view '{name}'.", "Choose one of its views."
-    )
-
-
-def photograph(run: RunFolder, view: dict[str, Any], smaller: bool = False) -> np.ndarray:
+def photograph(run: RunFolder, view: CapturedView, smaller: bool = False) -> np.ndarray:
     """A view's photograph, (H, W, 3) f32 scene-linear, first row at the top.
 
     One that is not HDR is read as if its response were sRGB's curve.
@@ -53,16 +39,16 @@ def photograph(run: RunFolder, view: dict[str, Any], smaller: bool = False) -> n
     Raises:
         FiptError: ``image-missing`` or ``path-outside``.
     """
-    path = run.resolve((smaller and view.get("preview")) or view["image"])
+    path = run.resolve((smaller and view.preview) or view.image)
     try:
         pixels = read_pixels(path)
         if not pixels.size:
             raise ValueError("no pixels")
-        return decode_srgb(pixels) if view.get("encoded") else pixels
+        return decode_srgb(pixels) if view.encoded else pixels
     except (RuntimeError, ValueError):
         raise FiptError(
             "image-missing",
-            f"The photograph {path} of the view '{view['name']}' can't be read.",
+            f"The photograph {path} of the view '{view.name}' can't be read.",
             "Put the file back where it was, or import the capture again from where it is now.",
         ) from None
 

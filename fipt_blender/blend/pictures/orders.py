@@ -8,21 +8,21 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import bpy
 
 from ...bridge.process import Message
-from ...core.run.documents import read_json
+from ...core.run.contents import CapturedView, CapturedViews
+from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
+from ...core.run.result_contents import Renders
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder
-from ...core.run.shapes import RENDERS
 from ..capture.cameras import find_camera
 from ..changed import all_changed, changed
 from .composite import added_objects, compose, not_catching, render_layers, without
 from .cycles import Devices, RenderOptions, can_denoise, user_devices
-from .image_files import photograph, save_exr, save_look, view_entry
+from .image_files import photograph, save_exr, save_look
 from .photographed import lights_as_photographed
 from .renders import COMPARED_WIDTH, Progress, list_render, render_path, render_view
 from .view_check import check_view, forget_check
@@ -82,7 +82,7 @@ def make_order(scene: bpy.types.Scene, run: RunFolder, kind: str, views: Sequenc
         raise FiptError("room-missing", "The scene has no room.", "Choose it in the section Capture.")
     capture = read_capture(run.estimated().capture_json)
     for view in views:
-        view_entry(capture, view)
+        capture.view(view)
         find_camera(view, scene)
     devices = user_devices()
     device = scene.cycles.device if devices is not None and hasattr(scene, "cycles") else "CPU"
@@ -118,7 +118,7 @@ def carry_out(order: Order, progress: Progress = lambda low, high: None) -> list
             stack.enter_context(all_changed(lenses, {"use_dof": False}))
             stack.enter_context(lights_as_photographed(scene))
         for index, name in enumerate(order.views):
-            view = view_entry(capture, name)
+            view = capture.view(name)
             path = _render(order, run, scene, view, _part(progress, index, len(order.views)))
             if order.kind == CHECK:
                 warnings += _check(order, run, capture, view, path)
@@ -128,7 +128,7 @@ def carry_out(order: Order, progress: Progress = lambda low, high: None) -> list
 
 
 def _check(
-    order: Order, run: RunFolder, capture: dict[str, Any], view: dict[str, Any], render: Path
+    order: Order, run: RunFolder, capture: CapturedViews, view: CapturedView, render: Path
 ) -> list[Message]:
     """Compare a render with its photograph; a warning if the photograph is missing."""
     try:
@@ -137,7 +137,7 @@ def _check(
     except FiptError as error:
         if error.code != "image-missing":
             raise
-        forget_check(run, view["name"])
+        forget_check(run, view.name)
         text = f"{error.text} The view was rendered to {render}, but could not be compared."
         return [{"type": "warning", "code": error.code, "text": text, "remedy": error.remedy}]
 
@@ -149,19 +149,19 @@ def _part(progress: Progress, index: int, count: int) -> Progress:
 
 
 def _render(
-    order: Order, run: RunFolder, scene: bpy.types.Scene, view: dict[str, Any], progress: Progress
+    order: Order, run: RunFolder, scene: bpy.types.Scene, view: CapturedView, progress: Progress
 ) -> Path:
     """Render one view of an order, given its entry of capture.json; returns the EXR."""
     options = RenderOptions(order.spp, device=order.device)
-    path = render_path(run, order.kind, view["name"])
+    path = render_path(run, order.kind, view.name)
     if order.kind == COMPOSITE:
-        layers = render_layers(scene, view["name"], photograph(run, view), set(order.room), options, progress)
+        layers = render_layers(scene, view.name, photograph(run, view), set(order.room), options, progress)
         save_exr(path, compose(layers))
     else:
         progress(0.0, 1.0)
         widest = COMPARED_WIDTH if order.kind == "rerender" else None
-        render_view(scene, view["name"], path, options, widest)
-    list_render(run, order.kind, view["name"], path)
+        render_view(scene, view.name, path, options, widest)
+    list_render(run, order.kind, view.name, path)
     return path
 
 
@@ -171,6 +171,6 @@ def last_picture(run: RunFolder) -> Path:
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
     """
-    entries = read_json(run.renders_json, RENDERS, "Delete it and render again.")["renders"]
-    images = [entry["image"] for entry in entries if entry["kind"] in (INSERT, COMPOSITE)]
+    renders = read_document(run.renders_json, Renders, "Delete it and render again.").renders
+    images = [render.image for render in renders if render.kind in (INSERT, COMPOSITE)]
     return run.resolve(images[-1])

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import bpy
 
-from ...core.run.documents import read_json
+from ...core.run.documents import read_document
+from ...core.run.result_contents import Render, Renders
 from ...core.run.runfolder import RunFolder, write_json
-from ...core.run.shapes import RENDERS
 from ..capture.cameras import find_camera, use_view
 from ..changed import changed
 from .cycles import RenderOptions, render_exr
@@ -58,12 +58,12 @@ def render_view(
 
 def list_render(run: RunFolder, kind: str, view: str, path: Path) -> None:
     """Add a render to renders.json, in place of an earlier one of the same kind and view."""
-    listed = []
+    listed: Sequence[Render] = ()
     if run.renders_json.exists():
-        listed = read_json(run.renders_json, RENDERS, "Delete it and render again.")["renders"]
-    kept = [entry for entry in listed if (entry["kind"], entry["view"]) != (kind, view)]
-    entry = {"kind": kind, "view": view, "image": path.relative_to(run.root).as_posix()}
-    write_json(run.renders_json, {"renders": [*kept, entry]})
+        listed = read_document(run.renders_json, Renders, "Delete it and render again.").renders
+    kept = [render for render in listed if (render.kind, render.view) != (kind, view)]
+    render = Render(kind, view, path.relative_to(run.root).as_posix())
+    write_json(run.renders_json, Renders((*kept, render)))
 
 
 def render_list(

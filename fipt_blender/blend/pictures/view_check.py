@@ -6,20 +6,41 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ...core.capture.averaging import means
 from ...core.report.comparison import choose_exposure, compare, error_picture
-from ...core.run.documents import read_json
+from ...core.run.contents import CapturedView, CapturedViews
+from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder, write_json
-from ...core.run.shapes import CHECK
 from .cycles import can_denoise
 from .image_files import photograph, read_pixels, save_png
+
+
+@dataclass(frozen=True)
+class CheckedView:
+    """A view that was compared: files of render and error, agreement in dB, samples per pixel."""
+
+    view: str
+    split: str
+    render: str
+    error: str
+    psnr: float
+    psnr_linear: float
+    spp: float = 0.0
+    denoised: bool = True
+
+
+@dataclass(frozen=True)
+class Checks:
+    """check.json; one exposure for all views, None before the first one."""
+
+    exposure: float | None = None
+    views: tuple[CheckedView, ...] = ()
 
 
 def check_json(run: RunFolder) -> Path:
@@ -29,8 +50,8 @@ def check_json(run: RunFolder) -> Path:
 
 def check_view(
     run: RunFolder,
-    capture: dict[str, Any],
-    view: dict[str, Any],
+    capture: CapturedViews,
+    view: CapturedView,
     render: Path,
     spp: int,
     views: Sequence[str],
@@ -50,28 +71,30 @@ def check_view(
     """
     checks = read_checks(run)
     image, photo = read_pixels(render), photograph(run, view, smaller=True)
-    if "exposure" not in checks:
+    exposure = checks.exposure
+    if exposure is None:
         medians = []
-        for entry in capture["views"]:
-            if entry["name"] in views:
+        for entry in capture.views:
+            if entry.name in views:
                 with suppress(FiptError):  # its own check reports that it is missing
                     medians.append(float(np.median(photograph(run, entry, smaller=True))))
-        checks["exposure"] = choose_exposure(float(np.median(medians)) if medians else 0.0)
+        exposure = choose_exposure(float(np.median(medians)) if medians else 0.0)
     photo = means(photo, image.shape[1], image.shape[0])
-    agreement = compare(image, photo, checks["exposure"])
+    agreement = compare(image, photo, exposure)
     error = run.renders / "error" / f"{render.stem}.png"
-    save_png(error, error_picture(image, photo, checks["exposure"]))
-    entry = {
-        "view": view["name"],
-        "split": view["split"],
-        "render": render.relative_to(run.root).as_posix(),
-        "error": error.relative_to(run.root).as_posix(),
-        "spp": spp,
-        "denoised": can_denoise(),
-        **{name: min(value, 100.0) for name, value in asdict(agreement).items()},
-    }
-    others = [other for other in checks.get("views", []) if other["view"] != view["name"]]
-    write_json(check_json(run), {**checks, "views": [*others, entry]})
+    save_png(error, error_picture(image, photo, exposure))
+    checked = CheckedView(
+        view=view.name,
+        split=view.split,
+        render=render.relative_to(run.root).as_posix(),
+        error=error.relative_to(run.root).as_posix(),
+        psnr=min(agreement.psnr, 100.0),
+        psnr_linear=min(agreement.psnr_linear, 100.0),
+        spp=spp,
+        denoised=can_denoise(),
+    )
+    others = [other for other in checks.views if other.view != view.name]
+    write_json(check_json(run), Checks(exposure, (*others, checked)))
 
 
 def forget_check(run: RunFolder, view: str) -> None:
@@ -81,17 +104,18 @@ def forget_check(run: RunFolder, view: str) -> None:
         FiptError: ``file-damaged``, ``disk-full`` or ``run-unwritable``.
     """
     checks = read_checks(run)
-    entries = checks.get("views", [])
-    others = [entry for entry in entries if entry["view"] != view]
-    if len(others) < len(entries):
-        write_json(check_json(run), {**checks, "views": others})
+    others = tuple(other for other in checks.views if other.view != view)
+    if len(others) < len(checks.views):
+        write_json(check_json(run), replace(checks, views=others))
 
 
-def read_checks(run: RunFolder) -> dict[str, Any]:
-    """check.json; {} where nothing was checked.
+def read_checks(run: RunFolder) -> Checks:
+    """check.json; empty where nothing was checked.
 
     Raises:
         FiptError: ``file-damaged``.
     """
     path = check_json(run)
-    return read_json(path, CHECK, "Delete it and render the check again.") if path.exists() else {}
+    if not path.exists():
+        return Checks()
+    return read_document(path, Checks, "Delete it and render the check again.")

@@ -140,7 +140,7 @@ def apply_slices(
         files = files or in_run_folder(run)
         for entry in results.entries:
             for key, (_, is_data) in MAPS.items():
-                files.copy(run.resolve(entry[key]), is_data)
+                files.copy(run.resolve(getattr(entry, key)), is_data)
                 yield None
         warnings = _left_out(results.room, matches)
         return _swap_in(run, results, targets, bpy.data.scenes[scene_name], warnings, files)
@@ -217,7 +217,7 @@ def _swap_in(
     materials = PartMaterials(
         results.faces,
         [load_maps(run, images, files) if images else None for images in atlases],
-        [images[0]["name"] if len(images) == 1 else SEVERAL for images in atlases],
+        [images[0].name if len(images) == 1 else SEVERAL for images in atlases],
         results.triangle_atlas,
         results.uniform,
         earlier,
@@ -250,7 +250,7 @@ def _swap_in(
             sign(mesh)
     remove_unused(earlier)
     warnings += _select_kept(scene, kept_faces) + _lost_lamps(results, targets, new_fixtures)
-    absent = [fixture for fixture in new_fixtures if fixture.entry["name"] in deleted]
+    absent = [fixture for fixture in new_fixtures if fixture.entry.name in deleted]
     warnings += _still_deleted(absent)
     bpy.data.batch_remove([fixture.mesh for fixture in absent])
     wanted = [fixture for fixture in new_fixtures if fixture not in absent]
@@ -312,7 +312,7 @@ def _deleted_lamps(
             of_object = results.fixture[results.room.triangle_object == target.index]
             placed |= set(of_object[list(mesh.get(SPLIT_OFF, ()))].tolist())
     present = {name for item in fixtures_of(scene) for name in (item[FIXTURE], *members_of(item))}
-    return {str(results.emitters[index]["name"]) for index in placed} - present
+    return {results.emitters[index].name for index in placed} - present
 
 
 def _still_deleted(absent: Sequence[fixtures.NewFixture]) -> list[Message]:
@@ -328,12 +328,12 @@ def _lost_lamps(
     results: Results, targets: Sequence[Target], placed: Sequence[fixtures.NewFixture]
 ) -> list[Message]:
     """A warning of lamps on these objects that have no face any more."""
-    found = {fixture.entry["name"] for fixture in placed}
+    found = {fixture.entry.name for fixture in placed}
     present = np.isin(results.room.triangle_object, [target.index for target in targets])
     lost = [
-        str(entry["name"])
+        entry.name
         for entry in results.emitters
-        if entry["name"] not in found and present[np.array(entry["triangles"], np.int64)].any()
+        if entry.name not in found and present[np.array(entry.triangles, np.int64)].any()
     ]
     if not lost:
         return []

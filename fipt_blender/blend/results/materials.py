@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...core.run.documents import read_json
+from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
+from ...core.run.result_contents import TextureImage, Textures
 from ...core.run.runfolder import RunFolder
-from ...core.run.shapes import TEXTURES
 from ..color_spaces import to_scene_linear
 from ..image_datablocks import remove_unused_images, tile_pattern
 from ..marks import ESTIMATE, MAP, MATERIAL, OUTPUT, PART, PART_NAME, PRINCIPLED, TABLE
@@ -121,30 +121,28 @@ def _images(tree: bpy.types.NodeTree) -> set[bpy.types.Image]:
     return {node.image for node in textures if node.image is not None}
 
 
-def read_textures(run: RunFolder) -> tuple[list[dict[str, str]], dict[str, tuple[float, ...]]]:
+def read_textures(run: RunFolder) -> tuple[Sequence[TextureImage], dict[str, tuple[float, ...]]]:
     """The images of textures.json, and what parts of one value have, by their keys: `Surface.values`.
 
     Raises:
         FiptError: ``file-missing`` for textures.json or a texture, or ``file-damaged``.
     """
-    data = read_json(run.textures_json, TEXTURES, "Apply the results again.")
-    entries: list[dict[str, str]] = data["images"]
-    for entry in entries:
+    textures = read_document(run.textures_json, Textures, "Apply the results again.")
+    for image in textures.images:
         for key in MAPS:
-            path = run.resolve(entry[key])
+            path = run.resolve(getattr(image, key))
             if not path.is_file():
                 raise FiptError(
                     "file-missing", f"The texture {path} does not exist.", "Apply the results again."
                 )
-    uniform = {
-        entry["part"]: (*entry["base_color"], entry["roughness"], entry["metallic"])
-        for entry in data.get("uniform", [])
+    uniform: dict[str, tuple[float, ...]] = {
+        each.part: (*each.base_color, each.roughness, each.metallic) for each in textures.uniform
     }
-    return entries, uniform
+    return textures.images, uniform
 
 
 def load_maps(
-    run: RunFolder, entries: Sequence[Mapping[str, str]], files: TextureFiles
+    run: RunFolder, entries: Sequence[TextureImage], files: TextureFiles
 ) -> dict[str, bpy.types.Image]:
     """The images of the entries of textures.json, by the labels of their maps; of several, their tiles.
 
@@ -153,7 +151,7 @@ def load_maps(
     """
     maps = {}
     for key, (label, is_data) in MAPS.items():
-        paths = {tile_number(index): run.resolve(entry[key]) for index, entry in enumerate(entries)}
+        paths = {tile_number(index): run.resolve(getattr(entry, key)) for index, entry in enumerate(entries)}
         if len(paths) == 1:
             maps[label] = files.load(next(iter(paths.values())), is_data)
             continue

@@ -43,7 +43,7 @@ def note_parts(scene: bpy.types.Scene, run: RunFolder) -> None:
     for part in sorted(parts, key=lambda part: -part.pixels):
         row = settings.parts.add()
         row.name, row.key, row.unit = part.name, part.key, part.unit
-        row.class_name, row.faces, row.pixels = part.class_name, faces[part.key], part.pixels
+        row.class_name, row.faces, row.pixels = part.class_name or "", faces[part.key], part.pixels
         row.known = part.base_color is not None
         row.base_color = to_scene_linear(part.base_color or _UNKNOWN)
         row.roughness, row.metallic = part.roughness or 0.0, part.metallic or 0.0

@@ -5,16 +5,17 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ...core.run.arrays import read_arrays
 from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
+from ...core.run.result_contents import EmitterFixture, TextureImage
 from ...core.run.run_files import read_atlas, read_emitters, read_left_alone, read_outlined
 from ...core.run.runfolder import RunFolder
 from ...core.run.shapes import CORNER_FIELDS_ARRAYS
@@ -51,17 +52,17 @@ class Results:
     faces: PartFaces
     corner_uv: np.ndarray
     triangle_atlas: np.ndarray
-    entries: list[dict[str, str]]
+    entries: Sequence[TextureImage]
     apart: bool
     uniform: dict[str, tuple[float, ...]]
     corner_fields: dict[str, np.ndarray]
-    emitters: list[dict[str, Any]]
+    emitters: Sequence[EmitterFixture]
 
     @cached_property
     def laid_out(self) -> str:
         """A digest of the atlas."""
         digest = hashlib.blake2b(self.corner_uv.tobytes(), digest_size=16)
-        digest.update(repr((sorted(self.corner_fields), [each["name"] for each in self.entries])).encode())
+        digest.update(repr((sorted(self.corner_fields), [each.name for each in self.entries])).encode())
         return digest.hexdigest()
 
     @cached_property
@@ -95,17 +96,17 @@ def read_results(run: RunFolder) -> Results:
     count = len(room.triangles)
     atlas, arrays = read_atlas(run, count)
     corner_fields: dict[str, np.ndarray] = {}
-    entries: list[dict[str, str]] = []
+    entries: Sequence[TextureImage] = ()
     uniform: dict[str, tuple[float, ...]] = {}
-    if atlas["mode"] == "color_attribute":
+    if atlas.mode == "color_attribute":
         corner_fields = _read_corner_fields(run.textures / "corner_fields.npz", count)
     else:
         entries, uniform = read_textures(run)
-        if len(entries) != len(atlas["images"]):
+        if len(entries) != len(atlas.images):
             raise FiptError("file-damaged", f"{run.textures_json} does not fit {run.atlas_json}.", _AGAIN)
     parts = read_parts(run, room.triangle_object, room.objects)
     left_alone = of_whole_polygons(room, read_left_alone(run, count))
-    image, apart = arrays["triangle_image"], bool(atlas.get("apart", False)) and bool(entries)
+    image, apart = arrays["triangle_image"], atlas.apart and bool(entries)
     shared = np.zeros_like(image)
     return Results(
         room=room,
@@ -116,7 +117,7 @@ def read_results(run: RunFolder) -> Results:
         apart=apart,
         uniform=uniform,
         corner_fields=corner_fields,
-        emitters=read_emitters(run, count)["fixtures"],
+        emitters=read_emitters(run, count).fixtures,
     )
 
 

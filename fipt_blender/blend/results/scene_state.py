@@ -9,10 +9,10 @@ import math
 
 import bpy
 
-from ...core.run.documents import read_json
+from ...core.run.documents import optional_document, read_document
 from ...core.run.errors import FiptError
+from ...core.run.result_contents import AtlasImages, Statistics
 from ...core.run.runfolder import RunFolder
-from ...core.run.shapes import ATLAS, STATISTICS
 from ...core.run.versions import present_version
 from ..capture.backdrop import set_backdrop
 from ..capture.look import cull_outside, enter_room
@@ -57,8 +57,8 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
     mark_collections(scene)
     room = room_with_results(scene)
     settings.object_count = len(room)
-    atlas = read_json(run.atlas_json, ATLAS, "Apply the results again.")
-    settings.image_count, settings.applied_mode = len(atlas["images"]), str(atlas["mode"])
+    atlas = read_document(run.atlas_json, AtlasImages, "Apply the results again.")
+    settings.image_count, settings.applied_mode = len(atlas.images), atlas.mode
     settings.applied_version = present_version(run)
     settings.shown = "ESTIMATED"  # its update function shows them
     scene.fipt.lights.median_radiance = median_radiance(run)
@@ -70,10 +70,8 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
 
 def median_radiance(run: RunFolder) -> float:
     """The photographs' median radiance; 0 where the run does not record it."""
-    try:
-        return float(read_json(run.statistics_json, STATISTICS).get("radiance_scale", 0.0))
-    except (FiptError, TypeError, ValueError):
-        return 0.0
+    statistics = optional_document(run.statistics_json, Statistics)
+    return 0.0 if statistics is None else statistics.radiance_scale
 
 
 def median_shown(run: RunFolder) -> float:
@@ -81,12 +79,9 @@ def median_shown(run: RunFolder) -> float:
 
     Photographs that are not HDR have one; HDR photographs are shown with their median at middle grey.
     """
-    try:
-        found = read_json(run.statistics_json, STATISTICS).get("photometry", {})
-        value = float(found.get("median_shown", MIDDLE_GREY))
-    except (FiptError, AttributeError, TypeError, ValueError):
-        return MIDDLE_GREY
-    return value if 0.0 < value < 1.0 else MIDDLE_GREY
+    statistics = optional_document(run.statistics_json, Statistics)
+    shown = statistics and statistics.photometry and statistics.photometry.median_shown
+    return shown if shown and 0.0 < shown < 1.0 else MIDDLE_GREY
 
 
 def match_exposure(scene: bpy.types.Scene) -> float:

@@ -2,16 +2,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The arrays of room.npz and the names of room.json: one triangle soup in world space with ids.
 
-docs/architecture.md describes the arrays.
+docs/run_folder.md describes the arrays.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.run.contents import RoomNames
 from ...core.run.errors import FiptError
+from ...core.run.kinds import Matrix
 from ...core.run.run_files import read_room_files
 from ...core.run.runfolder import RunFolder, atomic_path, write_json
 from ...core.run.shapes import ROOM_ARRAYS
@@ -41,10 +44,10 @@ class Room:
     triangle_object: np.ndarray
     triangle_material: np.ndarray
     triangle_polygon: np.ndarray
-    objects: list[str]
-    materials: list[str]
-    object_ids: list[str] = field(default_factory=list)
-    matrices: list[list[list[float]]] = field(default_factory=list)
+    objects: Sequence[str]
+    materials: Sequence[str]
+    object_ids: Sequence[str] = ()
+    matrices: Sequence[Matrix] = ()
     triangle_exact: np.ndarray | None = None
 
     @property
@@ -72,8 +75,8 @@ def write_room(room: Room, run: RunFolder, parts: str, completed: bool = False) 
         )
     with atomic_path(run.room_npz) as temporary:
         np.savez(temporary, **{name: getattr(room, name) for name in ROOM_ARRAYS} | room.mesh)
-    names = {key: getattr(room, key) for key in ("objects", "object_ids", "materials", "matrices")}
-    write_json(run.room_json, {**names, "parts": parts, **({"completed": True} if completed else {})})
+    names = {key: getattr(room, key) for key in ("objects", "materials", "object_ids", "matrices")}
+    write_json(run.room_json, RoomNames(**names, parts=parts, completed=completed))
 
 
 def read_room(run: RunFolder) -> Room:
@@ -85,9 +88,9 @@ def read_room(run: RunFolder) -> Room:
     arrays, names = read_room_files(run)
     return Room(
         **{name: arrays[name] for name in ROOM_ARRAYS},
-        objects=names["objects"],
-        materials=names["materials"],
-        object_ids=names.get("object_ids", []),
-        matrices=names.get("matrices", []),
+        objects=names.objects,
+        materials=names.materials,
+        object_ids=names.object_ids,
+        matrices=names.matrices,
         triangle_exact=arrays.get("triangle_exact"),
     )

@@ -18,6 +18,7 @@ import numpy as np
 from ...bridge.step import Slices
 from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
+from ...core.run.result_contents import AtlasImage, AtlasImages
 from ...core.run.run_files import read_resolution
 from ...core.run.runfolder import RunFolder, atomic_path, write_json
 from ...core.run.settings import Settings
@@ -312,12 +313,8 @@ def _write(
     names = [f"Room.{tile_number(index)}" for index in range(len(sizes))] if len(sizes) > 1 else ["Room.001"]
     if owners is not None:
         names = file_names(owners)
-    images = [
-        {"name": name, "width": width, "height": height}
-        for name, (width, height) in zip(names, sizes, strict=False)
-    ]
-    apart = {"apart": True} if owners is not None else {}
-    write_json(run.atlas_json, {"mode": mode, "images": images, **apart})
+    images = tuple(AtlasImage(name, *size) for name, size in zip(names, sizes, strict=False))
+    write_json(run.atlas_json, AtlasImages(mode, images, apart=owners is not None))
 
 
 def file_names(owners: list[str]) -> list[str]:

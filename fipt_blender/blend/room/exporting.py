@@ -13,6 +13,7 @@ import numpy as np
 
 from ...bridge.step import Slices
 from ...core.run.errors import FiptError
+from ...core.run.kinds import as_matrix
 from ...core.run.runfolder import RunFolder
 from ..marks import OBJECT_ID, is_exact, object_id
 from ..slices import find_object, run_through
@@ -97,7 +98,7 @@ def collect_slices(objects: Iterable[bpy.types.Object]) -> Slices[Room]:
     }
     exact = np.array([is_exact(find_object(name)) for name in names], bool)
     marked = exact[joined["triangle_object"]] if exact.any() else None
-    matrices = [[list(row) for row in find_object(name).matrix_world] for name in names]
+    matrices = [as_matrix(find_object(name).matrix_world) for name in names]
     return Room(
         **joined, objects=names, materials=list(material_ids), matrices=matrices, triangle_exact=marked
     )

@@ -8,54 +8,110 @@ Standard library only.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from ..run.documents import (
-    MOST_BYTES,
-    Entries,
-    Fields,
-    Items,
-    Maybe,
-    Number,
-    Numbers,
-    check_shape,
-    parse_document,
-)
+from ..run.documents import MOST_BYTES, parse_document
+from ..run.kinds import Number, Row, Vector, as_kind
 
-PLACEMENT = {"matrix": Numbers(16), "translation": Numbers(3), "rotation": Numbers(4), "scale": Numbers(3)}
-_COUNT = Number(0, 1 << 40, whole=True)
-_PRIMITIVE = Fields(
-    {"attributes": Fields({}, {"POSITION": _COUNT})},
-    {"indices": _COUNT, "mode": Number(0, 6, whole=True), "extensions": Entries(dict)},
-)
-_SHAPE = Fields(
-    {},
-    {
-        "scene": _COUNT,
-        "scenes": Items(Fields({}, {"nodes": Items(_COUNT)})),
-        "nodes": Items(
-            Fields({}, {"children": Items(_COUNT), "mesh": _COUNT, "extensions": dict, **PLACEMENT})
-        ),
-        "meshes": Items(Fields({"primitives": Items(_PRIMITIVE)})),
-        "accessors": Items(
-            Fields(
-                {"componentType": _COUNT, "count": _COUNT, "type": str},
-                {"bufferView": _COUNT, "byteOffset": _COUNT, "sparse": Maybe(dict), "normalized": bool},
-            )
-        ),
-        "bufferViews": Items(
-            Fields(
-                {"buffer": _COUNT, "byteLength": _COUNT},
-                {"byteOffset": _COUNT, "byteStride": _COUNT, "extensions": Entries(dict)},
-            )
-        ),
-        "buffers": Items(Fields({}, {"uri": str})),
-    },
-)
+_Count = Annotated[int, Number(0, 1 << 40)]
+
+# Fields are named as in the files.
 
 
-def read_document(path: Path) -> tuple[dict[str, Any], int]:
+@dataclass(frozen=True)
+class Attributes:
+    """Indices of accessors."""
+
+    POSITION: _Count | None = None
+
+
+@dataclass(frozen=True)
+class Primitive:
+    """Triangles, lines or points."""
+
+    attributes: Attributes
+    indices: _Count | None = None
+    mode: Annotated[int, Number(0, 6)] = 4
+    extensions: dict = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Its pieces."""
+
+    primitives: tuple[Primitive, ...]
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Node:
+    """Where its mesh and its children are."""
+
+    children: tuple[_Count, ...] = ()
+    mesh: _Count | None = None
+    extensions: dict = field(default_factory=dict)
+    matrix: tuple[float, ...] | None = None
+    translation: Vector | None = None
+    rotation: Row | None = None
+    scale: Vector | None = None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Its nodes without parents."""
+
+    nodes: tuple[_Count, ...] = ()
+
+
+@dataclass(frozen=True)
+class Accessor:
+    """How values lie in a view of a buffer."""
+
+    componentType: _Count
+    count: _Count
+    type: str
+    bufferView: _Count | None = None
+    byteOffset: _Count = 0
+    sparse: dict | None = None
+    normalized: bool = False
+
+
+@dataclass(frozen=True)
+class BufferView:
+    """A part of a buffer, bytes."""
+
+    buffer: _Count
+    byteLength: _Count
+    byteOffset: _Count = 0
+    byteStride: _Count | None = None
+    extensions: dict = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Named:
+    """The file of a buffer or an image; None for one in the binary file."""
+
+    uri: str | None = None
+
+
+@dataclass(frozen=True)
+class Document:
+    """What is read of a glTF file."""
+
+    scene: _Count = 0
+    scenes: tuple[Scene, ...] = ()
+    nodes: tuple[Node, ...] = ()
+    meshes: tuple[Mesh, ...] = ()
+    accessors: tuple[Accessor, ...] = ()
+    bufferViews: tuple[BufferView, ...] = ()
+    buffers: tuple[Named, ...] = ()
+    images: tuple[Named, ...] = ()
+
+
+def read_document(path: Path) -> tuple[Document, int]:
     """The JSON of a .gltf or .glb file, and the byte behind it, where a binary file has its buffer.
 
     Raises:
@@ -74,12 +130,10 @@ def read_document(path: Path) -> tuple[dict[str, Any], int]:
         text = file.read(size)
     if len(text) < size:
         raise ValueError("it is cut off")
-    content = parse_document(text.decode("utf-8"), strict=False)
-    check_shape(content, _SHAPE)
-    return content, start + size
+    return as_kind(parse_document(text.decode("utf-8"), strict=False), Document), start + size
 
 
-def scene_roots(content: dict[str, Any]) -> list[int]:
+def scene_roots(document: Document) -> list[int]:
     """The nodes of a file's scene, without their children; without scenes those that have no parent.
 
     Blender imports the nodes of all scenes, and how it tells them apart depends on its version.
@@ -87,13 +141,13 @@ def scene_roots(content: dict[str, Any]) -> list[int]:
     Raises:
         ValueError: a node is missing or has several parents, or a mesh is not in the scene.
     """
-    nodes = content.get("nodes", [])
-    children = [child for node in nodes for child in node.get("children", ())]
+    nodes = document.nodes
+    children = [child for node in nodes for child in node.children]
     roots = sorted(set(range(len(nodes))) - set(children))
-    if content.get("scenes"):
-        roots = item(content, "scenes", content.get("scene", 0)).get("nodes", [])
+    if document.scenes:
+        roots = list(item(document, "scenes", document.scene).nodes)
     for index in (*children, *roots):
-        item(content, "nodes", index)
+        item(document, "nodes", index)
     if len({*children, *roots}) < len(children) + len(roots):
         raise ValueError("its nodes form a circle, or have several parents")
     shown: set[int] = set()
@@ -101,19 +155,19 @@ def scene_roots(content: dict[str, Any]) -> list[int]:
     while waiting:
         index = waiting.pop()
         shown.add(index)
-        waiting += nodes[index].get("children", ())
-    if any("mesh" in node for index, node in enumerate(nodes) if index not in shown):
+        waiting += nodes[index].children
+    if any(node.mesh is not None for index, node in enumerate(nodes) if index not in shown):
         raise ValueError("it has several scenes, or meshes in none; export one scene alone")
     return roots
 
 
-def item(content: dict[str, Any], name: str, index: int) -> Any:
+def item(document: Document, name: str, index: int) -> Any:
     """The item of a list by its index.
 
     Raises:
         ValueError: there is none.
     """
-    items: list[Any] = content.get(name, [])
+    items: Sequence[Any] = getattr(document, name)
     if index >= len(items):
         raise ValueError(f"its {name} lack number {index}")
     return items[index]

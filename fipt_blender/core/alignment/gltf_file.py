@@ -14,6 +14,7 @@ import io
 import json
 import urllib.parse
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,22 @@ import numpy as np
 import trimesh
 
 from ..run.documents import read_limited
+from ..run.kinds import as_json
 from ..run.paths import leads_outside
-from .gltf_document import PLACEMENT, item, read_document, scene_roots
+from .gltf_document import (
+    Accessor,
+    Attributes,
+    BufferView,
+    Document,
+    Mesh,
+    Named,
+    Node,
+    Primitive,
+    Scene,
+    item,
+    read_document,
+    scene_roots,
+)
 
 MOST_BYTES = 4_000_000_000  # of a mesh file, and of its meshes in memory
 MOST_NODES = 100_000  # of the nodes and primitives of a file, so that no file takes minutes
@@ -42,17 +57,16 @@ def read_gltf(path: Path) -> tuple[np.ndarray, np.ndarray]:
         OSError: the system's.
         ValueError: the file is damaged, compressed, or names files outside of its folder.
     """
-    content, end = read_document(path)
+    document, end = read_document(path)
     binary = _binary(read_limited(path, MOST_BYTES), end)
-    plain, primitives = _plain(content)
-    buffers = {
-        entry["uri"]: _buffer(content, int(entry["uri"]), binary, path.parent) for entry in plain["buffers"]
-    }
-    scene = load_scene(json.dumps(plain).encode(), "gltf", resolver=buffers, skip_materials=True)
+    plain, primitives, used = _plain(document)
+    buffers = {str(index): _buffer(document, index, binary, path.parent) for index in used}
+    text = json.dumps(plain, default=as_json)
+    scene = load_scene(text.encode(), "gltf", resolver=buffers, skip_materials=True)
     for name, mesh in scene.geometry.items():
-        _correct(mesh, primitives[int(name)], plain["accessors"][2 * int(name)])
-    found = scene.to_mesh()
-    return np.array(found.vertices, np.float64), np.array(found.faces, np.int64)
+        _correct(mesh, primitives[int(name)], plain.accessors[2 * int(name)])
+    whole = scene.to_mesh()
+    return np.array(whole.vertices, np.float64), np.array(whole.faces, np.int64)
 
 
 def load_scene(data: bytes, kind: str, **options: Any) -> trimesh.Scene:
@@ -69,11 +83,11 @@ def load_scene(data: bytes, kind: str, **options: Any) -> trimesh.Scene:
         raise ValueError(str(error) or type(error).__name__) from None
 
 
-def _correct(mesh: trimesh.Trimesh, primitive: dict[str, Any], positions: dict[str, Any]) -> None:
+def _correct(mesh: trimesh.Trimesh, primitive: Primitive, positions: Accessor) -> None:
     """Decode normalized integers, and make a fan of what was read as a strip."""
-    if positions.get("normalized"):
-        mesh.vertices = np.maximum(mesh.vertices / _TYPES[positions["componentType"]][1], -1.0)
-    if primitive.get("mode") == _FAN and len(mesh.faces):
+    if positions.normalized:
+        mesh.vertices = np.maximum(mesh.vertices / _TYPES[positions.componentType][1], -1.0)
+    if primitive.mode == _FAN and len(mesh.faces):
         faces = np.array(mesh.faces)
         faces[1::2] = faces[1::2, ::-1]
         faces[:, 0] = faces[0, 0]
@@ -92,9 +106,9 @@ def _binary(data: bytes, start: int) -> bytes:
     return data[start + 8 : end]
 
 
-def _buffer(content: dict[str, Any], index: int, binary: bytes, folder: Path) -> bytes:
+def _buffer(document: Document, index: int, binary: bytes, folder: Path) -> bytes:
     """The bytes of a buffer: those of the binary file, in the JSON, or of another file."""
-    name = None if index == 0 and binary else item(content, "buffers", index).get("uri", "data:,")
+    name = None if index == 0 and binary else item(document, "buffers", index).uri or "data:,"
     if name is None:
         return binary
     if name.startswith("data:"):
@@ -105,93 +119,86 @@ def _buffer(content: dict[str, Any], index: int, binary: bytes, folder: Path) ->
     return read_limited(folder / name, MOST_BYTES)
 
 
-def _plain(content: dict[str, Any]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def _plain(document: Document) -> tuple[Document, list[Primitive], list[int]]:
     """The triangles of a file in a document that trimesh reads without fault.
 
     Returns:
-        A glTF document whose meshes have one primitive each, with positions in accessor 2 i and indices in
-        2 i + 1, and whose buffers are named by their numbers; the primitives.
+        A document whose meshes have one primitive each, with positions in accessor 2 i and indices in
+        2 i + 1, and whose buffers are named by their numbers; the primitives; those numbers.
     """
-    nodes, roots = content.get("nodes", []), scene_roots(content)
-    primitives: list[dict[str, Any]] = []
+    nodes, roots = document.nodes, scene_roots(document)
+    primitives: list[Primitive] = []
     of_mesh: list[range] = []
-    for mesh in content.get("meshes", []):
+    for mesh in document.meshes:
         first = len(primitives)
         primitives += [
             entry
-            for entry in mesh["primitives"]
-            if entry.get("mode", _TRIANGLES) >= _TRIANGLES and "POSITION" in entry["attributes"]
+            for entry in mesh.primitives
+            if entry.mode >= _TRIANGLES and entry.attributes.POSITION is not None
         ]
         of_mesh.append(range(first, len(primitives)))
     if len(primitives) > MOST_NODES:
         raise ValueError(f"its meshes have {len(primitives):,} pieces, which are too many")
-    for user in (*nodes, *primitives, *content.get("bufferViews", [])):
-        for name in user.get("extensions", ()):
-            if any(word in name for word in _UNREADABLE):
-                raise ValueError(f"it is compressed or repeats meshes by {name}, which is not read here")
-    meshes: list[dict[str, Any]] = []
-    accessors: list[dict[str, Any]] = []
-    views: list[dict[str, Any]] = []
+    extended: tuple[Node | Primitive | BufferView, ...] = (*nodes, *primitives, *document.bufferViews)
+    for name in (name for user in extended for name in user.extensions):
+        if any(word in name for word in _UNREADABLE):
+            raise ValueError(f"it is compressed or repeats meshes by {name}, which is not read here")
+    meshes: list[Mesh] = []
+    accessors: list[Accessor] = []
+    views: list[BufferView] = []
     for number, entry in enumerate(primitives):
-        simple = {
-            "attributes": {"POSITION": 2 * number},
-            "mode": min(entry.get("mode", _TRIANGLES), _FAN - 1),
-        }
-        if "indices" in entry:
-            simple["indices"] = 2 * number + 1
-        meshes.append({"name": str(number), "primitives": [simple]})
-        for index, is_index in ((entry["attributes"]["POSITION"], False), (entry.get("indices"), True)):
-            accessor, view = _accessor(content, index, is_index)
-            accessors.append({**accessor, "bufferView": len(views)})
+        indices = None if entry.indices is None else 2 * number + 1
+        simple = Primitive(Attributes(2 * number), indices, min(entry.mode, _FAN - 1))
+        meshes.append(Mesh((simple,), str(number)))
+        for index, is_index in ((entry.attributes.POSITION, False), (entry.indices, True)):
+            accessor, view = _accessor(document, index, is_index)
+            accessors.append(replace(accessor, bufferView=len(views)))
             views.append(view)
-    rows = [
-        first["count"] + second["count"]
-        for first, second in zip(accessors[::2], accessors[1::2], strict=True)
-    ]
-    placed = [{key: node[key] for key in PLACEMENT if key in node} for node in nodes]
-    total = sum(rows) + sum(view["byteLength"] // _ROW for view in views)
-    for node, copy in zip(nodes, placed[:], strict=True):
-        drawn = item({"meshes": of_mesh}, "meshes", node["mesh"]) if "mesh" in node else ()
-        copy["children"] = [*node.get("children", []), *range(len(placed), len(placed) + len(drawn))]
-        placed += [{"mesh": number} for number in drawn]
-        total += sum(rows[number] for number in drawn)
-        if len(placed) > MOST_NODES or total * _ROW > MOST_BYTES:
+    rows = [first.count + second.count for first, second in zip(accessors[::2], accessors[1::2], strict=True)]
+    placed: list[Node] = []
+    drawn: list[Node] = []
+    total = sum(rows) + sum(view.byteLength // _ROW for view in views)
+    for node in nodes:
+        if node.mesh is not None and node.mesh >= len(of_mesh):
+            raise ValueError(f"its meshes lack number {node.mesh}")
+        pieces = of_mesh[node.mesh] if node.mesh is not None else ()
+        own = range(len(nodes) + len(drawn), len(nodes) + len(drawn) + len(pieces))
+        placed.append(replace(node, mesh=None, extensions={}, children=(*node.children, *own)))
+        drawn += [Node(mesh=number) for number in pieces]
+        total += sum(rows[number] for number in pieces)
+        if len(nodes) + len(drawn) > MOST_NODES or total * _ROW > MOST_BYTES:
             raise ValueError("its nodes are too many, or its meshes too large")
-    if not any("mesh" in node for node in placed):
+    if not drawn:
         raise ValueError("it holds no triangles")
-    used = sorted({view["buffer"] for view in views})
-    document = {
-        "scenes": [{"nodes": roots}],
-        "nodes": placed,
-        "meshes": meshes,
-        "accessors": accessors,
-        "bufferViews": [{**view, "buffer": used.index(view["buffer"])} for view in views],
-        "buffers": [{"uri": str(index)} for index in used],
-    }
-    return document, primitives
+    used = sorted({view.buffer for view in views})
+    plain = Document(
+        scenes=(Scene(tuple(roots)),),
+        nodes=(*placed, *drawn),
+        meshes=tuple(meshes),
+        accessors=tuple(accessors),
+        bufferViews=tuple(replace(view, buffer=used.index(view.buffer)) for view in views),
+        buffers=tuple(Named(str(index)) for index in used),
+    )
+    return plain, primitives, used
 
 
-def _accessor(
-    content: dict[str, Any], index: int | None, is_index: bool
-) -> tuple[dict[str, Any], dict[str, Any]]:
+def _accessor(document: Document, index: int | None, is_index: bool) -> tuple[Accessor, BufferView]:
     """An accessor, or an empty one, and a view of its bytes alone."""
     if index is None:
-        return {"componentType": 5125, "count": 0, "type": "SCALAR"}, {"buffer": 0, "byteLength": 0}
-    accessor = item(content, "accessors", index)
-    kind, count = accessor["componentType"], accessor["count"]
-    if accessor["type"] != ("SCALAR" if is_index else "VEC3") or kind not in (
+        return Accessor(5125, 0, "SCALAR"), BufferView(0, 0)
+    accessor: Accessor = item(document, "accessors", index)
+    kind, count = accessor.componentType, accessor.count
+    if accessor.type != ("SCALAR" if is_index else "VEC3") or kind not in (
         _INDICES if is_index else _POSITIONS
     ):
         raise ValueError("an accessor has another type than its use needs")
-    if "bufferView" not in accessor or accessor.get("sparse"):
+    if accessor.bufferView is None or accessor.sparse:
         raise ValueError("it has sparse accessors, which are not read here")
-    view = item(content, "bufferViews", accessor["bufferView"])
+    view: BufferView = item(document, "bufferViews", accessor.bufferView)
     width = _TYPES[kind][0] * (1 if is_index else 3)
-    stride = view.get("byteStride", width)
+    stride = width if view.byteStride is None else view.byteStride
     length = stride * (count - 1) + width if count else 0
-    if stride < width or accessor.get("byteOffset", 0) + length > view["byteLength"]:
+    if stride < width or accessor.byteOffset + length > view.byteLength:
         raise ValueError("a buffer is cut off")
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    simple = {"buffer": view["buffer"], "byteOffset": start, "byteLength": length, "byteStride": stride}
-    kept = ("componentType", "count", "type", "normalized")
-    return {key: accessor[key] for key in kept if key in accessor}, simple
+    simple = BufferView(view.buffer, length, view.byteOffset + accessor.byteOffset, stride)
+    return replace(accessor, byteOffset=0), simple

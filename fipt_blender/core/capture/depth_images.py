@@ -18,7 +18,7 @@ from ..depth.ply import write_ply
 from ..depth.range_image import RangeImage
 from ..depth.simplification import simplified
 from ..depth.volume import BlockVolume
-from ..run.documents import read_json
+from ..run.documents import optional_document
 from ..run.errors import FiptError
 from ..run.runfolder import PRODUCT_VERSION, RunFolder, write_json
 from . import checks
@@ -175,6 +175,14 @@ def fuse(
     return FusedMesh(mesh.vertices / np.float32(scale), mesh.triangles, mesh.colors)
 
 
+@dataclass(frozen=True)
+class _FusedNote:
+    """fused.json: a key of all that the mesh depends on, and the edge of its voxels."""
+
+    input: str
+    voxel: float | None
+
+
 @dataclass(frozen=True, eq=False)
 class Fusion:
     """What a mesh is fused from, and where in the run folder it is kept.
@@ -196,10 +204,8 @@ class Fusion:
         """Whether the run folder has the mesh of this very input."""
         if not self.run.fused_ply.is_file() or not self.run.fused_json.is_file():
             return False
-        try:
-            return bool(read_json(self.run.fused_json).get("input") == self._key())
-        except FiptError:
-            return False
+        note = optional_document(self.run.fused_json, _FusedNote)
+        return note is not None and note.input == self._key()
 
     def mesh(self, progress: Callable[[float], None]) -> FusedMesh:
         """Fuse the mesh; see `fuse`."""
@@ -213,7 +219,7 @@ class Fusion:
         """
         key = self._key()
         write_ply(self.run.fused_ply, mesh)
-        write_json(self.run.fused_json, {"input": key, "voxel": self.options.voxel})
+        write_json(self.run.fused_json, _FusedNote(key, self.options.voxel))
         return self.run.fused_ply
 
     def _key(self) -> str:

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from .. import conventions
-from ..run.documents import head
+from ..run.contents import CapturedView, CapturedViews, UpAxis
 from ..run.errors import FiptError
+from ..run.kinds import as_matrix
 from ..run.light_size import refuse_full_disk
 from ..run.messages import Reporter
 from ..run.paths import is_network
@@ -153,21 +154,19 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         {kind: run_folder.images / path.relative_to(images) for kind, path in one.items()} for one in written
     ]
     world_from_source = upright.world_from_source(options.scale)
-    entries = [
-        _entry(run_folder, *one, world_from_source)
-        for one in zip(views, pinholes, exposures, files, strict=True)
-    ]
-    data = {
-        **head("capture"),
-        "source": rig.source,
-        "world_from_source": world_from_source.tolist(),
-        "mesh": None if mesh is None else str(mesh),
-        "views": entries,
-    }
-    up = {"axis": upright.axis, "source": upright.source, "angle": upright.angle}
+    captured = CapturedViews(
+        source=rig.source,
+        world_from_source=as_matrix(world_from_source),
+        mesh=None if mesh is None else str(mesh),
+        views=tuple(
+            _captured(run_folder, *one, world_from_source)
+            for one in zip(views, pinholes, exposures, files, strict=True)
+        ),
+    )
+    up = UpAxis(upright.axis, upright.source, upright.angle)
     # The add-on rewrites capture.json with the views that the artist selects; ingest.json keeps all of them.
-    write_json(run_folder.ingest_json, {**data, "up": up})
-    write_json(run_folder.capture_json, data)
+    write_json(run_folder.ingest_json, replace(captured, up=up))
+    write_json(run_folder.capture_json, captured)
     counts = Counter(view.split for view in views)
     reporter.done(
         [str(run_folder.capture_json)],
@@ -410,14 +409,14 @@ def _fits_half(pixels: np.ndarray) -> bool:
     return positive.size > 0 and float(np.median(positive)) > DARKER * LEAST_HALF
 
 
-def _entry(
+def _captured(
     run_folder: RunFolder,
     view: RigView,
     pinhole: Pinhole,
     exposure: float | None,
     written: dict[str, Path],
     world_from_source: np.ndarray,
-) -> dict[str, Any]:
+) -> CapturedView:
     """The view's entry in capture.json.
 
     Args:
@@ -426,14 +425,17 @@ def _entry(
         written: images that were written of it, by kind.
     """
     files = {"image": view.image, **{kind: getattr(view, kind) for kind in ID_IMAGES}, **written}
-    return {
-        "name": view.name,
-        "split": view.split,
+    names: dict[str, Any] = {kind: _stored_path(run_folder, path) for kind, path in files.items()}
+    encoded = is_encoded(view.image)
+    return CapturedView(
+        name=view.name,
+        split=view.split or "train",
         **asdict(pinhole),
-        "camera_to_world": conventions.transform_poses(world_from_source, view.camera_to_world).tolist(),
-        **{kind: _stored_path(run_folder, path) for kind, path in files.items()},
-        **({"encoded": True, "exposure": exposure} if is_encoded(view.image) else {}),
-    }
+        camera_to_world=as_matrix(conventions.transform_poses(world_from_source, view.camera_to_world)),
+        **names,
+        encoded=encoded,
+        exposure=exposure if encoded else None,
+    )
 
 
 def _stored_path(run_folder: RunFolder, path: Path | None) -> str | None:

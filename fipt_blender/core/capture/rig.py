@@ -20,6 +20,7 @@ import numpy as np
 from ..alignment.ply_file import read_header
 from ..run.documents import load_document
 from ..run.errors import FiptError
+from ..run.kinds import T
 from .files import key
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
@@ -158,18 +159,18 @@ class WellFormed:
             raise damaged(self._path, error) from None
 
 
-def read_json_rig(path: Path, shape: Any) -> Any:
+def read_json_rig(path: Path, kind: type[T]) -> T:
     """Read a JSON document that describes cameras; all readers of captures in JSON use this.
 
     Args:
         path: of the file.
-        shape: what it must hold; see `core.run.documents`.
+        kind: what it must hold; see `core.run.kinds`.
 
     Raises:
         FiptError: ``rig-damaged``.
     """
     try:
-        return load_document(path, shape, strict=False)
+        return load_document(path, kind, strict=False)
     except (OSError, ValueError) as error:
         raise damaged(path, error) from None
 

@@ -7,17 +7,16 @@ They are read from capture.json, which `ingest` writes after all its checks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from .. import conventions
-from ..run.documents import check_shape, head, read_json
+from ..run.contents import CapturedView
 from ..run.errors import FiptError
+from ..run.run_files import read_capture
 from ..run.runfolder import RunFolder
-from ..run.shapes import CAPTURE
 from .checks import check_view
 from .images import read_ids, read_radiance
 from .rig import Pinhole
@@ -161,43 +160,21 @@ def load_capture(run: RunFolder) -> Capture:
         FiptError: ``file-missing``, ``file-damaged``, ``capture-version``, ``path-outside``, or one of
             `check_view`.
     """
-    path = run.capture_json
-    data = read_json(path)
-    if not head("capture").items() <= data.items():
-        raise FiptError(
-            "capture-version", f"{path} is not a capture of version 1.", "Start a new run in another folder."
-        )
-    try:
-        check_shape(data, CAPTURE)
-    except ValueError as error:
-        raise FiptError("file-damaged", f"{path} can't be read ({error}).", "Start a new run.") from None
-    views = tuple(_view(run, entry) for entry in data["views"])
+    capture = read_capture(run.capture_json)
+    views = tuple(_view(run, view) for view in capture.views)
     for view in views:
         pinhole = Pinhole(view.width, view.height, view.fx, view.fy, view.cx, view.cy)
         check_view(view.name, pinhole, view.camera_to_world)
     return Capture(
-        source=data["source"],
-        world_from_source=np.array(data["world_from_source"], np.float64),
-        mesh=None if data["mesh"] is None else run.resolve(data["mesh"]),
+        source=capture.source,
+        world_from_source=np.array(capture.world_from_source),
+        mesh=None if capture.mesh is None else run.resolve(capture.mesh),
         views=views,
     )
 
 
-def _view(run: RunFolder, entry: dict[str, Any]) -> View:
-    return View(
-        name=entry["name"],
-        split=entry["split"],
-        image=run.resolve(entry["image"]),
-        width=int(entry["width"]),
-        height=int(entry["height"]),
-        fx=float(entry["fx"]),
-        fy=float(entry["fy"]),
-        cx=float(entry["cx"]),
-        cy=float(entry["cy"]),
-        camera_to_world=np.array(entry["camera_to_world"], np.float64),
-        parts=None if entry["parts"] is None else run.resolve(entry["parts"]),
-        semantics=None if entry["semantics"] is None else run.resolve(entry["semantics"]),
-        mask=run.resolve(entry["mask"]) if entry.get("mask") else None,
-        encoded=entry.get("encoded", False),
-        exposure=entry.get("exposure"),
-    )
+def _view(run: RunFolder, view: CapturedView) -> View:
+    files = {name: getattr(view, name) for name in ("image", "parts", "semantics", "mask")}
+    values = {item.name: getattr(view, item.name) for item in fields(View)}
+    paths = {name: None if path is None else run.resolve(path) for name, path in files.items()}
+    return View(**values | paths | {"camera_to_world": np.array(view.camera_to_world)})

@@ -13,12 +13,11 @@ import argparse
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..alignment.polish import polish
-from ..alignment.registration import Candidate, refine
+from ..alignment.registration import refine
 from ..alignment.surface import sample_surface
 from ..capture.align_mesh import LEAST_INLIERS, MOST_POINTS, check_fit, placements, unit_notes
 from ..capture.color_camera import with_color_camera
@@ -30,8 +29,9 @@ from ..capture.options import CaptureOptions
 from ..capture.views import View, load_capture
 from ..conventions import transform_points
 from ..device.variant import set_variant
-from ..run.documents import head
+from ..run.contents import Placement, Placements
 from ..run.errors import FiptError
+from ..run.kinds import as_matrix
 from ..run.messages import Reporter
 from ..run.run_files import read_room_files
 from ..run.runfolder import RunFolder, write_json
@@ -62,14 +62,14 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.stage("align", "Aligning the cameras to the mesh")
     views = list(load_capture(folder).views)
     if arguments.how == "edges":
-        found = _by_edges(folder, views, arguments.device, reporter)
+        aligned = _by_edges(folder, views, arguments.device, reporter)
     else:
         if arguments.capture is None:
             raise FiptError("alignment-points", "No capture is given.", "Import the capture from its files.")
         points = solve_points(arguments.capture, arguments.format, views)
-        found = _by_points(folder, views, points, arguments.how == "near", reporter)
+        aligned = _by_points(folder, views, points, arguments.how == "near", reporter)
     path = folder.root / "align.json"
-    write_json(path, {**head("align"), **found})
+    write_json(path, aligned)
     reporter.done([str(path)])
 
 
@@ -112,7 +112,7 @@ def similarity_of_poses(source: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 def _by_points(
     folder: RunFolder, views: list[View], points: np.ndarray, near: bool, reporter: Reporter
-) -> dict[str, Any]:
+) -> Placements:
     """Candidates from the points of the solve.
 
     Raises:
@@ -130,23 +130,17 @@ def _by_points(
     best = candidates[0]
     for note in unit_notes(surface, best.similarity, up):
         reporter.warning(note.code, note.text, note.remedy)
-    return {
-        "candidates": [_entry(candidate) for candidate in candidates if candidate.inliers >= LEAST_INLIERS],
-        "text": f"{100.0 * best.inliers:.0f}% of the points of the camera solve lie near the mesh, half of"
-        f" all within {1000.0 * best.error:.3g} mm",
-        "poses": {},
-    }
+    text = (
+        f"{100.0 * best.inliers:.0f}% of the points of the camera solve lie near the mesh, half of all within"
+        f" {1000.0 * best.error:.3g} mm"
+    )
+    likely = (candidate for candidate in candidates if candidate.inliers >= LEAST_INLIERS)
+    return Placements(
+        tuple(Placement(as_matrix(each.similarity), each.error, each.inliers) for each in likely), text, {}
+    )
 
 
-def _entry(candidate: Candidate) -> dict[str, Any]:
-    return {
-        "similarity": candidate.similarity.tolist(),
-        "error": candidate.error,
-        "inliers": candidate.inliers,
-    }
-
-
-def _by_edges(folder: RunFolder, views: list[View], device: str, reporter: Reporter) -> dict[str, Any]:
+def _by_edges(folder: RunFolder, views: list[View], device: str, reporter: Reporter) -> Placements:
     """Poses of all views after polishing by edges.
 
     Raises:
@@ -163,14 +157,14 @@ def _by_edges(folder: RunFolder, views: list[View], device: str, reporter: Repor
     alone: set[int] = set()
     best, least = views, np.inf
     for index in range(_ROUNDS + 1):
-        found = [image_misfit(room, view, image) for view, image in zip(views, images, strict=True)]
-        known = [item[0].misfit * item[1] for item in found if item is not None]
+        misfits = [image_misfit(room, view, image) for view, image in zip(views, images, strict=True)]
+        known = [item[0].misfit * item[1] for item in misfits if item is not None]
         misfit = float(np.median(known)) if known else np.inf
         before = misfit if before is None else before
         if misfit < least:
             best, least = views, misfit
         step = polish(
-            [view.camera_to_world for view in views], [None if item is None else item[0] for item in found]
+            [view.camera_to_world for view in views], [None if item is None else item[0] for item in misfits]
         )
         if step is None:
             break
@@ -183,12 +177,11 @@ def _by_edges(folder: RunFolder, views: list[View], device: str, reporter: Repor
             "The edges of mesh and photographs do not say how the cameras should move.",
             "Nothing was changed. If the mesh is far off, align by points or pairs first.",
         )
-    return {
-        "candidates": [],
-        "text": f"The edges are off by {least:.1f} pixels in the median view, before by {before:.1f};"
-        f" {len(alone)} cameras were moved by themselves",
-        "poses": {view.name: np.asarray(view.camera_to_world).tolist() for view in best},
-    }
+    text = (
+        f"The edges are off by {least:.1f} pixels in the median view, before by {before:.1f};"
+        f" {len(alone)} cameras were moved by themselves"
+    )
+    return Placements((), text, {view.name: as_matrix(view.camera_to_world) for view in best})
 
 
 def _read(view: View, make: Callable[[View, np.ndarray], np.ndarray | None]) -> np.ndarray | None:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import argparse
 import itertools
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from ..capture.views import View, load_capture
 from ..device.variant import set_variant
 from ..radiometry.inversion import MUCH_CLIPPED as MUCH_CLIPPED_ENCODED
 from ..radiometry.inversion import is_clipped
-from ..run.documents import head
+from ..run.contents import Box, SurveyedParts, SurveyedView, SurveyNote
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder, atomic_path, write_json
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     capture = load_capture(folder)
     room = load_room(folder, cleaned=False)  # the artist judges the mesh, also after `complete`
     reporter.stage("views", "Finding what each camera sees")
-    entries: list[dict[str, Any]] = []
+    surveyed: list[SurveyedView] = []
     seen = np.zeros((len(capture.views), len(room.triangles)), bool)
     in_sight = np.zeros(len(room.triangles), bool)
     # The next photographs are decoded while the mesh is compared with one.
@@ -77,8 +77,17 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         coverage = view_coverage(room, view, known=in_sight)
         seen[index] = coverage.seen
         in_sight |= coverage.in_sight
-        facts = {"name": view.name, "room_share": coverage.room_share, **with_misfit(photograph, view, room)}
-        entries.append({**facts, "warning": view_warning(facts)})
+        facts = with_misfit(photograph, view, room)
+        surveyed.append(
+            SurveyedView(
+                name=view.name,
+                warning=view_warning(facts, coverage.room_share),
+                image_missing=facts.image_missing,
+                room_share=coverage.room_share,
+                clipped_share=facts.clipped_share,
+                misfit=facts.misfit,
+            )
+        )
         reporter.progress((index + 1) / len(capture.views))
 
     reporter.stage("parts", "Finding the parts")
@@ -93,14 +102,14 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         reporter.progress((index + 1) / (len(sources) + 1))
     pixels = survey_pixels(room, [view for view in train if view.image.is_file()])
     disagreement = np.full(len(room.triangles), np.nan, np.float32)
-    missing: list[dict[str, Any]] = []
+    missing: list[Box] = []
     if pixels is not None:
         disagreement = surface_disagreement(room, pixels)
         boxes = pixels.boxes(room.bounds, AIR_POINTS)
         shown = itertools.takewhile(
-            lambda found: found[2] >= LEAST_MISSING, itertools.islice(boxes, MOST_MISSING)
+            lambda disagreeing: disagreeing[2] >= LEAST_MISSING, itertools.islice(boxes, MOST_MISSING)
         )
-        missing = [{"low": low.tolist(), "high": high.tolist()} for (low, high), _, _ in shown]
+        missing = [Box(tuple(low.tolist()), tuple(high.tolist())) for (low, high), _, _ in shown]
 
     with atomic_path(folder.root / "survey.npz") as temporary:
         np.savez_compressed(
@@ -111,18 +120,9 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
             disagreement=disagreement,
             **{f"parts_{source}": part for source, part in labels.items()},
         )
-    write_json(
-        folder.root / "survey.json",
-        {
-            **head("survey"),
-            "views": entries,
-            "missing": missing,
-            "parts": {
-                "auto": automatic_source(room, usable),
-                "counts": {source: len(np.unique(part[part >= 0])) for source, part in labels.items()},
-            },
-        },
-    )
+    counts = {source: len(np.unique(part[part >= 0])) for source, part in labels.items()}
+    parts = SurveyedParts(automatic_source(room, usable), counts)
+    write_json(folder.root / "survey.json", SurveyNote(tuple(surveyed), parts, tuple(missing)))
     reporter.done([str(folder.root / name) for name in ("survey.json", "survey.npz")])
 
 
@@ -159,14 +159,32 @@ def _coarse_image(folder: RunFolder, view: View) -> Path:
     return folder.root / "coarse" / "image" / f"{view.name}.exr"
 
 
-def photograph_facts(view: View, room: Room) -> dict[str, Any]:
-    """The facts of a view's photograph, and of the mesh in it; see `examined` and `with_misfit`."""
-    return with_misfit(examined(view), view, room)
+@dataclass(frozen=True)
+class PhotographFacts:
+    """What is wrong with a photograph, and with the mesh in it.
+
+    Attributes:
+        image_missing: whether its file is missing.
+        image_problem: why it is unusable, "" where it is not.
+        clipped_share: of its pixels that are over-exposed.
+        looks_ldr: whether it looks 8-bit although it should be HDR.
+        encoded: whether it is no HDR file.
+        misfit: distance in pixels of the mesh's edges from its own; None where it can't be measured.
+        much_off: whether that is much.
+    """
+
+    image_missing: bool = False
+    image_problem: str = ""
+    clipped_share: float = 0.0
+    looks_ldr: bool = False
+    encoded: bool = False
+    misfit: float | None = None
+    much_off: bool = False
 
 
 def with_misfit(
-    photograph: tuple[dict[str, Any], np.ndarray | None], view: View, room: Room
-) -> dict[str, Any]:
+    photograph: tuple[PhotographFacts, np.ndarray | None], view: View, room: Room
+) -> PhotographFacts:
     """The facts of a photograph, with the distance in pixels of the mesh's edges from its own; None where it
     can't be measured.
 
@@ -176,16 +194,15 @@ def with_misfit(
     from .misfit import image_misfit
 
     facts, image = photograph
-    found = image_misfit(room, view, image)
-    if found is None:
+    measured = image_misfit(room, view, image)
+    if measured is None:
         return facts
-    fit, factor = found
-    return facts | {"misfit": round(fit.misfit * factor, 2), "much_off": fit.misfit > MUCH_OFF}
+    fit, factor = measured
+    return replace(facts, misfit=round(fit.misfit * factor, 2), much_off=fit.misfit > MUCH_OFF)
 
 
-def examined(view: View, folder: RunFolder | None = None) -> tuple[dict[str, Any], np.ndarray | None]:
-    """The facts of a photograph: whether it is missing or unusable, its over-exposed share, whether it is no
-    HDR file or looks 8-bit. And the image that is compared with the mesh, None without any.
+def examined(view: View, folder: RunFolder | None = None) -> tuple[PhotographFacts, np.ndarray | None]:
+    """The facts of a photograph, and the image that is compared with the mesh, None without any.
 
     Args:
         folder: gets the photograph on the coarse grid, if it can be used.
@@ -193,19 +210,18 @@ def examined(view: View, folder: RunFolder | None = None) -> tuple[dict[str, Any
     from ..parts.coverage import coarse_view
     from .misfit import edge_image
 
-    facts: dict[str, Any] = {"image_missing": False, "image_problem": "", "clipped_share": 0.0}
     if folder is not None:
         _coarse_image(folder, view).unlink(missing_ok=True)  # of an earlier survey
-    facts |= {"looks_ldr": False, "encoded": False, "misfit": None, "much_off": False}
     try:
         pixels = read_radiance(view.image)
         if pixels.shape[:2] != (view.height, view.width):
             size = f"{pixels.shape[1]} x {pixels.shape[0]}"
-            return facts | {"image_problem": f"is {size} pixels, not {view.width} x {view.height}"}, None
+            problem = f"is {size} pixels, not {view.width} x {view.height}"
+            return PhotographFacts(image_problem=problem), None
         statistics = pixel_statistics(view.image, pixels)
     except FiptError as error:
         missing = error.code == "image-missing"
-        return facts | {"image_missing": missing, "image_problem": "" if missing else error.text}, None
+        return PhotographFacts(missing, "" if missing else error.text), None
     if folder is not None:
         coarse = coarse_view(view)
         write_exr(_coarse_image(folder, view), means(pixels, coarse.width, coarse.height))
@@ -213,30 +229,31 @@ def examined(view: View, folder: RunFolder | None = None) -> tuple[dict[str, Any
     if view.encoded:
         codes = srgb_encoded(pixel_sample(pixels)) * 255.0
         clipped, looks_ldr = float(is_clipped(codes).mean()), False  # the import has warned
-    facts |= {"clipped_share": clipped, "looks_ldr": looks_ldr, "encoded": view.encoded}
+    facts = PhotographFacts(clipped_share=clipped, looks_ldr=looks_ldr, encoded=view.encoded)
     return facts, edge_image(view, pixels)
 
 
-def view_warning(facts: dict[str, Any]) -> str:
+def view_warning(facts: PhotographFacts, room_share: float) -> str:
     """The most serious problem of a view in a few words, "" where there is none.
 
     Args:
-        facts: its entry of survey.json.
+        facts: of its photograph.
+        room_share: of its pixels that see the room.
     """
-    if facts["image_missing"]:
+    if facts.image_missing:
         return "the photograph is missing"
-    if facts["image_problem"]:
-        return f"the photograph can't be used: {facts['image_problem']}"
-    if facts["room_share"] == 0.0:
+    if facts.image_problem:
+        return f"the photograph can't be used: {facts.image_problem}"
+    if room_share == 0.0:
         return "sees nothing of the room"
-    if facts["room_share"] < LITTLE_SEEN:
-        return f"sees the room in only {100.0 * facts['room_share']:.0f} % of its pixels"
-    if facts["much_off"]:
-        return f"the mesh is {facts['misfit']:.1f} pixels off in this view"
-    if facts["looks_ldr"]:
-        share = 100.0 * facts["clipped_share"]
+    if room_share < LITTLE_SEEN:
+        return f"sees the room in only {100.0 * room_share:.0f} % of its pixels"
+    if facts.much_off:
+        return f"the mesh is {facts.misfit:.1f} pixels off in this view"
+    if facts.looks_ldr:
+        share = 100.0 * facts.clipped_share
         clipped = f"; {share:.1f} % of its pixels are clipped" if share else ""
         return f"looks like an 8-bit photograph, without the true radiance of lamps{clipped}"
-    if facts["clipped_share"] > (MUCH_CLIPPED_ENCODED if facts["encoded"] else MUCH_CLIPPED):
-        return f"{100.0 * facts['clipped_share']:.1f} % of its pixels look over-exposed"
+    if facts.clipped_share > (MUCH_CLIPPED_ENCODED if facts.encoded else MUCH_CLIPPED):
+        return f"{100.0 * facts.clipped_share:.1f} % of its pixels look over-exposed"
     return ""

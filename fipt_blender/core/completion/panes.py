@@ -34,7 +34,7 @@ from ..surface.adjacency import NONE, Surface, make_mesh
 from ..surface.clean import CleanMesh
 from ..surface.holes import FlatHole, flat_holes, median_edge
 from ..surface.room import Room, load_room
-from ..surface.stored import completed, prepare_geometry, scanned, store_geometry, stored_geometry
+from ..surface.stored import prepare_geometry, scanned, store_geometry, stored_geometry
 from .lost_surfaces import lost_surfaces
 from .torn_parts import torn_parts, torn_round_things
 
@@ -84,10 +84,10 @@ def close_holes(
         prepare_geometry(run, settings.clean_scan, settings.close_holes_edges)
         room, changed = None, True  # it may have had them
     arrays, names = read_room_files(run, "mesh-damaged")
-    if completed(names) or PANES in (names.get("object_ids") or names["objects"]):
+    if names.completed or PANES in names.ids:
         return changed
     cleaned = stored_geometry(run, arrays)
-    use_masks = names.get("parts", "masks") in ("auto", "masks")
+    use_masks = names.parts in ("auto", "masks")
     masks = masks_digest(views, (view.part_ids() for view in views if use_masks))
     if cleaned is None or has_searched_panes(run, arrays, masks):
         return changed

@@ -4,7 +4,7 @@
 
 `distributed` is imported and the network is used only if an address is given. Work is sent as bytes that Dask
 makes of arrays and numbers: a worker chooses Mitsuba's variant before it unpacks them, and the scheduler
-never unpacks them. docs/architecture.md describes how to start a cluster.
+never unpacks them. docs/cluster.md describes how to start a cluster.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def unprotected(address: str | None) -> tuple[str, str, str] | None:
     return (
         "cluster-unprotected",
         f"The cluster at '{address}' is used without TLS: whoever reaches its network can run code here.",
-        f"Use --cluster tls://{place}, with certificates in Dask's configuration (docs/architecture.md).",
+        f"Use --cluster tls://{place}, with certificates in Dask's configuration (docs/cluster.md).",
     )
 
 
@@ -234,7 +234,7 @@ class ClusterWorkers:
                 raise FiptError(
                     "cluster-no-worker",
                     f"The cluster had no worker for {WORKERS_SECONDS:.0f} seconds.",
-                    "Start workers as described in docs/architecture.md and resume the run. If there were "
+                    "Start workers as described in docs/cluster.md and resume the run. If there were "
                     "workers before, their logs show why they ended.",
                 )
 
@@ -297,7 +297,7 @@ def _unfit(subject: str, error: Exception) -> FiptError:
         "cluster-worker-unfit",
         f"{subject} can't import the engine ({type(error).__name__}: {' '.join(str(error).split())}).",
         "Start the scheduler and the workers with the same Python packages and version of the engine as the "
-        "run; docs/architecture.md describes how.",
+        "run; docs/cluster.md describes how.",
     )
 
 

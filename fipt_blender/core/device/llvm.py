@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from ..run.documents import load_document
+from ..run.documents import optional_document
 from ..run.errors import FiptError
 from ..run.runfolder import write_json
 from . import probe
@@ -202,17 +202,12 @@ def remembered(key: str, trial: Callable[[], Verdict], cache: Path | None = None
     A cache that can't be read or written only costs time.
     """
     file = (cache or cache_folder()) / "devices.json"
-    verdicts: dict[str, dict[str, object]] = {}
-    try:
-        verdicts = load_document(file)
-    except (OSError, ValueError):
-        pass
-    kept = verdicts.get(key)
-    if isinstance(kept, dict) and isinstance(kept.get("works"), bool):
-        return Verdict(bool(kept["works"]), str(kept.get("reason", "")))
+    verdicts = optional_document(file, dict[str, Verdict]) or {}
+    if key in verdicts:
+        return verdicts[key]
     verdict = trial()
     if verdict.lasting:
-        verdicts[key] = {"works": verdict.works, "reason": verdict.reason}
+        verdicts[key] = verdict
         with contextlib.suppress(FiptError):
             write_json(file, verdicts)
     return verdict

@@ -16,7 +16,7 @@ from ..material.closed_form import CellEstimate, TrainingData
 from ..material.pixel_samples import rows_with_donor
 from ..report.comparison import to_display
 from ..report.pictures import write_png
-from ..run.documents import head
+from ..run.kinds import head
 from ..run.runfolder import RunFolder, write_json
 
 MOST_DOUBTS = 20  # of a run

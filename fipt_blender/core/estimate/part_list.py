@@ -21,7 +21,8 @@ from ..material.fields import RoomFields
 from ..parts.labels import Parts, choose_source, fuse_masks, mesh_borders
 from ..pixels.grouped import grouped_means
 from ..pixels.store import PixelStore
-from ..run.documents import Entries, head, read_json
+from ..run.documents import read_document
+from ..run.kinds import head
 from ..run.parts import readable, unique_names
 from ..run.runfolder import RunFolder, write_json
 from ..surface.room import Room
@@ -48,7 +49,7 @@ def write_part_list(
     fields: RoomFields,
     areas: Mapping[int, str] | None = None,
 ) -> list[str]:
-    """Write results/parts.json (docs/architecture.md) and return the names of the units.
+    """Write results/parts.json (docs/run_folder.md) and return the names of the units.
 
     Args:
         room, parts: of the estimation.
@@ -162,7 +163,7 @@ def _semantic_classes(
 def _class_names(mask: Path) -> dict[str, str]:
     """The names of classes by id in the file beside a mask; none without the file."""
     path = mask.parent / CLASS_NAMES
-    return read_json(path, Entries(str), "Correct or delete it.") if path.is_file() else {}
+    return read_document(path, dict[str, str], "Correct or delete it.") if path.is_file() else {}
 
 
 def _names(

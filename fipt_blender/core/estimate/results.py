@@ -169,7 +169,7 @@ def _warn_of_lamps(
     room: Room, fixtures: Sequence[Fixture], doubted: Sequence[HardlySeen], reporter: Reporter
 ) -> None:
     """Say which lamps photographs hardly show."""
-    names = fixture_names(room, [{"triangles": fixture.triangles} for fixture in fixtures])
+    names = fixture_names(room, fixtures)
     listed = ", ".join(f"{names[lamp.index]} ({lamp.pixels} pixels)" for lamp in doubted)
     reporter.warning(
         "lamp-hardly-seen",

@@ -8,13 +8,14 @@ to which its geometric normal points; each side has its own radiance.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+
+from ..run.result_contents import EmitterFixture
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 
@@ -46,21 +47,15 @@ class EmitterTable:
         return cls(np.zeros(0, np.int32), np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
 
     @classmethod
-    def from_fixtures(cls, data: Mapping[str, Any]) -> EmitterTable:
-        """The table of ``results/emitters.json``: each triangle of a fixture has the fixture's radiance."""
-        triangles: list[int] = []
-        front: list[list[float]] = []
-        back: list[list[float]] = []
-        for fixture in data["fixtures"]:
-            count = len(fixture["triangles"])
-            triangles += fixture["triangles"]
-            front += [fixture["radiance"]] * count
-            back += [fixture["back_radiance"]] * count
-        return cls(
-            np.array(triangles, np.int32),
-            np.array(front, np.float32).reshape(-1, 3),
-            np.array(back, np.float32).reshape(-1, 3),
+    def from_fixtures(cls, fixtures: Sequence[EmitterFixture]) -> EmitterTable:
+        """The table of the fixtures of emitters.json: each triangle has its fixture's radiance."""
+        counts = [len(fixture.triangles) for fixture in fixtures]
+        front, back = (
+            np.array([getattr(fixture, side) for fixture in fixtures], np.float32).reshape(-1, 3)
+            for side in ("radiance", "back_radiance")
         )
+        triangles = [triangle for fixture in fixtures for triangle in fixture.triangles]
+        return cls(np.array(triangles, np.int32), np.repeat(front, counts, 0), np.repeat(back, counts, 0))
 
 
 @dataclass

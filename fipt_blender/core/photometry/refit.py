@@ -28,7 +28,7 @@ LightOf = Callable[[np.ndarray, SampleCounts], np.ndarray]
 # Samples of the light over the hemisphere and towards lamps: at points that determine the contrast, which
 # noise of the light would raise, and at other pixels.
 POINT_SAMPLES, PIXEL_SAMPLES = SampleCounts(1024, 0, 256), SampleCounts(64, 0, 32)
-# Systematic error of the contrast inferred from the light of shadings, as measured (docs/history.md).
+# Systematic error of the contrast inferred from the light of shadings, as measured.
 REFIT_DEVIATION = 0.03
 # Largest correction of the logarithm of light: beyond it, the model or the shading is wrong.
 MOST_CORRECTION = 1.0

@@ -8,9 +8,9 @@ Objects in Blender and the report have these names, English like those of most c
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -34,7 +34,7 @@ _NEAR = 0.3  # metres between a bulb and the lamp that holds it
 
 
 class NamedMesh(Protocol):
-    """What names are made of: arrays of room.npz and names of room.json (docs/architecture.md)."""
+    """What names are made of: arrays of room.npz and names of room.json (docs/run_folder.md)."""
 
     @property
     def vertices(self) -> np.ndarray: ...
@@ -50,35 +50,42 @@ class NamedMesh(Protocol):
     def materials(self) -> Sequence[str]: ...
 
 
-def run_fixture_names(run: RunFolder, entries: Sequence[Mapping[str, Any]]) -> list[str]:
+class NamedFixture(Protocol):
+    """A fixture, of an estimation or of emitters.json."""
+
+    @property
+    def triangles(self) -> Sequence[int] | np.ndarray: ...
+
+
+def run_fixture_names(run: RunFolder, fixtures: Sequence[NamedFixture]) -> list[str]:
     """A name for each fixture of a finished run.
 
     Args:
         run: its folder.
-        entries: the fixtures of emitters.json.
+        fixtures: of emitters.json.
 
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
     """
     arrays, names = read_room_files(run)
-    mesh = SimpleNamespace(**arrays, objects=names["objects"], materials=names["materials"])
-    return fixture_names(mesh, entries, read_parts(run, mesh.triangle_object, mesh.objects))
+    mesh = SimpleNamespace(**arrays, objects=names.objects, materials=names.materials)
+    return fixture_names(mesh, fixtures, read_parts(run, mesh.triangle_object, mesh.objects))
 
 
 def fixture_names(
-    room: NamedMesh, entries: Sequence[Mapping[str, Any]], parts: RoomParts | None = None
+    room: NamedMesh, fixtures: Sequence[NamedFixture], parts: RoomParts | None = None
 ) -> list[str]:
-    """A name for each fixture; equal ones are numbered in the order of the entries.
+    """A name for each fixture; equal ones are numbered in the order of the fixtures.
 
     Args:
         room: the run's room.
-        entries: the fixtures of emitters.json.
+        fixtures: their triangles.
         parts: the room's parts, whose semantic classes name a lamp where objects do not.
     """
     names: list[str] = []
     areas = np.linalg.norm(_vector_areas(room, slice(None)), axis=1)
-    for entry in entries:
-        triangles = np.array(entry["triangles"], np.int64)
+    for fixture in fixtures:
+        triangles = np.array(fixture.triangles, np.int64)
         name = _belonging(room, triangles, areas, parts) if len(triangles) else ""
         names.append(free_name(name or "Lamp", names))
     return names
@@ -103,7 +110,7 @@ def _belonging(room: NamedMesh, triangles: np.ndarray, areas: np.ndarray, parts:
     class_words: list[str] = []
     if parts is not None and not is_told:
         part, _ = _main(parts.triangle, triangles, areas)
-        class_words = words(parts.parts[part].class_name)
+        class_words = words(parts.parts[part].class_name or "")
         if _LAMPS & set(class_words):
             own, is_told = class_words, True
     points = room.vertices[np.unique(room.triangles[triangles])].astype(np.float64)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -19,12 +19,22 @@ import numpy as np
 from ..capture.averaging import means, narrowed
 from ..capture.images import read_radiance
 from ..capture.views import Capture, View, load_capture
-from ..run.documents import Fields, read_json
+from ..run.contents import Steps
+from ..run.documents import read_document
+from ..run.kinds import T
 from ..run.messages import Reporter
+from ..run.result_contents import (
+    EmitterEnvironment,
+    EmitterFixture,
+    Emitters,
+    Maps,
+    Render,
+    Renders,
+    StageFigures,
+    Statistics,
+)
 from ..run.runfolder import PRODUCT_VERSION, RunFolder
 from ..run.settings import Settings
-from ..run.shapes import EMITTERS, RENDERS, STATISTICS, STEPS
-from ..run.shapes import MAPS as MAPS_FILE
 from .comparison import ERROR_FULL, choose_exposure, error_picture, psnr, to_display
 from .fixture_names import run_fixture_names
 from .html import write_page
@@ -59,9 +69,9 @@ class FixtureRow:
 
     name: str
     triangles: int
-    radiance: list[float]
+    radiance: Sequence[float]
     area: float
-    power: list[float]
+    power: Sequence[float]
     swatch: str
 
 
@@ -71,7 +81,7 @@ class StageRow:
 
     name: str
     seconds: float
-    rays: int | None
+    rays: float | None
     mrays_per_second: float | None
 
 
@@ -103,19 +113,21 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
     run = run.estimated()
     capture = load_capture(run) if run.capture_json.exists() else None
     album = _Album(run)
-    renders = _optional(run.renders_json, RENDERS).get("renders", [])
+    listed = _optional(run.renders_json, Renders)
+    renders = listed.renders if listed else ()
     photographs = _Photographs()
-    exposure = _exposure(capture, {entry["view"] for entry in renders}, photographs)
+    exposure = _exposure(capture, {render.view for render in renders}, photographs)
     shots = []
-    for index, entry in enumerate(renders):
-        shots.append(_shot(run, capture, entry, album, exposure, photographs))
+    for index, render in enumerate(renders):
+        shots.append(_shot(run, capture, render, album, exposure, photographs))
         progress(0.6 * (index + 1) / len(renders))
     values = [shot.psnr for shot in shots if shot.psnr is not None]
     photos = [] if capture is None else _photos(capture, album, exposure, photographs)
     progress(0.8)
-    emitters = _optional(run.emitters_json, EMITTERS)
-    statistics = _optional(run.statistics_json, STATISTICS)
-    steps = _optional(run.root / "steps.json", STEPS).get("steps", {})
+    emitters = _optional(run.emitters_json, Emitters) or Emitters((), None)
+    statistics = _optional(run.statistics_json, Statistics) or Statistics()
+    record = _optional(run.root / "steps.json", Steps)
+    steps = record.steps if record else {}
     context = {
         "title": run.root.name,
         "version": PRODUCT_VERSION,
@@ -127,14 +139,14 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
         "exposure": exposure,
         "error_full": ERROR_FULL,
         "map_rows": _map_rows(run, album, exposure),
-        "fixtures": _fixture_rows(run, emitters.get("fixtures", [])),
-        "environment": _environment(run, emitters.get("environment"), album, exposure),
-        "stages": [_stage_row(entry) for entry in statistics.get("stages", [])],
-        "steps": [(name, step.get("seconds", 0.0)) for name, step in steps.items() if step["finished"]],
-        "hints": statistics.get("hints", []),
+        "fixtures": _fixture_rows(run, emitters.fixtures),
+        "environment": _environment(run, emitters.environment, album, exposure),
+        "stages": [_stage_row(stage) for stage in statistics.stages],
+        "steps": [(name, step.seconds) for name, step in steps.items() if step.finished],
+        "hints": statistics.hints,
         "numbers": _numbers(statistics),
-        "peak_memory_gb": statistics.get("peak_memory_gb"),
-        "warnings": [warning for step in steps.values() for warning in step.get("warnings", [])],
+        "peak_memory_gb": statistics.peak_memory_gb,
+        "warnings": [warning for step in steps.values() for warning in step.warnings],
         "settings": [
             (item.name, getattr(settings, item.name), item.metadata["help"]) for item in fields(Settings)
         ],
@@ -172,9 +184,9 @@ class _Photographs:
         return self._known[view.name]
 
 
-def _optional(path: Path, shape: Fields) -> dict[str, Any]:
-    """The content of a JSON file of a shape; empty if there is no such file."""
-    return read_json(path, shape, "Repeat the step that writes it.") if path.exists() else {}
+def _optional(path: Path, kind: type[T]) -> T | None:
+    """The content of a JSON file; None if there is no such file."""
+    return read_document(path, kind, "Repeat the step that writes it.") if path.exists() else None
 
 
 def _exposure(capture: Capture | None, names: set[str], photographs: _Photographs) -> float:
@@ -189,14 +201,14 @@ def _exposure(capture: Capture | None, names: set[str], photographs: _Photograph
 def _shot(
     run: RunFolder,
     capture: Capture | None,
-    entry: Mapping[str, Any],
+    render: Render,
     album: _Album,
     exposure: float,
     photographs: _Photographs,
 ) -> Shot:
     """One Cycles render with the photograph of its view; only a re-render is compared with it."""
-    kind, name = str(entry["kind"]), str(entry["view"])
-    image = narrowed(read_radiance(run.resolve(entry["image"])), PICTURE_WIDTH)
+    kind, name = render.kind, render.view
+    image = narrowed(read_radiance(run.resolve(render.image)), PICTURE_WIDTH)
     shot = Shot(_TITLES.get(kind, kind), name, album.add("render", to_display(image, exposure)))
     view = next((view for view in capture.views if view.name == name), None) if capture else None
     if view is None:
@@ -224,34 +236,35 @@ def _photos(
 def _map_rows(run: RunFolder, album: _Album, exposure: float) -> list[tuple[str, dict[str, str]]]:
     """The view and the pictures by map's name of each row of material maps that `textures` wrote."""
     rows = []
-    for entry in _optional(run.results / "maps" / "maps.json", MAPS_FILE).get("views", []):
+    maps = _optional(run.results / "maps" / "maps.json", Maps)
+    for view in maps.views if maps else ():
         images = {}
         for name in MAPS:
-            values = read_radiance(run.resolve(entry[name]))
+            values = read_radiance(run.resolve(getattr(view, name)))
             # Roughness and metallic are data and are shown unchanged.
             if name in ("base_color", "emission"):
                 values = to_display(values, exposure if name == "emission" else 1.0)
             images[name] = album.add(name.replace("_", "-"), values)
-        rows.append((str(entry["view"]), images))
+        rows.append((view.view, images))
     return rows
 
 
-def _fixture_rows(run: RunFolder, entries: Sequence[Mapping[str, Any]]) -> list[FixtureRow]:
+def _fixture_rows(run: RunFolder, fixtures: Sequence[EmitterFixture]) -> list[FixtureRow]:
     """One row for each fixture, with the name that its object has in Blender."""
-    names = run_fixture_names(run, entries) if run.room_json.exists() else [str(e["name"]) for e in entries]
-    return [_fixture_row(entry, name) for entry, name in zip(entries, names, strict=True)]
-
-
-def _fixture_row(entry: Mapping[str, Any], name: str) -> FixtureRow:
-    radiance = [float(value) for value in entry["radiance"]]
-    return FixtureRow(
-        name=name,
-        triangles=len(entry.get("triangles", [])),
-        radiance=radiance,
-        area=float(entry.get("area", 0.0)),
-        power=[float(value) for value in entry.get("power", [])],
-        swatch=swatch(radiance),
-    )
+    names = [fixture.name for fixture in fixtures]
+    if run.room_json.exists():
+        names = run_fixture_names(run, fixtures)
+    return [
+        FixtureRow(
+            name=name,
+            triangles=len(fixture.triangles),
+            radiance=fixture.radiance,
+            area=fixture.area,
+            power=fixture.power or (),
+            swatch=swatch(fixture.radiance),
+        )
+        for fixture, name in zip(fixtures, names, strict=True)
+    ]
 
 
 def swatch(radiance: Sequence[float]) -> str:
@@ -262,25 +275,26 @@ def swatch(radiance: Sequence[float]) -> str:
 
 
 def _environment(
-    run: RunFolder, entry: Mapping[str, Any] | None, album: _Album, exposure: float
+    run: RunFolder, environment: EmitterEnvironment | None, album: _Album, exposure: float
 ) -> dict[str, Any] | None:
     """Picture of the environment, and the share (0 to 1) of all directions that was observed."""
-    if not entry or not run.environment_exr.exists():
+    if environment is None or not run.environment_exr.exists():
         return None
     image = album.add("environment", to_display(read_radiance(run.environment_exr), exposure))
-    return {"image": image, "observed_share": entry.get("observed_share")}
+    return {"image": image, "observed_share": environment.observed_share}
 
 
-def _stage_row(entry: Mapping[str, Any]) -> StageRow:
-    seconds, rays = float(entry.get("seconds") or 0.0), entry.get("rays")
+def _stage_row(stage: StageFigures) -> StageRow:
+    seconds, rays = stage.seconds or 0.0, stage.rays
     rate = rays / seconds / 1e6 if rays and seconds > 0.0 else None
-    return StageRow(str(entry.get("name", "")), seconds, rays, rate)
+    return StageRow(stage.name, seconds, rays, rate)
 
 
-def _numbers(statistics: Mapping[str, Any]) -> list[tuple[str, str | int | float]]:
+def _numbers(statistics: Statistics) -> list[tuple[str, str | int | float]]:
     """Name and value of all other plain values in the statistics."""
+    values = {item.name: (getattr(statistics, item.name), item.default) for item in fields(Statistics)}
     return [
         (name.replace("_", " "), value)
-        for name, value in statistics.items()
-        if isinstance(value, (str, int, float)) and not isinstance(value, bool) and name != "peak_memory_gb"
+        for name, (value, default) in values.items()
+        if isinstance(value, (str, int, float)) and value != default and name != "peak_memory_gb"
     ]

@@ -20,15 +20,15 @@ from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-from .documents import read_json
+from .documents import read_document
 from .errors import FiptError
 from .finished_views import FinishedViews
 from .messages import Reporter
 from .method import method_digest
 from .per_view import LocalWorkers, Workers
+from .result_contents import Stages
 from .runfolder import explained_write_errors, write_json
 from .settings import Settings
-from .shapes import STAGES
 from .stage_files import UnreadableArray, loaded, saved
 from .stage_settings import chosen
 
@@ -145,7 +145,7 @@ class Chain:
         self.stages, self.given, self.settings = list(stages), dict(given), settings
         self._reporter, self._workers = reporter, workers or LocalWorkers()
         self._values = {name: each.value for name, each in given.items()}
-        self._outputs: dict[int, Any] = {}
+        self._outputs: dict[tuple[int, str], Any] = {}
         self._places = {stage.name: index for index, stage in enumerate(stages)}
         self._providers = [
             self._providers_of(stage.types[0], stage.takes, index) for index, stage in enumerate(stages)
@@ -204,7 +204,8 @@ class Chain:
         before: dict[str, Any] = {"keys": {}, "stages": {}, "warnings": {}}
         try:
             if self._path.exists():
-                before = read_json(self._path, STAGES)
+                read_document(self._path, Stages)
+                before = read_document(self._path, dict)  # with all facts of the stages
         except FiptError as error:
             self._warn_of_damage(error.text)
         valid = {name: key for name, key in keys.items() if before["keys"].get(name) == key}
@@ -268,7 +269,7 @@ class Chain:
         """The output of this name as it is after a stage; made where it is not kept."""
         place = self._places[after] + 1
         index = next(i for i in reversed(range(place)) if name in _names(self.stages[i].types[2]))
-        return getattr(self._outputs_of(index), name)
+        return self._output(index, name)
 
     def facts(self) -> list[dict[str, Any]]:
         """The facts of all finished stages in order, each with its name."""
@@ -290,8 +291,8 @@ class Chain:
                     if warning not in self._reporter.warnings:  # after damage all stages come by once more
                         self._reporter.warning(**warning)
             watch.after(self.stages[index].name, index in due)
-            for held in [each for each in self._outputs if last_use.get(each, -1) <= index]:
-                del self._outputs[held]
+            for output in [each for each in self._outputs if last_use.get(each, -1) <= index]:
+                del self._outputs[output]
 
     def _due(self, target: Mapping[str, int | str]) -> set[int]:
         """The stages to do: those that are not done, and those that they need and whose files are removed."""
@@ -315,22 +316,27 @@ class Chain:
                 visit(index)
         return due
 
-    def _last_uses(self, target: Mapping[str, int | str]) -> dict[int, int]:
-        """For each stage the last one with files of its own that takes its outputs, maybe through others."""
+    def _last_uses(self, target: Mapping[str, int | str]) -> dict[tuple[int, str], int]:
+        """For each output the last stage with files of its own that takes it, maybe through others."""
         end = len(self.stages)
-        last = {index: end for index in target.values() if isinstance(index, int)}
+        last = {(of, name): end for name, of in target.items() if isinstance(of, int)}
         for index in reversed(range(end)):
-            use = index if self._kept(index) else last.get(index, -1)
-            for provider in self._providers[index].values():
-                if isinstance(provider, int):
-                    last[provider] = max(last.get(provider, -1), use)
+            use = index
+            if not self._kept(index):
+                use = max((place for (of, _), place in last.items() if of == index), default=-1)
+            for field_name, of in self._providers[index].items():
+                if isinstance(of, int):
+                    output = of, self.stages[index].takes.get(field_name, field_name)
+                    last[output] = max(last.get(output, -1), use)
         return last
 
     def _do_kept(self, index: int) -> None:
         stage = self.stages[index]
         self._reporter.stage(stage.name, stage.text)
         if stage.replaces and stage.replaces in self._data["stages"]:
-            self._outputs.pop(self._places[stage.replaces], None)
+            replaced = self._places[stage.replaces]
+            for output in [each for each in self._outputs if each[0] == replaced]:
+                del self._outputs[output]
             if stage.replaces not in self._data["dropped"]:
                 self._data["dropped"].append(stage.replaces)
             write_json(self._path, self._data)
@@ -372,15 +378,15 @@ class Chain:
             if isinstance(of, str):
                 values[name] = self._values[of]
             else:
-                values[name] = getattr(self._outputs_of(of), takes.get(name, name))
+                values[name] = self._output(of, takes.get(name, name))
         return kind(**values)
 
-    def _outputs_of(self, index: int) -> Any:
-        """The outputs of a stage: read, or made where they are not kept."""
-        if index not in self._outputs:
+    def _output(self, index: int, name: str) -> Any:
+        """An output of a stage: read, or made where it is not kept."""
+        if (index, name) not in self._outputs:
             made = self._read(index) if self._kept(index) else self._work(index)[0]
-            self._outputs[index] = made
-        return self._outputs[index]
+            self._outputs |= {(index, each): getattr(made, each) for each in _names(type(made))}
+        return self._outputs[index, name]
 
     def _read(self, index: int) -> Any:
         stage, path = self.stages[index], self._root / self.stages[index].name / _DOCUMENT

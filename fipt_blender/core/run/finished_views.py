@@ -6,14 +6,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
-from .documents import Fields, Items, Number, load_document
+from .documents import optional_document
+from .kinds import Count
 from .runfolder import write_json
 
-_SHAPE = Fields({"key": str, "views": Items(Number(0, whole=True)), "rays": Number(0, whole=True)})
 # Between notes: each waits until the results are on the disk.
 NOTE_SECONDS = 5.0
+
+
+@dataclass(frozen=True)
+class _Note:
+    """Key of the stage, indices of the finished views, and the rays traced for them."""
+
+    key: str
+    views: tuple[Count, ...]
+    rays: Count
 
 
 class FinishedViews:
@@ -40,12 +50,9 @@ class FinishedViews:
         self._noted = time.monotonic()
         if not path.exists():
             return
-        try:
-            note = load_document(path, _SHAPE)
-        except (OSError, ValueError):  # only time is lost
-            note = {"key": ""}
-        if note["key"] == key:
-            self.views, self.rays = set(note["views"]), note["rays"]
+        note = optional_document(path, _Note)  # a damaged one: only time is lost
+        if note is not None and note.key == key:
+            self.views, self.rays = set(note.views), note.rays
         else:
             self.forget()
 
@@ -60,5 +67,5 @@ class FinishedViews:
         self.rays += rays
         if time.monotonic() - self._noted >= NOTE_SECONDS:
             self.flush()
-            write_json(self._path, {"key": self._key, "views": sorted(self.views), "rays": self.rays})
+            write_json(self._path, _Note(self._key, tuple(sorted(self.views)), self.rays))
             self._noted = time.monotonic()

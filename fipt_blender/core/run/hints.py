@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, ClassVar
 
-from .documents import Choice, Fields, Items, Maybe, Numbers, head, read_json
+from .documents import read_document
 from .errors import FiptError
+from .kinds import Choice, Vector
 from .runfolder import write_json
 
 MOST_HINTS = 1000  # of a document
@@ -23,28 +24,6 @@ MOST_POINTS = 500_000  # of all hints together
 MOST_NAME = 200  # characters
 UNKNOWN, DIELECTRIC, METAL = MATERIALS = ("unknown", "dielectric", "metal")
 
-Point = tuple[float, float, float]
-
-HINTS = Fields(
-    {
-        **{key: Choice(value) for key, value in head("hints").items()},
-        "hints": Items(
-            Fields(
-                {"points": Numbers(None, 3)},
-                {
-                    "name": str,
-                    "area": bool,
-                    "material": Choice(*MATERIALS),
-                    "roughness": Maybe(Numbers(2)),
-                    "emits": Maybe(bool),
-                    "same_as": Maybe(Numbers(3)),
-                    "leave_alone": bool,
-                },
-            )
-        ),
-    },
-    {"light": bool},
-)
 _REMEDY = "Correct the file, or set the hints again."
 
 
@@ -64,14 +43,23 @@ class Hint:
         leave_alone: not to be estimated: its pixels are left out, its own material stays.
     """
 
-    points: tuple[Point, ...]
+    points: tuple[Vector, ...]
     name: str = ""
     area: bool = False
-    material: str = UNKNOWN
+    material: Annotated[str, Choice(*MATERIALS)] = UNKNOWN
     roughness: tuple[float, float] | None = None
     emits: bool | None = None
-    same_as: Point | None = None
+    same_as: Vector | None = None
     leave_alone: bool = False
+
+
+@dataclass(frozen=True)
+class _Hints:
+    """hints.json; `light`: see `light_changes`."""
+
+    document: ClassVar[str] = "hints"
+    hints: tuple[Hint, ...]
+    light: bool = False
 
 
 def read_hints(path: Path) -> list[Hint]:
@@ -82,11 +70,11 @@ def read_hints(path: Path) -> list[Hint]:
     """
     if not path.exists():
         return []
-    data = _read(path)["hints"]
-    if len(data) > MOST_HINTS or sum(len(entry["points"]) for entry in data) > MOST_POINTS:
+    hints = read_document(path, _Hints, _REMEDY).hints
+    if len(hints) > MOST_HINTS or sum(len(hint.points) for hint in hints) > MOST_POINTS:
         text = f"{path} has more than {MOST_HINTS} hints or {MOST_POINTS} points."
         raise FiptError("hints-invalid", text, "Use fewer or smaller areas.")
-    return [_hint(entry, number, path) for number, entry in enumerate(data, start=1)]
+    return [_checked(hint, number, path) for number, hint in enumerate(hints, start=1)]
 
 
 def light_changes(path: Path) -> bool:
@@ -95,40 +83,26 @@ def light_changes(path: Path) -> bool:
     Raises:
         FiptError: ``file-damaged``.
     """
-    return path.exists() and bool(_read(path).get("light", False))
+    return path.exists() and read_document(path, _Hints, _REMEDY).light
 
 
-def _read(path: Path) -> dict[str, Any]:
-    data: dict[str, Any] = read_json(path, HINTS, _REMEDY)
-    return data
+def _checked(hint: Hint, number: int, path: Path) -> Hint:
+    """A hint with a name.
 
-
-def _hint(entry: dict[str, Any], number: int, path: Path) -> Hint:
-    name = str(entry.get("name") or f"Hint {number}")[:MOST_NAME]
+    Raises:
+        FiptError: ``hints-invalid``.
+    """
+    name = (hint.name or f"Hint {number}")[:MOST_NAME]
 
     def refuse(problem: str) -> FiptError:
         return FiptError("hints-invalid", f"The hint '{name}' in {path} {problem}.", _REMEDY)
 
-    if not entry["points"]:
+    roughness = hint.roughness
+    if not hint.points:
         raise refuse("names no point on a surface")
-    roughness, same_as = entry.get("roughness"), entry.get("same_as")
     if roughness is not None and not 0.0 <= roughness[0] <= roughness[1] <= 1.0:
         raise refuse(f"has the roughness {roughness[0]:g} to {roughness[1]:g}; it must rise within 0 to 1")
-    return Hint(
-        points=tuple(_point(point) for point in entry["points"]),
-        name=name,
-        area=entry.get("area", False),
-        material=entry.get("material", UNKNOWN),
-        roughness=None if roughness is None else (float(roughness[0]), float(roughness[1])),
-        emits=entry.get("emits"),
-        same_as=None if same_as is None else _point(same_as),
-        leave_alone=entry.get("leave_alone", False),
-    )
-
-
-def _point(values: Sequence[float]) -> Point:
-    x, y, z = values
-    return float(x), float(y), float(z)
+    return replace(hint, name=name)
 
 
 def write_hints(path: Path, hints: Sequence[Hint], light: bool = False) -> None:
@@ -137,8 +111,7 @@ def write_hints(path: Path, hints: Sequence[Hint], light: bool = False) -> None:
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    document = {**head("hints"), "hints": [asdict(hint) for hint in hints]}
-    write_json(path, {**document, "light": True} if light else document)
+    write_json(path, _Hints(tuple(hints), light))
 
 
 def hints_digest(hints: Sequence[Hint]) -> str:

@@ -18,14 +18,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Annotated
 
-from .documents import Fields, Items, Number, check_shape, parse_document
+from .documents import parse_document
 from .errors import FiptError
+from .kinds import Number, as_json, as_kind
 from .process_identity import host_name, process_start
 from .runfolder import RunFolder, explained_write_errors
-
-_CONTENT = Fields({"pid": Number(1, 2**31, whole=True), "command": Items(str)}, {"host": str, "started": str})
 
 # Flags with which a link is not followed, and opening a pipe does not wait for its other end.
 _PLAIN_FILE = sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_CLOEXEC", "O_NONBLOCK", "O_BINARY"))
@@ -42,7 +41,7 @@ class Holder:
         started: when its process started (`process_start`), "" if unknown.
     """
 
-    pid: int
+    pid: Annotated[int, Number(1, 2**31)]
     command: tuple[str, ...]
     host: str = ""
     started: str = ""
@@ -81,8 +80,8 @@ def hold(run: RunFolder, command: Sequence[str]) -> Iterator[None]:
             file.seek(0)
             file.truncate()
             started = process_start(os.getpid())
-            content = {"pid": os.getpid(), "command": list(command), "host": host_name(), "started": started}
-            file.write(json.dumps(content).encode())
+            engine = Holder(os.getpid(), tuple(command), host_name(), started)
+            file.write(json.dumps(engine, default=as_json).encode())
             file.flush()
         yield
 
@@ -126,12 +125,9 @@ def holder(run: RunFolder) -> Holder | None:
         if _lock(file, shared=True):
             return None  # closing the file releases the lock
         try:
-            data = parse_document(file.read(65_536).decode("utf-8"))
-            check_shape(data, _CONTENT)
+            return as_kind(parse_document(file.read(65_536).decode("utf-8")), Holder)
         except (OSError, ValueError):  # the file is just being written
             return None
-        place = data.get("host", ""), data.get("started", "")
-        return Holder(data["pid"], tuple(data["command"]), *place)
 
 
 def busy(run: RunFolder) -> FiptError:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Messages from the engine to Blender: one JSON object per line on the engine's stdout.
 
-Standard library only: both processes import it. docs/architecture.md lists the types and their fields.
+Standard library only: both processes import it. docs/run_folder.md lists the types and their fields.
 """
 
 from __future__ import annotations
@@ -14,27 +14,52 @@ import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from .documents import Choice, Fields, Items, Maybe, Number, check_shape, parse_document
+from .contents import Problem
+from .documents import parse_document
+from .kinds import as_kind
 
-_PROBLEM = Fields(dict.fromkeys(("code", "text", "remedy"), str))
 # The fields of each type of message that its readers rely on.
-_FIELDS = {
-    "stage": Fields({"name": str, "text": str}, dict.fromkeys(("index", "count"), Number(whole=True))),
-    "progress": Fields(
-        {"fraction": Number()},
-        {
-            **dict.fromkeys(("stage_fraction", "memory_gb"), Number()),
-            "remaining_seconds": Maybe(Number()),
-            "files": Items(str),
-        },
-    ),
-    "note": Fields({"text": str}),
-    "warning": _PROBLEM,
-    "error": _PROBLEM,
-    "done": Fields({"files": Items(str), "data": dict}),
+
+
+@dataclass(frozen=True)
+class _Stage:
+    name: str
+    text: str
+    index: int = 0
+    count: int = 0
+
+
+@dataclass(frozen=True)
+class _Progress:
+    fraction: float
+    stage_fraction: float = 0.0
+    memory_gb: float = 0.0
+    remaining_seconds: float | None = None
+    files: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Note:
+    text: str
+
+
+@dataclass(frozen=True)
+class _Done:
+    files: tuple[str, ...]
+    data: dict
+
+
+_KINDS: dict[str, type] = {
+    "stage": _Stage,
+    "progress": _Progress,
+    "note": _Note,
+    "warning": Problem,
+    "error": Problem,
+    "done": _Done,
 }
 
 
@@ -43,10 +68,9 @@ def parse_message(line: str) -> dict[str, Any] | None:
     if not line.startswith("{"):
         return None
     try:
-        message = parse_document(line)
-        check_shape(message, Fields({"type": Choice(*_FIELDS)}))
-        check_shape(message, _FIELDS[message["type"]])
-    except ValueError:
+        message: dict[str, Any] = as_kind(parse_document(line), dict)
+        as_kind(message, _KINDS[message["type"]])
+    except (ValueError, LookupError, TypeError):  # no message, or of a type that is not known
         return None
     return message
 

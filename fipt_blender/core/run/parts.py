@@ -14,43 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .arrays import read_arrays
-from .documents import read_json
+from .documents import read_document
 from .errors import FiptError
+from .result_contents import PartList, RoomPart
 from .runfolder import RunFolder
-from .shapes import PARTS, PARTS_ARRAYS
+from .shapes import PARTS_ARRAYS
 
 _AGAIN = "Run the estimation again."
 # Parts that get a material of their own; those that fewer pixels saw go with the rest of their objects.
 MOST_PARTS = 512
 NO_UNIT = -1
-
-
-@dataclass(frozen=True)
-class RoomPart:
-    """A part of the room: a unit of the estimate, or what no unit holds of an object.
-
-    Attributes:
-        unit: index of the unit, NO_UNIT for the rest of an object.
-        key: names the part in other estimates of the room, too, as far as the source of the parts allows.
-        name: for the user; unique.
-        single: whether it is of one material.
-        class_name: of its semantic class, "" where unknown.
-        triangles, pixels: how many it has, and how many of the photographs' pixels saw it.
-        base_color, roughness, metallic: means over what was seen; None where nothing was.
-        confidence: of these three, 0 to 1.
-    """
-
-    unit: int
-    key: str
-    name: str
-    single: bool = False
-    class_name: str = ""
-    triangles: int = 0
-    pixels: int = 0
-    base_color: tuple[float, ...] | None = None
-    roughness: float | None = None
-    metallic: float | None = None
-    confidence: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -79,13 +52,13 @@ def read_parts(run: RunFolder, triangle_object: np.ndarray, objects: Sequence[st
     Raises:
         FiptError: ``file-damaged``.
     """
-    described: list[RoomPart] = []
+    described: Sequence[RoomPart] = ()
     unit = np.full(len(triangle_object), NO_UNIT, np.int64)
     source = ""
     if run.parts_json.is_file():
-        data = read_json(run.parts_json, PARTS, _AGAIN)
+        listed = read_document(run.parts_json, PartList, _AGAIN)
         arrays = read_arrays(run.parts_npz, PARTS_ARRAYS, remedy=_AGAIN)
-        source, described = data["source"], [_part(entry) for entry in data["parts"]]
+        source, described = listed.source, listed.parts
         unit = arrays["triangle_part"].astype(np.int64)
         fits = len(unit) == len(triangle_object) and len(described) == len(arrays["single"])
         fits &= [part.unit for part in described] == list(range(len(described)))
@@ -95,25 +68,8 @@ def read_parts(run: RunFolder, triangle_object: np.ndarray, objects: Sequence[st
     return _compact(described, unit, triangle_object, objects, source)
 
 
-def _part(entry: dict) -> RoomPart:
-    color, confidence = entry["base_color"], entry["confidence"]
-    return RoomPart(
-        unit=entry["id"],
-        key=entry["key"],
-        name=entry["name"],
-        single=entry["single"],
-        class_name=entry["class"] or "",
-        triangles=entry["triangles"],
-        pixels=entry["pixels"],
-        base_color=None if color is None else tuple(color),
-        roughness=entry["roughness"],
-        metallic=entry["metallic"],
-        confidence=None if confidence is None else tuple(confidence),
-    )
-
-
 def _compact(
-    described: list[RoomPart],
+    described: Sequence[RoomPart],
     unit: np.ndarray,
     triangle_object: np.ndarray,
     objects: Sequence[str],
@@ -152,19 +108,19 @@ def unique_names(names: Sequence[str]) -> list[str]:
     counts: Counter[str] = Counter()
     result = []
     for name in names:
-        found = name
-        while found in taken:
+        numbered = name
+        while numbered in taken:
             counts[name] += 1
-            found = f"{name} {counts[name] + 1}"
-        taken.add(found)
-        result.append(found)
+            numbered = f"{name} {counts[name] + 1}"
+        taken.add(numbered)
+        result.append(numbered)
     return result
 
 
 def free_name(name: str, taken: Collection[str]) -> str:
     """The name, followed by 2, 3, ... where it is taken."""
-    number, found = 1, name
-    while found in taken:
+    number, numbered = 1, name
+    while numbered in taken:
         number += 1
-        found = f"{name} {number}"
-    return found
+        numbered = f"{name} {number}"
+    return numbered

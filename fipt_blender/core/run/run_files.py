@@ -9,29 +9,26 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from .arrays import check_layouts, read_arrays
-from .documents import read_json
+from .contents import CapturedViews, RoomNames
+from .documents import read_document
 from .errors import FiptError
+from .result_contents import AtlasImages, Emitters
 from .runfolder import RunFolder
 from .shapes import (
-    ATLAS,
     ATLAS_ARRAYS,
-    CAPTURE,
     CLOSING_ARRAYS,
-    EMITTERS,
     EXACT_ARRAYS,
     GEOMETRY_ARRAYS,
     LEFT_ALONE_ARRAYS,
     OUTLINES_ARRAYS,
     PANES_ARRAYS,
     RESOLUTION_ARRAYS,
-    ROOM,
     ROOM_ARRAYS,
     Layout,
 )
@@ -45,18 +42,16 @@ _ATLAS_AGAIN = "Start the run again without --resume, or apply the results again
 _ESTIMATE_AGAIN = "Run the estimation again."
 
 
-def read_capture(path: Path) -> dict[str, Any]:
+def read_capture(path: Path) -> CapturedViews:
     """capture.json, or ingest.json.
 
     Raises:
-        FiptError: ``file-missing`` or ``file-damaged``.
+        FiptError: ``file-missing``, ``file-damaged`` or ``capture-version``.
     """
-    return read_json(path, CAPTURE, "Import the capture again.")
+    return read_document(path, CapturedViews, "Import the capture again.", other="capture-version")
 
 
-def read_room_files(
-    run: RunFolder, code: str = "file-damaged"
-) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def read_room_files(run: RunFolder, code: str = "file-damaged") -> tuple[dict[str, np.ndarray], RoomNames]:
     """The arrays of room.npz, and room.json; indices are within their ranges.
 
     What the engine has added to a scan, `CLOSING` and `PANES`, are more objects, the last ones; a room that
@@ -70,21 +65,21 @@ def read_room_files(
     Raises:
         FiptError: ``file-missing``, ``file-damaged`` or `code`.
     """
-    names = read_json(run.room_json, ROOM, _EXPORT_AGAIN)
-    if len(names.get("object_ids") or names["objects"]) != len(names["objects"]):
+    names = read_document(run.room_json, RoomNames, _EXPORT_AGAIN)
+    if len(names.ids) != len(names.objects):
         raise FiptError("file-damaged", f"{run.room_json} has not one id per object.", _EXPORT_AGAIN)
     arrays = _read_mesh(run, code)
     ranges = (
         ("triangles", 0, len(arrays["vertices"]), "vertices"),
-        ("triangle_object", 0, len(names["objects"]), "objects"),
-        ("triangle_material", -1, len(names["materials"]), "materials"),
+        ("triangle_object", 0, len(names.objects), "objects"),
+        ("triangle_material", -1, len(names.materials), "materials"),
         ("triangle_polygon", 0, np.iinfo(np.int32).max, "polygons"),
     )
     for name, low, end, what in ranges:
         if not _within(arrays[name], low, end):
             text = f"The room's mesh in {run.room_npz} refers to missing {what}."
             raise FiptError(code, text, _EXPORT_AGAIN)
-    if names.get("completed"):
+    if names.completed:
         return arrays, names
     for name, path, layout in (
         (CLOSING, run.closing_npz, CLOSING_ARRAYS),
@@ -112,8 +107,8 @@ def _read_mesh(run: RunFolder, code: str) -> dict[str, np.ndarray]:
 
 
 def _with_object(
-    arrays: dict[str, np.ndarray], names: dict[str, Any], name: str, more: dict[str, np.ndarray]
-) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    arrays: dict[str, np.ndarray], names: RoomNames, name: str, more: dict[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], RoomNames]:
     """The room with one more object; its triangles have the materials of those `beside` them, if known."""
     count = len(more["triangles"])
     beside = more.get("beside")
@@ -121,7 +116,7 @@ def _with_object(
         "vertices": more["vertices"],
         "triangles": more["triangles"] + len(arrays["vertices"]),
         "corner_normals": more["corner_normals"],
-        "triangle_object": np.full(count, len(names["objects"])),
+        "triangle_object": np.full(count, len(names.objects)),
         "triangle_material": np.full(count, -1) if beside is None else arrays["triangle_material"][beside],
         "triangle_polygon": np.arange(count),
         **({"triangle_exact": np.zeros(count)} if "triangle_exact" in arrays else {}),
@@ -129,8 +124,7 @@ def _with_object(
     joined = {
         key: np.concatenate([arrays[key], values.astype(arrays[key].dtype)]) for key, values in added.items()
     }
-    ids = names.get("object_ids") or names["objects"]
-    return joined, {**names, "objects": [*names["objects"], name], "object_ids": [*ids, name]}
+    return joined, replace(names, objects=(*names.objects, name), object_ids=(*names.ids, name))
 
 
 def _read_added(
@@ -177,12 +171,12 @@ class ScanHoles:
 def read_scan_holes(run: RunFolder) -> ScanHoles | None:
     """What closing.npz says of a scan's holes; None where there is none for the run's mesh."""
     arrays = _read_mesh(run, "mesh-damaged")
-    found = _read_added(run.closing_npz, CLOSING_ARRAYS, arrays)
-    if found is None:
+    closing = _read_added(run.closing_npz, CLOSING_ARRAYS, arrays)
+    if closing is None:
         return None
-    closed, left = map(int, found["count"])
-    closed_area, open_area = map(float, found["area"])
-    return ScanHoles(closed, left, closed_area, open_area, int(found["most_edges"]))
+    closed, left = map(int, closing["count"])
+    closed_area, open_area = map(float, closing["area"])
+    return ScanHoles(closed, left, closed_area, open_area, int(closing["most_edges"]))
 
 
 def has_searched_panes(run: RunFolder, arrays: Mapping[str, np.ndarray], masks: np.ndarray) -> bool:
@@ -201,7 +195,7 @@ def has_searched_panes(run: RunFolder, arrays: Mapping[str, np.ndarray], masks: 
     return fits and np.array_equal(panes.get("masks", []), masks)
 
 
-def read_atlas(run: RunFolder, triangles: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def read_atlas(run: RunFolder, triangles: int) -> tuple[AtlasImages, dict[str, np.ndarray]]:
     """atlas.json, and the arrays of atlas.npz.
 
     Args:
@@ -211,11 +205,11 @@ def read_atlas(run: RunFolder, triangles: int) -> tuple[dict[str, Any], dict[str
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
     """
-    atlas = read_json(run.atlas_json, ATLAS, _ATLAS_AGAIN)
+    atlas = read_document(run.atlas_json, AtlasImages, _ATLAS_AGAIN)
     arrays = read_arrays(run.atlas_npz, ATLAS_ARRAYS, remedy=_ATLAS_AGAIN)
     image = arrays["triangle_image"]
-    is_uv = atlas["mode"] == "uv"  # colour attributes need no images
-    if len(image) != triangles or (is_uv and not _within(image, -1, len(atlas["images"]))):
+    is_uv = atlas.mode == "uv"  # colour attributes need no images
+    if len(image) != triangles or (is_uv and not _within(image, -1, len(atlas.images))):
         raise FiptError(
             "file-damaged", f"{run.atlas_npz} does not fit the room and {run.atlas_json}.", _ATLAS_AGAIN
         )
@@ -240,7 +234,7 @@ def read_resolution(run: RunFolder, triangles: int) -> np.ndarray | None:
     return density if len(density) == triangles else None
 
 
-def read_emitters(run: RunFolder, triangles: int) -> dict[str, Any]:
+def read_emitters(run: RunFolder, triangles: int) -> Emitters:
     """emitters.json.
 
     Args:
@@ -250,12 +244,12 @@ def read_emitters(run: RunFolder, triangles: int) -> dict[str, Any]:
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
     """
-    data = read_json(run.emitters_json, EMITTERS, _ESTIMATE_AGAIN)
-    if any(max(fixture["triangles"], default=-1) >= triangles for fixture in data["fixtures"]):
+    emitters = read_document(run.emitters_json, Emitters, _ESTIMATE_AGAIN)
+    if any(max(fixture.triangles, default=-1) >= triangles for fixture in emitters.fixtures):
         raise FiptError(
             "file-damaged", f"{run.emitters_json} names triangles that the room lacks.", _ESTIMATE_AGAIN
         )
-    return data
+    return emitters
 
 
 def read_left_alone(run: RunFolder, triangles: int) -> np.ndarray:

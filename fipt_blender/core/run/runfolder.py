@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The run folder: the paths of its files, and writing files completely or not at all.
 
-Standard library only: both processes import it. Blender imports it while starting, therefore json and the
-settings are imported in the functions that use them. docs/architecture.md describes the formats.
+Standard library only: both processes import it. Blender imports it while starting, therefore json, settings
+and documents are imported in the functions that use them. docs/run_folder.md describes the formats.
 """
 
 from __future__ import annotations
@@ -15,10 +15,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .documents import head, read_json
 from .errors import FiptError
 from .paths import foreign_fault, is_network, leads_outside
-from .shapes import RUN
 
 if TYPE_CHECKING:
     from .settings import Settings
@@ -28,7 +26,7 @@ RESULTS = "results"
 
 
 class RunFolder:
-    """Paths of the files of one run; docs/architecture.md lists them.
+    """Paths of the files of one run; docs/run_folder.md lists them.
 
     Args:
         root: the folder.
@@ -151,6 +149,8 @@ class RunFolder:
         """
         from dataclasses import asdict
 
+        from .contents import RunNote
+
         if self.run_json.exists():
             self.read()
         elif self.root.exists() and any(self.root.iterdir()):
@@ -164,9 +164,7 @@ class RunFolder:
         with explained_write_errors(self.root):
             for folder in (self.root, self.stage, self.results):
                 folder.mkdir(parents=True, exist_ok=True)
-        write_json(
-            self.run_json, {**head("run"), "product_version": PRODUCT_VERSION, "settings": asdict(settings)}
-        )
+        write_json(self.run_json, RunNote(PRODUCT_VERSION, asdict(settings)))
 
     def read(self) -> Settings:
         """Read the settings of the run.
@@ -178,24 +176,23 @@ class RunFolder:
             raise FiptError(
                 "run-missing", f"{self.root} is not a run folder: it has no run.json.", "Start a new run."
             )
-        try:
-            data = read_json(self.run_json, RUN)
-        except FiptError as error:
-            raise FiptError("run-damaged", error.text, "Choose another folder, or start a new run.") from None
-        if data["format"] != head("run")["format"]:
-            raise FiptError(
-                "run-damaged", f"{self.run_json} does not describe a run.", "Choose another folder."
-            )
-        if data.get("version") != head("run")["version"]:
-            raise FiptError(
-                "run-version",
-                f"The run folder {self.root} has the format version {data.get('version')}; "
-                f"this version of the add-on reads {head('run')['version']}.",
-                "Start a new run in another folder, or open this one with the version that made it.",
-            )
+        from .contents import RunNote
+        from .documents import load_document
+        from .kinds import HeadError
         from .settings import stored_settings
 
-        return stored_settings(data.get("settings", {}))
+        try:
+            note = load_document(self.run_json, RunNote)
+        except (OSError, ValueError) as error:
+            if isinstance(error, HeadError) and error.field == "version":
+                raise FiptError(
+                    "run-version",
+                    f"The run folder {self.root} is of another version of the add-on ({error}).",
+                    "Start a new run in another folder, or open this one with the version that made it.",
+                ) from None
+            text = f"{self.run_json} does not describe a run ({error})."
+            raise FiptError("run-damaged", text, "Choose another folder, or start a new run.") from None
+        return stored_settings(note.settings)
 
     def read_estimated(self) -> Settings:
         """The settings of the finished estimate, with the present ones of textures.
@@ -288,15 +285,17 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write a JSON file, completely or not at all.
+    """Write a JSON file, completely or not at all; dataclasses as `kinds.as_json` does.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     import json
 
+    from .kinds import as_json
+
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(data, indent=1), encoding="utf-8")
+        temporary.write_text(json.dumps(data, indent=1, default=as_json), encoding="utf-8")
 
 
 def beside(folder: Path) -> tuple[Path, Path]:

@@ -7,9 +7,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from .documents import optional_document
+from .result_contents import Doubts, Emitters, PartList, Statistics
 from .runfolder import RunFolder
-from .shapes import DOUBTS, EMITTERS, PARTS, STATISTICS
-from .versions import Version, list_versions, optional_document, version_folder
+from .versions import Version, list_versions, version_folder
 
 
 @dataclass(frozen=True)
@@ -40,23 +41,23 @@ def figures(run: RunFolder, version: str) -> Figures:
         FiptError: ``version-missing``.
     """
     folder = version_folder(run, version)
-    statistics = optional_document(folder.statistics_json, STATISTICS)
-    seconds = [stage.get("seconds") or 0.0 for stage in statistics.get("stages", [])]
-    emitters = optional_document(folder.emitters_json, EMITTERS)
-    power = [sum(lamp["power"]) / 3.0 for lamp in emitters.get("fixtures", []) if "power" in lamp]
-    doubts = optional_document(folder.doubts_json, DOUBTS)
+    statistics = optional_document(folder.statistics_json, Statistics) or Statistics()
+    seconds = [stage.seconds or 0.0 for stage in statistics.stages]
+    emitters = optional_document(folder.emitters_json, Emitters)
+    doubts = optional_document(folder.doubts_json, Doubts)
+    listed = optional_document(folder.parts_json, PartList)
     parts = {
-        part["name"]: (sum(part["base_color"]) / 3.0, part["roughness"], part["metallic"])
-        for part in optional_document(folder.parts_json, PARTS).get("parts", [])
-        if part.get("base_color") and None not in (part.get("roughness"), part.get("metallic"))
+        part.name: (sum(part.base_color) / 3.0, part.roughness, part.metallic)
+        for part in (listed.parts if listed else ())
+        if part.base_color and part.roughness is not None and part.metallic is not None
     }
     return Figures(
         seconds=round(sum(seconds), 1) if seconds else None,
-        lamps=len(emitters["fixtures"]) if emitters else None,
-        power=sum(power) if emitters else None,
-        environment=bool(emitters["environment"]) if emitters else None,
+        lamps=len(emitters.fixtures) if emitters else None,
+        power=sum(sum(lamp.power or ()) / 3.0 for lamp in emitters.fixtures) if emitters else None,
+        environment=emitters.environment is not None if emitters else None,
         parts=parts,
-        doubts=len(doubts["doubts"]) if doubts else None,
+        doubts=len(doubts.doubts) if doubts else None,
     )
 
 
@@ -83,17 +84,17 @@ def comparison(run: RunFolder, first: str, second: str, parts: int) -> list[tupl
         row("Preset", lambda version, _: version.preset.capitalize()),
         row("Settings", lambda version, _: ", ".join(version.changes) or "-"),
         row("Hints", lambda version, _: ", ".join(version.hints) or "-"),
-        row("Time", lambda _, found: _number(found.seconds, "{:.0f} s")),
-        row("Lamps", lambda _, found: _number(found.lamps, "{}")),
-        row("Power", lambda _, found: _number(found.power, "{:.4g} W")),
-        row("Environment", lambda _, found: {None: "-", True: "yes", False: "no"}[found.environment]),
-        row("Parts", lambda _, found: str(len(found.parts))),
-        row("Questions", lambda _, found: _number(found.doubts, "{}")),
+        row("Time", lambda _, of: _number(of.seconds, "{:.0f} s")),
+        row("Lamps", lambda _, of: _number(of.lamps, "{}")),
+        row("Power", lambda _, of: _number(of.power, "{:.4g} W")),
+        row("Environment", lambda _, of: {None: "-", True: "yes", False: "no"}[of.environment]),
+        row("Parts", lambda _, of: str(len(of.parts))),
+        row("Questions", lambda _, of: _number(of.doubts, "{}")),
     ]
     for name in changed_parts(one, other)[:parts]:
 
-        def values(_: Version, found: Figures, name: str = name) -> str:
-            return " ".join(f"{value:.2f}" for value in found.parts[name])
+        def values(_: Version, of: Figures, name: str = name) -> str:
+            return " ".join(f"{value:.2f}" for value in of.parts[name])
 
         rows.append(row(f"'{name}'", values))
     return rows

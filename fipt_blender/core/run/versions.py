@@ -20,13 +20,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from .documents import head, load_document
+from .contents import RunNote
+from .documents import optional_document
 from .errors import FiptError
 from .replacing import atomic_folder, link_folder, link_or_copy
+from .result_contents import Stages, Statistics, VersionNote
 from .runfolder import RunFolder, beside, explained_write_errors, write_json
 from .settings import TEXTURE_SETTINGS, make_settings, stored_settings
-from .shapes import RUN, STAGES, STATISTICS, VERSION
 
+_STAGES = "stages.json"
 HINTED = "hinted-"  # how the names of the stages of Re-estimate with Hints begin
 _NOT_SHOWN = {*TEXTURE_SETTINGS, "preset", "device", "detail", "kept_versions"}
 
@@ -113,10 +115,10 @@ def prune(run: RunFolder, most: int) -> None:
 
 def list_versions(run: RunFolder) -> list[Version]:
     """All versions, the present one first, then the newest ones; it changes nothing."""
-    found = [_describe(run.results, True)] if _holds_results(run.results) else []
-    taken = {version.id for version in found}
+    present = [_describe(run.results, True)] if _holds_results(run.results) else []
+    taken = {version.id for version in present}
     kept = [_describe(folder, False) for folder in _folders(run) if folder.name not in taken]
-    return found + sorted(kept, key=lambda version: -version.time)
+    return present + sorted(kept, key=lambda version: -version.time)
 
 
 def total_size(run: RunFolder) -> int:
@@ -213,18 +215,18 @@ def present_version(run: RunFolder) -> str:
 
 def stages_last(run: RunFolder) -> str:
     """The id that the estimate has of which the stages are; "" without stages."""
-    return _digest(_stages(run.stages_json))
+    return _digest(run.stage)
 
 
 def can_continue(run: RunFolder) -> bool:
     """Whether the stages are those of the results, so that Re-estimate with Hints can go on from them."""
-    stages, made = _stages(run.stages_json), _stages(run.results / run.stages_json.name)
-    if not stages:
+    stages, made = (optional_document(folder / _STAGES, Stages) for folder in (run.stage, run.results))
+    if stages is None:
         return False
-    keys = _before_hints(stages["keys"])
-    if not keys.keys() <= stages["stages"].keys():
+    keys = _before_hints(stages.keys)
+    if not keys.keys() <= stages.stages.keys():
         return False
-    return not made or _before_hints(made["keys"]) == keys
+    return made is None or _before_hints(made.keys) == keys
 
 
 def refuse_other_stages(run: RunFolder) -> None:
@@ -262,9 +264,9 @@ def _keep(run: RunFolder, old: Path) -> None:
     if not _holds_results(old):
         shutil.rmtree(old)
         return
-    name, given = _id(old), _read(old).get("name", "")
+    name, given = _id(old), _name(old)
     if name == present_version(run):  # the same estimate again
-        if given and not _read(run.results).get("name"):
+        if given and not _name(run.results):
             _write(run.results, given, _time(run.results))
         shutil.rmtree(old)
         return
@@ -311,15 +313,15 @@ def _replace(source: Path, target: Path) -> None:
 
 
 def _describe(folder: Path, current: bool) -> Version:
-    settings = optional_document(folder / "run.json", RUN).get("settings", {})
-    statistics = optional_document(folder / "statistics.json", STATISTICS)
+    settings = (optional_document(folder / "run.json", RunNote) or RunNote()).settings
+    statistics = optional_document(folder / "statistics.json", Statistics) or Statistics()
     return Version(
         id=_id(folder) if current else folder.name,
-        name=str(_read(folder).get("name", "")),
+        name=_name(folder),
         time=_time(folder),
         preset=str(settings.get("preset", "")),
         changes=_changes(settings),
-        hints=tuple(hint["name"] for hint in statistics.get("hints", [])),
+        hints=tuple(hint.name for hint in statistics.hints),
         size=sum(status.st_size for status in _statuses(folder)),
         current=current,
     )
@@ -363,51 +365,45 @@ def _holds_results(folder: Path) -> bool:
 
 def _id(folder: Path) -> str:
     """The digest of the stages' keys; of results of earlier versions, that of their files' size and time."""
-    digest = _digest(_stages(folder / "stages.json"))
+    digest = _digest(folder)
     if digest:
         return digest
     status = (folder / "fields.npz").stat()
     return hashlib.sha256(f"{status.st_size} {status.st_mtime_ns}".encode()).hexdigest()[:12]
 
 
-def _digest(stages: Mapping[str, Any]) -> str:
-    if not stages:
+def _digest(folder: Path) -> str:
+    """Of the keys in a folder's stages.json; "" without one."""
+    stages = optional_document(folder / _STAGES, Stages)
+    if stages is None:
         return ""
-    return hashlib.sha256(json.dumps(stages["keys"], sort_keys=True).encode()).hexdigest()[:12]
+    return hashlib.sha256(json.dumps(stages.keys, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def _before_hints(keys: Mapping[str, str]) -> dict[str, str]:
     return {name: key for name, key in keys.items() if not name.startswith(HINTED)}
 
 
-def _stages(path: Path) -> dict[str, Any]:
-    return optional_document(path, STAGES)
+def _note(folder: Path) -> VersionNote | None:
+    return optional_document(folder / "version.json", VersionNote)
 
 
-def _read(folder: Path) -> dict[str, Any]:
-    return optional_document(folder / "version.json", VERSION)
+def _name(folder: Path) -> str:
+    note = _note(folder)
+    return "" if note is None else note.name
 
 
 def _write(results: Path, name: str, finished: float) -> None:
-    write_json(results / "version.json", {**head("version"), "name": name, "time": finished})
+    write_json(results / "version.json", VersionNote(name, finished))
 
 
 def _time(folder: Path) -> float:
-    noted = _read(folder).get("time")
-    if noted is not None:
-        return float(noted)
+    note = _note(folder)
+    if note is not None:
+        return note.time
     with suppress(OSError):
         return (folder / "fields.npz").stat().st_mtime
     return 0.0
-
-
-def optional_document(path: Path, shape: Any) -> dict[str, Any]:
-    """A JSON document of a run, {} where it is missing or damaged."""
-    try:
-        found: dict[str, Any] = load_document(path, shape)
-        return found
-    except (OSError, ValueError):
-        return {}
 
 
 def _statuses(folder: Path) -> Iterator[os.stat_result]:

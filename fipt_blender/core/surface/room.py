@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The room's mesh as arrays and as a Mitsuba scene for ray queries.
 
-Blender writes room.npz (docs/architecture.md); mesh files are not read here. All surfaces are double-sided:
+Blender writes room.npz (docs/run_folder.md); mesh files are not read here. All surfaces are double-sided:
 normals are flipped towards the viewer, so that inverted normals have no effect.
 """
 
@@ -224,9 +224,9 @@ def load_room(run: RunFolder, outlined: bool = True, cleaned: bool = True) -> Ro
         **{name: np.asarray(arrays[name], kind) for name, kind in _ARRAYS.items()},
         noise=scan.noise if scan else 0.0,
         plane=scan.plane.astype(np.int32) if scan else None,
-        objects=tuple(names["objects"]),
-        materials=tuple(names["materials"]),
-        parts=names.get("parts", "masks"),
+        objects=names.objects,
+        materials=names.materials,
+        parts=names.parts,
         exact=arrays.get("triangle_exact"),
     )
     check_room(room)

@@ -10,7 +10,6 @@ count for whether the mesh is one, and stay as they are.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -41,7 +40,7 @@ def prepare_geometry(run: RunFolder, clean: bool = True, most_edges: int = 0) ->
         FiptError: ``file-missing``, ``file-damaged``, ``disk-full`` or ``run-unwritable``.
     """
     arrays, names = read_room_files(run, "mesh-damaged")
-    most_edges = 0 if completed(names) else most_edges
+    most_edges = 0 if names.completed else most_edges
     holes = read_scan_holes(run)
     if clean and (holes.most_edges if holes else 0) == most_edges and read_geometry(run, arrays) is not None:
         return
@@ -52,7 +51,7 @@ def prepare_geometry(run: RunFolder, clean: bool = True, most_edges: int = 0) ->
             arrays, names = read_room_files(run, "mesh-damaged")
         usable = clean and len(scanned(arrays)) and np.isfinite(arrays["vertices"]).all()
         if usable and most_edges:
-            closed_before = CLOSING in (names.get("object_ids") or names["objects"])
+            closed_before = CLOSING in names.ids
             usable = _store_closing(run, arrays, most_edges, closed_before)
             arrays, _ = read_room_files(run, "mesh-damaged")
         cleaned = _cleaned(arrays) if usable else None
@@ -66,11 +65,6 @@ def scanned(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     """(n,) int64 triangles of room.npz that are not exact."""
     exact = arrays.get("triangle_exact")
     return np.arange(len(arrays["triangles"])) if exact is None else np.flatnonzero(~exact)
-
-
-def completed(names: Mapping[str, Any]) -> bool:
-    """Whether room.json says that the artist has decided what is added to the scan."""
-    return bool(names.get("completed"))
 
 
 def _cleaned(arrays: Mapping[str, np.ndarray]) -> CleanMesh | None:

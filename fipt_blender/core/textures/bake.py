@@ -10,20 +10,21 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from ..capture.views import load_capture
 from ..device.variant import set_variant
-from ..run.documents import read_json
+from ..run.documents import read_document
 from ..run.messages import Reporter
 from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
+from ..run.result_contents import AtlasImage, AtlasImages, TextureImage, Textures, UniformPart
 from ..run.run_files import read_atlas, read_room_files
 from ..run.runfolder import RunFolder, atomic_path, write_json
 from ..surface.stored import stored_geometry
@@ -83,21 +84,19 @@ class PartRanges:
         self._low[of] = np.minimum(self._low[of], np.minimum.reduceat(values, first))
         self._high[of] = np.maximum(self._high[of], np.maximum.reduceat(values, first))
 
-    def uniform(self) -> list[dict[str, Any]]:
-        """The entries of textures.json for parts of one value."""
+    def uniform(self) -> tuple[UniformPart, ...]:
+        """The parts of one value."""
         if self._parts is None:
-            return []
-        found = np.flatnonzero((self._high - self._low <= ONE_VALUE).all(axis=1) & (self._low[:, 0] < np.inf))
-        middle = 0.5 * (self._low + self._high)
-        return [
-            {
-                "part": self._parts.parts[index].key,
-                "base_color": middle[index, :3].tolist(),
-                "roughness": float(middle[index, 3]),
-                "metallic": float(middle[index, 4]),
-            }
-            for index in found.tolist()
-        ]
+            return ()
+        of_one = (self._high - self._low <= ONE_VALUE).all(axis=1) & (self._low[:, 0] < np.inf)
+        middle = (0.5 * (self._low + self._high)).tolist()
+        return tuple(
+            UniformPart(part.key, (red, green, blue), roughness, metallic)
+            for part, is_one, (red, green, blue, roughness, metallic) in zip(
+                self._parts.parts, of_one, middle, strict=True
+            )
+            if is_one
+        )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -125,8 +124,8 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.stage("textures", "Baking textures")
     given = load_input(folder)
     room, names = read_room_files(folder)
-    ranges = PartRanges(read_parts(folder, room["triangle_object"], names["objects"]))
-    if given is not None and read_json(folder.atlas_json).get("mode") != "color_attribute":
+    ranges = PartRanges(read_parts(folder, room["triangle_object"], names.objects))
+    if given is not None and read_document(folder.atlas_json, AtlasImages).mode != "color_attribute":
         files = bake_with_detail(folder, fields, given, fields.units.triangle, ranges, reporter.progress)
     else:
         files = bake(folder, fields, reporter.progress, ranges)
@@ -156,11 +155,11 @@ def bake(
     scan = stored_geometry(folder, room)
     corners = (scan.vertices if scan else room["vertices"])[room["triangles"]]
     with atomic_folder(folder.textures) as new:
-        if atlas["mode"] == "color_attribute":
+        if atlas.mode == "color_attribute":
             names = [_bake_corners(new, fields, corners)]
         else:
             ranges = ranges or PartRanges(None)
-            names = _bake_images(new, fields, atlas["images"], arrays, corners, progress, ranges)
+            names = _bake_images(new, fields, atlas.images, arrays, corners, progress, ranges)
     progress(1.0)
     return [folder.textures / name for name in names]
 
@@ -168,7 +167,7 @@ def bake(
 def _bake_images(
     folder: Path,
     fields: FieldSource,
-    entries: list[dict],
+    entries: Sequence[AtlasImage],
     arrays: dict[str, np.ndarray],
     corners: np.ndarray,
     progress: Callable[[float], None],
@@ -185,10 +184,10 @@ def _bake_images(
         progress: called with the share that is done.
         ranges: to which the texels are added.
     """
-    listed: list[dict[str, str]] = []
+    listed: list[TextureImage] = []
     # One image is padded and written, and the surface of the next one found, while an image is sampled.
     with ThreadPoolExecutor(1) as writer, ThreadPoolExecutor(1) as finder:
-        writing: Future[dict[str, str]] | None = None
+        writing: Future[TextureImage] | None = None
         finding = [finder.submit(_surface_points, entry, 0, arrays, corners) for entry in entries[:1]]
         for index, entry in enumerate(entries):
             texel, positions, triangles = finding.pop().result()
@@ -206,13 +205,10 @@ def _bake_images(
     return _list_images(folder, listed, ranges)
 
 
-def _list_images(folder: Path, listed: list[dict[str, str]], ranges: PartRanges) -> list[str]:
+def _list_images(folder: Path, listed: list[TextureImage], ranges: PartRanges) -> list[str]:
     """Write textures.json with the images that :func:`_write_image` has written; returns all files' names."""
-    stored = [
-        {"name": entry["name"], **{name: f"textures/{entry[name]}" for name in MAPS}} for entry in listed
-    ]
-    write_json(folder / "textures.json", {"images": stored, "uniform": ranges.uniform()})
-    return [*(entry[name] for entry in listed for name in MAPS), "textures.json"]
+    write_json(folder / "textures.json", Textures(tuple(listed), ranges.uniform()))
+    return [*(Path(getattr(image, name)).name for image in listed for name in MAPS), "textures.json"]
 
 
 def bake_with_detail(
@@ -237,15 +233,15 @@ def bake_with_detail(
     room = load_room(folder)
     atlas, arrays = read_atlas(folder, len(room.triangles))
     corners = room.vertices[room.triangles]
-    entries = atlas["images"]
-    sizes = [np.array([entry["width"], entry["height"]], np.int64) for entry in entries]
-    listed: list[dict[str, str]] = []
+    entries = atlas.images
+    sizes = [np.array([entry.width, entry.height], np.int64) for entry in entries]
+    listed: list[TextureImage] = []
     with stored_texels(folder, int(sum(size.prod() for size in sizes))) as store:
         ends, places = [0], []
         for index, entry in enumerate(entries):
             texel, positions, triangles = _surface_points(entry, index, arrays, corners)
             # Texels beside each other stay together, so that views skip what they can't see.
-            order = np.argsort(_tile(texel, int(entry["width"])), kind="stable")
+            order = np.argsort(_tile(texel, entry.width), kind="stable")
             places.append(texel[order].astype(np.int32))
             rows = slice(ends[-1], ends[-1] + len(order))
             positions, triangles = positions[order], triangles[order]
@@ -286,7 +282,7 @@ def _texel_sizes(uv: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def _surface_points(
-    entry: dict, index: int, arrays: dict[str, np.ndarray], corners: np.ndarray
+    entry: AtlasImage, index: int, arrays: dict[str, np.ndarray], corners: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The surface in an image of the atlas.
 
@@ -301,7 +297,7 @@ def _surface_points(
         triangle (M,) of each.
     """
     of_image = np.flatnonzero(arrays["triangle_image"] == index)
-    width, height = int(entry["width"]), int(entry["height"])
+    width, height = entry.width, entry.height
     uv = arrays["corner_uv"][of_image] * np.array([width, height], np.float64)
     texel, triangle, weights = nearest_triangle_map(uv, width, height)
     positions = np.einsum("nk,nkc->nc", weights, corners[of_image[triangle]]).astype(np.float32)
@@ -333,11 +329,11 @@ def sample_fields(fields: FieldSource, positions: np.ndarray, triangles: np.ndar
     return result
 
 
-def _write_image(folder: Path, entry: dict, texel: np.ndarray, samples: Samples) -> dict[str, str]:
-    """Pad and write the maps of one image; returns its name and those of their files."""
+def _write_image(folder: Path, entry: AtlasImage, texel: np.ndarray, samples: Samples) -> TextureImage:
+    """Pad and write the maps of one image; returns the names of their files."""
     from ..capture.images import write_exr
 
-    width, height = int(entry["width"]), int(entry["height"])
+    width, height = entry.width, entry.height
     filled = np.zeros(width * height, bool)
     filled[texel] = True
     image = np.zeros((width * height, 8), np.float32)
@@ -347,11 +343,10 @@ def _write_image(folder: Path, entry: dict, texel: np.ndarray, samples: Samples)
     # Row 0 is v = 0 here, but the top row in image files. Islands grow by 8 texels.
     padded = pad(image.reshape(height, width, 8), filled.reshape(height, width), 8)[::-1]
     planes = padded[..., :3], padded[..., 3], padded[..., 4], padded[..., 5:]
-    listed = {"name": str(entry["name"])}
-    for name, plane in zip(MAPS, planes, strict=True):
-        listed[name] = f"{entry['name']}.{name}.exr"
-        write_exr(folder / listed[name], plane, half=True)
-    return listed
+    files = {name: f"{entry.name}.{name}.exr" for name in MAPS}
+    for file, plane in zip(files.values(), planes, strict=True):
+        write_exr(folder / file, plane, half=True)
+    return TextureImage(entry.name, **{name: f"textures/{file}" for name, file in files.items()})
 
 
 def _bake_corners(folder: Path, fields: FieldSource, corners: np.ndarray) -> str:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -28,8 +28,10 @@ from ..optics.lights import LUMINANCE
 from ..parts.labels import NO_PART
 from ..pixels.store import PixelStore
 from ..run.chain import START_AGAIN
-from ..run.documents import read_json
+from ..run.documents import read_document
 from ..run.errors import FiptError
+from ..run.kinds import Pixels
+from ..run.result_contents import Statistics
 from ..run.runfolder import RunFolder, atomic_path, write_json
 from ..run.stage_files import loaded, saved
 from ..surface.room import Room, triangle_normals
@@ -76,6 +78,23 @@ class DetailInput:
 
 
 @dataclass(frozen=True)
+class _UsedView:
+    """A view at light resolution."""
+
+    name: str
+    width: Pixels
+    height: Pixels
+
+
+@dataclass(frozen=True)
+class _UsedViews:
+    """stage/views.json: the views, and what :func:`.stage_files.saved` says of their pixels and shadings."""
+
+    views: tuple[_UsedView, ...]
+    light: dict[str, Any]
+
+
+@dataclass(frozen=True)
 class SolvedLight:
     """What an estimation has solved light with: pixels and the last shadings at roughness `levels` (K,)."""
 
@@ -91,9 +110,9 @@ def remember_light(run: RunFolder, light: SolvedLight) -> None:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     views, root = light.pixels.views, run.stage.resolve()
-    listed = [{"name": view.name, "width": view.width, "height": view.height} for view in views]
+    listed = tuple(_UsedView(view.name, view.width, view.height) for view in views)
     document = saved(light, run.stage / "light", root, {"views": views})
-    write_json(run.stage / "views.json", {"views": listed, "light": document})
+    write_json(run.stage / "views.json", _UsedViews(listed, document))
 
 
 def solved_light(run: RunFolder, views: list[View]) -> SolvedLight:
@@ -104,9 +123,9 @@ def solved_light(run: RunFolder, views: list[View]) -> SolvedLight:
     """
     path = run.stage / "views.json"
     try:
-        document = read_json(path)["light"]
-        return cast(SolvedLight, loaded(document, SolvedLight, run.stage.resolve(), {"views": views}))
-    except (KeyError, TypeError, ValueError) as error:
+        light = read_document(path, _UsedViews).light
+        return cast(SolvedLight, loaded(light, SolvedLight, run.stage.resolve(), {"views": views}))
+    except ValueError as error:
         raise FiptError("file-damaged", f"{path} can't be used ({error}).", START_AGAIN) from None
 
 
@@ -123,21 +142,20 @@ def load_input(run: RunFolder) -> DetailInput | None:
     kept = run.results / run.stages_json.name
     if kept.exists() and kept.read_bytes() != run.stages_json.read_bytes():
         return None  # another estimation has begun; its pixels do not belong to these results
-    table = read_json(path)
+    used = read_document(path, _UsedViews)
     by_name = {view.name: view for view in load_capture(run).train}
-    if any(entry["name"] not in by_name for entry in table["views"]):
+    if any(view.name not in by_name for view in used.views):
         return None  # the capture has changed since
-    photographs = [by_name[entry["name"]] for entry in table["views"]]
-    lights = [
-        view.resized(int(entry["width"]), int(entry["height"]))
-        for view, entry in zip(photographs, table["views"], strict=True)
-    ]
+    photographs = [by_name[view.name] for view in used.views]
+    lights = [by_name[view.name].resized(view.width, view.height) for view in used.views]
     pairs = zip(photographs, lights, strict=True)
     if all(view.width * view.height <= light.width * light.height for view, light in pairs):
         return None
     light = solved_light(run, lights)
-    found = read_json(run.statistics_json).get("photometry") if run.statistics_json.exists() else None
-    response = np.array(found["log_curve"], np.float64) if found else None
+    photometry = None
+    if run.statistics_json.exists():
+        photometry = read_document(run.statistics_json, Statistics).photometry
+    response = np.array(photometry.log_curve) if photometry else None
     return DetailInput(photographs, light.pixels, light.shadings, light.levels, response)
 
 

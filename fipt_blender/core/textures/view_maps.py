@@ -19,6 +19,7 @@ from ..light.baking import SUBPIXELS
 from ..material.fields import RoomFields
 from ..optics.lights import AreaLights, EmitterTable
 from ..pixels.camera_rays import trace_pixels
+from ..run.result_contents import Maps, ViewMaps
 from ..run.run_files import read_emitters
 from ..run.runfolder import RunFolder, write_json
 from ..surface.room import Room, load_room
@@ -31,20 +32,20 @@ def write_view_maps(run: RunFolder, fields: RoomFields, views: Sequence[View]) -
         FiptError: the run's room or emitters can't be read; ``disk-full`` or ``run-unwritable``.
     """
     room = load_room(run)
-    table = EmitterTable.from_fixtures(read_emitters(run, len(room.triangles)))
+    table = EmitterTable.from_fixtures(read_emitters(run, len(room.triangles)).fixtures)
     lights = AreaLights(room.vertices, room.triangles, table)
     folder = run.results / "maps"
     listed, files = [], []
     chosen = sorted(views, key=lambda view: view.split != "held_back")[:3]
     for index, view in enumerate(chosen):
-        entry = {"view": view.name}
+        names = {}
         for name, values in view_maps(room, lights, fields, shrunk(view, 640)).items():
             path = folder / f"{index:03d}_{name}.exr"
             write_exr(path, values, half=True)
-            entry[name] = path.relative_to(run.root).as_posix()
+            names[name] = path.relative_to(run.root).as_posix()
             files.append(path)
-        listed.append(entry)
-    write_json(folder / "maps.json", {"views": listed})
+        listed.append(ViewMaps(view.name, **names))
+    write_json(folder / "maps.json", Maps(tuple(listed)))
     return [*files, folder / "maps.json"]
 
 

@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 from ...conventions import UP_AXES, fipt_to_opencv_camera
-from ...run.documents import Choice, Fields, Items, Maybe, Number
+from ...run.kinds import Choice, Number
 from ...run.shapes import MOST_SIDE
 from ..files import name_parts, stem_of, suffix_of
 from ..options import CaptureOptions
@@ -30,13 +31,21 @@ from ..rig import (
 NAME = "fipt-synthetic"
 LOOKS_FOR = "train/transforms.json beside train/Image/"
 SPLITS = {"train": "train", "val": "held_back"}
-RIG = Fields(
-    {
-        "camera_angle_x": Number(),
-        "frames": Items(Fields({"transform_matrix": list}, {"file_path": Maybe(str)})),
-    },
-    {"width": Number(1, MOST_SIDE), "height": Number(1, MOST_SIDE), "up_axis": Choice(*UP_AXES)},
-)
+
+
+@dataclass(frozen=True)
+class _Frame:
+    transform_matrix: list
+    file_path: str | None = None
+
+
+@dataclass(frozen=True)
+class _Split:
+    camera_angle_x: float
+    frames: tuple[_Frame, ...]
+    width: Annotated[float, Number(1, MOST_SIDE)] | None = None
+    height: Annotated[float, Number(1, MOST_SIDE)] | None = None
+    up_axis: Annotated[str, Choice(*UP_AXES)] | None = None
 
 
 def find(path: Path) -> Path | None:
@@ -67,32 +76,30 @@ def read(path: Path, options: CaptureOptions) -> Rig:
         json_path = path / folder / "transforms.json"
         if not json_path.is_file():
             continue
-        data = read_json_rig(json_path, RIG)
-        up_axis = data.get("up_axis", up_axis)
+        data = read_json_rig(json_path, _Split)
+        up_axis = data.up_axis or up_axis
         ids = {PARTS_FOLDER: "IndexMA", SEMANTICS_FOLDER: "segmentation"}
         places = Places(
             json_path, (path / folder,), image_folders=(".", "Image"), relative=True, id_folders=ids
         )
-        own = [_view(places, split, index, frame, data) for index, frame in enumerate(data["frames"])]
+        own = [_view(places, split, index, frame, data) for index, frame in enumerate(data.frames)]
         rig = places.rig(NAME, own, up_axis, None)
         views += rig.views
         notes += rig.notes
     return Rig(NAME, tuple(views), up_axis, find_mesh([path], ["scene", "mesh"]), tuple(notes))
 
 
-def _view(places: Places, split: str, index: int, frame: dict[str, Any], data: dict[str, Any]) -> RigView:
+def _view(places: Places, split: str, index: int, frame: _Frame, data: _Split) -> RigView:
     """The view of the frame's file_path where it names an image, else of the authors' name by its index."""
     name = f"{index:03d}_0001.exr"
-    file_path = frame.get("file_path")
-    if isinstance(file_path, str) and (suffix_of(file_path) or places.find(file_path)):
-        name = file_path
+    if frame.file_path is not None and (suffix_of(frame.file_path) or places.find(frame.file_path)):
+        name = frame.file_path
     with WellFormed(places.file):
-        if "width" in data and "height" in data:
-            size = int(data["width"]), int(data["height"])
-        else:
+        size = int(data.width or 0), int(data.height or 0)
+        if not all(size):
             size = places.size(name)
-        focal = 0.5 * size[0] / math.tan(0.5 * float(data["camera_angle_x"]))
+        focal = 0.5 * size[0] / math.tan(0.5 * data.camera_angle_x)
     lens = Lens("PINHOLE", (focal, focal, 0.5 * size[0], 0.5 * size[1]))
-    pose = fipt_to_opencv_camera(read_pose(places.file, frame["transform_matrix"]))
+    pose = fipt_to_opencv_camera(read_pose(places.file, frame.transform_matrix))
     number = stem_of(name_parts(name)[-1]).removesuffix("_0001")
     return places.view(name, size, lens, pose, called=f"{places.file.parent.name}/{number}", split=split)

@@ -9,11 +9,9 @@ leads from the camera to the world. Meshes are written with Y and Z negated, whi
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ...run.documents import Fields, Items
 from ...run.errors import FiptError
 from ..options import CaptureOptions
 from ..places import Places
@@ -23,10 +21,6 @@ from .rig_files import camera_file, number, numbers, pixel_size
 
 NAME = "meshroom"
 LOOKS_FOR = "an .sfm or .json file with version, views, intrinsics and poses"
-SFM = Fields(
-    {"version": list, "views": Items(dict), "intrinsics": Items(dict)},
-    {"poses": Items(dict), "rigs": Items(dict)},
-)
 _MESH_FROM_SFM = np.diag([1.0, -1.0, -1.0, 1.0])
 # Names before version 1.2.8, which had the distortion in the camera's type.
 _OLD_TYPES = {
@@ -52,7 +46,7 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
-    data = read_json_rig(file, SFM)
+    data = read_json_rig(file, dict)
     places = Places.around(file, options)
     with WellFormed(file):
         version = tuple(int(value) for value in numbers(data["version"], 3))
@@ -74,11 +68,11 @@ def points(file: Path) -> np.ndarray:
         FiptError: ``rig-damaged``.
     """
     with WellFormed(file):
-        stored = [numbers(entry["X"], 3) for entry in read_json_rig(file, SFM).get("structure", [])]
+        stored = [numbers(entry["X"], 3) for entry in read_json_rig(file, dict).get("structure", [])]
     return np.array(stored).reshape(-1, 3) @ _MESH_FROM_SFM[:3, :3].T
 
 
-def _pose(transform: dict[str, Any]) -> np.ndarray:
+def _pose(transform: dict) -> np.ndarray:
     """Camera-to-world (4, 4) with OpenCV axes."""
     pose = np.eye(4)
     pose[:3, :3] = numbers(transform["rotation"], 9).reshape(3, 3)
@@ -87,7 +81,7 @@ def _pose(transform: dict[str, Any]) -> np.ndarray:
 
 
 def _view(
-    entry: dict[str, Any],
+    entry: dict,
     lenses: dict[str, tuple[tuple[int, int], Lens]],
     poses: dict[str, np.ndarray],
     rigs: dict[str, list[np.ndarray]],
@@ -103,7 +97,7 @@ def _view(
     return [places.view(str(entry["path"]), *camera, _MESH_FROM_SFM @ pose)]
 
 
-def _lens(file: Path, entry: dict[str, Any], version: tuple[int, ...]) -> tuple[tuple[int, int], Lens]:
+def _lens(file: Path, entry: dict, version: tuple[int, ...]) -> tuple[tuple[int, int], Lens]:
     """Image size and lens of a camera."""
     size = pixel_size(entry["width"], entry["height"])
     fx, fy = _focal_lengths(entry, version, size)
@@ -134,9 +128,7 @@ def _lens(file: Path, entry: dict[str, Any], version: tuple[int, ...]) -> tuple[
     return size, distorting_lens(intrinsics, size, values[:3], tangential)
 
 
-def _focal_lengths(
-    entry: dict[str, Any], version: tuple[int, ...], size: tuple[int, int]
-) -> tuple[float, float]:
+def _focal_lengths(entry: dict, version: tuple[int, ...], size: tuple[int, int]) -> tuple[float, float]:
     """Focal lengths fx, fy in pixels, which each version stores in another way."""
     if version < (1, 2, 0):
         focal = number(entry["pxFocalLength"])

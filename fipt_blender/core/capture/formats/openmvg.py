@@ -8,11 +8,9 @@ Source: OpenMVG's documentation, "SfM data format"; rotations are from the world
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ...run.documents import Fields, Items, Number, Numbers
 from ...run.errors import FiptError
 from ..options import CaptureOptions
 from ..places import Places
@@ -26,15 +24,6 @@ FOLDERS = (".", "reconstruction", "reconstruction_sequential", "reconstruction_g
 _COUNTS = {"disto_k1": 1, "disto_k3": 3, "disto_t2": 5, "fisheye": 4}
 # Cereal numbers the types in the order of their first appearance, with the highest bit set there.
 _NEW_TYPE = 1 << 31
-_WRAPPED = Fields({"ptr_wrapper": Fields({"data": dict})})
-_POSE = Fields({"rotation": Numbers(3, 3), "center": Numbers(3)})
-SFM_DATA = Fields(
-    {
-        "views": Items(Fields({"value": _WRAPPED})),
-        "intrinsics": Items(Fields({"key": Number(whole=True), "value": _WRAPPED})),
-        "extrinsics": Items(Fields({"key": Number(whole=True), "value": _POSE})),
-    }
-)
 
 
 def find(path: Path) -> Path | None:
@@ -49,7 +38,7 @@ def read(file: Path, options: CaptureOptions) -> Rig:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
     places = Places.around(file, options, folders=FOLDERS)
-    data = read_json_rig(file, SFM_DATA)
+    data = read_json_rig(file, dict)
     with WellFormed(file):
         kinds = _kinds(data["intrinsics"])
         lenses = {
@@ -62,9 +51,8 @@ def read(file: Path, options: CaptureOptions) -> Rig:
             view = entry["value"]["ptr_wrapper"]["data"]
             if view["id_pose"] in poses and view["id_intrinsic"] in lenses:
                 pose = poses[view["id_pose"]]
-                matrix = camera_pose(
-                    np.array(pose["rotation"], np.float64), np.array(pose["center"], np.float64)
-                )
+                rotation = np.array([numbers(row, 3) for row in pose["rotation"]])
+                matrix = camera_pose(rotation.reshape(3, 3), numbers(pose["center"], 3))
                 size, lens = lenses[view["id_intrinsic"]]
                 parts = (data.get("root_path"), view.get("local_path"), view["filename"])
                 name = "/".join(str(part) for part in parts if part)
@@ -79,12 +67,12 @@ def points(file: Path) -> np.ndarray:
     Raises:
         FiptError: ``rig-damaged``.
     """
-    stored = read_json_rig(file, SFM_DATA).get("structure", [])
     with WellFormed(file):
+        stored = read_json_rig(file, dict).get("structure", [])
         return np.array([numbers(entry["value"]["X"], 3) for entry in stored]).reshape(-1, 3)
 
 
-def _kinds(intrinsics: list[dict[str, Any]]) -> list[str]:
+def _kinds(intrinsics: list[dict]) -> list[str]:
     """The type of each camera."""
     names: dict[int, str] = {}
     kinds = []
@@ -97,7 +85,7 @@ def _kinds(intrinsics: list[dict[str, Any]]) -> list[str]:
     return kinds
 
 
-def _lens(file: Path, kind: str, data: dict[str, Any]) -> tuple[tuple[int, int], Lens]:
+def _lens(file: Path, kind: str, data: dict) -> tuple[tuple[int, int], Lens]:
     """Image size and lens of a camera; older files have the values of a pinhole one level deeper."""
     data = {**data.get("value0", {}), **data}
     size = pixel_size(data["width"], data["height"])

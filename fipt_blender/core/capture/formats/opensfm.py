@@ -7,32 +7,66 @@ Source: OpenSfM's documentation, "Dataset Structure" and "Geometric Models".
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ...run.documents import Entries, Fields, Items, Maybe, Number, Numbers
 from ...run.errors import FiptError
+from ...run.kinds import Vector
 from ..options import CaptureOptions
 from ..places import Places
 from ..rig import Lens, Rig, RigView, WellFormed, damaged, read_json_rig
 from .radial import distorting_lens
-from .rig_files import camera_file, camera_pose, largest_model, numbers, pixel_size
+from .rig_files import camera_file, camera_pose, largest_model, pixel_size
 
 NAME = "opensfm"
 LOOKS_FOR = "reconstruction.json with cameras and shots"
 FOLDERS = (".", "opensfm")
-_COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2", "c_x", "c_y")
-_CAMERA = Fields(
-    {"width": Number(), "height": Number()},
-    {"projection_type": str, **dict.fromkeys(("focal", "focal_x", "focal_y", *_COEFFICIENTS), Number())},
-)
-_SHOT = Fields(
-    {"camera": str, "rotation": Numbers(3), "translation": Numbers(3)}, {"orientation": Maybe(Number())}
-)
-RECONSTRUCTIONS = Items(Fields({"cameras": Entries(_CAMERA), "shots": Entries(_SHOT)}))
+
+
+@dataclass(frozen=True)
+class _Camera:
+    width: float
+    height: float
+    projection_type: str = "perspective"
+    focal: float = 0.0
+    focal_x: float | None = None
+    focal_y: float | None = None
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    c_x: float = 0.0
+    c_y: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Shot:
+    camera: str
+    rotation: Vector
+    translation: Vector
+
+
+@dataclass(frozen=True)
+class _Model:
+    cameras: dict[str, _Camera]
+    shots: dict[str, _Shot]
+
+
+@dataclass(frozen=True)
+class _Point:
+    coordinates: Vector
+
+
+@dataclass(frozen=True)
+class _ModelPoints:
+    shots: dict[str, Any]
+    points: dict[str, _Point] = field(default_factory=dict)
 
 
 def find(path: Path) -> Path | None:
@@ -46,7 +80,7 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged`` or ``camera-model``.
     """
-    models = read_json_rig(file, RECONSTRUCTIONS)
+    models = read_json_rig(file, tuple[_Model, ...])
     places = Places.around(file, options, folders=FOLDERS)
     views, notes = largest_model([_views(file, model, places) for model in models], str(file))
     return places.rig(NAME, views, "z", places.mesh(folders=(".", "odm_meshing", "undistorted")), notes)
@@ -58,38 +92,37 @@ def points(file: Path) -> np.ndarray:
     Raises:
         FiptError: ``rig-damaged``.
     """
-    models = read_json_rig(file, RECONSTRUCTIONS)
+    models = read_json_rig(file, tuple[_ModelPoints, ...])
     with WellFormed(file):
-        stored = max(models, key=lambda model: len(model["shots"])).get("points", {}).values()
-        return np.array([numbers(point["coordinates"], 3) for point in stored]).reshape(-1, 3)
+        largest = max(models, key=lambda model: len(model.shots))
+    return np.array([point.coordinates for point in largest.points.values()]).reshape(-1, 3)
 
 
 def _is_reconstruction(text: str) -> bool:
     return text.lstrip().startswith("[") and '"cameras"' in text
 
 
-def _views(file: Path, model: dict[str, Any], places: Places) -> list[RigView]:
+def _views(file: Path, model: _Model, places: Places) -> list[RigView]:
     views = []
-    for name, shot in sorted(model["shots"].items()):
-        if shot["camera"] not in model["cameras"]:
-            raise damaged(file, f"the shot {name} has the camera {shot['camera']}, which is not there")
-        camera = model["cameras"][shot["camera"]]
+    for name, shot in sorted(model.shots.items()):
+        if shot.camera not in model.cameras:
+            raise damaged(file, f"the shot {name} has the camera {shot.camera}, which is not there")
+        camera = model.cameras[shot.camera]
         with WellFormed(file):
-            size = pixel_size(camera["width"], camera["height"])
-        world_to_camera = Rotation.from_rotvec(shot["rotation"]).as_matrix()
-        centre = -world_to_camera.T @ np.array(shot["translation"], np.float64)
+            size = pixel_size(camera.width, camera.height)
+        world_to_camera = Rotation.from_rotvec(shot.rotation).as_matrix()
+        centre = -world_to_camera.T @ np.array(shot.translation)
         views.append(places.view(name, size, _lens(file, camera, size), camera_pose(world_to_camera, centre)))
     return views
 
 
-def _lens(file: Path, camera: dict[str, Any], size: tuple[int, int]) -> Lens:
+def _lens(file: Path, camera: _Camera, size: tuple[int, int]) -> Lens:
     """The lens of a camera; OpenSfM's image coordinates are divided by the longer side, from the centre."""
     side = float(max(size))
-    kind = camera.get("projection_type", "perspective")
-    focal = camera.get("focal", 0.0)
-    fx, fy = camera.get("focal_x", focal) * side, camera.get("focal_y", focal) * side
-    k1, k2, k3, k4, p1, p2, c_x, c_y = (float(camera.get(key, 0.0)) for key in _COEFFICIENTS)
-    intrinsics = (fx, fy, 0.5 * size[0] + c_x * side, 0.5 * size[1] + c_y * side)
+    kind, focal = camera.projection_type, camera.focal
+    fx, fy = (side * (focal if own is None else own) for own in (camera.focal_x, camera.focal_y))
+    intrinsics = (fx, fy, 0.5 * size[0] + camera.c_x * side, 0.5 * size[1] + camera.c_y * side)
+    k1, k2, k3, tangential = camera.k1, camera.k2, camera.k3, (camera.p1, camera.p2)
     if fx <= 0.0 or fy <= 0.0:
         raise FiptError(
             "intrinsics-missing", f"{file} has a camera without focal length.", "Solve the cameras again."
@@ -97,9 +130,9 @@ def _lens(file: Path, camera: dict[str, Any], size: tuple[int, int]) -> Lens:
     if kind in ("perspective", "simple_radial", "radial"):
         return distorting_lens(intrinsics, size, (k1, k2))
     if kind == "brown":
-        return distorting_lens(intrinsics, size, (k1, k2, k3), (p1, p2))
+        return distorting_lens(intrinsics, size, (k1, k2, k3), tangential)
     if kind in ("fisheye", "fisheye_opencv"):
-        return Lens("OPENCV_FISHEYE", (*intrinsics, k1, k2, k3, k4))
+        return Lens("OPENCV_FISHEYE", (*intrinsics, k1, k2, k3, camera.k4))
     raise FiptError(
         "camera-model",
         f"{file} has the projection type {kind[:40]!r}, which has no pinhole camera or is not supported.",

@@ -8,31 +8,28 @@ leads from their world to the mesh raw.glb, in whose coordinates the poses are r
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ...conventions import opengl_to_opencv_camera, transform_poses
-from ...run.documents import Fields, Maybe, Number, Numbers
 from ..depth_images import registered_depths
 from ..options import CaptureOptions
 from ..places import Places
 from ..rig import Lens, Rig, RigView, WellFormed, read_json_rig, read_pose
-from .rig_files import pixel_size, similarity
+from .rig_files import number, pixel_size, similarity
 
 NAME = "polycam"
 LOOKS_FOR = "keyframes/corrected_cameras or keyframes/cameras with JSON files"
 # Cameras and their photographs; the corrected ones are missing where Polycam could not improve its tracking.
 FOLDERS = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
 _MATRIX = [[f"t_{row}{column}" for column in range(4)] for row in range(3)]
-_CAMERA = Fields(
-    {
-        **dict.fromkeys(("fx", "fy", "cx", "cy"), Number()),
-        **{key: Number() for row in _MATRIX for key in row},
-    },
-    dict.fromkeys(("width", "height"), Number()),  # missing since 2025
-)
-_MESH_INFO = Fields({}, {"alignmentTransform": Maybe(Numbers(16))})
+
+
+@dataclass(frozen=True)
+class _MeshInfo:
+    alignmentTransform: tuple[float, ...] | None = None
 
 
 def find(path: Path) -> tuple[Path, str] | None:
@@ -68,20 +65,20 @@ def _alignment(root: Path) -> np.ndarray:
     file = root / "mesh_info.json"
     if not file.is_file():
         return np.eye(4)
-    stored = read_json_rig(file, _MESH_INFO).get("alignmentTransform")
+    stored = read_json_rig(file, _MeshInfo).alignmentTransform
     if stored is None:
         return np.eye(4)
-    matrix = np.array(stored, np.float64).reshape(4, 4).T
-    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
     with WellFormed(file):
+        matrix = np.array(stored).reshape(4, 4).T
+        scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
         return similarity(scale, matrix[:3, :3] / (scale or 1.0), matrix[:3, 3])
 
 
 def _view(file: Path, places: Places, alignment: np.ndarray) -> RigView:
-    data = read_json_rig(file, _CAMERA)
-    pose = read_pose(file, [[data[key] for key in row] for row in _MATRIX])
+    data = read_json_rig(file, dict)
     with WellFormed(file):
-        has_size = "width" in data and "height" in data
+        pose = read_pose(file, [[number(data[key]) for key in row] for row in _MATRIX])
+        has_size = "width" in data and "height" in data  # missing since 2025
         size = pixel_size(data["width"], data["height"]) if has_size else places.size(file.stem)
-    lens = Lens("PINHOLE", tuple(float(data[key]) for key in ("fx", "fy", "cx", "cy")))
+        lens = Lens("PINHOLE", tuple(number(data[key]) for key in ("fx", "fy", "cx", "cy")))
     return places.view(file.stem, size, lens, transform_poses(alignment, opengl_to_opencv_camera(pose)))

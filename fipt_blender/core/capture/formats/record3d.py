@@ -7,12 +7,14 @@ Source: Record3D's .r3d format. A pose is a quaternion x, y, z, w and a position
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ...conventions import opengl_to_opencv_camera
-from ...run.documents import Fields, Items, Maybe, Number, Numbers, decoded, read_limited
+from ...run.documents import decoded, read_limited
+from ...run.kinds import Row
 from ..depth_images import registered_depths
 from ..options import CaptureOptions
 from ..places import IMAGE_FOLDERS, Places
@@ -22,10 +24,17 @@ from .rig_files import MOST_TEXT_BYTES, pixel_size, stored_rotation
 NAME = "record3d"
 LOOKS_FOR = "metadata.json (or metadata) with poses, K, w and h"
 FILES = ("metadata.json", "metadata", "EXR_RGBD/metadata.json")
-METADATA = Fields(
-    {"poses": Items(Numbers(7)), "K": Numbers(9), "w": Number(), "h": Number()},
-    {"perFrameIntrinsicCoeffs": Maybe(Items(Numbers(4)))},
-)
+
+
+@dataclass(frozen=True)
+class _Metadata:
+    """Fields as the file names them."""
+
+    poses: tuple[tuple[float, float, float, float, float, float, float], ...]
+    K: tuple[float, ...]
+    w: float
+    h: float
+    perFrameIntrinsicCoeffs: tuple[Row, ...] | None = None
 
 
 def find(path: Path) -> Path | None:
@@ -50,23 +59,24 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     Raises:
         FiptError: ``rig-damaged`` or ``depth-unreadable``.
     """
-    data = read_json_rig(file, METADATA)
+    data = read_json_rig(file, _Metadata)
     places = Places.around(file, options, ("rgb", "rgbd", *IMAGE_FOLDERS))
-    count = len(data["poses"])
+    count = len(data.poses)
     # Zero in one of two orders of storing the matrix, the principal point in the other.
-    fx, _, cx, _, fy, cy, column_cx, column_cy, _ = data["K"]
-    intrinsics = data.get("perFrameIntrinsicCoeffs") or [[fx, fy, cx + column_cx, cy + column_cy]] * count
+    with WellFormed(file):
+        fx, _, cx, _, fy, cy, column_cx, column_cy, _ = data.K
+    intrinsics = data.perFrameIntrinsicCoeffs or [(fx, fy, cx + column_cx, cy + column_cy)] * count
     if len(intrinsics) != count:
         raise damaged(file, f"it has {count} poses, but intrinsics of {len(intrinsics)} frames")
     views = []
     with WellFormed(file):
-        size = pixel_size(data["w"], data["h"])
-        for index, (values, coefficients) in enumerate(zip(data["poses"], intrinsics, strict=True)):
+        size = pixel_size(data.w, data.h)
+        for index, (values, coefficients) in enumerate(zip(data.poses, intrinsics, strict=True)):
             x, y, z, w = values[:4]
             pose = np.eye(4)
             pose[:3, :3] = stored_rotation(np.array([w, x, y, z], np.float64))
             pose[:3, 3] = values[4:]
-            lens = Lens("PINHOLE", tuple(float(value) for value in coefficients))
+            lens = Lens("PINHOLE", coefficients)
             views.append(places.view(str(index), size, lens, opengl_to_opencv_camera(pose)))
     images = [places.depth(file.parent / "depth", str(index)) for index in range(count)]
     depths = registered_depths(views, images, options.depth_unit)

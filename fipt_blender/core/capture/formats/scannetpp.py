@@ -8,25 +8,28 @@ The laser scan's mesh keeps the axes of the solve; here the poses get them again
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ...conventions import transform_poses
-from ...run.documents import Fields, Items
 from ..options import CaptureOptions
 from ..places import Places
-from ..rig import Rig, RigView, find_mesh, read_json_rig
-from .transforms import FRAME, RIG, frame_view
+from ..rig import Rig, find_mesh, read_json_rig
+from .transforms import Frame, Transforms, frame_view
 
 NAME = "scannetpp"
 LOOKS_FOR = "dslr/nerfstudio/transforms.json"
 FILES = ("dslr/nerfstudio/transforms.json", "nerfstudio/transforms.json")
 MASK_FOLDER = "resized_anon_masks"
 _SOLVE_FROM_STORED = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
-SCENE = Fields(RIG.needed, {**RIG.optional, "test_frames": Items(FRAME), "has_mask": bool})
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Scene(Transforms):
+    test_frames: tuple[Frame, ...] = ()
+    has_mask: bool = True
 
 
 def find(path: Path) -> Path | None:
@@ -46,22 +49,16 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     Raises:
         FiptError: those of `transforms.read`.
     """
-    data = read_json_rig(file, SCENE)
+    scene = read_json_rig(file, _Scene)
     dslr = file.parent.parent
     image_folders = ("hdr", "resized_images", "original_images", ".")
     places = Places(file, (dslr,), options.images, image_folders, (MASK_FOLDER,))
-    has_mask = data.get("has_mask", True)
-    splits = (("frames", None), ("test_frames", "held_back"))
-    views = [
-        _view(file, {**data, **frame, **({} if has_mask else {"mask_path": None})}, split, places)
-        for key, split in splits
-        for frame in data.get(key, [])
-        if not frame.get("is_bad")
-    ]
+    views = []
+    for frames, split in ((scene.frames, None), (scene.test_frames, "held_back")):
+        for frame in (scene.whole(frame) for frame in frames if not frame.is_bad):
+            frame = frame if scene.has_mask else replace(frame, mask_path=None)
+            view = frame_view(file, frame, split, places)
+            pose = transform_poses(_SOLVE_FROM_STORED, view.camera_to_world)
+            views.append(replace(view, camera_to_world=pose))
     mesh = find_mesh([dslr.parent / "scans", dslr.parent], ("mesh_aligned_0.05", "mesh"))
     return places.rig(NAME, views, None, mesh)
-
-
-def _view(file: Path, frame: dict[str, Any], split: str | None, places: Places) -> RigView:
-    view = frame_view(file, frame, split, places)
-    return replace(view, camera_to_world=transform_poses(_SOLVE_FROM_STORED, view.camera_to_world))

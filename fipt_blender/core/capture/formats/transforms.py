@@ -6,15 +6,15 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
 from ...conventions import UP_AXES, opengl_to_opencv_camera, transform_poses
-from ...run.documents import Choice, Fields, Items, Maybe, Number
 from ...run.errors import FiptError
+from ...run.kinds import Choice, Number
 from ...run.shapes import MOST_SIDE
 from ..files import key, name_parts, stem_of
 from ..options import CaptureOptions
@@ -33,28 +33,58 @@ SPLIT_FILES = {
 SPLIT_LISTS = {"train_filenames": "train", "val_filenames": "held_back", "test_filenames": "held_back"}
 PINHOLES = ("", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 FISHEYES = ("OPENCV_FISHEYE", "FISHEYE")
-_NUMBER = Maybe(Number())
-# Values that stand in each frame, or once for all frames.
-_COMMON = {
-    "w": Number(1, MOST_SIDE),
-    "h": Number(1, MOST_SIDE),
-    **dict.fromkeys(("cx", "cy"), Number()),
-    **dict.fromkeys(("fl_x", "fl_y", "camera_angle_x", "camera_angle_y"), _NUMBER),
-    **dict.fromkeys(("k1", "k2", "k3", "k4", "p1", "p2"), _NUMBER),
-    **dict.fromkeys(("camera_model", "mask_path", "name"), Maybe(str)),
-    "is_bad": Maybe(bool),
-}
-FRAME = Fields({"file_path": str, "transform_matrix": list}, _COMMON)
-RIG = Fields(
-    {"frames": Items(FRAME)},
-    {
-        **_COMMON,
-        **dict.fromkeys(SPLIT_LISTS, Maybe(Items(str))),
-        "up_axis": Choice(*UP_AXES),
-        "applied_transform": Maybe(list),
-        "applied_scale": Number(),
-    },
-)
+_Side = Annotated[float, Number(1, MOST_SIDE)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Common:
+    """What stands in each frame, or once for all frames."""
+
+    w: _Side | None = None
+    h: _Side | None = None
+    cx: float | None = None
+    cy: float | None = None
+    fl_x: float | None = None
+    fl_y: float | None = None
+    camera_angle_x: float | None = None
+    camera_angle_y: float | None = None
+    k1: float | None = None
+    k2: float | None = None
+    k3: float | None = None
+    k4: float | None = None
+    p1: float | None = None
+    p2: float | None = None
+    camera_model: str | None = None
+    is_fisheye: bool | None = None
+    mask_path: str | None = None
+    name: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame(Common):
+    """A photograph."""
+
+    file_path: str
+    transform_matrix: list
+    is_bad: bool | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transforms(Common):
+    """A file with frames."""
+
+    frames: tuple[Frame, ...]
+    train_filenames: tuple[str, ...] | None = None
+    val_filenames: tuple[str, ...] | None = None
+    test_filenames: tuple[str, ...] | None = None
+    up_axis: Annotated[str, Choice(*UP_AXES)] | None = None
+    applied_transform: list | None = None
+    applied_scale: float = 1.0
+
+    def whole(self, frame: Frame) -> Frame:
+        """A frame with what stands once for all."""
+        missing = (item.name for item in fields(Common) if getattr(frame, item.name) is None)
+        return replace(frame, **{name: getattr(self, name) for name in missing})
 
 
 def find(path: Path) -> Path | None:
@@ -98,17 +128,17 @@ def read(path: Path, options: CaptureOptions) -> Rig:
     views: list[RigView] = []
     up_axis: str | None = None
     for json_path, split in files.items():
-        data = read_json_rig(json_path, RIG)
+        data = read_json_rig(json_path, Transforms)
         undo = _applied_inverse(json_path, data) if options.undo_applied_transform else None
         # The up axis from before the applied transform is not stored.
-        up_axis = data.get("up_axis", "z" if undo is None else None)
-        lists = {name: split for key, split in SPLIT_LISTS.items() for name in data.get(key) or ()}
+        up_axis = data.up_axis or ("z" if undo is None else None)
+        lists = {name: split for key, split in SPLIT_LISTS.items() for name in getattr(data, key) or ()}
         split_of = {_identity(places, name): split for name, split in lists.items()}
-        for frame in data["frames"]:
-            if frame.get("is_bad"):
+        for frame in data.frames:
+            if frame.is_bad:
                 continue
-            own = split_of.pop(_identity(places, frame["file_path"]), split) if split_of else split
-            view = frame_view(json_path, {**data, **frame}, own, places)
+            own = split_of.pop(_identity(places, frame.file_path), split) if split_of else split
+            view = frame_view(json_path, data.whole(frame), own, places)
             if undo is not None:
                 view = replace(view, camera_to_world=transform_poses(undo, view.camera_to_world))
             views.append(view)
@@ -128,42 +158,42 @@ def _identity(places: Places, name: str) -> Path | str:
     return key("/".join(name_parts(stem_of(name))))
 
 
-def frame_view(json_path: Path, frame: dict[str, Any], split: str | None, places: Places) -> RigView:
+def frame_view(json_path: Path, frame: Frame, split: str | None, places: Places) -> RigView:
     """One view, with the pose as stored.
 
     Args:
         json_path: of the file.
-        frame: the file's values, overridden by those of the frame.
+        frame: with what stands once for all.
         split: of the view.
         places: where its photograph is.
 
     Raises:
         FiptError: see `read`.
     """
-    pose = opengl_to_opencv_camera(read_pose(json_path, frame["transform_matrix"]))
+    pose = opengl_to_opencv_camera(read_pose(json_path, frame.transform_matrix))
     with WellFormed(json_path):
-        if "w" in frame and "h" in frame:
-            width, height = int(frame["w"]), int(frame["h"])
-        else:
-            width, height = places.size(frame["file_path"])
+        width, height = int(frame.w or 0), int(frame.h or 0)
+        if not (width and height):
+            width, height = places.size(frame.file_path)
         lens = _lens(json_path, frame, width, height)
     return places.view(
-        frame["file_path"],
+        frame.file_path,
         (width, height),
         lens,
         pose,
-        called=frame.get("name") or "",
+        called=frame.name or "",
         split=split,
-        mask=frame.get("mask_path"),
+        mask=frame.mask_path,
     )
 
 
-def _lens(json_path: Path, frame: dict[str, Any], width: int, height: int) -> Lens:
+def _lens(json_path: Path, frame: Frame, width: int, height: int) -> Lens:
     fx, fy = _focal_lengths(json_path, frame, width, height)
-    centre = (float(frame.get("cx", 0.5 * width)), float(frame.get("cy", 0.5 * height)))
-    k1, k2, k3, k4, p1, p2 = (float(frame.get(key) or 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
-    model = str(frame.get("camera_model", "")).upper()
-    if model in FISHEYES or frame.get("is_fisheye"):
+    cx, cy = frame.cx, frame.cy
+    centre = (0.5 * width if cx is None else cx, 0.5 * height if cy is None else cy)
+    k1, k2, k3, k4, p1, p2 = (getattr(frame, key) or 0.0 for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
+    model = (frame.camera_model or "").upper()
+    if model in FISHEYES or frame.is_fisheye:
         return Lens("OPENCV_FISHEYE", (fx, fy, *centre, k1, k2, k3, k4))
     # COLMAP's FULL_OPENCV divides by a polynomial with k4; nerfstudio's k4 multiplies, as no model here does.
     if model not in PINHOLES or k4 != 0.0:
@@ -179,32 +209,29 @@ def _lens(json_path: Path, frame: dict[str, Any], width: int, height: int) -> Le
     return Lens("PINHOLE", (fx, fy, *centre))
 
 
-def _focal_lengths(json_path: Path, frame: dict[str, Any], width: int, height: int) -> tuple[float, float]:
+def _focal_lengths(json_path: Path, frame: Frame, width: int, height: int) -> tuple[float, float]:
     """Focal lengths fx, fy in pixels; a missing one is that of the other axis (square pixels)."""
     fx = fy = None
-    if frame.get("camera_angle_x"):
-        fx = 0.5 * width / math.tan(0.5 * float(frame["camera_angle_x"]))
-    if frame.get("camera_angle_y"):
-        fy = 0.5 * height / math.tan(0.5 * float(frame["camera_angle_y"]))
-    if frame.get("fl_x"):
-        fx = float(frame["fl_x"])
-    if frame.get("fl_y"):
-        fy = float(frame["fl_y"])
+    if frame.camera_angle_x:
+        fx = 0.5 * width / math.tan(0.5 * frame.camera_angle_x)
+    if frame.camera_angle_y:
+        fy = 0.5 * height / math.tan(0.5 * frame.camera_angle_y)
+    fx, fy = frame.fl_x or fx, frame.fl_y or fy
     if fx is None and fy is None:
         raise FiptError(
             "intrinsics-missing",
-            f"{json_path} has no focal length for {frame['file_path']}.",
+            f"{json_path} has no focal length for {frame.file_path}.",
             "Add fl_x (pixels) or camera_angle_x (radians).",
         )
     fx = fy if fx is None else fx
     return float(fx), float(fx if fy is None else fy)  # type: ignore[arg-type]
 
 
-def _applied_inverse(json_path: Path, data: dict[str, Any]) -> np.ndarray:
+def _applied_inverse(json_path: Path, data: Transforms) -> np.ndarray:
     """Similarity (4, 4) from the file's world to the one before applied_transform and applied_scale."""
     applied = np.eye(4)
-    if data.get("applied_transform") is not None:
-        applied = read_pose(json_path, data["applied_transform"])
+    if data.applied_transform is not None:
+        applied = read_pose(json_path, data.applied_transform)
     with WellFormed(json_path):
-        applied[:3] *= float(data.get("applied_scale", 1.0))
+        applied[:3] *= data.applied_scale
         return np.linalg.inv(applied)

@@ -1,0 +1,197 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the JSON documents of a run folder hold, as `kinds` reads them. Standard library only.
+
+docs/architecture.md describes who writes and reads them. Names of files are relative to the run folder, or
+absolute.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar
+
+from .errors import FiptError
+from .kinds import Choice, Count, Matrix, NotNegative, Number, Pixels, Share, Vector
+from .shapes import FARTHEST, FARTHEST_UNITS, UP_AXES, UP_SOURCES
+
+
+@dataclass(frozen=True)
+class RunNote:
+    """run.json: settings, and the version of the add-on that has written them."""
+
+    document: ClassVar[str] = "run"
+    product_version: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class CapturedView:
+    """A photograph with its camera in capture.json; see `capture.views.View`.
+
+    `split` may be ``"unused"``; `preview` is a smaller copy of the photograph.
+    """
+
+    name: str
+    split: str
+    image: str
+    width: Pixels
+    height: Pixels
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    camera_to_world: Annotated[Matrix, Number(-FARTHEST, FARTHEST)]
+    parts: str | None
+    semantics: str | None
+    mask: str | None = None
+    preview: str | None = None
+    encoded: bool = False
+    exposure: Annotated[float, Number(1e-12, 1e12)] | None = None
+
+
+@dataclass(frozen=True)
+class UpAxis:
+    """Which axis of the source is up, what tells so, and by how many degrees it is off."""
+
+    axis: Annotated[str, Choice(*UP_AXES)]
+    source: Annotated[str, Choice(*UP_SOURCES)]
+    angle: NotNegative
+
+
+@dataclass(frozen=True)
+class CapturedViews:
+    """capture.json, and ingest.json with all views, and with `up` but in runs of earlier versions.
+
+    `world_from_source` is the similarity for anything in source coordinates, `mesh` included.
+    """
+
+    document: ClassVar[str] = "capture"
+    source: str
+    world_from_source: Annotated[Matrix, Number(-FARTHEST_UNITS, FARTHEST_UNITS)]
+    mesh: str | None
+    views: tuple[CapturedView, ...]
+    up: UpAxis | None = None
+
+    def view(self, name: str) -> CapturedView:
+        """The view of a name.
+
+        Raises:
+            FiptError: ``view-missing``.
+        """
+        for view in self.views:
+            if view.name == name:
+                return view
+        raise FiptError(
+            "view-missing", f"The capture of this run has no view '{name}'.", "Choose one of its views."
+        )
+
+
+@dataclass(frozen=True)
+class RoomNames:
+    """room.json: the names that the indices in room.npz stand for.
+
+    Attributes:
+        object_ids: by which the objects are found when they have other names; empty where there are none.
+        matrices: of each object to the world when it was exported; empty in runs of earlier versions.
+        parts: source of the part labels, one of `jobs.options.PARTS`.
+        completed: the artist has completed the scan, the engine adds nothing.
+    """
+
+    objects: tuple[str, ...]
+    materials: tuple[str, ...]
+    object_ids: tuple[str, ...] = ()
+    matrices: tuple[Matrix, ...] = ()
+    parts: str = "masks"
+    completed: bool = False
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """One id for each object."""
+        return self.object_ids or self.objects
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a step has warned of."""
+
+    code: str
+    text: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class StepNote:
+    """What steps.json keeps of a step of a sequence: its key, whether it has finished, time, warnings."""
+
+    key: str
+    finished: bool
+    seconds: NotNegative = 0.0
+    warnings: tuple[Problem, ...] = ()
+
+
+@dataclass(frozen=True)
+class Steps:
+    """steps.json, or apply.json: the steps by their names."""
+
+    version: int
+    steps: Mapping[str, StepNote]
+
+
+@dataclass(frozen=True)
+class SurveyedView:
+    """What the survey found of a view; `warning` is "" without one, `misfit` as in `checks.misfit`."""
+
+    name: str
+    warning: str
+    image_missing: bool
+    room_share: float
+    clipped_share: float
+    misfit: NotNegative | None = None
+
+
+@dataclass(frozen=True)
+class SurveyedParts:
+    """The source of parts that the engine would choose, and the number of parts of each source."""
+
+    auto: str
+    counts: Mapping[str, Count]
+
+
+Matrices = dict[str, Matrix]  # matrices.json: of the objects of a survey to the world, by name
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box along the axes, world metres."""
+
+    low: Vector
+    high: Vector
+
+
+@dataclass(frozen=True)
+class SurveyNote:
+    """survey.json; `missing` is where surfaces are that the mesh lacks."""
+
+    views: tuple[SurveyedView, ...]
+    parts: SurveyedParts
+    missing: tuple[Box, ...]
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A similarity that places the cameras on the mesh, its error, and the share of the points that fit."""
+
+    similarity: Matrix
+    error: NotNegative
+    inliers: Share
+
+
+@dataclass(frozen=True)
+class Placements:
+    """align.json: the placements, the best one first, and the poses of views that were aligned one by one."""
+
+    candidates: tuple[Placement, ...]
+    text: str
+    poses: Mapping[str, Matrix]

@@ -1,0 +1,136 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What reviewers of Blender's extension platform ask for, as far as a program sees it (CONTRIBUTING.md)."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import subprocess
+import sys
+import tomllib
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+import pytest
+
+from samples.child_processes import PATIENCE_SECONDS
+from samples.development import load_dev
+
+ROOT = Path(__file__).resolve().parent.parent
+# Blender's fixed list of tags for add-ons
+TAGS = """3D View,Add Curve,Add Mesh,Animation,Bake,Camera,Compositing,Development,Game Engine,Geometry Nodes,
+Grease Pencil,Import-Export,Lighting,Material,Modeling,Mesh,Node,Object,Paint,Pipeline,Physics,Render,Rigging,
+Scene,Sculpt,Sequencer,System,Text Editor,Tracking,User Interface,UV""".replace("\n", "").split(",")
+# Data and source text; no code that a reviewer can't read.
+SUFFIXES = {".py", ".json", ".toml", ".txt", ".html", ".jpg", ".exr", ".obj", ""}
+# What the source must contain for a permission to be used.
+SIGNS = {"files": "write_json", "network": "online_access", "clipboard": "clipboard"}
+# The command line without Blender, and two modules that run as children in the engine's Python.
+STARTED_ALONE = {"__main__.py", "bridge/start.py", "core/device/probe.py"}
+
+ACTIONS = """
+import os, sys
+package, data, example = sys.argv[1:]
+written, connected = set(), set()
+def watch(event, arguments):
+    if event == "open" and isinstance(arguments[0], (str, bytes)):
+        mode, flags = arguments[1] or "", arguments[2] or 0
+        if set(mode) & set("wax+") or flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
+            written.add(os.fsdecode(arguments[0]))
+    elif event in ("os.mkdir", "os.rename", "os.remove", "os.link", "os.symlink", "shutil.rmtree"):
+        written.update(os.fsdecode(each) for each in arguments[:2] if isinstance(each, (str, bytes)))
+    elif event in ("socket.connect", "socket.getaddrinfo", "urllib.Request"):
+        connected.add(event)
+import bpy, importlib, json
+sys.path.insert(0, package)
+sys.addaudithook(watch)
+addon = importlib.import_module("installed.fipt_blender")
+api = importlib.import_module("installed.fipt_blender.api")
+addon.register()
+bpy.ops.fipt.copy_wheel_command()
+api.import_capture(example)
+may_set_up = bpy.ops.fipt.set_up_engine.poll()
+addon.unregister()
+answer = {"written": sorted(written), "connected": sorted(connected), "may_set_up": may_set_up}
+answer["online"] = bpy.app.online_access
+print(json.dumps(answer), flush=True)
+os._exit(0)
+"""
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[zipfile.ZipFile]:
+    with zipfile.ZipFile(load_dev().build_extension(tmp_path_factory.mktemp("dist"))) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def trees(archive: zipfile.ZipFile) -> dict[str, ast.Module]:
+    names = [name for name in archive.namelist() if name.endswith(".py")]
+    return {name: ast.parse(archive.read(name)) for name in names}
+
+
+def test_the_manifest_keeps_the_rules(archive: zipfile.ZipFile) -> None:
+    manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
+    assert manifest["schema_version"] == "1.0.0" and manifest["type"] == "add-on"
+    assert manifest["id"] == "fipt_blender" and "blender" not in manifest["name"].lower()
+    for text in (manifest["tagline"], *manifest["permissions"].values()):
+        assert len(text) <= 64 and text[-1].isalnum()
+    assert set(manifest["tags"]) <= set(TAGS)
+    assert manifest["license"] == ["SPDX:GPL-3.0-or-later"]
+    assert manifest["blender_version_min"].count(".") == 2
+    assert load_dev().extension_tool("validate", archive.filename) == 0
+
+
+def test_permissions_are_those_that_are_used(archive: zipfile.ZipFile) -> None:
+    manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
+    source = b"".join(archive.read(name) for name in archive.namelist() if name.endswith(".py")).decode()
+    assert set(manifest["permissions"]) == {name for name, sign in SIGNS.items() if sign in source}
+
+
+def test_everything_in_the_zip_can_be_read_by_a_reviewer(archive: zipfile.ZipFile) -> None:
+    for name in archive.namelist():
+        assert PurePosixPath(name).suffix in SUFFIXES, name
+        assert not archive.read(name).startswith((b"\x7fELF", b"MZ", b"PK", b"\xcf\xfa\xed\xfe")), name
+
+
+def test_blenders_python_stays_as_it_is(trees: dict[str, ast.Module]) -> None:
+    """No changed search path, no own package by an absolute name, no code made of text, no bl_info."""
+    for name, tree in trees.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom | ast.Import) and name not in STARTED_ALONE:
+                module = getattr(node, "module", None) or ""
+                modules = [module] if getattr(node, "level", 0) == 0 else []
+                modules += [each.name for each in node.names] if isinstance(node, ast.Import) else []
+                assert not any(each.startswith("fipt_blender") for each in modules), (name, node.lineno)
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                assert node.func.id not in ("exec", "eval"), (name, node.lineno)
+            text = ast.unparse(node) if isinstance(node, ast.Call | ast.Assign | ast.AugAssign) else ""
+            if name not in STARTED_ALONE:
+                assert not text.startswith(
+                    ("sys.path.", "sys.path =", "sys.path[:] =", "sys.path +=", "bl_info")
+                )
+
+
+def test_it_writes_into_the_users_folder_alone_and_is_offline(
+    archive: zipfile.ZipFile, tmp_path: Path
+) -> None:
+    """The extension, installed elsewhere, imports a capture; Blender is offline, as bpy is by default."""
+    data, package = tmp_path / "data", tmp_path / "site" / "installed" / "fipt_blender"
+    archive.extractall(package)
+    environment = {**os.environ, "FIPT_DATA": str(data), "FIPT_ENGINE_PYTHON": sys.executable}
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"
+    example = str(package / "example")
+    command = [sys.executable, "-c", ACTIONS, str(tmp_path / "site"), str(data), example]
+    ended = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=PATIENCE_SECONDS, cwd=tmp_path
+    )
+    assert ended.returncode == 0, ended.stderr
+    answer = json.loads(ended.stdout.splitlines()[-1])
+    assert answer["connected"] == [] and answer["online"] is answer["may_set_up"] is False
+    allowed = (str(data), os.devnull)
+    assert any(path.startswith(str(data)) for path in answer["written"])
+    assert [path for path in answer["written"] if not path.startswith(allowed)] == []
