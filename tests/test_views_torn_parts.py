@@ -15,7 +15,7 @@ from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.run.run_files import PANES
 from fipt_blender.core.surface.room import Room, load_room
 from samples.lost_things import photographed
-from samples.part_views import THING_PART, with_own_ids, write_run
+from samples.part_views import THING_PART, looking_views, with_own_ids, write_run
 from samples.scans import scanned_box
 from samples.small_rooms import mesh_room
 
@@ -79,7 +79,7 @@ def test_a_hole_in_a_part_is_filled(
     parts = "none" if evidence == "photographs" else "masks"
     run = write_run(tmp_path, joined(scan, noisy, triangles[~hole], 0), parts)
     true = joined(scan, vertices, triangles, 1)
-    views = photographed(tmp_path, true, rng)
+    views = photographed(tmp_path, true, rng) if parts == "none" else looking_views(tmp_path, true)
     close_holes(run, with_own_ids(views, rng) if evidence == "own ids" else views)
     room = load_room(run)
     added = room.triangle_object == 1
@@ -110,7 +110,8 @@ def test_whole_parts_and_true_holes_stay(
         folder = tmp_path / name
         folder.mkdir()
         run = write_run(folder, joined(scan, noisy, left, 0), parts)
-        views = photographed(folder, joined(scan, vertices, left, 1), rng)
+        true = joined(scan, vertices, left, 1)
+        views = photographed(folder, true, rng) if parts == "none" else looking_views(folder, true)
         assert any((view.part_ids() == THING_PART).any() for view in views)
         close_holes(run, views)
         assert load_room(run).objects == ("scan",)
