@@ -27,12 +27,15 @@ from fipt_blender.bridge.pins import read_pins  # noqa: E402
 # bpy by version, and the Python that it is built for; 4.2 is the oldest that is supported.
 VERSIONS = {"4.2.23": "3.11", "4.5.15": "3.11", "5.0.1": "3.11", "5.2.3": "3.13"}
 # What the tests need besides bpy; the versions are those pinned for the engine.
-PACKAGES = ("numpy", "OpenEXR", "pillow", "jinja2", "psutil", "pytest")
-# Sockets, colour spaces, UVs, cameras, write-back, revert: these import none of the engine's packages.
+PACKAGES = ("numpy", "OpenEXR", "OpenImageIO", "exifread", "pillow", "jinja2", "psutil", "pytest")
+# Sockets, colour spaces, exported files, UVs, cameras, write-back, revert: these import none of the engine's
+# packages.
 TESTS = (
     "test_blend_atlas.py",
     "test_blend_cameras.py",
     "test_blend_capture.py",
+    "test_blend_export.py",
+    "test_blend_export_light.py",
     "test_blend_results.py",
     "test_blend_room.py",
     "test_blend_scene_cameras.py",

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from benchmarks import accuracy, metrics, truth
-from benchmarks.held_back import exposed
 from benchmarks.metrics import Maps
 from fipt_blender.core.report import comparison
 
@@ -125,14 +124,3 @@ def test_bounds() -> None:
     assert accuracy.out_of_bounds(result, good) == []
     bad = {"held_back": {"kd_psnr": [26.0, None], "relight_psnr": [1.0, None]}, "seconds": [None, 50.0]}
     assert len(accuracy.out_of_bounds(result, bad)) == 3
-
-
-def test_the_factor_of_each_channel_is_found_beside_outliers() -> None:
-    rng = np.random.default_rng(0)
-    image = rng.uniform(0.1, 1.0, (20, 30, 3))
-    photograph = image * [2.0, 0.5, 1.5]
-    photograph[:4] = 9.0  # a fifth shows something else
-    photograph[4, 0] = 0.0
-    assert exposed(image, photograph) == pytest.approx(image * [2.0, 0.5, 1.5], rel=0.2)
-    clean = image * [2.0, 0.5, 1.5]
-    assert exposed(image, clean) == pytest.approx(clean)

@@ -77,7 +77,7 @@ def test_cameras_show_photographs_and_are_not_duplicated(run):
     assert len(bpy.data.objects) == len(run.views)
     camera = bpy.data.objects[names[0]]
     assert camera["fipt_split"] == "held_back"
-    assert [each.name for each in camera.users_collection] == ["FIPT Cameras"]
+    assert [each.name for each in camera.users_collection] == ["Photographs"]
     image = camera.data.background_images[0].image
     assert image.is_float and image.colorspace_settings.name == "Linear Rec.709"
     assert len(bpy.data.images) == 1

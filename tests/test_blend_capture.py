@@ -13,6 +13,7 @@ from mathutils import Euler, Matrix
 
 from fipt_blender.blend.capture import importing
 from fipt_blender.blend.capture.exporting import export_capture
+from fipt_blender.blend.capture.look import stand_in_photograph
 from fipt_blender.blend.slices import run_through
 from fipt_blender.core import conventions
 from fipt_blender.core.run.documents import read_document
@@ -74,7 +75,7 @@ def test_round_trip_with_a_moved_rotated_and_scaled_alignment(run, scene, evalua
     if evaluated:
         bpy.context.view_layer.update()
     else:  # Blender does not evaluate hidden collections
-        scene.view_layers[0].layer_collection.children["FIPT Cameras"].hide_viewport = True
+        scene.view_layers[0].layer_collection.children["Room"].children["Photographs"].hide_viewport = True
     export_capture(scene, run)
     move = np.array(ALIGNED, np.float64)
     for before in read_document(run.ingest_json, dict)["views"]:
@@ -179,7 +180,7 @@ def test_another_capture_removes_the_cameras_and_hides_the_mesh_of_the_first(run
     cameras = sorted(item.name for item in scene.objects if item.type == "CAMERA")
     assert cameras == ["Artist's", "b/0", "b/1", "b/2"] and len(scene.fipt.capture.views) == 3
     (new,) = scene.fipt.capture.room_objects(scene)
-    assert new != old and [each.name for each in old.users_collection] == ["FIPT Earlier Rooms"]
+    assert new != old and [each.name for each in old.users_collection] == ["Earlier Rooms"]
     assert old.users_collection[0].hide_viewport and old.users_collection[0].hide_render
 
 
@@ -192,7 +193,7 @@ def test_chosen_objects_stay_the_room_and_are_not_changed(run, scene):
     assert [message["code"] for message in warnings] == ["mesh-kept"]
     assert scene.fipt.capture.room_objects(scene) == [cube]
     assert (cube.parent, cube.matrix_basis) == before[:2]
-    assert {each.name for each in cube.users_collection} == {*before[2], "FIPT Room"}
+    assert {each.name for each in cube.users_collection} == {*before[2], "Parts"}
     plane = bpy.data.objects.new("plane", cube.data)
     scene.collection.objects.link(plane)
     importing.set_room(scene, [plane])
@@ -209,6 +210,7 @@ def test_a_capture_without_mesh_warns(run, scene):
 def test_objects_of_a_new_file_are_told_once(run, scene):
     bpy.ops.mesh.primitive_cube_add()
     cube = bpy.context.object
+    cube.location.x = 0.1
     hidden = cube.copy()
     hidden.hide_render = True
     scene.collection.objects.link(hidden)
@@ -216,6 +218,35 @@ def test_objects_of_a_new_file_are_told_once(run, scene):
     assert warning["code"] == "objects-beside"
     assert warning["text"].endswith(f": '{cube.name}'.")
     assert bring_in(run) == []  # the same capture again
+
+
+def test_start_up_objects_are_hidden_and_shown_again(run, scene):
+    bpy.ops.mesh.primitive_cube_add()
+    light, camera = bpy.data.lights.new("Light", "POINT"), bpy.data.cameras.new("Camera")
+    for data, place in ((light, (4.076, 1.005, 5.904)), (camera, (7.359, -6.926, 4.958))):
+        item = bpy.data.objects.new(data.name, data)
+        item.location = place
+        scene.collection.objects.link(item)
+    names = ("Cube", "Light", "Camera")
+    assert bring_in(run) == []
+    assert all(scene.objects[name].hide_render and scene.objects[name].hide_viewport for name in names)
+    bpy.ops.fipt.hide_startup_objects(hide=False)
+    assert not any(scene.objects[name].hide_render for name in names)
+    scene.objects["Light"].location.z += 0.1  # the artist's from now on
+    bpy.ops.fipt.hide_startup_objects()
+    assert [scene.objects[name].hide_render for name in names] == [True, False, True]
+
+
+def test_the_room_is_one_tree_and_starts_in_a_photograph(run, scene):
+    bring_in(run)
+    (tree,) = (child for child in scene.collection.children if child.name == "Room")
+    assert {child.name for child in tree.children} == {"Parts", "Photographs"}
+    assert len(tree.children["Photographs"].objects) == 5
+    settings = scene.fipt.capture
+    stand_in_photograph(scene, bpy.context)
+    assert scene.camera == settings.views[0].camera_object()
+    settings.picture = settings.views[3].name  # a thumbnail that is clicked
+    assert scene.camera == settings.views[3].camera_object() and settings.active_view == 3
 
 
 def test_masks_of_a_folder(run, scene, tmp_path):

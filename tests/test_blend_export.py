@@ -4,14 +4,16 @@
 
 from __future__ import annotations
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
 
 from fipt_blender import cli
 from fipt_blender.blend.export.exporting import export_room
-from fipt_blender.blend.export.lamps import GAP
-from fipt_blender.blend.export.textures import texel_parts
+from fipt_blender.blend.export.lamps import GAP, lamp_light
+from fipt_blender.blend.lights.color import LUMENS_PER_WATT
+from fipt_blender.blend.lights.fixture_nodes import emission_material
 from samples.applied_rooms import RADIANCE, ConstantFields, fingerprint
 from samples.exported_files import gltf_json, opened, principled
 from samples.refusals import error_of
@@ -44,21 +46,28 @@ def texture_behind(socket):
 def test_gltf_has_textures_emission_and_names_and_is_valid(scene, tmp_path):
     before = fingerprint(scene)
     exported = export_room(scene, tmp_path / "out" / "room.glb")
-    assert exported.objects == 3
+    assert exported.objects == 4
     assert [warning["code"] for warning in exported.warnings] == ["export-environment"]
     assert fingerprint(scene) == before and len(bpy.data.scenes) == 1
     document = gltf_json(exported.path)
-    assert {node["name"] for node in document["nodes"]} == {"panel", "cube", "Panel"}
+    assert {node["name"] for node in document["nodes"]} == {"panel", "cube", "Panel", "Panel Light"}
     surfaces = [material for material in document["materials"] if "emissiveFactor" not in material]
-    assert [material["name"].split(".")[0] for material in surfaces][:2] == ["Panel", "Cube"]
-    assert surfaces[2]["name"].endswith("Back") and len(surfaces) == 3
+    assert [material["name"] for material in surfaces] == ["Panel", "Cube", "Panel Light Back"]
     for material in surfaces[:2]:
         values = material["pbrMetallicRoughness"]
         assert values["baseColorTexture"]["index"] != values["metallicRoughnessTexture"]["index"]
     (lamp,) = (material for material in document["materials"] if "emissiveFactor" in material)
     strength = lamp["extensions"]["KHR_materials_emissive_strength"]["emissiveStrength"]
-    assert np.allclose(strength * np.array(lamp["emissiveFactor"]), RADIANCE, rtol=1e-4)
-    assert len(document["images"]) == 2
+    nits = LUMENS_PER_WATT * np.array(RADIANCE)
+    assert np.allclose(strength * np.array(lamp["emissiveFactor"]), nits, rtol=1e-4)
+    (light,) = document["extensions"]["KHR_lights_punctual"]["lights"]
+    # The lumens of a surface of 1 m², where the light falls off to the edge of its cone by a smoothstep.
+    edge = np.cos(light["spot"]["outerConeAngle"])
+    assert light["type"] == "spot" and light["spot"]["innerConeAngle"] == pytest.approx(0.0, abs=1e-3)
+    lumens = np.pi * (1.0 - edge) * light["intensity"] * np.array(light["color"])
+    assert np.allclose(lumens, np.pi * nits, rtol=1e-4)
+    images = {"Panel_base_color", "Panel_orm", "Cube_base_color", "Cube_orm"}
+    assert {image["name"] for image in document["images"]} == images
     accessors = {
         key for mesh in document["meshes"] for each in mesh["primitives"] for key in each["attributes"]
     }
@@ -78,7 +87,6 @@ def test_an_empty_blender_shows_the_estimate_with_its_adjustments(scene, tmp_pat
     color, rough, metal = (
         texture_behind(shader.inputs[name]) for name in ("Base Color", "Roughness", "Metallic")
     )
-    channels = (1, 2) if suffix == ".glb" else (0, 0)
     wanted = np.array(ConstantFields.base_color)
     uv = np.empty(len(cube.loops) * 2, np.float32)
     cube.uv_layers[0].uv.foreach_get("vector", uv)
@@ -89,18 +97,21 @@ def test_an_empty_blender_shows_the_estimate_with_its_adjustments(scene, tmp_pat
         return pixels(image)[int(place[1] * height) * width + int(place[0] * width)]
 
     assert np.allclose(at(color, middle), encoded(0.5 * wanted), atol=0.004)
-    assert at(rough, middle)[channels[0]] == pytest.approx(ConstantFields.roughness + 0.2, abs=0.004)
-    assert at(metal, middle)[channels[1]] == pytest.approx(ConstantFields.metallic, abs=0.004)
+    assert at(rough, middle)[1] == pytest.approx(ConstantFields.roughness + 0.2, abs=0.004)
+    assert at(metal, middle)[2] == pytest.approx(ConstantFields.metallic, abs=0.004)
     # USD's names may not differ by case alone.
     named = {item.name.removesuffix("_001"): item for item in objects}
     panel = named["panel"].data
     panel_uv = np.empty(len(panel.loops) * 2, np.float32)
     panel.uv_layers[0].uv.foreach_get("vector", panel_uv)
     other = panel_uv.reshape(-1, 2)[list(panel.polygons[0].loop_indices)].mean(axis=0)
+    color = texture_behind(principled(panel.materials[0]).inputs["Base Color"])
     assert np.allclose(at(color, other), encoded(wanted), atol=0.004)
     lamp = principled(named["Panel"].data.materials[0])
     emitted = np.array(lamp.inputs["Emission Color"].default_value[:3])
-    assert np.allclose(emitted * lamp.inputs["Emission Strength"].default_value, RADIANCE, rtol=1e-3)
+    unit = LUMENS_PER_WATT if suffix == ".glb" else 1.0
+    emitted *= lamp.inputs["Emission Strength"].default_value
+    assert np.allclose(emitted, unit * np.array(RADIANCE), rtol=1e-3)
     lamp_mesh = named["Panel"].data
     front, back = lamp_mesh.polygons[0], lamp_mesh.polygons[len(lamp_mesh.polygons) // 2]
     assert front.material_index == 0 and back.material_index == 1
@@ -131,17 +142,27 @@ def test_area_lights_of_gltf_are_surfaces_of_the_same_radiance(scene, tmp_path):
     shader = principled(objects["Softbox"].data.materials[0])
     emitted = np.array(shader.inputs["Emission Color"].default_value[:3])
     emitted *= shader.inputs["Emission Strength"].default_value
-    assert np.allclose(emitted, 10.0 / (np.pi * 1.0) * np.array([1.0, 0.5, 0.25]), rtol=1e-3)
+    radiance = 10.0 / (np.pi * 1.0) * np.array([1.0, 0.5, 0.25])
+    assert np.allclose(emitted, LUMENS_PER_WATT * radiance, rtol=1e-3)
     normal = objects["Softbox"].matrix_world.to_3x3() @ objects["Softbox"].data.polygons[0].normal
     assert normal.z < -0.99 and objects["Softbox"].matrix_world.translation.z == pytest.approx(2.0)
 
 
-def test_texels_belong_to_the_nearest_part():
-    left = [[0.0, 0.0], [0.5, 0.0], [0.5, 1.0]], [[0.0, 0.0], [0.5, 1.0], [0.0, 1.0]]
-    right = [[0.5, 0.0], [0.75, 0.0], [0.75, 1.0]], [[0.5, 0.0], [0.75, 1.0], [0.5, 1.0]]
-    found = texel_parts(np.array([*left, *right]), np.array([0, 0, 1, 1]), (32, 16))
-    assert (found[:, :16] == 0).all() and (found[:, 16:24] == 1).all()
-    assert (found[:, 24:27] == 1).all() and (found[:, 29:] == -1).all()  # filters reach beyond the border
+def test_a_ball_has_a_point_light_of_its_power():
+    mesh = bpy.data.meshes.new("Ball")
+    ball = bmesh.new()
+    bmesh.ops.create_icosphere(ball, subdivisions=2, radius=0.1)
+    ball.to_mesh(mesh)
+    ball.free()
+    mesh.materials.append(emission_material("Ball", [3.0, 2.0, 1.0], [9.0, 9.0, 9.0]))
+    item = bpy.data.objects.new("Ball", mesh)
+    item.matrix_world.translation = (1.0, 2.0, 3.0)
+    light, matrix = lamp_light(item)
+    area = sum(face.area for face in mesh.polygons)
+    assert light.type == "POINT" and np.allclose(matrix.translation, (1.0, 2.0, 3.0), atol=1e-3)
+    assert np.allclose(
+        light.energy * np.array(light.color), np.pi * area * np.array([3.0, 2.0, 1.0]), rtol=1e-3
+    )
 
 
 def test_what_can_not_be_exported_is_refused_and_changes_nothing(scene, tmp_path):

@@ -14,13 +14,14 @@ import pytest
 from mathutils import Euler, Matrix
 
 from fipt_blender import api
-from fipt_blender.blend.export.exporting import export_room
+from fipt_blender.blend.export.exporting import ExportOptions, export_room
+from fipt_blender.blend.lights.color import LUMENS_PER_WATT
 from fipt_blender.blend.lights.convert import fixture_to_lights
+from fipt_blender.blend.lights.irradiance import irradiance
 from fipt_blender.blend.node_trees import node_tree
 from fipt_blender.blend.room.mesh_arrays import corner_uvs
 from fipt_blender.blend.room.uv_layer import write_layer
 from samples.exported_files import gltf_json, opened, principled
-from samples.irradiance import irradiance
 from samples.refusals import error_of
 from samples.whole_file import differences, file_state
 
@@ -90,7 +91,7 @@ def test_the_irradiance_of_every_light_is_in_the_file(scene, tmp_path, rng, kind
     ]
     bpy.context.view_layer.update()
     names = [item.name for item in lights]
-    exported = export_room(scene, tmp_path / f"room{suffix}")
+    exported = export_room(scene, tmp_path / f"room{suffix}", ExportOptions(lamp_lights=False))
     points, normals = points_below(rng)
     before = light_alone(scene, names, points, normals)
     if suffix == ".glb":
@@ -101,13 +102,16 @@ def test_the_irradiance_of_every_light_is_in_the_file(scene, tmp_path, rng, kind
         in_file = usd_lights(exported.path.read_text())
     opened(exported.path)
     after = light_alone(bpy.context.scene, names, points, normals)
-    assert_same_light(before, after)
+    # Blender's importers take nits for W/(m² sr), and multiply the strength of suns by four.
+    unit = {("AREA", ".glb"): LUMENS_PER_WATT, ("SUN", ".usda"): 4.0}.get((kind, suffix), 1.0)
+    assert_same_light(before, {name: values / unit for name, values in after.items()})
     # A second reader, by the formats' specifications: radiant intensity or power from the numbers alone.
     for name, numbers in in_file.items():
-        if name in names and kind in ("POINT", "SPOT"):
+        if name in names and kind in ("POINT", "SPOT", "SUN"):
             item = bpy.data.objects[name]
             wanted = np.array(item.data.color) * item.data.energy
-            assert np.allclose(numbers, wanted, rtol=1e-3), name
+            factor = 1.0 / unit if kind != "SUN" else (4.0 if suffix == ".glb" else 1.0) * math.pi / unit
+            assert np.allclose(numbers, factor * wanted, rtol=1e-3), name
     assert kind == "AREA" or set(in_file) & set(names) == set(names)
 
 
@@ -233,17 +237,15 @@ def test_converted_lamps_follow_their_lights_once_these_are_edited(scene, tmp_pa
     if edited:
         light.data.energy *= 4.0
     bpy.context.view_layer.update()
-    exported = export_room(scene, tmp_path / "room.glb")
+    exported = export_room(scene, tmp_path / "room.glb", ExportOptions(lamp_lights=False))
     objects, _ = opened(exported.path)
     codes = {each["code"] for each in exported.warnings}
     assert (name in objects) == edited == ("export-lamps-dark" in codes)
 
     def strength(item):
         node = principled(item.data.materials[0])
-        return (
-            max(node.inputs["Emission Color"].default_value[:3])
-            * node.inputs["Emission Strength"].default_value
-        )
+        color, strength = (node.inputs[f"Emission {each}"].default_value for each in ("Color", "Strength"))
+        return max(color[:3]) * strength / LUMENS_PER_WATT
 
     assert strength(objects["Panel"]) == pytest.approx(0.0 if edited else 8.0, rel=1e-3)
     if edited:

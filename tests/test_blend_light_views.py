@@ -125,6 +125,6 @@ def test_revert_restores_the_artists_engine_however_often_it_was_switched(scene,
 
 
 def test_a_room_is_needed_for_eevee(scene):
-    bpy.data.batch_remove(list(bpy.data.collections["FIPT Room"].objects))
+    bpy.data.batch_remove(list(bpy.data.collections["Parts"].objects))
     assert "no room" in refused(ops.prepare_eevee)
     assert scene.render.engine == "CYCLES"

@@ -125,7 +125,7 @@ def test_fixture_emits_its_radiance_on_each_side(room):
     applying.apply_results(run, objects)
     world.apply_environment(run)
     fixture = bpy.data.objects["Panel"]
-    assert [each.name for each in fixture.users_collection] == ["FIPT Fixtures"]
+    assert [each.name for each in fixture.users_collection] == ["Lamps"]
     normal = (fixture.matrix_world.to_3x3() @ fixture.data.polygons[0].normal).normalized()
     centre = fixture.matrix_world.translation
     assert (centre - Vector((2.5, 0.5, 0.0))).length < 1e-5

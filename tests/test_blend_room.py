@@ -53,7 +53,7 @@ def test_import_applies_world_from_source_and_nothing_else(tmp_path, run):
     names = mesh_import.import_room(write_obj(tmp_path / "a.obj"), matrix)
     item = bpy.data.objects[names[0]]
     assert item.matrix_world == Matrix.Identity(4)
-    assert [each.name for each in item.users_collection] == ["FIPT Room"]
+    assert [each.name for each in item.users_collection] == ["Parts"]
     room = exporting.export_room([item], run)
     expected = conventions.transform_points(matrix, POINTS)
     assert canonical(room.vertices, room.triangles) == canonical(expected, FACES)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from fipt_blender.blend.export.exporting import export_room
+from fipt_blender.blend.export.exporting import ExportOptions, export_room
 from fipt_blender.blend.image_datablocks import tile_values
 from fipt_blender.blend.room.tiles import polygon_images, tile_number
 from samples.applied_rooms import ConstantFields, make_scene, picture, use_fake_engine
@@ -76,10 +76,10 @@ def test_applying_again_keeps_the_material_and_its_name(scene):
     assert len([image for image in bpy.data.images if image.source == "TILED"]) == 4
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".usdc"])
-def test_other_programs_get_images_without_tiles(scene, tmp_path, suffix):
+@pytest.mark.parametrize("suffix, size", [(".glb", 4096), (".glb", 256), (".usdc", 4096)])
+def test_other_programs_get_one_material_of_the_chosen_size(scene, tmp_path, suffix, size):
     path = tmp_path / f"room{suffix}"
-    export_room(scene, path)
+    export_room(scene, path, ExportOptions(size))
     assert len(bpy.data.objects["cube"].data.materials) == 1  # the original stays
     bpy.ops.wm.read_homefile(use_empty=True)
     read = bpy.ops.import_scene.gltf if suffix == ".glb" else bpy.ops.wm.usd_import
@@ -89,7 +89,8 @@ def test_other_programs_get_images_without_tiles(scene, tmp_path, suffix):
     uv = np.empty(len(mesh.loops) * 2, np.float32)
     mesh.uv_layers[0].uv.foreach_get("vector", uv)
     uv = uv.reshape(-1, 2)
-    assert uv.min() >= 0.0 and uv.max() <= 1.0 and len(mesh.materials) > 1
+    assert uv.min() >= 0.0 and uv.max() <= 1.0 and [each.name for each in mesh.materials] == ["Cube"]
+    pictures = {}
     for polygon in mesh.polygons:
         shader = next(
             node
@@ -100,7 +101,12 @@ def test_other_programs_get_images_without_tiles(scene, tmp_path, suffix):
         while node.bl_idname != "ShaderNodeTexImage":
             node = node.inputs[0].links[0].from_node
         width, height = node.image.size
-        values = np.array(node.image.pixels[:]).reshape(height, width, 4)
+        assert 128 < max(width, height) <= size
+        values = pictures.get(node.image.name)
+        if values is None:
+            values = np.empty(4 * width * height, np.float32)
+            node.image.pixels.foreach_get(values)
+            values = pictures[node.image.name] = values.reshape(height, width, 4)
         x, y = uv[list(polygon.loop_indices)].mean(axis=0)
         found = values[int(y * height), int(x * width), :3]
         linear = np.where(found <= 0.04045, found / 12.92, ((found + 0.055) / 1.055) ** 2.4)

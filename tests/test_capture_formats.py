@@ -297,7 +297,19 @@ def test_nerfstudio_folder_is_read_as_transforms_unless_told(tmp_path):
     write_colmap(tmp_path, samples, text=False)
     write_transforms(tmp_path, samples)
     assert detect_format(tmp_path) == "transforms"
-    assert read_rig(tmp_path, "colmap", CaptureOptions()).source == "colmap"
+    notes = {note.code: note for note in read(tmp_path).notes}
+    assert "read in the format transforms" in notes["formats-several"].text
+    assert "--format colmap" in notes["formats-several"].remedy
+    told = read_rig(tmp_path, "colmap", CaptureOptions())
+    assert told.source == "colmap" and "formats-several" not in {note.code for note in told.notes}
+
+
+def test_a_capture_nearby_is_named(tmp_path):
+    write_transforms(tmp_path / "data" / "room", make_samples(2))
+    for path in (tmp_path, tmp_path / "data" / "room" / "notes.txt"):
+        path.touch() if path.suffix else None
+        error = error_of(detect_format, path)
+        assert error.code == "capture-elsewhere" and f"{tmp_path / 'data' / 'room'}." in error.remedy
 
 
 def test_images_are_found_by_stem_with_exr_first(tmp_path):

@@ -75,7 +75,7 @@ def test_transforms_become_views_in_metres(tmp_path, run):
     messages = run_ingest(
         tmp_path / "in", run, up_axis="y", scale=0.5, mesh=tmp_path / "room.obj", hold_back=4
     )
-    assert warnings(messages) == []
+    assert warnings(messages) == ["size-implausible"]  # half a meter high
     assert messages[-1]["type"] == "done" and messages[-1]["data"]["held_back"] == 2
     assert [message["fraction"] for message in messages if message["type"] == "progress"][-1] >= 0.8
     assert run.read().preset == "draft"  # settings are not changed
@@ -285,3 +285,16 @@ def test_large_photographs_are_decoded_once_and_get_a_small_copy(tmp_path, run, 
         assert max(shown.shape) == 40 < max(view.width, view.height)
         assert shown.mean() == pytest.approx(view.radiance().mean(), rel=0.02)  # compressed with losses
     assert not load_capture(run).views[1].image.is_relative_to(run.root)  # needed no change
+
+
+def test_a_room_of_an_impossible_size_asks_for_its_scale(tmp_path, run):
+    """A solve has no unit: a room 25 m high is told of, with the scale that a usual one would need."""
+    write_colmap(tmp_path / "in", make_samples(3), text=True)
+    corners = np.array([[x, y, z] for x in (0.0, 30.0) for y in (0.0, 40.0) for z in (0.0, 25.0)])
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + ["f 1 2 3", "f 2 3 4"]
+    (tmp_path / "in" / "scene.obj").write_text("\n".join(lines))
+    messages = run_ingest(tmp_path / "in", run, up_axis="z")
+    told = next(message for message in messages if message.get("code") == "size-implausible")
+    assert "25 m high" in told["text"] and "0.1 times" in told["remedy"]
+    right = run_ingest(tmp_path / "in", RunFolder(tmp_path / "again"), up_axis="z", scale=0.1)
+    assert "size-implausible" not in warnings(right)

@@ -14,7 +14,7 @@ from fipt_blender.core.alignment.edges import corrected_pose
 from fipt_blender.core.capture.color_camera import find_color_camera, with_color_camera
 from fipt_blender.core.capture.photograph_poses import find_motions, with_photograph_poses
 from fipt_blender.core.capture.rig import Lens, Rig
-from samples.rgbd_wall import FOCAL, FRAMES, SIZE, pose, write_frames
+from samples.rgbd_wall import FOCAL, FRAMES, SIZE, facing, pose, write_frames
 
 SIZES = np.array([0.01, 0.01, 0.01, 0.015, 0.015, 0.015])  # of motions: radians and metres
 
@@ -97,6 +97,16 @@ def test_focal_length_centre_and_place_of_the_color_camera_are_found(tmp_path: P
     moved = found.depths[3].photograph
     assert moved is not None and moved.lens == found.views[3].lens
     assert np.array_equal(found.depths[3].camera_to_world, pose(3))  # depth images keep theirs
+
+
+def test_what_a_flat_scene_leaves_open_stays_as_cameras_are_built(tmp_path: Path) -> None:
+    """Before a wall, a camera beside another differs from one with another centre by errors of the poses."""
+    truth = write_frames(tmp_path, 0.9, np.array([0.025, 0.0, 0.0]), (0.0, 0.0), facing)
+    motions = np.random.default_rng(3).normal(0.0, 1.0, (FRAMES, 6)) * SIZES
+    found = find_color_camera(shaken(truth, motions).depths, 1.0)
+    assert found is not None and np.exp(found.log_focal) == pytest.approx(0.9, abs=0.02)
+    assert found.unsettled == ("image centre", "place")
+    assert max(abs(found.shift_x), abs(found.shift_y)) < 5.0 and max(abs(found.x), abs(found.y)) < 0.03
 
 
 def test_photographs_that_fit_keep_their_cameras(tmp_path: Path) -> None:

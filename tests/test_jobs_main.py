@@ -186,30 +186,35 @@ def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
     assert run_main_job(dataclasses.replace(again, settings=finer))[-1]["type"] == "done"
     assert engine == ["ingest", "estimate", "textures", "report"]
     assert checkpoint.exists(), "the engine knows itself which checkpoints still hold"
+    engine.clear()
+    run_main_job(options)  # anew
+    assert engine == ["ingest", "estimate", "textures", "report"] and not checkpoint.exists()
 
 
 @pytest.mark.parametrize("resume", [False, True])
-@pytest.mark.parametrize("failing", ["ingest", "estimate"])
-def test_an_estimate_that_fails_leaves_the_one_before_complete(options, engine, monkeypatch, resume, failing):
+def test_an_estimate_that_fails_leaves_the_one_before_complete(options, engine, monkeypatch, resume):
     assert run_main_job(options)[-1]["type"] == "done"
     run = RunFolder(options.output)
     folders = run.results, run.textures, run.renders, run.report, run.root / "room.blend"
     files = [path for folder in folders for path in (folder, *folder.rglob("*")) if path.is_file()]
     before = {path: path.read_bytes() for path in files}
     assert before
+    failing = []
     stand_in = run_job.engine_command
 
     def command(python, *arguments):
-        if arguments[0] == failing:
+        if arguments[0] in failing:
             return [str(python), "-c", "import os; os.abort()"]
         return stand_in(python, *arguments)
 
-    monkeypatch.setattr(run_job, "engine_command", command)
-    (options.capture / "2.exr").touch()
     settings = dataclasses.replace(options.settings, seed=5)
     again = dataclasses.replace(options, settings=settings, resume=resume)
-    assert run_main_job(again)[-1]["code"] == "engine-crashed"
-    assert {path: path.read_bytes() for path in before} == before
+    monkeypatch.setattr(run_job, "engine_command", command)
+    for step in ("estimate", "ingest") if resume else ("ingest", "estimate"):
+        failing[:] = [step]
+        (options.capture / "2.exr").touch()
+        assert run_main_job(again)[-1]["code"] == "engine-crashed"
+        assert {path: path.read_bytes() for path in before} == before
     monkeypatch.setattr(run_job, "engine_command", stand_in)
     assert run_main_job(dataclasses.replace(again, resume=True))[-1]["type"] == "done"
 
@@ -227,15 +232,6 @@ def test_files_beside_the_mesh_do_not_restart_a_resumed_job(options, engine, tmp
     (home / "room.mtl").touch()
     assert run_main_job(again)[-1]["type"] == "done"
     assert engine == ["ingest", "estimate", "textures", "report"]
-
-
-def test_a_new_start_discards_earlier_results(options, engine):
-    run_main_job(options)
-    stale = RunFolder(options.output).stage / "checkpoint"
-    stale.touch()
-    engine.clear()
-    run_main_job(options)
-    assert engine == ["ingest", "estimate", "textures", "report"] and not stale.exists()
 
 
 def test_an_engine_error_ends_the_job_with_its_text(options, engine):

@@ -169,3 +169,11 @@ def test_base_color_is_less_certain_where_places_are() -> None:
     assert scan[0, 0] > 0.05 and scan[0, 0] < 0.1  # what was certain loses most
     assert errors[1, 0] < scan[1, 0] < 1.1 * errors[1, 0]
     assert scan[2, 0] == errors[2, 0]
+
+
+def test_no_map_of_a_poor_result_is_certain() -> None:
+    errors = np.array([[0.02, 0.03, 0.28]], np.float32)
+    poor = confidence.confidence(confidence.no_better_than(errors, 10.0 ** (-16.0 / 20.0)))
+    assert poor.max() < 0.3
+    good = confidence.no_better_than(errors, 10.0 ** (-40.0 / 20.0))
+    np.testing.assert_array_equal(good, errors)

@@ -152,7 +152,7 @@ def test_the_artists_own_cameras_stay(truth):
     for view in truth:
         item = scene.objects[view.name]
         scene.collection.objects.link(item)
-        bpy.data.collections["FIPT Cameras"].objects.unlink(item)
+        bpy.data.collections["Photographs"].objects.unlink(item)
     seen = [point + (1.0, 0.0, 0.0) for point in POINTS if len(sights(point + (1.0, 0.0, 0.0), truth)) > 1]
     for point in seen:
         pick(point, truth)

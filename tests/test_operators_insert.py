@@ -115,7 +115,7 @@ def test_a_copy_does_not_move_the_original(scene):
     place(kind="OBJECT", object_name="Chair", copy=True, location=(0, 0, 0))
     copy = bpy.data.objects["Chair.001"]
     assert copy.data == cube.data and cube.matrix_world == before
-    assert [each.name for each in copy.users_collection] == ["FIPT Inserted"]
+    assert [each.name for each in copy.users_collection] == ["Inserted"]
     place(kind="OBJECT", object_name="Floor", copy=True, location=(0, 0, 0))  # a part of the room, too
     assert "Floor.001" in scene.objects and "fipt_inserted" not in bpy.data.objects["Floor"]
 
@@ -220,7 +220,7 @@ def test_impossible_placements_are_explained_and_leave_nothing(scene, options, w
 def test_the_collection_of_inserted_objects_cannot_be_placed(scene):
     place(kind="GREY_BALL", location=(0, 0, 0))
     with pytest.raises(RuntimeError, match="contains the inserted objects"):
-        place(kind="COLLECTION", collection_name="FIPT Inserted", location=(1, 0, 0))
+        place(kind="COLLECTION", collection_name="Inserted", location=(1, 0, 0))
 
 
 def test_removing_restores_everything(scene):
@@ -235,7 +235,7 @@ def test_removing_restores_everything(scene):
     assert bpy.ops.fipt.remove_inserted() == {"FINISHED"}
     assert cube.matrix_world == before and "fipt_inserted_from" not in cube
     assert (len(bpy.data.meshes), len(bpy.data.materials)) == (meshes, materials)
-    assert not list(bpy.data.collections["FIPT Inserted"].objects)
+    assert not list(bpy.data.collections["Inserted"].objects)
     assert bpy.ops.fipt.remove_inserted() == {"CANCELLED"}
 
 

@@ -178,10 +178,10 @@ def test_settings_are_saved_and_copied_with_the_object(scene, tmp_path):
     expected = np.array(blackbody(3000.0)) * luminance(RADIANCE) * 4.0
     assert np.allclose(front(row.object), expected, rtol=1e-5)
     copy = row.object.copy()
-    bpy.data.collections["FIPT Fixtures"].objects.link(copy)
+    bpy.data.collections["Lamps"].objects.link(copy)
     ops.list_lights()
     assert [row.stops for row in bpy.context.scene.fipt.lights.lights] == [2.0, 2.0]
-    bpy.data.collections["FIPT Fixtures"].objects.unlink(copy)  # as the artist deletes
+    bpy.data.collections["Lamps"].objects.unlink(copy)  # as the artist deletes
     assert [row.is_alive() for row in bpy.context.scene.fipt.lights.lights] == [True, False]
     bpy.data.objects.remove(copy)
     assert [row.is_here() for row in bpy.context.scene.fipt.lights.lights] == [True, False]
@@ -194,7 +194,7 @@ def test_choosing_and_bad_names(scene):
     assert "no light 'x'" in refused(ops.fixture_to_area_light, fixture="x")
     ops.add_light(location=(0, 0, 3))
     assert "not an estimated fixture" in refused(ops.fixture_to_area_light)  # the new light is the chosen one
-    bpy.data.collections["FIPT Fixtures"].hide_viewport = True
+    bpy.data.collections["Lamps"].hide_viewport = True
     bpy.context.view_layer.update()
     assert "hidden" in refused(ops.select_light, light="Fixture.001")
     ops.revert()
@@ -206,7 +206,7 @@ def test_new_light(scene):
     cursor = scene.cursor.location = Vector((1.0, 2.0, 2.5))
     assert ops.add_light() == {"FINISHED"}
     item = bpy.context.view_layer.objects.active
-    assert (item.location - cursor).length < 1e-6 and item.users_collection[0].name == "FIPT Lights"
+    assert (item.location - cursor).length < 1e-6 and item.users_collection[0].name == "Added Lights"
     assert (item.matrix_world.to_3x3() @ Vector((0, 0, -1)) - Vector((0, 0, -1))).length < 1e-6
     assert item.data.type == "AREA" and item.data.energy > 0.0 and 0.0 < item.data.size < 5.0
     ops.add_light(location=(0, 0, 1), direction=(1, 1, 0), size=0.5, power=12.0)

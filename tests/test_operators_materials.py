@@ -119,7 +119,7 @@ def test_original_is_the_artists_own(applied):
     ops.show_map(shown="ORIGINAL")
     assert cube.data.name == "Cube" and cube.modifiers[0].show_viewport
     assert [slot.material.name for slot in cube.material_slots] == ["red", "own", "blue"]
-    assert applied.world.name == "sky" and bpy.data.collections["FIPT Fixtures"].hide_render
+    assert applied.world.name == "sky" and bpy.data.collections["Lamps"].hide_render
     cube.material_slots[1].material = bpy.data.materials["green"]  # the artist's change
     ops.show_map(shown="ESTIMATED")
     assert cube.data == ours and not cube.modifiers[0].show_viewport

@@ -213,7 +213,7 @@ def test_objects_are_found_by_their_ids_not_by_the_names_of_others(applied):
     cube.name, panel.name = "aside", "cube"
     cube.name = "panel"
     copy = panel.copy()  # with its id
-    bpy.data.collections["FIPT Room"].objects.link(copy)
+    bpy.data.collections["Parts"].objects.link(copy)
     assert ops.apply_results() == {"FINISHED"} and not warned()
     assert len(cube.data.polygons) > 6 and len(panel.data.polygons) == 2
 
@@ -232,7 +232,7 @@ def test_runs_without_ids_match_by_name(scene):
 
 
 def test_a_room_without_any_estimated_object_is_refused(applied):
-    room = bpy.data.collections["FIPT Room"]
+    room = bpy.data.collections["Parts"]
     for item in list(room.objects):
         room.objects.unlink(item)
         applied.collection.objects.link(item)

@@ -13,6 +13,7 @@ import pytest
 from fipt_blender.bridge.sequence import own_job
 from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running, runstate, window
 from fipt_blender.panels import estimate, statusbar
 from samples.layouts import drawn_by
@@ -54,6 +55,16 @@ def test_results_of_the_estimate_before_can_be_applied_while_a_new_one_is_stoppe
     monkeypatch.setattr(runstate, "known", lambda folder: runstate.RunState(stages=2, results=True))
     drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
     assert {"fipt.resume", "fipt.apply_results"} <= set(drawn) and "Finished" not in drawn
+
+
+def test_a_result_says_how_good_it_is(monkeypatch, tmp_path):
+    figures = {"held_back_db": 27.14, "projection_db": 29.4, "causes": [], "views": []}
+    write_json(tmp_path / "results" / "quality.json", figures)
+    state = runstate.RunState(results=True, finished=True, quality=runstate.look(RunFolder(tmp_path)).quality)
+    bpy.context.scene.fipt.run_folder = str(tmp_path)
+    monkeypatch.setattr(runstate, "known", lambda folder: state)
+    drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
+    assert "Held-back photographs: 27.1 dB (projection 29.4)" in drawn
 
 
 def test_warnings_of_an_estimation_that_another_blender_has_run(monkeypatch, tmp_path):

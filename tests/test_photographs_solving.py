@@ -32,7 +32,15 @@ from fipt_blender.prepare.preparation import (
     PrepareSettings,
     write_preparation,
 )
-from fipt_blender.prepare.solving import Connections, SolveView, camera_groups, copy_name, left_out, solve
+from fipt_blender.prepare.solving import (
+    Connections,
+    SolveView,
+    camera_groups,
+    copy_name,
+    left_out,
+    own_sizes,
+    solve,
+)
 from fipt_blender.prepare.steps import run_steps
 from fipt_blender.prepare.tonemap import tone_mapped
 from samples import textured_room
@@ -366,3 +374,8 @@ def test_copies_have_the_same_contrast_in_the_dark() -> None:
     assert np.array_equal(tone_mapped(radiance), tone_mapped(radiance * np.float32(2.0**-9)))
     assert tone_mapped(radiance).std() > 50.0
     assert not tone_mapped(np.zeros((4, 4, 3), np.float32)).any()
+
+
+def test_a_model_of_photographs_that_a_larger_one_has_is_no_set_of_its_own() -> None:
+    assert own_sizes([{"a", "b", "c"}, {"b", "c"}]) == (3,)
+    assert own_sizes([{"a", "b", "c"}, {"c", "d", "e"}, {"f", "g"}]) == (3, 2, 2)

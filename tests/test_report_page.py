@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.checks.quality import Cause, JudgedView, Quality
 from fipt_blender.core.report.comparison import (
     Agreement,
     choose_exposure,
@@ -23,6 +24,7 @@ from fipt_blender.core.report.comparison import (
 )
 from fipt_blender.core.report.fixture_names import fixture_names
 from fipt_blender.core.report.page import MAPS, write_report
+from fipt_blender.core.report.quality_files import write_quality
 from fipt_blender.core.run.parts import RoomPart, RoomParts
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
@@ -83,6 +85,19 @@ def test_the_page_is_whole_and_all_its_images_exist(run):
             assert picture.size == SIZE
     assert "1.50" in page.text and "0.25" in page.text and "Mind it." in page.text
     assert "1 min 1 s" in page.text and "12 % of all directions" in page.text
+
+
+def test_what_the_result_was_judged_by_is_shown_side_by_side(run):
+    pictures = np.random.default_rng(1).random((3, SIZE[1], SIZE[0], 3)).astype(np.float32)
+    judged = JudgedView(NASTY, pictures, np.full((2, 3), 0.01))
+    before = len(Page(write_report(run)).values("src"))
+    write_quality(run, Quality(27.14, 29.4, (Cause("lamps", 0.6, "Look at them."),), (judged,)))
+    page = Page(write_report(run))
+    assert "27.1 dB" in page.text and "29.4" in page.text
+    assert "Lamps" in page.text and "60 %" in page.text and "Look at them." in page.text
+    assert len(page.values("src")) == before + 3
+    for address in page.values("src"):
+        assert (run.report / address).is_file()
 
 
 def test_lamps_are_called_as_in_blender(run):

@@ -5,6 +5,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from fipt_blender.core.capture import views as views_module
@@ -184,19 +185,31 @@ def mean_texture(texels):
     return np.mean([texture(x + dx, y + dy) for dx in shifts for dy in shifts], axis=0)
 
 
-def test_a_texture_finer_than_the_pixels_of_light_comes_back(tmp_path):
-    texels, color = improved(scene(tmp_path, texture, smooth_light))
+@pytest.fixture(scope="module")
+def textured(tmp_path_factory):
+    """(texels, base colour, photographs that were read) of the wall with its texture in smooth light."""
+    given = scene(tmp_path_factory.mktemp("textured"), texture, smooth_light)
+    read = []
+    true = views_module.read_radiance
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(views_module, "read_radiance", lambda path: read.append(path.name) or true(path))
+        return *improved(given), read
+
+
+def test_a_texture_finer_than_the_pixels_of_light_comes_back(textured):
+    texels, color, _ = textured
     inside, truth = middle(texels), mean_texture(texels)
     assert np.corrcoef(color[inside, 0], truth[inside, 0])[0, 1] > 0.95
     assert np.abs(color - truth)[inside].mean() < 0.4 * np.abs(texels.base_color - truth)[inside].mean()
 
 
-def test_gains_and_the_level_of_photographs_do_not_change_it(tmp_path):
-    (tmp_path / "a").mkdir()
-    (tmp_path / "b").mkdir()
-    _, alike = improved(scene(tmp_path / "a", texture, smooth_light))
-    texels, unlike = improved(scene(tmp_path / "b", texture, smooth_light, gains=(0.4, 1.0, 2.5)))
-    assert np.abs(alike - unlike)[middle(texels)].max() < 0.02
+def test_photographs_are_decoded_one_at_a_time_and_once(textured):
+    assert textured[2] == ["0.exr", "1.exr", "2.exr"]
+
+
+def test_gains_and_the_level_of_photographs_do_not_change_it(tmp_path, textured):
+    texels, unlike = improved(scene(tmp_path, texture, smooth_light, gains=(0.4, 1.0, 2.5)))
+    assert np.abs(textured[1] - unlike)[middle(texels)].max() < 0.02
 
 
 def test_the_edge_of_a_shadow_is_not_painted(tmp_path):
@@ -234,15 +247,6 @@ def test_noise_of_a_wall_of_one_colour_is_not_painted(tmp_path):
 def test_what_hides_a_wall_is_not_painted_onto_it(tmp_path):
     texels, color = improved(scene(tmp_path, plain, smooth_light, shelf=True), shelf=True)
     assert np.abs(color - texels.base_color).max() < 0.03
-
-
-def test_photographs_are_decoded_one_at_a_time_and_once(tmp_path, monkeypatch):
-    given = scene(tmp_path, texture, smooth_light)
-    read = []
-    true = views_module.read_radiance
-    monkeypatch.setattr(views_module, "read_radiance", lambda path: read.append(path.name) or true(path))
-    improved(given)
-    assert read == ["0.exr", "1.exr", "2.exr"]
 
 
 def test_views_without_more_pixels_than_light_tell_nothing(tmp_path):

@@ -112,6 +112,28 @@ def test_a_mirrored_mesh_and_a_wrong_unit_are_named(capture: SmallCapture, views
     assert "turn its axes" in refused("mesh-misplaced", capture, views, turned)
 
 
+def test_poses_or_mesh_are_blamed_by_evidence(capture: SmallCapture, views: list[View]) -> None:
+    """Pairs of cameras at nearly one place tell which: a wrong mesh hardly matters to them."""
+    pairs = []
+    for view in views:
+        beside = view.camera_to_world.copy()
+        beside[:3, 3] += 0.002
+        pairs += [view, replace(view, name=f"{view.name}~2", camera_to_world=beside)]
+    rng = np.random.default_rng(2)
+    wrong = capture.room.vertices * np.float32([1.0, 1.0, 0.6]) + np.float32([0.8, -0.7, 0.9])
+    wrong = wrong + rng.normal(0.0, 0.25, wrong.shape)
+    assert "the mesh is wrong" in refused("views-disagree", capture, pairs, wrong)
+    assert "the poses are wrong" in refused("views-disagree", capture, disturbed(views, list(range(12))))
+
+
+def test_a_mesh_that_these_cameras_measured_is_not_told_to_move(
+    capture: SmallCapture, views: list[View]
+) -> None:
+    room = replace(capture.room, vertices=capture.room.vertices * np.float32(1000.0))
+    assert error_of(check_input, room, views, SETTINGS).code == "mesh-misplaced"
+    assert error_of(check_input, room, views, SETTINGS, own_mesh=True).code != "mesh-misplaced"
+
+
 def test_input_that_tells_nothing(capture: SmallCapture, views: list[View], tmp_path: Path) -> None:
     assert "one photograph" in refused("input-insufficient", capture, views[:1])
     blind = []

@@ -186,15 +186,27 @@ def render(
     return path
 
 
-def export(path: str | Path, scene: bpy.types.Scene | None = None) -> list[str]:
+def export(
+    path: str | Path,
+    scene: bpy.types.Scene | None = None,
+    texture_size: int = 4096,
+    lamp_lights: bool = True,
+) -> list[str]:
     """Write the room with plain materials and lights as glTF or USD; returns what the file does not hold.
+
+    Args:
+        path: the suffix chooses the format.
+        scene: the context's by default.
+        texture_size: the most texels of a side of a part's textures.
+        lamp_lights: in glTF, give lamps lights besides their glowing surfaces; path tracers need none.
 
     Raises:
         FiptError: ``export-format``, ``export-nothing``, ``export-failed``, or the errors of writing.
     """
-    from ..blend.export.exporting import export_room
+    from ..blend.export.exporting import ExportOptions, export_room
 
-    exported = export_room(scene or bpy.context.scene, Path(bpy.path.abspath(str(path))).absolute())
+    options = ExportOptions(texture_size, lamp_lights)
+    exported = export_room(scene or bpy.context.scene, Path(bpy.path.abspath(str(path))).absolute(), options)
     return [f"{warning['text']} {warning['remedy']}" for warning in exported.warnings]
 
 

@@ -94,8 +94,8 @@ def _applied(scene: bpy.types.Scene, run: RunFolder) -> None:
 
 def show_doubts(scene: bpy.types.Scene, run: RunFolder) -> None:
     """List a run's questions and load their pictures."""
+    from ..blend import previews
     from ..blend.hints.exchange import read_doubts
-    from ..jobs import previews
 
     read_doubts(scene, run)
     previews.doubt_pictures.load([Path(doubt.picture) for doubt in scene.fipt.hints.doubts])

@@ -51,6 +51,7 @@ FIXTURE_LIGHT = "fipt_fixture_light"  # on a Blender light that stands for a fix
 NEW_LIGHT = "fipt_light"  # on a light that the artist added
 MISSING_LAMP = "fipt_missing_lamp"  # on a light for a lamp that the mesh lacks: the lamp's position
 BASE = "fipt_base"  # rgb as estimated or added: radiance of a fixture's front, watts of a light
+UNIT = "fipt_unit"  # on lights, our world and the scene: W/(m² sr) for one of the unit of bases (photographs)
 PROBABILITY = "fipt_probability"  # that a fixture emits, as estimated
 BACK = "fipt_back"  # rgb radiance of a fixture's back; both are on the materials of merged lamps, too
 MERGED = "fipt_merged"  # on a merged lamp: names of its fixtures in emitters.json, the first its own (JSON)
@@ -63,6 +64,7 @@ VISIBILITY = "fipt_visibility"  # original ray visibility of a fixture that Blen
 AS_CONVERTED = "fipt_as_converted"  # on these lights: shape and place as made; on the fixture: their number
 PROFILE = "fipt_profile"  # on a light with an IES profile: its type before (JSON)
 PROBE = "fipt_probe"  # marks our light probe volume
+STARTUP = "fipt_startup"  # marks objects of Blender's start-up file that we have hidden
 MUTED = "fipt_muted"  # on the scene's other lights: whether they were hidden in viewports and renders
 
 # --- worlds, scenes and view layers ------------------------------------------------------------------------

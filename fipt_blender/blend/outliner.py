@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene's collections for objects that we make, whatever their names; selecting and removing objects."""
+"""One tree of collections for the room, whatever their names; selecting and removing objects."""
 
 from __future__ import annotations
 
@@ -8,16 +8,27 @@ import bpy
 
 from .marks import COLLECTION
 
+# Marks of the collections, and their names in new scenes. Earlier versions named them as their marks.
+TREE = "FIPT"
 ROOM = "FIPT Room"
 CAMERAS = "FIPT Cameras"
 FIXTURES = "FIPT Fixtures"
 LIGHTS = "FIPT Lights"
 INSERTED = "FIPT Inserted"
 EARLIER_ROOMS = "FIPT Earlier Rooms"
+NAMES = {
+    TREE: "Room",
+    ROOM: "Parts",
+    CAMERAS: "Photographs",
+    FIXTURES: "Lamps",
+    LIGHTS: "Added Lights",
+    INSERTED: "Inserted",
+    EARLIER_ROOMS: "Earlier Rooms",
+}
 
 
 def find_collection(scene: bpy.types.Scene, name: str) -> bpy.types.Collection | None:
-    """The scene's collection that was made with that name.
+    """The scene's collection with that mark.
 
     Those of files of earlier versions are found by name: where the file has several ("name.001"), the one in
     the scene.
@@ -34,21 +45,31 @@ def find_collection(scene: bpy.types.Scene, name: str) -> bpy.types.Collection |
 
 def mark_collections(scene: bpy.types.Scene) -> None:
     """Mark the scene's collections that are found by name, so that they may be renamed."""
-    for name in (ROOM, CAMERAS, FIXTURES, LIGHTS, INSERTED, EARLIER_ROOMS):
+    for name in NAMES:
         found = find_collection(scene, name)
         if found is not None and found.library is None and COLLECTION not in found:
             found[COLLECTION] = name
 
 
 def collection(scene: bpy.types.Scene, name: str) -> bpy.types.Collection:
-    """The scene's collection made with that name (`find_collection`); made and linked if it is missing."""
+    """The scene's collection with that mark (`find_collection`); made in the tree if it is missing."""
     existing = find_collection(scene, name)
     if existing is not None:
         return existing
-    new = bpy.data.collections.new(name)
+    new = bpy.data.collections.new(NAMES[name])
     new[COLLECTION] = name
-    scene.collection.children.link(new)
+    parent = scene.collection if name == TREE else collection(scene, TREE)
+    parent.children.link(new)
     return new
+
+
+def remove_if_empty(scene: bpy.types.Scene, name: str) -> None:
+    """Remove a collection of ours that holds nothing, and the tree if it was the last one there."""
+    found = find_collection(scene, name)
+    if found is not None and not found.all_objects and not found.children:
+        bpy.data.collections.remove(found)
+        if name != TREE:
+            remove_if_empty(scene, TREE)
 
 
 def move_to(item: bpy.types.Object, target: bpy.types.Collection) -> None:

@@ -108,6 +108,9 @@ def _add_export(commands: _Commands) -> argparse.ArgumentParser:
     add = export.add_argument
     add("blend", type=Path, metavar="BLEND", help="the .blend file")
     add("file", type=Path, metavar="FILE", help="the file to write: .glb, .gltf, .usdc, .usda, .usd or .usdz")
+    add("--texture-size", type=int, default=4096, metavar="N", help="most texels of a side of a texture")
+    text = "in glTF, write no lights for lamps, whose surfaces glow (for path tracers)"
+    add("--no-lamp-lights", dest="lamp_lights", action="store_false", help=text)
     return export
 
 

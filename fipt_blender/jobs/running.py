@@ -17,8 +17,9 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
+from ..blend import previews
 from ..core.run.errors import FiptError
-from . import previews, runstate
+from . import runstate
 from .job_scene import find_scene, scene_context, uses_run_folder
 from .window import redraw, show_notice
 

@@ -20,7 +20,7 @@ from ..core.run.runfolder import RunFolder
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
-    from ..core.run.result_contents import Stages
+    from ..core.run.result_contents import QualityFigures, Stages
     from ..core.run.versions import Version
 
 _FRESH_SECONDS = 2.0
@@ -41,6 +41,8 @@ class RunState:
         engine: the command of the engine at work there, or "".
         warnings, error: warnings of the last run, and the error that ended it.
         pictures: the newest preview images.
+        quality: dB with which photographs that were held back are re-rendered from the results, and projected
+            from the others; None where the results were not judged.
         missing: names of files that pictures of applied results in the open file name and that are not there.
     """
 
@@ -55,6 +57,7 @@ class RunState:
     warnings: tuple[Message, ...] = ()
     error: Message | None = None
     pictures: tuple[Path, ...] = ()
+    quality: tuple[float, float] | None = None
     missing: tuple[str, ...] = ()
 
 
@@ -120,6 +123,7 @@ def look(run: RunFolder) -> RunState:
             pictures = tuple(run.root / name for name in message["files"])
     results = run.statistics_json.exists() and run.emitters_json.exists() and run.fields_npz.exists()
     stages = optional_document(run.stages_json, Stages)
+    quality = optional_document(run.quality_json, QualityFigures)
     finished = results and _of_last_estimation(run, stages)
     listed = tuple(versions.list_versions(run))
     last = versions.stages_last(run)
@@ -135,6 +139,7 @@ def look(run: RunFolder) -> RunState:
         warnings=tuple(warnings),
         error=error,
         pictures=pictures,
+        quality=None if quality is None else (quality.held_back_db, quality.projection_db),
         missing=tuple(missing_pictures()),
     )
 

@@ -13,9 +13,10 @@ from pathlib import Path
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..blend import previews
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
-from . import previews, recovery, running, runstate
+from . import recovery, running, runstate
 from .job_scene import find_scene, scene_context, uses_run_folder
 from .window import redraw, show_notice
 

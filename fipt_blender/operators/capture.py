@@ -138,6 +138,25 @@ class FIPT_OT_import_mesh(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class FIPT_OT_hide_startup_objects(bpy.types.Operator):
+    bl_idname = "fipt.hide_startup_objects"
+    bl_label = "Hide Start-up Objects"
+    bl_description = (
+        "Hide the cube, the light and the camera of Blender's start-up file, if they are as they were there,"
+        " or show them again. Import Capture hides them"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    hide: bpy.props.BoolProperty(name="Hide", description="Hide the objects or show them again", default=True)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.capture.startup import hide_startup_objects
+
+        names = hide_startup_objects(context.scene, self.hide)
+        self.report({"INFO"}, ", ".join(names) or iface_("There are none"))
+        return {"FINISHED"}
+
+
 class FIPT_OT_set_room(bpy.types.Operator):
     """Use the selected meshes as the room. They keep their places and their collections"""
 

@@ -13,6 +13,10 @@ from ..core.run.errors import FiptError
 from .polls import all_of, has_results, in_object_mode, needs
 from .reporting import report_warnings, reports_errors
 
+SIZES = tuple(
+    (str(size), f"{size}", f"Textures of a part have {size} x {size} texels at most")
+    for size in (512, 1024, 2048, 4096, 8192)
+)
 FORMATS = (
     (".glb", "glTF Binary", "One file with textures"),
     (".gltf", "glTF", "A .gltf file with its textures beside it"),
@@ -37,6 +41,20 @@ class FIPT_OT_export_room(bpy.types.Operator):
     file_format: bpy.props.EnumProperty(
         name="Format", description="Format of a file whose name has none", items=FORMATS, default=".glb"
     )
+    texture_size: bpy.props.EnumProperty(
+        name="Texture Size",
+        description="The most texels of a side of a part's textures; smaller parts have smaller ones",
+        items=SIZES,
+        default="4096",
+    )
+    lamp_lights: bpy.props.BoolProperty(
+        name="Lights of Lamps",
+        description=(
+            "In glTF, give each lamp a light besides its glowing surface: game engines and browsers light by"
+            " lights alone. Switch it off for path tracers, where both would light the room"
+        ),
+        default=True,
+    )
 
     poll = all_of(
         has_results,
@@ -56,14 +74,14 @@ class FIPT_OT_export_room(bpy.types.Operator):
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.export.exporting import SUFFIXES, export_room
+        from ..blend.export.exporting import SUFFIXES, ExportOptions, export_room
 
         if not self.filepath:
             raise FiptError("export-file", "No file is chosen.", "Choose the file to write.")
         path = Path(bpy.path.abspath(self.filepath))
         if path.suffix.lower() not in SUFFIXES:
             path = path.with_name(path.name + self.file_format)
-        exported = export_room(context.scene, path)
+        exported = export_room(context.scene, path, ExportOptions(int(self.texture_size), self.lamp_lights))
         report_warnings(self, exported.warnings)
         self.report({"INFO"}, iface_("{} objects written to {}").format(exported.objects, path.name))
         return {"FINISHED"}

@@ -146,7 +146,7 @@ class FIPT_PT_capture_room(SubSection, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
         settings = context.scene.fipt.capture
-        layout.prop(settings, "room", text="Collection", placeholder="FIPT Room")
+        layout.prop(settings, "room", text="Collection", placeholder="Parts")
         row = layout.row(align=True)
         row.operator("fipt.set_room", text="From Selection", icon="RESTRICT_SELECT_OFF")
         row.operator("fipt.import_mesh", text="Import Mesh", icon="MESH_DATA")
@@ -193,6 +193,7 @@ class FIPT_PT_capture_views(SubSection, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         settings = context.scene.fipt.capture
+        draw_thumbnail(layout, settings)
         row = layout.row()
         row.template_list("FIPT_UL_views", "", settings, "views", settings, "active_view", rows=6)
         column = row.column(align=True)
@@ -213,6 +214,11 @@ class FIPT_PT_capture_views(SubSection, bpy.types.Panel):
         if settings.unseen_share >= 0.0:
             _draw_survey(layout, context, settings)
         draw_warnings(layout, context, "survey", job_warnings(context, "survey"))
+
+
+def draw_thumbnail(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
+    """The photograph of the active view, which opens those of all views when it is clicked."""
+    layout.template_icon_view(settings, "picture", show_labels=True, scale=5.0, scale_popup=5.0)
 
 
 def _draw_photograph(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:

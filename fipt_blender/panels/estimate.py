@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..blend.previews import estimate_pictures
 from ..core.run.runfolder import RunFolder
 from ..jobs import running, runstate
 from ..jobs.job_scene import uses_run_folder
-from ..jobs.previews import estimate_pictures
 from . import path
+from .capture import draw_thumbnail
 from .job import draw_error, draw_job, draw_warnings, job_warnings
 from .presets import FIPT_PT_estimate_presets
 from .progress import draw_progress
@@ -46,6 +47,8 @@ class FIPT_PT_estimate(Section, bpy.types.Panel):
         layout = self.fields()
         state = runstate.known(context.scene.fipt.run_folder)
         job = running.current()
+        if path.has_views(context) and not path.has_results(context):  # the section Capture is closed
+            draw_thumbnail(layout, context.scene.fipt.capture)
         is_running = draw_job(layout, context, "estimate")
         if is_running:
             assert job is not None
@@ -107,7 +110,8 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
 
 
 def _draw_done(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
-    """A finished estimate is one line; opened, it shows its pictures and how to estimate again."""
+    """How good a finished estimate is, in one line; opened, its pictures and how to estimate again."""
+    _draw_quality(layout, state)
     header, body = layout.panel("fipt_estimate_again", default_closed=True)
     header.label(text="Estimate Again", icon="CHECKMARK")
     if body is not None:
@@ -155,12 +159,22 @@ def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
     elif state.stages:
         text = iface_("Stopped. {} stages are finished").format(state.stages)
         layout.label(text=text, icon="PAUSE", translate=False)
+    if state.results:
+        _draw_quality(layout, state)
     _draw_pictures(layout, state.pictures)
     if state.results:
         if not state.finished and not state.earlier:
             layout.label(text="The results are those of the estimate before", icon="INFO")
         layout.operator("fipt.apply_results", icon="MATERIAL")
         draw_job(layout, context, "materials")
+
+
+def _draw_quality(layout: bpy.types.UILayout, state: runstate.RunState) -> None:
+    """How well the results show photographs that were held back."""
+    if state.quality is None:
+        return
+    text = iface_("Held-back photographs: {:.1f} dB (projection {:.1f})").format(*state.quality)
+    layout.label(text=text, icon="IMAGE_REFERENCE", translate=False)
 
 
 def _draw_waiting(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:

@@ -10,8 +10,8 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
+from ..blend.previews import doubt_pictures
 from ..jobs import running
-from ..jobs.previews import doubt_pictures
 from ..properties.hints import ANSWERS
 from .sidebar import Rows, SubSection, draw_text
 

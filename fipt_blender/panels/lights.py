@@ -79,9 +79,24 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             text = "The photographs show bright spots where the mesh has nothing. If these are lamps:"
             draw_text(layout, context, text, icon="ERROR")
             layout.operator("fipt.add_missing_lamps", icon="LIGHT_POINT")
+        if len(settings.lights):
+            _draw_calibration(layout, context.scene)
         column = layout.column(align=True)
         column.operator("fipt.add_light", text="Add Light at Cursor", icon="ADD").place = "CURSOR"
         column.operator("fipt.add_light", text="Add Light by Pointing", icon="EYEDROPPER").place = "PICK"
+
+
+def _draw_calibration(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """What the unit of light is, and the button that tells it."""
+    row = layout.row(align=True)
+    if not scene.fipt.lights.is_calibrated():
+        row.operator("fipt.calibrate_light", icon="DRIVER_DISTANCE")
+        return
+    from ..blend.lights.calibration import exposure_value
+
+    text = iface_("Calibrated, EV {:.1f}").format(exposure_value(scene))
+    row.label(text=text, icon="CHECKMARK", translate=False)
+    row.operator("fipt.calibrate_light", text="", icon="DRIVER_DISTANCE")
 
 
 def draw_engine_choice(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -132,6 +147,8 @@ def _draw_light(
     column.prop(light, "stops")
     if light.has_power():
         column.prop(light, "watts")
+        if scene.fipt.lights.is_calibrated():
+            column.prop(light, "lumens")
     if FIXTURE in light.object:
         column.prop(light, "radiance")
     column = layout.column()

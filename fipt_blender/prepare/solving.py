@@ -56,7 +56,7 @@ class Solve:
     Attributes:
         model: the largest connected set of photographs, in an arbitrary frame; images are named like views.
         left_out: photographs that it lacks, in the order of the views.
-        sizes: number of photographs of all models, the largest first.
+        sizes: number of photographs of each model that no larger one has, the largest first.
     """
 
     model: pycolmap.Reconstruction
@@ -133,8 +133,24 @@ def solve(folder: Path, views: Sequence[SolveView], seed: int, progress: Progres
     return Solve(
         model=models[0],
         left_out=left_out(views, [registered_names(model) for model in models], connections),
-        sizes=tuple(model.num_reg_images() for model in models),
+        sizes=own_sizes([registered_names(model) for model in models]),
     )
+
+
+def own_sizes(models: Sequence[set[str]]) -> tuple[int, ...]:
+    """Number of photographs of each model that no larger one has, of models that have any.
+
+    The mapper begins several models and may end with smaller ones whose photographs are in the largest, too.
+
+    Args:
+        models: names of the views of each, the largest first.
+    """
+    seen: set[str] = set()
+    sizes = []
+    for names in models:
+        sizes.append(len(names - seen))
+        seen |= names
+    return tuple(size for size in sizes if size)
 
 
 @dataclass(frozen=True)

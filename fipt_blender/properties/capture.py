@@ -57,6 +57,35 @@ def _active_changed(self: FIPT_CaptureSettings, context: bpy.types.Context) -> N
         look_through(self.id_data, self.views[self.active_view], context)
 
 
+_pictures: list[tuple[str, str, str, int, int]] = []  # Blender needs the texts as long as it shows them
+
+
+def _view_pictures(
+    self: FIPT_CaptureSettings, context: bpy.types.Context
+) -> list[tuple[str, str, str, int, int]]:
+    """The views with their photographs as thumbnails."""
+    from pathlib import Path
+
+    from ..blend.previews import view_pictures
+
+    found = [
+        (view.name, view.name.removeprefix(self.name_prefix) or view.name, "", icon, index)
+        for index, view in enumerate(self.views)
+        for icon in (view_pictures.add(Path(bpy.path.abspath(view.image))),)
+    ]
+    if found != _pictures:
+        _pictures[:] = found
+    return _pictures
+
+
+def _get_picture(self: FIPT_CaptureSettings) -> int:
+    return self.active_view
+
+
+def _set_picture(self: FIPT_CaptureSettings, value: int) -> None:
+    self.active_view = value  # its update function looks through the camera
+
+
 def _photograph_changed(self: FIPT_CaptureSettings, context: bpy.types.Context) -> None:
     from ..blend.capture.look import refresh_photograph
 
@@ -198,7 +227,7 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
     )
     room: bpy.props.PointerProperty(
         name="Room",
-        description="Collection whose meshes are the room. If empty, the collection FIPT Room is used",
+        description="Collection whose meshes are the room. If empty, the collection Parts is used",
         type=bpy.types.Collection,
     )
     alignment: bpy.props.PointerProperty(
@@ -236,6 +265,14 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         description="Click to look through the camera of a view, with its photograph",
         options=set(),
         update=_active_changed,
+    )
+    picture: bpy.props.EnumProperty(
+        name="Photograph",
+        description="Click to see all photographs, and one of them to look through its camera",
+        items=_view_pictures,
+        options={"SKIP_SAVE"},
+        get=_get_picture,
+        set=_set_picture,
     )
     follow: bpy.props.BoolProperty(
         name="Look Through",

@@ -23,6 +23,7 @@ from ..blend.marks import (
     SOLO,
     STOPS,
     TINT,
+    UNIT,
     VISIBILITY,
     WORLD,
     WORLD_FACTOR,
@@ -134,16 +135,23 @@ class FIPT_Light(bpy.types.PropertyGroup):
     watts: _quantity(
         "watts",
         "Power (W)",
-        "Power as in Blender's own lights, of the strongest channel. These are watts as far as"
-        " the photographs are in W/(m² sr); otherwise only ratios count",
+        "Power as in Blender's own lights, of the strongest channel. Only ratios count"
+        " until the light is calibrated by one lamp",
         100,
         2,
+    )
+    lumens: _quantity(
+        "lumens",
+        "Lumens",
+        "Luminous flux: what a lamp's package says. True once the light is calibrated",
+        1000,
+        0,
     )
     radiance: _quantity(
         "radiance",
         "Radiance",
-        "Radiance of the lamp's surface in the unit of the photographs, W/(m² sr), of the"
-        " strongest channel; the mean of merged lamps",
+        "Radiance of the lamp's surface, W/(m² sr) once the light is calibrated, of the strongest channel;"
+        " the mean of merged lamps",
         100,
         2,
     )
@@ -333,6 +341,10 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
             row.is_alive() and row.on and FIXTURE in row.object and VISIBILITY not in row.object
             for row in self.lights
         )
+
+    def is_calibrated(self) -> bool:
+        """Whether the unit of light is known."""
+        return UNIT in self.id_data
 
     def has_environment(self) -> bool:
         """Whether light from outside the room was estimated."""

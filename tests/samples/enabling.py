@@ -11,10 +11,10 @@ _SECTIONS = ("operators", "panels", "properties")
 _MODULES = {
     *("", "machine", "api", "api.applying", "api.estimating", "api.importing", "bridge", "bridge.places"),
     *("blend", "blend.marks", "blend.capture", "blend.capture.other_cameras", "blend.capture.pair_marks"),
-    *("blend.lights", "blend.lights.outline", "blend.results", "blend.results.dropped"),
+    *("blend.lights", "blend.lights.outline", "blend.previews", "blend.results", "blend.results.dropped"),
     *("core", "core.capture", "core.capture.suffixes", "prepare", "prepare.preparation"),
     *("core.run", "core.run.documents", "core.run.errors", "core.run.paths", "core.run.runfolder"),
-    *("core.run.shapes", "jobs", "jobs.job_scene", "jobs.previews", "jobs.recovery", "jobs.running"),
+    *("core.run.shapes", "jobs", "jobs.job_scene", "jobs.recovery", "jobs.running"),
     *("jobs.runstate", "jobs.session", "jobs.setup_size", "jobs.tasks", "jobs.window"),
 }
 _HEAVY = {

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,16 @@ def pose(index: int) -> np.ndarray:
     matrix[:3, :3] = np.linalg.qr(np.eye(3) + cross)[0]
     matrix[:3, :3] *= np.sign(np.diag(matrix[:3, :3]))
     matrix[:3, 3] = rng.uniform(-0.4, 0.4, 3)
+    return matrix
+
+
+def facing(index: int) -> np.ndarray:
+    """Camera to world: moved along the wall, which it faces, so that all depths are alike."""
+    axes = np.linalg.qr(np.column_stack([NORMAL, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))[0]
+    axes *= np.sign(np.diag(axes[[2, 0, 1]]))
+    matrix = np.eye(4)
+    matrix[:3, :3] = axes[:, [1, 2, 0]]
+    matrix[:3, 3] = matrix[:3, :2] @ np.random.default_rng(index).uniform(-0.4, 0.4, 2)
     return matrix
 
 
@@ -50,12 +61,17 @@ def pattern(points: np.ndarray) -> np.ndarray:
 
 
 def write_frames(
-    folder: Path, ratio: float, offset: np.ndarray, centre: tuple[float, float] = (3.0, -4.0)
+    folder: Path,
+    ratio: float,
+    offset: np.ndarray,
+    centre: tuple[float, float] = (3.0, -4.0),
+    pose: Callable[[int], np.ndarray] = pose,
 ) -> Rig:
     """Frames whose photographs are made by a camera of another focal length, at `offset` from the depth's.
 
     Args:
         centre: of the photographs, pixels from their middle.
+        pose: of each frame.
     """
     views, depths = [], []
     plain = (2 * FOCAL, 2 * FOCAL, float(SIZE[0]), float(SIZE[1]))

@@ -24,11 +24,13 @@ from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder
 from ..image_datablocks import remove_unused_images
 from ..marks import IMPORTED, MADE, VIEW, has_results, is_imported, is_view, view_cameras, was_found
-from ..outliner import CAMERAS, EARLIER_ROOMS, ROOM, collection, move_to, remove_object
+from ..outliner import CAMERAS, EARLIER_ROOMS, ROOM, TREE, collection, move_to, remove_object
 from ..room.mesh_digest import is_edited, sign
 from ..room.result_meshes import list_names
 from . import cameras, mesh_import
 from .exporting import world_matrix
+from .look import stand_in_photograph
+from .startup import hide_startup_objects
 
 ALIGNMENT = "FIPT Alignment"
 # Types of objects with surfaces besides meshes.
@@ -49,8 +51,10 @@ def import_capture(run: RunFolder, path: str) -> Slices[list[Message]]:
     """
     capture = read_capture(run.ingest_json)
     is_reimport = bpy.context.scene.fipt.capture.imported_path == path
-    others = [] if is_reimport else _objects_beside(bpy.context.scene)
+    others: list[Message] = []
     if not is_reimport:
+        hide_startup_objects(bpy.context.scene)
+        others = _objects_beside(bpy.context.scene)
         _remove_cameras(bpy.context.scene, {view.name for view in capture.views})
     size = cameras.display_size(capture)
     for index, view in enumerate(capture.views):
@@ -63,6 +67,8 @@ def import_capture(run: RunFolder, path: str) -> Slices[list[Message]]:
     yield 0.9
     fill_views(bpy.context.scene, run, keep=is_reimport)
     bpy.context.scene.fipt.capture.imported_path = path
+    if not is_reimport and not bpy.app.background:
+        stand_in_photograph(bpy.context.scene, bpy.context)
     return warnings + others
 
 
@@ -97,7 +103,7 @@ def find_alignment(scene: bpy.types.Scene) -> bpy.types.Object:
     if item is None or item.name not in scene.objects:
         item = bpy.data.objects.new(ALIGNMENT, None)
         item.empty_display_type = "ARROWS"
-        scene.collection.objects.link(item)
+        collection(scene, TREE).objects.link(item)
         settings.alignment = item
     return item
 
@@ -182,7 +188,7 @@ def import_mesh(scene: bpy.types.Scene, path: Path, matrix: np.ndarray) -> list[
         item.matrix_basis = Matrix.Identity(4)
         item[IMPORTED] = _origin(path, matrix)
         sign(item.data)
-    scene.fipt.capture.room = None  # the default, FIPT Room, where the import put it
+    scene.fipt.capture.room = None  # the default, where the import put it
     scene.fipt.capture.completed = False
     return names
 
@@ -245,7 +251,7 @@ def _take_places(
 
 
 def set_room(scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> None:
-    """Make exactly these objects the room: they are also linked to "FIPT Room", and not changed otherwise."""
+    """Make exactly these objects the room: they are also linked to its collection, else unchanged."""
     room = collection(scene, ROOM)
     for item in list(room.objects):
         if item not in objects:

@@ -37,6 +37,13 @@ def look_through(
     return camera
 
 
+def stand_in_photograph(scene: bpy.types.Scene, context: bpy.types.Context) -> None:
+    """Look through the first view that is used: the artist stands in the room while it is computed."""
+    views = [view for view in scene.fipt.capture.views if view.enabled]
+    if views:
+        look_through(scene, views[0], context)
+
+
 def _free_photograph(camera: bpy.types.Object) -> None:
     """Free the pixels of a view's photograph, which Blender reads again where it shows them.
 

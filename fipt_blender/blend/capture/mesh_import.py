@@ -46,7 +46,7 @@ _UNDO = {suffix: np.linalg.inv(conventions.world_from_source("y")) for suffix in
 def import_room(
     path: str | Path, world_from_source: np.ndarray, scene: bpy.types.Scene | None = None
 ) -> list[str]:
-    """Import a mesh file into the collection "FIPT Room".
+    """Import a mesh file into the collection of the room's parts.
 
     Transforms are applied to the mesh data, so that every object's matrix is the identity. FBX and USD files
     state their own axes and units: Blender's importer converts them before `world_from_source` is applied.

@@ -60,18 +60,28 @@ class Copies:
         self.scene.collection.objects.link(made)
         return made
 
+    def add_light(self, name: str, light: bpy.types.Light, matrix: Matrix) -> None:
+        """A light of its own name in the scene."""
+        self.keep(light, name)
+        made = self.keep(bpy.data.objects.new(name, light), name)
+        made.matrix_world = matrix
+        self.scene.collection.objects.link(made)
+
     def keep(self, block: bpy.types.ID, name: str) -> bpy.types.ID:
         """Remove a new datablock at the end, and let it have a name until then.
 
-        A datablock of the artist that has the name steps aside; what is exported itself keeps it.
+        A datablock of the artist that has the name steps aside. Where another one that is exported has it,
+        this one is numbered: "Wall 2".
         """
-        self._made.append(block)
-        others = _blocks(block)
-        holder = others.get((name, None))
-        if holder is not None and holder not in self._kept and holder not in self._made:
+        others, free, number = _blocks(block), name, 1
+        while (holder := others.get((free, None))) is not None and holder in {*self._kept, *self._made}:
+            number += 1
+            free = f"{name} {number}"
+        if holder is not None and holder != block:
             holder.name = f".fipt_aside_{len(self._renamed)}"
-            self._renamed[holder] = name
-        block.name = name
+            self._renamed[holder] = free
+        self._made.append(block)
+        block.name = free
         return block
 
     def name(self, block: bpy.types.ID) -> str:

@@ -14,15 +14,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from ...bridge.process import Message
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import explained_write_errors
+from ..lights.color import LUMENS_PER_WATT
 from ..lights.convert import lights_as_converted
 from ..lights.fixture_nodes import is_emission_material
 from ..marks import (
     FIXTURE_LIGHT,
     MATERIAL,
+    PART,
     VISIBILITY,
     fixture_lights,
     has_results,
@@ -31,14 +34,24 @@ from ..marks import (
 )
 from ..results.materials import is_uniform
 from ..room.originals import shows_original
-from ..room.tiles import split_tiles
 from ..room.uv_layer import UV_LAYER
 from .color import colors_in_rec709
 from .copies import Copies, rendered_objects
 from .environment import plain_world, read_environment
-from .lamps import GAP, add_backs, plain_lamp
-from .lights import Lost, area_surface, emits, is_plain_area, note_losses, plain_light, turned, warning
-from .materials import artists_name, glowing_material, has_maps, make_atlases, plain_material
+from .lamps import GAP, add_backs, lamp_light, plain_lamp, wide_spot
+from .lights import (
+    Lost,
+    area_surface,
+    emits,
+    emitted_power,
+    is_plain_area,
+    note_losses,
+    plain_light,
+    turned,
+    warning,
+)
+from .materials import artists_name, glowing_material, has_maps, plain_material
+from .part_textures import TEXTURE_SIZE, make_part_textures
 
 GLTF, USD = (".glb", ".gltf"), (".usdc", ".usda", ".usd", ".usdz")
 SUFFIXES = GLTF + USD
@@ -59,12 +72,27 @@ class Exported:
     warnings: list[Message] = field(default_factory=list)
 
 
-def export_room(scene: bpy.types.Scene, path: Path) -> Exported:
+@dataclass(frozen=True)
+class ExportOptions:
+    """What can be chosen.
+
+    Attributes:
+        texture_size: the most texels of a side of a part's textures.
+        lamp_lights: in glTF, give lamps and area lights a light besides the surface that glows. Game engines
+            and browsers light by lights alone; path tracers would light the room twice.
+    """
+
+    texture_size: int = TEXTURE_SIZE
+    lamp_lights: bool = True
+
+
+def export_room(scene: bpy.types.Scene, path: Path, options: ExportOptions = ExportOptions()) -> Exported:
     """Write the estimated room with its lights to a file.
 
     Args:
         scene: with applied results, which are shown; in Object Mode.
         path: the suffix chooses the format, one of SUFFIXES.
+        options: what can be chosen.
 
     Raises:
         FiptError: ``export-format``, ``export-nothing``, ``export-attributes``, ``export-uv``,
@@ -93,8 +121,12 @@ def export_room(scene: bpy.types.Scene, path: Path) -> Exported:
     if not set(room) & set(shown):
         raise FiptError("export-nothing", "Renders show nothing of the room.", "Enable it in renders.")
     with tempfile.TemporaryDirectory(prefix="fipt_export_") as folder, Copies() as copies:
-        _add_surfaces(copies, scene, shown, Path(folder), gltf, exported.warnings)
-        _add_lights(copies, scene, shown, gltf, exported.warnings)
+        with_lights = gltf and options.lamp_lights
+        unit = LUMENS_PER_WATT if gltf else 1.0  # glTF has nits and candelas
+        room_copies, lamps = _copied_surfaces(copies, shown, exported.warnings)
+        taken = _add_room(copies, room_copies, Path(folder), options.texture_size)
+        _add_lamps(copies, scene, shown, lamps, taken, unit, with_lights, exported.warnings)
+        _add_lights(copies, scene, shown, gltf, with_lights, exported.warnings)
         _add_world(copies, scene, Path(folder), gltf, exported.warnings)
         exported.objects = len(copies.scene.objects)
         with _shown_in_window(copies.scene), colors_in_rec709(copies.scene, path.suffix.lower() in USD):
@@ -102,15 +134,13 @@ def export_room(scene: bpy.types.Scene, path: Path) -> Exported:
     return exported
 
 
-def _add_surfaces(
-    copies: Copies,
-    scene: bpy.types.Scene,
-    shown: list[bpy.types.Object],
-    folder: Path,
-    gltf: bool,
-    warnings: list[Message],
-) -> None:
-    """The room with plain materials, where the artist's own materials stay, and the lamps."""
+_Copied = list[tuple[bpy.types.Object, bpy.types.Mesh]]  # objects and copies of their meshes
+
+
+def _copied_surfaces(
+    copies: Copies, shown: list[bpy.types.Object], warnings: list[Message]
+) -> tuple[_Copied, _Copied]:
+    """The room's objects and the lamps; the artist's own materials on them are exported as they are."""
     room, lamps, others = [], [], []
     for item in shown:
         is_lamp = item.type == "MESH" and is_our_light(item)
@@ -127,6 +157,11 @@ def _add_surfaces(
     for material in {each for _, mesh in room + lamps for each in mesh.materials if each is not None}:
         if not has_maps(material) and not is_emission_material(material):
             copies.keep_name(material)
+    return room, lamps
+
+
+def _add_room(copies: Copies, room: _Copied, folder: Path, texture_size: int) -> set[str]:
+    """The room with plain materials; returns their names."""
     for item, mesh in room:
         if UV_LAYER not in mesh.uv_layers:
             raise FiptError(
@@ -134,33 +169,60 @@ def _add_surfaces(
                 f"A modifier of '{item.name}' removes the UV map '{UV_LAYER}', and with it the textures.",
                 "Disable the modifier in renders.",
             )
-    atlases = make_atlases([mesh for _, mesh in room], folder, packed=gltf)
-    for image in (image for atlas in atlases.values() for image in atlas.images):
+    names = {
+        material: artists_name(material, copies.name(material))
+        for _, mesh in room
+        for material in mesh.materials
+        if material is not None and has_maps(material)
+    }
+    meshes = [mesh for _, mesh in room]
+    with_maps = {each: name for each, name in names.items() if not is_uniform(each)}
+    textures = make_part_textures(meshes, with_maps, folder, texture_size)
+    for image in (image for each in set(textures.values()) for image in (each.base_color, each.orm)):
         copies.keep(image, Path(image.filepath_raw).stem)
-    made: dict[tuple[bpy.types.Material, int], bpy.types.Material] = {}
+    made: dict[tuple[str, str], bpy.types.Material] = {}
     for item, mesh in room:
         for name in [layer.name for layer in mesh.uv_layers if layer.name != UV_LAYER]:
             mesh.uv_layers.remove(mesh.uv_layers[name])  # of several, USD's and other readers take the first
-        # Other programs have no tiles: a part is a material for each atlas image on which it lies.
-        for index, image in enumerate(split_tiles(mesh)):
-            material = mesh.materials[index] if index < len(mesh.materials) else None
-            if material is None or not has_maps(material):
+        for index, material in enumerate(mesh.materials):
+            if material not in names or (material in with_maps and material not in textures):
                 continue
-            uniform = is_uniform(material)
-            key = (material, -1 if uniform else image)
+            key = (material[PART], names[material])
             if key not in made:
-                plain = plain_material(material, None if uniform else atlases[material[MATERIAL], image])
-                made[key] = copies.keep(plain, artists_name(material, copies.name(material)))
+                made[key] = copies.keep(plain_material(material, textures.get(material)), key[1])
             mesh.materials[index] = made[key]
         copies.add(item, mesh, item.matrix_world)
+    return set(names.values())
+
+
+def _add_lamps(
+    copies: Copies,
+    scene: bpy.types.Scene,
+    shown: list[bpy.types.Object],
+    lamps: _Copied,
+    taken: set[str],
+    unit: float,
+    with_lights: bool,
+    warnings: list[Message],
+) -> None:
+    """The lamps as surfaces, and a light for each where these are wanted.
+
+    Args:
+        taken: names of the room's materials.
+        unit: by which radiance is multiplied.
+    """
     dark = []
     for item, mesh in lamps:
         lit = item.visible_diffuse or _stands_for(scene, item, shown)
         if not lit:
             dark.append(copies.name(item))
         copy = copies.add(item, mesh, item.matrix_world)
-        for material, source, suffix in plain_lamp(copy, lit):
-            copies.keep(material, copies.name(source) + suffix)
+        light = lamp_light(copy) if lit and with_lights else None
+        for material, source, suffix in plain_lamp(copy, lit, unit):
+            name = copies.name(source)
+            copies.keep(material, f"{name} Light{suffix}" if name in taken else name + suffix)
+        if light is not None:
+            copies.add_light(f"{copies.name(item)} Light", *light)
     if dark:
         text = f"{', '.join(dark)}: other lights light the room in place of these lamps, which are black."
         warnings.append(warning("export-lamps-dark", text, "Use Convert Back to export their own light."))
@@ -181,6 +243,7 @@ def _add_lights(
     scene: bpy.types.Scene,
     shown: list[bpy.types.Object],
     gltf: bool,
+    with_lights: bool,
     warnings: list[Message],
 ) -> None:
     """The Blender lights; those for which a fixture's surface is exported are left out."""
@@ -193,12 +256,16 @@ def _add_lights(
             mesh, radiance = area_surface(item)
             copies.keep(mesh, copies.name(item))
             front = copies.name(item)
-            for name, emitted in ((front, radiance), (f"{front} Back", (0.0, 0.0, 0.0))):
+            glow = tuple(value * (LUMENS_PER_WATT if gltf else 1.0) for value in radiance)
+            for name, emitted in ((front, glow), (f"{front} Back", (0.0, 0.0, 0.0))):
                 mesh.materials.append(copies.keep(glowing_material(name, emitted, True), name))
             add_backs(mesh, {0: 1}, GAP)
             copies.add(item, mesh, turned(item.matrix_world))
+            if with_lights:
+                spot = wide_spot(np.maximum(emitted_power(item), 0.0))
+                copies.add_light(f"{front} Light", spot, turned(item.matrix_world))
         else:
-            light = copies.keep(plain_light(item), copies.name(item))
+            light = copies.keep(plain_light(item, gltf), copies.name(item))
             copies.add(item, light, turned(item.matrix_world))
     warnings += lost.warnings()
 
@@ -279,6 +346,7 @@ def _gltf_options(path: Path) -> dict[str, object]:
         "export_format": "GLB" if path.suffix.lower() == ".glb" else "GLTF_SEPARATE",
         "use_active_scene": True,
         "export_lights": True,
+        "export_import_convert_lighting_mode": "SPEC",  # candelas and lux
         "export_cameras": False,
         "export_animations": False,
         "export_extras": False,

@@ -38,12 +38,9 @@ _LOST = {
         "glTF has no size of these lights: their shadows have hard edges.",
         "Export USD, or use area lights.",
     ),
-    "export-light-sun": (
-        "Blender's exporter writes a quarter of the strength of suns, and its importer reads four times as"
-        " much. Other programs show these suns too dark.",
-        "Multiply their intensity by four there.",
-    ),
 }
+# Blender's exporter of USD divides the strength of suns by this, which UsdLux does not know.
+_USD_SUN = 4.0
 # Diameter of the sun as seen from the earth, radians. Suns as small are meant to be that.
 _SUN = 0.0094
 
@@ -110,7 +107,6 @@ def note_losses(name: str, item: bpy.types.Object, gltf: bool, lost: Lost) -> No
             or light.energy < 0.0,
             "export-light-edges": light.type == "SPOT" and (light.spot_blend > 0.0 or squashed),
             "export-light-size": gltf and getattr(light, size) > least,
-            "export-light-sun": not gltf and light.type == "SUN",
         },
     )
 
@@ -123,13 +119,15 @@ def is_plain_area(item: bpy.types.Object) -> bool:
     return square and (not round_shape or math.isclose(across.length, up.length, rel_tol=1e-3))
 
 
-def plain_light(item: bpy.types.Object) -> bpy.types.Light:
+def plain_light(item: bpy.types.Object, gltf: bool) -> bpy.types.Light:
     """A new light of the same light, without nodes and scale, for the matrix of `turned`."""
     light = item.data
     made = bpy.data.lights.new(light.name, light.type)
     if made.node_tree is not None:  # exporters of some versions take the color of these nodes, white
         made.node_tree.nodes.clear()
     made.color, made.energy = split(np.maximum(emitted_power(item), 0.0).tolist())
+    if light.type == "SUN" and not gltf:
+        made.energy *= _USD_SUN
     if light.type == "AREA":
         across, up = _axes(item)
         made.shape = "DISK" if light.shape in ("DISK", "ELLIPSE") else "RECTANGLE"

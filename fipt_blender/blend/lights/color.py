@@ -14,6 +14,9 @@ from functools import lru_cache
 
 Rgb = tuple[float, float, float]
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of Rec.709's primaries (ITU-R BT.709)
+# Lumens per watt of channels that LUMINANCE weights: these weights are the eye's response, so that only its
+# maximum is left, that of SI (at 540 THz). Blender's glTF files and its sky count in the same watts.
+LUMENS_PER_WATT = 683.0
 KELVIN_MIN, KELVIN_MAX = 1000.0, 20000.0
 # Distance in CIE 1960 uv up to which a temperature describes a colour; the 0.05 of CIE 15 include pale green.
 MAX_DUV = 0.02

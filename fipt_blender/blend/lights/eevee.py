@@ -19,6 +19,7 @@ from ..marks import KEPT_EEVEE, PROBE, VISIBILITY, fixtures_of, light_probe, rem
 from ..outliner import LIGHTS, collection
 from ..render_engine import switch_engine
 from ..room.mesh_arrays import world_bounds
+from .calibration import scene_unit
 from .convert import fixture_to_lights
 
 SPACING = 0.4  # metres between the samples of the volume
@@ -67,7 +68,7 @@ def use_eevee(scene: bpy.types.Scene) -> None:
     """
     if not switch_engine(scene, ENGINES):
         raise FiptError("engine-missing", "This Blender has no EEVEE.", "Use Cycles.")
-    median = scene.fipt.lights.median_radiance
+    median = scene_unit(scene) * scene.fipt.lights.median_radiance
     scale = median / 0.18 if median > 0.0 else 1.0
     wanted: dict[str, float] = {name: scale * value for name, value in _RADIANCES.items()}
     wanted |= dict.fromkeys(_SWITCHED_ON, True)

@@ -21,11 +21,23 @@ from mathutils import Matrix, Vector
 from ...core.report.fixture_names import fixture_names
 from ...core.run.parts import RoomParts, free_name
 from ...core.run.result_contents import EmitterFixture
-from ..marks import BACK, BASE, CENTROID, FIXTURE, FIXTURE_SOURCES, NAMED, PLACED, PROBABILITY, object_id
+from ..marks import (
+    BACK,
+    BASE,
+    CENTROID,
+    FIXTURE,
+    FIXTURE_SOURCES,
+    NAMED,
+    PLACED,
+    PROBABILITY,
+    UNIT,
+    object_id,
+)
 from ..outliner import FIXTURES, collection
 from ..room.arrays import Room
 from ..room.mesh_arrays import is_mirrored, triangle_loops
 from ..room.mesh_digest import sign
+from .calibration import scene_unit
 from .fixture_nodes import emission_material
 
 
@@ -134,6 +146,7 @@ def place(scene: bpy.types.Scene, fixtures: Sequence[NewFixture]) -> list[bpy.ty
         item[BASE] = entry.radiance
         item[PROBABILITY] = entry.probability
         item[BACK] = entry.back_radiance
+        item[UNIT] = scene_unit(scene)
         target.objects.link(item)
         sign(fixture.mesh)
         items.append(item)

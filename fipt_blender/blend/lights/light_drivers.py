@@ -29,7 +29,7 @@ from ..marks import (
 )
 from .color import LUMINANCE, luminance
 from .fixture_nodes import emitting_sides, surfaces
-from .tint import shown_color
+from .tint import shown_color, unit_of
 
 KEYED = (ON, STOPS, COLOR)
 _OFF = (0.0, 0.0, 0.0)
@@ -130,20 +130,21 @@ def _driven(item: bpy.types.Object) -> Iterator[_Driven]:
             node = surface.material.node_tree.nodes.get(name)
             if node is None:
                 continue
-            yield node.inputs["Strength"], "default_value", -1, _strength_expression(base)
+            yield node.inputs["Strength"], "default_value", -1, _strength_expression(item, base)
             for channel, mixed in enumerate(channels):
                 yield node.inputs["Color"], "default_value", channel, mixed
     lights = fixture_lights(item) if item.type == "MESH" else [item]
     for light in lights:
-        yield light.data, "energy", -1, _strength_expression(light.get(BASE, _OFF))
+        yield light.data, "energy", -1, _strength_expression(item, light.get(BASE, _OFF))
         for channel, mixed in enumerate(channels):
             yield light.data, "color", channel, mixed
 
 
-def _strength_expression(base: Sequence[float]) -> str:
+def _strength_expression(item: bpy.types.Object, base: Sequence[float]) -> str:
     """The strength of the color whose luminance times it is that of `base` at the light's power, or 0."""
     shines = "(lit if gate == 0 else gate > 0)"
-    return f"{shines} * {luminance(base):.9g} * pow(2, stops) / max({_weighted(LUMINANCE)}, 1e-6)"
+    value = unit_of(item) * luminance(base)
+    return f"{shines} * {value:.9g} * pow(2, stops) / max({_weighted(LUMINANCE)}, 1e-6)"
 
 
 def _weighted(weights: Sequence[float]) -> str:

@@ -35,7 +35,7 @@ from ..own_materials import own_materials
 from .fixture_nodes import node_strength, surfaces, write_radiance, write_shown
 from .light_drivers import clear as clear_animation
 from .light_drivers import drive, is_animated, take_color
-from .tint import base_of, blender_color, powered, shown_color, shown_temperature, tinted
+from .tint import base_of, blender_color, shone, shown_color, shown_temperature, tinted, unit_of
 
 SETTINGS = (ON, SOLO, STOPS, TINT, COLOR, KELVIN)
 Setting = bool | int | float | Sequence[float]
@@ -139,7 +139,7 @@ def adopt(item: bpy.types.Object) -> None:
     written, strength = item.get(WRITTEN), _strength(item)
     if written is None or strength is None or math.isclose(strength, written, rel_tol=1e-4, abs_tol=1e-9):
         return
-    base_strength = blender_color(tinted(item, _written_base(item)))[1]
+    base_strength = unit_of(item) * blender_color(tinted(item, _written_base(item)))[1]
     item[ON] = strength > 0.0
     if strength > 0.0 and base_strength > 0.0:
         item[STOPS] = math.log2(strength / base_strength)
@@ -168,7 +168,8 @@ def refresh_world(scene: bpy.types.Scene) -> None:
         return
     on = bool(world[WORLD]) and world.get(WORLD_ON, True) and not _any_solo(scene)
     visible = _shown(scene) in ("ESTIMATED", "ORIGINAL", "EMISSION")
-    background.inputs["Strength"].default_value = world.get(WORLD_FACTOR, 1.0) if on and visible else 0.0
+    strength = unit_of(world) * world.get(WORLD_FACTOR, 1.0)
+    background.inputs["Strength"].default_value = strength if on and visible else 0.0
 
 
 def _any_solo(scene: bpy.types.Scene) -> bool:
@@ -204,8 +205,8 @@ def _write(item: bpy.types.Object, any_solo: bool, shown: str) -> None:
         _write_light(item, item, on)
     elif emitting:
         for surface in emitting:
-            front = powered(item, surface.front) if on else off
-            back = powered(item, surface.back) if on else off
+            front = shone(item, surface.front) if on else off
+            back = shone(item, surface.back) if on else off
             write_radiance(surface.material, front, back, sampled=not fixture_lights(item))
             write_shown(surface.material, shown)
         for light in fixture_lights(item):
@@ -225,5 +226,5 @@ def _color_and_watts(
     item: bpy.types.Object, settings: bpy.types.Object, on: bool
 ) -> tuple[tuple[float, float, float], float]:
     """Colour and power of a Blender light, of which `settings` carries the settings."""
-    color, energy = blender_color(powered(settings, item[BASE]))
+    color, energy = blender_color(shone(settings, item[BASE]))
     return color, energy if on else 0.0

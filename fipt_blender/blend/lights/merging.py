@@ -22,6 +22,7 @@ from ..marks import (
     FIXTURE_SOURCES,
     MERGED,
     NAMED,
+    UNIT,
     VISIBILITY,
     fixture_lights,
     remove_marks,
@@ -99,7 +100,7 @@ def split(scene: bpy.types.Scene, lamp: bpy.types.Object) -> list[bpy.types.Obje
             part = bpy.data.objects.new(name, mesh)
             part.matrix_world = world_matrix(lamp)
             part[NAMED] = name
-            for key in SETTINGS:
+            for key in (*SETTINGS, UNIT):
                 if key in lamp:
                     part[key] = lamp[key]
             target.objects.link(part)

@@ -15,9 +15,10 @@ from ...core.run.documents import read_document
 from ...core.run.kinds import as_json
 from ...core.run.result_contents import Emitters
 from ...core.run.runfolder import RunFolder
-from ..marks import BASE, MISSING_LAMP, NEW_LIGHT
+from ..marks import BASE, MISSING_LAMP, NEW_LIGHT, UNIT
 from ..outliner import LIGHTS, collection
 from . import light_state
+from .calibration import scene_unit
 
 
 def note_missing(scene: bpy.types.Scene, run: RunFolder) -> None:
@@ -56,6 +57,7 @@ def _add(scene: bpy.types.Scene, lamp: Mapping[str, Any]) -> bpy.types.Object:
     item[MISSING_LAMP] = [float(value) for value in lamp["position"]]
     # P = pi A L of a sphere.
     item[BASE] = [4.0 * math.pi**2 * lamp["radius"] ** 2 * value for value in lamp["radiance"]]
+    item[UNIT] = scene_unit(scene)
     item.location = lamp["position"]
     collection(scene, LIGHTS).objects.link(item)
     return item

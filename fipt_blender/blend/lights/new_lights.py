@@ -16,6 +16,7 @@ from ..marks import BASE, NEW_LIGHT
 from ..outliner import LIGHTS, collection
 from ..room.mesh_arrays import world_bounds
 from . import light_state
+from .calibration import scene_unit
 from .placement import room_light_power
 
 
@@ -35,7 +36,7 @@ def suggest(scene: bpy.types.Scene) -> Suggestion:
         return Suggestion(1.0, 100.0, 2.0)
     low, high = bounds
     extent = high - low
-    median = scene.fipt.lights.median_radiance
+    median = scene_unit(scene) * scene.fipt.lights.median_radiance
     size = 0.2 * float(min(extent[0], extent[1])) or 1.0
     watts = room_light_power(median, low, high) if median > 0.0 else 100.0 * size**2
     return Suggestion(size, watts, 0.35 * float(np.linalg.norm(extent)))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A light's power as Blender counts it, in watts. Imported while panels draw."""
+"""A light's power as Blender counts it, in watts, and in lumens. Imported while panels draw."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from mathutils import Matrix
 
 from ..marks import BASE
 from ..room.mesh_arrays import polygon_slots
-from .color import Rgb
+from .color import LUMENS_PER_WATT, Rgb, luminance
 from .fixture_nodes import surfaces
-from .tint import base_of, blender_color, powered, split
+from .tint import base_of, blender_color, shone, split
 
 
 def has_power(item: bpy.types.Object) -> bool:
@@ -51,12 +51,17 @@ def base_power(item: bpy.types.Object) -> Rgb:
 
 def watts(item: bpy.types.Object) -> float:
     """A light's power, as in the field Power of a Blender light: that of its strongest channel."""
-    return blender_color(powered(item, base_power(item)))[1]
+    return blender_color(shone(item, base_power(item)))[1]
+
+
+def lumens(item: bpy.types.Object) -> float:
+    """A light's luminous flux: of a diffuse surface 683 pi A times the luminance of its radiance."""
+    return LUMENS_PER_WATT * luminance(shone(item, base_power(item)))
 
 
 def radiance(item: bpy.types.Object) -> float:
     """Radiance of a fixture's brighter side, of its strongest channel, W/(m² sr); mean of merged lamps."""
-    return split(powered(item, base_of(item)))[1]
+    return split(shone(item, base_of(item)))[1]
 
 
 def stops_for(value: float, present: float, stops: float) -> float:

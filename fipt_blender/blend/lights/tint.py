@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import bpy
 
 from ..color_spaces import to_scene_linear
-from ..marks import BACK, BASE, COLOR, KELVIN, STOPS, TINT
+from ..marks import BACK, BASE, COLOR, KELVIN, STOPS, TINT, UNIT
 from .color import Rgb, blackbody, luminance, near_blackbody, temperature_of, with_luminance
 
 _ESTIMATED, _COLOR, _TEMPERATURE = 0, 1, 2
@@ -30,6 +30,18 @@ def powered(item: bpy.types.Object, base: Sequence[float]) -> Rgb:
     """A base rgb in the light's colour and at its power."""
     factor = 2.0 ** item.get(STOPS, 0.0)
     red, green, blue = (value * factor for value in tinted(item, base))
+    return (red, green, blue)
+
+
+def unit_of(item: bpy.types.Object | bpy.types.World) -> float:
+    """By which a light's base is multiplied: W/(m² sr) for one of the photographs' unit, 1 if unknown."""
+    return float(item.get(UNIT, 1.0))
+
+
+def shone(item: bpy.types.Object, base: Sequence[float]) -> Rgb:
+    """`powered` in the unit of the scene, which Blender's strengths are in."""
+    unit = unit_of(item)
+    red, green, blue = (value * unit for value in powered(item, base))
     return (red, green, blue)
 
 

@@ -10,9 +10,10 @@ from ...core.run.documents import read_document
 from ...core.run.result_contents import Emitters
 from ...core.run.runfolder import RunFolder
 from ..image_datablocks import remove_unused_images
-from ..marks import BACKGROUND, MAPPING, ORIGINAL_WORLD, RESULT_WORLD, WORLD, remove_marks, result_world
+from ..marks import BACKGROUND, MAPPING, ORIGINAL_WORLD, RESULT_WORLD, UNIT, WORLD, remove_marks, result_world
 from ..node_trees import node_tree
 from ..texture_files import TextureFiles, in_run_folder
+from .calibration import scene_unit
 from .light_state import refresh_world
 
 NAME = "FIPT World"
@@ -53,7 +54,7 @@ def apply_environment(
         if scene.world is not None:
             scene[ORIGINAL_WORLD] = scene.world
         scene.world = world
-    world[WORLD] = int(image is not None)
+    world[WORLD], world[UNIT] = int(image is not None), scene_unit(scene)
     tree = node_tree(world)
     nodes, links = tree.nodes, tree.links
     earlier = _images(world)

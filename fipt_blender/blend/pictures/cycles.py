@@ -21,6 +21,7 @@ from ...core.run.errors import FiptError
 from ...core.run.runfolder import atomic_path
 from ..changed import all_changed, changed, unset
 from ..color_spaces import linear_space, scene_matrix, set_view_transform
+from ..lights.calibration import scene_unit
 from ..save import check_space
 from .image_files import STILL_IMAGE, read_pixels, write_image
 
@@ -163,6 +164,7 @@ def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> No
         **CYCLES,
         "device": options.device,
         "samples": options.spp,
+        "film_exposure": 1.0 / scene_unit(scene),  # in the unit of the photographs
         "seed": options.seed,
         "use_denoising": can_denoise() if options.denoise is None else options.denoise,
     }

@@ -14,6 +14,7 @@ from ..changed import all_changed, changed
 from ..color_spaces import to_scene_linear
 from ..lights.convert import RAYS, lights_as_converted
 from ..lights.fixture_nodes import emitting_sides, surfaces
+from ..lights.tint import unit_of
 from ..marks import (
     BACKGROUND,
     BACKSIDE,
@@ -46,7 +47,7 @@ def lights_as_photographed(scene: bpy.types.Scene) -> Iterator[None]:
             stack.enter_context(changed(scene, {"world": world}))
             nodes = world.node_tree.nodes
             if BACKGROUND in nodes:
-                _set(stack, nodes[BACKGROUND].inputs["Strength"], 1.0 if world[WORLD] else 0.0)
+                _set(stack, nodes[BACKGROUND].inputs["Strength"], unit_of(world) if world[WORLD] else 0.0)
             if MAPPING in nodes:
                 _set(stack, nodes[MAPPING].inputs["Rotation"], (0.0, 0.0, 0.0))
         yield
@@ -83,7 +84,7 @@ def _emit_as_estimated(stack: ExitStack, item: bpy.types.Object) -> None:
         for name, radiance in ((FRONT, surface.front), (BACKSIDE, surface.back)):
             node = surface.material.node_tree.nodes.get(name)
             if node is not None:
-                _set_radiance(stack, node, to_scene_linear(radiance).tolist())
+                _set_radiance(stack, node, (unit_of(item) * to_scene_linear(radiance)).tolist())
 
 
 def _set_radiance(stack: ExitStack, node: bpy.types.Node, radiance: Sequence[float]) -> None:

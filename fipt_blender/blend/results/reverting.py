@@ -9,11 +9,12 @@ import bpy
 from ..capture.backdrop import set_backdrop
 from ..capture.compare import refresh
 from ..lights import light_state
+from ..lights.calibration import scale_light, scene_unit
 from ..lights.eevee import restore_eevee
 from ..lights.light_groups import remove_light_groups
 from ..lights.world import restore_world
-from ..marks import added_lights, is_split_off, light_probe, room_with_results
-from ..outliner import FIXTURES, find_collection, remove_object
+from ..marks import UNIT, added_lights, is_split_off, light_probe, remove_marks, room_with_results
+from ..outliner import FIXTURES, remove_if_empty, remove_object
 from ..room.originals import restore_original, result_meshes, separated
 from .maps import restore_solid_views
 from .materials import remove_unused, result_materials
@@ -51,15 +52,16 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> tuple[list[str],
             remove_object(item)
     remove_unused(materials)
     restore_world(scene)
-    target = find_collection(scene, FIXTURES)
-    if target is not None and not target.all_objects:
-        bpy.data.collections.remove(target)
+    remove_if_empty(scene, FIXTURES)
     mute_other_lights(scene, False)
     restore_eevee(scene)
     restore_scene(scene)
     settings.parts.clear()
     for name in ("active_part", "object_count", "image_count", "applied_mode", "kept_before", "kept_view"):
         settings.property_unset(name)
+    if UNIT in scene:
+        scale_light(scene, 1.0 / scene_unit(scene))
+        remove_marks(scene, UNIT)
     for name in ("median_radiance", "median_shown"):
         scene.fipt.lights.property_unset(name)
     restore_solid_views(scene)

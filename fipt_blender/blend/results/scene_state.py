@@ -17,6 +17,7 @@ from ...core.run.versions import present_version
 from ..capture.backdrop import set_backdrop
 from ..capture.look import cull_outside, enter_room
 from ..lights import light_state
+from ..lights.calibration import scene_unit
 from ..lights.missing_lamps import note_missing
 from ..marks import MUTED, other_lights, remove_marks, room_with_results
 from ..outliner import mark_collections
@@ -91,6 +92,8 @@ def match_exposure(scene: bpy.types.Scene) -> float:
         FiptError: ``radiance-unknown``.
     """
     median = scene.fipt.lights.median_radiance
+    if scene.render.engine != "CYCLES":  # only its film has an exposure, which the calibration has set
+        median *= scene_unit(scene)
     if median <= 0.0:
         raise FiptError(
             "radiance-unknown", "The brightness of the photographs is not known.", "Apply the results first."

@@ -23,6 +23,7 @@ class Packing:
     image: np.ndarray  # (N,) i32
     offset: np.ndarray  # (N,2) f64 texels of the island's lower left corner
     scale: np.ndarray  # (N,) f64 factor on the wanted extent
+    pad: np.ndarray  # (N,) i32 texels kept free around each island
     sizes: list[tuple[int, int]]  # width, height of each image
 
 
@@ -50,7 +51,7 @@ def pack_islands(
         packing = _pack_boxes(boxes, group, size)
         if len(packing.sizes) <= max_images:
             packing.offset += pad
-            packing.scale = scale
+            packing.scale, packing.pad = scale, np.full(len(extent), pad, np.int32)
             return packing
         if pad > 1 and (2 * pad) ** 2 * len(boxes) > 0.25 * max_images * size * size:
             pad -= 1  # very many small islands, whose padding alone fills the images
@@ -66,12 +67,13 @@ def pack_apart(extent: np.ndarray, group: np.ndarray, size: int) -> Packing:
     Args:
         extent, group, size: as for `pack_islands`; a group that does not fit is scaled down.
     """
-    result = Packing(np.zeros(len(extent), np.int32), np.zeros((len(extent), 2)), np.ones(len(extent)), [])
+    result = _empty(len(extent))
     for index, value in enumerate(np.unique(group)):
         members = np.flatnonzero(group == value)
         packing = pack_islands(extent[members], np.zeros(len(members), np.int64), size, PAD, max_images=1)
         result.image[members] = index
         result.offset[members], result.scale[members] = packing.offset, packing.scale
+        result.pad[members] = packing.pad
         result.sizes.append(packing.sizes[0])
     return result
 
@@ -95,7 +97,15 @@ def _pack_boxes(boxes: np.ndarray, group: np.ndarray, size: int) -> Packing:
         offset[members, 0], offset[members, 1] = x, y
         # Powers of two, as graphics processors and other programs want them.
         sizes += [(width, min(size, 1 << max(math.ceil(math.log2(height)), 4))) for height in heights]
-    return Packing(image, offset, np.ones(len(boxes)), sizes)
+    packing = _empty(len(boxes))
+    packing.image, packing.offset, packing.sizes = image, offset, sizes
+    return packing
+
+
+def _empty(count: int) -> Packing:
+    """Of so many islands, of which none lies anywhere yet."""
+    image, pad = np.zeros(count, np.int32), np.zeros(count, np.int32)
+    return Packing(image, np.zeros((count, 2)), np.ones(count), pad, [])
 
 
 def _shelves(

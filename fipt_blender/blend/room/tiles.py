@@ -7,8 +7,8 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from .mesh_arrays import corner_uvs, polygon_slots, polygon_starts
-from .uv_layer import UV_LAYER, write_layer
+from .mesh_arrays import corner_uvs, polygon_starts
+from .uv_layer import UV_LAYER
 
 _ROW = 10  # tiles side by side
 
@@ -43,19 +43,3 @@ def polygon_images(mesh: bpy.types.Mesh) -> np.ndarray:
     size = np.diff(starts, append=len(uv))
     column, row = np.floor(np.add.reduceat(uv.astype(np.float64), starts, axis=0) / size[:, None]).T
     return (column + _ROW * row).astype(np.int64)
-
-
-def split_tiles(mesh: bpy.types.Mesh) -> list[int]:
-    """Give a mesh a slot for each material and atlas image, and UVs in the images; the image of each."""
-    slot, image = polygon_slots(mesh), polygon_images(mesh)
-    slot = np.minimum(slot, max(len(mesh.materials) - 1, 0))
-    used, place = np.unique(np.stack([slot, image], axis=1), axis=0, return_inverse=True)
-    materials = [mesh.materials[index] for index, _ in used] if len(mesh.materials) else []
-    corners = np.repeat(image, np.diff(polygon_starts(mesh), append=len(mesh.loops)))
-    uv = corner_uvs(mesh, mesh.uv_layers[UV_LAYER])
-    write_layer(mesh, uv - np.stack([corners % _ROW, corners // _ROW], axis=1))
-    mesh.materials.clear()
-    for material in materials:
-        mesh.materials.append(material)
-    mesh.polygons.foreach_set("material_index", place.ravel().astype(np.int32))
-    return [int(image) for _, image in used]

@@ -20,6 +20,10 @@ from .rig import Note, Pinhole
 
 CLIPPED_SHARE = 5e-4  # of the sampled values, at the highest one
 CLIPPED_TOLERANCE = 4e-3  # a few steps of half floats: the pixels of a uniform lamp differ by as much
+# Heights and widths of rooms, metres, outside of which the unit is doubted: closets to halls.
+HEIGHTS, WIDTHS = (1.6, 6.0), (1.0, 40.0)
+USUAL_HEIGHT = 2.5
+OUTLIERS = 2.0  # percent of the points at either end that do not count
 # Focal lengths over an image's longer side: views of 179 degrees, and lenses of 3.6 m on 36 mm film.
 FOCAL_LENGTHS = (0.01, 100.0)
 
@@ -232,6 +236,29 @@ def judge_pixels(
             )
         )
     return notes
+
+
+def judge_size(points: np.ndarray) -> Note | None:
+    """A warning where a room can't have the size that it has; None where it can.
+
+    Args:
+        points: (N, 3) on its surfaces, world metres, Z up.
+    """
+    low, high = np.percentile(points, (OUTLIERS, 100.0 - OUTLIERS), axis=0)
+    width, depth, height = high - low
+    longest = max(width, depth)
+    if HEIGHTS[0] <= height <= HEIGHTS[1] and WIDTHS[0] <= longest <= WIDTHS[1]:
+        return None
+    if not height > 0.0:
+        return None
+    return Note(
+        "size-implausible",
+        f"The room would be {height:.3g} m high and {width:.3g} x {depth:.3g} m wide: the unit of the"
+        " capture is probably not the meter, on which the lamps' power depends.",
+        "Measure something and set the scale (Scale in the import settings, --scale): meters per unit."
+        " Doors are 2.0 m high, worktops 0.9 m. A room"
+        f" {USUAL_HEIGHT} m high would need {USUAL_HEIGHT / height:.3g} times the present scale.",
+    )
 
 
 def judge_encoded(encoded: Sequence[bool], exposures: Sequence[float | None]) -> list[Note]:

@@ -5,6 +5,10 @@
 Most depth cameras have a second lens for color, beside the first one and of another focal length. All frames
 share it. It is found from what several photographs show of the same measured points, which agree at the right
 camera (Gauss-Newton on the robust variance of each point over its photographs, from coarse to fine).
+
+A shift of the principal point and one of the camera hardly differ where all depths are alike, so that small
+errors of the poses could make any sum of both. Therefore each photograph counts as one measurement, whose
+points share the error of its pose, beside what is usual for such cameras.
 """
 
 from __future__ import annotations
@@ -26,8 +30,13 @@ WIDTH = 320  # pixels to which photographs are reduced
 BLURS = ((8.0, 12), (4.0, 10), (2.0, 8), (1.0, 6))  # pixels of that width, and steps
 SCALE = 0.5  # of robust residuals, in standard deviations of a photograph's details
 DARKEST = 0.1  # of a photograph's median, added below the logarithm: what is darker is mostly noise
-# Expected sizes of the parameters, which count as much as this share of the measurements.
-EXPECTED = np.array([0.1, 20.0, 20.0, 0.05, 0.05])
+# Expected sizes of the parameters: logarithm of the ratio of focal lengths, pixels, metres.
+EXPECTED = np.array([0.1, 5.0, 5.0, 0.03, 0.03])
+NAMES = ("focal length", "image centre", "image centre", "place", "place")
+# A parameter whose standard error is more than this share of its expected size is said to be unsettled.
+UNSETTLED = 0.5
+# Where the fit starts: the depth camera, and cameras of wider view to either side of it, as they are built.
+STARTS = np.array([[0.0, 0.0, 0.0, 0.0, 0.0], [-0.1, 0.0, 0.0, -0.025, 0.0], [-0.1, 0.0, 0.0, 0.025, 0.0]])
 # The depths of a point and of the depth image where it is seen differ less: metres, and share of the depth.
 VISIBLE = (0.03, 0.01)
 # The camera is changed where the photographs agree clearly better with the new one.
@@ -43,6 +52,7 @@ class ColorCamera:
         shift_x, shift_y: of the principal point, pixels of a photograph `WIDTH` pixels wide.
         x, y: metres from the depth camera's points to their places before the color camera.
         agreement: robust disagreement of the photographs, relative to that with the depth camera.
+        unsettled: names of what the photographs hardly determine; it is what is usual.
     """
 
     log_focal: float
@@ -51,6 +61,7 @@ class ColorCamera:
     x: float
     y: float
     agreement: float
+    unsettled: tuple[str, ...] = ()
 
     def view(self, view: RigView, scale: float) -> RigView:
         """A view with the color camera in place of the depth camera.
@@ -91,7 +102,11 @@ def with_color_camera(rig: Rig, scale: float) -> Rig:
         f"{np.exp(camera.log_focal):.3f} of theirs, and it is {1000.0 * np.hypot(camera.x, camera.y):.0f} mm"
         f" beside them. The photographs agree to {1.0 / camera.agreement:.1f} times as well with it."
     )
-    note = Note("color-camera", text, "Nothing needs to be done. Check with Check Views that edges fit.")
+    remedy = "Nothing needs to be done. Check with Check Views that edges fit."
+    if camera.unsettled:
+        text += f" They hardly determine its {' and '.join(camera.unsettled)}, which are near the usual ones."
+        remedy = "Give the color camera's own matrix, if it is known, or frames with near and far things."
+    note = Note("color-camera", text, remedy)
     return replace(
         rig, views=tuple(moved[view.image] for view in rig.views), depths=depths, notes=(*rig.notes, note)
     )
@@ -128,14 +143,20 @@ def find_color_camera(frames: Sequence[DepthView], scale: float) -> ColorCamera 
     sightings, reduced = shown
     fx, fy, cx, cy = (value * reduced[0].shape[1] / first.width for value in first.lens.parameters)
     camera = np.array([fx, fy, cx, cy])
-    found = np.zeros(5)
+    candidates = STARTS
     for blur, steps in BLURS:
         images = np.stack([gradients(details(image, blur)) for image in reduced])
         for _ in range(steps):
-            found, _ = _step(found, images, sightings, camera)
-    cost, start = (_step(values, images, sightings, camera)[1] for values in (found, np.zeros(5)))
+            candidates = np.array([_step(each, images, sightings, camera).better for each in candidates])
+        if len(candidates) > 1:  # the coarsest photographs decide between the starts
+            unlikely = [_step(each, images, sightings, camera).unlikely for each in candidates]
+            candidates = candidates[[int(np.argmin(unlikely))]]
+    found = candidates[0]
+    last, start = (_step(values, images, sightings, camera) for values in (found, np.zeros(5)))
+    unsettled = [name for name, error in zip(NAMES, last.error / EXPECTED, strict=True) if error > UNSETTLED]
     log_focal, shift_x, shift_y, x, y = (float(value) for value in found)
-    return ColorCamera(log_focal, shift_x, shift_y, x, y, cost / max(start, 1e-12))
+    agreement = last.cost / max(start.cost, 1e-12)
+    return ColorCamera(log_focal, shift_x, shift_y, x, y, agreement, tuple(dict.fromkeys(unsettled)))
 
 
 def shown_points(frames: Sequence[DepthView], scale: float) -> tuple[Sightings, list[np.ndarray]] | None:
@@ -207,10 +228,25 @@ def gradients(image: np.ndarray) -> np.ndarray:
     return np.stack([image, np.gradient(image, axis=1), np.gradient(image, axis=0)]).astype(np.float32)
 
 
-def _step(
-    found: np.ndarray, images: np.ndarray, sightings: Sightings, camera: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """Better parameters (log focal, shift x, y, offset x, y), and the disagreement at the given ones.
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A step of Gauss-Newton from some parameters (log focal, shift x, y, offset x, y).
+
+    Attributes:
+        better: (5,) the parameters after it.
+        error: (5,) standard errors of the parameters.
+        cost: disagreement of the photographs at the parameters before it.
+        unlikely: negative logarithm of the posterior of these, up to a constant.
+    """
+
+    better: np.ndarray
+    error: np.ndarray
+    cost: float
+    unlikely: float
+
+
+def _step(found: np.ndarray, images: np.ndarray, sightings: Sightings, camera: np.ndarray) -> _Step:
+    """A step from parameters (5,).
 
     Args:
         images: (frames, 3, H, W) of `gradients`.
@@ -226,10 +262,15 @@ def _step(
 
     residual, weight, cost = disagreement(value, inside, sightings)
     jacobian = np.stack([without_means(slope, sightings.point, weight) for slope in slopes], axis=1)
-    prior = np.diag(1e-5 * max(np.count_nonzero(weight), 1) / EXPECTED**2)
+    # The logarithm of the likelihood is that of the cost, half of it for each photograph.
+    frames, used = len(images), max(np.count_nonzero(weight), 1)
+    unit = max(cost, 1e-12) * SCALE**2 * used / frames
+    prior = np.diag(unit / EXPECTED**2)
     normal = (jacobian * weight[:, None]).T @ jacobian + prior
     change = np.linalg.solve(normal, (jacobian * weight[:, None]).T @ residual + prior @ found)
-    return found - change, cost
+    error = np.sqrt(unit * np.diag(np.linalg.inv(normal)))
+    unlikely = 0.5 * (frames * np.log(max(cost, 1e-12)) + float(((found / EXPECTED) ** 2).sum()))
+    return _Step(found - change, error, cost, unlikely)
 
 
 def sampled(images: np.ndarray, frame: np.ndarray, where: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:

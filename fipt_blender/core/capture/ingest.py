@@ -53,7 +53,7 @@ from .options import CaptureOptions, add_options, options_of
 from .photograph_poses import with_photograph_poses
 from .places import MISSING_REMEDY
 from .rig import Pinhole, RigView
-from .source import mesh_fusion, read_source, write_mesh
+from .source import mesh_fusion, read_source, size_note, write_mesh
 from .upright import Upright, doubts, find_upright
 
 # Photographs with more pixels than these are rewritten with 8 bits (JPEG) or 16 (HDR) instead of 32: of 12
@@ -154,6 +154,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         {kind: run_folder.images / path.relative_to(images) for kind, path in one.items()} for one in written
     ]
     world_from_source = upright.world_from_source(options.scale)
+    if (note := size_note(capture, source, mesh, world_from_source)) is not None:
+        reporter.warning(note.code, note.text, note.remedy)
     captured = CapturedViews(
         source=rig.source,
         world_from_source=as_matrix(world_from_source),

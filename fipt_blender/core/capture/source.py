@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..alignment.mesh_file import read_mesh
+from ..conventions import transform_points
 from ..depth.extraction import FusedMesh
 from ..depth.ply import write_ply
 from ..depth.simplification import collapsed
@@ -18,9 +19,10 @@ from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder
 from .align_mesh import aligned_to_mesh
+from .checks import judge_size
 from .color_camera import with_color_camera
 from .depth_images import Fusion, checked_depths
-from .formats.registry import read_rig
+from .formats.registry import read_points, read_rig
 from .options import CaptureOptions
 from .rig import Note, Rig
 
@@ -82,6 +84,20 @@ def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: Fus
         write_ply(run.simplified_ply, source.simplified)
         return run.simplified_ply
     return source.mesh
+
+
+def size_note(capture: Path, source: Source, mesh: Path | None, world_from_source: np.ndarray) -> Note | None:
+    """A warning where the room can't have the size that it has, by its mesh or else by the solve's points.
+
+    Args:
+        mesh: the capture's mesh file, if it has one.
+        world_from_source: (4, 4) similarity.
+    """
+    try:
+        points = read_mesh(mesh)[0] if mesh is not None else read_points(capture, source.rig.source)
+    except FiptError:  # told where it is used, or the format has no points
+        return None
+    return judge_size(transform_points(world_from_source, points)) if len(points) else None
 
 
 def _with_layer(rig: Rig, layer: str) -> Rig:

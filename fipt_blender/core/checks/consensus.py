@@ -41,6 +41,7 @@ MEND, LACK, WELL = 0.75, 0.6, 0.9
 # Where more than this share of the views is contradicted and the rest agrees less than this in the median, it
 # is the mesh that is wrong: right poses agree by 0.9.
 MANY, MEND_LEFT = 0.1, 0.85
+CLOSE = 0.2  # share of the pairs, those of the closest cameras, to whose agreement the mesh hardly matters
 UNITS = (0.001, 0.01, 0.0254, 0.3048, 1.0, 1.0 / 0.3048, 1.0 / 0.0254, 100.0, 1000.0)
 TRIED_VIEWS = 24  # views with which other placements of the mesh are tried
 LEAST_SEEN = 0.05  # share of the pixels that see the mesh, of a view or of all, below which they see nothing
@@ -189,8 +190,13 @@ def pair_agreement(room: Room, small: SmallViews, places: np.ndarray | None = No
     )
 
 
-def check_input(room: Room, views: Sequence[View], settings: Forced) -> dict[int, float]:
+def check_input(
+    room: Room, views: Sequence[View], settings: Forced, own_mesh: bool = False
+) -> dict[int, float]:
     """Refuse input from which nothing can be estimated; find the views whose poses are far off.
+
+    Args:
+        own_mesh: whether the mesh was made of depth images of these cameras: it lies where they are.
 
     Returns:
         index of each view that the others contradict, and its mean correlation with the credible ones.
@@ -207,7 +213,7 @@ def check_input(room: Room, views: Sequence[View], settings: Forced) -> dict[int
     blind = int((found.seen < LEAST_SEEN).sum())
     elsewhere = 2 * blind >= len(views) or found.seen.mean() < LEAST_SEEN
     doubtful = found.median < MEND or not credible.all()
-    if not settings.force and (elsewhere or not few) and doubtful:
+    if not settings.force and not own_mesh and (elsewhere or not few) and doubtful:
         _check_mesh(room, small, found, elsewhere or 2 * int((~credible).sum()) > judged.sum())
     if not settings.force and 2 * blind >= len(views) > blind:  # where all are blind, see fill_pixels
         raise _insufficient(
@@ -227,20 +233,45 @@ def check_input(room: Room, views: Sequence[View], settings: Forced) -> dict[int
     if unsettled or 2 * len(wrong) > judged.sum():
         if settings.force:
             return {}
-        raise disagreement(len(wrong), int(judged.sum()))
+        raise disagreement(len(wrong), int(judged.sum()), _evidence(found, small.views), own_mesh)
     weight = found.weight * credible
     score = (weight * found.correlation).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
     return {int(index): round(float(score[index]), 2) for index in wrong}
 
 
-def disagreement(wrong: int, judged: int) -> FiptError:
-    """The error where too many photographs contradict each other."""
+def disagreement(wrong: int, judged: int, evidence: str = "", own_mesh: bool = False) -> FiptError:
+    """The error where too many photographs contradict each other.
+
+    Args:
+        evidence: sentence on which of both, poses or mesh, is wrong.
+        own_mesh: as of `check_input`.
+    """
+    align = "" if own_mesh else ", or align them to the mesh (Align in the section Capture, --align-mesh)"
+    mesh = "fuse the depth images with smaller voxels" if own_mesh else "use another mesh of the room"
     return FiptError(
         "views-disagree",
-        f"{wrong} of {judged} photographs do not agree with the others on this mesh: so many of the camera"
-        " poses are wrong that the right ones can't be told, or the mesh is not where the cameras are.",
-        "Solve the cameras again, or align them to the mesh (Align in the section Capture, --align-mesh)."
-        + _FORCE,
+        f"{wrong} of {judged} photographs do not agree with the others on this mesh. Either so many of the"
+        " camera poses are wrong that the right ones can't be told, or the mesh is wrong or not where the"
+        f" cameras are.{evidence}",
+        f"If poses are wrong, solve the cameras again{align}; if the mesh is, {mesh}." + _FORCE,
+    )
+
+
+def _evidence(found: PairAgreement, views: Sequence[View]) -> str:
+    """Whether poses or mesh are wrong: between cameras close together, a wrong mesh matters little."""
+    place = np.array([view.camera_to_world[:3, 3] for view in views])
+    apart = np.linalg.norm(place[:, None] - place[None], axis=2)
+    pairs = np.triu(found.weight) > 0.0
+    if not pairs.any():
+        return ""
+    close = pairs & (apart <= np.quantile(apart[pairs], CLOSE))
+    near, far = (float(np.median(found.correlation[some])) for some in (close, pairs))
+    if near < AGREE:
+        return (
+            f" Photographs from nearly the same place do not agree either ({near:.2f}): the poses are wrong."
+        )
+    return (
+        f" Photographs from nearly the same place agree by {near:.2f}, all by {far:.2f}: the mesh is wrong."
     )
 
 

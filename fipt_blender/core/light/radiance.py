@@ -225,7 +225,7 @@ class TracedRadiance:
         wo = dr.normalize(wo)
         material = Material(base_color, roughness, metallic)
         vertex = Vertex(hit.position + mi.Vector3f(side) * self.offset, frame, side, wo, material)
-        radiance += self._sample_emitter(vertex, rng, active)
+        radiance += self.sample_emitter(vertex, rng, active)
         path.radiance += path.throughput * radiance
 
         # ---------------- BRDF sampling: f(x_{i+1} -> x_i) of the product (Eq. 10) ----------------
@@ -248,7 +248,7 @@ class TracedRadiance:
         path.origin = dr.select(active, vertex.origin, path.origin)
         return PathStep(path, dr.select(active, onward, direction), active)
 
-    def _sample_emitter(self, vertex: Vertex, rng: mi.PCG32, active: mi.Bool) -> mi.Color3f:
+    def sample_emitter(self, vertex: Vertex, rng: mi.PCG32, active: mi.Bool) -> mi.Color3f:
         """Reflected radiance of one emitter sample, weighted against BRDF sampling (balance heuristic)."""
         if not self._lights.count:
             return mi.Color3f(0.0)

@@ -46,6 +46,17 @@ def errors_with_place(errors: np.ndarray, place: float) -> np.ndarray:
     return np.column_stack([np.minimum(color, UNIFORM_DEVIATION), errors[:, 1:]]).astype(np.float32)
 
 
+def no_better_than(errors: np.ndarray, deviation: float) -> np.ndarray:
+    """Standard errors (C, 3), none of which is below what re-rendered photographs allow.
+
+    Args:
+        deviation: root mean square error of display values (`Quality.deviation`). Relative to a value d of
+            them, radiance and base color are off by 2.2 times as much; typical are d = 0.65 and 0.4.
+    """
+    least = min(2.2 * deviation / 0.65 * 0.4, UNIFORM_DEVIATION)
+    return np.maximum(errors, np.float32(least))
+
+
 def confidence(errors: np.ndarray) -> np.ndarray:
     """1 - error / 0.289 of standard errors (any shape), float32: 1 is certain, 0 means unknown."""
     return np.clip(1.0 - errors / UNIFORM_DEVIATION, 0.0, 1.0).astype(np.float32)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -28,17 +29,19 @@ from ..run.result_contents import (
     EmitterFixture,
     Emitters,
     Maps,
+    QualityFigures,
     Render,
     Renders,
     StageFigures,
     Statistics,
 )
-from ..run.runfolder import PRODUCT_VERSION, RunFolder
+from ..run.runfolder import PRODUCT_VERSION, RunFolder, explained_write_errors
 from ..run.settings import Settings
 from .comparison import ERROR_FULL, choose_exposure, error_picture, psnr, to_display
 from .fixture_names import run_fixture_names
 from .html import write_page
 from .pictures import write_png
+from .quality_files import KINDS
 
 MAPS = ("base_color", "roughness", "metallic", "emission")
 PICTURE_WIDTH = 1280  # of photographs and renders on the page, at most; larger ones are averaged
@@ -126,6 +129,7 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
     progress(0.8)
     emitters = _optional(run.emitters_json, Emitters) or Emitters((), None)
     statistics = _optional(run.statistics_json, Statistics) or Statistics()
+    quality = _optional(run.quality_json, QualityFigures)
     record = _optional(run.root / "steps.json", Steps)
     steps = record.steps if record else {}
     context = {
@@ -135,6 +139,8 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
         "held_back_count": len(capture.held_back) if capture else 0,
         "shots": shots,
         "mean_psnr": float(np.mean(values)) if values else None,
+        "quality": quality,
+        "judged_views": _judged_views(run, quality, album),
         "photos": photos,
         "exposure": exposure,
         "error_full": ERROR_FULL,
@@ -163,11 +169,16 @@ class _Album:
         self._folder = run.report / "images"
         self._count = 0
 
-    def add(self, kind: str, display: np.ndarray) -> str:
-        """Write display values as PNG; returns the address relative to the page."""
+    def add(self, kind: str, display: np.ndarray | Path) -> str:
+        """Write display values as PNG, or copy such a file; returns the address relative to the page."""
         self._count += 1
         name = f"{self._count:03d}-{kind}.png"
-        write_png(self._folder / name, display)
+        if isinstance(display, Path):
+            self._folder.mkdir(parents=True, exist_ok=True)
+            with explained_write_errors(self._folder):
+                shutil.copyfile(display, self._folder / name)
+        else:
+            write_png(self._folder / name, display)
         return f"images/{name}"
 
 
@@ -231,6 +242,19 @@ def _photos(
         {"name": view.name, "image": album.add("photo", to_display(photographs.of(view), exposure))}
         for view in capture.train[::stride]
     ]
+
+
+def _judged_views(
+    run: RunFolder, quality: QualityFigures | None, album: _Album
+) -> list[tuple[str, dict[str, str]]]:
+    """Name and pictures, by their kind, of the photographs by which the result was judged."""
+    rows = []
+    for view in quality.views if quality else ():
+        paths = {kind: run.quality / getattr(view, kind) for kind in KINDS}
+        rows.append(
+            (view.name, {kind: album.add(kind, path) for kind, path in paths.items() if path.is_file()})
+        )
+    return rows
 
 
 def _map_rows(run: RunFolder, album: _Album, exposure: float) -> list[tuple[str, dict[str, str]]]:

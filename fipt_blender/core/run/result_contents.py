@@ -133,6 +133,36 @@ class Doubts:
 
 
 @dataclass(frozen=True)
+class CauseShare:
+    """A share of the error of a result, what it is due to, and what helps."""
+
+    name: str
+    share: Share
+    remedy: str
+
+
+@dataclass(frozen=True)
+class JudgedPictures:
+    """A photograph that was held back: mean squared errors of render and projection, and pictures of all."""
+
+    name: str
+    errors: tuple[Vector, ...]
+    photograph: Annotated[str, FileName()]
+    render: Annotated[str, FileName()]
+    projection: Annotated[str, FileName()]
+
+
+@dataclass(frozen=True)
+class QualityFigures:
+    """quality.json: PSNR in dB of photographs that were held back, rendered and projected."""
+
+    held_back_db: float
+    projection_db: float
+    causes: tuple[CauseShare, ...]
+    views: tuple[JudgedPictures, ...]
+
+
+@dataclass(frozen=True)
 class StageFigures:
     """Time and rays of a stage."""
 

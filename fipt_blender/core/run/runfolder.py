@@ -71,6 +71,8 @@ class RunFolder:
         self.versions = self.root / "versions"  # earlier results
         self.doubts_json = self.results / "doubts.json"
         self.doubts = self.results / "doubts"
+        self.quality_json = self.results / "quality.json"
+        self.quality = self.results / "quality"
         self.atlas_npz = self.root / "atlas.npz"
         self.atlas_json = self.root / "atlas.json"
         self.textures = self.root / "textures"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from .documents import optional_document
-from .result_contents import Doubts, Emitters, PartList, Statistics
+from .result_contents import Doubts, Emitters, PartList, QualityFigures, Statistics
 from .runfolder import RunFolder
 from .versions import Version, list_versions, version_folder
 
@@ -24,6 +24,7 @@ class Figures:
         environment: whether light comes from outside.
         parts: base colour (mean of the channels), roughness and metallic of each part, by its name.
         doubts: number of questions.
+        held_back: dB with which photographs that were held back are re-rendered.
     """
 
     seconds: float | None
@@ -32,6 +33,7 @@ class Figures:
     environment: bool | None
     parts: Mapping[str, tuple[float, float, float]]
     doubts: int | None
+    held_back: float | None
 
 
 def figures(run: RunFolder, version: str) -> Figures:
@@ -46,6 +48,7 @@ def figures(run: RunFolder, version: str) -> Figures:
     emitters = optional_document(folder.emitters_json, Emitters)
     doubts = optional_document(folder.doubts_json, Doubts)
     listed = optional_document(folder.parts_json, PartList)
+    quality = optional_document(folder.quality_json, QualityFigures)
     parts = {
         part.name: (sum(part.base_color) / 3.0, part.roughness, part.metallic)
         for part in (listed.parts if listed else ())
@@ -58,6 +61,7 @@ def figures(run: RunFolder, version: str) -> Figures:
         environment=emitters.environment is not None if emitters else None,
         parts=parts,
         doubts=len(doubts.doubts) if doubts else None,
+        held_back=quality.held_back_db if quality else None,
     )
 
 
@@ -85,6 +89,7 @@ def comparison(run: RunFolder, first: str, second: str, parts: int) -> list[tupl
         row("Settings", lambda version, _: ", ".join(version.changes) or "-"),
         row("Hints", lambda version, _: ", ".join(version.hints) or "-"),
         row("Time", lambda _, of: _number(of.seconds, "{:.0f} s")),
+        row("Held back", lambda _, of: _number(of.held_back, "{:.1f} dB")),
         row("Lamps", lambda _, of: _number(of.lamps, "{}")),
         row("Power", lambda _, of: _number(of.power, "{:.4g} W")),
         row("Environment", lambda _, of: {None: "-", True: "yes", False: "no"}[of.environment]),

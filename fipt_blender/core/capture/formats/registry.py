@@ -9,6 +9,7 @@ another format; `read(found, options)`; and, if it holds points, `points(found)`
 from __future__ import annotations
 
 import errno
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from types import ModuleType
@@ -18,7 +19,7 @@ import numpy as np
 from ...run.errors import FiptError
 from ...run.shapes import FARTHEST_UNITS
 from ..options import CaptureOptions
-from ..rig import Rig, damaged
+from ..rig import Note, Rig, damaged
 from ..suffixes import SUFFIXES
 from . import (
     bundler,
@@ -38,6 +39,9 @@ from . import (
     transforms,
 )
 
+MOST_FOLDERS = 200  # that are searched for a capture below one that is none
+# Formats of data sets, which contain files of other formats, too.
+COMPLETE = ("fipt-synthetic", "fipt-real", "scannetpp")
 # The first match is used: nerfstudio, for example, keeps a COLMAP model beside its transforms.json.
 FORMATS: dict[str, ModuleType] = {
     module.NAME: module
@@ -65,7 +69,8 @@ def detect_format(path: Path) -> str:
     """The name of the first format that matches a capture.
 
     Raises:
-        FiptError: ``capture-missing``; ``cameras-missing`` for photographs alone; ``format-unknown``.
+        FiptError: ``capture-missing``; ``capture-elsewhere``; ``cameras-missing`` for photographs alone;
+            ``format-unknown``.
     """
     if not path.exists():
         raise FiptError("capture-missing", f"The capture {path} does not exist.", "Correct the path.")
@@ -73,6 +78,12 @@ def detect_format(path: Path) -> str:
         if module.find(path) is not None:
             return name
     folder = path if path.is_dir() else path.parent
+    if (near := _capture_near(folder)) is not None:
+        raise FiptError(
+            "capture-elsewhere",
+            f"{path} is no capture, but {near[0]} is one, in the format {near[1]}.",
+            f"Choose the folder {near[0]}.",
+        )
     files = (file for pattern in ("*", "*/*") for file in folder.glob(pattern))
     if any(file.suffix.lower() in SUFFIXES for file in islice(files, 10_000)):
         raise FiptError(
@@ -84,6 +95,28 @@ def detect_format(path: Path) -> str:
         "format-unknown",
         f"{path} holds neither photographs nor cameras in a known format ({', '.join(FORMATS)}).",
         "Choose the folder that contains the camera file and the photographs.",
+    )
+
+
+def _capture_near(folder: Path) -> tuple[Path, str] | None:
+    """A capture in a folder or at most two folders below it, and its format."""
+    below = (each for pattern in ("*", "*/*") for each in sorted(folder.glob(pattern)) if each.is_dir())
+    for place in (folder, *islice(below, MOST_FOLDERS)):
+        for name, module in FORMATS.items():
+            if module.find(place) is not None:
+                return place, name
+    return None
+
+
+def _others(path: Path, used: str) -> Note | None:
+    """A note of other formats in which a capture could be read."""
+    also = [name for name, module in FORMATS.items() if name != used and module.find(path) is not None]
+    if not also or used in COMPLETE:
+        return None
+    return Note(
+        "formats-several",
+        f"{path} is read in the format {used}; it could be read as {' or '.join(also)}, too.",
+        f"If cameras or mesh are wrong, choose the other format (--format {also[0]}).",
     )
 
 
@@ -149,4 +182,5 @@ def _read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
             "Set the format to auto, or choose another folder.",
         )
     rig: Rig = module.read(found, options)
-    return rig
+    note = _others(path, detected) if name == "auto" else None
+    return rig if note is None else replace(rig, notes=(*rig.notes, note))

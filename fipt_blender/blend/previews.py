@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of a run as icons for the panel; loaded by timers and operators, never while drawing."""
+"""Pictures of a run as icons for the panel; read by timers, operators and threads, never while drawing."""
 
 from __future__ import annotations
 
@@ -20,13 +20,22 @@ class PictureIcons:
     def load(self, paths: Iterable[Path]) -> None:
         """Replace the icons by those of these files; missing files are skipped."""
         self.clear()
-        if bpy.app.background:
-            return
-        self._collection = bpy.utils.previews.new()
         for path in paths:
             if path.is_file():
+                self.add(path)
                 # Accessing the size reads the file now instead of at the first drawing.
-                tuple(self._collection.load(str(path), str(path), "IMAGE", force_reload=True).image_size)
+                if self._collection is not None:
+                    tuple(self._collection[str(path)].image_size)
+
+    def add(self, path: Path) -> int:
+        """The icon number of a file, which Blender reads in a thread of its own where it is drawn first."""
+        if bpy.app.background:
+            return 0
+        if self._collection is None:
+            self._collection = bpy.utils.previews.new()
+        if str(path) not in self._collection:
+            self._collection.load(str(path), str(path), "IMAGE")
+        return self.icon(path)
 
     def icon(self, path: Path) -> int:
         """The icon number of a loaded file; 0 if it is not loaded."""
@@ -42,10 +51,12 @@ class PictureIcons:
 
 
 estimate_pictures = PictureIcons()  # the estimate so far
+view_pictures = PictureIcons()  # the photographs
 doubt_pictures = PictureIcons()  # the parts that the engine asks about
 
 
 def clear() -> None:
     """Free all icons."""
     estimate_pictures.clear()
+    view_pictures.clear()
     doubt_pictures.clear()

@@ -1,0 +1,146 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The plain projection of the training photographs onto the mesh, seen from another camera.
+
+It knows neither materials nor light: for each pixel's surface point, the radiance of the training pixels that
+see it, weighted by how alike their directions are and how near they are (after C. Buehler et al.,
+Unstructured Lumigraph Rendering, SIGGRAPH 2001). Where the mesh is missed, points are infinitely far.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from ..capture.views import View
+from ..pixels.store import NO_TRIANGLE, PixelStore, TracedView
+
+# A point is seen where the surface of a pixel is at most so many pixel widths nearer or farther.
+REACH = 2.0
+# Weight of a photograph: 1 / (1 - cosine of the angle between the directions + this).
+ANGLE = 0.01
+LEAST_COSINE = 0.1  # between a surface and a direction, for the tolerance of depth
+# Most photographs that are projected into a view, those that show most of it.
+MOST_VIEWS = 48
+SAMPLE = 97  # every so many pixels of a view decide which photographs show most of it
+FAR = 1.0e4  # metres, of what lies outside of the mesh
+FLOOR = 1e-3  # radiance in units of the capture's median, below which logarithms do not fall
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """What the photographs show of the points of a view's pixels.
+
+    Attributes:
+        radiance: (H, W, 3) float32, of unseen pixels that of the nearest seen one.
+        seen: (H, W) int16, number of photographs that show the point.
+        spread: (H, W) float32 weighted standard deviation of the logarithm of luminance between these.
+    """
+
+    radiance: np.ndarray
+    seen: np.ndarray
+    spread: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Points that a camera sees: position (N, 3) metres, normal (N, 3), whether outside (N,), camera (3,)."""
+
+    position: np.ndarray
+    normal: np.ndarray
+    outside: np.ndarray
+    camera: np.ndarray
+
+    def every(self, step: int) -> _Points:
+        """Each `step`-th of them."""
+        return _Points(self.position[::step], self.normal[::step], self.outside[::step], self.camera)
+
+
+def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) -> Projection:
+    """The training photographs as they are seen from a camera.
+
+    Args:
+        pixels: of the training views; those that are left out show nothing.
+        place: standard deviation of the place of surfaces, metres.
+        view: the camera; it must not be one of the training views.
+        traced: the first surfaces of its pixels.
+    """
+    outside = traced.triangle == NO_TRIANGLE
+    origin, direction = view.rays()
+    position = np.where(outside[:, None], origin + FAR * direction, traced.position)
+    points = _Points(position, traced.normal, outside, np.asarray(view.camera_to_world)[:3, 3])
+    few = points.every(SAMPLE)
+    shown = [int(np.count_nonzero(_seen(pixels, index, few, place)[0])) for index in range(len(pixels.views))]
+    order = [index for index in np.argsort(shown, kind="stable")[::-1][:MOST_VIEWS] if shown[index]]
+    total, first, second = (np.zeros(len(position)) for _ in range(3))
+    sums, count = np.zeros((len(position), 3)), np.zeros(len(position), np.int16)
+    for index in order:
+        rows, weight, where = _seen(pixels, int(index), points, place)
+        radiance = _sampled(pixels, int(index), where)
+        value = np.log(radiance.mean(axis=1) + FLOOR)
+        radiance = np.log(
+            np.maximum(radiance, FLOOR)
+        )  # as display values do, logarithms bound what is clipped
+        total[rows] += weight
+        sums[rows] += weight[:, None] * radiance
+        first[rows] += weight * value
+        second[rows] += weight * value**2
+        count[rows] += 1
+    share = np.maximum(total, 1e-30)
+    spread = np.sqrt(np.maximum(second / share - (first / share) ** 2, 0.0))
+    shape = (view.height, view.width)
+    image = np.exp(sums / share[:, None]).astype(np.float32).reshape(*shape, 3)
+    seen = count.reshape(shape)
+    if (seen > 0).any():
+        nearest = distance_transform_edt(seen == 0, return_distances=False, return_indices=True)
+        image = image[tuple(nearest)]
+    return Projection(image, seen, spread.astype(np.float32).reshape(shape))
+
+
+def _seen(
+    pixels: PixelStore, index: int, points: _Points, place: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(M,) int64 points that a training view shows, (M,) their weights, and (M, 2) column and row there."""
+    view = pixels.views[index]
+    pose = np.asarray(view.camera_to_world, np.float64)
+    local = (points.position - pose[:3, 3]) @ pose[:3, :3]
+    depth = np.maximum(local[:, 2], 1e-9)
+    where = (
+        np.stack([view.fx * local[:, 0] / depth + view.cx, view.fy * local[:, 1] / depth + view.cy], 1) - 0.5
+    )
+    inside = (local[:, 2] > 1e-6) & (where >= 0.0).all(axis=1)
+    inside &= (where[:, 0] <= view.width - 1) & (where[:, 1] <= view.height - 1)
+    chosen = np.flatnonzero(inside)
+    column, row = np.rint(where[chosen]).astype(np.int64).T
+    pixel = pixels.rows(index).start + row * view.width + column
+    triangle = np.asarray(pixels.triangle[pixel])
+    toward = pose[:3, 3] - points.position[chosen]
+    toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-12)
+    cosine = np.abs((toward * points.normal[chosen]).sum(axis=1))
+    met = (np.asarray(pixels.position[pixel]) - pose[:3, 3]) @ pose[:3, 2]
+    reach = REACH * depth[chosen] / view.fx / np.maximum(cosine, LEAST_COSINE) + REACH * place
+    outside = points.outside[chosen]
+    visible = np.where(
+        outside, triangle == NO_TRIANGLE, (triangle >= 0) & (np.abs(met - depth[chosen]) < reach)
+    )
+    chosen, toward = chosen[visible], toward[visible]
+    back = points.camera - points.position[chosen]
+    distance = np.linalg.norm(back, axis=1)
+    alike = (toward * back).sum(axis=1) / np.maximum(distance, 1e-12)
+    nearer = np.minimum(distance / np.maximum(depth[chosen], 1e-9), 1.0) ** 2
+    facing = np.where(outside[visible], 1.0, np.maximum(cosine[visible], LEAST_COSINE))
+    return chosen, facing * nearer / (1.0 - np.minimum(alike, 1.0) + ANGLE), where[chosen]
+
+
+def _sampled(pixels: PixelStore, index: int, where: np.ndarray) -> np.ndarray:
+    """(M, 3) radiance of a training view at columns and rows (M, 2), bilinear."""
+    view, image = pixels.views[index], np.asarray(pixels.radiance[pixels.rows(index)])
+    corner = np.minimum(where.astype(np.int64), np.array([view.width, view.height]) - 2).clip(0)
+    across, down = np.clip(where - corner, 0.0, 1.0).T[..., None]
+    first = corner[:, 1] * view.width + corner[:, 0]
+    right, below = int(view.width > 1), view.width * int(view.height > 1)
+    upper = image[first] * (1.0 - across) + image[first + right] * across
+    lower = image[first + below] * (1.0 - across) + image[first + below + right] * across
+    return np.asarray(upper * (1.0 - down) + lower * down)
