@@ -14,6 +14,7 @@ from fipt_blender.core.completion.panes import close_holes
 from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.run.run_files import PANES
 from fipt_blender.core.surface.room import Room, load_room
+from samples.lost_things import photographed
 from samples.part_views import THING_PART, looking_views, with_own_ids, write_run
 from samples.scans import scanned_box
 from samples.small_rooms import mesh_room
@@ -60,23 +61,26 @@ def in_hole(places: np.ndarray) -> np.ndarray:
     return near.all(axis=1) & (places[:, 1] < 0.1)
 
 
-@pytest.mark.parametrize("own_ids", [False, True])
-@pytest.mark.parametrize("thing", [shade, board])
+@pytest.mark.parametrize(
+    "thing, evidence",
+    [(shade, "masks"), (board, "masks"), (shade, "own ids"), (board, "own ids"), (shade, "photographs")],
+)
 def test_a_hole_in_a_part_is_filled(
     tmp_path: Path,
     rng: np.random.Generator,
     thing: Callable[[], tuple[np.ndarray, np.ndarray]],
-    own_ids: bool,
+    evidence: str,
 ) -> None:
     scan, _ = scanned_box(cells=60, noise=NOISE)
     vertices, triangles = thing()
     hole = in_hole(vertices[triangles].mean(axis=1))
     assert 0.05 < hole.mean() < 0.3
     noisy = vertices + rng.normal(0.0, NOISE, vertices.shape)
-    run = write_run(tmp_path, joined(scan, noisy, triangles[~hole], 0), "masks")
+    parts = "none" if evidence == "photographs" else "masks"
+    run = write_run(tmp_path, joined(scan, noisy, triangles[~hole], 0), parts)
     true = joined(scan, vertices, triangles, 1)
-    views = looking_views(tmp_path, true)
-    close_holes(run, with_own_ids(views, rng) if own_ids else views)
+    views = photographed(tmp_path, true, rng) if parts == "none" else looking_views(tmp_path, true)
+    close_holes(run, with_own_ids(views, rng) if evidence == "own ids" else views)
     room = load_room(run)
     added = room.triangle_object == 1
     assert room.objects == ("scan", PANES) and added.any()
@@ -94,9 +98,9 @@ def test_a_hole_in_a_part_is_filled(
     assert wanted > 500 and filled > 0.8 * wanted
 
 
-@pytest.mark.parametrize("thing", [shade, board])
+@pytest.mark.parametrize("thing, parts", [(shade, "masks"), (board, "masks"), (shade, "none")])
 def test_whole_parts_and_true_holes_stay(
-    tmp_path: Path, rng: np.random.Generator, thing: Callable[[], tuple[np.ndarray, np.ndarray]]
+    tmp_path: Path, rng: np.random.Generator, thing: Callable[[], tuple[np.ndarray, np.ndarray]], parts: str
 ) -> None:
     scan, _ = scanned_box(cells=60, noise=NOISE)
     vertices, triangles = thing()
@@ -105,8 +109,9 @@ def test_whole_parts_and_true_holes_stay(
     for name, left in (("whole", triangles), ("open", triangles[~hole])):
         folder = tmp_path / name
         folder.mkdir()
-        run = write_run(folder, joined(scan, noisy, left, 0), "masks")
-        views = looking_views(folder, joined(scan, vertices, left, 1))
+        run = write_run(folder, joined(scan, noisy, left, 0), parts)
+        true = joined(scan, vertices, left, 1)
+        views = photographed(folder, true, rng) if parts == "none" else looking_views(folder, true)
         assert any((view.part_ids() == THING_PART).any() for view in views)
         close_holes(run, views)
         assert load_room(run).objects == ("scan",)

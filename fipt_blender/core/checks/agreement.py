@@ -38,6 +38,8 @@ MOST_EDGE = 0.05
 SHOWN_CELLS = 2
 # A point of a lost thing reduces the disagreement by at least this much, mean over the views.
 LEAST_GAIN = 0.1
+# A view is on the side of a point's normal if it sees the point at this cosine at least.
+LEAST_COSINE = 0.2
 # Spacing of the points in the air, in widths of a pixel on the scan, and largest number of points.
 COARSE, MOST_POINTS = 3, 1_000_000
 # Rounds in which the views' exposures are found.
@@ -109,7 +111,7 @@ class ComparedPixels:
         gain, count = np.zeros(len(points)), np.zeros(len(points), np.int64)
         for begin in range(0, len(points), _CHUNK):
             rows = slice(begin, begin + _CHUNK)
-            gain[rows], count[rows] = self._gains(points[rows])
+            gain[rows], count[rows] = self.gains(points[rows])
         return gain.reshape(tuple(shape)), count.reshape(tuple(shape))
 
     def boxes(self, bounds: Box, most_points: int = MOST_POINTS) -> Iterator[tuple[Box, float, float]]:
@@ -134,12 +136,19 @@ class ComparedPixels:
             box = low + cells.min(axis=0) * step, low + (cells.max(axis=0) + 1) * step
             yield box, step, float(total[piece] / max(self.disagreement, 1e-30))
 
-    def _gains(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As :meth:`swept`, of points (P, 3); 0 where fewer than `LEAST_VIEWS` views see one."""
+    def gains(self, points: np.ndarray, facing: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """As :meth:`swept`, of points (P, 3); 0 where fewer than `LEAST_VIEWS` views see one.
+
+        Args:
+            facing: (P, 3) unit normals: only views on their side count; None: all do.
+        """
         color = np.full((len(self.views), len(points), 3), np.nan, np.float32)
         on_scan = np.zeros(len(points))
         for view in range(len(self.views)):
             rows, pixel = self.before(view, points)
+            if facing is not None:
+                cosine = -(self.direction[pixel] * facing[rows]).sum(axis=1)
+                rows, pixel = rows[cosine > LEAST_COSINE], pixel[cosine > LEAST_COSINE]
             color[view, rows] = self.color[pixel]
             on_scan[rows] += np.nan_to_num(self.doubt[pixel])
         count = np.isfinite(color[..., 0]).sum(axis=0)

@@ -10,7 +10,7 @@ surface behind, an upright prism is fitted.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,9 +18,7 @@ import numpy as np
 from scipy.ndimage import binary_erosion, binary_fill_holes, binary_opening, label
 from scipy.special import bdtrc  # scipy.stats takes half a second to import
 
-from ..capture.views import View
-from ..checks.agreement import LEAST_GAIN, Box, ComparedPixels, cells_of, compared_pixels, doubts, hits_of
-from ..robust import LEAST_VIEWS
+from ..checks.agreement import LEAST_GAIN, Box, ComparedPixels, cells_of, doubts, hits_of
 from ..surface.adjacency import NONE, Surface
 from ..surface.room import Room
 from .prism import prism
@@ -35,22 +33,16 @@ LEVEL = 0.05
 STEPS = (3, 1)
 
 
-def lost_surfaces(room: Room, views: Sequence[View], edge: float) -> list[Surface]:
+def lost_surfaces(room: Room, pixels: ComparedPixels) -> tuple[list[Surface], ComparedPixels]:
     """Prisms for things in front of a scan that the photographs show.
-
-    Mitsuba's variant must be set.
 
     Args:
         room: the scan.
-        views: training views.
-        edge: median edge of the scan, metres.
+        pixels: of the training views on it.
 
     Returns:
-        for each its surface, whose triangles are on no planes.
+        for each its surface, whose triangles are on no planes; and the pixels with these surfaces.
     """
-    if len(views) < LEAST_VIEWS:
-        return []
-    pixels = compared_pixels(room, views, edge)
     middles = room.vertices.astype(np.float64)[room.triangles].mean(axis=1)
     found: list[Surface] = []
     for (low, high), step, share in pixels.boxes(room.bounds):
@@ -60,7 +52,7 @@ def lost_surfaces(room: Room, views: Sequence[View], edge: float) -> list[Surfac
         if fitted is not None:
             thing, pixels = fitted
             found.append((*thing.mesh, np.full(len(thing.mesh[1]), NONE)))
-    return found
+    return found, pixels
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..capture.views import View
+from ..checks.agreement import compared_pixels
 from ..optics.lights import LUMINANCE
 from ..parts.labels import choose_source, masks_digest
 from ..parts.linked_masks import link_masks
 from ..parts.masked_views import masked_views
 from ..pixels.camera_rays import first_hits, trace_pixels
+from ..robust import LEAST_VIEWS
 from ..run.arrays import read_arrays
 from ..run.errors import FiptError
 from ..run.run_files import PANES, has_searched_panes, mesh_digest, read_room_files
@@ -34,7 +36,7 @@ from ..surface.holes import FlatHole, flat_holes, median_edge
 from ..surface.room import Room, load_room
 from ..surface.stored import prepare_geometry, scanned, store_geometry, stored_geometry
 from .lost_surfaces import lost_surfaces
-from .torn_parts import torn_parts
+from .torn_parts import torn_parts, torn_round_things
 
 # At least so many of the pixels that look into a hole, and this share of them, must meet no surface behind.
 LEAST_PIXELS, LEAST_MISSED = 100, 0.5
@@ -136,17 +138,24 @@ def _searched_kinds(run: RunFolder) -> list[bool]:
 def _things(
     run: RunFolder, room: Room, views: Sequence[View], edge: float, settings: RoomSettings
 ) -> list[Surface]:
-    """Surfaces that the scan lacks: lost things, from the photographs, then torn parts, from masks.
+    """Surfaces that the scan lacks: lost things, from the photographs, then torn parts, from masks or these.
 
     Lost things come first, because linked masks would assign them to the surface behind them.
     """
-    found = lost_surfaces(room, views, edge) if settings.lost_surfaces else []
-    if choose_source(room, views) != "masks":
+    found: list[Surface] = []
+    masked = choose_source(room, views) == "masks"
+    if len(views) >= LEAST_VIEWS and (settings.lost_surfaces or (settings.torn_parts and not masked)):
+        pixels = compared_pixels(room, views, edge)
+        if settings.lost_surfaces:
+            found, pixels = lost_surfaces(room, pixels)
+        if settings.torn_parts and not masked:
+            found += torn_round_things(room, pixels, edge)
+    if not masked:
         return found
     for surface in found:
         room = _with(room, surface)
-    masked, label = masked_views(room, link_masks(run, room, views))
-    return found + (torn_parts(room, label, masked, edge) if settings.torn_parts else [])
+    looking, label = masked_views(room, link_masks(run, room, views))
+    return found + (torn_parts(room, label, looking, edge) if settings.torn_parts else [])
 
 
 def _with(room: Room, surface: Surface) -> Room:

@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Surfaces that complete the parts that a scan tore, from the triangles that are left and from masks.
+"""Surfaces that complete the parts that a scan tore, from the triangles that are left and from masks or
+photographs.
 
 A voxel that both sides of a thin shade or vase cross holds neither, so that scans have holes there; of glossy
 parts, a scanner sees only patches. Light then passes where it should not. A shape is fitted to the triangles
 that are left of a part: a surface of revolution, or nearly plane sheets. It is continued where the masks show
-the part and the scan has nothing.
+the part and the scan has nothing; without masks, round things are where photographs agree there.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_opening, binary_propagation
 from scipy.ndimage import label as connected
 
+from ..checks.agreement import LEAST_COSINE, LEAST_GAIN, ComparedPixels
 from ..parts.masked_views import MISSES, MaskedView
 from ..pixels.camera_rays import first_hits, rays_along, trace_pixels
 from ..robust import LEAST_VIEWS
@@ -30,10 +32,10 @@ from .sheet import Sheet, fit_sheets
 APART, LEAST_TRIANGLES = 2.0, 100
 # Share of a surface of revolution that the scan must have or the masks must show.
 LEAST_KNOWN = 0.5
+# Without masks, photographs must agree at so many missing cells of a surface of revolution at least.
+LEAST_SHOWN = 10
 # Sheets complete parts if at least this share of their pixels hits other parts.
 TORN = 0.05
-# A view votes on surfaces that it sees at this cosine at least.
-LEAST_COSINE = 0.2
 # A cell of a shape exists in the scan if the scan has a surface within this many edges in front of or behind
 # it, at four points: these offsets from the centre, in cells, along both axes.
 WITHIN, _BESIDE = 0.75, (-0.25, 0.25)
@@ -78,6 +80,51 @@ def torn_parts(room: Room, label: np.ndarray, masked: Sequence[MaskedView], edge
             completion.add(sheet, part, _missing_flat)
             completion.look()
     return completion.added
+
+
+def torn_round_things(room: Room, pixels: ComparedPixels, edge: float) -> list[Surface]:
+    """Surfaces that complete round things of a scan where no masks tell parts apart.
+
+    Photographs take the place of masks: they agree at a cell that is missing, and not on what the scan has
+    behind it.
+
+    Args:
+        room: the scan.
+        pixels: of the training views on it.
+        edge: median edge of the scan, metres.
+
+    Returns:
+        as `torn_parts`.
+    """
+    normals, areas = face_vectors(room.vertices.astype(np.float64), room.triangles)
+    middles = room.vertices.astype(np.float64)[room.triangles].mean(axis=1)
+    none = np.zeros(len(room.triangles), bool)
+    on_plane = none if room.plane is None else room.plane != NONE
+    rows = np.flatnonzero(~on_plane & ~(none if room.exact is None else room.exact))
+    found = []
+    for thing in _things(middles, rows, APART * edge):
+        for revolution in fit_revolutions(middles[thing], normals[thing], areas[thing], edge):
+            has = _on_scan(revolution, room, edge)
+            votes = _agreement(revolution, pixels, ~has)
+            if votes.yes.any() and (chosen := _missing_round(has, votes)).any():
+                vertices, triangles, facing = revolution.surface(chosen)
+                found.append((vertices, triangles, facing, np.full(len(triangles), NONE)))
+    return found
+
+
+def _agreement(shape: Shape, pixels: ComparedPixels, missing: np.ndarray) -> _Votes:
+    """Votes of photographs on the missing cells (R, S) bool of a shape; all views of a cell vote alike.
+
+    None vote for it unless they do at nearly all of the cells that enough views see.
+    """
+    centres, facing = (each.reshape(-1, 3) for each in shape.cells())
+    gain, count = (each.reshape(shape.shape) for each in pixels.gains(centres, facing))
+    seen = missing & (count >= LEAST_VIEWS)
+    shown = seen & (gain > LEAST_GAIN)
+    enough = shown.sum() >= max(LEAST_SHOWN, (1.0 - MISSES) * seen.sum())
+    none = np.zeros_like(count)
+    yes, no = np.where(shown & enough, count, 0), np.where(seen & ~shown, count, 0)
+    return _Votes(yes, none, no, none.astype(np.float64))
 
 
 class _Completion:
