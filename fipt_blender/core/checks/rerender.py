@@ -21,7 +21,7 @@ from ..light.baking import SUBPIXELS
 from ..light.cache import SurfaceLookup, fill_grid, grid_frame, pool, sample_surface
 from ..light.emitters import Fixture, emitter_table
 from ..light.environment import Environment
-from ..light.radiance import TracedRadiance, Vertex, new_path
+from ..light.radiance import OutsideRadiance, TracedRadiance, Vertex, new_path
 from ..optics import brdf, factorised
 from ..optics.brdf import Material
 from ..optics.denoise import Denoiser
@@ -94,8 +94,12 @@ class Renderer:
         self._estimate, self._seed = estimate, seed
         self._lights = AreaLights(room.vertices, room.triangles, estimate.emitters)
         self._outside = None if estimate.environment is None else EnvironmentLight(estimate.environment)
+        environment = estimate.environment
+        outside = None
+        if environment is not None:
+            outside = OutsideRadiance(Environment(environment, 1.0, np.ones(environment.shape[:2], bool)))
         self._source = TracedRadiance(
-            room, None, materials, None, self._lights, self._outside, cache_roughness=1.0, depth=DEPTH
+            room, None, materials, None, self._lights, outside, cache_roughness=1.0, depth=DEPTH
         )
 
     def render(self, view: View, stream: int = 0) -> np.ndarray:

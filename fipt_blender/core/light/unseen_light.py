@@ -123,6 +123,7 @@ class Sources:
         return replace(
             before,
             image=image,
+            unseen_light=float(self.light.share(self.points).mean()),
             hull=hull,
             entries=self.entries,
             radiance=radiance[self.of_entry],
