@@ -38,8 +38,8 @@ from .sources import (
 )
 
 RAYS, CHUNK = 1024, 256  # from each point; points at a time
-# Width of sources in metres, and at most this share of the room's largest side.
-SIZE, SIZE_SHARE = 0.5, 0.1
+# Width of sources in metres, and at most this share of the room's largest side, which has at most so many.
+SIZE, SIZE_SHARE, MOST_CELLS = 0.5, 0.1, 32
 # Voxels along each side of the cubes of which a side is unseen if no pixel sees it.
 UNSEEN = 4
 # Sources on which fewer of all rays land are left as they are, and at most so many are solved for.
@@ -181,7 +181,8 @@ def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: in
     if len(where) < LEAST_POINTS:
         return None
     lit = pixels.surface(room, where)
-    size = min(SIZE, SIZE_SHARE * float((room.bounds[1] - room.bounds[0]).max()))
+    longest = float((room.bounds[1] - room.bounds[0]).max())
+    size = max(min(SIZE, SIZE_SHARE * longest), longest / MOST_CELLS)
     hull, patch = Hull.around(room.bounds, size), unseen_patches(grid, seen_entries(observed), size)
     patches = int(patch.max(initial=-1)) + 1
     rays = _traced(observed, room, hull, lit, np.where(patch >= 0, patch + len(hull.radiance), -1), seed)
