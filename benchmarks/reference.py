@@ -19,6 +19,7 @@ import torch
 from benchmarks.shading_error import shading_points
 from fipt_blender.core.checks.view_check import ViewCheck
 from fipt_blender.core.device.variant import torch_device
+from fipt_blender.core.estimate.judge_stages import find_room_fields
 from fipt_blender.core.estimate.light_stages import BakedShadings, infer_outside, observe_pixels
 from fipt_blender.core.estimate.material_stages import TrainedFields, fit_closed_form, honour_hints
 from fipt_blender.core.estimate.pixel_stages import TraceInputs, parts_of
@@ -504,4 +505,4 @@ def reference_pipeline(rounds: int) -> list[Stage]:
         takes = {"number": f"round_{index}"}
         stages.append(Stage(f"estimate-{index}", train_reference, "Training", 1.2, takes))
         stages.append(Stage(f"fields-{index}", reference_fields))
-    return [*stages, Stage("closed-form", fit_closed_form)]
+    return [*stages, Stage("closed-form", fit_closed_form), Stage("room-fields", find_room_fields)]

@@ -48,7 +48,7 @@ def stages_of(given: EstimationInput) -> list[Stage]:
     """The stages for this input."""
     encoded = any(view.encoded for view in given.views)
     rerun = given.hints_rerun is not None
-    return pipeline(given.settings.rounds, encoded, rerun, given.light_changes)
+    return pipeline(given.settings.rounds, encoded, rerun, given.light_changes, bool(given.held_back))
 
 
 def chain_of(
@@ -56,8 +56,9 @@ def chain_of(
 ) -> Chain:
     """A chain of stages on the input's run folder."""
     hints, rerun = given.hints, given.hints_rerun or []
+    of_input = ("room", "views", "far_off", "held_back")
     values = {
-        **{name: Given(getattr(given, name), given.key) for name in ("room", "views", "far_off")},
+        **{name: Given(getattr(given, name), given.key) for name in of_input},
         "hints": Given(hints, hints_digest(hints)),
         "hints_rerun": Given(rerun, hints_digest(rerun)),
         **{name: Given(index, str(index)) for name, index in round_numbers(given.settings.rounds).items()},

@@ -40,6 +40,7 @@ class EstimationInput:
         settings: of the run.
         plan: at which resolution the views are, and the expected cost.
         views: those that are used, at the resolution of light, with part masks whose ids all of them share.
+        held_back: views at full size that no stage but the judgement uses.
         far_off: views whose poses are far off, and their correlation with the others.
         room: with what closes holes of a scan, and the outlines that masks show.
         holes: of a scan; None for an exact mesh.
@@ -53,6 +54,7 @@ class EstimationInput:
     settings: Settings
     plan: LightPlan
     views: list[View]
+    held_back: list[View]
     far_off: dict[int, float]
     room: Room
     holes: ScanHoles | None
@@ -87,9 +89,10 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
         room = load_room(folder)
     hints, rerun = read_hints(folder.hints_json), folder.hints_again_json
     hints_rerun, changes = read_hints(rerun) if rerun.exists() else None, light_changes(rerun)
+    held_back = load_capture(folder).held_back
     key = input_key(folder, settings, views)
     return EstimationInput(
-        folder, settings, plan, views, far_off, room, holes, hints, hints_rerun, changes, key
+        folder, settings, plan, views, held_back, far_off, room, holes, hints, hints_rerun, changes, key
     )
 
 
@@ -126,7 +129,8 @@ def completed_room(
     begin = partial(reporter.stage, "light", "Averaging the photographs to the resolution of light")
     views = light_views(folder, photographs, settings.light_pixels, begin, reporter.progress)
     room = load_room(folder, outlined=False)
-    far_off = check_input(room, views, settings)
+    own_mesh = load_capture(folder).mesh == folder.fused_ply  # made from the rig itself
+    far_off = check_input(room, views, settings, own_mesh)
     if folder.geometry_npz.exists():
         text = "Looking for what the scan lacks"  # takes minutes
         reporter.stage("scan", text if holes is None else f"{holes.text} {text}")

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ..run.chain import Stage
+from .judge_stages import find_room_fields, judge_result
 from .light_stages import (
     bake_shadings,
     find_presumed_lamps,
@@ -35,7 +36,9 @@ from .material_stages import (
 from .pixel_stages import check_poses, divide_mixed_pixels, find_photometry, refit_photometry, trace_pixels
 
 
-def pipeline(rounds: int, encoded: bool, rerun: bool = False, light: bool = False) -> list[Stage]:
+def pipeline(
+    rounds: int, encoded: bool, rerun: bool = False, light: bool = False, judged: bool = False
+) -> list[Stage]:
     """The stages of an estimation in order; costs are relative to stage 1, as measured in drafts.
 
     Args:
@@ -43,8 +46,10 @@ def pipeline(rounds: int, encoded: bool, rerun: bool = False, light: bool = Fals
         encoded: whether some photographs are not HDR.
         rerun: whether closed form and training are repeated with hints that were given since.
         light: whether the shadings are refined with them, too.
+        judged: whether photographs are held back.
     """
-    return [*_pixels(encoded), *_light(), *_rounds(rounds), *_training(), *_hinted(rounds, rerun, light)]
+    first = [*_pixels(encoded), *_light(), *_rounds(rounds), *_training()]
+    return [*first, *_hinted(rounds, rerun, light), *_judgement(judged)]
 
 
 def _pixels(encoded: bool) -> Iterator[Stage]:
@@ -113,6 +118,13 @@ def _hinted(rounds: int, rerun: bool, light: bool) -> Iterator[Stage]:
     yield Stage("hinted-lamps-found", find_fixtures)
     yield Stage("hinted-training", train_hinted, "Training materials with the hints", 0.4)
     yield Stage("hinted-fields", open_fields)
+
+
+def _judgement(judged: bool) -> Iterator[Stage]:
+    """The estimate on all surfaces, and how good it is."""
+    yield Stage("room-fields", find_room_fields)
+    if judged:
+        yield Stage("quality", judge_result, "Judging the result by photographs that were held back", 0.5)
 
 
 def round_numbers(rounds: int) -> dict[str, int]:

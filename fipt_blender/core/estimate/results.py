@@ -14,24 +14,21 @@ import numpy as np
 
 from ..capture.images import write_exr
 from ..capture.views import View
+from ..checks.quality import Quality
 from ..checks.view_check import ViewCheck
 from ..light.baking import ShadingStore
 from ..light.emitters import Fixture
 from ..light.environment import Environment
-from ..light.lamp_doubt import HardlySeen, hardly_seen, light_errors, power_errors
 from ..light.observations import Observations
-from ..material.cell_errors import DrawnPixels, add_light_errors, cell_errors, draw_pixels, lit_cells
 from ..material.closed_form import CellEstimate, TrainingData
+from ..material.confidence import no_better_than
 from ..material.fields import RoomFields
 from ..material.groups import Units
 from ..material.hints import SurfaceHints
-from ..material.inference import Fields
-from ..material.part_colors import room_detail
-from ..material.seen import Box, SeenCells, find_seen_cells
 from ..parts.labels import Parts
 from ..photometry.encoded_photographs import Photometry
 from ..pixels.store import PixelStore
-from ..report.fixture_names import fixture_names
+from ..report.quality_files import write_quality
 from ..run.light_size import LightPlan
 from ..run.messages import Reporter, peak_memory_gb
 from ..run.replacing import keep_inputs
@@ -39,7 +36,6 @@ from ..run.result_contents import EmitterEnvironment, EmitterFixture, Emitters, 
 from ..run.run_files import ScanHoles
 from ..run.runfolder import RunFolder, write_json
 from ..run.settings import Settings
-from ..run.stage_settings import ResultSettings
 from ..run.versions import new_results, note_version, prune
 from ..surface.room import Room
 from ..textures.detail import SolvedLight, remember_light, write_resolution
@@ -67,10 +63,9 @@ class Solution:
     units: Units
     probability: np.ndarray
     fixtures: list[Fixture]
-    emitting: np.ndarray
-    fields: Fields
-    box: Box
+    room_fields: RoomFields
     photometry: Photometry | None = None
+    quality: Quality | None = None
 
 
 @dataclass(frozen=True)
@@ -105,14 +100,17 @@ def write_solution(run: RunFolder, solution: Solution, facts: RunFacts, reporter
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     observations, pixels, room = solution.observations, solution.pixels, solution.room
-    left_alone, emitting = observations.left_alone, solution.emitting
-    unused = emitting if left_alone is None else emitting | left_alone
-    fields = room_fields(solution, unused, facts.settings, reporter)
+    left_alone = observations.left_alone
+    fields = solution.room_fields
+    if solution.quality is not None:
+        fields = fields.with_errors(no_better_than(fields.errors, solution.quality.deviation))
     light = RoomLight(solution.fixtures, observations.environment, solution.view_check.lamps)
     areas = area_names(solution.surface_hints, solution.units)
     statistics = summary(solution, facts)
     with new_results(run) as folder:
         write_results(folder, fields, light, solution.scale, reporter)
+        if solution.quality is not None:
+            write_quality(folder, solution.quality)
         names = write_part_list(folder, room, solution.parts, solution.views, pixels, fields, areas)
         write_left_alone(folder, left_alone)
         decided = np.zeros((len(room.triangles), 3), bool)
@@ -127,57 +125,6 @@ def write_solution(run: RunFolder, solution: Solution, facts: RunFacts, reporter
         note_version(folder.results)
     prune(run, facts.settings.kept_versions)
     return statistics
-
-
-def room_fields(
-    solution: Solution, unused: np.ndarray, settings: ResultSettings, reporter: Reporter
-) -> RoomFields:
-    """The estimate on all surfaces, from the pixels of all triangles but `unused` (T,) bool."""
-    units, box, data, fields = solution.units, solution.box, solution.data, solution.fields
-    cells = find_seen_cells(solution.pixels, units, box)
-    drawn = draw_pixels(solution.pixels, units, box, cells, unused, settings.seed)
-    errors = _cell_errors(solution, cells, drawn, settings, reporter)
-    detail = None
-    if settings.shrink_detail:
-        detail = room_detail(drawn, data, units, fields, cells, errors)
-    return RoomFields(fields, units, cells, errors, solution.room.place, detail)
-
-
-def _cell_errors(
-    solution: Solution, cells: SeenCells, drawn: DrawnPixels, settings: ResultSettings, reporter: Reporter
-) -> np.ndarray:
-    """(C, 3) standard errors in the seen cells."""
-    room, fixtures, seed = solution.room, solution.fixtures, settings.seed
-    data, fields = solution.data, solution.fields
-    errors = cell_errors(drawn, data, solution.units, fields, cells)
-    if not settings.lamp_doubt:
-        return errors
-    doubted = hardly_seen(fixtures, solution.pixels, len(room.triangles))
-    if not fixtures or not (room.place or doubted):
-        return errors
-    lit = lit_cells(drawn, data, fields, cells)
-    if doubted:
-        _warn_of_lamps(room, fixtures, doubted, reporter)
-        of_power = power_errors(room, fixtures, doubted, (lit.points, lit.normals), seed)
-        errors = add_light_errors(errors, lit, of_power)
-    if not room.place:
-        return errors
-    of_light = light_errors(room, fixtures, (lit.points, lit.normals), room.place, seed)
-    return add_light_errors(errors, lit, of_light)
-
-
-def _warn_of_lamps(
-    room: Room, fixtures: Sequence[Fixture], doubted: Sequence[HardlySeen], reporter: Reporter
-) -> None:
-    """Say which lamps photographs hardly show."""
-    names = fixture_names(room, fixtures)
-    listed = ", ".join(f"{names[lamp.index]} ({lamp.pixels} pixels)" for lamp in doubted)
-    reporter.warning(
-        "lamp-hardly-seen",
-        f"The photographs hardly show these lamps: {listed}. Their light and the colors near them may be"
-        " wrong: glow may have become paint.",
-        "Add photographs that show these lamps from near, most of all their bright insides.",
-    )
 
 
 def write_results(

@@ -10,6 +10,8 @@ Both are plain arrays without pickles.
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 import torch
 
@@ -65,6 +67,12 @@ class RoomFields:
             known = np.isfinite(detail.median[:, 0])
             self._statistics.medians[known, COLOR] = detail.median[known]
         self._one_material = errors is not None and bool(units.single.any())
+
+    def with_errors(self, errors: np.ndarray) -> RoomFields:
+        """The same with other standard errors (C, 3)."""
+        other = copy(self)
+        other.errors = errors
+        return other
 
     def query(
         self, positions: np.ndarray, triangles: np.ndarray
