@@ -15,10 +15,11 @@ import mitsuba as mi
 import numpy as np
 
 from benchmarks.metrics import Maps
-from benchmarks.tracer.forward import LitRoom, add_light, camera_rays, joined, switched_off
+from benchmarks.tracer.forward import LitRoom, camera_rays, switched_off
 from benchmarks.tracer.surfaces import LatticeMaterials, SurfaceMaterials
 from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import View
+from fipt_blender.core.light.added_lights import add_ball, add_light, joined
 from fipt_blender.core.material.confidence import UNIFORM_DEVIATION
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.optics import brdf, factorised
@@ -34,24 +35,6 @@ from .truth import Relight
 
 # Bounds of the classes of confidence in which errors are counted.
 CONFIDENCE_BOUNDS = (0.0, 0.4, 0.6, 0.8, 0.9, 1.0)
-
-# A cube of width 2 around the origin, whose triangles face outwards.
-CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-CUBE_TRIANGLES = np.array(
-    [
-        [0, 1, 3],
-        [0, 3, 2],
-        [4, 6, 7],
-        [4, 7, 5],
-        [0, 4, 5],
-        [0, 5, 1],
-        [2, 3, 7],
-        [2, 7, 6],
-        [0, 2, 6],
-        [0, 6, 4],
-    ]
-    + [[1, 5, 7], [1, 7, 3]]
-)
 
 LATTICE_SPACING = 0.01  # metres; a pixel of the test captures sees more
 
@@ -76,9 +59,7 @@ def with_inferred_lamps(lit: LitRoom, table: EmitterTable, run: RunFolder) -> Li
     room = lit.room
     for lamp in read_emitters(run, count).missing:
         if lamp.inferred:
-            half = lamp.radius * float(np.sqrt(np.pi / 6.0))  # of the same area
-            corners = np.array(lamp.position) + half * CUBE
-            room, added = add_light(room, corners, CUBE_TRIANGLES, np.array(lamp.radiance, np.float32))
+            room, added = add_ball(room, np.array(lamp.position), lamp.radius, np.array(lamp.radiance))
             emitters = joined(emitters, added)
     if room is lit.room:
         return lit

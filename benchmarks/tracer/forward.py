@@ -9,7 +9,7 @@ of densities per steradian. Black emitters reflect nothing and end a path; other
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import drjit as dr
@@ -292,52 +292,10 @@ def render_views(
             progress(stream + 1)
 
 
-def add_light(
-    room: Room, vertices: np.ndarray, triangles: np.ndarray, radiance: np.ndarray
-) -> tuple[Room, EmitterTable]:
-    """Add a one-sided emitter to a room, for relighting.
-
-    Args:
-        vertices: (n, 3) metres, world. triangles: (m, 3) into them; fronts emit.
-        radiance: (3,).
-
-    Returns:
-        The new room, whose last m triangles are the light, and a table of the light alone.
-    """
-    triangles = np.asarray(triangles, np.int32)
-    vertices = np.asarray(vertices, np.float32)
-    corners = vertices.astype(np.float64)[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-    count = len(triangles)
-    ids = np.arange(len(room.triangles), len(room.triangles) + count, dtype=np.int32)
-    extended = replace(
-        room,
-        vertices=np.concatenate([room.vertices, vertices]),
-        triangles=np.concatenate([room.triangles, triangles + np.int32(len(room.vertices))]),
-        corner_normals=np.concatenate(
-            [room.corner_normals, np.repeat(normal[:, None], 3, axis=1).astype(np.float32)]
-        ),
-        triangle_object=np.concatenate([room.triangle_object, np.full(count, -1, np.int32)]),
-        triangle_material=np.concatenate([room.triangle_material, np.full(count, -1, np.int32)]),
-    )
-    front = np.tile(np.asarray(radiance, np.float32), (count, 1))
-    return extended, EmitterTable(ids, front, np.zeros_like(front))
-
-
 def switched_off(table: EmitterTable) -> EmitterTable:
     """The same emitters without emission."""
     black = np.zeros_like(table.radiance), np.zeros_like(table.back_radiance)
     return EmitterTable(table.triangles, *black)
-
-
-def joined(first: EmitterTable, second: EmitterTable) -> EmitterTable:
-    """The emitters of both tables."""
-    return EmitterTable(
-        np.concatenate([first.triangles, second.triangles]),
-        np.concatenate([first.radiance, second.radiance]),
-        np.concatenate([first.back_radiance, second.back_radiance]),
-    )
 
 
 def _leaving_ray(room: Room, position: mi.Point3f, normal: mi.Normal3f, direction: mi.Vector3f) -> mi.Ray3f:

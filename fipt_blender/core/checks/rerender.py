@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..capture.views import View
+from ..light.added_lights import add_ball, joined
 from ..light.baking import SUBPIXELS
 from ..light.cache import SurfaceLookup, fill_grid, grid_frame, pool, sample_surface
 from ..light.emitters import Fixture, emitter_table
@@ -46,7 +47,7 @@ class Estimate:
         room: the mesh.
         query: materials of its surfaces.
         emitters: its lamps.
-        environment: (H, 2H, 3) radiance from outside, or None.
+        environment: radiance from outside, with the lamps that were inferred, or None.
         unseen_light: 0..1, share of the light that was inferred and not seen.
         lamp_doubt: 0..1, share of the lamps' power that is not theirs by their probability.
     """
@@ -54,7 +55,7 @@ class Estimate:
     room: Room
     query: FieldQuery
     emitters: EmitterTable
-    environment: np.ndarray | None
+    environment: Environment | None
     unseen_light: float = 0.0
     lamp_doubt: float = 0.0
 
@@ -66,10 +67,8 @@ class Estimate:
         power = np.array([f.area * float((f.radiance + f.back_radiance).mean()) for f in fixtures])
         certain = np.array([fixture.probability for fixture in fixtures])
         doubt = float(power @ (1.0 - certain) / power.sum()) if power.sum() > 0.0 else 0.0
-        image, inferred = None, 0.0
-        if environment is not None:
-            image, inferred = environment.image, environment.unseen_light
-        return cls(room, query, emitter_table(list(fixtures)), image, inferred, doubt)
+        inferred = 0.0 if environment is None else environment.unseen_light
+        return cls(room, query, emitter_table(list(fixtures)), environment, inferred, doubt)
 
 
 class Renderer:
@@ -92,12 +91,18 @@ class Renderer:
         values = np.column_stack(estimate.query(points.astype(np.float32), triangle.astype(np.int32)))
         materials = SurfaceLookup(grid, pool(grid, entries, values.astype(np.float32))[0])
         self._estimate, self._seed = estimate, seed
-        self._lights = AreaLights(room.vertices, room.triangles, estimate.emitters)
-        self._outside = None if estimate.environment is None else EnvironmentLight(estimate.environment)
-        environment = estimate.environment
+        emitters, environment = estimate.emitters, estimate.environment
+        for lamp in () if environment is None else environment.lamps:
+            ball = np.array(lamp["position"]), lamp["radius"], np.array(lamp["radiance"], np.float32)
+            room, added = add_ball(room, *ball)
+            emitters = joined(emitters, added)
+        self._room = room
+        self._lights = AreaLights(room.vertices, room.triangles, emitters)
+        self._outside = None if environment is None else EnvironmentLight(environment.image)
         outside = None
         if environment is not None:
-            outside = OutsideRadiance(Environment(environment, 1.0, np.ones(environment.shape[:2], bool)))
+            everywhere = np.ones(environment.image.shape[:2], bool)
+            outside = OutsideRadiance(Environment(environment.image, 1.0, everywhere))
         self._source = TracedRadiance(
             room, None, materials, None, self._lights, outside, cache_roughness=1.0, depth=DEPTH
         )
@@ -122,16 +127,17 @@ class Renderer:
 
     def _traced(self, view: View, rows: np.ndarray, seed: int) -> np.ndarray:
         """(N * starts, 9) radiance, albedo and normal of pixels (N,), at each of `SUBPIXELS` in order."""
-        room, repeats = self._estimate.room, SPP // len(SUBPIXELS)
+        room, repeats = self._room, SPP // len(SUBPIXELS)
         surface = trace_pixels(room, view, SUBPIXELS, mi.UInt32(rows.astype(np.uint32)))
         camera = opaque_vector(mi.Point3f, np.asarray(view.camera_to_world)[:3, 3])
         direction = dr.normalize(surface.position - camera)
         dr.eval(surface.valid, surface.position, surface.normal, surface.triangle, direction)
         valid, triangle = np.array(surface.valid), np.array(surface.triangle).astype(np.int32)
         values = np.zeros((len(valid), 5), np.float32)
-        if valid.any():
-            position = np.array(surface.position).T[valid].astype(np.float32)
-            values[valid] = np.column_stack(self._estimate.query(position, triangle[valid]))
+        known = valid & (triangle < len(self._estimate.room.triangles))  # others are of inferred lamps
+        if known.any():
+            position = np.array(surface.position).T[known].astype(np.float32)
+            values[known] = np.column_stack(self._estimate.query(position, triangle[known]))
         values = np.clip(values, 0.0, 1.0)
         emits = np.array(self._lights.is_emitter(surface.triangle, surface.valid))
         direct = self._direct(view, rows, surface, direction)

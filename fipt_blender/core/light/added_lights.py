@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rooms with lights that their mesh lacks: for relighting, and for lamps that were inferred."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..optics.lights import EmitterTable
+from ..surface.room import Room
+
+# A cube of width 2 around the origin, whose triangles face outwards.
+_CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+_CUBE_TRIANGLES = np.array(
+    [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+    ]
+    + [[1, 5, 7], [1, 7, 3]]
+)
+
+
+def add_light(
+    room: Room, vertices: np.ndarray, triangles: np.ndarray, radiance: np.ndarray
+) -> tuple[Room, EmitterTable]:
+    """Add a one-sided emitter to a room, for relighting.
+
+    Args:
+        vertices: (n, 3) metres, world. triangles: (m, 3) into them; fronts emit.
+        radiance: (3,).
+
+    Returns:
+        The new room, whose last m triangles are the light, and a table of the light alone.
+    """
+    triangles = np.asarray(triangles, np.int32)
+    vertices = np.asarray(vertices, np.float32)
+    corners = vertices.astype(np.float64)[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    count = len(triangles)
+    ids = np.arange(len(room.triangles), len(room.triangles) + count, dtype=np.int32)
+    extended = replace(
+        room,
+        vertices=np.concatenate([room.vertices, vertices]),
+        triangles=np.concatenate([room.triangles, triangles + np.int32(len(room.vertices))]),
+        corner_normals=np.concatenate(
+            [room.corner_normals, np.repeat(normal[:, None], 3, axis=1).astype(np.float32)]
+        ),
+        triangle_object=np.concatenate([room.triangle_object, np.full(count, -1, np.int32)]),
+        triangle_material=np.concatenate([room.triangle_material, np.full(count, -1, np.int32)]),
+    )
+    front = np.tile(np.asarray(radiance, np.float32), (count, 1))
+    return extended, EmitterTable(ids, front, np.zeros_like(front))
+
+
+def add_ball(
+    room: Room, position: np.ndarray, radius: float, radiance: np.ndarray
+) -> tuple[Room, EmitterTable]:
+    """Add a cube that casts about the light of a ball of this radius (metres): its area is the same."""
+    corners = position + radius * float(np.sqrt(np.pi / 6.0)) * _CUBE
+    return add_light(room, corners, _CUBE_TRIANGLES, radiance)
+
+
+def joined(first: EmitterTable, second: EmitterTable) -> EmitterTable:
+    """The emitters of both tables."""
+    return EmitterTable(
+        np.concatenate([first.triangles, second.triangles]),
+        np.concatenate([first.radiance, second.radiance]),
+        np.concatenate([first.back_radiance, second.back_radiance]),
+    )
