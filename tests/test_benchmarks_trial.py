@@ -104,7 +104,9 @@ def test_lamps_are_compared_by_where_they_are() -> None:
     )
     away, behind, small = square + (3.0, 0.0, 0.0), square + (0.0, 0.0, 0.03), 0.4 * square
     counts = lamps.count_lamps([behind, 0.5 * away + 5.0], [square, away])
-    assert counts == lamps.LampCounts(true=1, false=1, false_area=pytest.approx(0.25), lost=1)
+    assert counts == lamps.LampCounts(
+        true=1, false=1, false_area=pytest.approx(0.25), lost=1, certain=1, certain_area=pytest.approx(0.25)
+    )
     # A fixture that is a piece of a lamp is right, but the lamp is lost with it.
     assert lamps.count_lamps([small], [square]) == lamps.LampCounts(1, 0, 0.0, 1)
     assert lamps.count_lamps([], [square]) == lamps.LampCounts(0, 0, 0.0, 1)

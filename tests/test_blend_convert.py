@@ -15,6 +15,7 @@ from mathutils import Matrix, Vector
 from fipt_blender.blend.lights import convert, fixtures, ies, light_state
 from fipt_blender.blend.lights.fixture_nodes import emission_material
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
+from fipt_blender.core.run.result_contents import EmitterFixture
 from samples.refusals import error_of
 from samples.rendered_rooms import diffuse_floor
 from samples.small_rooms import agree
@@ -47,7 +48,8 @@ def lamp_scene(shape: str) -> tuple[bpy.types.Scene, bpy.types.Object]:
         mesh.transform(Matrix.Rotation(math.pi, 4, "X"))  # fronts look down
     tilt = Matrix.Rotation(math.radians(25), 4, "Y") @ Matrix.Rotation(math.radians(20), 4, "Z")
     mesh.transform(tilt @ Matrix.Diagonal((*size, 1.0)))
-    entry = {"name": "Fixture.001", "radiance": RADIANCE, "back_radiance": [0.0] * 3}
+    none = (0.0, 0.0, 0.0)
+    entry = EmitterFixture("Fixture.001", (0,), tuple(RADIANCE), none, 1.0, none, none)
     made = fixtures.NewFixture(entry, "Fixture.001", mesh, Vector((0.1, 0.0, 0.5)), [])
     (item,) = fixtures.place(scene, [made])
     light_state.refresh(scene)

@@ -85,7 +85,7 @@ def test_objects_that_the_artist_has_changed_stay_in_the_file(file, change):
         new = again(file)
         assert len(new) == 3 and first not in new
         assert (artist.faces(first), len(first.modifiers), np.array(first.matrix_world).tolist()) == kept
-        assert [each.name for each in first.users_collection] == ["FIPT Earlier Rooms"]
+        assert [each.name for each in first.users_collection] == ["Earlier Rooms"]
     assert len(first.users_collection[0].objects) == 1
 
 

@@ -113,7 +113,7 @@ def test_export_of_modifiers_mirrored_scale_and_materials(run):
     assert room.materials == ["first", "second"]
     assert set(np.unique(room.triangle_material)) == {0, 1}
     again = arrays.read_room(run)
-    assert np.array_equal(again.triangles, room.triangles) and again.objects == [item.name]
+    assert np.array_equal(again.triangles, room.triangles) and list(again.objects) == [item.name]
 
 
 def test_custom_normals_reach_the_export(run):

@@ -65,7 +65,7 @@ def test_a_folder_named_by_a_digit_that_is_no_number_is_no_model(tmp_path: Path)
     fuzz_samples.write_colmap(tmp_path / "other", text=True)
     for path in (tmp_path / "other" / "sparse" / "0").iterdir():
         path.rename(tmp_path / "sparse" / "²" / path.name)
-    assert error_of(read_rig, tmp_path, "auto", CaptureOptions()).code == "cameras-missing"
+    assert error_of(read_rig, tmp_path, "auto", CaptureOptions()).code == "capture-elsewhere"
     (tmp_path / "sparse" / "1").rename(tmp_path / "sparse" / "0")
     assert len(read_rig(tmp_path, "auto", CaptureOptions()).views) == 3
 

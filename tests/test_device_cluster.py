@@ -178,7 +178,7 @@ def test_a_worker_without_the_engine_is_named_at_once(
         finally:
             worker.terminate()
     assert caught.code == "cluster-worker-unfit" and "fipt_blender" in caught.text
-    assert "worker at tcp://" in caught.text and "architecture.md" in caught.remedy
+    assert "worker at tcp://" in caught.text and "cluster.md" in caught.remedy
 
 
 def test_a_scheduler_without_workers(

@@ -58,8 +58,9 @@ def imported_texel(path: Path) -> list[float]:
     before = set(bpy.data.objects)
     bpy.ops.import_scene.gltf(filepath=str(path))
     bpy.data.batch_remove(set(bpy.data.objects) - before)
-    (image,) = (image for image in bpy.data.images if "base_color" in image.name)
-    return list(image.pixels[:3])
+    images = [image for image in bpy.data.images if "base_color" in image.name]
+    (texel,) = {tuple(image.pixels[:3]) for image in images}
+    return list(texel)
 
 
 def applied(folder: Path) -> dict:

@@ -60,12 +60,19 @@ def write_prepared(folder: PreparationFolder, preparation: Preparation) -> None:
     curve = np.linspace(0.0, 1.0, 16) ** 2.2
     write_json(
         folder.facts("merge"),
-        {"seconds": 3.0, "images": images, "response": {"curves": [curve.tolist()] * 3, "uncertainty": 0.02}},
+        {
+            "key": "a",
+            "messages": [],
+            "seconds": 3.0,
+            "images": images,
+            "response": {"curves": [curve.tolist()] * 3, "uncertainty": 0.02},
+        },
     )
     warning = {"code": "views-left-out", "text": "1 of 2 views has no camera.", "remedy": "Take more."}
     write_json(
         folder.facts("solve"),
         {
+            "key": "b",
             "seconds": 70.0,
             "messages": [warning],
             "registered": [{"name": first, "points": 120, "reprojection_error": 0.6}],
