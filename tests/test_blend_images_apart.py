@@ -146,4 +146,4 @@ def test_ranges_tell_parts_of_one_value(scene):
     values[np.flatnonzero(parts.triangle == 1)[:1]] += 0.01
     ranges.add(samples, triangles)
     (entry,) = ranges.uniform()
-    assert entry["part"] == parts.parts[0].key and entry["base_color"] == [0.25] * 3
+    assert entry.part == parts.parts[0].key and list(entry.base_color) == [0.25] * 3

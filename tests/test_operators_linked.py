@@ -26,11 +26,13 @@ def shot(applied, request, tmp_path):
     with bpy.data.libraries.load(room, link=True) as (source, target):
         target.collections = source.collections
     scene = bpy.context.scene
-    for each in target.collections:
+    inner = {child for each in target.collections for child in each.children_recursive}
+    rooms = [each for each in target.collections if each not in inner]
+    for each in rooms:
         scene.collection.children.link(each)
     if request.param:
         layer = bpy.context.view_layer
-        for each in list(target.collections):
+        for each in rooms:
             each.override_hierarchy_create(scene, layer, do_fully_editable=True)
             scene.collection.children.unlink(each)
     scene.fipt.run_folder, scene.fipt.materials.object_count = run, 2

@@ -162,7 +162,7 @@ def fingerprint(scene: bpy.types.Scene) -> dict:
     found["scene"] = (
         scene.render.engine,
         scene.world and scene.world.name,
-        sorted(scene.keys()),
+        sorted({*scene.keys()} - {"cycles"}),  # there once one of its settings was set
         (view.view_transform, view.look, view.exposure, view.gamma, view.use_curve_mapping),
         sorted(item.name for item in scene.objects),
         [(layer.name, [group.name for group in layer.lightgroups], sorted(layer.keys()))
