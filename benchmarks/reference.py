@@ -21,8 +21,9 @@ from fipt_blender.core.checks.view_check import ViewCheck
 from fipt_blender.core.device.variant import torch_device
 from fipt_blender.core.estimate.judge_stages import find_room_fields
 from fipt_blender.core.estimate.light_stages import BakedShadings, infer_outside, observe_pixels
-from fipt_blender.core.estimate.material_stages import TrainedFields, fit_closed_form, honour_hints
+from fipt_blender.core.estimate.material_stages import fit_closed_form, honour_hints
 from fipt_blender.core.estimate.pixel_stages import TraceInputs, parts_of
+from fipt_blender.core.estimate.training_stages import TrainedFields
 from fipt_blender.core.light.baking import CHUNK, HALF_LARGEST, ShadingStore, open_shadings
 from fipt_blender.core.light.cache import SurfaceLookup, pool
 from fipt_blender.core.light.emitters import EmitterPixels, Fixture, emitter_table, side_medians

@@ -23,7 +23,7 @@ from fipt_blender.bridge.step import chain_keys
 from fipt_blender.cli.arguments import make_options, make_parser
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.device import cluster
-from fipt_blender.core.estimate import command, material_stages
+from fipt_blender.core.estimate import command, training_stages
 from fipt_blender.core.material import training
 from fipt_blender.core.pixels.store import Tracing
 from fipt_blender.core.run.errors import FiptError
@@ -135,7 +135,7 @@ def connection_error(address: str) -> FiptError:
 def test_a_cluster_finds_the_same_bits_though_a_worker_is_killed(
     three: LocalCluster, capture: SmallCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (material_stages, training):
+    for module in (training_stages, training):
         monkeypatch.setattr(module, "PRETRAINING_STEPS", 2)
     here = files(estimated(tmp_path / "here", capture, None, Reporter()))
     watch = Watch("refinement-1", lambda: kill_a_busy_worker(three.scheduler_address))

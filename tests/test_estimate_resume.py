@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fipt_blender.core.estimate import material_stages
+from fipt_blender.core.estimate import training_stages
 from fipt_blender.core.material import training
 from fipt_blender.core.run import chain
 from fipt_blender.core.run.documents import read_document
@@ -38,7 +38,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 def quick_start():
     """Few steps towards the closed-form guess: results need to be equal here, not good."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (training, material_stages):
+        for module in (training, training_stages):
             patch.setattr(module, "PRETRAINING_STEPS", 4)
         yield
 
@@ -139,7 +139,7 @@ def test_a_resumed_run_repeats_the_warnings_of_finished_stages(
         raise FiptError("disk-full", "The disk is full.", "Free some space.")
 
     with monkeypatch.context() as patch:
-        patch.setattr(material_stages, "pretrain", stop)
+        patch.setattr(training_stages, "pretrain", stop)
         with pytest.raises(FiptError):
             run_here(run)
     for done in (["training"], []):

@@ -1,17 +1,15 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The stages that fit materials: closed form, emitters and stage 2 (paper Sec. 4.4 and 4.5)."""
+"""The stages that fit materials in closed form, and find the emitters (paper Eq. 5 and Sec. 4.4)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import torch
 
-from ..device.variant import torch_device
 from ..light.baking import ShadingStore
 from ..light.cache import pool
 from ..light.emission import emission_probability
@@ -27,42 +25,24 @@ from ..material.closed_form import (
     followed_by_paths,
     white_rows,
 )
-from ..material.emission_mask import EmissionNetwork
 from ..material.groups import Units
 from ..material.hints import SurfaceHints, place_hints
-from ..material.inference import Fields
-from ..material.networks import BrdfNetwork, network_generator, typical_values, useful_hash_levels
-from ..material.seen import Box, fallback_values, room_box, seen_statistics
-from ..material.training import (
-    PRETRAINING_STEPS,
-    Networks,
-    Resume,
-    Surfaces,
-    pretrain,
-    read_checkpoint,
-    train,
-)
+from ..material.seen import fallback_values, seen_statistics
 from ..material.training_input import hinted_units, material_units, training_input
 from ..optics.lights import EmitterTable
 from ..parts.labels import NO_PART, Parts, room_pieces
 from ..photometry.encoded_photographs import Photometry
 from ..pixels.grouped import place_of
 from ..pixels.store import PixelStore
-from ..run.chain import START_AGAIN, Tools
-from ..run.errors import FiptError
+from ..run.chain import Tools
 from ..run.hints import Hint
 from ..run.stage_settings import (
     MaterialSettings,
-    NetworkSettings,
     NoSettings,
     ReflectionSettings,
-    TrainingSettings,
 )
 from ..surface.room import Room
 
-# The last steps of the training that are repeated with hints, as a share of all: high learning rates would
-# unlearn what the hints say nothing of.
-HINTED_SHARE = 1.0 / 3.0
 # Share of the pixels that are brighter than white surfaces above which light is missing: rooms have 0.01 to
 # 0.09, the example room with its lamps painted out 0.3 to 0.4.
 MISSING_LIGHT = 0.25
@@ -348,136 +328,3 @@ def entry_values(
         missing = ~has_cell
         result[missing] = fallback_values(points[missing], unit[triangles[missing]], statistics)
     return result
-
-
-# ---- Stage 2: BRDF and emission mask (Sec. 4.5, Eq. 12, 14 to 20) ------------------------------------------
-
-
-@dataclass(frozen=True)
-class TrainingInputs:
-    """The last closed form, and the lamps.
-
-    Attributes:
-        brdf, emission: weights of networks that were trained without the present hints; {} for new ones.
-    """
-
-    room: Room
-    data: TrainingData
-    cells: CellEstimate
-    units: Units
-    emitting: np.ndarray
-    brdf: Mapping[str, np.ndarray] | None = None
-    emission: Mapping[str, np.ndarray] | None = None
-
-
-@dataclass(frozen=True)
-class TrainedNetworks:
-    """Weights of both networks, by their names in torch, and the units that the networks know by number."""
-
-    brdf: dict[str, np.ndarray]
-    emission: dict[str, np.ndarray]
-    trained_units: Units
-
-
-def train_networks(inputs: TrainingInputs, settings: TrainingSettings, tools: Tools) -> TrainedNetworks:
-    """Fit the networks to the closed-form estimate, then to the photographs."""
-    networks, surfaces = _new_networks(inputs, settings)
-    checkpoint = tools.folder / "unfinished.pt"
-    state = None
-    if checkpoint.exists():
-        try:
-            state = read_checkpoint(checkpoint, networks, settings.training_steps)
-        except FiptError as error:
-            text = f"{error.text} The training starts again."
-            tools.reporter.warning("checkpoint-damaged", text, "There is nothing to do.")
-            checkpoint.unlink()
-    fitted = PRETRAINING_STEPS / (PRETRAINING_STEPS + settings.training_steps)
-    if state is None:
-        given = networks.brdf, inputs.data, surfaces, inputs.cells, settings
-        pretrain(*given, tools.progress_within(0.0, fitted))
-    resume, progress = Resume(checkpoint, state), tools.progress_within(fitted, 1.0)
-    train(networks, inputs.data, surfaces, settings, resume, progress)
-    return _trained(networks, inputs.units, settings.training_steps, tools)
-
-
-def train_hinted(inputs: TrainingInputs, settings: TrainingSettings, tools: Tools) -> TrainedNetworks:
-    """Continue from the networks that were trained without these hints.
-
-    The networks add detail to the typical values of the units, those of the new closed form. The
-    training's last steps are repeated.
-    """
-    networks, surfaces = _new_networks(inputs, settings)
-    assert inputs.brdf is not None and inputs.emission is not None, "hints follow a training"
-    typical = networks.brdf.state_dict()["typical"]
-    networks.load(
-        {"brdf": {**_tensors(inputs.brdf), "typical": typical}, "emission": _tensors(inputs.emission)}
-    )
-    steps = max(round(HINTED_SHARE * settings.training_steps), 1)
-    first = settings.training_steps - steps
-    train(networks, inputs.data, surfaces, settings, None, tools.reporter.progress, first)
-    return _trained(networks, inputs.units, steps, tools)
-
-
-def _new_networks(inputs: TrainingInputs, settings: TrainingSettings) -> tuple[Networks, Surfaces]:
-    """Networks that are not trained yet, with the typical values of the units; and the surfaces."""
-    box, units, cells = room_box(inputs.room.bounds), inputs.units, inputs.cells
-    footprint = inputs.data.observations.footprint
-    levels = useful_hash_levels(settings, box.extent, footprint)
-    typical = typical_values(cells.values, units.triangle[cells.triangle], len(units.single))
-    device = torch.device(torch_device())
-    brdf = BrdfNetwork(settings, levels, typical, network_generator(settings), device)
-    emission = EmissionNetwork(network_generator(settings), device)
-    return Networks(brdf, emission), Surfaces(box, units.triangle, inputs.emitting)
-
-
-def _trained(networks: Networks, units: Units, steps: int, tools: Tools) -> TrainedNetworks:
-    tools.facts.update(steps=steps, hash_levels=len(networks.brdf.grid.resolutions))
-    weights = {
-        name: {key: tensor.cpu().numpy() for key, tensor in state.items()}
-        for name, state in networks.state().items()
-    }
-    return TrainedNetworks(weights["brdf"], weights["emission"], units)
-
-
-def _tensors(weights: Mapping[str, np.ndarray]) -> dict[str, torch.Tensor]:
-    return {key: torch.from_numpy(np.array(array)) for key, array in weights.items()}
-
-
-@dataclass(frozen=True)
-class FieldInputs:
-    """The weights of the trained BRDF network."""
-
-    room: Room
-    units: Units
-    brdf: dict[str, np.ndarray]
-
-
-@dataclass(frozen=True)
-class TrainedFields:
-    """The materials as functions of places.
-
-    Attributes:
-        fields: base colour, roughness and metallic.
-        box: to which the network normalises positions.
-    """
-
-    fields: Fields
-    box: Box
-
-
-def open_fields(inputs: FieldInputs, settings: NetworkSettings, tools: Tools) -> TrainedFields:
-    """Make the network of its weights.
-
-    Raises:
-        FiptError: ``file-damaged`` where they do not fit the network.
-    """
-    device, box = torch.device(torch_device()), room_box(inputs.room.bounds)
-    try:
-        levels = inputs.brdf["mlp.0.weight"].shape[1] // settings.hash_features
-        typical = np.zeros((len(inputs.units.single) + 1, 5))
-        network = BrdfNetwork(settings, levels, typical, network_generator(settings), device)
-        network.load_state_dict(_tensors(inputs.brdf))
-    except (KeyError, IndexError, RuntimeError) as error:
-        text = f"The networks of the training can't be used ({error})."
-        raise FiptError("file-damaged", text, START_AGAIN) from None
-    return TrainedFields(Fields(network, box), box)

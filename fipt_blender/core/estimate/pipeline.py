@@ -29,11 +29,9 @@ from .material_stages import (
     find_reflection,
     fit_closed_form,
     honour_hints,
-    open_fields,
-    train_hinted,
-    train_networks,
 )
 from .pixel_stages import check_poses, divide_mixed_pixels, find_photometry, refit_photometry, trace_pixels
+from .training_stages import open_fields, train_hinted, train_networks
 
 
 def pipeline(
