@@ -47,7 +47,7 @@ class TrainingInputs:
     """The last closed form, and the lamps.
 
     Attributes:
-        brdf, emission: weights of networks that were trained without the present hints; {} for new ones.
+        brdf, emission: weights of networks that were trained without the present hints; None at first.
     """
 
     room: Room
