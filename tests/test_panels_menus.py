@@ -36,14 +36,12 @@ def test_every_item_of_the_menus_is_an_operator():
 
 
 def test_each_section_has_a_chapter():
-    guide = (ROOT / "docs" / "guide.md").read_text(encoding="utf-8")
     for menu in menus.MENUS:
         chapter = manual.chapter_of(menu.bl_idname.replace("_MT_", "_PT_"))
-        assert chapter and f'<a id="{chapter}"></a>' in guide
-        assert manual.chapter_page(chapter) == f"guide.html#{chapter}"
-    assert '<a id="install"></a>' in guide
+        assert (ROOT / "docs" / "guide" / f"{chapter}.md").is_file()
+        assert manual.chapter_page(chapter) == f"guide/{chapter}.html"
     assert manual.chapter_of("FIPT_PT_capture_alignment") == "capture" and manual.chapter_of("X") == ""
-    assert manual.chapter_page("") == "guide.html"
+    assert chapter and manual.chapter_page("") == "guide/index.html"
 
 
 def test_without_any_pages_nothing_links_to_them(monkeypatch, tmp_path):
@@ -56,26 +54,26 @@ def test_without_any_pages_nothing_links_to_them(monkeypatch, tmp_path):
 def test_without_a_site_help_opens_the_pages_of_the_extension(monkeypatch, tmp_path):
     pages = tmp_path / "a folder"
     pages.mkdir()
-    (pages / "guide.html").touch()
+    (pages / "index.html").touch()
     monkeypatch.setattr(manual, "SITE", "")
     monkeypatch.setattr(manual, "PAGES", pages)
     opened = []
     with _browser(opened):
         assert bpy.ops.fipt.help(chapter="lights") == {"FINISHED"}
         assert bpy.ops.fipt.help() == {"FINISHED"}
-    assert opened == [f"{pages.as_uri()}/lights.html", f"{pages.as_uri()}/guide.html"]
+    assert opened == [f"{pages.as_uri()}/lights.html", f"{pages.as_uri()}/index.html"]
     assert opened[0].startswith("file:///") and " " not in opened[0]
     assert _found("bpy.ops.fipt.add_light") == f"{pages.as_uri()}/lights.html"
-    assert _found("bpy.ops.fipt.cancel_setup") == f"{pages.as_uri()}/guide.html"
+    assert _found("bpy.ops.fipt.cancel_setup") == f"{pages.as_uri()}/index.html"
 
 
 @pytest.mark.parametrize(
     ("name", "page"),
     [
         ("bpy.ops.fipt.estimate", "operators.html"),
-        ("bpy.types.FIPT_LightsSettings.blend", "guide.html#lights"),
-        ("bpy.types.FIPT_Light.stops", "guide.html#lights"),
-        ("bpy.types.FIPT_CaptureSettings.path", "guide.html#capture"),
+        ("bpy.types.FIPT_LightsSettings.blend", "guide/lights.html"),
+        ("bpy.types.FIPT_Light.stops", "guide/lights.html"),
+        ("bpy.types.FIPT_CaptureSettings.path", "guide/capture.html"),
     ],
 )
 def test_the_online_manual_finds_operators_and_properties(name, page):

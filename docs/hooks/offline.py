@@ -15,7 +15,6 @@ import markdown
 from markdown.treeprocessors import Treeprocessor
 
 DOCS = Path(__file__).resolve().parents[1]
-PAGES = ("guide", "capture_formats")
 _STYLE = """
 body { max-width: 50em; margin: 2em auto; padding: 0 1em; font: 16px/1.5 system-ui, sans-serif }
 body { color: #222; background: #fff }
@@ -31,47 +30,45 @@ h2 { margin-top: 2em; border-bottom: 1px solid #ccc }
 
 
 class _LocalLinks(Treeprocessor):
-    """Links lead to the pages of `PAGES`; those to other pages become their text alone."""
+    """Pages and pictures lie in one folder; links to pages that are not there become their text alone."""
 
     def run(self, root: Element) -> None:
         for link in root.iter("a"):
             page, _, place = link.get("href", "").partition("#")
-            name = page.removesuffix(".md")
-            if name in PAGES:
+            name = page.rpartition("/")[2].removesuffix(".md")
+            if name in _sources() and page:
                 link.set("href", f"{name}.html{'#' + place if place else ''}")
             elif page and not page.startswith(("http://", "https://")):
                 link.tag = "span"
                 link.attrib.clear()
+        for picture in root.iter("img"):
+            picture.set("src", picture.get("src", "").removeprefix("../"))
+
+
+def _sources() -> dict[str, Path]:
+    """The Markdown files by the names of their pages."""
+    return {path.stem: path for path in (*sorted((DOCS / "guide").glob("*.md")), DOCS / "capture_formats.md")}
 
 
 def write_pages(folder: Path) -> None:
-    """Write the pages, one that leads to each chapter of the guide, and the pictures.
-
-    A browser that is started with a file often loses the part of the address behind "#"; therefore each
-    chapter has a small page that leads to its place.
-    """
-    for name in PAGES:
-        text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
+    """Write the guide's pages, that of the capture formats, and the pictures."""
+    for name, source in _sources().items():
+        text = source.read_text(encoding="utf-8")
         reader = markdown.Markdown(extensions=["tables", "fenced_code", "toc"], output_format="html")
         reader.treeprocessors.register(_LocalLinks(reader), "local_links", 0)
         body = reader.convert(text)
-        title = reader.toc_tokens[0]["name"]
-        chapters = reader.toc_tokens[0]["children"]
-        contents = " · ".join(f'<a href="#{each["id"]}">{each["name"]}</a>' for each in chapters)
-        _write(folder / f"{name}.html", title, body.replace("</h1>", f"</h1>\n<p>{contents}</p>", 1))
-        for picture in re.findall(r"\]\((images/[^)]+)\)", text):
+        if name != "index":
+            body = f'<p><a href="index.html">Guide</a></p>\n{body}'
+        _write(folder / f"{name}.html", reader.toc_tokens[0]["name"], body)
+        for picture in re.findall(r"\]\((?:\.\./)?(images/[^)]+)\)", text):
             (folder / picture).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(DOCS / picture, folder / picture)
-    for chapter in re.findall(r'<a id="([a-z-]+)"></a>', (DOCS / "guide.md").read_text(encoding="utf-8")):
-        place = f"guide.html#{chapter}"
-        refresh = f'<meta http-equiv="refresh" content="0; url={place}">'
-        _write(folder / f"{chapter}.html", "Guide", f'<a href="{place}">Guide</a>', refresh)
 
 
-def _write(path: Path, title: str, body: str, head: str = "") -> None:
+def _write(path: Path, title: str, body: str) -> None:
     page = (
         f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f"{head}<style>{_STYLE}</style></head>\n<body>\n{body}\n</body>\n</html>\n"
+        f"<style>{_STYLE}</style></head>\n<body>\n{body}\n</body>\n</html>\n"
     )
     path.write_text(page, encoding="utf-8", newline="\n")
 

@@ -118,7 +118,7 @@ class FIPT_OT_help(bpy.types.Operator):
     poll = all_of(
         needs(
             lambda context: manual.address(),
-            "The guide is part of the extension's zip. Install it, or read docs/guide.md",
+            "The guide is part of the extension's zip. Install it, or read docs/guide",
         )
     )
 

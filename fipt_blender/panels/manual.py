@@ -27,7 +27,7 @@ def chapter_of(panel: str) -> str:
 @functools.cache
 def _has_pages(pages: Path) -> bool:
     """Whether the pages are there; asked by each redraw of the panels."""
-    return (pages / "guide.html").is_file()
+    return (pages / "index.html").is_file()
 
 
 def address() -> str:
@@ -38,10 +38,8 @@ def address() -> str:
 
 
 def chapter_page(chapter: str) -> str:
-    """The page of a chapter of the guide below `address`; that of the guide itself for ""."""
-    if not chapter:
-        return "guide.html"
-    return f"guide.html#{chapter}" if SITE else f"{chapter}.html"
+    """The page of a chapter of the guide below `address`; the guide's first page for ""."""
+    return f"{'guide/' if SITE else ''}{chapter or 'index'}.html"
 
 
 def manual_map(operators: Mapping[str, Sequence[str]]) -> tuple[str, tuple[tuple[str, str], ...]]:
