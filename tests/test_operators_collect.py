@@ -84,7 +84,10 @@ def test_a_collected_room_opens_elsewhere(scene, tmp_path, pack, keep, tiled):
     assert len(means) > 5 and {f"oak {index}" for index in range(3)} <= set(means)
     assert ops.collect_room(directory=str(target), pack=pack) == {"FINISHED"}
     assert state() == before and (first / "shot.blend").read_bytes() == saved
+    assert ops.collect_room(directory=str(target), pack=pack) == {"FINISHED"}  # in a folder of its own
     assert "exists" in refused(ops.collect_room, directory=str(target), pack=pack)
+    assert (target / "shot_collected" / "shot.blend").is_file()
+    shutil.rmtree(target / "shot_collected")
     beside = sorted(path.name for path in target.iterdir() if path.is_file())
     exports = [] if pack else ["a.png", "shot.bin", "shot.glb", "shot.gltf"]
     assert beside == sorted([*exports, "shot.blend"])
@@ -113,7 +116,8 @@ def test_what_was_painted_comes_along(applied, tmp_path):
 
 
 def test_what_can_not_be_collected_is_said(applied, tmp_path, capfd):
-    assert "Save it first" in refused(ops.collect_room, directory=str(tmp_path / "out"))
+    assert ops.collect_room(directory=str(tmp_path / "unsaved")) == {"FINISHED"}
+    assert (tmp_path / "unsaved" / "room.blend").is_file() and not bpy.data.filepath
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
     image = own_image(tmp_path / "wood" / "gone.png", 0.25)
     shutil.rmtree(tmp_path / "wood")

@@ -22,6 +22,7 @@ from fipt_blender.blend.lights import light_state
 from fipt_blender.blend.marks import KEPT_PHOTOGRAPH, STOPS, estimated_objects
 from fipt_blender.blend.pictures import check_pictures, composite, image_files, orders, render_job, view_check
 from fipt_blender.blend.pictures.cycles import exposure_of
+from fipt_blender.blend.pictures.renders import plate_size
 from fipt_blender.blend.results.scene_state import median_shown
 from fipt_blender.core.report.comparison import ERROR_STOPS, psnr
 from fipt_blender.core.run.documents import read_document
@@ -180,6 +181,8 @@ def test_sizes_are_the_scenes_resolution_in_the_photographs_proportions(run):
     assert settings.size == "UHD" and scene.render.resolution_y == 2400
     scene.render.resolution_x = 1000
     assert settings.size == "OUTPUT"
+    scene.render.resolution_percentage = 50
+    assert plate_size(scene, scene.camera) == (SIZE[0] // 2, SIZE[1] // 2)  # whatever the size of others
     settings.size = "PHOTOGRAPH"
     assert (scene.render.resolution_x, scene.render.resolution_y) == SIZE
 

@@ -114,10 +114,13 @@ class FIPT_OT_collect_room(bpy.types.Operator):
     bl_label = "Collect Room"
     bl_description = (
         "Save a copy of the file into a folder of its own, with all images that it uses and the exports"
-        " beside it, or as one packed file. It opens on another machine without this add-on"
+        " beside it, or as one packed file. It opens on another machine without this add-on. In a folder"
+        " that is not empty, the folder NAME_collected is made for it"
     )
 
-    directory: bpy.props.StringProperty(name="Folder", description="An empty folder", subtype="DIR_PATH")
+    directory: bpy.props.StringProperty(
+        name="Folder", description="Where the copy is saved", subtype="DIR_PATH"
+    )
     pack: bpy.props.BoolProperty(name="One File", description="Pack the images into the copy")
 
     poll = all_of(has_results, no_job, in_object_mode)
@@ -131,7 +134,7 @@ class FIPT_OT_collect_room(bpy.types.Operator):
         from ..blend.export.collecting import collect_room
 
         if not self.directory:
-            raise FiptError("export-file", "No folder is chosen.", "Choose an empty folder.")
+            raise FiptError("export-file", "No folder is chosen.", "Choose a folder.")
         folder = Path(bpy.path.abspath(self.directory))
         done = collect_room(folder, self.pack)
         if done.left:

@@ -10,6 +10,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
+from ..blend.marks import RESOLUTION
 from ..properties.check import COMPARISONS
 from .capture import shown_name
 from .job import draw_job, draw_warnings, job_warnings
@@ -98,7 +99,7 @@ def _draw_picture(
             row.prop_enum(shading, "type", "RENDERED", text="Preview Shadows")
         text = "The viewport previews shadows. Reflections in the room appear only in the picture."
         draw_text(layout, context, text, icon="INFO")
-    _draw_settings(layout, context, settings)
+    _draw_settings(layout, context, settings, insert.backdrop == "PHOTOGRAPH")
     row = layout.row(align=True)
     row.scale_y = 1.3
     row.operator("fipt.final_picture", icon="RENDER_STILL")
@@ -111,18 +112,21 @@ def _draw_picture(
 
 
 def _draw_settings(
-    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
+    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup, plate: bool
 ) -> None:
-    """Blender's own render settings on which pictures depend most."""
+    """Blender's own render settings on which pictures depend most; over a plate, the size is its own."""
+    from ..blend.pictures.renders import output_size, plate_size
     from ..blend.render_settings import changed_by_artist
 
     scene = context.scene
+    plate = plate and scene.camera is not None and RESOLUTION in scene.camera
     column = layout.column(align=True)
-    column.prop(settings, "size")
+    if not plate:
+        column.prop(settings, "size")
     column.prop(scene.render, "resolution_percentage", text="Scale")
-    share = scene.render.resolution_percentage / 100.0
-    size = (int(share * scene.render.resolution_x), int(share * scene.render.resolution_y))
-    column.label(text=iface_("{} x {} pixels, also with F12").format(*size), translate=False)
+    size = plate_size(scene, scene.camera) if plate else output_size(scene)
+    text = "{} x {} pixels, of the photograph" if plate else "{} x {} pixels, also with F12"
+    column.label(text=iface_(text).format(*size), translate=False)
     if hasattr(scene, "cycles"):
         column = layout.column(align=True)
         column.prop(scene.cycles, "adaptive_threshold")

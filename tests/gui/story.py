@@ -18,6 +18,7 @@ import agent
 import bpy
 import inside
 import story_align
+import story_deliver
 import story_hints
 import story_lights
 import story_materials
@@ -375,4 +376,5 @@ CHAPTERS = (
     Chapter(story_lights.eevee, "check"),
     Chapter(insert, "lights"),  # relit: a lamp is off
     Chapter(draw_requests, "insert"),
+    Chapter(story_deliver.deliver, "estimate", anew=True),
 )

@@ -17,6 +17,8 @@ from ..collecting import bring, check_pictures, copy_picture, image_files
 from ..save import write_error
 from .exporting import SUFFIXES
 
+UNSAVED = "room.blend"  # the copy's name where the open file has none
+
 
 @dataclass(frozen=True)
 class Collected:
@@ -39,18 +41,20 @@ def collect_room(folder: Path, pack: bool) -> Collected:
     The open file stays as it is, except that what was painted on images is packed into it.
 
     Args:
-        folder: of the copy.
+        folder: of the copy; where it has something in it, a new folder NAME_collected there.
         pack: pack the images into the copy; exports then stay where they are.
 
     Raises:
-        FiptError: ``file-unsaved``, ``file-missing``, ``file-exists``, ``textures-unwritable``, or what
+        FiptError: ``file-missing``, ``file-exists``, ``textures-unwritable``, or what
             `save.write_error` returns.
     """
-    check_pictures()
-    blend = Path(bpy.data.filepath)
+    check_pictures(needs_name=False)
+    blend = Path(bpy.data.filepath or UNSAVED)
+    if folder.is_dir() and any(folder.iterdir()):
+        folder = folder / f"{blend.stem}_collected"
     target = folder / blend.name
     if target.exists():
-        raise FiptError("file-exists", f"{target} exists.", "Choose an empty folder.")
+        raise FiptError("file-exists", f"{target} exists.", "Choose another folder.")
     images = [
         image for image in bpy.data.images if image.library is None and image.source in ("FILE", "TILED")
     ]
@@ -73,7 +77,7 @@ def collect_room(folder: Path, pack: bool) -> Collected:
         except RuntimeError as error:
             raise write_error(target, error, "blend-unwritable") from None
         named = {Path(os.path.normpath(path)) for path in bpy.utils.blend_paths(absolute=True, packed=False)}
-    exports = () if pack else _exports(blend)
+    exports = () if pack or not bpy.data.filepath else _exports(blend)
     for path in exports:
         copy_picture(path, folder / path.relative_to(blend.parent))
     return Collected(

@@ -17,7 +17,6 @@ from ...core.run.runfolder import RunFolder, write_json
 from ..capture.cameras import find_camera
 from ..changed import changed
 from ..marks import PIXEL_ASPECT, RESOLUTION
-from ..render_settings import fitted
 from .cycles import RenderOptions, render_exr
 
 # Called before each render with the shares of the whole work (0 to 1) at which it starts and ends.
@@ -56,11 +55,15 @@ def photograph_frame(
 
 
 def plate_frame(scene: bpy.types.Scene, camera: bpy.types.Object) -> AbstractContextManager[None]:
-    """For a block, the frame of a view's photograph at the size of the scene's pictures, at most its own."""
-    own = (int(camera[RESOLUTION][0]), int(camera[RESOLUTION][1]))
-    wanted = fitted(own, max(output_size(scene)))
+    """For a block, the frame of a view's photograph, see `plate_size`."""
     aspect = [float(value) for value in camera[PIXEL_ASPECT]]
-    return _frame(scene, min(own, wanted), aspect)
+    return _frame(scene, plate_size(scene, camera), aspect)
+
+
+def plate_size(scene: bpy.types.Scene, camera: bpy.types.Object) -> tuple[int, int]:
+    """Columns and rows of pictures over a view's photograph: its own, at most, by the scene's scale."""
+    share = min(1.0, scene.render.resolution_percentage / 100.0)
+    return max(1, int(share * camera[RESOLUTION][0])), max(1, int(share * camera[RESOLUTION][1]))
 
 
 def output_size(scene: bpy.types.Scene) -> tuple[int, int]:

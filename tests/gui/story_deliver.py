@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The story's last chapter: from the estimated room to what a client gets, in few clicks."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import agent
+import bpy
+from chapters import Options, finish
+from window import Window
+
+_PICTURE, _FILES = ("IMAGE_EDITOR", "WINDOW"), ("FILE_BROWSER", "EXECUTE")
+_MOST_CLICKS = 14
+_RENDER_SECONDS = 3600.0
+_PREVIEW = 20  # percent of the pictures' size, with --fast
+
+# What a Blender without the extension sees of a collected file: images without pixels; and its render.
+_OPENED = """
+import bpy, sys
+scene = bpy.context.scene
+assert not hasattr(scene, "fipt")
+files = [image for image in bpy.data.images if image.source in ("FILE", "TILED")]
+missing = [image.name for image in files if not image.has_data and not len(image.pixels)]
+scene.cycles.samples, scene.render.resolution_percentage = 16, 20
+scene.render.filepath = sys.argv[-1]
+scene.render.image_settings.file_format = "PNG"
+bpy.ops.render.render(write_still=True)
+print("MISSING", missing)
+"""
+
+
+def deliver(window: Window, options: Options) -> None:
+    """One lamp on, a product placed, a picture of the room, one over the photograph, a copy for others."""
+    folder = window.shots.resolve() / "delivered"
+    window.ask(_save_in, str(folder), options.fast)
+    window.open_section("Lights")  # what was open before does not count
+    window.settle()
+    start, waited = window.presses, {}
+    window.click("fipt.switch_lights", on=False)
+    window.tick("lights.lights[0].on", True)
+    window.settle(10.0)
+    window.shot("40_one_lamp")
+    _section(window, "Insert")
+    before = set(window.ask(_objects))
+    window.click("fipt.insert_object")
+    window.point_in_view(0.45, 0.35)
+    window.settle()
+    window.press()
+    window.wait(_objects, until=lambda names: len(set(names) - before) > 0)
+    window.settle(10.0)
+    window.shot("41_placed")
+    _section(window, "Render")
+    window.shot("42_render")
+    waited["final picture"] = _picture(window, "43_final_picture")
+    window.click("fipt.set_backdrop", mode="PHOTOGRAPH")
+    window.settle()
+    window.shot("44_over_the_photograph")
+    waited["over the photograph"] = _picture(window, "45_over_the_photograph")
+    _section(window, "Materials")
+    window.click("fipt.collect_room")
+    window.wait(agent.is_open, *_FILES)
+    window.settle()
+    window.shot("46_collect")
+    window.click("file.execute", _FILES)
+    copy = window.wait(_collected, str(folder), seconds=120)
+    window.settle()
+    window.shot("47_collected")
+    clicks = window.presses - start
+    opened = _open_elsewhere(copy, window.shots.resolve() / "48_opened_elsewhere.png", window)
+    told = {"clicks": clicks, "seconds waited": waited, "missing images": opened}
+    (window.shots / "delivered.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    assert opened == "[]" and clicks <= _MOST_CLICKS, told
+
+
+def _section(window: Window, label: str) -> None:
+    """Open a section as an artist does, by one click (Ctrl) on its header."""
+    before = window.presses
+    window.open_section(label)
+    window.presses = before + 1
+
+
+def _save_in(folder: str, small: bool) -> None:
+    """Give the file a name, as an artist's has one by now."""
+    Path(folder).mkdir(exist_ok=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(Path(folder) / "room.blend"))
+    bpy.context.scene.render.resolution_percentage = _PREVIEW if small else 100
+
+
+def _objects() -> list[str]:
+    return sorted(item.name for item in bpy.context.scene.objects)
+
+
+def _picture(window: Window, name: str) -> float:
+    """Press Final Picture, wait for the window with it and close that; seconds waited."""
+    started = time.monotonic()
+    window.click("fipt.final_picture")
+    finish(window, "insert", _RENDER_SECONDS)
+    seconds = time.monotonic() - started
+    picture = Path(window.ask(_last_picture))
+    assert picture.is_file() and picture.with_suffix(".png").is_file(), picture
+    window.wait(agent.is_open, *_PICTURE)
+    window.settle(5.0)
+    window.shot(name)
+    window.ask(agent.close_window, _PICTURE[0])
+    window.settle()
+    return round(seconds, 1)
+
+
+def _last_picture() -> Any:
+    return bpy.context.scene.fipt.insert.picture
+
+
+def _collected(folder: str) -> str:
+    """The collected file, "" until it is there."""
+    found = sorted(Path(folder).glob("*_collected/*.blend"))
+    return str(found[0]) if found else ""
+
+
+def _open_elsewhere(copy: str, picture: Path, window: Window) -> str:
+    """Open a file in a Blender without the extension and render it; the images that are missing."""
+    program = window.ask(lambda: bpy.app.binary_path)
+    command = [program, "--background", "--factory-startup", copy, "--python-exit-code", "1"]
+    command += ["--python-expr", _OPENED, "--", str(picture)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return next(line for line in done.stdout.splitlines() if line.startswith("MISSING")).partition(" ")[2]
