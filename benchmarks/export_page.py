@@ -46,7 +46,10 @@ const world = new THREE.Scene();
 world.add(scene);
 scene.traverse(item => {
   item.castShadow = item.receiveShadow = item.isMesh && !item.material.emissive?.getHex();
-  if (item.isLight) { item.castShadow = true; item.shadow.mapSize.set(1024, 1024); item.shadow.normalBias = 0.04; }
+  if (!item.isLight) return;
+  item.castShadow = true;
+  item.shadow.mapSize.set(1024, 1024);
+  item.shadow.normalBias = 0.04;
 });
 const pictures = [];
 const draw = exposure => {

@@ -22,7 +22,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parent / "examples")]
 
 BALLS = {"grey": (0.5, 1.0, 0.0), "mirror": (0.95, 0.05, 1.0)}  # base colour, roughness, metallic
-TRUTH_SPP, SAMPLES = 256, 32  # of Mitsuba and, at most, of Cycles
+TRUTH_SPP = 256  # of Mitsuba; Cycles has the scene's settings
 CHANGED = 0.02  # share of white from which a pixel belongs to the shadow
 
 
@@ -57,8 +57,6 @@ def open_room(run: Path, view: str):
     scene = bpy.context.scene
     scene.fipt.run_folder = str(run)
     use_view(scene, find_camera(view, scene))
-    scene.fipt.check.size = "PHOTOGRAPH"
-    scene.cycles.samples, scene.cycles.adaptive_threshold = SAMPLES, 0.05
     scene.cycles.pixel_filter_type = "BOX"  # as the photographs
     return scene
 
