@@ -61,8 +61,8 @@ class FIPT_OT_final_picture(NeedsEstimate, JobOperator, bpy.types.Operator):
     bl_description = (
         "Render what the scene's camera sees in Cycles, with the scene's render settings as F12 does, beside"
         " your work. Rendered Room: the whole room; Photograph: the inserted objects with their shadows and"
-        " reflections over the photograph, without its lens's distortion. It is saved beside the .blend file as"
-        " EXR and PNG, and shown"
+        " reflections over the photograph, whose lens's distortion is undone. It is saved beside the .blend"
+        " file as EXR and PNG, and shown"
     )
     bl_options = {"REGISTER", "UNDO"}
     title = "Final Picture"
