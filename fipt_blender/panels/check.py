@@ -129,7 +129,7 @@ def _draw_settings(
     column.label(text=iface_(text).format(*size), translate=False)
     if hasattr(scene, "cycles"):
         column = layout.column(align=True)
-        column.prop(scene.cycles, "adaptive_threshold")
+        column.prop(scene.cycles, "adaptive_threshold", text="Noise Threshold")
         column.prop(scene.cycles, "samples", text="Max Samples")
     if changed_by_artist(scene):
         row = layout.row()

@@ -32,7 +32,7 @@ class Section:
         """Called by Blender: the state of a section, presets, and the button of the guide's chapter."""
         layout = self.layout  # type: ignore[attr-defined]
         name = type(self).__name__
-        helps = bool(manual.address()) and not hasattr(self, "bl_parent_id")
+        helps = bool(manual.address()) and not getattr(self, "bl_parent_id", "")  # RNA gives panels one
         buttons = helps + (self.presets is not None)
         text = path.state_text(name, self.bl_label, buttons, context)  # type: ignore[attr-defined]
         if text:
