@@ -23,6 +23,7 @@ NOISE_THRESHOLD = 0.02
 # Samples of a pixel, at least and at most. The denoiser leaves 0.4 to 0.6 % of white in the example room, 3 %
 # around a bulb.
 LEAST_SAMPLES, MOST_SAMPLES = 8, 8
+MOST_UNDENOISED = 256  # in a Blender without its denoiser, where the noise threshold ends a pixel
 LONGER_SIDE = 1920  # pixels
 
 # How light is computed, wherever we render: nothing is clamped or left out.
@@ -66,7 +67,7 @@ def picture_settings(exposure: float | None = None) -> dict[str, Any]:
         "use_adaptive_sampling": True,
         "adaptive_threshold": NOISE_THRESHOLD,
         "adaptive_min_samples": LEAST_SAMPLES,
-        "samples": MOST_SAMPLES,
+        "samples": MOST_SAMPLES if can_denoise() else MOST_UNDENOISED,
         "use_denoising": can_denoise(),
         **(_DENOISER if can_denoise() else {}),
     }
