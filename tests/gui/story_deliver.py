@@ -58,6 +58,7 @@ def deliver(window: Window, options: Options) -> None:
     _section(window, "Render")
     window.shot("42_render")
     waited["final picture"] = _picture(window, "43_final_picture")
+    window.ask(_scale, 100)  # the example's photographs are small
     window.click("fipt.set_backdrop", mode="PHOTOGRAPH")
     window.settle()
     window.shot("44_over_the_photograph")
@@ -89,7 +90,11 @@ def _save_in(folder: str, small: bool) -> None:
     """Give the file a name, as an artist's has one by now."""
     Path(folder).mkdir(exist_ok=True)
     bpy.ops.wm.save_as_mainfile(filepath=str(Path(folder) / "room.blend"))
-    bpy.context.scene.render.resolution_percentage = _PREVIEW if small else 100
+    _scale(_PREVIEW if small else 100)
+
+
+def _scale(percent: int) -> None:
+    bpy.context.scene.render.resolution_percentage = percent
 
 
 def _objects() -> list[str]:
