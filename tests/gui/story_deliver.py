@@ -49,7 +49,7 @@ def deliver(window: Window, options: Options) -> None:
     _section(window, "Insert")
     before = set(window.ask(_objects))
     window.click("fipt.insert_object")
-    window.point_in_view(0.41, 0.22)
+    window.point_in_view(0.41, 0.31)
     window.settle()
     window.press()
     window.wait(_objects, until=lambda names: len(set(names) - before) > 0)
