@@ -38,6 +38,8 @@ def unset(target: bpy.types.bpy_struct, keep: Collection[str] = ()) -> Iterator[
         if not each.is_readonly and target.is_property_set(each.identifier)
     ]
     kept = {name: getattr(target, name) for name in names if name not in keep}
+    # What this Blender has no item for reads as "" and can't be set: a denoiser that it was built without.
+    kept = {name: value for name, value in kept.items() if value != "" or not _is_choice(target, name)}
     try:
         for name in kept:
             target.property_unset(name)
@@ -45,6 +47,11 @@ def unset(target: bpy.types.bpy_struct, keep: Collection[str] = ()) -> Iterator[
     finally:
         for name, value in kept.items():
             setattr(target, name, value)
+
+
+def _is_choice(target: bpy.types.bpy_struct, name: str) -> bool:
+    """Whether a property is an enumeration."""
+    return target.bl_rna.properties[name].type == "ENUM"
 
 
 @contextmanager
