@@ -14,7 +14,7 @@ from pathlib import Path
 from PIL import Image
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
-_WIDTH, _QUALITY = 1200, 85  # pixels, percent
+_WIDTH, _QUALITY = 1000, 75  # pixels, percent
 _VIEW = (0.0, 0.03, 0.85, 0.97)  # left, top, right, bottom: 3D viewport and sidebar, shares of the screen
 _SIDEBAR = (0.66, 0.03, 0.85, 0.75)
 _ALL = (0.0, 0.0, 1.0, 1.0)
