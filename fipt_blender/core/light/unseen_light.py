@@ -119,6 +119,7 @@ class Sources:
             before,
             image=image,
             unseen_light=float(self.light.share(self.points).mean()),
+            unseen_error=float(np.hypot(self.light.error(self.points).mean(), self.light.spread)),
             hull=hull,
             entries=self.entries,
             radiance=radiance[self.of_entry],
