@@ -80,7 +80,8 @@ class Environment:
         unseen: (T,) float32 as in :class:`.emitter_surfaces.EmitterSurfaces`; None without inferred light.
         hull: radiance from all other directions, by place; None without inferred light.
         entries: (E,) int64 cache entries of unseen surfaces, and their inferred `radiance` (E, 3).
-        lamps: balls that cast the light of the bright sources of it (:class:`..checks.views.ViewCheck`).
+        lamps: balls and discs that cast the light of the bright sources of it, as :class:`.MissingLamp` has
+            them.
     """
 
     image: np.ndarray

@@ -80,7 +80,8 @@ class Cells:
     Attributes:
         hull: around the mesh.
         of_entry: (M * 6,) int64 cell of each cache entry, -1 where photographs show it.
-        cube: (F, 3) int place of each, in widths of a cell. side: (F,) int.
+        cube: (F, 3) int place of each, in widths of a cell.
+        side: (F,) int to which it shines, as of cache entries: an axis twice, plus one in negative direction.
         size: metres, FINER widths of a cell.
     """
 
@@ -178,6 +179,13 @@ class Landed:
         """(K, 9) means of what the cells have sums of."""
         number = self._by_source(self.number[:, None])
         return np.asarray(self._by_source(self.sums) / np.maximum(number, 1.0))
+
+    def sides(self, cells: Cells) -> np.ndarray:
+        """(K,) int side to which each source shines."""
+        result = np.zeros(int(self.source.max()) + 1, np.int64)
+        own = self.source >= 0
+        result[self.source[own]] = cells.side[own]
+        return result
 
     def transport(self, logs: np.ndarray, group: np.ndarray) -> Transport:
         """The points with the light of the sources; `logs`: (N, 3) logarithms of their radiance."""

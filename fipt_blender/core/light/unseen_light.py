@@ -24,6 +24,7 @@ from ..pixels.store import PixelStore
 from ..run.stage_settings import LightSettings
 from ..run.threads import cached_property
 from ..surface.room import Room
+from .cache import SIDES
 from .clipped import MOST_POINTS
 from .environment import Environment, diffused
 from .observations import Observations
@@ -49,7 +50,12 @@ GAIN = 3.0  # least logarithm of the likelihood of points held back
 CLOSE_RAYS, MOST_TRIANGLES, NORMAL_WEIGHT = 64, 20_000, 0.5
 # A source is a lamp or a window if it is brighter than the room's median light by this factor.
 LAMP = 4.0
-BALL, MOST_OF_LAMP = 0.2, 16  # radius of the ball in its place, in widths of a source; sources of a lamp
+BALL, MOST_OF_LAMP = (
+    0.2,
+    16,
+)  # least radius of the lamp in its place, in widths of a source; sources of a lamp
+FLAT = 0.7  # it is a disc if more than this share of its light leaves to one side
+CLEARANCE = 0.1  # of discs from the surface that shines, in widths of a source
 
 
 def with_unseen_light(
@@ -79,7 +85,7 @@ class Sources:
         entries: (E,) int64 cache entries of unseen surfaces, of_entry: (E,) their source.
         cells: that the sources consist of. of_hull: (C,) source of those of the hull, -1 without.
         place, toward: (K, 3) mean place, metres, and mean unit direction of the rays that land there.
-        width: (K,) metres.
+        width: (K,) metres. side: (K,) to which each shines, as of cache entries.
     """
 
     points: Transport
@@ -96,6 +102,7 @@ class Sources:
     place: np.ndarray
     toward: np.ndarray
     width: np.ndarray
+    side: np.ndarray
 
     def environment(self, before: Environment | None, width: int) -> Environment:
         """What was observed outside, with the light of the sources; `width`: of a new map in pixels."""
@@ -140,7 +147,11 @@ class Sources:
         return result
 
     def lamps(self) -> Iterator[dict[str, Any]]:
-        """Balls that cast the light of bright sources, as lamps that the mesh lacks."""
+        """Discs and balls that cast the light of bright sources, as lamps that the mesh lacks.
+
+        What shines to one side is a disc as wide as its sources are spread, others are balls.
+        """
+        least = BALL * self.cells.size
         for index in range(int(self.lamp.max(initial=-1)) + 1):
             own = np.flatnonzero(self.lamp == index)
             cast = self.points.unseen[:, own] @ self.light.radiance[own]
@@ -149,19 +160,32 @@ class Sources:
             place, way = (
                 np.average(array[own], axis=0, weights=weight) for array in (self.place, self.toward)
             )
-            radius = BALL * self.cells.size
-            center = place - radius * way / max(float(np.linalg.norm(way)), 1e-9)
+            of_side = np.bincount(self.side[own], weight, SIDES)
+            facing, radius = None, least
+            if of_side.max() > FLAT * of_side.sum():
+                facing = np.eye(3)[of_side.argmax() // 2] * (1.0 - 2.0 * (of_side.argmax() % 2))
+                off = self.place[own] - place
+                off -= (off @ facing)[:, None] * facing
+                power = self.light.radiance[own].mean(axis=1) * self.width[own] ** 2
+                square = (off**2).sum(axis=1) + self.width[own] ** 2 / 6.0  # of a square around its middle
+                radius = max(float(np.sqrt(2.0 * np.average(square, weights=power))), least)
+                center = place + CLEARANCE * self.cells.size * facing
+            else:
+                center = place - radius * way / max(float(np.linalg.norm(way)), 1e-9)
             toward = center - self.position[lit]
             squared = np.maximum((toward**2).sum(axis=1), radius**2)
             cosine = np.maximum((toward * self.normal[lit]).sum(axis=1), 0.0) / np.sqrt(squared)
-            # Irradiance over pi by a ball of radiance 1, where its light and that of the sources are alike.
-            ball = radius**2 * cosine / squared
-            fitted = ball @ cast[lit] / max(float(ball @ ball), 1e-12)
+            # Irradiance over pi by a lamp of radiance 1, where its light and that of the sources are alike.
+            unit = radius**2 * cosine / squared
+            if facing is not None:
+                unit *= np.maximum(-toward @ facing, 0.0) * np.sqrt(squared) / (squared + radius**2)
+            fitted = unit @ cast[lit] / max(float(unit @ unit), 1e-12)
             yield {
                 "position": center.tolist(),
                 "radius": radius,
                 "radiance": fitted.tolist(),
                 "inferred": True,
+                "facing": None if facing is None else facing.tolist(),
             }
 
 
@@ -209,6 +233,7 @@ def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: in
         place=means[:, 3:6],
         toward=means[:, 6:] / np.maximum(np.linalg.norm(means[:, 6:], axis=1, keepdims=True), 1e-9),
         width=width * cells.size / FINER,
+        side=landed.sides(cells),
     )
 
 
