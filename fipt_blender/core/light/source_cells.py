@@ -203,9 +203,7 @@ class Landed:
     ) -> tuple[Landed, Expectation, np.ndarray] | None:
         """With halves of the sources that cast much light, what is expected of these, and their widths in
         cells; None where none is divided. Sources are expected to be as bright as before."""
-        cast = (points.unseen[:, :, None] * light.radiance).sum(axis=2)
-        total = points.seen.sum(axis=1) + cast.sum(axis=1)
-        share = (cast / np.maximum(total, DARKEST)[:, None]).mean(axis=0)
+        share = light.shares(points)
         much = (share > DIVIDED_SHARE) & (width > 1)
         order = np.argsort(-np.where(much, share, 0.0), kind="stable")
         much[order[max(MOST_DIVIDED - len(width), 0) // 4 :]] = False

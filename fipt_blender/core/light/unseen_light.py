@@ -50,10 +50,11 @@ GAIN = 3.0  # least logarithm of the likelihood of points held back
 CLOSE_RAYS, MOST_TRIANGLES, NORMAL_WEIGHT = 64, 20_000, 0.5
 # A source is a lamp or a window if it is brighter than the room's median light by this factor.
 LAMP = 4.0
-BALL, MOST_OF_LAMP = (
-    0.2,
-    16,
-)  # least radius of the lamp in its place, in widths of a source; sources of a lamp
+# Sources of one side are one lamp if they are less than so many of their widths apart; others, half a whole.
+APART = 1.5
+LEAST_LAMP = 0.005  # share of the light that a lamp casts
+# Least radius of a lamp in widths of a whole source, and most of these that an opening has to be a lamp.
+BALL, MOST_OF_LAMP = 0.2, 16
 FLAT = 0.7  # it is a disc if more than this share of its light leaves to one side
 CLEARANCE = 0.1  # of discs from the surface that shines, in widths of a source
 
@@ -139,11 +140,18 @@ class Sources:
         level = LAMP * float(np.median(self.points.seen))
         members = np.flatnonzero(self.light.radiance.mean(axis=1) > level)
         result = np.full(len(self.place), -1, np.int64)
-        if len(members):
-            pairs = cKDTree(self.place[members]).query_pairs(1.5 * self.cells.size, output_type="ndarray")
-            lamp = graph_components(pairs, len(members))
-            own = np.bincount(lamp, self.width[members] ** 2) <= MOST_OF_LAMP * self.cells.size**2
-            result[members] = np.where(own, np.cumsum(own) - 1, -1)[lamp]
+        if not len(members):
+            return result
+        place, width, side = self.place[members], self.width[members], self.side[members]
+        one, other = cKDTree(place).query_pairs(APART * self.cells.size, output_type="ndarray").T
+        distance = np.linalg.norm(place[one] - place[other], axis=1)
+        near = distance < APART * np.maximum(width[one], width[other])
+        near &= (side[one] == side[other]) | (distance < 0.5 * self.cells.size)
+        lamp = graph_components(np.stack([one, other], axis=1)[near], len(members))
+        own = np.bincount(lamp, width**2) <= MOST_OF_LAMP * self.cells.size**2
+        own |= np.bincount(lamp, self.expected.outside[members]) == 0.0  # the world can't shine from a mesh
+        own &= np.bincount(lamp, self.light.shares(self.points)[members]) > LEAST_LAMP
+        result[members] = np.where(own, np.cumsum(own) - 1, -1)[lamp]
         return result
 
     def lamps(self) -> Iterator[dict[str, Any]]:
