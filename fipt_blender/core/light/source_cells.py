@@ -202,9 +202,10 @@ class Landed:
         self, cells: Cells, points: Transport, light: SourceLight, width: np.ndarray
     ) -> tuple[Landed, Expectation, np.ndarray] | None:
         """With halves of the sources that cast much light, what is expected of these, and their widths in
-        cells; None where none is divided. Sources are expected to be as bright as before."""
+        cells; None where none is divided. Sources are expected to be as bright as before. Those on the hull
+        stay whole: what shines through an opening is farther away than that."""
         share = light.shares(points)
-        much = (share > DIVIDED_SHARE) & (width > 1)
+        much = (share > DIVIDED_SHARE) & (width > 1) & ~self.expectation().outside
         order = np.argsort(-np.where(much, share, 0.0), kind="stable")
         much[order[max(MOST_DIVIDED - len(width), 0) // 4 :]] = False
         if not much.any():
