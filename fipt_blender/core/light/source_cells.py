@@ -199,13 +199,21 @@ class Landed:
         return Expectation(self.means()[:, :3], self._by_source(self.outside[:, None])[:, 0] > 0)
 
     def divided(
-        self, cells: Cells, points: Transport, light: SourceLight, width: np.ndarray
+        self,
+        cells: Cells,
+        points: Transport,
+        expected: Expectation,
+        light: SourceLight,
+        width: np.ndarray,
     ) -> tuple[Landed, Expectation, np.ndarray] | None:
         """With halves of the sources that cast much light, what is expected of these, and their widths in
-        cells; None where none is divided. Sources are expected to be as bright as before. Those on the hull
-        stay whole: what shines through an opening is farther away than that."""
+        cells; None where none is divided.
+
+        Halves are expected to be as bright as their whole was found. Sources on the hull stay whole: what shines
+        through an opening is farther away than that.
+        """
         share = light.shares(points)
-        much = (share > DIVIDED_SHARE) & (width > 1) & ~self.expectation().outside
+        much = (share > DIVIDED_SHARE) & (width > 1) & ~expected.outside
         order = np.argsort(-np.where(much, share, 0.0), kind="stable")
         much[order[max(MOST_DIVIDED - len(width), 0) // 4 :]] = False
         if not much.any():
@@ -219,9 +227,9 @@ class Landed:
         finer[own] = parts
         parent = np.zeros(int(parts.max()) + 1, np.int64)
         parent[parts] = before
-        landed = replace(self, source=finer)
-        outside = landed.expectation().outside
-        return landed, Expectation(np.log(light.radiance)[parent], outside), half[parent]
+        logs = np.where(much[:, None], np.log(light.radiance), expected.log_radiance)
+        finer_expected = Expectation(logs[parent], expected.outside[parent])
+        return replace(self, source=finer), finer_expected, half[parent]
 
 
 def seen_entries(observed: Observations) -> np.ndarray:

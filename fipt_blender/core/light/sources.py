@@ -24,7 +24,7 @@ from .clipped import POINTS_PER_SAMPLE
 SOURCE, LEVEL, COLOR, SOURCE_COLOR = 1.5, 2.0, 0.15, 0.15
 # Expected albedo and its standard deviation (of the logarithm): broad, as rooms are dark or light as a whole;
 # the highest albedo, and its deviation.
-ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 1.5, 0.85, 0.1
+ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 1.0, 0.85, 0.1
 LEAST_GROUP = 8  # points of one albedo
 HELD_BACK = 0.1  # share of the points
 DARKEST = 1e-4  # radiance, in units of the capture's median

@@ -44,6 +44,8 @@ LEAST_SHARE, MOST_SOURCES = 2e-5, 200
 # Points of one surface whose colors differ by less, in logarithms of ratios, have one albedo.
 COLOR_STEP = 0.25
 LEAST_POINTS, LEAST_WEIGHT = 200, 0.5  # pixels that are compared, and the weight of each
+# Relative error of the inferred part of the light beside its covariance: root mean square of five rooms.
+MODEL_ERROR = 0.3
 GAIN = 3.0  # least logarithm of the likelihood of points held back
 # Rays from a triangle to unseen places that are closer than a source is wide, and triangles that send them;
 # others are like the nearest of these, and opposite normals count as twice so many metres.
@@ -123,11 +125,12 @@ class Sources:
         image[inferred] = near[inferred]
         if inferred.any():  # from elsewhere, other directions lead there
             image = diffused(image, before.seen | inferred)
+        share = float(self.light.share(self.points).mean())
         return replace(
             before,
             image=image,
-            unseen_light=float(self.light.share(self.points).mean()),
-            unseen_error=float(np.hypot(self.light.error(self.points).mean(), self.light.spread)),
+            unseen_light=share,
+            unseen_error=float(np.hypot(self.light.error(self.points).mean(), MODEL_ERROR * share)),
             hull=hull,
             entries=self.entries,
             radiance=radiance[self.of_entry],
@@ -219,7 +222,7 @@ def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: in
     points, expected = landed.transport(logs, group), landed.expectation()
     gain = held_back_gain(points, expected, np.random.default_rng([seed, 24]))
     light, width = solve_sources(points, expected), np.full(len(chosen), FINER)
-    while gain >= GAIN and (finer := landed.divided(cells, points, light, width)) is not None:
+    while gain >= GAIN and (finer := landed.divided(cells, points, expected, light, width)) is not None:
         landed, expected, width = finer
         points = landed.transport(logs, group)
         light = solve_sources(points, expected)
