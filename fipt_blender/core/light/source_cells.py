@@ -209,8 +209,8 @@ class Landed:
         """With halves of the sources that cast much light, what is expected of these, and their widths in
         cells; None where none is divided.
 
-        Halves are expected to be as bright as their whole was found. Sources on the hull stay whole: what shines
-        through an opening is farther away than that.
+        Halves are expected to be as bright as their whole was found. Sources on the hull stay whole: what
+        shines through an opening is farther away than that.
         """
         share = light.shares(points)
         much = (share > DIVIDED_SHARE) & (width > 1) & ~expected.outside
