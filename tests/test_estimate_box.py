@@ -185,7 +185,8 @@ def test_killed_at_any_time_it_ends_bit_for_bit_the_same(
         [
             begins("estimate-0"),
             lambda message: (run.stage / "refinement-1").exists() and half_done(message),
-            lambda message: checkpoint.exists() or half_done(message),  # a slow reader may miss the file
+            # A slow reader may miss the file.
+            lambda message: checkpoint.exists() or (checkpoint.parent.exists() and half_done(message)),
         ]
     ):
         messages, status = run_child(run, kill)

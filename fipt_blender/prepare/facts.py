@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ..core.run.contents import Problem
 from ..core.run.documents import read_document
-from ..core.run.kinds import Count, NotNegative, Share, T
+from ..core.run.kinds import Count, Matrix, NotNegative, Share, T
 from .preparation import PreparationFolder
 
 
@@ -131,6 +131,7 @@ class ScaleFacts:
 
     source: str = ""
     meters_per_unit: NotNegative | None = None
+    room_from_solve: Matrix | None = None
     difference: NotNegative | None = None
 
 
