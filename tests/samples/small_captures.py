@@ -7,6 +7,7 @@ import io
 import json
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import patch
@@ -116,8 +117,9 @@ def photograph_room(
     return SmallCapture(room, images, poses, scale)
 
 
+@cache
 def panel_capture() -> SmallCapture:
-    """A closed box, each wall of its own colour, and a ceiling panel."""
+    """A closed box, each wall of its own colour, and a ceiling panel; nobody changes its arrays."""
     return photograph([*BOX, PANEL], [*COLORS, [0.0] * 3], table(PANEL_TRIANGLES, PANEL_RADIANCE), None)
 
 
