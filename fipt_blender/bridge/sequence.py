@@ -88,7 +88,7 @@ class Job:
         self._ended = False
         self._warnings: list[Message] = []
         self._progress = JobProgress(
-            [step.weight for step in self._steps], [mode != "run" for mode in self._modes]
+            [step.seconds() for step in self._steps], [mode != "run" for mode in self._modes]
         )
         self._step_started = time.monotonic()
 
@@ -322,11 +322,11 @@ class Job:
         seconds = time.monotonic() - self._step_started
         self._record.store(step.name, self._keys[self._position], True, seconds, self._warnings)
         message = self._progress_message(1.0)
-        self._progress.complete(step.weight)
+        self._progress.weights = [each.seconds() for each in self._steps]
         return [message]
 
     def _progress_message(self, step_fraction: float, step_remaining: float | None = None) -> Message:
-        return self._progress.message(self._steps[self._position].weight, step_fraction, step_remaining)
+        return self._progress.message(self._position, step_fraction, step_remaining)
 
     def _fail(self, message: Message) -> list[Message]:
         self.error = message
