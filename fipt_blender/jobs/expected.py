@@ -24,7 +24,7 @@ from ..core.run.settings import Settings
 UNWRAPPED = 2.5e-5
 # Seconds for each texel, and for each texel and photograph that is larger than light is solved; before them
 # a few (the example room; the office kitchen of benchmarks/real_rooms.py).
-TEXTURES, TEXEL, TEXEL_OF_PHOTOGRAPH = 6.0, 1.2e-6, 5e-7
+TEXTURES, TEXEL, TEXEL_OF_PHOTOGRAPH = 6.0, 1.2e-6, 8e-8
 # Seconds for each picture, and for each million samples of Cycles.
 PICTURE, SAMPLES = 8.0, 0.8
 

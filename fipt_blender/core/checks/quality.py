@@ -264,8 +264,11 @@ def shares(
     found = dict.fromkeys(REMEDIES, 0.0)
     clipped = used & view.encoded & (photograph * 255.0 >= CLIPPED_CODE).any(axis=2)  # HDR ones are not
     found["photographs"] = float(of_render[clipped].sum()) / total
-    used = used & ~clipped
-    shared = float(np.minimum(of_render, of_plain)[used].sum()) / total
+    common = np.minimum(of_render, of_plain)
+    missed = used & ~clipped & projection.missed  # what is outside of windows is as others show it
+    found["surfaces"] = float(common[missed].sum()) / total
+    used = used & ~clipped & ~missed
+    shared = float(common[used].sum()) / total
     for name, share in _capture_causes(photograph, plain, projection, used, view).items():
         found[name] += shared * share
     rest = max(1.0 - sum(found.values()), 0.0)
