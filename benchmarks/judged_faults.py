@@ -63,9 +63,7 @@ def row(name: str, case: Case, right: set[str], root: Path, truth: SmallCapture)
         return f"| {name} | - | - | refused: {error.code} | {error.code in right} |", error.code in right
     quality = read_document(run.quality_json, QualityFigures)
     causes = ", ".join(f"{cause.name} {100.0 * cause.share:.0f} %" for cause in quality.causes)
-    poor = quality.held_back_db < POOR
-    first = quality.causes[0].name if poor and quality.causes else "none"
-    good = first in right
+    good = quality.causes[0].name in right if name != "none" else quality.held_back_db >= POOR
     figures = f"{quality.held_back_db:.2f} | {quality.projection_db:.2f} | {true_db(run, truth):.2f}"
     return f"| {name} | {figures} | {causes} | {good} |", good
 

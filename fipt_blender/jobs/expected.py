@@ -22,9 +22,9 @@ from ..core.run.settings import Settings
 
 # Seconds for each triangle that is unwrapped; before them one (scans of 0.9 million triangles).
 UNWRAPPED = 2.5e-5
-# Seconds for each texel, and for each texel and photograph that is larger than light is solved; before them
-# a few (the example room; the office kitchen of benchmarks/real_rooms.py).
-TEXTURES, TEXEL, TEXEL_OF_PHOTOGRAPH = 6.0, 1.2e-6, 8e-8
+# Seconds for each texel, and for each million pixels of photographs that are larger than light is solved at;
+# before them a few (the example room; the captures of benchmarks/real_rooms.py).
+TEXTURES, TEXEL, DETAIL = 6.0, 1.2e-6, 1.1
 # Seconds for each picture, and for each million samples of Cycles.
 PICTURE, SAMPLES = 8.0, 0.8
 
@@ -66,8 +66,8 @@ def texture_seconds(run: RunFolder, settings: Settings) -> float:
     texels = sum(image.width * image.height for image in read_document(run.atlas_json, AtlasImages).images)
     sizes = _photographs(run)
     pairs = zip(sizes, light_size(sizes, settings.light_pixels), strict=True)
-    larger = sum(full != light for full, light in pairs) if settings.detail else 0
-    return TEXTURES + texels * (TEXEL + TEXEL_OF_PHOTOGRAPH * larger)
+    larger = sum(full[0] * full[1] for full, light in pairs if full != light) if settings.detail else 0
+    return TEXTURES + TEXEL * texels + DETAIL * larger / 1e6
 
 
 @_known
