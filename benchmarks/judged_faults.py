@@ -5,8 +5,8 @@
 A box of coloured patches with a table, a crate and a ceiling panel is photographed (path traced, 14 views of
 96 x 64), of which three are held back. Each fault changes photographs, cameras or mesh before the estimation.
 One line for each: the figure that the result gives of itself, the same figure of an independent path tracer
-on true photographs (without faults alone it is comparable), the causes, and whether the first is right. A
-capture that is refused counts by the code of its error.
+on true photographs (comparable where these and their cameras have no fault), the causes, and whether the
+first is right. A capture that is refused counts by the code of its error.
 """
 
 from __future__ import annotations
@@ -38,17 +38,15 @@ def true_db(run: RunFolder, truth: SmallCapture) -> float:
     from benchmarks.predict import load_result
     from benchmarks.tracer.forward import RenderSettings, render_view
     from fipt_blender.core.capture.views import load_capture
-    from fipt_blender.core.checks.quality import GAMMA, MIDDLE
+    from fipt_blender.core.checks.quality import GAMMA, MIDDLE, Display
 
     lit, _ = load_result(run)
     scale = read_document(run.statistics_json, Statistics).radiance_scale
-    errors = []
+    errors, display = [], Display()
     for index, view in zip(HELD_BACK, load_capture(run).held_back, strict=True):
-        found = render_view(lit, view, RenderSettings(spp=256, depth=10, denoise=True), index)
-        shown = [
-            np.clip(image * (MIDDLE / scale), 0.0, 1.0) ** GAMMA for image in (found, truth.images[index])
-        ]
-        errors.append(((shown[0] - shown[1]) ** 2).mean())
+        found = render_view(lit, view, RenderSettings(spp=256, depth=10, denoise=True), index) / scale
+        true = np.clip(truth.images[index] * (MIDDLE / scale), 0.0, 1.0) ** GAMMA
+        errors.append(((display.shown(found, view, display.factor(true, found, view)) - true) ** 2).mean())
     return float(-10.0 * np.log10(np.mean(errors)))
 
 
