@@ -321,5 +321,5 @@ def test_a_plan_is_continued_by_the_next_one_and_skipped_stages_tell_nothing_of_
     told = [json.loads(line) for line in stream.getvalue().splitlines()]
     shares = [each["fraction"] for each in told if each["type"] == "progress"]
     assert shares == [0.0, 0.1, 0.4, 0.7]
-    # The clock has told 40 seconds since the first plan, in which 0.4 were done and not skipped; 0.3 are left.
+    # The clock has told 40 seconds since the first plan, in which 0.4 were done and not skipped.
     assert told[-1]["remaining_seconds"] == pytest.approx(30.0)
