@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter, shift
+from scipy.ndimage import affine_transform, gaussian_filter, shift
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
@@ -132,6 +132,8 @@ def test_the_cause_that_was_built_in_is_named_first() -> None:
     assert first_cause(true, true + 0.1 * rng.normal(size=true.shape), true + noise) == "materials"
     moved = shift(true, (0.0, 2.5, 0.0), mode="nearest")
     assert first_cause(true, moved, moved) == "poses"
+    wider = affine_transform(true, np.diag([0.95, 0.95, 1.0]), [1.5, 2.0, 0.0], order=1)
+    assert first_cause(true, wider, wider) == "poses"
     block = np.zeros(SIZE, bool)
     block[20:40, 20:50] = True
     torn = np.where(block[..., None], true[::-1], true)

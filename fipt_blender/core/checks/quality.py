@@ -297,7 +297,7 @@ def _capture_causes(
     total = max(float(error[used].sum()), 1e-12)
     found = {}
     gray, predicted = (np.log(image.mean(axis=2) + DARK) for image in (photograph, plain))
-    fit = register(gray, predicted, used & (projection.seen > 0), view.intrinsics)
+    fit = register(gray, predicted, used & (projection.seen > 0), view.intrinsics, affine=True)
     found["poses"] = 1.0 - fit.improvement if fit.shift > 0.5 else 0.0
     gains = np.median((photograph[used] + DARK) / (plain[used] + DARK), axis=0) if used.any() else 1.0
     balanced = ((plain * gains - photograph) ** 2).sum(axis=2)
