@@ -28,6 +28,7 @@ from .images import is_encoded, read_radiance
 from .rig import Note, Pinhole
 
 PIXELS = 36_000  # of each photograph that are compared; the time grows with them
+MOST_PHOTOGRAPHS = 150  # evenly spread; more hardly show anything new
 VOXEL = 2.0  # pixels' widths in the median distance
 SPECK = 10.0  # voxels, side of a square; smaller pieces are dropped
 LEAST_SEEN = 2.0  # range images that show a surface
@@ -95,6 +96,7 @@ def photograph_mesh(
     Raises:
         FiptError: ``mesh-impossible``; those of `read_radiance`.
     """
+    photographs = photographs[:: -(-len(photographs) // MOST_PHOTOGRAPHS)]
     shots = [photograph.shot() for photograph in photographs]
     if known is not None:
         points = np.concatenate([points, known.vertices[::SPARSE]])
