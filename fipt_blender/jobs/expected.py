@@ -62,8 +62,11 @@ def atlas_seconds(run: RunFolder) -> float:
 
 @_known
 def texture_seconds(run: RunFolder, settings: Settings) -> float:
-    """Of baking onto the atlas."""
-    texels = sum(image.width * image.height for image in read_document(run.atlas_json, AtlasImages).images)
+    """Of baking onto the atlas, or onto one image while there is none."""
+    texels = settings.texture_size**2
+    if run.atlas_json.exists():
+        images = read_document(run.atlas_json, AtlasImages).images
+        texels = sum(image.width * image.height for image in images)
     sizes = _photographs(run)
     pairs = zip(sizes, light_size(sizes, settings.light_pixels), strict=True)
     larger = sum(full[0] * full[1] for full, light in pairs if full != light) if settings.detail else 0
