@@ -37,6 +37,7 @@ USABLE = (0.05, 0.95)
 DISAGREE = 0.25
 # An estimate of them may be twice as far off as their mean; this is the ratio of squares.
 AMPLIFIED = 4.0
+LEAST_SHIFT = 0.5  # pixels, of a motion that counts
 BLUR = 1.5  # pixels, by which a photograph may be blurred more than the others
 SMOOTH = 1.0 / 12.0  # of a picture's width: errors of light are smooth over it, as its fall-off is
 LEAST_SHARE = 0.05  # of the error, of a cause that is named
@@ -285,7 +286,17 @@ def shares(
     doubted = lamp_doubt * (1.0 - smooth)  # sharp shadows and the lamps' own pixels
     found["lamps"] += rest * doubted
     found["materials"] += rest * (1.0 - smooth - doubted)
-    return found
+    # A motion that explains the render's error explains it all: materials and light can't move a picture.
+    moved = _moved(photograph, render, used, view)
+    found = {name: (1.0 - moved) * share for name, share in found.items()}
+    return found | {"poses": found["poses"] + moved}
+
+
+def _moved(photograph: np.ndarray, other: np.ndarray, used: np.ndarray, view: View) -> float:
+    """The share of a picture's error that a motion of the camera or another lens explains."""
+    gray, predicted = (np.log(image.mean(axis=2) + DARK) for image in (photograph, other))
+    fit = register(gray, predicted, used, view.intrinsics, affine=True)
+    return 1.0 - fit.improvement if fit.shift > LEAST_SHIFT else 0.0
 
 
 def _capture_causes(
@@ -296,9 +307,7 @@ def _capture_causes(
     error = ((plain - photograph) ** 2).sum(axis=2)
     total = max(float(error[used].sum()), 1e-12)
     found = {}
-    gray, predicted = (np.log(image.mean(axis=2) + DARK) for image in (photograph, plain))
-    fit = register(gray, predicted, used & (projection.seen > 0), view.intrinsics, affine=True)
-    found["poses"] = 1.0 - fit.improvement if fit.shift > 0.5 else 0.0
+    found["poses"] = _moved(photograph, plain, used & (projection.seen > 0), view)
     gains = np.median((photograph[used] + DARK) / (plain[used] + DARK), axis=0) if used.any() else 1.0
     balanced = ((plain * gains - photograph) ** 2).sum(axis=2)
     blurred = ((gaussian_filter(plain, (BLUR, BLUR, 0.0)) - photograph) ** 2).sum(axis=2)
