@@ -10,7 +10,6 @@ import pytest
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.photograph_mesh import Photograph, photograph_mesh
 from fipt_blender.core.capture.rig import Pinhole
-from fipt_blender.core.depth.extraction import FusedMesh
 from fipt_blender.core.depth.hull import Hull
 from fipt_blender.core.depth.stereo import Shot, range_images
 from fipt_blender.core.run.errors import FiptError
@@ -86,7 +85,7 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> list[Photograph]:
 
 
 def test_a_mesh_is_made_of_photographs_and_their_hull(photographs: list[Photograph]) -> None:
-    mesh, note = photograph_mesh(photographs, POINTS, None, lambda share: None)
+    mesh, note = photograph_mesh(photographs, POINTS, lambda share: None)
     away = np.abs(np.abs(mesh.vertices).max(axis=1) - HALF)
     assert len(mesh.triangles) > 500 and np.median(away) < 0.1
     assert note.code == "mesh-from-photographs" and "alone" in note.text
@@ -98,25 +97,6 @@ def test_a_mesh_is_made_of_photographs_and_their_hull(photographs: list[Photogra
     assert column.min() < 0.2 * WIDTH and column.max() > 0.8 * WIDTH, "it covers what the photographs show"
 
 
-def test_the_mesh_of_depth_images_stays_as_it_is(photographs: list[Photograph]) -> None:
-    y, z = np.mgrid[-1:1.01:0.1, -1:1.01:0.1]
-    vertices = np.stack([np.full(y.size, HALF), y.ravel(), z.ravel()], axis=1).astype(np.float32)
-    corner = np.arange(y.size).reshape(y.shape)[:-1, :-1].ravel()
-    side = y.shape[1]
-    triangles = np.concatenate(
-        [
-            np.stack([corner, corner + 1, corner + side], 1),
-            np.stack([corner + 1, corner + side + 1, corner + side], 1),
-        ]
-    )
-    known = FusedMesh(vertices, triangles.astype(np.int32))
-    mesh, note = photograph_mesh(photographs, POINTS, known, lambda share: None)
-    np.testing.assert_array_equal(mesh.vertices[: len(vertices)], vertices)
-    added = mesh.vertices[len(vertices) :]
-    middle = (np.abs(added[:, 1:]) < 0.7).all(axis=1) & (added[:, 0] > 0.0)
-    assert len(added) and not middle.any() and "where depth images show nothing" in note.text
-
-
 def test_photographs_of_one_place_make_no_mesh(photographs: list[Photograph]) -> None:
     with pytest.raises(FiptError, match="several sides"):
-        photograph_mesh(photographs[:1], POINTS, None, lambda share: None)
+        photograph_mesh(photographs[:1], POINTS, lambda share: None)

@@ -125,7 +125,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             reporter.warning(note.code, note.text, note.remedy)
 
     fusion = mesh_fusion(run_folder, source, options)
-    of_photographs = options.mesh_from_photographs and source.mesh is None
+    of_photographs = options.mesh_from_photographs and source.mesh is None and fusion is None
     if fusion is not None or of_photographs:
         reporter.plan([0.35, 0.6, 0.05])
     remedy = "use photographs whose distortion is undone already, or smaller ones"
@@ -141,8 +141,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             fused = None
             if fusion is not None:
                 reporter.stage("fuse", "Fusing the depth images")
-                kept = fusion.is_kept and not of_photographs
-                fused = None if kept else fusion.mesh(reporter.progress)
+                fused = None if fusion.is_kept else fusion.mesh(reporter.progress)
 
             if of_photographs:
                 reporter.stage("mesh", "Making a mesh of the photographs")
@@ -151,7 +150,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
                     for view, files, pinhole in zip(views, written, pinholes, strict=True)
                     if view.split == "train"
                 ]
-                given = run_folder, capture, source, photographs, fused
+                given = run_folder, capture, source, photographs
                 made = mesh_of_photographs(*given, reporter.progress)
                 reporter.warning(made[1].code, made[1].text, made[1].remedy)
             reporter.stage("write", "Writing the capture")

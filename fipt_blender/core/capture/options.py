@@ -41,7 +41,7 @@ TEXTS = {
     "close_holes": "close holes of a fused mesh up to this width in meters",
     "triangles": "simplify a mesh with more triangles to about N; 0 for none",
     "mesh_from_photographs": (
-        "without a mesh, make a rough one of what photographs show and depth images do not; seconds for each"
+        "without a mesh and depth images, make a rough mesh of the photographs alone; takes seconds for each"
     ),
     "depth_unit": "unit of 16-bit depth images in meters (default: 0.001)",
     "own_paths": "transforms.json: its paths may lead anywhere; only for files that you wrote yourself",

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A mesh of what photographs show and depth images do not: of the whole room where there are none.
+"""A mesh of a room from its photographs alone, where there is neither a mesh nor a depth image.
 
 Range images by stereo (:mod:`..depth.stereo`) are fused. Where that leaves nothing, mostly on blank walls,
 the room's hull takes its place: the half-spaces that hold nearly all points.
@@ -9,7 +9,7 @@ the room's hull takes its place: the half-spaces that hold nearly all points.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -42,9 +42,8 @@ FEW_POINTS = 20  # that a view shows; with fewer, all points' distances count
 GAMMA = 1.0 / 2.2  # of HDR photographs' display values
 MIDDLE = 0.18  # display value, before gamma, of a photograph's median
 MADE = (
-    "The room's mesh was made from {count} photographs{known}: of their pixels, {seen:.0f} % have a surface"
-    " that depth images or other photographs show; the rest is the room's hull. Edges are rough and small"
-    " things are missing."
+    "The room's mesh was made from {count} photographs alone: of their pixels, {seen:.0f} % have a surface"
+    " that others show; the rest is the room's hull. Edges are rough and small things are missing."
 )
 REMEDY = (
     "Better results need a better mesh: a scan by a phone with LiDAR, or one that RealityScan, Metashape or"
@@ -84,48 +83,34 @@ class Photograph:
 def photograph_mesh(
     photographs: Sequence[Photograph],
     points: np.ndarray,
-    known: FusedMesh | None,
     progress: Callable[[float], None],
 ) -> tuple[FusedMesh, Note]:
     """The mesh in the cameras' coordinates, and what to say of it.
 
     Args:
         points: (N, 3) of the solve, in these coordinates; may be none.
-        known: of depth images, which stays as it is; None without any.
 
     Raises:
         FiptError: ``mesh-impossible``; those of `read_radiance`.
     """
     photographs = photographs[:: -(-len(photographs) // MOST_PHOTOGRAPHS)]
     shots = [photograph.shot() for photograph in photographs]
-    if known is not None:
-        points = np.concatenate([points, known.vertices[::SPARSE]])
     images = range_images(shots, _reaches(shots, points), progress)
-    if known is not None:
-        pairs = zip(shots, images, strict=True)
-        images = [
-            replace(image, depth=np.where(_covered(shot, known), 0, image.depth)) for shot, image in pairs
-        ]
     depths = np.concatenate([image.depth[image.depth > 0.0] for image in images])
-    if not len(depths) and known is None:
+    if not len(depths):
         raise FiptError(
             "mesh-impossible",
             "The photographs show no surface from several sides: no mesh can be made of them.",
             "Take photographs that overlap, from places that are apart, or give a mesh (--mesh).",
         )
-    distance = float(np.median(depths)) if len(depths) else 1.0
-    voxel = VOXEL * distance / float(np.median([image.fx for image in images]))
+    voxel = VOXEL * float(np.median(depths)) / float(np.median([image.fx for image in images]))
     seen = without_specks(_fused(images, voxel, LEAST_SEEN), (SPECK * voxel) ** 2)
-    seen = seen if known is None else known.joined(seen)
     covered = [_covered(shot, seen) for shot in shots]
     centres = np.array([shot.camera_to_world[:3, 3] for shot in shots])
     hull = Hull.around(seen.vertices, _normals(seen), centres)
     rest = _fused([_behind(*pair, hull) for pair in zip(shots, covered, strict=True)], voxel, 1.0)
-    text = MADE.format(
-        count=len(photographs),
-        known=" alone" if known is None else " where depth images show nothing",
-        seen=100.0 * float(np.mean([each.mean() for each in covered])),
-    )
+    share = 100.0 * float(np.mean([each.mean() for each in covered]))
+    text = MADE.format(count=len(photographs), seen=share)
     return seen.joined(rest), Note("mesh-from-photographs", text, REMEDY)
 
 

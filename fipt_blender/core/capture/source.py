@@ -97,13 +97,9 @@ def mesh_of_photographs(
     capture: Path,
     source: Source,
     photographs: Sequence[Photograph],
-    known: FusedMesh | None,
     progress: Callable[[float], None],
 ) -> tuple[Path, Note]:
-    """The mesh file of what photographs show, and what to say of it.
-
-    Args:
-        known: the mesh of depth images, if there are any.
+    """The mesh file that is made of photographs alone, and what to say of it.
 
     Raises:
         FiptError: those of `photograph_mesh`; ``disk-full`` or ``run-unwritable``.
@@ -112,8 +108,8 @@ def mesh_of_photographs(
         points = read_points(capture, source.rig.source)
     except FiptError:  # the format has none
         points = np.zeros((0, 3))
-    mesh, note = photograph_mesh(photographs, points, known, progress)
-    run.fused_json.unlink(missing_ok=True)  # of depth images alone
+    mesh, note = photograph_mesh(photographs, points, progress)
+    run.fused_json.unlink(missing_ok=True)  # of depth images
     write_ply(run.fused_ply, mesh)
     return run.fused_ply, note
 
