@@ -178,13 +178,6 @@ def test_what_can_not_be_exported_is_refused_and_changes_nothing(scene, tmp_path
     assert error.code == "export-attributes" and not (tmp_path / "room.glb").exists()
 
 
-def test_the_operator_adds_the_suffix(scene, tmp_path):
-    assert ops.export_room(filepath=str(tmp_path / "a.b"), file_format=".gltf") == {"FINISHED"}
-    assert (tmp_path / "a.b.gltf").is_file()
-    ops.revert()
-    assert not ops.export_room.poll()
-
-
 def test_the_command_line(scene, tmp_path, capfd):
     blend = tmp_path / "kitchen.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(blend))

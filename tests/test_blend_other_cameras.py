@@ -93,13 +93,6 @@ def test_what_the_artist_shows_stays_shown(scene):
     assert hidden() == {"hidden"}
 
 
-def test_hidden_cameras_follow_the_alignment(scene):
-    look(HELD_BACK)
-    bpy.data.objects["alignment"].location.x = 5.0
-    bpy.context.view_layer.update()
-    assert bpy.data.objects["selected"].matrix_world.translation.x == 5.0
-
-
 def test_files_are_saved_with_all_cameras_and_opened_without_the_others(scene, tmp_path):
     look(HELD_BACK)
     path = str(tmp_path / "saved.blend")
@@ -124,21 +117,3 @@ def test_undo_brings_the_cameras_back(scene):
     bpy.ops.ed.redo()  # to the state with hidden cameras
     other_cameras.tick()
     assert hidden() == {"hidden"}
-
-
-def test_removing_the_add_on_shows_all_cameras(scene):
-    look(HELD_BACK)
-    other_cameras.unregister()
-    assert hidden() == {"hidden"}
-    other_cameras.register()
-
-
-def test_the_parent_is_hidden_unless_it_is_being_moved(scene):
-    alignment = scene.fipt.capture.alignment = bpy.data.objects["alignment"]
-    other_cameras.hide_others(scene, bpy.data.objects["selected"])
-    assert alignment.hide_get()
-    other_cameras.show_all(scene)
-    assert not alignment.hide_get() and LOOKED_PAST not in alignment
-    alignment.select_set(True)
-    other_cameras.hide_others(scene, bpy.data.objects["selected"])
-    assert not alignment.hide_get()

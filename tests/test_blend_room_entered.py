@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -28,30 +27,6 @@ def add_views(scene: bpy.types.Scene, *splits: str) -> None:
         view.split = split
         camera[VIEW] = view.name
     bpy.context.view_layer.update()
-
-
-def space(shading: str) -> SimpleNamespace:
-    """Stands in for a 3D view that looks from outside."""
-    return SimpleNamespace(
-        region_3d=SimpleNamespace(view_perspective="PERSP"),
-        shading=SimpleNamespace(type=shading, show_backface_culling=False),
-    )
-
-
-@pytest.mark.parametrize(("splits", "index"), [(("train", "held_back"), 1), (("train", "train"), 0)])
-def test_the_room_is_entered_through_a_held_back_view_where_there_is_one(monkeypatch, splits, index):
-    scene = bpy.context.scene
-    add_views(scene, *splits)
-    solid, preview = space("SOLID"), space("MATERIAL")
-    monkeypatch.setattr(look, "view_spaces", lambda context, scene: [solid, preview])
-    scene.render.engine = "CYCLES"
-    look.enter_room(bpy.context, scene)
-    assert scene.camera.name == f"view {index}"
-    assert solid.region_3d.view_perspective == "CAMERA"
-    assert (solid.shading.type, preview.shading.type) == ("RENDERED", "MATERIAL")
-    scene.camera = bpy.data.objects["view 0"]
-    look.enter_room(bpy.context, scene)
-    assert scene.camera.name == "view 0", "an artist who looks through a view stays there"
 
 
 @pytest.mark.parametrize(("inward", "share"), [(False, 0.0), (True, 1.0)])

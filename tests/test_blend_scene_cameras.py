@@ -283,13 +283,6 @@ def test_unusable_cameras_are_refused(scene, tmp_path):
     assert code() == "alignment-uneven"
 
 
-def test_photographs_that_are_not_hdr_are_taken(scene, tmp_path):
-    item = own_camera(scene, tmp_path / "photo.exr", (32, 16))
-    item.data.background_images[0].image = photograph(tmp_path / "photo.jpg", 32, 16, "JPEG")
-    path, skipped = scene_cameras.write_scene_cameras(scene, RunFolder(tmp_path / "run"))
-    assert frames(path)["photo"]["file_path"].endswith("photo.jpg") and skipped == []
-
-
 def test_pose_of_a_constrained_camera_is_the_evaluated_one(scene):
     target = bpy.data.objects.new("target", None)
     item = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))

@@ -207,12 +207,6 @@ def test_transforms_splits_masks_and_up_axis(tmp_path):
     assert [view.mask for view in rig.views] == [tmp_path / "masks" / "0.png", None, None]
 
 
-def test_transforms_names_of_frames(tmp_path):
-    write_transforms(tmp_path, make_samples(2))
-    edit_json(tmp_path / "transforms.json", lambda data: data["frames"][1].update(name="Camera.001"))
-    assert [view.name for view in read(tmp_path).views] == ["images/000_0001", "Camera.001"]
-
-
 def test_transforms_one_file_a_split(tmp_path):
     write_transforms(tmp_path, make_samples(2))
     (tmp_path / "transforms_test.json").write_text((tmp_path / "transforms.json").read_text())

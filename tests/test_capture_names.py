@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 import random
 import unicodedata
 from collections.abc import Callable
@@ -24,7 +23,6 @@ from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.prepare.models import WantedView, model_from_rig
 from samples import rig_writers as write
-from samples.child_processes import posix
 from samples.combinations import pairs
 from samples.ingesting import run_ingest, warnings
 from samples.metashape_writers import (
@@ -260,19 +258,6 @@ def test_xmp_files_beside_photographs_of_several_folders(tmp_path: Path) -> None
         np.testing.assert_allclose(view.camera_to_world, shot.pose, atol=1e-5)
 
 
-@pytest.mark.parametrize("has_size", [True, False])
-def test_polycam_takes_the_size_of_the_image(tmp_path: Path, has_size: bool) -> None:
-    shots = write.make_shots(write.Style(off_centre=CENTRED), 3)
-    write.write_polycam(tmp_path, shots, np.eye(4), True)
-    if not has_size:
-        for file in (tmp_path / "keyframes" / "corrected_cameras").iterdir():
-            data = json.loads(file.read_text())
-            file.write_text(json.dumps({k: v for k, v in data.items() if k not in ("width", "height")}))
-    assert [(view.width, view.height) for view in read(tmp_path).views] == [
-        (shot.width, shot.height) for shot in shots
-    ]
-
-
 @pytest.mark.parametrize("folder", ["dense/sparse", "sparse/0", "sparse"])
 def test_images_of_the_size_of_their_cameras(tmp_path: Path, folder: str) -> None:
     """COLMAP's undistorted photographs have other sizes than the originals beside them."""
@@ -355,18 +340,6 @@ def test_masks_of_any_style(tmp_path: Path, name: str) -> None:
     Image.new("L", (480, 320), 255).save(mask)
     first, second = read(tmp_path / "in").views
     assert first.mask == mask and second.mask is None and not first.missing
-
-
-@pytest.mark.parametrize("file", ["0.png", "0.PNG", "0.EXR", "images/0.png", "Images/0.png", "0.jpg.png"])
-def test_id_images_are_found_like_photographs(tmp_path: Path, file: str) -> None:
-    write_capture(
-        "transforms", tmp_path / "in", ["images\\0.jpg", "./images/1"], ["images/0.jpg", "images/1.JPG"]
-    )
-    path = tmp_path / "in" / "parts" / file
-    path.parent.mkdir(parents=True)
-    path.write_bytes(b"")
-    rig = read(tmp_path / "in")
-    assert [view.parts for view in rig.views] == [path, None] and not rig.notes
 
 
 def test_id_images_of_other_folders_are_not_taken(tmp_path: Path) -> None:
@@ -477,14 +450,6 @@ def test_runs_and_loops_of_links_are_not_searched(tmp_path: Path) -> None:
     (tmp_path / "photos" / "again").symlink_to(tmp_path, target_is_directory=True)
     found = Folders().find("C:\\x\\a.jpg", [tmp_path], tmp_path)
     assert found == (tmp_path / "photos" / "day" / "a.jpg", ("a.jpg",))
-
-
-@posix
-def test_pipes_and_broken_links_are_no_files(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "a.jpg")
-    (tmp_path / "b.jpg").symlink_to(tmp_path / "gone.jpg")
-    folders = Folders()
-    assert folders.find("a.jpg", [tmp_path], tmp_path) is folders.find("b", [tmp_path], tmp_path) is None
 
 
 def test_no_name_leads_out_of_the_folders(tmp_path: Path) -> None:

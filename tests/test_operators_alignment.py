@@ -136,17 +136,6 @@ def test_pairs_follow_the_mesh_and_survive_its_deletion(truth):
     assert "too few" in refused(ops.align_by_pairs)
 
 
-def test_bad_picks_are_refused(truth):
-    with pytest.raises(RuntimeError, match="no mesh object 'Gone'"):
-        ops.pick_pair(object="Gone", location=(0.0, 0.0, 0.0), view="000", pixel=(1.0, 1.0))
-    with pytest.raises(RuntimeError, match="no view 'x'"):
-        ops.pick_pair(object="Wall", location=(0.0, 0.0, 0.0), view="x", pixel=(1.0, 1.0))
-    with pytest.raises(RuntimeError, match="outside the photograph"):
-        ops.pick_pair(object="Wall", location=(0.0, 0.0, 0.0), view="000", pixel=(300.0, 1.0))
-    assert not bpy.context.scene.fipt.alignment.pairs
-    assert not ops.align_by_pairs.poll() and not ops.remove_pair.poll()
-
-
 def test_the_artists_own_cameras_stay(truth):
     scene = bpy.context.scene
     for view in truth:

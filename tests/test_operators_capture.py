@@ -119,22 +119,6 @@ def test_bad_captures_are_refused_in_words_and_change_nothing(imported, sample, 
     assert running.current() is None
 
 
-def test_first_import_needs_a_path_and_an_engine(scene, sample, tmp_path, monkeypatch):
-    assert "folder" in refused(ops.import_capture)
-    monkeypatch.setenv("FIPT_ENGINE_PYTHON", str(tmp_path / "no-python"))
-    assert "no-python" in refused(ops.import_capture, filepath=str(sample))
-    assert scene.fipt.run_folder == ""
-
-
-def test_a_run_is_named_after_the_capture_that_could_be_imported(scene, sample, tmp_path):
-    (tmp_path / "empty").mkdir()
-    refused(ops.import_capture, filepath=str(tmp_path / "empty"))
-    assert Path(scene.fipt.run_folder).name.startswith("empty")  # holds the log
-    assert ops.import_capture(filepath=str(sample)) == {"FINISHED"}
-    (folder,) = (tmp_path / "data" / "runs").iterdir()
-    assert folder.name.startswith("kitchen") and scene.fipt.run_folder == str(folder)
-
-
 def test_mesh_and_room(imported, sample, tmp_path):
     settings = imported.fipt.capture
     assert "does not exist" in refused(ops.import_mesh, filepath=str(tmp_path / "gone.obj"))
@@ -229,14 +213,6 @@ def test_undo_takes_an_import_back_and_redo_brings_it_again(scene, sample):
     assert settings.alignment.name in scene.objects
 
 
-def test_without_a_capture_the_buttons_say_what_is_needed(scene):
-    for operator in (ops.look_through, ops.tick_views, ops.check_views):
-        assert "Import a capture first" in refused(operator)
-    assert "Use Check Views first" in refused(ops.show_coverage)
-    assert "Use Check Views first" in refused(ops.show_parts)
-    assert "no cameras" in refused(ops.use_scene_cameras)
-
-
 @pytest.fixture
 def drawn(monkeypatch) -> list[list[overlay.Part]]:
     """The coloured triangles given to the overlay, in the order in which they were."""
@@ -289,12 +265,6 @@ def test_check_fills_the_list_and_colours_follow_the_ticks(imported, sample, dra
     other = bpy.data.scenes.new("other")
     assert overlay.shown(other) == ""  # the colours belong to one scene
     assert ops.show_parts(show=False) == {"FINISHED"} and overlay.shown(imported) == ""
-
-
-def test_check_needs_a_room(imported):
-    for item in imported.fipt.capture.room_objects(imported):
-        bpy.data.objects.remove(item)
-    assert "No meshes are chosen" in refused(ops.check_views)
 
 
 def test_masks_of_the_artist_are_counted(imported, sample, tmp_path):

@@ -120,29 +120,7 @@ def test_two_versions_are_wiped_over_a_view(scene):
     assert not version_views.show(scene, run, made[1])
 
 
-def test_a_missing_photograph_and_other_cameras_are_told(scene):
-    image = scene.camera.data.background_images[0].image
-    Path(image.filepath_from_user()).unlink()
-    image.reload()
-    assert "photograph of this view is missing" in refused(bpy.ops.fipt.compare)
-    assert scene.fipt.check.compare == "OFF"
-    scene.camera = None
-    assert not bpy.ops.fipt.compare.poll()
-
-
-def test_a_wide_picture_is_made_smaller(scene):
-    image = bpy.data.images.new("wide", 4000, 4, float_buffer=True)
-    assert compare.pixels_of(image).shape == (2, 1920, 4) and tuple(image.size) == (4000, 4)
-
-
 def test_codes_are_compared_as_radiance(tmp_path):
     image = bpy.data.images.new("codes", 4, 4)
     image.pixels.foreach_set(np.full(64, 188.0 / 255.0, np.float32))
     assert np.allclose(compare.pixels_of(image)[..., :3], 0.503, atol=2e-3)
-
-
-def test_pixels_of_views_that_are_left_are_freed(scene):
-    image = scene.camera.data.background_images[0].image
-    assert image.size[0] and image.has_data
-    bpy.ops.fipt.look_through(step=1)
-    assert not image.has_data and scene.camera.data.background_images[0].image != image

@@ -13,7 +13,6 @@ from mathutils import Vector
 
 from fipt_blender.blend import marks
 from fipt_blender.blend.results import adjust
-from fipt_blender.blend.results.part_assets import ball
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running
 from samples.applied_rooms import ConstantFields, fingerprint, picture
@@ -134,16 +133,6 @@ def test_applying_again_keeps_adjustments_and_names(applied):
     assert warning["code"] == "adjustments-lost" and "'Box'" in warning["text"]
 
 
-def test_resetting_one_and_all(applied):
-    for name in NAMES:
-        row(applied, name).metallic_offset = 0.5
-    make_active(applied, "Frame")
-    ops.reset_part()
-    assert row(applied, "Frame").metallic_offset == 0.0 and row(applied, "Sill").metallic_offset == 0.5
-    ops.reset_part(all_parts=True)
-    assert all(part.metallic_offset == 0.0 for part in applied.fipt.materials.parts)
-
-
 def test_picking_makes_the_part_under_the_ray_active(applied):
     assert ops.pick_part(origin=(3.5, 0.5, 2.0), direction=(0.0, 0.0, -1.0)) == {"FINISHED"}
     assert applied.fipt.materials.part().name == "Frame"
@@ -183,17 +172,6 @@ def test_assets_have_previews_and_survive_revert(applied):
     assert bpy.data.materials["Frame FIPT"].asset_data is not None
     ops.revert()
     assert not len(applied.fipt.materials.parts) and "Sill FIPT" in bpy.data.materials
-
-
-def test_a_preview_shows_colour_and_gloss():
-    matt, glossy, metal = (
-        ball((0.8, 0.1, 0.1), 1.0, 0.0),
-        ball((0.8, 0.1, 0.1), 0.2, 0.0),
-        ball((0.8, 0.1, 0.1), 0.2, 1.0),
-    )
-    assert matt[64, 64, 0] > 2.0 * matt[64, 64, 1] and matt[0, 0, 3] == 0.0
-    assert glossy[..., 1].max() > matt[..., 1].max() + 0.2  # a white highlight
-    assert metal[64, 100, 0] < glossy[64, 100, 0]  # a metal has no diffuse reflection
 
 
 @pytest.mark.parametrize("mode", ["uv", "color_attribute"])

@@ -64,18 +64,6 @@ def test_photographs_cover_results_only_where_the_artist_switches_them_on(scene,
     assert covering() == [True, True]
 
 
-def test_the_pie_menu_shows_and_hides_the_photograph(scene, photographs):
-    first, second = photographs
-    assert ops.look_through(toggle=True) == {"FINISHED"}
-    assert not first.show_background_images and not scene.fipt.capture.photograph_over_mesh
-    ops.look_through(step=1)
-    assert not second.show_background_images
-    ops.look_through(toggle=True)
-    assert second.show_background_images
-    ops.look_through(view="a", toggle=True)  # another view: its photograph is wanted
-    assert first.show_background_images
-
-
 def test_a_comparison_with_the_viewport_goes_on_where_another_map_is_shown(scene, photographs):
     data, photograph = photographs[0], photographs[0].background_images[0].image
     ops.apply_results("EXEC_DEFAULT")

@@ -231,18 +231,6 @@ def test_runs_without_ids_match_by_name(scene):
     assert len(bpy.data.objects["wall"].data.polygons) == 2
 
 
-def test_a_room_without_any_estimated_object_is_refused(applied):
-    room = bpy.data.collections["Parts"]
-    for item in list(room.objects):
-        room.objects.unlink(item)
-        applied.collection.objects.link(item)
-    bpy.ops.mesh.primitive_cube_add()
-    room.objects.link(bpy.context.object)
-    before = fingerprint(applied)
-    assert "None of the estimated objects" in refused(ops.apply_results)
-    assert fingerprint(applied) == before
-
-
 @pytest.mark.parametrize(("pack", "suffix", "tiled"), pairs((False, True), ("EXR", "PNG"), (False, True)))
 def test_a_file_saved_elsewhere_collects_its_pictures(scene, tmp_path, pack, suffix, tiled):
     first, second = tmp_path / "first" / "room.blend", tmp_path / "second" / "shot.blend"

@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 import pytest
 
 from fipt_blender import cli
@@ -99,18 +98,6 @@ def test_a_photograph_of_too_many_pixels_is_refused_with_words(
         describe(path, "a.jpg")
 
 
-def test_a_photograph_without_exif_has_no_exposure(tmp_path: Path) -> None:
-    found = describe(write_jpeg(tmp_path / "a.jpg", GREY, exif(None)), "a.jpg")
-    assert found.exposure is None and found.time is None and found.make == ""
-
-
-def test_linear_pictures_hold_radiance(tmp_path: Path) -> None:
-    planes = dict.fromkeys("RGB", np.ones((3, 5), np.float32))
-    OpenEXR.File({"type": OpenEXR.scanlineimage}, planes).write(str(tmp_path / "a.exr"))
-    found = describe(tmp_path / "a.exr", "a.exr")
-    assert (found.kind, found.width, found.height, found.exposure) == ("linear", 5, 3, 1.0)
-
-
 def test_brackets_by_time_and_exposure(tmp_path: Path) -> None:
     write_brackets(tmp_path, 3, (1 / 60, 1 / 240, 1 / 15))
     photographs = [describe(tmp_path / name, name) for name in list_photographs(tmp_path)]
@@ -175,12 +162,6 @@ def test_what_looks_wrong_is_told() -> None:
     assert all(remark.remedy for remark in found.values())
     single = good[:1]
     assert [remark.code for remark in remarks(single, find_groups(single, "auto"))] == ["no-brackets"]
-
-
-def test_portrait_and_landscape_are_the_same_size() -> None:
-    photographs = [shot("1.jpg", 1.0), shot("2.jpg", 1.0, width=6, height=8)]
-    codes = {remark.code for remark in remarks(photographs, find_groups(photographs, "single"))}
-    assert "sizes-mixed" not in codes
 
 
 def test_the_jpeg_beside_a_raw_photograph_is_left_out() -> None:
@@ -303,11 +284,6 @@ def test_a_preparation_with_a_setting_of_an_earlier_version_is_continued(tmp_pat
     assert read_preparation(folder).settings == make_prepare_settings({"seed": 3})
     assert mask.read_bytes() == b"a mask"
     assert error_of(prepare, source, folder.root, changes=(f"masks={masks}",)).code == "setting-unknown"
-
-
-def test_settings_from_texts() -> None:
-    settings = make_prepare_settings({"working_width": "0", "align": "false", "grouping": "folders"})
-    assert (settings.working_width, settings.align, settings.grouping) == (0, False, "folders")
 
 
 def test_unknown_steps_and_options_are_refused(tmp_path: Path) -> None:
