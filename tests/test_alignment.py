@@ -266,10 +266,5 @@ def test_points_of_each_format(tmp_path: Path) -> None:
         np.testing.assert_allclose(read_points(tmp_path / name, name), [[0.1, 0.2, 0.3]])
 
 
-@pytest.mark.parametrize("name", ["bundler", "nvm", "colmap", "opensfm", "openmvg", "meshroom"])
-def test_points_of_a_folder_without_the_format(tmp_path: Path, name: str) -> None:
-    assert error_of(read_points, tmp_path, name).code == "rig-damaged"
-
-
 def edit_json(path: Path, key: str, value: object) -> None:
     path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))

@@ -137,9 +137,6 @@ def test_what_is_not_read_is_named(tmp_path: Path, owner: str, name: str) -> Non
     assert name in error_of(read_mesh, tmp_path / "scan.glb").text
 
 
-HOSTILE = ("accessor", "empty accessor", "unused accessor", "view", "buffers", "stride", "deep")
-
-
 def hostile(kind: str) -> dict:
     """Little files that state, or repeat, far more than they hold."""
     content = little()

@@ -10,11 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.scan import MESH, Scanner, believed_pose, disturbed, link_capture, read_truth, smoothed
-from fipt_blender.core.alignment.mesh_file import read_mesh
+from benchmarks.scan import Scanner, believed_pose, disturbed, read_truth, smoothed
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.depth.extraction import FusedMesh
-from fipt_blender.core.depth.ply import write_ply
 
 
 def test_ranges_of_a_wall_have_the_noise_that_the_scanner_states() -> None:
@@ -80,14 +78,3 @@ def test_materials_are_found_by_either_numbering(tmp_path: Path, first_id: int) 
     truth = read_truth(tmp_path / "room")
     assert truth.reflectance.tolist() == [0.02, 1.0] and truth.roughness.tolist() == [1.0, 0.1]
     assert truth.emits.tolist() == [False, True]
-
-
-def test_the_new_capture_has_all_files_but_the_true_mesh(tmp_path: Path) -> None:
-    write_small_truth(tmp_path / "room", 1)
-    (tmp_path / "room" / "train").mkdir()
-    mesh = FusedMesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32))
-    link_capture(tmp_path / "room", tmp_path / "scan")
-    write_ply(tmp_path / "scan" / MESH, mesh)
-    assert sorted(path.name for path in (tmp_path / "scan").iterdir()) == ["materials.json", MESH, "train"]
-    vertices, triangles = read_mesh(tmp_path / "scan" / MESH)
-    assert np.array_equal(vertices, np.eye(3)) and triangles.tolist() == [[0, 1, 2]]

@@ -8,7 +8,6 @@ import json
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -110,13 +109,6 @@ def test_a_lost_output_is_made_again_with_all_that_follows(tmp_path):
     assert steps.ran == ["scene", "b", "save", "d"]
 
 
-def test_without_resume_everything_runs(tmp_path):
-    steps = Steps(tmp_path)
-    steps.run()
-    steps.run(resume=False)
-    assert [name for name in steps.ran if name != "reset b"] == ["a", "scene", "b", "save", "d"]
-
-
 def test_a_step_that_was_interrupted_keeps_its_checkpoints(tmp_path):
     steps = Steps(tmp_path)
     good = steps.engine
@@ -213,29 +205,6 @@ def test_slices_that_fail_or_are_cancelled_are_closed(tmp_path):
     assert len(closed) == 2 and not job.finished
     job.request_cancel()
     assert len(closed) == 3 and job.finished and job.cancelled and job.error is None
-
-
-def test_slices_run_in_the_jobs_context_each(tmp_path):
-    entered = []
-
-    @contextmanager
-    def around():
-        if len(entered) == 2:
-            raise FiptError("scene-gone", "Gone.", "Open it.")
-        entered.append("in")
-        yield
-        entered[-1] = "out"
-
-    def function():
-        while True:
-            assert entered[-1] == "in"
-            time.sleep(SLICE_SECONDS)
-            yield
-
-    job = slice_job(tmp_path, function)
-    job.around = around
-    assert not job.run(lambda message: None)
-    assert job.error["code"] == "scene-gone" and entered == ["out", "out"]
 
 
 def test_two_records_of_one_file_keep_what_the_other_has_stored(tmp_path):

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from fipt_blender.bridge import interpreter, pins, places, setup
-from fipt_blender.bridge.torch_build import TORCH_INDEX, choose_torch_build, torch_index, torch_requirement
-from fipt_blender.core.device.cuda import Gpu, cuda_devices, cuda_driver_version
+from fipt_blender.bridge.torch_build import choose_torch_build
+from fipt_blender.core.device.cuda import Gpu
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.lock import hold
 from fipt_blender.core.run.messages import parse_message
@@ -116,13 +116,6 @@ def test_run_folders_are_fresh_and_safely_named(tmp_path: Path, monkeypatch: pyt
     assert error_of(places.new_run_folder, tmp_path, "room").code == "disk-full"
 
 
-def test_pins_are_those_of_the_checkout_or_of_the_zip(tmp_path: Path) -> None:
-    assert any(pin.startswith("mitsuba==") for pin in pins.read_pins()["engine"])
-    (tmp_path / pins.PINS_NAME).write_text(json.dumps({"engine": ["a==1"], "llvm": [], "pip": []}))
-    assert pins.read_pins(tmp_path)["engine"] == ["a==1"]
-    assert "engine's packages" in str(error_of(pins.read_pins, tmp_path / "nowhere"))
-
-
 def test_environments_belong_to_pins_and_a_python(tmp_path: Path) -> None:
     groups = pins.read_pins()
     name = pins.environment_name(groups, HERE)
@@ -200,16 +193,3 @@ def test_torch_build_fits_driver_and_card(
     for platform, expected in (("linux", linux), ("win32", windows)):
         monkeypatch.setattr(sys, "platform", platform)
         assert choose_torch_build(device, driver, gpus) == expected
-
-
-def test_torch_requirement_names_the_build() -> None:
-    requirements = ["a==1", "torch==2.13.0; python_version > '3'"]
-    assert torch_requirement(requirements, "cu126") == "torch==2.13.0+cu126; python_version > '3'"
-    assert torch_requirement(requirements, "") == torch_requirement(["a==1"], "cpu") == ""
-    assert torch_index("cu126") == f"{TORCH_INDEX}/cu126" and torch_index("") == ""
-
-
-def test_driver_is_asked_without_harm() -> None:
-    devices = cuda_devices()
-    assert (cuda_driver_version() is None) == (devices == [])
-    assert all(each.uuid.startswith("GPU-") for each in devices)

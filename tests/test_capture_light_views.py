@@ -23,13 +23,11 @@ from fipt_blender.core.run import light_size as light_size_module
 from fipt_blender.core.run.light_size import (
     LEAST_PIXELS,
     SPARE_BYTES,
-    light_plan,
     light_size,
     light_views_count,
     refuse_full_disk,
 )
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.core.run.settings import make_settings
 from samples.refusals import error_of
 
 SIZES = [(5, 3), (7, 4), (10, 6), (31, 17)]
@@ -170,21 +168,6 @@ def test_a_missing_photograph_is_named(tmp_path: Path) -> None:
     view.image.unlink()
     error = error_of(light_views, RunFolder(tmp_path / "run"), [view], 1e-3)
     assert error.code == "image-missing" and str(view.image) in error.text
-
-
-def test_a_plan_names_resolution_time_and_disk() -> None:
-    settings = make_settings("draft", {"light_pixels": 6.0})
-    plan = light_plan([(4032, 3024)] * 60, settings)
-    assert plan.resolution == "60 photographs of 12.2 megapixels; light is solved at 0.10 megapixels each"
-    assert 5.9 < plan.light_megapixels * 60 <= 6.0
-    few = light_plan([(4032, 3024)] * 2000, settings)
-    assert few.used == 300 and few.resolution.endswith("each of 300 of them")
-    small = light_plan([(256, 128)] * 60, settings)
-    assert small.resolution == "60 photographs of 0.033 megapixels"
-    assert small.seconds < plan.seconds and small.bytes < plan.bytes
-    assert plan.cost.startswith("about ") and plan.cost.endswith(" GB on the disk")
-    # The photographs' size hardly changes the cost.
-    assert plan.seconds < 1.5 * light_plan([(1600, 1200)] * 60, settings).seconds
 
 
 def test_a_disk_that_is_too_small_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

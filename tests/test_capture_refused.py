@@ -15,7 +15,6 @@ from benchmarks import fuzz_samples
 from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
-from fipt_blender.core.capture.suffixes import IMAGE_SUFFIXES
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.paths import foreign_fault, is_network, leads_outside
@@ -241,11 +240,6 @@ NETWORK = (
 def test_no_path_leads_to_another_computer_or_a_device(tmp_path: Path, path: str) -> None:
     assert is_network(path) and leads_outside(tmp_path, path) and foreign_fault(path)
     assert error_of(RunFolder(tmp_path).resolve, path).code == "path-outside"
-
-
-@pytest.mark.parametrize("suffix", IMAGE_SUFFIXES)
-def test_a_run_follows_paths_to_photographs_of_all_formats(tmp_path: Path, suffix: str) -> None:
-    assert not foreign_fault(str(tmp_path / f"a{suffix}"))
 
 
 def test_paths_of_the_synthetic_layout_stay_inside(tmp_path: Path) -> None:

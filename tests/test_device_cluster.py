@@ -7,20 +7,15 @@ from __future__ import annotations
 import argparse
 import os
 import signal
-import socket
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 import pytest
 from distributed import Client, LocalCluster
 
-from fipt_blender.bridge.step import chain_keys
-from fipt_blender.cli.arguments import make_options, make_parser
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.device import cluster
 from fipt_blender.core.estimate import command, training_stages
@@ -29,8 +24,7 @@ from fipt_blender.core.pixels.store import Tracing
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.jobs.main_job import estimate_step
-from samples.child_processes import PATIENCE_SECONDS, wait_for
+from samples.child_processes import PATIENCE_SECONDS
 from samples.refusals import error_of
 from samples.small_captures import (
     CAMERAS,
@@ -46,7 +40,6 @@ from samples.small_captures import (
 )
 from samples.small_rooms import BOX, make_room, table
 
-ROOT = Path(__file__).resolve().parent.parent
 # Every stage, and next to no training: that is not shared.
 LITTLE = {
     "training_steps": 2, "roughness_levels": 3, "diffuse_spp": 4, "light_spp": 4,
@@ -217,54 +210,6 @@ def test_an_address_where_nothing_answers(address: str, monkeypatch: pytest.Monk
     monkeypatch.setattr(Client, "__init__", lambda self, *arguments, **options: made.append(arguments))
     caught = connection_error(address)
     assert caught.code == "cluster-unreachable" and repr(address) in caught.text and not made
-
-
-def test_a_name_server_that_never_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked, answered, done = [], [], threading.Event()
-
-    def wait(host: str, *arguments, **options) -> NoReturn:
-        asked.append(host)
-        done.wait()
-        answered.append(host)
-        raise OSError("at last")
-
-    monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
-    monkeypatch.setattr(socket, "getaddrinfo", wait)
-    try:
-        caught = connection_error("tcp://a.host.invalid:8786")
-        assert not answered  # it came back while the name server was still silent
-        wait_for(lambda: asked == ["a.host.invalid"])
-    finally:
-        done.set()
-    assert caught.code == "cluster-unreachable" and "no answer within" in caught.text
-
-
-def test_the_address_reaches_the_engine_and_makes_no_result_stale(tmp_path: Path) -> None:
-    arguments = make_parser().parse_args(["estimate", "room", "--cluster", "tcp://host:8786"])
-    options = make_options(arguments)
-    assert options.cluster == "tcp://host:8786"
-    run = RunFolder(tmp_path)
-    steps = [estimate_step(run, options.settings, cluster=address) for address in (options.cluster, None)]
-    assert "--cluster=tcp://host:8786" in steps[0].command
-    assert steps[1].command == ["estimate", str(run.root)]
-    assert chain_keys(steps[:1]) == chain_keys(steps[1:])
-
-
-def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    caught = connection_error("tcp://127.0.0.1:9")
-    assert caught.code == "package-missing" and "pip install distributed" in caught.remedy
-
-
-def test_without_an_address_dask_is_not_imported() -> None:
-    code = (
-        "import sys\n"
-        "from fipt_blender.core.estimate import command\n"
-        "with command.workers_at(None) as workers:\n"
-        "    assert type(workers).__name__ == 'LocalWorkers'\n"
-        "assert not {'dask', 'distributed'} & set(sys.modules)\n"
-    )
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
 
 
 @pytest.mark.parametrize(

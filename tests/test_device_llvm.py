@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import os
 import stat
 import subprocess
@@ -127,15 +126,6 @@ def test_kills_and_missing_packages_are_no_verdict_on_the_library(
     assert len(starts(python)) == 2
     python = fake_python(tmp_path / "bin", 'echo "ModuleNotFoundError: No module named mitsuba"; exit 1')
     assert error_of(llvm.find_llvm, python, tmp_path / "cache").code == "package-missing"
-
-
-def test_unusable_cache_costs_nothing_but_time(tmp_path: Path) -> None:
-    blocked = tmp_path / "file"
-    blocked.write_text("no folder")
-    assert llvm.remembered("key", lambda: llvm.Verdict(True, ""), blocked).works
-    (tmp_path / "devices.json").write_text("{damaged")
-    assert llvm.remembered("key", lambda: llvm.Verdict(True, ""), tmp_path).works
-    assert json.loads((tmp_path / "devices.json").read_text())["key"]["works"] is True
 
 
 def test_real_library_is_found_and_wrong_ones_refused(tmp_path: Path) -> None:

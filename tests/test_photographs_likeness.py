@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from benchmarks.dng import Shot, mosaic_of, write_dng
 from fipt_blender.prepare.brackets import find_groups
-from fipt_blender.prepare.editing import free_name, merge_groups, split_group
+from fipt_blender.prepare.editing import merge_groups, split_group
 from fipt_blender.prepare.exif import describe
 from fipt_blender.prepare.likeness import SIDE, Likeness, small_picture
 from fipt_blender.prepare.merging import moved_regions
@@ -200,7 +200,3 @@ def test_merge_keeps_the_first_name_and_undoes_a_split():
     assert merge_groups(split_group(GROUPS, 0, 2), 0) == GROUPS
     for index in (2, -1):
         assert error_of(merge_groups, GROUPS, index).code == "group-not-merged"
-
-
-def test_free_names_differ_in_any_case():
-    assert [free_name("A", taken) for taken in ((), ("b",), ("a",), ("a", "A-2"))] == ["A", "A", "A-2", "A-3"]

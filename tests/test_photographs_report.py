@@ -126,11 +126,6 @@ def test_plan_shows_cameras_from_above():
     assert make_plan(Rig("colmap", (), None, None)) is None
 
 
-def test_one_camera_makes_a_plan_of_finite_size():
-    plan = make_plan(Rig("colmap", (camera("a", (5, 5, 5), (0, 0, -1)),), None, None))
-    assert 0.0 < plan.width < 1000.0 and plan.arrows[0].x == pytest.approx(plan.arrows[0].tip_x)
-
-
 SHUTTERS = (1 / 125, 1 / 30)
 VIEWS = 5
 

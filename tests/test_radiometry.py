@@ -176,13 +176,3 @@ def test_radiance_of_codes_comes_back():
         light = 0.2 * np.exp(log_gains[view]) * (1.0 - camera.falloff * radius[:, None] ** 2)
         logs.append(found.values(view, camera.respond(light) * 255.0, radius) * found.factor)
     assert np.ptp(np.array(logs), axis=(0, 1)).max() < 0.04
-
-
-def test_facts_are_numbers_of_views():
-    samples, _ = make_samples(CAMERAS[0])
-    source = Source("usual", 1.1, 0.2)
-    found = Radiometry(adjust(samples, VIEWS, response_basis()), source, (source,))
-    facts = found.facts([f"v{i}" for i in range(VIEWS)], np.linspace(0.0, 0.5, VIEWS))
-    assert len(facts["log_curve"]) == 256 and facts["log_curve"][-1] == 0.0
-    assert facts["views"]["v11"]["clipped"] == 0.5 and facts["views"]["v0"]["white_balance"][1] == 1.0
-    assert facts["contrast"]["usual"] == [1.1, 0.2]

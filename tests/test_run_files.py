@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.run.arrays import read_arrays
 from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from samples.refusals import error_of
@@ -52,10 +51,6 @@ def refused(run: RunFolder) -> str:
     return caught.text
 
 
-def test_whole_files_are_read(run: RunFolder) -> None:
-    read_all(run)
-
-
 @pytest.mark.parametrize("name", ["room.npz", "atlas.npz"])
 @pytest.mark.parametrize(
     "damage",
@@ -89,10 +84,6 @@ def test_damaged_archives_are_refused(run: RunFolder, name: str, damage: Callabl
 def test_a_room_that_does_not_fit_itself_is_refused(run: RunFolder, change: dict, text: str) -> None:
     np.savez(run.room_npz, **{**ROOM, **change})
     assert text in refused(run)
-
-
-def test_an_array_that_is_missing_is_named(run: RunFolder) -> None:
-    assert "lacks the array 'x'" in str(error_of(read_arrays, run.room_npz, {"x": ("f", (3,))}))
 
 
 @pytest.mark.parametrize(

@@ -63,15 +63,3 @@ def test_every_setting_explains_itself() -> None:
 @pytest.mark.parametrize("preset", ["ultra", ["draft"], None])
 def test_presets_that_do_not_exist(preset: Any) -> None:
     assert "no preset" in str(error_of(make_settings, preset))
-
-
-def test_switches_take_true_false_one_and_zero() -> None:
-    for value, expected in (
-        (True, True),
-        (1, True),
-        ("TRUE", True),
-        (False, False),
-        (0, False),
-        ("0", False),
-    ):
-        assert make_settings("draft", {"denoise": value}).denoise is expected

@@ -5,17 +5,13 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import threading
-import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from fipt_blender.core.run.per_view import LocalWorkers, TwoSteps
-from fipt_blender.core.run.threads import MOST_THREADS, cached_property, in_threads
+from fipt_blender.core.run.threads import MOST_THREADS, in_threads
 from samples.child_processes import PATIENCE_SECONDS
 
 
@@ -65,35 +61,3 @@ def test_the_second_step_of_a_view_runs_beside_the_first_of_the_next(monkeypatch
             return TwoSteps(first, second)
 
     assert list(LocalWorkers().map(Work(), range(4))) == [(0, 0), (1, 1), (2, 4), (3, 9)]
-
-
-_CODE = "from fipt_blender.core.run.messages import peak_memory_gb; print(peak_memory_gb())"
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the system counts otherwise")
-def test_the_memory_of_the_process_that_starts_the_engine_is_not_counted():
-    block = bytearray(400_000_000)
-    block[::4096] = b"x" * len(block[::4096])
-    result = subprocess.run([sys.executable, "-c", _CODE], capture_output=True, text=True, check=True)
-    assert 0.0 < float(result.stdout) < 0.2
-
-
-def test_a_property_is_computed_once_by_all_threads_together():
-    class Thing:
-        computed = 0
-
-        @cached_property
-        def number(self) -> int:
-            self.computed += 1
-            time.sleep(0.05)  # long enough for all threads to ask
-            return 7
-
-    thing, ready = Thing(), threading.Barrier(4)
-
-    def ask(_: int) -> int:
-        ready.wait()
-        return thing.number
-
-    with ThreadPoolExecutor(4) as pool:
-        assert list(pool.map(ask, range(4))) == [7] * 4
-    assert thing.computed == 1

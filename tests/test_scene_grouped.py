@@ -13,8 +13,6 @@ from fipt_blender.core.pixels.grouped import (
     grouped_median,
     grouped_sums,
     grouped_weighted_median,
-    numbered,
-    place_of,
     summed_by_key,
 )
 
@@ -45,11 +43,6 @@ def test_sums_are_those_of_each_group_alone(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(means[:40], [values[group == index].mean(axis=0) for index in range(40)])
 
 
-def test_places_are_those_of_keys_that_are_there() -> None:
-    assert place_of(np.array([2, 5, 9]), np.array([9, 1, 5, 6, 2, 10])).tolist() == [2, -1, 1, -1, 0, -1]
-    assert place_of(np.zeros(0, np.int64), np.array([0, 3])).tolist() == [-1, -1]
-
-
 def test_keys_in_pieces_give_what_all_of_them_give_at_once(rng: np.random.Generator) -> None:
     """Whatever the pieces' sizes; some are empty."""
     keys, values = rng.integers(0, 50, 400), rng.integers(0, 9, 400).astype(float)
@@ -70,12 +63,3 @@ def test_weights_count_as_repeated_values(rng: np.random.Generator) -> None:
     repeated = grouped_median(np.repeat(values, weight), np.repeat(group, weight), 10, "low")
     assert (grouped_weighted_median(values, weight, group, 10) == repeated).all()
     assert not grouped_weighted_median(np.zeros(0), np.zeros(0), np.zeros(0, int), 2).any()
-
-
-@pytest.mark.parametrize("scale", (1, 1 << 40))
-def test_numbers_follow_the_order_of_the_combinations(rng: np.random.Generator, scale: int) -> None:
-    columns = [rng.integers(-1, 2, 200) * scale for _ in range(4)]
-    combinations, expected = np.unique(np.stack(columns), axis=1, return_inverse=True)
-    assert combinations.shape[1] < 200
-    assert (numbered(columns) == expected.reshape(-1)).all()
-    assert not len(numbered([np.zeros(0, np.int32)] * 2))

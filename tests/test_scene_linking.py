@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.capture.images import read_ids, write_exr
-from fipt_blender.core.parts import linked_masks, linking
+from fipt_blender.core.parts import linking
 from fipt_blender.core.parts.linked_masks import link_masks, shared_ids
 from fipt_blender.core.parts.linking import RegionPixels, link_regions
 from fipt_blender.core.surface.room import load_room
@@ -182,14 +182,3 @@ def test_places_that_no_two_views_share_take_bounded_memory_and_time(monkeypatch
     tracemalloc.stop()
     # 500 sets of one view each are one region of it; all others stay alone. All pairs would take 1.8 GB.
     assert len(np.unique(part)) > count - 500 and peak < 200e6
-
-
-def test_cells_get_wider_where_views_see_too_many(run_and_views, monkeypatch: pytest.MonkeyPatch) -> None:
-    run, _, own = run_and_views
-    seen = linked_masks.seen_cells(load_room(run), own)
-    cells, places = linked_masks.numbered_cells(seen)
-    monkeypatch.setattr(linked_masks, "MOST_CELLS", 100)
-    wider, fewer = linked_masks.numbered_cells(seen)
-    assert len(places) > 100 >= len(fewer) > 10
-    assert all((one >= 0).tolist() == (other >= 0).tolist() for one, other in zip(cells, wider, strict=True))
-    assert max(int(cell.max()) for cell in wider) == len(fewer) - 1

@@ -61,16 +61,6 @@ def test_a_mixed_pixel_takes_a_donor_of_its_own_part(two_parts: tuple[PixelStore
     assert (find_donors(store, 0, part, 0).reshape(HEIGHT, WIDTH)[:, 8] == -1).all()
 
 
-def test_the_reach_counts_steps(two_parts: tuple[PixelStore, np.ndarray]) -> None:
-    store, part = two_parts
-    pure = np.ones((HEIGHT, WIDTH), bool)
-    pure[:, 10:] = False
-    store.pure[:] = pure.reshape(-1)
-    donors = find_donors(store, 0, np.zeros_like(part), 3).reshape(HEIGHT, WIDTH)
-    own = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
-    assert (donors[:, 10:13] == own[:, 9:10]).all() and (donors[:, 13:] == -1).all()
-
-
 def test_masked_pixels_are_neither_room_nor_outside(tmp_path: Path) -> None:
     """The left half is masked; its glare must not affect the scale, the pixels or the environment."""
     image, mask = tmp_path / "image.exr", tmp_path / "mask.exr"

@@ -37,11 +37,6 @@ def write_room(root: Path, **changes: np.ndarray) -> RunFolder:
     return run
 
 
-def test_a_whole_mesh_is_read(tmp_path: Path) -> None:
-    room = load_room(write_room(tmp_path))
-    assert np.array_equal(room.triangles, TRIANGLES) and room.areas.tolist() == [0.5, 0.5]
-
-
 @pytest.mark.parametrize("index", [4, 2**30, -1])
 def test_indices_of_missing_vertices_are_named_before_areas_are_computed(tmp_path: Path, index: int) -> None:
     triangles = TRIANGLES.copy()

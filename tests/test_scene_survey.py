@@ -99,27 +99,6 @@ def test_triangles_between_the_rays_are_seen_and_hidden_ones_not(tmp_path):
     assert ((areas[12:20] > 0.0) == toward).all()
 
 
-def test_no_rays_are_needed_for_triangles_out_of_the_image_that_are_known(tmp_path):
-    from fipt_blender.core.capture.views import load_capture
-    from fipt_blender.core.parts.coverage import view_coverage
-    from fipt_blender.core.run.runfolder import RunFolder
-
-    room = make_room(BOX)
-    poses = {
-        "in": look_at([0.0, -1.0, 1.5], [0.0, 2.0, 1.5]),
-        "away": look_at([0.0, -4.0, 1.5], [0.0, -9.0, 1.5]),
-    }
-    write_survey_input(tmp_path / "in", room, poses)
-    inside, away = load_capture(RunFolder(tmp_path / "in")).views
-    known, unknown = np.ones(len(room.triangles), bool), np.zeros(len(room.triangles), bool)
-    first = view_coverage(room, inside, unknown)
-    again = view_coverage(room, inside, known)
-    assert (again.seen == first.seen).all() and first.seen.any()
-    assert (again.in_sight == first.seen).all() and first.in_sight.all()
-    nothing = view_coverage(room, away, known)
-    assert not nothing.seen.any() and not nothing.in_sight.any()
-
-
 def test_missing_unusable_and_clipped_photographs_are_named(tmp_path):
     pose = look_at([0.0, -1.0, 1.5], [0.0, 2.0, 1.5])
     names = ("good", "gone", "small", "clipped", "ldr", "hidden")

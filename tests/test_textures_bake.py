@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baking analytic fields: lookups in the textures at random surface points return the fields."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -152,24 +150,6 @@ def test_colour_attributes_hold_the_field_at_corners(run):
         assert corner["confidence"][:2].reshape(-1, 3).tolist() == [[1.0, 0.5, 0.25]] * 6
         assert not corner["confidence"][2:].any()
         assert np.abs(corner["roughness"].ravel() - expected[1]).max() < 2e-3
-
-
-def test_missing_atlas_is_explained(run):
-    run.atlas_npz.unlink()
-    assert error_of(bake.bake, run, AnalyticFields()).code == "file-missing"
-
-
-def test_command_is_listed_and_fails_with_a_message(run, capfd):
-    import subprocess
-    import sys
-
-    child = subprocess.run(
-        [sys.executable, "-m", "fipt_blender.core", "textures", str(run.root / "nothing")],
-        capture_output=True,
-        text=True,
-    )
-    messages = [json.loads(line) for line in child.stdout.splitlines()]
-    assert child.returncode == 1 and messages[-1]["type"] == "error"
 
 
 # --- rasteriser ------------------------------------------------------------------------------------------

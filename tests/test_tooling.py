@@ -7,7 +7,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import subprocess
 import sys
 import tomllib
 import zipfile
@@ -138,14 +137,6 @@ def test_set_up_is_done_once_and_again_when_something_changed(dev: ModuleType, t
     assert not pins.is_set_up(tmp_path, key)
 
 
-def test_unknown_command_and_help() -> None:
-    command = [sys.executable, str(ROOT / "dev.py")]
-    unknown = subprocess.run([*command, "nonsense"], capture_output=True, text=True)
-    assert unknown.returncode == 2 and "demo" in unknown.stdout
-    helped = subprocess.run([*command, "--help"], capture_output=True, text=True)
-    assert helped.returncode == 0 and helped.stdout == unknown.stdout
-
-
 def test_unsupported_python_is_named(
     dev: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -153,13 +144,6 @@ def test_unsupported_python_is_named(
     monkeypatch.setattr(dev, "other_python", lambda: None)
     assert dev.main(["test"]) == 1
     assert "Python 2.7 is needed" in capsys.readouterr().err
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_exit_status_of_the_child_is_passed_on(dev: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dev, "VENV_PYTHON", Path(sys.executable))
-    assert dev.call("-c", "raise SystemExit(7)") == 7
-    assert dev.call("-c", "import os; os.kill(os.getpid(), 6)") == 134
 
 
 def test_wheel_libraries_takes_shared_libraries_only(tmp_path: Path) -> None:
