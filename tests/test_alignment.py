@@ -77,15 +77,6 @@ def test_pairs_give_the_similarity(scale: float, count: int) -> None:
     assert fit.error < 1e-9 * scale and not fit.mirrored and fit.residuals.shape == (count,)
 
 
-def test_residuals_name_the_wrong_pair() -> None:
-    rng = np.random.default_rng(0)
-    source = rng.normal(size=(8, 3))
-    target = 2.0 * source
-    target[5] += (0.5, 0.0, 0.0)
-    fit = fit_pairs(source, target)
-    assert int(fit.residuals.argmax()) == 5 and 0.05 < fit.error < 0.5
-
-
 def test_mirrored_mesh_is_said() -> None:
     rng = np.random.default_rng(1)
     source = rng.normal(size=(6, 3))
@@ -166,14 +157,6 @@ def test_known_similarities_are_found_from_500_points(scale: float, known_up: bo
     assert off.max() < 0.005 and angle < 0.1
     assert best.error == pytest.approx(0.002 * scale, rel=0.5) and best.inliers > 0.94
     assert all(other.score > 1.5 * best.score for other in others)
-
-
-def test_a_symmetric_room_has_several_candidates() -> None:
-    rng = np.random.default_rng(8)
-    surface = sample_surface(*box((0, 0, 0), (5, 4, 2.6)), rng, 20_000)
-    points = surface.points[rng.permutation(20_000)[:300]]
-    best, second, *_ = register(points, surface, rng, np.array([0.0, 0.0, 1.0]))
-    assert second.score < 2.0 * best.score + 1e-3
 
 
 def test_a_rough_alignment_is_refined() -> None:

@@ -275,12 +275,6 @@ def test_sheets_above_each_other_are_cut_apart():
     assert overlap(result, 0.005) <= 1e-3
 
 
-def test_the_result_depends_on_the_mesh_alone():
-    points, triangles = noisy(*sphere(40), share=0.3)
-    first, second = (unwrapped(points, triangles) for _ in range(2))
-    assert np.array_equal(first.uv, second.uv) and np.array_equal(first.chart, second.chart)
-
-
 def test_scans_are_told_from_modelled_meshes():
     points, triangles = noisy(*sphere(70), share=0.3)
     areas = islands.triangle_areas(points[triangles])

@@ -100,17 +100,6 @@ def test_the_mesh_follows_the_alignment_and_the_capture_s_axes(run, scene):
     assert np.abs(np.sort(world, axis=0) - np.sort(expected, axis=0)).max() < 1e-5
 
 
-def test_a_camera_moved_by_hand_is_exported(run, scene):
-    bring_in(run)
-    camera = scene.fipt.capture.views[1].camera_object()
-    camera.location.x += 0.25
-    export_capture(scene, run)
-    before = np.array(read_document(run.ingest_json, dict)["views"][1]["camera_to_world"])
-    after = np.array(entries(run)["train/off-centre"]["camera_to_world"])
-    assert (after - before)[0, 3] == pytest.approx(0.25, abs=1e-6)
-    assert camera.name in scene.objects and np.allclose(after[:3, :3], before[:3, :3], atol=1e-6)
-
-
 @pytest.mark.parametrize("scale", [(1, 1, 2), (-1, 1, 1), (0, 0, 0)])
 def test_an_uneven_alignment_is_refused(run, scene, scale):
     bring_in(run)

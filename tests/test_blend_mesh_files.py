@@ -108,12 +108,6 @@ def damage(content: bytes, rng: np.random.Generator) -> bytes:
     return bytes(result)
 
 
-@pytest.mark.parametrize("name", GOOD)
-def test_good_files_pass(tmp_path, name):
-    (tmp_path / name).write_bytes(GOOD[name])
-    check_mesh_file(tmp_path / name)
-
-
 @pytest.mark.parametrize("order", ["<", ">", ""])
 @pytest.mark.parametrize("faces", [TRIANGLES, MIXED])
 def test_indices_and_counts_of_ply_are_checked(tmp_path, order, faces):

@@ -237,19 +237,6 @@ def test_a_picture_over_a_view_does_not_become_its_photograph(scene, tmp_path):
     assert scene_cameras.describe_camera(scene, item)["file_path"] == str(tmp_path / "a.exr")
 
 
-def test_a_photograph_with_another_aspect_than_the_frame(scene, tmp_path):
-    """64 x 64 in a frame of 128 x 64: fit keeps its height, crop its width, stretch both."""
-    scene.render.resolution_x, scene.render.resolution_y = 128, 64
-    item = own_camera(scene, tmp_path / "square.exr", (64, 64), lens=36.0, sensor_width=36.0)
-    background = item.data.background_images[0]
-    expected = {"FIT": (128.0, 128.0), "CROP": (64.0, 64.0), "STRETCH": (64.0, 128.0)}
-    for method, focal in expected.items():
-        background.frame_method = method
-        frame = scene_cameras.describe_camera(scene, item)
-        assert (frame["fl_x"], frame["fl_y"]) == pytest.approx(focal)
-        assert (frame["cx"], frame["cy"]) == pytest.approx((32.0, 32.0))
-
-
 def test_unusable_cameras_are_refused(scene, tmp_path):
     run = RunFolder(tmp_path / "run")
 

@@ -26,7 +26,6 @@ from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.checks.survey import examined, view_warning, with_misfit
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.runfolder import RunFolder
 from samples.capture_files import make_samples, write_transforms
@@ -62,13 +61,6 @@ def test_colors_keep_all_sixteen_bits(tmp_path, channels):
         assert np.array_equal(read_codes(path)[0], codes[..., :3]), path.name
         values = srgb_encoded(read_radiance(path).astype(np.float64))
         assert np.abs(values * 65535.0 - codes[..., :3]).max() < 0.1
-
-
-def test_values_of_other_depths_are_refused(tmp_path):
-    Image.fromarray(CODES[..., 0].astype(np.int32)).save(tmp_path / "a.tif")
-    with pytest.raises(FiptError, match="values are int") as error:
-        read_radiance(tmp_path / "a.tif")
-    assert error.value.code == "image-unreadable"
 
 
 def test_exposures_of_files(tmp_path):

@@ -163,13 +163,6 @@ def test_light_pixels_with_clipped_ones_are_clipped(tmp_path: Path) -> None:
     assert srgb_decoded(found[2, 2] / 255.0) == pytest.approx(0.99 * grey + 0.01, rel=1e-4)
 
 
-def test_a_missing_photograph_is_named(tmp_path: Path) -> None:
-    view = make_view(tmp_path)
-    view.image.unlink()
-    error = error_of(light_views, RunFolder(tmp_path / "run"), [view], 1e-3)
-    assert error.code == "image-missing" and str(view.image) in error.text
-
-
 def test_a_disk_that_is_too_small_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "run" / "stage"
     free = SPARE_BYTES + 1000

@@ -246,18 +246,6 @@ def test_suffixes_of_fixed_layouts_in_upper_case(tmp_path: Path) -> None:
                 assert getattr(other, kind) == expected, (folder.name, kind)
 
 
-def test_xmp_files_beside_photographs_of_several_folders(tmp_path: Path) -> None:
-    shots = write.make_shots(write.Style(off_centre=CENTRED), 2)
-    for folder, shot in zip(("day", "night"), shots, strict=True):
-        write_realityscan_xmp(tmp_path / "photos" / folder, [shot])
-        for file in (tmp_path / "photos" / folder).iterdir():
-            file.rename(file.with_stem("0001"))
-    views = {view.image: view for view in read(tmp_path).views}
-    for folder, shot in zip(("day", "night"), shots, strict=True):
-        view = views[tmp_path / "photos" / folder / "0001.jpg"]
-        np.testing.assert_allclose(view.camera_to_world, shot.pose, atol=1e-5)
-
-
 @pytest.mark.parametrize("folder", ["dense/sparse", "sparse/0", "sparse"])
 def test_images_of_the_size_of_their_cameras(tmp_path: Path, folder: str) -> None:
     """COLMAP's undistorted photographs have other sizes than the originals beside them."""

@@ -129,12 +129,6 @@ def test_bad_options(tmp_path, run, options, code):
     assert caught.code == code and not run.root.exists()
 
 
-def test_missing_mesh(tmp_path, run):
-    write_transforms(tmp_path / "in", make_samples(2))
-    caught = error_of(run_ingest, tmp_path / "in", run, mesh=tmp_path / "no.obj")
-    assert caught.code == "mesh-missing" and not run.root.exists()
-
-
 def test_run_of_another_version_is_left_alone(tmp_path, run):
     write_transforms(tmp_path / "in", make_samples(2))
     run.create(make_settings())

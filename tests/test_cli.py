@@ -17,7 +17,6 @@ from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
-from fipt_blender.core.run.errors import FiptError
 from samples.child_processes import PATIENCE_SECONDS, is_alive, wait_for
 
 PACKAGE = Path(cli.__file__).parent.parent
@@ -132,15 +131,6 @@ def test_a_failed_job_is_status_1_with_text_and_remedy(capture, monkeypatch, cap
     fake_job(monkeypatch, BAD)
     assert cli.main(["estimate", "room"]) == 1
     assert "error: No mesh. Give one.\n" in capfd.readouterr().err
-
-
-def test_a_job_that_cannot_start_is_status_1(capture, monkeypatch, capfd):
-    def make(options):
-        raise FiptError("engine-missing", "No engine.", "Install it.")
-
-    monkeypatch.setattr(cli, "make_main_job", make)
-    assert cli.main(["estimate", "room"]) == 1
-    assert capfd.readouterr().err == "error: No engine. Install it.\n"
 
 
 def test_what_blender_prints_meanwhile_goes_to_the_log(capture, monkeypatch, capfd):

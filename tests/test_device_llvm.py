@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import argparse
-import io
 import os
 import stat
 import subprocess
@@ -15,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from fipt_blender.bridge import interpreter, places
-from fipt_blender.core.device import check, llvm, probe, variant
-from fipt_blender.core.run.messages import Reporter, parse_message
+from fipt_blender.core.device import llvm, probe, variant
 from samples.refusals import error_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -147,16 +144,6 @@ def test_cuda_without_a_driver_is_explained(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(variant, "cuda_driver_version", lambda: None)
     caught = error_of(variant.set_variant, "cuda")
     assert caught.code == "cuda-missing" and "driver" in caught.text
-
-
-def test_check_reports_devices_and_packages() -> None:
-    stream = io.StringIO()
-    check.run(argparse.Namespace(device="auto", gpu=""), Reporter(stream))
-    messages = [parse_message(line) for line in stream.getvalue().splitlines()]
-    data = messages[-1]["data"]
-    assert messages[-1]["type"] == "done" and data["ready"] is True
-    assert data["device"] in ("cuda", "llvm") and data["oidn"] is True
-    assert data["packages"]["mitsuba"] and data["cores"] >= 1
 
 
 def test_engine_starts_isolated_from_any_folder(tmp_path: Path) -> None:

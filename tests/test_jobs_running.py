@@ -126,14 +126,6 @@ def test_in_another_file_the_engine_goes_on_but_functions_touch_nothing(run, tmp
     assert job_scene.find_scene("Scene", run.root) is not None
 
 
-def test_an_engine_job_ends_well_without_its_scene(run):
-    info = start(make_job(run), run)
-    tick_until(lambda: at_work(info))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    finish(run, info)
-    assert info.state == "finished"
-
-
 def test_disabling_stops_the_engine_by_default(run):
     info = start(make_job(run), run)
     tick_until(lambda: at_work(info))

@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.estimate.doubts import group_doubts, question
-from fipt_blender.core.material.hints import KnownMaterials, SurfaceHints, nearest_triangles, place_hints
+from fipt_blender.core.estimate.doubts import group_doubts
+from fipt_blender.core.material.hints import KnownMaterials, SurfaceHints, place_hints
 from fipt_blender.core.material.likelihood import make_candidates
 from fipt_blender.core.material.mixture import GroupMaterials, infer_materials
 from fipt_blender.core.parts.labels import Parts
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.hints import Hint, hints_digest, read_hints, write_hints
 from samples.material_pixels import LEVELS, SETTINGS, synthetic
 from samples.refusals import error_of
@@ -124,11 +123,6 @@ def test_an_area_takes_its_triangles_from_the_part() -> None:
         assert parts[0] == 6 and (parts[1:] == WALL[1:]).all()
 
 
-def test_points_of_an_area_off_every_center_find_the_nearest_triangle() -> None:
-    hints = placed(Hint(((1.9, -1.9, 0.02),), area=True))
-    assert np.flatnonzero(hints.triangle == 0).tolist() == [0]
-
-
 def test_the_same_material_as_a_part_without_a_hint() -> None:
     hints = placed(Hint((FLOOR,), "Floor", material="metal", same_as=CEILING))
     assert hints.triangle[:4].tolist() == [0, 0, 1, 1] and hints.same.tolist() == [0, 0]
@@ -156,13 +150,6 @@ def test_the_same_material_as_a_part_without_a_hint() -> None:
 )
 def test_hints_that_contradict_each_other_are_named(hints: list[Hint], problem: str) -> None:
     assert any(problem in text for text in placed(*hints).problems)
-
-
-def test_the_nearest_triangle_is_not_that_of_the_nearest_center() -> None:
-    """A point on a large triangle, beside a small one."""
-    small = np.array([[0.0, 0.0, 0.2], [0.1, 0.0, 0.2], [0.0, 0.1, 0.2]])
-    large = np.array([[-10.0, -10.0, 0.0], [10.0, -10.0, 0.0], [0.0, 20.0, 0.0]])
-    assert nearest_triangles(np.array([[0.02, 0.02, 0.05]]), np.stack([small, large])).tolist() == [1]
 
 
 def test_files_of_hints_come_back(tmp_path: Path) -> None:
@@ -200,13 +187,6 @@ def test_bad_files_are_refused(tmp_path: Path, change: dict) -> None:
     assert error_of(read_hints, path).code in ("file-damaged", "hints-invalid")
 
 
-def test_files_with_too_much_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fipt_blender.core.run.hints.MOST_HINTS", 2)
-    write_hints(tmp_path / "hints.json", [Hint((FLOOR,))] * 3)
-    with pytest.raises(FiptError, match="more than 2 hints"):
-        read_hints(tmp_path / "hints.json")
-
-
 def test_doubts_are_ordered_by_what_a_hint_is_worth() -> None:
     """Large and unclear parts first; clear, small and bright ones not at all."""
     errors = np.array([[0.3, 0.0], [0.3, 0.0], [0.02, 0.0], [0.3, 0.4], [0.0, 0.0]])
@@ -216,10 +196,3 @@ def test_doubts_are_ordered_by_what_a_hint_is_worth() -> None:
     assert np.argsort(-doubts.score)[:3].tolist() == [4, 1, 0] and doubts.score[2] == doubts.score[3] == 0.0
     answered = group_doubts(errors, pixels, emits, np.zeros(5))
     assert answered.score[4] == 0.0
-
-
-def test_questions_are_about_what_is_unclear() -> None:
-    assert question(0.5, np.array([0.1, 0.4]), 0.05, False) == ("metal", "Dark metal or plastic?")
-    assert question(0.5, np.array([0.1, 0.4]), 0.6, False)[0] == "metal"
-    assert question(0.01, np.array([0.3, 0.02]), 0.6, False)[0] == "gloss"
-    assert question(0.0, np.array([0.0, 0.0]), 0.9, True)[0] == "lamp"

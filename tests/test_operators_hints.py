@@ -17,7 +17,6 @@ from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.panels.hints import hint_text
 from samples.applied_rooms import make_applied_scene
 from samples.operator_calls import refused
-from samples.refusals import error_of
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -180,10 +179,3 @@ def test_files_of_a_run_and_of_a_run_again(settings, run_folder: RunFolder) -> N
     assert not run_folder.hints_json.exists() and not run_folder.hints_again_json.exists()
     write_hints_rerun(scene, run_folder)
     assert not run_folder.hints_again_json.exists()
-
-
-def test_too_many_hints_are_refused(settings, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fipt_blender.blend.hints.exchange.MOST_HINTS", 1)
-    add()
-    add(0.0)
-    assert "more than 1 hints" in str(error_of(scene_hints, bpy.context.scene))

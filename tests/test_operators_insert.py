@@ -96,18 +96,6 @@ def test_a_rotated_object_keeps_its_rotation_and_children(scene):
     assert cube.matrix_world.to_euler().x == pytest.approx(math.pi / 2, abs=1e-5)
 
 
-def test_an_object_with_a_distant_origin_stands_at_the_pixel(scene):
-    mesh = bpy.data.meshes.new("far")
-    mesh.from_pydata([(9, 9, 4), (10, 9, 4), (9, 10, 4), (9, 9, 5)], [], [(0, 1, 2), (0, 1, 3)])
-    item = bpy.data.objects.new("Far", mesh)
-    scene.collection.objects.link(item)
-    place(kind="OBJECT", object_name="Far", location=(1, 0, 0))
-    bpy.context.view_layer.update()
-    corners = np.array([item.matrix_world @ vertex.co for vertex in mesh.vertices])
-    assert corners.min(axis=0) == pytest.approx([0.5, -0.5, 0.0], abs=1e-5)
-    assert corners.max(axis=0) == pytest.approx([1.5, 0.5, 1.0], abs=1e-5)
-
-
 def test_a_copy_does_not_move_the_original(scene):
     cube = add_cube(scene)
     before = cube.matrix_world.copy()

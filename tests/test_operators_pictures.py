@@ -73,14 +73,6 @@ def test_without_an_object_the_picture_is_the_photograph(run):
     assert entry == {"kind": "composite", "view": VIEW, "image": path.relative_to(run.root).as_posix()}
 
 
-def test_a_grey_object_that_nothing_sees_leaves_the_photograph(run):
-    photo = photograph(run, 16)
-    ball()
-    bpy.data.objects["FIPT Gray Ball"].location.z = -3.0  # below the floor, away from its light
-    layers = into_photograph(run, 16)
-    np.testing.assert_allclose(layers[""], photo, rtol=1e-3, atol=1e-6)
-
-
 def test_the_layers_make_the_picture_and_the_depth_is_the_objects(run):
     photograph(run, 16)
     ball()

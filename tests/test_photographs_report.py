@@ -21,7 +21,7 @@ from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.prepare import command
 from fipt_blender.prepare.lens import FULL_FRAME_DIAGONAL
-from fipt_blender.prepare.preparation import PreparationFolder, write_preparation
+from fipt_blender.prepare.preparation import PreparationFolder
 from fipt_blender.prepare.report import make_plan, write_report
 from fipt_blender.prepare.steps import STEPS, run_steps
 from samples import textured_room
@@ -63,13 +63,6 @@ def test_the_page_shows_what_each_step_has_found(folder, tmp_path):
     assert colors.shape == (16, 24, 3)
     corner, other = colors[1:3, 1:3].mean((0, 1)), colors[8:, 8:].mean((0, 1))
     assert corner[1] < 60 < 200 < corner[0] and abs(other[0] - other[1]) < 60
-
-
-def test_after_reading_alone_the_page_lists_the_groups(folder, tmp_path):
-    preparation = make_preparation(tmp_path / "card")
-    write_preparation(folder, preparation)
-    page = Page(write_report(folder, preparation))
-    assert "IMG_4" in page.text and not page.values("src") and "views with a camera" not in page.text
 
 
 def test_the_page_is_written_although_a_step_fails(folder, tmp_path, monkeypatch):

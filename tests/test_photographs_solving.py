@@ -23,7 +23,7 @@ from fipt_blender.core.capture.rig import Lens, Rig, RigView
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.prepare.lens import FULL_FRAME_DIAGONAL
 from fipt_blender.prepare.models import WantedView, model_from_rig, read_model, write_model
-from fipt_blender.prepare.pairs import MOST_EXHAUSTIVE, image_pairs
+from fipt_blender.prepare.pairs import image_pairs
 from fipt_blender.prepare.preparation import (
     Group,
     Photograph,
@@ -335,11 +335,6 @@ def test_solving_needs_merged_images(tmp_path: Path) -> None:
     (folder.images / "a.exr").unlink()
     caught = error_of(run, folder, preparation)
     assert caught.code == "image-missing" and "merge" in caught.remedy
-
-
-def test_few_photographs_are_all_compared() -> None:
-    assert image_pairs(1) == [] and image_pairs(3) == [(0, 1), (0, 2), (1, 2)]
-    assert len(image_pairs(MOST_EXHAUSTIVE)) == MOST_EXHAUSTIVE * (MOST_EXHAUSTIVE - 1) // 2
 
 
 def test_many_photographs_are_compared_with_near_ones_and_loops_are_closed() -> None:
