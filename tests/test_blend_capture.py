@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import bpy
 import numpy as np
 import pytest
@@ -145,24 +143,6 @@ def test_importing_again_keeps_ticks_and_alignment_and_adds_nothing(run, scene):
     assert moved == pytest.approx(
         read_document(run.ingest_json, dict)["views"][0]["camera_to_world"][0][3] + 3.0, abs=1e-5
     )
-
-
-def test_another_capture_removes_the_cameras_and_hides_the_mesh_of_the_first(run, scene, tmp_path):
-    bring_in(run)
-    (old,) = scene.fipt.capture.room_objects(scene)
-    own = bpy.data.objects.new("Artist's", bpy.data.cameras.new("Artist's"))
-    scene.collection.objects.link(own)
-    data = read_document(run.ingest_json, dict)
-    other = tmp_path / "other.obj"
-    other.write_text(Path(data["mesh"]).read_text())
-    data["views"] = [{**view, "name": f"b/{index}"} for index, view in enumerate(data["views"][:3])]
-    write_json(run.ingest_json, {**data, "mesh": str(other)})
-    bring_in(run, "elsewhere")
-    cameras = sorted(item.name for item in scene.objects if item.type == "CAMERA")
-    assert cameras == ["Artist's", "b/0", "b/1", "b/2"] and len(scene.fipt.capture.views) == 3
-    (new,) = scene.fipt.capture.room_objects(scene)
-    assert new != old and [each.name for each in old.users_collection] == ["Earlier Rooms"]
-    assert old.users_collection[0].hide_viewport and old.users_collection[0].hide_render
 
 
 def test_chosen_objects_stay_the_room_and_are_not_changed(run, scene):

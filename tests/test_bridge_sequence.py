@@ -128,23 +128,6 @@ def test_a_step_that_was_interrupted_keeps_its_checkpoints(tmp_path):
     assert "reset b" not in steps.ran and "b" in steps.ran
 
 
-def test_failures_of_functions_become_messages(tmp_path):
-    def fail():
-        raise ZeroDivisionError("no room")
-
-    def explain():
-        raise FiptError("mesh-empty", "Empty.", "Fill it.")
-
-    for function, code in ((fail, "blender-step-failed"), (explain, "mesh-empty")):
-        step = Step("x", "Doing x", 1.0, function=function)
-        record = StepRecord(tmp_path / f"{code}.json")
-        job = Job([step], record, lambda arguments: None, tmp_path / "log.txt", lambda: ([], {}))
-        messages: list[dict] = []
-        assert job.run(messages.append) is False
-        assert messages[-1]["code"] == code and job.error == messages[-1]
-    assert "ZeroDivisionError" in (tmp_path / "log.txt").read_text()
-
-
 def slice_job(tmp_path, function) -> Job:
     step = Step("x", "Doing x", 1.0, function=function)
     record = StepRecord(tmp_path / "steps.json")

@@ -41,22 +41,6 @@ def starts(python: Path) -> list[str]:
     return file.read_text().split() if file.exists() else []
 
 
-@pytest.mark.parametrize(
-    ("path", "version"),
-    [
-        ("/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1", 19),
-        ("/usr/lib/x86_64-linux-gnu/libLLVM-14.0.6.so.1", 14),
-        ("/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1", 15),
-        ("/usr/lib/llvm-17/lib/libLLVM.so", 17),
-        ("/opt/homebrew/Cellar/llvm@20/20.1.8/lib/libLLVM.dylib", 20),
-        ("/opt/homebrew/Cellar/llvm/21.1.0/lib/libLLVM.dylib", 21),
-        ("/somewhere/libLLVM.so", 0),
-    ],
-)
-def test_version_from_name(path: str, version: int) -> None:
-    assert llvm.library_version(Path(path)) == version
-
-
 def test_order_prefers_good_versions_and_counts_links_once(tmp_path: Path) -> None:
     names = [f"libLLVM{end}" for end in ("-14.so.1", "-99.so.1", ".so.17.0", ".so.20.1", ".so", "-15.so")]
     libraries = [make_library(tmp_path, name) for name in names]

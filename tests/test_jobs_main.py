@@ -219,21 +219,6 @@ def test_an_estimate_that_fails_leaves_the_one_before_complete(options, engine, 
     assert run_main_job(dataclasses.replace(again, resume=True))[-1]["type"] == "done"
 
 
-def test_files_beside_the_mesh_do_not_restart_a_resumed_job(options, engine, tmp_path):
-    home = tmp_path / "home"
-    home.mkdir()
-    mesh = (options.capture / "scene.obj").rename(home / "room.obj")
-    options = dataclasses.replace(options, mesh=mesh)
-    assert run_main_job(options)[-1]["type"] == "done"
-    engine.clear()
-    (home / "letter.txt").touch()
-    again = dataclasses.replace(options, resume=True)
-    assert run_main_job(again)[-1]["type"] == "done" and engine == []
-    (home / "room.mtl").touch()
-    assert run_main_job(again)[-1]["type"] == "done"
-    assert engine == ["ingest", "estimate", "textures", "report"]
-
-
 def code_of(options: MainJobOptions) -> str:
     return error_of(make_main_job, options).code
 

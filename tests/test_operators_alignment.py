@@ -108,21 +108,6 @@ def test_cameras_come_to_the_mesh(truth):
     assert 0.0 <= settings.error < 1e-3
 
 
-def test_the_wrong_pair_is_seen_in_the_list_and_removed(truth):
-    settings = bpy.context.scene.fipt.alignment
-    seen = [point + (1.0, 0.0, 0.0) for point in POINTS if len(sights(point + (1.0, 0.0, 0.0), truth)) > 1]
-    for point in seen:
-        pick(point, truth)
-    good = settings.error
-    name, (u, v) = sights(seen[0], truth)[0]
-    ops.pick_pair(object="Wall", location=tuple(seen[0]), view=name, pixel=(min(u + 30.0, 199.0), v))
-    errors = [pair.error for pair in settings.pairs]
-    assert settings.error > 20.0 * good + 0.01 and max(errors) == pytest.approx(max(errors[0], errors[-1]))
-    assert ops.remove_pair(index=len(seen)) == {"FINISHED"}
-    assert len(settings.pairs) == len(seen) and settings.error == pytest.approx(good, abs=1e-6)
-    assert "no pair 9" in refused(ops.remove_pair, index=9)
-
-
 def test_pairs_follow_the_mesh_and_survive_its_deletion(truth):
     scene = bpy.context.scene
     seen = [point + (1.0, 0.0, 0.0) for point in POINTS if len(sights(point + (1.0, 0.0, 0.0), truth)) > 1]

@@ -16,7 +16,6 @@ from mathutils import Euler, Matrix, Vector
 from fipt_blender import api, machine
 from fipt_blender.blend.capture import overlay
 from fipt_blender.blend.capture.importing import find_alignment
-from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.conventions import UP_AXES, world_from_source
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
@@ -265,22 +264,6 @@ def test_check_fills_the_list_and_colours_follow_the_ticks(imported, sample, dra
     other = bpy.data.scenes.new("other")
     assert overlay.shown(other) == ""  # the colours belong to one scene
     assert ops.show_parts(show=False) == {"FINISHED"} and overlay.shown(imported) == ""
-
-
-def test_masks_of_the_artist_are_counted(imported, sample, tmp_path):
-    parts = imported.fipt.parts
-    for number in range(10):
-        width, height = (48, 32) if number % 2 == 0 else (32, 48)
-        ids = np.ones((height, width), np.float32)
-        ids[:, : width // 2] = 2.0
-        write_exr(tmp_path / "masks" / f"{number:03d}_0001.exr", ids)
-    parts.source, parts.folder = "folder", str(tmp_path / "masks")
-    assert ops.check_views() == {"FINISHED"}
-    assert json.loads(parts.counts)["masks"] == 2
-    assert ops.show_parts() == {"FINISHED"}
-    parts.source = "masks"  # the capture's own, which it does not have
-    assert "masks" in refused(ops.show_parts)
-    overlay.hide()
 
 
 def test_own_cameras_become_the_capture(scene, sample, tmp_path):

@@ -233,23 +233,3 @@ def test_each_is_one_step_of_undo(scene):
     assert [row.object.name for row in scene.fipt.lights.lights] == ["Panel"]
     scene.fipt.materials.shown = "ESTIMATED"
     assert len(marks.room_with_results(scene)) == 2
-
-
-def eevee() -> str:
-    """The identifier of EEVEE in this Blender."""
-    return "BLENDER_EEVEE_NEXT" if (4, 2) <= bpy.app.version < (5, 0) else "BLENDER_EEVEE"
-
-
-def test_eevee_without_light_is_warned_of(scene):
-    scene.fipt.materials.set_rendering = False
-    scene.render.engine = eevee()
-    ops.apply_results()
-    assert scene.render.engine == eevee() and scene.fipt.lights.needs_cycles()
-    assert "Switch to Cycles" in refused(ops.make_light_groups)
-    ops.fixture_to_area_light(fixture="Fixture.001")  # EEVEE renders Blender lights
-    assert not scene.fipt.lights.needs_cycles()
-    ops.area_light_to_fixture(fixture="Fixture.001")
-    assert ops.use_cycles() == {"FINISHED"} and not scene.fipt.lights.needs_cycles()
-    assert ops.make_light_groups() == {"FINISHED"}
-    ops.revert()
-    assert scene.render.engine == eevee()

@@ -143,24 +143,6 @@ def test_picking_makes_the_part_under_the_ray_active(applied):
     assert applied.fipt.materials.part().name == "Sill"
 
 
-def test_selecting_faces(applied):
-    make_active(applied, "Box")
-    bpy.data.objects["panel"].select_set(True)
-    assert ops.select_part_faces(edit=False) == {"FINISHED"}
-    cube = bpy.data.objects["cube"]
-    assert [polygon.select for polygon in cube.data.polygons][:4] == [True, True, True, False]
-    assert sum(polygon.select for polygon in cube.data.polygons) == 3
-    corners = {vertex for polygon in list(cube.data.polygons)[:3] for vertex in polygon.vertices}
-    assert {vertex.index for vertex in cube.data.vertices if vertex.select} == corners
-    assert bpy.context.selected_objects == [cube] and bpy.context.object == cube
-    assert ops.select_part_faces() == {"FINISHED"} and bpy.context.mode == "EDIT_MESH"
-    assert not ops.select_part_faces.poll()
-    bpy.ops.object.mode_set(mode="OBJECT")
-    assert sum(polygon.select for polygon in cube.data.polygons) == 3
-    ops.show_map(shown="ORIGINAL")
-    assert not ops.select_part_faces.poll() and not ops.pick_part.poll()
-
-
 def test_assets_have_previews_and_survive_revert(applied):
     make_active(applied, "Sill")
     assert ops.mark_part_assets() == {"FINISHED"}

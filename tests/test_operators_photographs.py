@@ -62,16 +62,3 @@ def test_photographs_cover_results_only_where_the_artist_switches_them_on(scene,
     assert covering() == [False, False]
     ops.revert()
     assert covering() == [True, True]
-
-
-def test_a_comparison_with_the_viewport_goes_on_where_another_map_is_shown(scene, photographs):
-    data, photograph = photographs[0], photographs[0].background_images[0].image
-    ops.apply_results("EXEC_DEFAULT")
-    assert ops.compare(mode="VIEWPORT") == {"FINISHED"}
-    scene.fipt.materials.shown = "ROUGHNESS"
-    assert scene.fipt.check.compare == "VIEWPORT" and data.show_background_images
-    assert data.background_images[0].image != photograph
-    ops.revert()
-    assert scene.fipt.check.compare == "VIEWPORT" and data.background_images[0].image != photograph
-    ops.compare(mode="OFF")
-    assert data.background_images[0].image == photograph and data.show_background_images

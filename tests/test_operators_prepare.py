@@ -109,16 +109,6 @@ def test_groups_changed_by_hand_are_shown_and_never_overwritten(settings, comman
     assert read_preparation(folder).groups == changed
 
 
-def test_chosen_files_tick_their_groups(settings, commands, tmp_path):
-    files = [{"name": "IMG_5.jpg"}, {"name": "IMG_7.jpg"}]
-    assert ops.choose_photographs(directory=str(tmp_path / "card") + "/", files=files) == {"FINISHED"}
-    assert not settings.groups and settings.chosen == "IMG_5.jpg\nIMG_7.jpg"
-    ops.find_brackets()
-    assert [group.used for group in settings.groups] == [False, True, True]
-    ops.choose_photographs(directory=str(tmp_path / "card"), files=[{"name": ""}])
-    assert settings.chosen == ""
-
-
 def test_refusals_name_a_remedy_and_write_nothing(settings, commands, tmp_path):
     assert not ops.prepare.poll() and not ops.split_bracket.poll() and not ops.merge_brackets.poll()
     foreign = tmp_path / "pictures"

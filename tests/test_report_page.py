@@ -125,16 +125,6 @@ def test_names_are_escaped_and_nothing_comes_from_elsewhere(run):
     assert "http:" not in text and "https:" not in text and "url(" not in text
 
 
-def test_hints_are_listed_with_what_follows_from_them(run):
-    told = {"triangles": 7, "roughness": 0.25, "metallic": 1.0, "emits": False, "left_alone": False}
-    plant = {"triangles": 9, "roughness": None, "metallic": None, "emits": None, "left_alone": True}
-    write_json(run.statistics_json, {"hints": [{"name": NASTY, **told}, {"name": "Plant", **plant}]})
-    text = Page(write_report(run)).text
-    assert "Hints" in text and NASTY in text and "does not emit" in text and "left alone" in text
-    write_json(run.statistics_json, {})
-    assert "Hints" not in Page(write_report(run)).text
-
-
 def test_an_empty_run_still_gives_a_page(tmp_path):
     run = RunFolder(tmp_path / "run")
     run.create(make_settings("draft"))

@@ -13,9 +13,7 @@ import numpy as np
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.checks import survey
-from fipt_blender.core.parts.labels import loose_pieces
 from fipt_blender.core.run.messages import Reporter, parse_message
-from fipt_blender.core.surface.adjacency import weld
 from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at
 from samples.refusals import error_of
@@ -154,15 +152,3 @@ def test_masks_of_ticked_views_become_parts(tmp_path):
     write_exr(folder / "ids.exr", ids[:4])
     error = error_of(run_survey, folder, len(room.triangles))
     assert error.code == "mask-size" and "ids.exr" in error.text
-
-
-def test_loose_pieces_stay_inside_objects_and_follow_long_chains():
-    strip = np.array([[i, i + 1, i + 2] for i in range(500)])[::-1]
-    far = np.array([[600, 601, 602]])
-    pieces = loose_pieces(np.concatenate([strip, far]), np.zeros(501, int))
-    assert len(np.unique(pieces[:500])) == 1 and pieces[500] != pieces[0]
-    halves = (np.arange(501) % 2).astype(int)  # neighbours of different objects are not connected
-    assert len(np.unique(loose_pieces(np.concatenate([strip, far]), halves))) > 2
-    room = make_room(BOX, objects=np.zeros(6, int))
-    assert len(np.unique(loose_pieces(weld(room.vertices)[room.triangles], room.triangle_object))) == 1
-    assert len(loose_pieces(np.zeros((0, 3), int), np.zeros(0, int))) == 0
