@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sums and medians of groups: the same as numpy's and the standard library's, group by group."""
+"""Sums and medians of groups as numpy has them group by group; connected components."""
 
 import statistics
 
 import numpy as np
 import pytest
 
+from fipt_blender.core.parts.components import graph_components, mesh_components
 from fipt_blender.core.pixels.grouped import (
     first_by_key,
     grouped_means,
@@ -63,3 +64,16 @@ def test_weights_count_as_repeated_values(rng: np.random.Generator) -> None:
     repeated = grouped_median(np.repeat(values, weight), np.repeat(group, weight), 10, "low")
     assert (grouped_weighted_median(values, weight, group, 10) == repeated).all()
     assert not grouped_weighted_median(np.zeros(0), np.zeros(0), np.zeros(0, int), 2).any()
+
+
+def test_components_are_numbered_by_their_lowest_nodes():
+    pairs = np.array([[6, 5], [4, 1], [1, 4], [2, 2], [3, 6]])
+    assert graph_components(pairs, 8).tolist() == [0, 1, 2, 3, 1, 3, 3, 4]
+    assert graph_components(np.zeros((0, 2), int), 3).tolist() == [0, 1, 2]
+    assert graph_components(np.zeros((0, 2), int), 0).tolist() == []
+
+
+def test_triangles_are_connected_through_shared_vertices():
+    corners = np.array([[7, 8, 9], [1, 2, 3], [3, 4, 5], [11, 9, 12]])
+    assert mesh_components(corners).tolist() == [1, 0, 0, 1]
+    assert mesh_components(np.zeros((0, 3), int)).tolist() == []
