@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.surface.adjacency import NONE, face_vectors, make_mesh
 from fipt_blender.core.surface.clean import CleanMesh, clean_mesh
 from fipt_blender.core.surface.patches import Planes
 from fipt_blender.core.surface.planes import parallel_normals
-from fipt_blender.core.surface.room import Room, load_room
+from fipt_blender.core.surface.room import load_room
 from fipt_blender.core.surface.stored import prepare_geometry
 from samples.scans import scanned_box
-from samples.small_rooms import BOX, make_room
+from samples.small_rooms import BOX, make_room, write_room
 
 STEP = 0.02  # metres between vertices
 NOISE = 0.001
@@ -148,20 +148,10 @@ def test_modelled_meshes_are_no_scans() -> None:
     assert clean_mesh(flat[0].astype(np.float32), flat[1]) is None
 
 
-def write_room(root: Path, room: Room) -> RunFolder:
-    run = RunFolder(root)
-    root.mkdir(parents=True, exist_ok=True)
-    names = ("vertices", "triangles", "corner_normals", "triangle_object", "triangle_material")
-    arrays = {name: getattr(room, name) for name in names}
-    np.savez(run.room_npz, triangle_polygon=np.arange(len(room.triangles), dtype=np.int32), **arrays)
-    objects = [str(number) for number in range(int(room.triangle_object.max()) + 1)]
-    write_json(run.room_json, {"objects": objects, "materials": objects, "parts": "none"})
-    return run
-
-
 def test_a_run_works_on_the_cleaned_scan(tmp_path: Path) -> None:
     scan, side = scanned_box(cells=20, noise=0.01)
-    run = write_room(tmp_path, scan)
+    run = RunFolder(tmp_path)
+    write_room(run.root, scan)
     assert np.array_equal(load_room(run).vertices, scan.vertices)
     prepare_geometry(run)
     room = load_room(run)
@@ -179,7 +169,8 @@ def test_a_run_works_on_the_cleaned_scan(tmp_path: Path) -> None:
 
 def test_a_modelled_room_keeps_every_bit(tmp_path: Path) -> None:
     exact = make_room(BOX)
-    run = write_room(tmp_path, exact)
+    run = RunFolder(tmp_path)
+    write_room(run.root, exact)
     prepare_geometry(run)
     room = load_room(run)
     assert not run.geometry_npz.exists() and room.noise == 0.0 and room.plane is None
@@ -192,7 +183,8 @@ def test_a_modelled_room_keeps_every_bit(tmp_path: Path) -> None:
 @pytest.mark.parametrize("fault", ["cut", "other mesh", "nan"])
 def test_a_cleaned_copy_that_does_not_fit_is_made_again(tmp_path: Path, fault: str) -> None:
     scan, _ = scanned_box(cells=20, noise=0.01)
-    run = write_room(tmp_path, scan)
+    run = RunFolder(tmp_path)
+    write_room(run.root, scan)
     prepare_geometry(run)
     good = load_room(run).vertices
     if fault == "cut":

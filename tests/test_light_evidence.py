@@ -14,8 +14,6 @@ from fipt_blender.core.light.emission import constancy, emission_probability, lo
 from fipt_blender.core.light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
 from fipt_blender.core.light.evidence import (
     log_ratio,
-    most_nearby,
-    spill_free_fraction,
 )
 from fipt_blender.core.parts.labels import Parts
 from fipt_blender.core.pixels.store import NO_TRIANGLE, PixelStore, open_pixels
@@ -174,15 +172,3 @@ def test_a_rim_that_faces_sideways_on_a_scan_may_show_the_paper_beside_it(tmp_pa
     rim = store(tmp_path, [(["..LL.."], [[0.8, 0.8, 0.9, 0.9, 0.8, 0.8]])] * 6)
     assert emission(rim, diffuse=np.tile(light, 6)) == [LAMP, LAMP + 1]
     assert emission(rim, diffuse=np.tile(light, 6), reach=1) == []
-
-
-def test_the_share_that_is_a_pixels_own() -> None:
-    light = np.array([1.0, 1.0, 1.0, 0.0])
-    assert spill_free_fraction(light, np.array([1.0, 1.5, 3.0, 2.0])).tolist() == [1.0, 0.5, 0.0, 0.0]
-
-
-def test_light_beside_is_that_of_the_mesh_in_each_channel() -> None:
-    reflected = np.array([[1.0, 5.0, 0.0], [2.0, 1.0, 0.0], [9.0, 9.0, 9.0], [0.0, 0.0, 0.0]])
-    hit = np.array([True, True, False, True])
-    expected = [[2.0, 5.0, 0.0], [2.0, 5.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
-    assert most_nearby(reflected, hit, (1, 4), 1).tolist() == expected
