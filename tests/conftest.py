@@ -113,7 +113,6 @@ def applied(scene: Any) -> Any:
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """A seeded generator."""
     return np.random.default_rng(0)
 
 

@@ -34,7 +34,6 @@ def infer(samples: PixelSamples, similarity: np.ndarray | None = None) -> GroupM
 
 
 def first_cells(samples: PixelSamples, cells: int) -> PixelSamples:
-    """The pixels of the first cells of each group."""
     return samples.take(samples.cell % CELLS < cells)
 
 

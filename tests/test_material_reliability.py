@@ -77,7 +77,6 @@ def seen(true: np.ndarray, rng: np.random.Generator, light: float = 1.0) -> tupl
 
 
 def as_parts(walls: list[PlaceColors]) -> PlaceColors:
-    """Walls as parts of one room."""
     along = {"halves": 1, "weight": 1}
     joined = {
         name: np.concatenate([getattr(wall, name) for wall in walls], axis=along.get(name, 0))

@@ -22,6 +22,7 @@ from fipt_blender.core.run.run_files import CLOSING
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs.room_steps import export_scene_room
 from samples.lost_things import HIGH, LOW, photographed, with_box
+from samples.operator_calls import refused
 from samples.scans import scanned_box
 
 ops = bpy.ops.fipt
@@ -77,12 +78,6 @@ def exported(scene: bpy.types.Scene) -> tuple[dict, dict[str, np.ndarray]]:
 
 def bounds(item: bpy.types.Object) -> np.ndarray:
     return np.array(world_bounds([item]))
-
-
-def refused(operator, **arguments) -> str:
-    with pytest.raises(RuntimeError) as error:
-        operator(**arguments)
-    return str(error.value)
 
 
 def test_what_is_found_is_shown_and_what_is_deleted_stays_away(imported):

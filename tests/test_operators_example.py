@@ -22,7 +22,6 @@ pytestmark = pytest.mark.usefixtures("registered")
 
 @pytest.fixture
 def data(tmp_path, monkeypatch) -> Path:
-    """The data folder."""
     folder = tmp_path / "data"
     monkeypatch.setattr(machine.DEFAULTS, "data_folder", str(folder))
     monkeypatch.setattr(machine.DEFAULTS, "device", "llvm")

@@ -83,7 +83,6 @@ def notices(monkeypatch) -> list[tuple[str, str]]:
 
 
 def do_job(tmp_path: Path, function) -> running.RunningJob:
-    """Run a job of one function to its end."""
     job = own_job([Step("one", "One", 1.0, function=function)], tmp_path / "steps.json", tmp_path / "log.txt")
     return running.run(job, running.RunningJob("Check Views", "views", "", tmp_path))
 

@@ -21,7 +21,6 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @pytest.fixture(autouse=True)
 def site(monkeypatch):
-    """A documentation site."""
     address = manual.SITE or "https://docs.example/"
     monkeypatch.setattr(manual, "SITE", address)
     return address
