@@ -160,6 +160,14 @@ def test_known_similarities_are_found_from_500_points(scale: float, known_up: bo
     assert all(other.score > 1.5 * best.score for other in others)
 
 
+def test_a_symmetric_room_has_several_candidates() -> None:
+    rng = np.random.default_rng(8)
+    surface = sample_surface(*box((0, 0, 0), (5, 4, 2.6)), rng, 20_000)
+    points = surface.points[rng.permutation(20_000)[:300]]
+    best, second, *_ = register(points, surface, rng, np.array([0.0, 0.0, 1.0]))
+    assert second.score < 2.0 * best.score + 1e-3
+
+
 def test_a_rough_alignment_is_refined() -> None:
     rng = np.random.default_rng(9)
     vertices, triangles = furnished_room()

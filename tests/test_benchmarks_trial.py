@@ -88,6 +88,16 @@ def test_a_mechanism_pays_where_it_gains_more_than_it_loses() -> None:
     assert "| relit −0.10 | 4 |" in lines[2] and "| IoU −0.050 |" in lines[5]
 
 
+def test_a_gain_must_be_more_than_another_seed_changes_in_the_same_capture() -> None:
+    rows = [row("a", "", {}), row("a", "panes", {}, kd_psnr=19.5), row("a", "outlines", {}, kd_psnr=19.0)]
+    rows += [row("a", "seed1", {}, kd_psnr=20.6), row("a", "seed2", {}, sigma_psnr=20.1)]
+    rows += [row("b", "", {}), row("b", "unmix", {}, kd_psnr=19.5)]
+    found = trial_table.effects(rows)
+    assert found["panes"].noise[:3] == pytest.approx([0.6, 0.0, 0.1])
+    verdicts = [found[name].verdict() for name in ("panes", "outlines", "unmix")]
+    assert verdicts == ["does not pay", "pays", "pays"]
+
+
 def test_lamps_are_compared_by_where_they_are() -> None:
     square = np.array(
         [[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]]

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 import numpy as np
 import pytest
@@ -98,6 +100,17 @@ def test_the_mesh_follows_the_alignment_and_the_capture_s_axes(run, scene):
     assert np.abs(np.sort(world, axis=0) - np.sort(expected, axis=0)).max() < 1e-5
 
 
+def test_a_camera_moved_by_hand_is_exported(run, scene):
+    bring_in(run)
+    camera = scene.fipt.capture.views[1].camera_object()
+    camera.location.x += 0.25
+    export_capture(scene, run)
+    before = np.array(read_document(run.ingest_json, dict)["views"][1]["camera_to_world"])
+    after = np.array(entries(run)["train/off-centre"]["camera_to_world"])
+    assert (after - before)[0, 3] == pytest.approx(0.25, abs=1e-6)
+    assert camera.name in scene.objects and np.allclose(after[:3, :3], before[:3, :3], atol=1e-6)
+
+
 @pytest.mark.parametrize("scale", [(1, 1, 2), (-1, 1, 1), (0, 0, 0)])
 def test_an_uneven_alignment_is_refused(run, scene, scale):
     bring_in(run)
@@ -129,6 +142,13 @@ def test_ticks_splits_and_deleted_cameras(run, scene):
     assert error.code == "views-few" and run.capture_json.read_bytes() == before
 
 
+def test_renamed_cameras_are_found(run, scene):
+    bring_in(run)
+    scene.fipt.capture.views[0].camera_object().name = "Hero"
+    assert scene.fipt.capture.views[0].camera_object().name == "Hero"
+    assert export_capture(scene, run) == 5
+
+
 def test_importing_again_keeps_ticks_and_alignment_and_adds_nothing(run, scene):
     bring_in(run)
     settings = scene.fipt.capture
@@ -143,6 +163,24 @@ def test_importing_again_keeps_ticks_and_alignment_and_adds_nothing(run, scene):
     assert moved == pytest.approx(
         read_document(run.ingest_json, dict)["views"][0]["camera_to_world"][0][3] + 3.0, abs=1e-5
     )
+
+
+def test_another_capture_removes_the_cameras_and_hides_the_mesh_of_the_first(run, scene, tmp_path):
+    bring_in(run)
+    (old,) = scene.fipt.capture.room_objects(scene)
+    own = bpy.data.objects.new("Artist's", bpy.data.cameras.new("Artist's"))
+    scene.collection.objects.link(own)
+    data = read_document(run.ingest_json, dict)
+    other = tmp_path / "other.obj"
+    other.write_text(Path(data["mesh"]).read_text())
+    data["views"] = [{**view, "name": f"b/{index}"} for index, view in enumerate(data["views"][:3])]
+    write_json(run.ingest_json, {**data, "mesh": str(other)})
+    bring_in(run, "elsewhere")
+    cameras = sorted(item.name for item in scene.objects if item.type == "CAMERA")
+    assert cameras == ["Artist's", "b/0", "b/1", "b/2"] and len(scene.fipt.capture.views) == 3
+    (new,) = scene.fipt.capture.room_objects(scene)
+    assert new != old and [each.name for each in old.users_collection] == ["Earlier Rooms"]
+    assert old.users_collection[0].hide_viewport and old.users_collection[0].hide_render
 
 
 def test_chosen_objects_stay_the_room_and_are_not_changed(run, scene):

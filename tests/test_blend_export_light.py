@@ -277,6 +277,17 @@ def test_the_environment_of_usd_shines_from_where_it_renders(scene, tmp_path, ki
     assert np.allclose(radiance, 2.0 * strength, rtol=1e-3)
 
 
+def test_a_dark_environment_is_not_written_and_one_of_other_nodes_is_said(scene, tmp_path):
+    nodes = node_tree(scene.world).nodes
+    nodes["FIPT Background"].inputs["Strength"].default_value = 0.0
+    exported = export_room(scene, tmp_path / "dark.usda")
+    assert "DomeLight" not in exported.path.read_text() and not exported.warnings
+    nodes["FIPT Background"].inputs["Strength"].default_value = 1.0
+    nodes["FIPT Mapping"].inputs["Scale"].default_value = (2.0, 1.0, 1.0)
+    exported = export_room(scene, tmp_path / "odd.usda")
+    assert "export-world" in {each["code"] for each in exported.warnings}
+
+
 def test_the_open_file_is_the_same_after_exports_and_renders(scene, tmp_path):
     add_light(scene, "Softbox", "AREA", {"shape": "ELLIPSE"}, UNEVEN)
     mesh = bpy.data.objects["cube"].data  # onto the second image of an atlas

@@ -12,6 +12,7 @@ from mathutils import Vector
 from fipt_blender.blend.export.exporting import ExportOptions, export_room
 from fipt_blender.blend.marks import MAP
 from fipt_blender.blend.results.materials import is_uniform
+from fipt_blender.blend.room.atlas import file_names
 from fipt_blender.core.run.parts import read_parts
 from fipt_blender.core.run.run_files import read_room_files
 from fipt_blender.core.textures import bake
@@ -110,3 +111,13 @@ def test_each_owner_has_an_image_and_shows_its_place(scene, owner, tmp_path):
     scene.fipt.materials.atlas_images = "room"
     assert ops.apply_results() == {"FINISHED"}
     assert scene.fipt.materials.image_count == 1 and material("cube") == kept
+
+
+def test_names_of_files_differ_on_every_system():
+    assert file_names(["Wall", "wall", "Wall/2", "Wall 2", "?"]) == [
+        "Wall",
+        "wall_2",
+        "Wall_2_2",
+        "Wall_2_3",
+        "Part",
+    ]

@@ -204,3 +204,12 @@ def test_saving_and_applying_again_keep_merged_lamps(lamps, tmp_path):
     assert ops.apply_results() == {"FINISHED"}
     (row,) = scene.fipt.lights.lights
     assert list(row.object[BASE]) == RADIANCE and emitted(row.object) == pytest.approx([8.0])
+
+
+def test_converted_and_single_lamps_are_not_merged(lamps):
+    assert "Select two or more lamps" in refused(ops.merge_lamps)
+    ops.fixture_to_area_light()
+    for item in fixtures_of(lamps):
+        item.select_set(True)
+    assert "was converted to Blender lights" in refused(ops.merge_lamps)
+    assert len(fixtures_of(lamps)) == 2

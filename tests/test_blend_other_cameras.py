@@ -73,6 +73,16 @@ def test_other_cameras_are_hidden_while_one_looks_through_a_view(scene):
     assert not any(LOOKED_PAST in item for item in scene.objects)
 
 
+def test_cameras_of_the_artist_are_not_hidden(scene):
+    own = bpy.data.objects.new("own", bpy.data.cameras.new("own"))
+    scene.collection.objects.link(own)
+    look(HELD_BACK)
+    assert "own" not in hidden()
+    scene.camera = own
+    other_cameras.tick()
+    assert hidden() == {"hidden"}
+
+
 def test_what_the_artist_shows_stays_shown(scene):
     look(HELD_BACK)
     bpy.data.objects[OTHER].hide_set(False)
@@ -107,3 +117,10 @@ def test_undo_brings_the_cameras_back(scene):
     bpy.ops.ed.redo()  # to the state with hidden cameras
     other_cameras.tick()
     assert hidden() == {"hidden"}
+
+
+def test_removing_the_add_on_shows_all_cameras(scene):
+    look(HELD_BACK)
+    other_cameras.unregister()
+    assert hidden() == {"hidden"}
+    other_cameras.register()

@@ -252,6 +252,17 @@ def test_closed_holes_become_an_object_with_the_cleaned_vertices(room):
     assert applying.apply_results(run, [*objects, closing, panes]) == applied
 
 
+def test_an_interrupted_application_adds_no_panes(room):
+    run, objects = room
+    with_panes(run)
+    make_atlas(objects, run, make_settings(changes={"texel_density": 16.0}))
+    bake.bake(run, ConstantFields())
+    slices = applying.apply_slices(run, objects, bpy.context.scene)
+    next(slices)
+    slices.close()
+    assert PANES not in bpy.data.objects and PANES not in bpy.data.meshes
+
+
 TRANSFORMS = {
     "none": Matrix(),
     "turned": Matrix.LocRotScale((1.0, -2.0, 0.5), Euler((0.2, 0.4, 1.1)), (1.0, 1.0, 1.0)),

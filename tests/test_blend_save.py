@@ -50,6 +50,14 @@ def test_a_folder_without_permission_is_named(tmp_path, monkeypatch):
     assert error.code == "run-unwritable" and "Permission denied" in error.text
 
 
+def test_nothing_is_left_of_the_probe(tmp_path):
+    save.reserve(tmp_path)
+    assert not list(tmp_path.iterdir())
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    save.save_blend(tmp_path / "room.blend")
+    assert (tmp_path / "room.blend").exists()
+
+
 def test_equal_meshes_cost_little_in_a_file(tmp_path, monkeypatch):
     zstandard = pytest.importorskip("zstandard")
     bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -90,6 +90,16 @@ def test_an_end_without_a_message_is_an_error_even_with_status_zero(tmp_path):
     assert "exit status 3" in collect(child(tmp_path, "import sys; sys.exit(3)"))[-1]["text"]
 
 
+def test_the_childs_own_error_is_not_covered_by_another(tmp_path):
+    script = (
+        "import json, sys\n"
+        'print(json.dumps({"type": "error", "code": "mesh-empty", "text": "t", "remedy": "r"}))\n'
+        "sys.exit(1)"
+    )
+    messages = collect(child(tmp_path, script))
+    assert [message["code"] for message in messages] == ["mesh-empty"]
+
+
 @posix
 def test_cancel_ends_a_stubborn_child_and_its_children_by_force(tmp_path):
     script = (

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from fipt_blender.bridge import interpreter, pins, places, setup
-from fipt_blender.bridge.torch_build import choose_torch_build
+from fipt_blender.bridge.torch_build import TORCH_INDEX, choose_torch_build, torch_index, torch_requirement
 from fipt_blender.core.device.cuda import Gpu
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.lock import hold
@@ -193,3 +193,10 @@ def test_torch_build_fits_driver_and_card(
     for platform, expected in (("linux", linux), ("win32", windows)):
         monkeypatch.setattr(sys, "platform", platform)
         assert choose_torch_build(device, driver, gpus) == expected
+
+
+def test_torch_requirement_names_the_build() -> None:
+    requirements = ["a==1", "torch==2.13.0; python_version > '3'"]
+    assert torch_requirement(requirements, "cu126") == "torch==2.13.0+cu126; python_version > '3'"
+    assert torch_requirement(requirements, "") == torch_requirement(["a==1"], "cpu") == ""
+    assert torch_index("cu126") == f"{TORCH_INDEX}/cu126" and torch_index("") == ""

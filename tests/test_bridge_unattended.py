@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from fipt_blender.bridge import process as engine_process
 from fipt_blender.bridge.attached import AttachedEngine, find_engine
 from fipt_blender.bridge.death import explain_death
 from fipt_blender.bridge.process import EngineProcess
@@ -25,7 +26,7 @@ from fipt_blender.core.run.lock import hold, holder
 from fipt_blender.core.run.process_identity import PARENT_VARIABLE
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import run_job
-from samples.child_processes import SLEEPER, is_alive, posix, wait_for
+from samples.child_processes import SLEEPER, frozen_clock, is_alive, posix, wait_for
 from samples.refusals import error_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -184,6 +185,36 @@ def test_a_job_attaches_and_notes_that_its_step_is_finished(run_folder, engine):
     assert step["finished"] and step["key"] == "the key of then"
     assert [warning["code"] for warning in step["warnings"]] == ["odd"]
     assert run_job.attach_job(run_folder, steps) is None
+
+
+@posix
+def test_a_request_to_cancel_never_waits(run_folder, monkeypatch):
+    script = (
+        "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+        "print('{}', flush=True); time.sleep(3600)"
+    )
+    log = run_folder.log
+
+    started_engines = []
+
+    def start(arguments):
+        engine = EngineProcess([sys.executable, "-c", script], log, messages=run_folder.messages("a"))
+        started_engines.append(engine)
+        return engine
+
+    step = Step("a", "A", 1.0, command=["a"])
+    job = Job([step], StepRecord(run_folder.root / "s.json"), start, log, lambda: ([], {}))
+    for _ in range(3):
+        job.advance()
+    (engine,) = started_engines
+    wait_for(lambda: run_folder.messages("a").stat().st_size)
+    monkeypatch.setattr(engine_process, "time", frozen_clock())
+    job.request_cancel()
+    for _ in range(10):  # the child does not listen, and is given time to
+        assert job.advance() == [] and not job.finished and is_alive(engine.pid)
+    monkeypatch.setattr(engine_process, "time", frozen_clock(2.0))
+    wait_for(lambda: job.advance() == [] and job.finished)
+    assert job.cancelled and job.error is None and not is_alive(engine.pid)
 
 
 @posix

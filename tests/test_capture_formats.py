@@ -10,7 +10,7 @@ import math
 import numpy as np
 import pytest
 
-from fipt_blender.core.capture.files import Folders
+from fipt_blender.core.capture.files import Folders, view_name
 from fipt_blender.core.capture.formats.registry import FORMATS, detect_format, read_rig
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
@@ -317,3 +317,16 @@ def test_images_are_found_by_stem_with_exr_first(tmp_path):
     assert folders.find("frame.0001", [tmp_path]) == (tmp_path / "frame.0001.jpg", ("frame.0001",))
     assert folders.find("frame", [tmp_path], tmp_path) is None
     assert folders.find("b.jpg", [hdr, tmp_path], tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("path", "name"),
+    [
+        ("./images/a.jpg", "images/a"),
+        ("../x/b.0001.exr", "x/b.0001"),
+        ("C:\\x\\c.png", "x/c"),
+        ("/d/e", "d/e"),
+    ],
+)
+def test_view_names_stay_inside_a_folder(path, name):
+    assert view_name(path) == name

@@ -19,7 +19,7 @@ from fipt_blender.core.__main__ import main
 from fipt_blender.core.capture import checks, ingest
 from fipt_blender.core.capture.distortion import Undistortion, undistorted_pinhole
 from fipt_blender.core.capture.encoded import srgb_encoded
-from fipt_blender.core.capture.images import read_radiance, write_exr
+from fipt_blender.core.capture.images import read_ids, read_radiance, write_exr
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.run.run_files import read_capture
 from fipt_blender.core.run.runfolder import RunFolder
@@ -263,6 +263,13 @@ def test_a_lamp_of_even_radiance_is_not_taken_for_clipping():
     pixels = np.minimum(highlight(), 10.0)
     pixels[10:30, 10:30] = [50.0, 40.0, 30.0]
     assert checks.pixel_statistics(None, pixels.astype(np.float16).astype(np.float32)).clipped == 0.0
+
+
+def test_undistorted_ids_keep_large_values(tmp_path, run):
+    write_transforms(tmp_path / "in", make_samples(1, model="OPENCV"))
+    write_exr(tmp_path / "in" / "parts" / "000_0001.exr", np.full((32, 48), 2**24 - 1))
+    run_ingest(tmp_path / "in", run, hold_back=0)
+    np.testing.assert_array_equal(read_ids(load_capture(run).views[0].parts), 2**24 - 1)
 
 
 def test_large_photographs_are_decoded_once_and_get_a_small_copy(tmp_path, run, monkeypatch):

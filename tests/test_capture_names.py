@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import random
 import unicodedata
 from collections.abc import Callable
@@ -23,6 +24,7 @@ from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.prepare.models import WantedView, model_from_rig
 from samples import rig_writers as write
+from samples.child_processes import posix
 from samples.combinations import pairs
 from samples.ingesting import run_ingest, warnings
 from samples.metashape_writers import (
@@ -438,6 +440,14 @@ def test_runs_and_loops_of_links_are_not_searched(tmp_path: Path) -> None:
     (tmp_path / "photos" / "again").symlink_to(tmp_path, target_is_directory=True)
     found = Folders().find("C:\\x\\a.jpg", [tmp_path], tmp_path)
     assert found == (tmp_path / "photos" / "day" / "a.jpg", ("a.jpg",))
+
+
+@posix
+def test_pipes_and_broken_links_are_no_files(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.jpg")
+    (tmp_path / "b.jpg").symlink_to(tmp_path / "gone.jpg")
+    folders = Folders()
+    assert folders.find("a.jpg", [tmp_path], tmp_path) is folders.find("b", [tmp_path], tmp_path) is None
 
 
 def test_no_name_leads_out_of_the_folders(tmp_path: Path) -> None:

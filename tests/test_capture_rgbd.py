@@ -135,6 +135,14 @@ def test_a_mesh_beside_the_frames_is_used(tmp_path: Path) -> None:
     assert data["mesh"] == str(capture / "mesh.obj") and not (tmp_path / "run" / "fused.ply").exists()
 
 
+def test_some_of_the_photographs_are_used_with_all_depth_images(tmp_path: Path) -> None:
+    capture = write_frames(tmp_path / "room")
+    data = run_ingest(capture, tmp_path / "run", CaptureOptions(hold_back=0, views=2))
+    assert [view["name"] for view in data["views"]] == ["frame-000000", "frame-000002"]
+    width = np.ptp(read_mesh(tmp_path / "run" / "fused.ply")[0][:, 0])
+    assert width > WALL * WIDTH / FOCAL  # what two of all images see; the two with photographs see less
+
+
 def test_poses_far_away_are_left_out_instead_of_wrapping_around(tmp_path: Path) -> None:
     capture = write_frames(tmp_path / "room")
     far = frame_pose(3)

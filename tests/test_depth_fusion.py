@@ -128,6 +128,14 @@ def test_small_holes_are_closed_and_wide_ones_stay() -> None:
     assert len(with_closed_holes(mesh, 0.1).triangles) == len(mesh.triangles)
 
 
+def test_colors_of_closed_holes_are_those_of_their_borders() -> None:
+    mesh = punched(fused([sphere_image(origin, np.array([0.2, 0.4, 0.6])) for origin in around()]), 0.1)
+    mesh = FusedMesh(mesh.vertices, mesh.triangles, np.full(mesh.vertices.shape, 0.25, np.float32))
+    closed = with_closed_holes(mesh, 0.4)
+    assert closed.colors is not None and len(closed.colors) == len(closed.vertices)
+    assert np.allclose(closed.colors[len(mesh.vertices) :], 0.25)
+
+
 def test_specks_are_dropped_and_large_pieces_stay() -> None:
     ball = fused([sphere_image(origin) for origin in around()])
     speck = FusedMesh(0.02 * ball.vertices + 2.0, ball.triangles)

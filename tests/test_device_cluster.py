@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 from distributed import Client, LocalCluster
 
+from fipt_blender.bridge.step import chain_keys
+from fipt_blender.cli.arguments import make_options, make_parser
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.device import cluster
 from fipt_blender.core.estimate import command, training_stages
@@ -24,6 +26,7 @@ from fipt_blender.core.pixels.store import Tracing
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.jobs.main_job import estimate_step
 from samples.child_processes import PATIENCE_SECONDS
 from samples.refusals import error_of
 from samples.small_captures import (
@@ -210,6 +213,23 @@ def test_an_address_where_nothing_answers(address: str, monkeypatch: pytest.Monk
     monkeypatch.setattr(Client, "__init__", lambda self, *arguments, **options: made.append(arguments))
     caught = connection_error(address)
     assert caught.code == "cluster-unreachable" and repr(address) in caught.text and not made
+
+
+def test_the_address_reaches_the_engine_and_makes_no_result_stale(tmp_path: Path) -> None:
+    arguments = make_parser().parse_args(["estimate", "room", "--cluster", "tcp://host:8786"])
+    options = make_options(arguments)
+    assert options.cluster == "tcp://host:8786"
+    run = RunFolder(tmp_path)
+    steps = [estimate_step(run, options.settings, cluster=address) for address in (options.cluster, None)]
+    assert "--cluster=tcp://host:8786" in steps[0].command
+    assert steps[1].command == ["estimate", str(run.root)]
+    assert chain_keys(steps[:1]) == chain_keys(steps[1:])
+
+
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    caught = connection_error("tcp://127.0.0.1:9")
+    assert caught.code == "package-missing" and "pip install distributed" in caught.remedy
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import stat
 import subprocess
@@ -39,6 +40,22 @@ def fake_python(folder: Path, script: str) -> Path:
 def starts(python: Path) -> list[str]:
     file = python.parent / "starts"
     return file.read_text().split() if file.exists() else []
+
+
+@pytest.mark.parametrize(
+    ("path", "version"),
+    [
+        ("/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1", 19),
+        ("/usr/lib/x86_64-linux-gnu/libLLVM-14.0.6.so.1", 14),
+        ("/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1", 15),
+        ("/usr/lib/llvm-17/lib/libLLVM.so", 17),
+        ("/opt/homebrew/Cellar/llvm@20/20.1.8/lib/libLLVM.dylib", 20),
+        ("/opt/homebrew/Cellar/llvm/21.1.0/lib/libLLVM.dylib", 21),
+        ("/somewhere/libLLVM.so", 0),
+    ],
+)
+def test_version_from_name(path: str, version: int) -> None:
+    assert llvm.library_version(Path(path)) == version
 
 
 def test_order_prefers_good_versions_and_counts_links_once(tmp_path: Path) -> None:
@@ -107,6 +124,15 @@ def test_kills_and_missing_packages_are_no_verdict_on_the_library(
     assert len(starts(python)) == 2
     python = fake_python(tmp_path / "bin", 'echo "ModuleNotFoundError: No module named mitsuba"; exit 1')
     assert error_of(llvm.find_llvm, python, tmp_path / "cache").code == "package-missing"
+
+
+def test_unusable_cache_costs_nothing_but_time(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("no folder")
+    assert llvm.remembered("key", lambda: llvm.Verdict(True, ""), blocked).works
+    (tmp_path / "devices.json").write_text("{damaged")
+    assert llvm.remembered("key", lambda: llvm.Verdict(True, ""), tmp_path).works
+    assert json.loads((tmp_path / "devices.json").read_text())["key"]["works"] is True
 
 
 def test_real_library_is_found_and_wrong_ones_refused(tmp_path: Path) -> None:

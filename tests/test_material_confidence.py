@@ -146,6 +146,11 @@ def test_errors_never_exceed_those_of_the_uniform_prior():
     assert worse.mean() > 2 * better.mean()
 
 
+def test_confidence_is_one_minus_the_error_relative_to_the_priors():
+    errors = np.array([0.0, UNIFORM_DEVIATION / 2, UNIFORM_DEVIATION, 1.0])
+    assert confidence.confidence(errors).tolist() == [1.0, 0.5, 0.0, 0.0]
+
+
 def test_many_units_stay_apart() -> None:
     """Also from unit 8191 on, where 32 bits do not hold the pair of unit and block."""
     part = np.array([-1, 0, 8190, 8191, 8192, 16384, 16384 + 8191, 100_000, 116_384], np.int32)

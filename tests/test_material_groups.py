@@ -53,6 +53,13 @@ def test_pixels_in_no_large_combination_have_no_group(rng):
     assert (group[label[order] == 3] == NO_GROUP).all() and (group[label[order] == 0] == 0).all()
 
 
+def test_kinds_of_pixels_are_weighted_by_their_number():
+    rows = [(0, 0, 7, 50), (0, 0, 8, 30), (1, 1, 7, 20), (1, 2, 7, 25)]
+    each = material_groups(*columns(*rows), least=40)
+    kinds = material_groups(*(np.array(column) for column in zip(*rows, strict=True)), least=40)
+    assert np.array_equal(each, kinds.repeat([row[3] for row in rows]))
+
+
 def test_classes_of_one_colour_never_share_a_group():
     group = material_groups(*columns((0, 0, 1, 30), (1, 0, 1, 30)), least=10)
     assert group[0] != group[-1]

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.estimate.doubts import group_doubts
-from fipt_blender.core.material.hints import KnownMaterials, SurfaceHints, place_hints
+from fipt_blender.core.estimate.doubts import group_doubts, question
+from fipt_blender.core.material.hints import KnownMaterials, SurfaceHints, nearest_triangles, place_hints
 from fipt_blender.core.material.likelihood import make_candidates
 from fipt_blender.core.material.mixture import GroupMaterials, infer_materials
 from fipt_blender.core.parts.labels import Parts
@@ -152,6 +152,13 @@ def test_hints_that_contradict_each_other_are_named(hints: list[Hint], problem: 
     assert any(problem in text for text in placed(*hints).problems)
 
 
+def test_the_nearest_triangle_is_not_that_of_the_nearest_center() -> None:
+    """A point on a large triangle, beside a small one."""
+    small = np.array([[0.0, 0.0, 0.2], [0.1, 0.0, 0.2], [0.0, 0.1, 0.2]])
+    large = np.array([[-10.0, -10.0, 0.0], [10.0, -10.0, 0.0], [0.0, 20.0, 0.0]])
+    assert nearest_triangles(np.array([[0.02, 0.02, 0.05]]), np.stack([small, large])).tolist() == [1]
+
+
 def test_files_of_hints_come_back(tmp_path: Path) -> None:
     path = tmp_path / "hints.json"
     assert read_hints(path) == []
@@ -196,3 +203,10 @@ def test_doubts_are_ordered_by_what_a_hint_is_worth() -> None:
     assert np.argsort(-doubts.score)[:3].tolist() == [4, 1, 0] and doubts.score[2] == doubts.score[3] == 0.0
     answered = group_doubts(errors, pixels, emits, np.zeros(5))
     assert answered.score[4] == 0.0
+
+
+def test_questions_are_about_what_is_unclear() -> None:
+    assert question(0.5, np.array([0.1, 0.4]), 0.05, False) == ("metal", "Dark metal or plastic?")
+    assert question(0.5, np.array([0.1, 0.4]), 0.6, False)[0] == "metal"
+    assert question(0.01, np.array([0.3, 0.02]), 0.6, False)[0] == "gloss"
+    assert question(0.0, np.array([0.0, 0.0]), 0.9, True)[0] == "lamp"

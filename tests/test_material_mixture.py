@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fipt_blender.core.material import likelihood
+from fipt_blender.core.material import likelihood, training_input
 from fipt_blender.core.material.likelihood import make_candidates
 from fipt_blender.core.material.mixture import (
     GroupMaterials,
@@ -166,6 +166,13 @@ def test_groups_of_one_class_and_color_count_more_than_the_room() -> None:
     assert roughness[25] < 0.55 and roughness[26] > 0.95
 
 
+def test_groups_that_no_pixel_shows_do_not_count_for_the_room() -> None:
+    unseen = np.zeros((len(CANDIDATES.roughness), 50))
+    known = likelihood_of(*[(12, 40.0)] * 10, (12, 1.0))
+    with_unseen = roughness_of(np.concatenate([known, unseen], axis=1))
+    np.testing.assert_allclose(with_unseen[:11], roughness_of(known), atol=1e-6)
+
+
 def test_pixels_without_group_or_company_tell_nothing(rng: np.random.Generator) -> None:
     samples, _ = synthetic(rng, [(float(LEVELS[3]), 0.0)], 0.01, 0.0)
     alone = infer(replace(samples, cell=np.arange(len(samples.rows))))
@@ -173,6 +180,17 @@ def test_pixels_without_group_or_company_tell_nothing(rng: np.random.Generator) 
     assert alone.mean[0, 0] == pytest.approx(float(CANDIDATES.roughness @ prior), abs=1e-5)
     nothing = infer(replace(samples, group=np.full(len(samples.rows), -1)))
     assert all(len(values) == 0 for values in vars(nothing).values())
+
+
+@pytest.mark.parametrize("start", [0.0, 0.37, 0.99])
+def test_cells_of_any_wall_are_drawn_evenly(start: float) -> None:
+    """Far more evenly than random numbers would: 16 of 160 cells, with a standard deviation of 3.8."""
+    for axes in ((0, 1), (0, 2), (1, 2)):
+        cell = np.zeros((1600, 4), np.int64)
+        cell[:, axes] = np.stack(np.unravel_index(np.arange(1600), (40, 40)), axis=1)
+        chosen = training_input.drawn(cell, start) < 0.1
+        assert np.abs(chosen.reshape(10, 160).sum(axis=1) - 16).max() <= 5
+        assert chosen.sum() == pytest.approx(160, abs=16)
 
 
 def test_squares_are_those_of_the_best_base_colours(rng: np.random.Generator) -> None:
@@ -213,3 +231,12 @@ def test_a_material_is_less_certain_where_views_err(
     monkeypatch.setattr(likelihood, "VIEW_SHARE", 0.0)
     without = infer(samples)
     assert with_errors.error[:, 0].sum() > 1.2 * without.error[:, 0].sum()
+
+
+@pytest.mark.parametrize(
+    ("count", "most"),
+    [([10, 20, 70_000], 50_000.0), ([400_000] * 20, 30_000.0), ([0, 100_000, 40_000, 20_000] * 10, 20_000.0)],
+)
+def test_no_group_uses_more_pixels_than_all_may_use_together(count, most):
+    assert training_input.most_of_each(np.array(count)) == most
+    assert np.minimum(count, most).sum() <= 600_000

@@ -31,6 +31,15 @@ def test_known_materials_are_recovered(
         assert np.median(np.abs(found[rows] - color[rows])) < within
 
 
+def test_an_empty_part_id_does_no_harm(rng: np.random.Generator) -> None:
+    samples, _ = synthetic(rng, [(1.0, 0.0), (float(LEVELS[3]), 1.0)], 0.01, 0.0)
+    roughness, metallic = materials_of(replace(samples, group=samples.group * 2))  # part 1 has no pixel
+    assert len(roughness) == 3 and np.isfinite(roughness).all()
+    assert metallic[2] == pytest.approx(1.0, abs=1e-3)
+    none = materials_of(replace(samples, group=np.full_like(samples.group, -1)))
+    assert all(len(values) == 0 for values in none)
+
+
 def test_roughness_between_levels_is_found(rng: np.random.Generator) -> None:
     """Shadings halfway between two levels give the roughness at which the levels have equal shares."""
     samples, color = synthetic(rng, [(1.0, 0.0)], 0.0, 0.0)

@@ -108,6 +108,21 @@ def test_cameras_come_to_the_mesh(truth):
     assert 0.0 <= settings.error < 1e-3
 
 
+def test_the_wrong_pair_is_seen_in_the_list_and_removed(truth):
+    settings = bpy.context.scene.fipt.alignment
+    seen = [point + (1.0, 0.0, 0.0) for point in POINTS if len(sights(point + (1.0, 0.0, 0.0), truth)) > 1]
+    for point in seen:
+        pick(point, truth)
+    good = settings.error
+    name, (u, v) = sights(seen[0], truth)[0]
+    ops.pick_pair(object="Wall", location=tuple(seen[0]), view=name, pixel=(min(u + 30.0, 199.0), v))
+    errors = [pair.error for pair in settings.pairs]
+    assert settings.error > 20.0 * good + 0.01 and max(errors) == pytest.approx(max(errors[0], errors[-1]))
+    assert ops.remove_pair(index=len(seen)) == {"FINISHED"}
+    assert len(settings.pairs) == len(seen) and settings.error == pytest.approx(good, abs=1e-6)
+    assert "no pair 9" in refused(ops.remove_pair, index=9)
+
+
 def test_pairs_follow_the_mesh_and_survive_its_deletion(truth):
     scene = bpy.context.scene
     seen = [point + (1.0, 0.0, 0.0) for point in POINTS if len(sights(point + (1.0, 0.0, 0.0), truth)) > 1]
@@ -119,6 +134,17 @@ def test_pairs_follow_the_mesh_and_survive_its_deletion(truth):
     np.testing.assert_allclose(pose[0, 3], truth[0].camera_to_world[0][3] + 5.0, atol=1e-3)
     bpy.data.objects.remove(scene.objects["Wall"])
     assert "too few" in refused(ops.align_by_pairs)
+
+
+def test_bad_picks_are_refused(truth):
+    with pytest.raises(RuntimeError, match="no mesh object 'Gone'"):
+        ops.pick_pair(object="Gone", location=(0.0, 0.0, 0.0), view="000", pixel=(1.0, 1.0))
+    with pytest.raises(RuntimeError, match="no view 'x'"):
+        ops.pick_pair(object="Wall", location=(0.0, 0.0, 0.0), view="x", pixel=(1.0, 1.0))
+    with pytest.raises(RuntimeError, match="outside the photograph"):
+        ops.pick_pair(object="Wall", location=(0.0, 0.0, 0.0), view="000", pixel=(300.0, 1.0))
+    assert not bpy.context.scene.fipt.alignment.pairs
+    assert not ops.align_by_pairs.poll() and not ops.remove_pair.poll()
 
 
 def test_the_artists_own_cameras_stay(truth):

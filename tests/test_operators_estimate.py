@@ -24,6 +24,7 @@ from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import run_job, running, runstate
+from fipt_blender.operators.estimate import smaller_preset
 from fipt_blender.properties.estimate import CHOICES
 from samples.child_processes import wait_for
 from samples.operator_calls import refused
@@ -267,6 +268,28 @@ def test_settings_that_messages_name_are_in_the_panel():
     text = "".join(path.read_text(encoding="utf-8") for path in core.rglob("*.py"))
     named = set(re.findall(r"--set (\w+)=", text))
     assert named and named <= {field for choice in CHOICES.values() for field in choice.fields}
+
+
+def test_the_device_of_the_scene_comes_before_the_preferences(scene):
+    scene.fipt.estimate.device = "cuda"
+    assert scene_settings(scene).device == "cuda"
+
+
+def test_smaller_presets(scene, monkeypatch):
+    assert (smaller_preset("high"), smaller_preset("medium"), smaller_preset("draft")) == (
+        "medium",
+        "draft",
+        None,
+    )
+    scene.fipt.estimate.preset = "draft"
+    assert not ops.smaller_preset.poll()
+    scene.fipt.estimate.preset = "medium"
+    scene.fipt.estimate.rounds = 5
+    assert ops.smaller_preset.poll()
+    monkeypatch.setattr(run_job, "find_launch", lambda explicit=None: run_job.Launch(Path("nowhere"), {}))
+    with pytest.raises(RuntimeError):
+        ops.smaller_preset()
+    assert scene.fipt.estimate.preset == "draft" and scene.fipt.estimate.rounds == 1
 
 
 def test_without_a_room_or_a_capture_it_says_what_is_missing(scene, run):

@@ -96,6 +96,16 @@ def test_a_clicked_face_set_becomes_an_area(settings) -> None:
     assert len(found.points) == 2 and {round(point[2], 5) for point in found.points} == {2.0}
 
 
+def test_hints_are_removed_one_by_one_or_all(settings) -> None:
+    assert not bpy.ops.fipt.remove_hint.poll()
+    for x in (5.0, 0.0, 5.0):
+        add(x)
+    assert bpy.ops.fipt.remove_hint(index=0) == {"FINISHED"}
+    assert [hint.name for hint in settings.hints] == ["Floor", "Box"]
+    assert "no hint 7. The list has 2" in refused(bpy.ops.fipt.remove_hint, index=7)
+    assert bpy.ops.fipt.remove_hint(every=True) == {"FINISHED"} and not len(settings.hints)
+
+
 def test_a_hint_on_a_lamp_outlasts_the_next_results(tmp_path: Path, monkeypatch) -> None:
     scene = make_applied_scene(tmp_path / "run", monkeypatch)
     row, hints = scene.fipt.lights.lights[0], scene.fipt.hints.hints

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from mathutils import Euler, Vector
+from mathutils import Euler, Matrix, Vector
 
 from fipt_blender.blend import marks
 from fipt_blender.blend.insert import placing, sample_objects, surfaces
@@ -107,6 +107,15 @@ def test_a_copy_does_not_move_the_original(scene):
     assert "Floor.001" in scene.objects and "fipt_inserted" not in bpy.data.objects["Floor"]
 
 
+def test_an_object_of_another_scene_is_copied(scene):
+    mesh = bpy.data.meshes.new("asset")
+    mesh.from_pydata([(0, 0, 1), (1, 0, 1), (0, 1, 2)], [], [(0, 1, 2)])
+    asset = bpy.data.objects.new("Asset", mesh)
+    place(kind="OBJECT", object_name="Asset", location=(0, 0, 0))
+    assert "Asset" not in scene.objects and lowest(scene.objects["Asset.001"]) == pytest.approx(0.0, abs=1e-6)
+    assert asset.matrix_world == Matrix()
+
+
 def test_a_collection_is_placed_as_an_instance(scene):
     cube = add_cube(scene, location=(0, 0, 5))
     group = bpy.data.collections.new("Set")
@@ -149,6 +158,12 @@ def test_impossible_placements_are_explained_and_leave_nothing(scene, options, w
     assert {item.name for item in bpy.data.objects} == before and not marks.inserted_objects(scene)
 
 
+def test_the_collection_of_inserted_objects_cannot_be_placed(scene):
+    place(kind="GREY_BALL", location=(0, 0, 0))
+    with pytest.raises(RuntimeError, match="contains the inserted objects"):
+        place(kind="COLLECTION", collection_name="Inserted", location=(1, 0, 0))
+
+
 def test_removing_restores_everything(scene):
     cube = add_cube(scene)
     before = cube.matrix_world.copy()
@@ -179,6 +194,17 @@ def test_cancelling_leaves_no_trace(scene):
         placing.cancel_placing(placement)
     assert sorted(item.name for item in bpy.data.objects) == names
     assert np.allclose(cube.matrix_world, before) and not marks.inserted_objects(scene)
+
+
+def test_cancelling_a_second_placement_keeps_the_first(scene):
+    add_cube(scene)
+    place(kind="OBJECT", object_name="Chair", location=(0, 0, 0))
+    cube = bpy.data.objects["Chair"]
+    first = cube.matrix_world.copy()
+    placement = placing.begin_placing(scene, cube)
+    placing.place(placement, surfaces.Surface(Vector((1, 1, 1)), Vector((1, 0, 0))), placing.Stance())
+    placing.cancel_placing(placement)
+    assert np.allclose(cube.matrix_world, first) and marks.inserted_objects(scene) == [cube]
 
 
 class Window:

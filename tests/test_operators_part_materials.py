@@ -133,6 +133,16 @@ def test_applying_again_keeps_adjustments_and_names(applied):
     assert warning["code"] == "adjustments-lost" and "'Box'" in warning["text"]
 
 
+def test_resetting_one_and_all(applied):
+    for name in NAMES:
+        row(applied, name).metallic_offset = 0.5
+    make_active(applied, "Frame")
+    ops.reset_part()
+    assert row(applied, "Frame").metallic_offset == 0.0 and row(applied, "Sill").metallic_offset == 0.5
+    ops.reset_part(all_parts=True)
+    assert all(part.metallic_offset == 0.0 for part in applied.fipt.materials.parts)
+
+
 def test_picking_makes_the_part_under_the_ray_active(applied):
     assert ops.pick_part(origin=(3.5, 0.5, 2.0), direction=(0.0, 0.0, -1.0)) == {"FINISHED"}
     assert applied.fipt.materials.part().name == "Frame"

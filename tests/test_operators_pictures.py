@@ -162,6 +162,19 @@ def test_a_camera_of_the_artist_is_rendered_but_has_no_photograph(run):
     assert "no camera of the capture" in refused(bpy.ops.fipt.final_picture)
 
 
+def test_sizes_are_the_scenes_resolution_in_the_photographs_proportions(run):
+    scene, settings = bpy.context.scene, bpy.context.scene.fipt.check
+    assert settings.size == "PHOTOGRAPH"
+    settings.size = "HD"
+    assert (scene.render.resolution_x, scene.render.resolution_y) == (1920, 1200)
+    settings.size = "UHD"
+    assert settings.size == "UHD" and scene.render.resolution_y == 2400
+    scene.render.resolution_x = 1000
+    assert settings.size == "OUTPUT"
+    settings.size = "PHOTOGRAPH"
+    assert (scene.render.resolution_x, scene.render.resolution_y) == SIZE
+
+
 def test_an_object_changes_only_its_surroundings(run):
     photo = photograph(run)
     ball()
@@ -225,6 +238,17 @@ def test_checks_show_a_converted_fixture_as_photographed(run):
     render = image_files.read_pixels(run.renders / "rerender" / "val_000.exr")
     assert render.mean() == pytest.approx(photo.mean(), rel=0.05)
     assert not light.hide_render and not lamp.visible_diffuse and not lamp.visible_camera
+
+
+def test_the_light_of_a_converted_fixture_is_not_inserted_into_the_backdrop(run):
+    """Cycles adds the light of lamps that are no shadow catchers to the photograph."""
+    bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
+    _, light = convert_lamp()
+    assert light.is_shadow_catcher
+    bpy.ops.fipt.set_backdrop(mode="ROOM")
+    assert not light.is_shadow_catcher
+    bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
+    assert light.is_shadow_catcher
 
 
 def test_pictures_are_made_of_the_scene_that_was_asked_for(run, tmp_path):

@@ -32,7 +32,7 @@ from fipt_blender.prepare.preparation import (
     read_preparation,
     write_preparation,
 )
-from fipt_blender.prepare.response import srgb_curve
+from fipt_blender.prepare.response import LEVELS, recover_response, srgb_curve
 from samples import refusals
 from samples.image_files import icc_profile, in_primaries, write_exr_layers
 from samples.photographs import exif, smooth_radiance, write_jpeg
@@ -126,6 +126,24 @@ def test_jpeg_brackets_recover_the_cameras_response(tmp_path: Path) -> None:
     ratio = curve[codes] / true
     np.testing.assert_allclose(ratio / ratio[100], 1.0, atol=0.04)
     assert 0.0 < facts["response"]["uncertainty"] < 0.05
+
+
+def test_the_response_from_exact_codes_and_its_uncertainty() -> None:
+    rng = np.random.default_rng(3)
+    times = np.array([0.25, 1.0, 4.0])
+    linear = np.linspace(0.0, 1.0, 4096)
+    groups = []
+    for _ in range(4):
+        light = np.exp(rng.uniform(-5.0, 0.5, (3000, 1, 3))) * times[None, :, None]
+        codes = 255.0 * np.interp(light, linear, camera_response(linear))
+        groups.append(np.where(light < 0.98, codes, np.nan))
+    found = recover_response(groups, [times] * 4)
+    truth = np.interp(np.arange(LEVELS) / 255.0, camera_response(linear), linear)
+    ratio = found.curve[20:240] / truth[20:240, None]
+    assert np.abs(ratio / np.median(ratio, axis=0) - 1.0).max() < 0.02
+    assert (np.diff(found.curve, axis=0) > 0.0).all() and np.all(found.curve[-1] == 1.0)
+    noisy = [codes + rng.normal(0.0, 4.0, codes.shape) for codes in groups]
+    assert recover_response(noisy, [times] * 4).uncertainty.mean() > 2.0 * found.uncertainty.mean()
 
 
 def test_single_photographs_pass_with_a_warning(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from fipt_blender.core.report.comparison import (
     Agreement,
     compare,
     psnr,
+    to_display,
 )
 from fipt_blender.core.report.fixture_names import fixture_names
 from fipt_blender.core.report.page import MAPS, write_report
@@ -146,6 +147,11 @@ def test_psnr_of_a_known_error():
     assert psnr(estimate, truth) == pytest.approx(20.0, abs=1e-3)
     assert psnr(truth, truth) == float("inf")
     assert psnr(truth * 50.0, truth * 70.0, exposure=1.0) == float("inf")  # both clip to white
+
+
+def test_display_survives_what_images_can_hold():
+    values = np.array([[[np.nan, np.inf, -np.inf], [-1.0, 2.0, 1.0]]], np.float32)
+    assert to_display(values).tolist() == [[[0.0, 1.0, 0.0], [0.0, 1.0, 1.0]]]
 
 
 def test_both_psnrs_of_a_known_error():

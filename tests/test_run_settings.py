@@ -63,3 +63,10 @@ def test_every_setting_explains_itself() -> None:
 @pytest.mark.parametrize("preset", ["ultra", ["draft"], None])
 def test_presets_that_do_not_exist(preset: Any) -> None:
     assert "no preset" in str(error_of(make_settings, preset))
+
+
+@pytest.mark.parametrize(
+    "value, expected", [(True, True), (1, True), ("TRUE", True), (False, False), (0, False), ("0", False)]
+)
+def test_switches_take_true_false_one_and_zero(value: Any, expected: bool) -> None:
+    assert make_settings("draft", {"denoise": value}).denoise is expected

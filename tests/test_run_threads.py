@@ -5,11 +5,14 @@
 from __future__ import annotations
 
 import os
+import threading
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from fipt_blender.core.run.threads import MOST_THREADS, in_threads
+from fipt_blender.core.run.threads import MOST_THREADS, cached_property, in_threads
 
 
 @pytest.mark.parametrize("cores", [None, 1, 2, 500])
@@ -39,3 +42,24 @@ def test_an_error_reaches_the_caller(monkeypatch: pytest.MonkeyPatch, cores: int
     monkeypatch.setattr(os, "cpu_count", lambda: cores)
     with pytest.raises(ZeroDivisionError):
         list(in_threads(lambda item: 1 / item, [1, 0, 2]))
+
+
+def test_a_property_is_computed_once_by_all_threads_together():
+    class Thing:
+        computed = 0
+
+        @cached_property
+        def number(self) -> int:
+            self.computed += 1
+            time.sleep(0.05)  # long enough for all threads to ask
+            return 7
+
+    thing, ready = Thing(), threading.Barrier(4)
+
+    def ask(_: int) -> int:
+        ready.wait()
+        return thing.number
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(ask, range(4))) == [7] * 4
+    assert thing.computed == 1

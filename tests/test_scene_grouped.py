@@ -14,6 +14,7 @@ from fipt_blender.core.pixels.grouped import (
     grouped_median,
     grouped_sums,
     grouped_weighted_median,
+    numbered,
     summed_by_key,
 )
 
@@ -66,11 +67,24 @@ def test_weights_count_as_repeated_values(rng: np.random.Generator) -> None:
     assert not grouped_weighted_median(np.zeros(0), np.zeros(0), np.zeros(0, int), 2).any()
 
 
+@pytest.mark.parametrize("scale", (1, 1 << 40))
+def test_numbers_follow_the_order_of_the_combinations(rng: np.random.Generator, scale: int) -> None:
+    columns = [rng.integers(-1, 2, 200) * scale for _ in range(4)]
+    combinations, expected = np.unique(np.stack(columns), axis=1, return_inverse=True)
+    assert combinations.shape[1] < 200
+    assert (numbered(columns) == expected.reshape(-1)).all()
+    assert not len(numbered([np.zeros(0, np.int32)] * 2))
+
+
 def test_components_are_numbered_by_their_lowest_nodes():
     pairs = np.array([[6, 5], [4, 1], [1, 4], [2, 2], [3, 6]])
     assert graph_components(pairs, 8).tolist() == [0, 1, 2, 3, 1, 3, 3, 4]
     assert graph_components(np.zeros((0, 2), int), 3).tolist() == [0, 1, 2]
     assert graph_components(np.zeros((0, 2), int), 0).tolist() == []
+
+
+def test_an_edge_given_often_still_counts():
+    assert graph_components(np.tile([[0, 1]], (512, 1)), 2).tolist() == [0, 0]
 
 
 def test_triangles_are_connected_through_shared_vertices():

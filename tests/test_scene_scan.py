@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.parts.labels import choose_source, label_parts, room_pieces
+from fipt_blender.core.parts.segments import absorb_small
 from fipt_blender.core.parts.smooth_parts import Votes, smooth_labels, without_specks
 from fipt_blender.core.run.run_files import PANES
 from fipt_blender.core.surface.adjacency import Mesh
@@ -22,6 +23,14 @@ STRIP = np.array([[i, i + 1, i + 2] for i in range(40)])
 def strip_adjacency():
     vertices = np.array([[0.5 * i, i % 2, 0.0] for i in range(42)])
     return find_adjacency(Mesh(vertices, STRIP))
+
+
+def test_triangles_that_share_an_edge_are_neighbours() -> None:
+    adjacency = strip_adjacency()
+    pairs = {tuple(sorted(pair)) for pair in adjacency.pairs.tolist()}
+    assert pairs == {(i, i + 1) for i in range(39)}
+    assert np.allclose(adjacency.length, np.hypot(0.5, 1.0))
+    assert (adjacency.matrix(adjacency.length) - adjacency.matrix(adjacency.length).T).nnz == 0
 
 
 def test_an_edge_of_three_triangles_connects_none() -> None:
@@ -111,3 +120,12 @@ def test_objects_and_materials_of_a_scan_are_parts_only_if_asked_for() -> None:
         )
         assert choose_source(room, []) == chosen
         assert choose_source(replace(room, parts="objects"), []) == "objects"
+
+
+def test_small_components_join_the_neighbour_with_the_longest_border() -> None:
+    component = np.zeros(40, np.int64)
+    component[5:7], component[7:] = 1, 2
+    joined = absorb_small(component, strip_adjacency(), np.ones(40), 4.0)
+    assert len(np.unique(joined)) == 2 and len(np.unique(joined[5:7])) == 1
+    alone = absorb_small(np.zeros(40, np.int64), strip_adjacency(), np.ones(40), 100.0)
+    assert not alone.any()  # without a neighbour it stays

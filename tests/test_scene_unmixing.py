@@ -22,6 +22,7 @@ from fipt_blender.core.pixels.unmixing import (
     posterior,
     standard_error,
     unmix_pixels,
+    weights,
 )
 from fipt_blender.core.surface.room import Room
 from samples.small_rooms import make_room
@@ -164,6 +165,13 @@ def test_the_posterior_is_calibrated(rng: np.random.Generator) -> None:
         assert 0.8 < (error**2).mean() / claimed < 1.1
         # The least certain learns most.
         assert (error**2).mean() < (0.3, 0.85, 1.05)[each] * variance[each, 0]
+
+
+def test_weights_and_standard_errors_are_inverse() -> None:
+    own, variance = np.full((4, 3), 2.0), np.array([0.0, 0.01, 1.0, 100.0])
+    found = weights(own, np.repeat(variance[:, None], 3, axis=1))
+    assert found[0] == 1.0 and (np.diff(found) < 0).all()
+    np.testing.assert_allclose(standard_error(own, found), np.sqrt(variance), rtol=1e-6)
 
 
 def test_the_fragment_at_the_centre_is_the_nearest_of_its_label() -> None:

@@ -65,5 +65,21 @@ def test_tests_stand_alone_use_public_names_and_assert_no_times() -> None:
     assert not faults, faults
 
 
+def test_the_check_finds_what_it_forbids() -> None:
+    statement, clock = "time.monotonic() - k < 5.0", "time.process_time"
+    tree = ast.parse(
+        "from test_a import b\n"
+        "from fipt_blender.cli import _c\n"
+        "d._e(self._f, g.__name__)\n"
+        "monkeypatch.setattr(h, '_i', 1)\n"
+        "monkeypatch.setattr('fipt_blender.cli._j', 1)\n"
+        f"assert {statement}\n"
+        f"began = {clock}()\n"
+    )
+    assert imported_test_modules(tree) == {"test_a"}
+    assert set(private_names(tree)) == {"_c", "d._e", "_i", "fipt_blender.cli._j"}
+    assert list(measured_times(tree)) == [statement, clock]
+
+
 def test_the_tests_of_the_matrix_are_there() -> None:
     assert [name for name in matrix.TESTS if not (TESTS / name).is_file()] == []

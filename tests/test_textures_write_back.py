@@ -40,6 +40,12 @@ def test_the_correction_is_exact_for_greys_and_never_negative(masking):
     )
 
 
+def test_the_table_interpolates_between_its_entries():
+    table = write_back.Table(np.arange(24, dtype=np.float64).reshape(2, 2, 6))
+    middle = table.at(np.array([0.5, 0.0, 2.0]), np.array([0.5, 1.0, -1.0]))
+    assert middle["s0"].tolist() == [9.0, 12.0, 6.0]
+
+
 @pytest.fixture(scope="module")
 def sweep():
     """Colours, dielectrics and metals at all angles."""

@@ -146,6 +146,13 @@ def test_unsupported_python_is_named(
     assert "Python 2.7 is needed" in capsys.readouterr().err
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_exit_status_of_the_child_is_passed_on(dev: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dev, "VENV_PYTHON", Path(sys.executable))
+    assert dev.call("-c", "raise SystemExit(7)") == 7
+    assert dev.call("-c", "import os; os.kill(os.getpid(), 6)") == 134
+
+
 def test_wheel_libraries_takes_shared_libraries_only(tmp_path: Path) -> None:
     wheel = tmp_path / "a.whl"
     with zipfile.ZipFile(wheel, "w") as archive:
