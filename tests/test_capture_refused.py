@@ -180,22 +180,22 @@ def with_path(root: Path, key: str, value: str) -> None:
 
 @pytest.fixture
 def capture(tmp_path: Path) -> Path:
-    """Two photographs in the capture, one of the same kind outside."""
+    """Two photographs in the capture, one of the same kind outside, in a folder whose name begins alike."""
     write_transforms(tmp_path / "capture", make_samples(2))
-    (tmp_path / "other").mkdir()
+    (tmp_path / "capture-other").mkdir()
     inside = tmp_path / "capture" / "images" / "000_0001.exr"
-    (tmp_path / "other" / "secret.exr").write_bytes(inside.read_bytes())
+    (tmp_path / "capture-other" / "secret.exr").write_bytes(inside.read_bytes())
     return tmp_path / "capture"
 
 
 @pytest.mark.parametrize("key", ["file_path", "mask_path"])
 def test_paths_that_lead_outside_are_refused(capture: Path, key: str) -> None:
-    outside = capture.parent / "other" / "secret.exr"
+    outside = capture.parent / "capture-other" / "secret.exr"
     for path in (
         str(outside),
-        "../other/secret.exr",
-        "images/../../other/secret.exr",
-        "..\\\\other\\\\secret.exr",
+        "../capture-other/secret.exr",
+        "images/../../capture-other/secret.exr",
+        "..\\\\capture-other\\\\secret.exr",
     ):
         with_path(capture, key, path)
         with pytest.raises(FiptError, match="outside of the capture") as caught:
@@ -204,7 +204,7 @@ def test_paths_that_lead_outside_are_refused(capture: Path, key: str) -> None:
 
 
 def test_the_users_folder_and_our_own_files_are_trusted(capture: Path) -> None:
-    outside = capture.parent / "other" / "secret.exr"
+    outside = capture.parent / "capture-other" / "secret.exr"
     with_path(capture, "file_path", str(outside))
     for options in (CaptureOptions(images=outside.parent), CaptureOptions(own_paths=True)):
         assert read_rig(capture, "auto", options).views[0].image == outside
