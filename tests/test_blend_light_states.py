@@ -45,6 +45,19 @@ def test_a_state_is_recalled_exactly(scene):
     assert settings.environment_factor == 0.25 and settings.environment_rotation == pytest.approx(0.5)
 
 
+def test_made_states(scene):
+    ops.add_light(location=(0, 0, 3), power=50.0)
+    fixture, added = (row.object for row in scene.fipt.lights.lights)
+    light_states.recall(scene, light_states.only(scene, added))
+    assert not front(fixture).any() and added.data.energy == pytest.approx(50.0)
+    assert not scene.fipt.lights.environment_on
+    light_states.recall(scene, light_states.evening(scene))
+    assert np.allclose(front(fixture), RADIANCE) and not scene.fipt.lights.environment_on
+    light_states.recall(scene, light_states.as_photographed(scene))
+    assert np.allclose(front(fixture), RADIANCE) and added.data.energy == 0.0
+    assert scene.fipt.lights.environment_on
+
+
 @pytest.mark.parametrize("factor", [0.0, 0.25, 0.5, 1.0])
 def test_a_blend_lies_between_in_radiance(scene, factor):
     row = scene.fipt.lights.lights[0]

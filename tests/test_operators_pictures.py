@@ -493,6 +493,15 @@ def test_shadows_multiply_light_is_added_and_objects_cover():
     np.testing.assert_allclose(cover, 3.0 * grey, rtol=1e-5)
 
 
+def test_half_covered_pixels_mix_object_and_photograph():
+    photo, empty = np.full((3, 3, 3), 0.2, np.float32), np.full((3, 3, 3), 0.6, np.float32)
+    half = np.full((3, 3, 4), 0.5, np.float32)  # colour 1, half coverage
+    full = 0.5 + 0.5 * empty
+    np.testing.assert_allclose(
+        composite.compose(composite.Layers(photo, full, empty, half)).picture(), 0.6, atol=1e-5
+    )
+
+
 def test_noisy_pixels_and_invisible_changes_leave_the_photograph():
     image = layers((9, 9))
     full = image.empty.copy()
