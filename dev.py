@@ -242,9 +242,10 @@ def lock() -> int:
     """Write engine.lock: every package that the engine needs on any platform, with its files' hashes.
 
     PyTorch, and what only its CUDA builds need, is left out: which build is installed depends on the machine.
-    Those of pip and LLVM come last, which set-up checks by itself.
+    Those of pip and LLVM come last, which set-up checks by itself. Extras have lists of their own.
     """
     from fipt_blender.bridge.pins import LOCK_NAME, TOOL_GROUPS, parse_lock, read_pins, without_hashes
+    from fipt_blender.core.run.extras import EXTRAS, install_list
 
     pins = read_pins()
     name = re.compile(r"[A-Za-z0-9_.-]+")
@@ -276,6 +277,11 @@ def lock() -> int:
     text += compiled(tools, "--no-deps")
     (ROOT / LOCK_NAME).write_text(header + text, encoding="utf-8")
     print(ROOT / LOCK_NAME)
+    for extra in EXTRAS:  # what they need beside the engine's packages
+        lines = parse_lock(compiled([*pins[extra], *pins["engine"]]))
+        added = [line for line in lines if name.match(line).group() not in everything]
+        install_list(extra).write_text("\n".join(added) + "\n", encoding="utf-8")
+        print(install_list(extra))
     return 0
 
 

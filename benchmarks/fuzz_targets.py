@@ -205,6 +205,9 @@ PROGRAMS: dict[str, Callable[[Path, list[rig_writers.Shot]], None]] = {
     "record3d": lambda folder, shots: rig_writers.write_record3d(
         folder, [replace(shot, name=f"{index}.jpg") for index, shot in enumerate(shots)], each_frame=True
     ),
+    "3d-scanner-app": lambda folder, shots: rig_writers.write_scanner_app(
+        folder, [replace(shot, name=f"frame_{index:05d}.jpg") for index, shot in enumerate(shots)]
+    ),
     "scannetpp": lambda folder, shots: rig_writers.write_scannetpp(folder, shots, held_back=2),
 }
 

@@ -17,6 +17,7 @@ from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.conventions import transform_points
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.result_contents import Emitters
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.surface.room import load_room
 
@@ -36,6 +37,7 @@ class LampCounts:
         lost: true lamps of which fixtures have less than half.
         certain, certain_area: false fixtures that the estimate takes for certain, and their square metres.
         flux: power of the fixtures on true lamps over that of these lamps.
+        claims: probability of each fixture, and 1 if it is true, for the reliability of probabilities.
     """
 
     true: int
@@ -45,6 +47,7 @@ class LampCounts:
     certain: int = 0
     certain_area: float = 0.0
     flux: float | None = None
+    claims: tuple[tuple[float, int], ...] = ()
 
 
 def points_on(corners: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -84,7 +87,8 @@ def count_lamps(
         0.5 * float(np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1).sum())
         for c in found
     ]
-    sure = [value >= CERTAIN for value in (likely or [1.0] * len(found))]
+    probability = likely or [1.0] * len(found)
+    sure = [value >= CERTAIN for value in probability]
     wrong = [(area, known) for area, known, fine in zip(areas, sure, right, strict=True) if not fine]
     flux = None
     if power is not None and power[1] > 0.0:
@@ -93,6 +97,7 @@ def count_lamps(
         certain=sum(known for _, known in wrong),
         certain_area=sum(area for area, known in wrong if known),
         flux=flux,
+        claims=tuple(zip(probability, map(int, right), strict=True)),
         true=sum(right),
         false=len(right) - sum(right),
         false_area=sum(area for area, _ in wrong),
@@ -114,8 +119,8 @@ def lamps_of_run(run: RunFolder, capture: Path) -> LampCounts:
     true = [corners[slice(*lamp["triangles"])] for lamp in table]
     shining = float(sum(np.pi * lamp["area"] * np.mean(lamp["radiance"]) for lamp in table))
     room = load_room(run)
-    fixtures = read_document(run.emitters_json, dict)["fixtures"]
-    found = [room.vertices[room.triangles[fixture["triangles"]]].astype(float) for fixture in fixtures]
-    likely = [float(fixture["probability"]) for fixture in fixtures]
-    power = [float(np.mean(fixture["power"])) for fixture in fixtures]
+    fixtures = read_document(run.emitters_json, Emitters).fixtures
+    found = [room.vertices[room.triangles[list(each.triangles)]].astype(float) for each in fixtures]
+    likely = [each.probability for each in fixtures]
+    power = [float(np.mean(each.power or 0.0)) for each in fixtures]
     return count_lamps(found, true, likely=likely, power=(power, shining))

@@ -19,7 +19,7 @@ from benchmarks.tracer.forward import LitRoom, camera_rays, switched_off
 from benchmarks.tracer.surfaces import LatticeMaterials, SurfaceMaterials
 from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.light.added_lights import add_ball, add_light, joined
+from fipt_blender.core.light.added_lights import add_lamp, add_light, joined
 from fipt_blender.core.material.confidence import UNIFORM_DEVIATION
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.optics import brdf, factorised
@@ -54,12 +54,13 @@ def load_result(run: RunFolder, spacing: float = LATTICE_SPACING) -> tuple[LitRo
 
 
 def with_inferred_lamps(lit: LitRoom, table: EmitterTable, run: RunFolder) -> LitRoom:
-    """The same room with the lamps that were inferred, as cubes that cast about the light of balls."""
+    """The same room with the lamps that were inferred, as cubes and squares that cast about their light."""
     emitters, count = table, len(lit.room.triangles)
     room = lit.room
     for lamp in read_emitters(run, count).missing:
         if lamp.inferred:
-            room, added = add_ball(room, np.array(lamp.position), lamp.radius, np.array(lamp.radiance))
+            shape = np.array(lamp.position), lamp.radius, np.array(lamp.radiance)
+            room, added = add_lamp(room, *shape, lamp.facing)
             emitters = joined(emitters, added)
     if room is lit.room:
         return lit

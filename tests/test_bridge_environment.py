@@ -82,6 +82,20 @@ def made(bare: Path, tmp_path: Path) -> None:
 
 
 @pytest.fixture
+def quick_venv(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python's venv copies the environment of `bare` instead of making one."""
+    run = environment.run_quietly
+
+    def copied(command: list[str], *arguments: Path) -> subprocess.CompletedProcess:
+        if command[-2] != "venv":
+            return run(command, *arguments)
+        shutil.copytree(bare, command[-1], symlinks=True)
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(environment, "run_quietly", copied)
+
+
+@pytest.fixture
 def device_works(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace the engine's check by one that finds an LLVM, as these environments contain no engine."""
     found = {"device": "llvm", "llvm": None}
@@ -119,7 +133,7 @@ def test_pips_failures_have_words(lines: list[str], wheels: Path | None, code: s
 
 
 def test_set_up_from_wheels_is_complete_resumed_and_remade(
-    tmp_path: Path, device_works: None, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, device_works: None, quick_venv: None
 ) -> None:
     make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
     plan = make_plan(tmp_path)
@@ -145,7 +159,7 @@ def test_set_up_from_wheels_is_complete_resumed_and_remade(
 
 
 def test_set_up_names_what_the_wheels_lack_and_a_package_that_breaks(
-    tmp_path: Path, device_works: None
+    tmp_path: Path, device_works: None, quick_venv: None
 ) -> None:
     make_wheel(tmp_path / "wheels", "fipttiny", "0.9")
     with pytest.raises(FiptError, match=r"fipttiny==1\.0") as caught:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from fipt_blender.core.capture import options
 from fipt_blender.core.capture.distortion import lens_camera
@@ -195,6 +196,17 @@ def test_record3d(tmp_path: Path, each_frame: bool) -> None:
     rig = read(tmp_path)
     assert rig.source == "record3d" and rig.up_axis == "y"
     assert_same(rig, shots)
+
+
+def test_scanner_app(tmp_path: Path) -> None:
+    shots = [replace(shot, name=f"frame_{i:05d}.jpg") for i, shot in enumerate(write.make_shots())]
+    write.write_scanner_app(tmp_path, shots)
+    Image.fromarray(np.full((12, 16), 1500, np.uint16)).save(tmp_path / "depth_00002.png")
+    rig = read(tmp_path)
+    assert rig.source == "3d-scanner-app" and rig.up_axis == "y" and rig.mesh == tmp_path / "export.obj"
+    assert_same(rig, shots)
+    assert [(depth.photograph.name, depth.unit) for depth in rig.depths] == [("frame_00002", 0.001)]
+    assert rig.depths[0].fx == pytest.approx(shots[2].fx * 16 / shots[2].width) and not rig.notes
 
 
 def test_scannetpp(tmp_path: Path) -> None:

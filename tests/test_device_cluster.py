@@ -229,7 +229,7 @@ def test_the_address_reaches_the_engine_and_makes_no_result_stale(tmp_path: Path
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     caught = connection_error("tcp://127.0.0.1:9")
-    assert caught.code == "package-missing" and "pip install distributed" in caught.remedy
+    assert caught.code == "package-optional" and "extra_cluster.txt" in caught.remedy
 
 
 @pytest.mark.parametrize(

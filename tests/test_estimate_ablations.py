@@ -12,7 +12,15 @@ from PIL import Image
 
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.run.runfolder import RunFolder
-from samples.small_captures import COLORS, PANEL_TRIANGLES, SmallCapture, panel_capture, run_here, write_run
+from samples.small_captures import (
+    COLORS,
+    PANEL_TRIANGLES,
+    UNTRAINED,
+    SmallCapture,
+    panel_capture,
+    run_here,
+    write_run,
+)
 from samples.small_rooms import surface_points
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -45,14 +53,14 @@ def test_paths_without_a_cache_still_find_materials(capture: SmallCapture, tmp_p
 def test_semantic_masks_instead_of_parts(capture: SmallCapture, tmp_path: Path) -> None:
     """Classes of several materials, here the two halves of each picture, have no closed-form guess."""
     room = replace(capture.room, parts="semantics")
-    run = write_run(tmp_path / "run", replace(capture, room=room), rounds=0)
+    run = write_run(tmp_path / "run", replace(capture, room=room), rounds=0, **UNTRAINED)
     classes = np.repeat([[3] * 24 + [9] * 24], 32, axis=0).astype(np.uint8)
     Image.fromarray(classes).save(run.images / "classes.png")
     data = json.loads(run.capture_json.read_text())
     for view in data["views"]:
         view["semantics"] = "images/classes.png"
     run.capture_json.write_text(json.dumps(data))
-    run_here(run)
+    run_here(run, train=False)
     (lamp,) = json.loads(run.emitters_json.read_text())["fixtures"]
     assert lamp["triangles"] == PANEL_TRIANGLES
     assert json.loads(run.statistics_json.read_text())["part_kind"] == "semantic"

@@ -20,6 +20,7 @@ from samples.small_captures import (
     PANEL,
     PANEL_RADIANCE,
     PANEL_TRIANGLES,
+    UNTRAINED,
     SmallCapture,
     matt,
     photograph_room,
@@ -36,7 +37,7 @@ MORE = [[[1.5, 0.2, 1.8], [-1.2, -0.4, 0.6]], [[-0.3, 1.7, 1.5], [0.1, -1.5, 0.8
 
 def write_encoded(root: Path, capture: SmallCapture) -> tuple[RunFolder, np.ndarray]:
     """The run folder of PNG files that a camera with automatic exposure took, and its (V, 3) gains."""
-    run = write_run(root, capture, rounds=0)
+    run = write_run(root, capture, rounds=0, **UNTRAINED)
     data, every = json.loads(run.capture_json.read_text()), []
     for index, (view, image) in enumerate(zip(data["views"], capture.images, strict=True)):
         rng = np.random.default_rng([5, index])
@@ -55,7 +56,7 @@ def test_a_clipped_panel_is_found_with_its_radiance(tmp_path: Path) -> None:
     lamps = table(PANEL_TRIANGLES, PANEL_RADIANCE)
     capture = photograph_room(room, materials, lamps, cameras=[*CAMERAS, *MORE], scale=2, spp=64)
     run, gains = write_encoded(tmp_path / "run", capture)
-    messages = run_here(run)
+    messages = run_here(run, train=False)
     assert messages[-1]["type"] == "done"
     assert [m["code"] for m in messages if m["type"] == "warning"].count("lamps-clipped") == 1
     photometry = json.loads(run.statistics_json.read_text())["photometry"]

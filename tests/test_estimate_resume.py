@@ -15,16 +15,15 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.estimate import training_stages
-from fipt_blender.core.material import training
 from fipt_blender.core.run import chain
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
-from samples.small_captures import QUICK, panel_capture, run_here, write_run
+from samples.small_captures import QUICK, UNTRAINED, panel_capture, run_here, write_run
 
 # Small enough to be quick, and such that each setting has an effect.
-BASE = {**QUICK, "training_steps": 6, "batch_size": 512, "rounds": 0}
+BASE = {**QUICK, **UNTRAINED, "batch_size": 512, "rounds": 0}
 ALL = [
     *("pixels", "checks", "unmixing", "outside", "shadings", "estimate-0"),
     *("reflection-1", "refinement-1", "estimate-1", "training"),
@@ -35,26 +34,17 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")
-def quick_start():
-    """Few steps towards the closed-form guess: results need to be equal here, not good."""
-    with pytest.MonkeyPatch.context() as patch:
-        for module in (training, training_stages):
-            patch.setattr(module, "PRETRAINING_STEPS", 4)
-        yield
-
-
-@pytest.fixture(scope="module")
 def capture():
     return panel_capture()
 
 
 def work(run: RunFolder) -> list[str]:
     """Run the estimation; returns the stages that were done."""
-    return [message["name"] for message in run_here(run) if message["type"] == "stage"]
+    return [message["name"] for message in run_here(run, train=False) if message["type"] == "stage"]
 
 
 @pytest.fixture(scope="module")
-def fresh(quick_start, capture, tmp_path_factory: pytest.TempPathFactory):
+def fresh(capture, tmp_path_factory: pytest.TempPathFactory):
     """Makes run folders of complete estimations with some settings."""
     made: dict[str, RunFolder] = {}
 
@@ -106,7 +96,7 @@ def test_damaged_outputs_of_a_stage_are_made_again(fresh, tmp_path: Path, name: 
     for path in [*(run.stage / name).rglob("*.npy"), *(run.stage / name).glob("outputs.json")]:
         path.write_bytes(path.read_bytes()[:20])
     (run.stage / "training" / "outputs.json").unlink()
-    messages = run_here(run)
+    messages = run_here(run, train=False)
     done = [message["name"] for message in messages if message["type"] == "stage"]
     codes = [message["code"] for message in messages if message["type"] == "warning"]
     # What no later stage and no result needs is not read.
@@ -123,14 +113,14 @@ def test_a_damaged_checkpoint_of_an_unfinished_training_is_discarded(fresh, tmp_
     del data["stages"]["training"]
     path.write_text(json.dumps(data))
     (run.stage / "training" / "unfinished.pt").write_bytes(b"cut off")
-    messages = run_here(run)
+    messages = run_here(run, train=False)
     assert [message["name"] for message in messages if message["type"] == "stage"] == ["training"]
     assert "checkpoint-damaged" in [message.get("code") for message in messages]
     assert outcome(run) == outcome(fresh())
 
 
 def test_a_resumed_run_repeats_the_warnings_of_finished_stages(
-    quick_start, capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     images = [image * np.float32(1.6 if index == 2 else 1.0) for index, image in enumerate(capture.images)]
     run = write_run(tmp_path / "run", replace(capture, images=images), **BASE)
@@ -141,21 +131,21 @@ def test_a_resumed_run_repeats_the_warnings_of_finished_stages(
     with monkeypatch.context() as patch:
         patch.setattr(training_stages, "pretrain", stop)
         with pytest.raises(FiptError):
-            run_here(run)
+            run_here(run, train=False)
     for done in (["training"], []):
-        messages = run_here(run)
+        messages = run_here(run, train=False)
         assert [message["name"] for message in messages if message["type"] == "stage"] == done
         (warning,) = [message for message in messages if message["type"] == "warning"]
         assert warning["code"] == "view-exposure" and "train/002" in warning["text"] and warning["remedy"]
 
 
 def test_stages_that_take_no_time_have_no_rate(
-    quick_start, capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Clocks may tick only every 16 ms."""
     monkeypatch.setattr(chain, "time", SimpleNamespace(monotonic=lambda: 7.0))
     run = write_run(tmp_path / "run", capture, **BASE)
-    run_here(run)
+    run_here(run, train=False)
     listed = read_document(run.statistics_json, dict)["stages"]
     assert [stage["seconds"] for stage in listed] == [0.0] * 7
     assert listed[4]["rays"] > 0 and "mrays_per_second" not in listed[4]

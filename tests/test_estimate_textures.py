@@ -20,6 +20,7 @@ from samples.small_captures import (
     COLORS,
     PANEL,
     PANEL_RADIANCE,
+    UNTRAINED,
     SmallCapture,
     panel_capture,
     photograph,
@@ -71,8 +72,9 @@ def open_room() -> SmallCapture:
 def test_textures_and_maps_follow_every_estimate(
     make_capture: Callable[[], SmallCapture], fixtures: int, open_mesh: bool, tmp_path: Path
 ) -> None:
-    run = write_run(tmp_path / "run", make_capture(), rounds=0, force=True)  # one room shows nothing
-    assert run_here(run)[-1]["type"] == "done"
+    changes = {**UNTRAINED, "rounds": 0, "unseen_light": True, "force": True}  # one room shows nothing
+    run = write_run(tmp_path / "run", make_capture(), **changes)
+    assert run_here(run, train=False)[-1]["type"] == "done"
     assert len(read_document(run.emitters_json, dict)["fixtures"]) == fixtures
     assert bake_here(run)[-1]["type"] == "done"
     listed = (

@@ -276,6 +276,12 @@ def test_light_that_nothing_shows_is_there_with_the_results(tmp_path, monkeypatc
     assert applied([30.0, 20.0, 10.0]) == item
     ball["position"] = [1.0, 0.25, 2.0]  # other results replace it
     assert tuple(applied([3.0, 2.0, 1.0]).location) == (1.0, 0.25, 2.0)
+    ball |= {"position": [2.0, 0.25, 2.0], "facing": [0.0, 0.0, -1.0]}
+    disc = applied([30.0, 20.0, 10.0])
+    assert (disc.data.type, disc.data.shape, disc.data.size) == ("AREA", "DISK", pytest.approx(0.2))
+    assert disc.matrix_world.to_3x3() @ Vector((0.0, 0.0, -1.0)) == Vector((0.0, 0.0, -1.0))
+    power = disc.data.energy * np.array(disc.data.color)
+    assert power == pytest.approx(math.pi**2 * 0.01 * np.array([30.0, 20.0, 10.0]), rel=1e-4)
 
 
 def test_a_fixture_takes_its_simple_shape(scene):

@@ -19,7 +19,7 @@ import pytest
 from fipt_blender import cli
 from fipt_blender.core.capture import encoded
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.run.extras import EXTRAS, optional
+from fipt_blender.core.run.extras import EXTRAS, install_list, optional
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.prepare import command
 from fipt_blender.prepare.brackets import find_groups, remarks
@@ -294,15 +294,20 @@ def test_unknown_steps_and_options_are_refused(tmp_path: Path) -> None:
 
 def test_an_optional_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pillow_heif", None)
-    caught = error_of(optional, "pillow_heif", "A photograph in HEIC")
-    assert caught.code == "package-optional" and "heif" in caught.text
-    assert EXTRAS["pillow_heif"][1] in caught.remedy
+    caught = error_of(optional, "heif", "A photograph in HEIC")
+    assert caught.code == "package-optional" and "pillow-heif (extra 'heif')" in caught.text
+    assert f'--require-hashes --no-deps -r "{install_list("heif")}"' in caught.remedy
 
 
-def test_extras_have_the_pins_of_the_project() -> None:
+def test_extras_have_the_pins_of_the_project_and_hashes() -> None:
+    """After a change of a pin: python3 dev.py lock."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    for extra, pin in EXTRAS.values():
-        assert project["optional-dependencies"][extra] == [pin]
+    for extra, (_, package) in EXTRAS.items():
+        (pin,) = project["optional-dependencies"][extra]
+        lines = install_list(extra).read_text(encoding="utf-8").splitlines()
+        assert pin.startswith(f"{package}==") and any(line.startswith(f"{pin} ") for line in lines)
+        assert all("==" in line and "--hash=sha256:" in line for line in lines)
+        assert not [line for line in lines if line.startswith(("numpy", "pillow=="))]  # the engine's stay
 
 
 def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -175,7 +175,7 @@ def masked_capture(root: Path, own_ids: bool) -> RunFolder:
     vertices = np.concatenate([scan.vertices, np.array(PANEL, np.float32)])
     triangles = np.concatenate([scan.triangles, corners[[[0, 1, 2], [0, 2, 3]]]])
     room = mesh_room(vertices, triangles, np.zeros(len(triangles)), parts="masks")
-    run = small_captures.write_run(root, replace(exact, room=room), rounds=0, training_steps=6)
+    run = small_captures.write_run(root, replace(exact, room=room), rounds=0, **small_captures.UNTRAINED)
     head = read_document(run.capture_json, dict)
     for number, (view, pose) in enumerate(zip(head["views"], exact.poses, strict=True)):
         surface = trace_pixels(exact.room, pinhole(pose))
@@ -189,10 +189,10 @@ def masked_capture(root: Path, own_ids: bool) -> RunFolder:
 @pytest.mark.parametrize("own_ids", [False, True])
 def test_a_resumed_estimation_keeps_outlines_and_stages(tmp_path: Path, own_ids: bool) -> None:
     run = masked_capture(tmp_path, own_ids)
-    first = [message["name"] for message in run_here(run) if message["type"] == "stage"]
+    first = [message["name"] for message in run_here(run, train=False) if message["type"] == "stage"]
     written = run.outlines_npz.read_bytes()
     assert first[:2] == ["scan", "pixels"] and run.fields_npz.exists() and run.linked.exists() == own_ids
-    again = [message["name"] for message in run_here(run) if message["type"] == "stage"]
+    again = [message["name"] for message in run_here(run, train=False) if message["type"] == "stage"]
     assert again == ["scan"] and run.outlines_npz.read_bytes() == written
 
 

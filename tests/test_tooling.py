@@ -43,7 +43,7 @@ def test_zip_is_the_extension_and_reproducible(dev: ModuleType, tmp_path: Path) 
         written = json.loads(archive.read(pins.PINS_NAME))
     groups = pins.read_pins()
     assert written == {name: groups[name] for name in pins.ENGINE_GROUPS}
-    assert first.stat().st_size < 4e6, "the heavy packages live in the engine's environment"
+    assert first.stat().st_size < 4.5e6, "the heavy packages live in the engine's environment"
     assert first.name == f"fipt_blender-{manifest['version']}.zip"
     assert {"__init__.py", "__main__.py", "LICENSE", "core/__main__.py", "cli/__init__.py"} <= set(names)
     assert names == sorted(names)

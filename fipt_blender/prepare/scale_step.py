@@ -194,7 +194,7 @@ class MarkerDetector:
                 f"There is no dictionary of markers '{dictionary}'.",
                 f"Use one of: {', '.join(DICTIONARIES)}.",
             )
-        cv2 = optional("cv2", "A printed marker")
+        cv2 = optional("markers", "A printed marker")
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
         known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary}"))

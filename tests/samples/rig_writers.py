@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -265,7 +265,7 @@ def write_nvm(folder: Path, groups: list[list[Shot]], distortion: float = 0.0, f
     (folder / "model.nvm").write_text("\n".join(lines) + "\n")
 
 
-# ------------------------------------------------------------------------------ Polycam, Record3D, ScanNet++
+# ------------------------------------------------------------------------------ Polycam, Record3D, scanners
 
 
 def write_polycam(folder: Path, shots: list[Shot], alignment: np.ndarray, corrected: bool) -> None:
@@ -299,6 +299,17 @@ def write_record3d(folder: Path, shots: list[Shot], each_frame: bool) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "metadata.json").write_text(json.dumps(data))
     write_photographs(folder / "rgb", shots)
+
+
+def write_scanner_app(folder: Path, shots: list[Shot]) -> None:
+    """frame_*.json with ARKit's pose by rows (Y up, Z backward); a last frame has no photograph."""
+    write_photographs(folder, shots)
+    for shot in [*shots, replace(shots[0], name="frame_99999.jpg")]:
+        pose = shot.pose @ np.diag([1.0, -1.0, -1.0, 1.0])
+        matrix = [shot.fx, 0.0, shot.cx, 0.0, shot.fy, shot.cy, 0.0, 0.0, 1.0]
+        data = {"cameraPoseARFrame": pose.ravel().tolist(), "intrinsics": matrix, "motionQuality": 1}
+        (folder / shot.name).with_suffix(".json").write_text(json.dumps(data))
+    (folder / "export.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
 
 
 def write_scannetpp(folder: Path, shots: list[Shot], held_back: int) -> None:

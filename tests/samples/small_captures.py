@@ -5,16 +5,20 @@
 import argparse
 import io
 import json
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import patch
 
 import numpy as np
 
 from benchmarks.tracer.forward import LitRoom, RenderSettings, render_view
 from benchmarks.tracer.surfaces import TriangleMaterials
 from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.estimate import command
+from fipt_blender.core.estimate import command, training_stages
+from fipt_blender.core.material import training
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.run.messages import Reporter, parse_message
@@ -51,8 +55,10 @@ QUICK = {
     "specular_spp": 4, "light_spp": 16, "refine_diffuse_spp": 16, "refine_specular_spp": 4,
     "refine_light_spp": 16, "training_steps": 60, "checkpoint_steps": 25,
     "batch_size": 1024, "hash_levels": 6, "hash_log2_size": 12,
-    "environment_width": 64,
+    "environment_width": 64, "unseen_light": False,
 }  # fmt: skip
+# With `run_here(run, train=False)`, where what the networks learn is not looked at.
+UNTRAINED = {"training_steps": 6}
 
 
 @dataclass(frozen=True)
@@ -111,8 +117,9 @@ def photograph_room(
     return SmallCapture(room, images, poses, scale)
 
 
+@cache
 def panel_capture() -> SmallCapture:
-    """A closed box, each wall of its own colour, and a ceiling panel."""
+    """A closed box, each wall of its own colour, and a ceiling panel; nobody changes its arrays."""
     return photograph([*BOX, PANEL], [*COLORS, [0.0] * 3], table(PANEL_TRIANGLES, PANEL_RADIANCE), None)
 
 
@@ -144,8 +151,12 @@ def write_run(root: Path, capture: SmallCapture, **changes) -> RunFolder:
     return run
 
 
-def run_here(run: RunFolder) -> list[dict]:
-    """Estimate in this process; returns its messages."""
+def run_here(run: RunFolder, train: bool = True) -> list[dict]:
+    """Estimate in this process, perhaps with hardly a step towards the closed form; returns its messages."""
     stream = io.StringIO()
-    command.run(argparse.Namespace(run=run.root, cluster=None), Reporter(stream))
+    steps = training.PRETRAINING_STEPS if train else 4
+    with ExitStack() as patches:
+        for module in (training, training_stages):
+            patches.enter_context(patch.object(module, "PRETRAINING_STEPS", steps))
+        command.run(argparse.Namespace(run=run.root, cluster=None), Reporter(stream))
     return [message for line in stream.getvalue().splitlines() if (message := parse_message(line))]

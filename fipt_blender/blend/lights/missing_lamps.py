@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import bpy
+from mathutils import Vector
 
 from ...core.run.documents import read_document
 from ...core.run.kinds import as_json
@@ -62,17 +63,24 @@ def add_missing(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def _add(scene: bpy.types.Scene, lamp: Mapping[str, Any]) -> bpy.types.Object:
-    """A point light of a ball's position, radius (metres) and radiance."""
-    data = bpy.data.lights.new("Unseen Light" if lamp.get("inferred") else "Missing Lamp", "POINT")
-    data.shadow_soft_size = lamp["radius"]
-    if hasattr(data, "use_soft_falloff"):  # without it the falloff is that of a sphere
-        data.use_soft_falloff = False
+    """A point light for a ball, an area light for a disc, of its position, radius (metres) and radiance."""
+    name, facing = "Unseen Light" if lamp.get("inferred") else "Missing Lamp", lamp.get("facing")
+    data = bpy.data.lights.new(name, "POINT" if facing is None else "AREA")
+    if facing is None:
+        data.shadow_soft_size = lamp["radius"]
+        if hasattr(data, "use_soft_falloff"):  # without it the falloff is that of a sphere
+            data.use_soft_falloff = False
+    else:
+        data.shape, data.size = "DISK", 2.0 * lamp["radius"]
     item = bpy.data.objects.new(data.name, data)
     item[NEW_LIGHT] = 1
     item[MISSING_LAMP] = [float(value) for value in lamp["position"]]
-    # P = pi A L of a sphere.
-    item[BASE] = [4.0 * math.pi**2 * lamp["radius"] ** 2 * value for value in lamp["radiance"]]
+    # P = pi A L of a sphere or a disc.
+    area = (4.0 if facing is None else 1.0) * math.pi * lamp["radius"] ** 2
+    item[BASE] = [math.pi * area * value for value in lamp["radiance"]]
     item[UNIT] = scene_unit(scene)
     item.location = lamp["position"]
+    if facing is not None:
+        item.rotation_euler = Vector(facing).to_track_quat("-Z", "Y").to_euler()
     collection(scene, LIGHTS).objects.link(item)
     return item

@@ -16,10 +16,9 @@ import urllib.parse
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
 
 from ..run.documents import read_limited
 from ..run.kinds import as_json
@@ -38,6 +37,9 @@ from .gltf_document import (
     read_document,
     scene_roots,
 )
+
+if TYPE_CHECKING:
+    import trimesh
 
 MOST_BYTES = 4_000_000_000  # of a mesh file, and of its meshes in memory
 MOST_NODES = 100_000  # of the nodes and primitives of a file, so that no file takes minutes
@@ -75,6 +77,8 @@ def load_scene(data: bytes, kind: str, **options: Any) -> trimesh.Scene:
     Raises:
         ValueError: trimesh or numpy fails.
     """
+    import trimesh  # here: it takes as long to load as all else that reads captures
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", DeprecationWarning)  # numpy's at text that is no number

@@ -290,7 +290,7 @@ def write_ids(path: Path, ids: np.ndarray) -> None:
 
 
 def _open_heif(path: Path) -> Picture:
-    file = optional("pillow_heif", "A photograph in HEIC").open_heif(path, convert_hdr_to_8bit=False)
+    file = optional("heif", "A photograph in HEIC").open_heif(path, convert_hdr_to_8bit=False)
     icc, nclx = file.info.get("icc_profile"), file.info.get("nclx_profile")
     colors = Colors()
     if icc:

@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..capture.views import View
-from ..light.added_lights import add_ball, joined
+from ..light.added_lights import add_lamp, joined
 from ..light.baking import SUBPIXELS
 from ..light.cache import SurfaceLookup, fill_grid, grid_frame, pool, sample_surface
 from ..light.emitters import Fixture, emitter_table
@@ -93,8 +93,8 @@ class Renderer:
         self._estimate, self._seed = estimate, seed
         emitters, environment = estimate.emitters, estimate.environment
         for lamp in () if environment is None else environment.lamps:
-            ball = np.array(lamp["position"]), lamp["radius"], np.array(lamp["radiance"], np.float32)
-            room, added = add_ball(room, *ball)
+            shape = np.array(lamp["position"]), lamp["radius"], np.array(lamp["radiance"], np.float32)
+            room, added = add_lamp(room, *shape, lamp.get("facing"))
             emitters = joined(emitters, added)
         self._room = room
         self._lights = AreaLights(room.vertices, room.triangles, emitters)

@@ -7,8 +7,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import trimesh
-from trimesh.exchange.ply import export_ply
 
 from ..run.runfolder import atomic_path
 from .extraction import FusedMesh
@@ -20,6 +18,9 @@ def write_ply(path: Path, mesh: FusedMesh) -> None:
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
+    import trimesh  # here: each import of a capture loads this module, and trimesh takes half of that time
+    from trimesh.exchange.ply import export_ply
+
     codes = None if mesh.colors is None else np.round(np.clip(mesh.colors, 0.0, 1.0) * 255.0).astype(np.uint8)
     # Normals are area-weighted means of the triangles around each vertex.
     crosses = trimesh.triangles.cross(mesh.vertices.astype(np.float64)[mesh.triangles])

@@ -14,7 +14,6 @@ import hashlib
 import importlib
 import importlib.metadata
 import platform
-import sys
 import threading
 import time
 import uuid
@@ -25,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from ..run.errors import FiptError
+from ..run.extras import optional
 from ..run.method import method_digest
 from ..run.per_view import Item, LocalWorkers, Result, ViewWork, Workers
 from ..run.runfolder import PRODUCT_VERSION
@@ -71,7 +71,7 @@ def workers_at(address: str | None) -> Iterator[Workers]:
         address: of the scheduler, as the user gave it, e.g. ``tcp://host:8786``.
 
     Raises:
-        FiptError: ``package-missing``, ``cluster-unreachable``; during the work ``cluster-worker-unfit``,
+        FiptError: ``package-optional``, ``cluster-unreachable``; during the work ``cluster-worker-unfit``,
             ``cluster-no-worker`` and ``cluster-lost``.
     """
     if address is None:
@@ -98,15 +98,9 @@ def unprotected(address: str | None) -> tuple[str, str, str] | None:
 
 @contextmanager
 def _connect(address: str) -> Iterator[Client]:
-    try:
-        import dask
-        from distributed import Client
-    except ImportError as error:
-        raise FiptError(
-            "package-missing",
-            f"The engine's Python lacks a package that clusters need ({error}).",
-            f"Install it with: {sys.executable} -m pip install distributed",
-        ) from None
+    distributed = optional("cluster", "A cluster")
+    import dask
+
     # The room and its cache are far larger than a task's usual arguments.
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"}):
         # A client that can't connect must never be made: its __del__ may wait forever for a lock of
@@ -114,7 +108,7 @@ def _connect(address: str) -> Iterator[Client]:
         if (reason := _why_no_answer(address)) is not None:
             raise _unreachable(address, reason)
         try:
-            client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+            client = distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
         except Exception as error:  # it answered a moment ago, but is gone now
             raise _unreachable(address, str(error)) from None
         try:

@@ -28,6 +28,9 @@ from ..run.stage_settings import (
 )
 from ..surface.room import Room
 
+# Share of the light that is inferred from which the user is told.
+MUCH_INFERRED = 0.1
+
 
 @dataclass(frozen=True)
 class ObserveInputs:
@@ -72,7 +75,17 @@ def infer_outside(inputs: OutsideInputs, settings: LightSettings, tools: Tools) 
     observed, room = inputs.observed, inputs.room
     if settings.unseen_light:
         observed = with_unseen_light(observed, room, surface_labels(room, inputs.parts), settings)
-    return OutsideLight(observed.environment)
+    light = observed.environment
+    if light is not None and light.unseen_light > MUCH_INFERRED:
+        tools.reporter.warning(
+            "light-inferred",
+            f"{100.0 * light.unseen_light:.0f} % of the light on the surfaces comes from what no photograph"
+            " shows. It was inferred from how it falls on them, to"
+            f" {100.0 * light.unseen_error:.0f} % or so, and base colors are as uncertain.",
+            "Add photographs that show the lamps and windows. The inferred lamps are named Unseen Light: move"
+            " or delete them as you know better.",
+        )
+    return OutsideLight(light)
 
 
 def observed_light(

@@ -160,6 +160,7 @@ def write_results(
             lamp["radius"],
             (scale * np.asarray(lamp["radiance"])).tolist(),
             lamp.get("inferred", False),
+            lamp.get("facing"),
         )
         for lamp in [*light.missing, *(environment.lamps if environment is not None else ())]
     )

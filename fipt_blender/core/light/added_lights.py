@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -63,12 +64,29 @@ def add_light(
     return extended, EmitterTable(ids, front, np.zeros_like(front))
 
 
-def add_ball(
-    room: Room, position: np.ndarray, radius: float, radiance: np.ndarray
+def add_lamp(
+    room: Room,
+    position: np.ndarray,
+    radius: float,
+    radiance: np.ndarray,
+    facing: Sequence[float] | None = None,
 ) -> tuple[Room, EmitterTable]:
-    """Add a cube that casts about the light of a ball of this radius (metres): its area is the same."""
-    corners = position + radius * float(np.sqrt(np.pi / 6.0)) * _CUBE
-    return add_light(room, corners, _CUBE_TRIANGLES, radiance)
+    """Add a cube that casts about the light of a ball of this radius (metres), or a square for a disc.
+
+    Args:
+        facing: (3,) unit vector to which a disc shines; None: a ball.
+    """
+    if facing is None:
+        corners = position + radius * float(np.sqrt(np.pi / 6.0)) * _CUBE
+        return add_light(room, corners, _CUBE_TRIANGLES, radiance)
+    normal = np.asarray(facing, np.float64)
+    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    first *= 0.5 * np.sqrt(np.pi) * radius / np.linalg.norm(first)
+    second = np.cross(normal, first)
+    corners = np.asarray(position) + np.array(
+        [-first - second, first - second, first + second, second - first]
+    )
+    return add_light(room, corners, np.array([[0, 1, 2], [0, 2, 3]]), radiance)
 
 
 def joined(first: EmitterTable, second: EmitterTable) -> EmitterTable:

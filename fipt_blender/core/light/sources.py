@@ -22,8 +22,9 @@ from .clipped import POINTS_PER_SAMPLE
 # Standard deviations of logarithms: of a source from what is expected, of the level that sources outside the
 # mesh share, and of color from gray, as photographs are white-balanced: that of all sources, and of one.
 SOURCE, LEVEL, COLOR, SOURCE_COLOR = 1.5, 2.0, 0.15, 0.15
-# Median and standard deviation (of the logarithm) of the albedos in a room, the highest, and its deviation.
-ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 0.7, 0.85, 0.1
+# Expected albedo and its standard deviation (of the logarithm): broad, as rooms are dark or light as a whole;
+# the highest albedo, and its deviation.
+ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 1.0, 0.85, 0.1
 LEAST_GROUP = 8  # points of one albedo
 HELD_BACK = 0.1  # share of the points
 DARKEST = 1e-4  # radiance, in units of the capture's median
@@ -81,6 +82,12 @@ class SourceLight:
     covariance: np.ndarray
     spread: float
     log_albedo: np.ndarray
+
+    def shares(self, points: Transport) -> np.ndarray:
+        """(K,) share of the light on points that each source casts, on average."""
+        cast = points.unseen * self.radiance.sum(axis=1)
+        total = np.maximum(points.seen.sum(axis=1) + cast.sum(axis=1), DARKEST)
+        return np.asarray((cast / total[:, None]).mean(axis=0))
 
     def share(self, points: Transport) -> np.ndarray:
         """(N,) share of the light on points that these sources cast."""

@@ -4,7 +4,8 @@
 
 Rays from points of the surfaces land on surfaces that photographs show, on others, or on the hull of the
 mesh. Landing places of the last two kinds that are close together are one source; :mod:`.sources` finds its
-radiance. It is kept only if points that were held back fit better with it.
+radiance. Sources that cast much of the light are divided, and solved for again. The light is kept only if
+points that were held back fit better with it.
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ from ..pixels.store import PixelStore
 from ..run.stage_settings import LightSettings
 from ..run.threads import cached_property
 from ..surface.room import Room
-from .cache import SIDES, VoxelGrid
-from .clipped import MOST_POINTS, OUTSIDE, hemisphere_rays
-from .environment import Environment, Hull, diffused, map_cells
+from .cache import SIDES
+from .clipped import MOST_POINTS
+from .environment import Environment, diffused
 from .observations import Observations
+from .source_cells import DARK_OUTSIDE, FINER, Cells, Landed, middles, traced
 from .sources import (
     DARKEST,
     LEAST_GROUP,
@@ -37,24 +39,26 @@ from .sources import (
     solve_sources,
 )
 
-RAYS, CHUNK = 1024, 256  # from each point; points at a time
-# Width of sources in metres, and at most this share of the room's largest side, which has at most so many.
-SIZE, SIZE_SHARE, MOST_CELLS = 0.5, 0.1, 32
-# Voxels along each side of the cubes of which a side is unseen if no pixel sees it.
-UNSEEN = 4
 # Sources on which fewer of all rays land are left as they are, and at most so many are solved for.
 LEAST_SHARE, MOST_SOURCES = 2e-5, 200
 # Points of one surface whose colors differ by less, in logarithms of ratios, have one albedo.
 COLOR_STEP = 0.25
 LEAST_POINTS, LEAST_WEIGHT = 200, 0.5  # pixels that are compared, and the weight of each
+# Relative error of the inferred part of the light beside its covariance: root mean square of five rooms.
+MODEL_ERROR = 0.3
 GAIN = 3.0  # least logarithm of the likelihood of points held back
 # Rays from a triangle to unseen places that are closer than a source is wide, and triangles that send them;
 # others are like the nearest of these, and opposite normals count as twice so many metres.
 CLOSE_RAYS, MOST_TRIANGLES, NORMAL_WEIGHT = 64, 20_000, 0.5
 # A source is a lamp or a window if it is brighter than the room's median light by this factor.
 LAMP = 4.0
-BALL, MOST_OF_LAMP = 0.2, 16  # radius of the ball in its place, in widths of a source; sources of a lamp
-DARK_OUTSIDE = 0.01  # least expected radiance outside, in units of the capture's median
+# Sources of one side are one lamp if they are less than so many of their widths apart; others, half a whole.
+APART = 1.5
+LEAST_LAMP = 0.005  # share of the light that a lamp casts
+# Least radius of a lamp in widths of a whole source, and most of these that an opening has to be a lamp.
+BALL, MOST_OF_LAMP = 0.2, 16
+FLAT = 0.7  # it is a disc if more than this share of its light leaves to one side
+CLEARANCE = 0.1  # of discs from the surface that shines, in widths of a source
 
 
 def with_unseen_light(
@@ -82,9 +86,9 @@ class Sources:
         expected, light: what was expected of the sources, and what was found.
         gain: see :func:`.sources.held_back_gain`.
         entries: (E,) int64 cache entries of unseen surfaces, of_entry: (E,) their source.
-        patch: (M * 6,) int64 as of :func:`unseen_patches`.
-        hull: around the mesh, of_cell: (C,) source of each of its cells, -1 without.
+        cells: that the sources consist of. of_hull: (C,) source of those of the hull, -1 without.
         place, toward: (K, 3) mean place, metres, and mean unit direction of the rays that land there.
+        width: (K,) metres. side: (K,) to which each shines, as of cache entries.
     """
 
     points: Transport
@@ -96,17 +100,18 @@ class Sources:
     gain: float
     entries: np.ndarray
     of_entry: np.ndarray
-    patch: np.ndarray
-    hull: Hull
-    of_cell: np.ndarray
+    cells: Cells
+    of_hull: np.ndarray
     place: np.ndarray
     toward: np.ndarray
+    width: np.ndarray
+    side: np.ndarray
 
     def environment(self, before: Environment | None, width: int) -> Environment:
         """What was observed outside, with the light of the sources; `width`: of a new map in pixels."""
         radiance = self.light.radiance.astype(np.float32)
-        table = np.where((self.of_cell >= 0)[:, None], radiance[self.of_cell], -1.0).astype(np.float32)
-        hull = replace(self.hull, radiance=table)
+        table = np.where((self.of_hull >= 0)[:, None], radiance[self.of_hull], -1.0).astype(np.float32)
+        hull = replace(self.cells.hull, radiance=table)
         if before is None:
             shape = (width // 2, width)
             before = Environment(np.zeros((*shape, 3), np.float32), 0.0, np.zeros(shape, bool))
@@ -114,16 +119,18 @@ class Sources:
         ways = equirect_pixel_directions(width, height)
         middle = np.broadcast_to(0.5 * (hull.low + hull.high), ways.reshape(-1, 3).shape)
         # In a world, sources that are lamps of their own would shine twice, and from wrong places.
-        far = np.where(np.append(self.lamp >= 0, False)[self.of_cell, None], DARK_OUTSIDE, table)
+        far = np.where(np.append(self.lamp >= 0, False)[self.of_hull, None], DARK_OUTSIDE, table)
         near = far[hull.cells(middle, ways.reshape(-1, 3))].reshape(image.shape)
         inferred = ~before.seen & (near[..., 0] >= 0.0)
         image[inferred] = near[inferred]
         if inferred.any():  # from elsewhere, other directions lead there
             image = diffused(image, before.seen | inferred)
+        share = float(self.light.share(self.points).mean())
         return replace(
             before,
             image=image,
-            unseen_light=float(self.light.share(self.points).mean()),
+            unseen_light=share,
+            unseen_error=float(np.hypot(self.light.error(self.points).mean(), MODEL_ERROR * share)),
             hull=hull,
             entries=self.entries,
             radiance=radiance[self.of_entry],
@@ -136,20 +143,26 @@ class Sources:
         level = LAMP * float(np.median(self.points.seen))
         members = np.flatnonzero(self.light.radiance.mean(axis=1) > level)
         result = np.full(len(self.place), -1, np.int64)
-        if len(members):
-            pairs = cKDTree(self.place[members]).query_pairs(1.5 * self.size, output_type="ndarray")
-            lamp = graph_components(pairs, len(members))
-            own = np.bincount(lamp) <= MOST_OF_LAMP
-            result[members] = np.where(own, np.cumsum(own) - 1, -1)[lamp]
+        if not len(members):
+            return result
+        place, width, side = self.place[members], self.width[members], self.side[members]
+        one, other = cKDTree(place).query_pairs(APART * self.cells.size, output_type="ndarray").T
+        distance = np.linalg.norm(place[one] - place[other], axis=1)
+        near = distance < APART * np.maximum(width[one], width[other])
+        near &= (side[one] == side[other]) | (distance < 0.5 * self.cells.size)
+        lamp = graph_components(np.stack([one, other], axis=1)[near], len(members))
+        own = np.bincount(lamp, width**2) <= MOST_OF_LAMP * self.cells.size**2
+        own |= np.bincount(lamp, self.expected.outside[members]) == 0.0  # the world can't shine from a mesh
+        own &= np.bincount(lamp, self.light.shares(self.points)[members]) > LEAST_LAMP
+        result[members] = np.where(own, np.cumsum(own) - 1, -1)[lamp]
         return result
 
-    @property
-    def size(self) -> float:
-        """Width of a source, metres."""
-        return float((self.hull.high - self.hull.low).max() / self.hull.counts.max())
-
     def lamps(self) -> Iterator[dict[str, Any]]:
-        """Balls that cast the light of bright sources, as lamps that the mesh lacks."""
+        """Discs and balls that cast the light of bright sources, as lamps that the mesh lacks.
+
+        What shines to one side is a disc as wide as its sources are spread, others are balls.
+        """
+        least = BALL * self.cells.size
         for index in range(int(self.lamp.max(initial=-1)) + 1):
             own = np.flatnonzero(self.lamp == index)
             cast = self.points.unseen[:, own] @ self.light.radiance[own]
@@ -158,65 +171,80 @@ class Sources:
             place, way = (
                 np.average(array[own], axis=0, weights=weight) for array in (self.place, self.toward)
             )
-            radius = BALL * self.size
-            center = place - radius * way / max(float(np.linalg.norm(way)), 1e-9)
+            of_side = np.bincount(self.side[own], weight, SIDES)
+            facing, radius = None, least
+            if of_side.max() > FLAT * of_side.sum():
+                facing = np.eye(3)[of_side.argmax() // 2] * (1.0 - 2.0 * (of_side.argmax() % 2))
+                off = self.place[own] - place
+                off -= (off @ facing)[:, None] * facing
+                power = self.light.radiance[own].mean(axis=1) * self.width[own] ** 2
+                square = (off**2).sum(axis=1) + self.width[own] ** 2 / 6.0  # of a square around its middle
+                radius = max(float(np.sqrt(2.0 * np.average(square, weights=power))), least)
+                center = place + CLEARANCE * self.cells.size * facing
+            else:
+                center = place - radius * way / max(float(np.linalg.norm(way)), 1e-9)
             toward = center - self.position[lit]
             squared = np.maximum((toward**2).sum(axis=1), radius**2)
             cosine = np.maximum((toward * self.normal[lit]).sum(axis=1), 0.0) / np.sqrt(squared)
-            # Irradiance over pi by a ball of radiance 1, where its light and that of the sources are alike.
-            ball = radius**2 * cosine / squared
-            fitted = ball @ cast[lit] / max(float(ball @ ball), 1e-12)
+            # Irradiance over pi by a lamp of radiance 1, where its light and that of the sources are alike.
+            unit = radius**2 * cosine / squared
+            if facing is not None:
+                unit *= np.maximum(-toward @ facing, 0.0) * np.sqrt(squared) / (squared + radius**2)
+            fitted = unit @ cast[lit] / max(float(unit @ unit), 1e-12)
             yield {
                 "position": center.tolist(),
                 "radius": radius,
                 "radiance": fitted.tolist(),
                 "inferred": True,
+                "facing": None if facing is None else facing.tolist(),
             }
 
 
 def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: int) -> Sources | None:
     """The sources with their radiance; None where the photographs show all that lights the room."""
-    pixels, grid = observed.pixels, observed.grid
+    pixels = observed.pixels
     where, group = _comparable(pixels, label, np.random.default_rng([seed, 23]))
     if len(where) < LEAST_POINTS:
         return None
     lit = pixels.surface(room, where)
-    longest = float((room.bounds[1] - room.bounds[0]).max())
-    size = max(min(SIZE, SIZE_SHARE * longest), longest / MOST_CELLS)
-    hull, patch = Hull.around(room.bounds, size), unseen_patches(grid, seen_entries(observed), size)
-    patches = int(patch.max(initial=-1)) + 1
-    rays = _traced(observed, room, hull, lit, np.where(patch >= 0, patch + len(hull.radiance), -1), seed)
-    count = np.bincount(rays.source[rays.source >= 0], minlength=len(hull.radiance) + patches)
+    cells = Cells.of(observed, room)
+    rays = traced(observed, room, cells, lit, seed)
+    source = cells.sources(FINER)
+    count = np.bincount(source[rays.cell[rays.cell >= 0]], minlength=int(source.max(initial=-1)) + 1)
     chosen = np.argsort(-count, kind="stable")[:MOST_SOURCES]
-    chosen = np.sort(chosen[count[chosen] > LEAST_SHARE * rays.source.size])
+    chosen = np.sort(chosen[count[chosen] > LEAST_SHARE * rays.cell.size])
     if not len(chosen):
         return None
-    number = np.full(len(count) + 1, -1, np.int64)  # the last is that of no source
+    number = np.full(len(count), -1, np.int64)
     number[chosen] = np.arange(len(chosen))
-    outside = chosen < len(hull.radiance)
-    seen, unseen, mean, way = _transport(rays, observed, number, len(chosen))
-    mean = np.where(outside[:, None], np.maximum(mean, np.log(DARK_OUTSIDE)), mean)
-    points = Transport(np.log(np.asarray(pixels.own[where], np.float64)), group, seen, unseen)
-    expected = Expectation(mean, outside)
+    landed = Landed.of(rays, observed, cells, number[source])
+    logs = np.log(np.asarray(pixels.own[where], np.float64))
+    points, expected = landed.transport(logs, group), landed.expectation()
     gain = held_back_gain(points, expected, np.random.default_rng([seed, 24]))
-    way[0][outside] = hull.centers(chosen[outside])
-    of_entry = number[np.where(patch >= 0, patch + len(hull.radiance), -1)]
+    light, width = solve_sources(points, expected), np.full(len(chosen), FINER)
+    while gain >= GAIN and (finer := landed.divided(cells, points, expected, light, width)) is not None:
+        landed, expected, width = finer
+        points = landed.transport(logs, group)
+        light = solve_sources(points, expected)
+    of_entry = np.append(landed.source, -1)[cells.of_entry]
     entries = np.flatnonzero(of_entry >= 0)
+    means = landed.means()
     return Sources(
         points=points,
         where=where,
         position=lit[0],
         normal=lit[1],
         expected=expected,
-        light=solve_sources(points, expected),
+        light=light,
         gain=gain,
         entries=entries,
         of_entry=of_entry[entries],
-        patch=patch,
-        hull=hull,
-        of_cell=number[: len(hull.radiance)],
-        place=way[0],
-        toward=way[1],
+        cells=cells,
+        of_hull=landed.source[: len(cells.hull.radiance)],
+        place=means[:, 3:6],
+        toward=means[:, 6:] / np.maximum(np.linalg.norm(means[:, 6:], axis=1, keepdims=True), 1e-9),
+        width=width * cells.size / FINER,
+        side=landed.sides(cells),
     )
 
 
@@ -235,109 +263,14 @@ def close_share(observed: Observations, room: Room, found: Sources, seed: int) -
     normals = room.normals[seen] * np.sign(side[seen])[:, None]
     chosen = np.sort(rng.permutation(len(seen))[:MOST_TRIANGLES])
     lit = centers[chosen], normals[chosen]
-    patch = found.patch
-    of_entry = np.where(patch >= 0, patch + len(found.hull.radiance), -1)
-    rays = _traced(observed, room, found.hull, lit, of_entry, seed, CLOSE_RAYS)
+    rays = traced(observed, room, found.cells, lit, seed, CLOSE_RAYS)
     inside = (rays.entry >= 0)[..., None]
-    cell = np.where(rays.entry < 0, np.maximum(rays.source, 0), 0)
-    place = np.where(inside, _middles(observed.grid, rays.entry), found.hull.centers(cell))
-    close = (rays.source >= 0) & (np.linalg.norm(place - lit[0][:, None], axis=2) < found.size)
+    cell = np.where(rays.entry < 0, np.maximum(rays.cell, 0), 0)
+    place = np.where(inside, middles(observed.grid, rays.entry), found.cells.hull.centers(cell))
+    close = (rays.cell >= 0) & (np.linalg.norm(place - lit[0][:, None], axis=2) < found.cells.size)
     columns = [np.concatenate([a, NORMAL_WEIGHT * b], axis=1) for a, b in (lit, (centers, normals))]
     result[seen] = close.mean(axis=1)[cKDTree(columns[0]).query(columns[1])[1]]
     return result
-
-
-def _middles(grid: VoxelGrid, entry: np.ndarray) -> np.ndarray:
-    """(..., 3) middles of the voxels of cache entries, metres; of the first one for negative entries."""
-    corner = np.stack(np.unravel_index(grid.voxels, (grid.resolution,) * 3), axis=1)
-    return np.asarray(((corner + 0.5) * grid.size + grid.low)[np.maximum(entry, 0) // SIDES])
-
-
-@dataclass(frozen=True, eq=False)
-class _Rays:
-    """Where R rays from each of N points land.
-
-    Attributes:
-        entry: (N, R) int32 cache entry, negative outside.
-        source: (N, R) int32 cell of the hull or, after these, patch of unseen surfaces; -1 for others.
-        direction: (N, R, 3) float32.
-    """
-
-    entry: np.ndarray
-    source: np.ndarray
-    direction: np.ndarray
-
-
-def _traced(
-    observed: Observations,
-    room: Room,
-    hull: Hull,
-    lit: tuple[np.ndarray, np.ndarray],
-    of_entry: np.ndarray,
-    seed: int,
-    count: int = RAYS,
-) -> _Rays:
-    """Rays from points.
-
-    Args:
-        lit: (N, 3) positions, metres, and (N, 3) normals.
-        of_entry: (M * 6,) source of each cache entry, -1 where photographs show it.
-    """
-    nothing, environment, found = np.full(len(room.triangles), -1, np.int32), observed.environment, []
-    for number, first in enumerate(range(0, len(lit[0]), CHUNK)):
-        position, normal = (array[first : first + CHUNK] for array in lit)
-        stream = seed * 1009 + number
-        entry, direction = hemisphere_rays(room, observed.grid, position, normal, nothing, stream, count)
-        source, outside = of_entry[np.maximum(entry, 0)], entry == OUTSIDE
-        start = np.broadcast_to(position[:, None], direction.shape)
-        source[outside] = hull.cells(start[outside], direction[outside])
-        if environment is not None:
-            pixel = map_cells(direction, environment.seen.shape[1])
-            source[outside & environment.seen.reshape(-1)[pixel]] = -1
-        found.append((entry, source.astype(np.int32), direction.astype(np.float32)))
-    return _Rays(*(np.concatenate(column) for column in zip(*found, strict=True)))
-
-
-def _transport(
-    rays: _Rays, observed: Observations, number: np.ndarray, sources: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """The light of points by what photographs show and by sources, and what is known of the sources.
-
-    Args:
-        number: of each source of the rays, from 0, -1 for those that are left as they are; the last is -1.
-
-    Returns:
-        (N, 3) and (N, K) as in :class:`.sources.Transport`; (K, 3) mean logarithm of the radiance that cache
-        and environment have for the sources; (K, 3) where rays land on them, metres, and (K, 3) unit mean
-        directions of these.
-    """
-    cache, environment, grid = observed.cache(), observed.environment, observed.grid
-    seen, unseen, sums, count = [], [], np.zeros((9, sources)), np.zeros(sources)
-    for first in range(0, len(rays.entry), CHUNK):
-        entry, source, way = (
-            array[first : first + CHUNK] for array in (rays.entry, rays.source, rays.direction)
-        )
-        light = np.where((entry >= 0)[..., None], cache[np.maximum(entry, 0)], 0.0)
-        if environment is not None:
-            pixel = map_cells(way, environment.seen.shape[1])
-            light = np.where((entry >= 0)[..., None], light, environment.image.reshape(-1, 3)[pixel])
-        of_ray = number[source]
-        inside = of_ray >= 0
-        seen.append(np.where(inside[..., None], 0.0, light).mean(axis=1))
-        row = np.arange(len(entry))[:, None] * (sources + 1) + 1 + of_ray
-        counts = np.bincount(row.ravel(), minlength=len(entry) * (sources + 1)).reshape(len(entry), -1)
-        unseen.append(counts[:, 1:] / entry.shape[1])
-        count += counts[:, 1:].sum(axis=0)
-        values = [
-            np.log(np.maximum(light[inside], DARKEST)),
-            _middles(grid, entry[inside]),
-            way[inside],
-        ]
-        columns = np.concatenate(values, axis=1).T
-        sums += [np.bincount(of_ray[inside], column, sources) for column in columns]
-    mean = (sums / np.maximum(count, 1.0)).T
-    toward = mean[:, 6:] / np.maximum(np.linalg.norm(mean[:, 6:], axis=1, keepdims=True), 1e-9)
-    return np.concatenate(seen), np.concatenate(unseen), mean[:, :3], (mean[:, 3:6], toward)
 
 
 def _comparable(
@@ -357,28 +290,3 @@ def _comparable(
     group = numbered([label[np.asarray(pixels.triangle[where])], *ratio.T])
     enough = np.bincount(group, minlength=1)[group] >= LEAST_GROUP
     return where[enough], np.unique(group[enough], return_inverse=True)[1].reshape(-1)
-
-
-def seen_entries(observed: Observations) -> np.ndarray:
-    """(M * 6,) bool, cache entries that pixels see."""
-    seen = np.zeros(len(observed.grid.voxels) * SIDES, bool)
-    for rows in observed.hits():
-        seen[observed.entry[rows]] = True
-    return seen
-
-
-def unseen_patches(grid: VoxelGrid, seen: np.ndarray, size: float) -> np.ndarray:
-    """(M * 6,) int64 source of each cache entry: a side in a cube of unseen ones; -1 where it is seen.
-
-    Args:
-        seen: (M * 6,) bool. size: of the cubes, metres.
-    """
-    corner = np.stack(np.unravel_index(grid.voxels, (grid.resolution,) * 3), axis=1)
-    side = np.tile(np.arange(SIDES), len(corner))
-    around = numbered([*np.repeat(corner // UNSEEN, SIDES, axis=0).T, side])
-    unseen = np.flatnonzero(np.bincount(around, seen)[around] == 0.0)
-    cube = np.floor(corner * grid.size / size).astype(np.int64)
-    result = np.full(len(seen), -1, np.int64)
-    if len(unseen):
-        result[unseen] = numbered([*cube[unseen // SIDES].T, unseen % SIDES])
-    return result

@@ -4,9 +4,13 @@
 
 from __future__ import annotations
 
-from ..checks.quality import Quality
+from typing import TYPE_CHECKING
+
 from ..run.runfolder import RunFolder, write_json
 from .pictures import write_png
+
+if TYPE_CHECKING:  # the report shows the files without the renderer and torch, which take seconds to load
+    from ..checks.quality import Quality
 
 KINDS = ("photograph", "render", "projection")
 

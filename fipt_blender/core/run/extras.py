@@ -6,33 +6,41 @@ from __future__ import annotations
 
 import importlib
 import sys
+from pathlib import Path
 from types import ModuleType
 
 from .errors import FiptError
 
-# Module: (extra, pin). pyproject.toml has the same pins.
+# Extra of pyproject.toml: the module that is imported, and the package.
 EXTRAS = {
-    "pillow_heif": ("heif", "pillow-heif==1.8.1"),
-    "cv2": ("markers", "opencv-python-headless==4.11.0.86"),
+    "heif": ("pillow_heif", "pillow-heif"),
+    "markers": ("cv2", "opencv-python-headless"),
+    "cluster": ("distributed", "distributed"),
 }
 
 
-def optional(module: str, purpose: str) -> ModuleType:
+def install_list(extra: str) -> Path:
+    """The packages of an extra with their versions and hashes, for pip; `dev.py lock` writes it."""
+    return Path(__file__).with_name(f"extra_{extra}.txt")
+
+
+def optional(extra: str, purpose: str) -> ModuleType:
     """Import an optional package.
 
     Args:
-        module: a key of `EXTRAS`.
+        extra: a key of `EXTRAS`.
         purpose: what needs it, as the subject of a sentence, e.g. "A photograph in HEIC".
 
     Raises:
         FiptError: ``package-optional``, with the command that installs it.
     """
-    extra, pin = EXTRAS[module]
+    module, package = EXTRAS[extra]
     try:
         return importlib.import_module(module)
     except ImportError:
+        command = f'"{sys.executable}" -m pip install --require-hashes --no-deps -r "{install_list(extra)}"'
         raise FiptError(
             "package-optional",
-            f"{purpose} needs the package {pin.partition('==')[0]} (extra '{extra}'), which is missing.",
-            f'Install it into the engine\'s Python: "{sys.executable}" -m pip install "{pin}"',
+            f"{purpose} needs the package {package} (extra '{extra}'), which is missing.",
+            f"Install it into the engine's Python: {command}",
         ) from None

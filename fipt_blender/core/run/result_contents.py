@@ -49,12 +49,14 @@ class EmitterEnvironment:
 
 @dataclass(frozen=True)
 class MissingLamp:
-    """A lamp that the mesh lacks: a ball in world metres; inferred: no photograph shows it."""
+    """A lamp that the mesh lacks, in world metres: a ball, or a disc facing the side to which it shines (unit
+    vector); inferred: no photograph shows it."""
 
     position: Vector
     radius: NotNegative
     radiance: Vector
     inferred: bool = False
+    facing: Vector | None = None
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ from . import (
     realityscan,
     record3d,
     rgbd,
+    scanner_app,
     scannetpp,
     transforms,
 )
@@ -60,6 +61,7 @@ FORMATS: dict[str, ModuleType] = {
         nvm,
         polycam,
         record3d,
+        scanner_app,
         rgbd,
     )
 }
