@@ -206,7 +206,7 @@ def test_the_name_of_a_folder_stops_no_step(tmp_path, name, monkeypatch):
     photo = photograph(run, 4)
     scene = bpy.context.scene
     export_room([bpy.data.objects["Floor"], bpy.data.objects["Wall"]], run)
-    RoomSteps(MainJobOptions(capture=folder, output=run.root, render_spp=4), run).rerender()
+    list(RoomSteps(MainJobOptions(capture=folder, output=run.root, render_spp=4), run).rerender())
     (entry,) = read_document(run.renders_json, dict)["renders"]
     render = image_files.read_pixels(run.resolve(entry["image"]))
     assert render.mean() == pytest.approx(photo.mean(), rel=0.2)

@@ -263,3 +263,22 @@ def test_a_damaged_record_of_steps_is_discarded_with_a_warning(tmp_path, content
     assert job.run(messages.append)
     assert [message.get("code") for message in messages if message["type"] == "warning"] == ["steps-damaged"]
     assert StepRecord(path).problem == "" and StepRecord(path).finished(step, chain_keys([step])[0])
+
+
+def test_what_steps_find_changes_the_time_that_later_ones_are_expected_to_take(tmp_path):
+    found: list[float] = []
+
+    def find():
+        found.append(970.0)
+
+    steps = [
+        Step("a", "A", 10.0, function=find),
+        Step("b", "B", 1.0, function=lambda: None, expected=lambda: found[0] if found else None),
+        Step("c", "C", 20.0, function=lambda: None),
+    ]
+    job = Job(steps, StepRecord(tmp_path / "steps.json"), lambda _: None, tmp_path / "log", lambda: ([], {}))
+    told = []
+    job.run(lambda message: told.append(message) if message["type"] == "progress" else None)
+    assert told[0]["remaining_seconds"] == pytest.approx(31.0, abs=1.0)
+    begins = [message for message in told if message["stage_fraction"] == 0.0]
+    assert begins[1]["remaining_seconds"] == pytest.approx(990.0, abs=1.0)

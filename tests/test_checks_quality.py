@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter, shift
+from scipy.ndimage import affine_transform, gaussian_filter, shift
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
@@ -107,10 +107,15 @@ def picture() -> np.ndarray:
 
 
 def first_cause(
-    photograph: np.ndarray, render: np.ndarray, plain: np.ndarray, off: np.ndarray | None = None
+    photograph: np.ndarray,
+    render: np.ndarray,
+    plain: np.ndarray,
+    off: np.ndarray | None = None,
+    missed: np.ndarray | None = None,
 ) -> str:
     spread = np.zeros(SIZE, np.float32) if off is None else off.astype(np.float32)
-    projection = Projection(plain, np.full(SIZE, 4, np.int16), spread)
+    missed = np.zeros(SIZE, bool) if missed is None else missed
+    projection = Projection(plain, np.full(SIZE, 4, np.int16), spread, missed)
     view = View("0", "held_back", Path(), SIZE[1], SIZE[0], 70.0, 70.0, 40.0, 30.0, np.eye(4))
     judged = JudgedView("0", np.array([photograph, render, plain], np.float32), np.zeros((2, 3)))
     found = shares(judged, projection, np.ones(SIZE, bool), view, 0.8 if off is None else 0.0, 0.0)
@@ -127,10 +132,13 @@ def test_the_cause_that_was_built_in_is_named_first() -> None:
     assert first_cause(true, true + 0.1 * rng.normal(size=true.shape), true + noise) == "materials"
     moved = shift(true, (0.0, 2.5, 0.0), mode="nearest")
     assert first_cause(true, moved, moved) == "poses"
+    wider = affine_transform(true, np.diag([0.95, 0.95, 1.0]), [1.5, 2.0, 0.0], order=1)
+    assert first_cause(true, wider, wider) == "poses"
     block = np.zeros(SIZE, bool)
     block[20:40, 20:50] = True
     torn = np.where(block[..., None], true[::-1], true)
     assert first_cause(true, torn, torn + noise, block) == "surfaces"
+    assert first_cause(true, torn, torn + noise, missed=block) == "surfaces"
     blurred = gaussian_filter(true, (1.5, 1.5, 0.0))
     assert first_cause(blurred, true, true) == "photographs"
     assert first_cause(true, true * [1.0, 0.8, 0.7], true * [1.0, 0.8, 0.7]) == "photographs"

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -149,3 +150,14 @@ def test_stages_that_take_no_time_have_no_rate(
     listed = read_document(run.statistics_json, dict)["stages"]
     assert [stage["seconds"] for stage in listed] == [0.0] * 7
     assert listed[4]["rays"] > 0 and "mrays_per_second" not in listed[4]
+
+
+def test_a_changed_photograph_that_was_held_back_is_judged_again(fresh, tmp_path: Path) -> None:
+    run = RunFolder(shutil.copytree(fresh(rounds=0).root, tmp_path / "run"))
+    data = json.loads(run.capture_json.read_text())
+    data["views"][1]["split"] = "held_back"
+    run.capture_json.write_text(json.dumps(data))
+    assert work(run)[-1] == "quality" and work(run) == []
+    image = run.resolve(data["views"][1]["image"])
+    os.utime(image, (0, 0))
+    assert work(run) == ["quality"]

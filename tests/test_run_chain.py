@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.run import chain as chain_module
-from fipt_blender.core.run import finished_views
+from fipt_blender.core.run import finished_views, messages
 from fipt_blender.core.run.chain import Chain, Given, Stage, Tools, Watch
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
@@ -302,3 +303,23 @@ def test_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(FiptError) as caught:
         work(tmp_path, stages=[Stage("table", plain, "Making"), *STAGES[1:]])
     assert caught.value.code == "disk-full"
+
+
+def test_a_plan_is_continued_by_the_next_one_and_skipped_stages_tell_nothing_of_the_pace(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stream, clock = io.StringIO(), iter(range(1000))
+    monkeypatch.setattr(messages.time, "monotonic", lambda: 10.0 * next(clock))
+    reporter = Reporter(stream)
+    reporter.plan([1.0, 9.0])
+    reporter.stage("first", "First")
+    reporter.progress(1.0)
+    reporter.plan([1.0, 1.0, 1.0])
+    reporter.skip()
+    reporter.stage("second", "Second")
+    reporter.progress(1.0)
+    told = [json.loads(line) for line in stream.getvalue().splitlines()]
+    shares = [each["fraction"] for each in told if each["type"] == "progress"]
+    assert shares == [0.0, 0.1, 0.4, 0.7]
+    # The clock has told 40 seconds since the first plan, in which 0.4 were done and not skipped.
+    assert told[-1]["remaining_seconds"] == pytest.approx(30.0)
