@@ -197,9 +197,7 @@ def write_solve(folder: Path, from_solve: np.ndarray, points: np.ndarray) -> lis
         level = np.array([[np.cos(angle), np.sin(angle), 0], [0, 0, -1], [-np.sin(angle), np.cos(angle), 0]])
         shots.append(replace(shot, width=24, height=16, rotation=level, centre=np.array([2.5, 2.4, 1.5])))
         turned = level @ (from_solve[:3, :3] / scale).T
-        solved.append(
-            replace(shots[-1], rotation=turned, centre=transform_points(from_solve, shots[-1].centre))
-        )
+        solved.append(replace(shots[-1], rotation=turned, centre=transform_points(from_solve, shots[-1].centre)))
     rig_writers.write_opensfm(folder, [solved], "perspective", transform_points(from_solve, points))
     for shot in shots:
         pixels = 2.0 + np.random.default_rng(0).random((16, 24, 3), np.float32)
@@ -250,9 +248,7 @@ def test_points_of_each_format(tmp_path: Path) -> None:
     metashape_writers.write_realityscan_colmap(tmp_path / "colmap", shots)
     rig_writers.write_openmvg(tmp_path / "openmvg", shots, "pinhole", "")
     rig_writers.write_meshroom(tmp_path / "meshroom", shots, (1, 2, 8))
-    edit_json(
-        tmp_path / "openmvg" / "sfm_data.json", "structure", [{"key": 0, "value": {"X": [0.1, 0.2, 0.3]}}]
-    )
+    edit_json(tmp_path / "openmvg" / "sfm_data.json", "structure", [{"key": 0, "value": {"X": [0.1, 0.2, 0.3]}}])
     edit_json(tmp_path / "meshroom" / "cameras.sfm", "structure", [{"X": ["0.1", "-0.2", "-0.3"]}])
     for name in ("bundler", "nvm", "colmap", "openmvg", "meshroom"):
         np.testing.assert_allclose(read_points(tmp_path / name, name), [[0.1, 0.2, 0.3]])

@@ -183,9 +183,7 @@ def box(count=50):
 
 def cylinder(rows=120, columns=180, radius=0.5, height=2.0):
     """The side of an upright cylinder."""
-    z, angle = np.meshgrid(
-        np.linspace(0.0, height, rows), np.arange(columns) * (2.0 * np.pi / columns), indexing="ij"
-    )
+    z, angle = np.meshgrid(np.linspace(0.0, height, rows), np.arange(columns) * (2.0 * np.pi / columns), indexing="ij")
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1).reshape(-1, 3)
     return points, grid(rows, columns, closed=True)
 

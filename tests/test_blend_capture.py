@@ -94,9 +94,7 @@ def test_the_mesh_follows_the_alignment_and_the_capture_s_axes(run, scene):
     bpy.context.view_layer.update()
     world = np.array([room.matrix_world @ vertex.co for vertex in room.data.vertices])
     source = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float64)
-    expected = conventions.transform_points(
-        np.array(ALIGNED) @ conventions.world_from_source("y", 2.0), source
-    )
+    expected = conventions.transform_points(np.array(ALIGNED) @ conventions.world_from_source("y", 2.0), source)
     assert np.abs(np.sort(world, axis=0) - np.sort(expected, axis=0)).max() < 1e-5
 
 

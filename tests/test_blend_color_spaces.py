@@ -90,9 +90,7 @@ def run(code: list[str], config: Path | None) -> subprocess.CompletedProcess[str
     environment["PYTHONPATH"] = os.pathsep.join([str(TESTS), str(TESTS.parent)])
     if config is not None:
         environment["OCIO"] = str(config)
-    return subprocess.run(
-        [sys.executable, *code], env=environment, capture_output=True, text=True, timeout=300
-    )
+    return subprocess.run([sys.executable, *code], env=environment, capture_output=True, text=True, timeout=300)
 
 
 def seen(folder: Path, config: Path | None = None, working_space: str = "") -> dict:

@@ -83,9 +83,7 @@ def test_a_part_of_one_value_has_constants_which_can_be_adjusted_and_exported(sc
         and max(node.inputs["Base Color"].default_value[:3]) > 0.0
     )
     assert principled.inputs["Roughness"].default_value == pytest.approx(0.9, abs=1e-4)
-    assert np.allclose(
-        principled.inputs["Base Color"].default_value[:3], ConstantFields.base_color, atol=1e-4
-    )
+    assert np.allclose(principled.inputs["Base Color"].default_value[:3], ConstantFields.base_color, atol=1e-4)
 
 
 @pytest.mark.parametrize("owner", ["object", "part"])
@@ -114,10 +112,4 @@ def test_each_owner_has_an_image_and_shows_its_place(scene, owner, tmp_path):
 
 
 def test_names_of_files_differ_on_every_system():
-    assert file_names(["Wall", "wall", "Wall/2", "Wall 2", "?"]) == [
-        "Wall",
-        "wall_2",
-        "Wall_2_2",
-        "Wall_2_3",
-        "Part",
-    ]
+    assert file_names(["Wall", "wall", "Wall/2", "Wall 2", "?"]) == ["Wall", "wall_2", "Wall_2_2", "Wall_2_3", "Part"]

@@ -103,9 +103,7 @@ def test_no_shape_fits_two_lamps_apart_or_nothing() -> None:
         ("BALL", [0.2, 0.2, 0.2], np.pi * 0.04),
     ],
 )
-def test_meshes_of_shapes_have_their_area_and_face_outwards(
-    kind: str, size: list[float], area: float
-) -> None:
+def test_meshes_of_shapes_have_their_area_and_face_outwards(kind: str, size: list[float], area: float) -> None:
     mesh = shape_mesh("lamp", LampShape(kind, np.array(size), np.eye(4)))
     loops, _ = triangle_loops(mesh, mirrored=False)
     corners = vertex_positions(mesh)[corner_vertices(mesh)[loops]].astype(float)

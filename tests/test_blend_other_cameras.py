@@ -33,9 +33,7 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> bpy.types.Scene:
     bpy.data.objects["selected"].select_set(True)
     bpy.data.objects["hidden"].hide_set(True)
     # Without a window neither do timers run, nor does anything look through a camera unasked.
-    monkeypatch.setattr(
-        other_cameras, "watch", lambda scene: other_cameras.hidden_for.setdefault(scene.name, "")
-    )
+    monkeypatch.setattr(other_cameras, "watch", lambda scene: other_cameras.hidden_for.setdefault(scene.name, ""))
     yield scene
     other_cameras.hidden_for.clear()
 

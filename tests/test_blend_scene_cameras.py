@@ -148,9 +148,7 @@ def test_a_camera_is_the_same_in_blender_and_in_the_engine(scene, tmp_path, size
         data.sensor_width, data.sensor_height = random.uniform(2.0, 40.0, 2)
         data.shift_x, data.shift_y = random.uniform(-shifts, shifts, 2)
         background.image, background.frame_method = images[name, shape], method
-        item.matrix_world = Matrix.LocRotScale(
-            random.uniform(-1, 1, 3), Euler(random.uniform(-3, 3, 3)), None
-        )
+        item.matrix_world = Matrix.LocRotScale(random.uniform(-1, 1, 3), Euler(random.uniform(-3, 3, 3)), None)
         items.append((item, PHOTOGRAPHS[name]))
     bpy.context.view_layer.update()
     first = written(scene, run)
@@ -159,9 +157,7 @@ def test_a_camera_is_the_same_in_blender_and_in_the_engine(scene, tmp_path, size
         points[item.name] = points_before(first[item.name])
         before[item.name] = scene_projection(scene, item, points[item.name])
         in_photograph = lies_in_photograph(scene, item, before[item.name], pixels)
-        assert np.abs(projections(first[item.name], points[item.name]) - in_photograph).max() < 0.01, (
-            item.name
-        )
+        assert np.abs(projections(first[item.name], points[item.name]) - in_photograph).max() < 0.01, item.name
     assert use_scene_cameras(scene, run) == first
     for item, pixels in items:
         # The artist's render resolution shows what it showed before ...
@@ -195,10 +191,7 @@ def test_a_lens_that_is_changed_later_is_the_engines_too(scene, tmp_path):
     cameras.use_view(scene, item)
     bpy.context.view_layer.update()
     points = points_before(views["train/a"])
-    assert (
-        np.abs(projections(views["train/a"], points) / (40, 30) - scene_projection(scene, item, points)).max()
-        < 1e-5
-    )
+    assert np.abs(projections(views["train/a"], points) / (40, 30) - scene_projection(scene, item, points)).max() < 1e-5
 
 
 def test_another_photograph_of_another_shape_is_seen_in_the_scenes_frame(scene, tmp_path):
@@ -213,9 +206,7 @@ def test_another_photograph_of_another_shape_is_seen_in_the_scenes_frame(scene, 
     second = use_scene_cameras(scene, run)["a"]
     points = points_before(second)
     places = scene_projection(scene, item, points)
-    assert (
-        np.abs(lies_in_photograph(scene, item, places, (30, 40)) - projections(second, points)).max() < 1e-3
-    )
+    assert np.abs(lies_in_photograph(scene, item, places, (30, 40)) - projections(second, points)).max() < 1e-3
     assert second["fy"] / 40 == pytest.approx(first["fy"] / 30)
 
 

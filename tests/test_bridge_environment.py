@@ -105,11 +105,7 @@ def device_works(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("lines", "wheels", "code"),
     [
-        (
-            ["ERROR: Could not install packages due to an OSError: [Errno 28] No space left"],
-            None,
-            "disk-full",
-        ),
+        (["ERROR: Could not install packages due to an OSError: [Errno 28] No space left"], None, "disk-full"),
         (
             [
                 "WARNING: Retrying after connection broken by 'NewConnectionError(...)'",

@@ -46,21 +46,9 @@ class Steps:
             Step("a", "A", 1.0, inputs={"x": inputs.get("a")}, command=[str(a)], outputs=[a]),
             Step("scene", "Scene", 1.0, function=self.note("scene"), repeat=True),
             Step(
-                "b",
-                "B",
-                1.0,
-                inputs={"x": inputs.get("b")},
-                command=[str(b)],
-                outputs=[b],
-                reset=self.note("reset b"),
+                "b", "B", 1.0, inputs={"x": inputs.get("b")}, command=[str(b)], outputs=[b], reset=self.note("reset b")
             ),
-            Step(
-                "save",
-                "Save",
-                1.0,
-                function=self.note("save"),
-                restore=self.note("restore") if own_file else None,
-            ),
+            Step("save", "Save", 1.0, function=self.note("save"), restore=self.note("restore") if own_file else None),
             Step("d", "D", 4.0, inputs={"x": inputs.get("d")}, command=[str(d)], outputs=[d]),
         ]
         record = StepRecord(self.folder / "steps.json")
@@ -176,10 +164,7 @@ def test_slices_that_fail_or_are_cancelled_are_closed(tmp_path):
         finally:
             closed.append(True)
 
-    for error, code in (
-        (FiptError("mesh-empty", "E.", "F."), "mesh-empty"),
-        (KeyError(), "blender-step-failed"),
-    ):
+    for error, code in ((FiptError("mesh-empty", "E.", "F."), "mesh-empty"), (KeyError(), "blender-step-failed")):
         job = slice_job(tmp_path, lambda error=error: function(error))
         assert not job.run(lambda message: None) and job.error["code"] == code
     job = slice_job(tmp_path, function)
@@ -233,9 +218,7 @@ def test_a_resumed_job_repeats_the_warnings_of_finished_steps(tmp_path):
         ]
         record = StepRecord(tmp_path / "steps.json")
         messages = []
-        Job(steps, record, lambda arguments: None, tmp_path / "log.txt", lambda: ([], {})).run(
-            messages.append
-        )
+        Job(steps, record, lambda arguments: None, tmp_path / "log.txt", lambda: ([], {})).run(messages.append)
         codes = [message["code"] for message in messages if message["type"] == "warning"]
         data = json.loads((tmp_path / "steps.json").read_text())["steps"]
         return codes, [warning["code"] for step in data.values() for warning in step["warnings"]]

@@ -61,9 +61,7 @@ def installed(tmp_path: Path) -> list[str]:
     return [part.replace(str(places.PACKAGE_FOLDER), str(package)) for part in command]
 
 
-def test_child_process_tells_in_messages_and_says_what_is_missing(
-    installed: list[str], tmp_path: Path
-) -> None:
+def test_child_process_tells_in_messages_and_says_what_is_missing(installed: list[str], tmp_path: Path) -> None:
     result = subprocess.run(installed, capture_output=True, text=True, cwd=tmp_path)
     messages = [parse_message(line) for line in result.stdout.splitlines()]
     assert None not in messages, "nothing but messages on stdout"
@@ -152,14 +150,7 @@ def test_folder_of_wheels_tells_its_pythons_and_the_command_names_every_pin(tmp_
 
 
 def test_versions_that_are_not_the_pinned_ones_are_named() -> None:
-    groups = {
-        "engine": [
-            "OpenEXR==3.5.3",
-            "numpy==1.26.4; python_version < '3.13'",
-            "numpy==2.5.5",
-            "torch==2.13.0",
-        ]
-    }
+    groups = {"engine": ["OpenEXR==3.5.3", "numpy==1.26.4; python_version < '3.13'", "numpy==2.5.5", "torch==2.13.0"]}
     good = {"openexr": "3.5.3", "numpy": "2.5.5", "torch": "2.13.0+cpu", "psutil": "1", "mitsuba": None}
     assert pins.other_versions(groups, good) == []
     named = pins.other_versions(groups, {**good, "torch": "2.1.0", "numpy": "1.0"})
@@ -183,12 +174,7 @@ def gpu(*capability: int) -> Gpu:
     ],
 )
 def test_torch_build_fits_driver_and_card(
-    device: str,
-    driver: int | None,
-    gpus: list[Gpu],
-    linux: str,
-    windows: str,
-    monkeypatch: pytest.MonkeyPatch,
+    device: str, driver: int | None, gpus: list[Gpu], linux: str, windows: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for platform, expected in (("linux", linux), ("win32", windows)):
         monkeypatch.setattr(sys, "platform", platform)

@@ -190,8 +190,7 @@ def test_a_job_attaches_and_notes_that_its_step_is_finished(run_folder, engine):
 @posix
 def test_a_request_to_cancel_never_waits(run_folder, monkeypatch):
     script = (
-        "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
-        "print('{}', flush=True); time.sleep(3600)"
+        "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('{}', flush=True); time.sleep(3600)"
     )
     log = run_folder.log
 

@@ -190,9 +190,7 @@ def test_a_later_depth_image_of_gigapixels(tmp_path: Path) -> None:
 
     header = struct.pack(">IIBBBBB", 50_000, 50_000, 16, 0, 0, 0, 0)
     path = tmp_path / "a.png"
-    path.write_bytes(
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
-    )
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", b"") + chunk(b"IEND", b""))
     view = DepthView(path, 12, 8, 9.0, 9.0, 6.0, 4.0, 0.001, np.eye(4))
     assert error_of(read_depth, view, 1.0).code == "depth-unreadable"
 

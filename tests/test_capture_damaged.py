@@ -104,9 +104,7 @@ def test_made_up_names_never_meet_given_ones() -> None:
     assert named("a", "A", "b") == ["a", "A~2", "b"]
 
 
-@pytest.mark.parametrize(
-    "name", ["a\0b", "\ud800", "x" * 300, "ä" * 300, "a\nb", "/".join("abcdefghijkl" * 30)]
-)
+@pytest.mark.parametrize("name", ["a\0b", "\ud800", "x" * 300, "ä" * 300, "a\nb", "/".join("abcdefghijkl" * 30)])
 def test_names_can_be_names_of_files(tmp_path: Path, name: str) -> None:
     path = tmp_path / f"{view_name(name + '.png')}.exr"
     path.parent.mkdir(parents=True, exist_ok=True)

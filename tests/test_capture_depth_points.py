@@ -46,18 +46,14 @@ def test_cameras_come_to_a_laser_mesh_by_their_depth(tmp_path: Path) -> None:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = INCHES * turn, (30.0, -100.0, 7.0)
     moved_mesh(tmp_path / "laser.obj", matrix)
-    options = CaptureOptions(
-        hold_back=0, mesh=tmp_path / "laser.obj", align_mesh=True, up_axis="z", scale=0.0254
-    )
+    options = CaptureOptions(hold_back=0, mesh=tmp_path / "laser.obj", align_mesh=True, up_axis="z", scale=0.0254)
     ingest(tmp_path / "room", RunFolder(tmp_path / "run"), options, Reporter(io.StringIO()))
     data = json.loads((tmp_path / "run" / "capture.json").read_text())
     assert data["mesh"] == str(tmp_path / "laser.obj")
     for view, pose in zip(data["views"], poses, strict=True):
         truth = 0.0254 * (matrix @ pose)[:3, 3]
         np.testing.assert_allclose(np.array(view["camera_to_world"])[:3, 3], truth, atol=5e-3)
-        np.testing.assert_allclose(
-            np.array(view["camera_to_world"])[:3, :3], turn @ pose[:3, :3], atol=np.radians(0.2)
-        )
+        np.testing.assert_allclose(np.array(view["camera_to_world"])[:3, :3], turn @ pose[:3, :3], atol=np.radians(0.2))
 
 
 def test_pixels_beside_edges_are_no_points(tmp_path: Path) -> None:
@@ -92,9 +88,7 @@ def test_points_that_many_photographs_show_are_the_sure_ones(tmp_path: Path) -> 
     for index in range(colmap.ENOUGH_POINTS + 20):
         sure = index < colmap.ENOUGH_POINTS
         elements = [pycolmap.TrackElement(image, index) for image in images[: None if sure else 2]]
-        model.add_point3D(
-            np.array([float(sure), 0.0, index]), pycolmap.Track(elements), np.zeros(3, np.uint8)
-        )
+        model.add_point3D(np.array([float(sure), 0.0, index]), pycolmap.Track(elements), np.zeros(3, np.uint8))
     written = tmp_path / "written"
     written.mkdir()
     model.write(str(written))

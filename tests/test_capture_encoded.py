@@ -14,14 +14,7 @@ import pytest
 from PIL import Image
 
 from fipt_blender.core.capture.encoded import srgb_encoded
-from fipt_blender.core.capture.images import (
-    file_exposure,
-    read_codes,
-    read_ids,
-    read_radiance,
-    read_size,
-    write_exr,
-)
+from fipt_blender.core.capture.images import file_exposure, read_codes, read_ids, read_radiance, read_size, write_exr
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View, load_capture
@@ -83,9 +76,7 @@ def test_captures_of_both_kinds(tmp_path):
         pixels = np.full((*read_radiance(old).shape[:2], 3), 100 + index, np.uint8)
         old.unlink()
         write_jpeg(old.with_suffix(".jpg"), pixels, exif(1.0 / 60.0))
-        data["frames"][index]["file_path"] = str(
-            old.with_suffix(".jpg").relative_to(tmp_path / "in").as_posix()
-        )
+        data["frames"][index]["file_path"] = str(old.with_suffix(".jpg").relative_to(tmp_path / "in").as_posix())
     path.write_text(json.dumps(data))
     run, stream = RunFolder(tmp_path / "run"), io.StringIO()
     ingest(tmp_path / "in", run, CaptureOptions(hold_back=0), Reporter(stream))

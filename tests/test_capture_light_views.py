@@ -20,13 +20,7 @@ from fipt_blender.core.capture.images import write_exr, write_ids
 from fipt_blender.core.capture.light_views import chosen_views, light_radiance, light_views
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.run import light_size as light_size_module
-from fipt_blender.core.run.light_size import (
-    LEAST_PIXELS,
-    SPARE_BYTES,
-    light_size,
-    light_views_count,
-    refuse_full_disk,
-)
+from fipt_blender.core.run.light_size import LEAST_PIXELS, SPARE_BYTES, light_size, light_views_count, refuse_full_disk
 from fipt_blender.core.run.runfolder import RunFolder
 from samples.refusals import error_of
 
@@ -129,9 +123,7 @@ def test_averaged_files_are_kept_until_their_source_or_size_changes(
     first = lights()
     assert (first[0].width, first[0].height) == (9, 6)
     assert first[1] is views[1]
-    assert first[0].radiance() == pytest.approx(
-        means(views[0].radiance(), first[0].width, first[0].height), rel=1e-6
-    )
+    assert first[0].radiance() == pytest.approx(means(views[0].radiance(), first[0].width, first[0].height), rel=1e-6)
     ids, masked, classes = first[0].part_ids(), first[0].masked(), first[0].semantic_ids()
     assert ids is not None and set(np.unique(ids)) == {1, 2}
     assert masked is not None and masked[0, 0] and masked.sum() == 1  # any share spoils the mean

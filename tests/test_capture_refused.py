@@ -221,13 +221,7 @@ def test_paths_inside_stay_usable(capture: Path) -> None:
     assert read_rig(capture, "auto", CaptureOptions()).views[0].image == capture / "000_0001.exr"
 
 
-NETWORK = (
-    "//server/share/a.exr",
-    "\\\\server\\share\\a.exr",
-    "\\\\.\\COM1",
-    "\\\\?\\C:\\a.exr",
-    "/\\server/a.exr",
-)
+NETWORK = ("//server/share/a.exr", "\\\\server\\share\\a.exr", "\\\\.\\COM1", "\\\\?\\C:\\a.exr", "/\\server/a.exr")
 
 
 @pytest.mark.parametrize("path", NETWORK)

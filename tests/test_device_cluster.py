@@ -73,9 +73,7 @@ def capture() -> SmallCapture:
 
 
 def views(capture: SmallCapture) -> list[View]:
-    return [
-        View(str(i), "train", Path("none.exr"), **vars(pinhole(pose))) for i, pose in enumerate(capture.poses)
-    ]
+    return [View(str(i), "train", Path("none.exr"), **vars(pinhole(pose))) for i, pose in enumerate(capture.poses)]
 
 
 class Watch(Reporter):
@@ -148,12 +146,7 @@ def test_a_cluster_finds_the_same_bits_though_a_worker_is_killed(
     [("PRODUCT_VERSION", "99.0", "99.0"), ("method_digest", lambda: "another source", "another source")],
 )
 def test_a_worker_of_another_version_or_method_is_named(
-    three: LocalCluster,
-    capture: SmallCapture,
-    monkeypatch: pytest.MonkeyPatch,
-    name: str,
-    value: object,
-    text: str,
+    three: LocalCluster, capture: SmallCapture, monkeypatch: pytest.MonkeyPatch, name: str, value: object, text: str
 ) -> None:
     monkeypatch.setattr(cluster, name, value)
     caught = work_error(three, capture, views(capture))
@@ -204,9 +197,7 @@ def test_a_scheduler_that_dies(empty: LocalCluster, capture: SmallCapture, monke
     assert caught.code == "cluster-lost" and "resume" in caught.remedy
 
 
-@pytest.mark.parametrize(
-    "address", ["tcp://127.0.0.1:9", "nonsense://x", "tcp://no.such.host.invalid:8786", ""]
-)
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x", "tcp://no.such.host.invalid:8786", ""])
 def test_an_address_where_nothing_answers(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
     made = []  # the __del__ of a client that never connected may block any thread forever

@@ -80,9 +80,7 @@ def test_named_library_and_own_folder_lead(tmp_path: Path, monkeypatch: pytest.M
 
 
 @linux
-def test_aborting_library_is_survived_and_the_next_one_taken(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_aborting_library_is_survived_and_the_next_one_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bad = make_library(tmp_path / "lib", "libLLVM.so.20.1")
     good = make_library(tmp_path / "lib", "libLLVM.so.19.1")
     abort = 'case "$DRJIT_LIBLLVM_PATH" in *20.1) kill -ABRT $$;; esac'

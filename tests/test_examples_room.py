@@ -70,9 +70,7 @@ def test_shipped_capture_is_whole(files):
     assert (capture.material[first:end] == bulb_id).all() and 0.004 < bulb["area"] < 0.02
     seeing = 0
     for k in range(40):
-        seeing += (
-            files.read_exr(SHIPPED / "train" / "IndexMA" / f"{k:03d}_0001.exr")[..., 0] == bulb_id
-        ).any()
+        seeing += (files.read_exr(SHIPPED / "train" / "IndexMA" / f"{k:03d}_0001.exr")[..., 0] == bulb_id).any()
     assert seeing >= 6
     without = [part for part in np.unique(capture.part) if not capture.uv[capture.part == part].any()]
     assert 5 <= len(without) < len(np.unique(capture.part)) - 5
@@ -80,7 +78,5 @@ def test_shipped_capture_is_whole(files):
         np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-9)
         assert np.linalg.det(pose[:3, :3]) > 0
     assert check_ids(files, SHIPPED, "val") > 1000
-    means = [
-        files.read_exr(path).astype(float).mean() for path in sorted((SHIPPED / "train" / "Image").glob("*"))
-    ]
+    means = [files.read_exr(path).astype(float).mean() for path in sorted((SHIPPED / "train" / "Image").glob("*"))]
     assert 0.2 < np.mean(means) < 3.0 and min(means) > 0.03

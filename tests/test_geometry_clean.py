@@ -78,9 +78,7 @@ def errors(clean: CleanMesh, triangles: np.ndarray, true: np.ndarray) -> np.ndar
 
 def test_walls_become_planes_and_right_angles_stay() -> None:
     # Floor and wall meet in the x axis.
-    exact = joined(
-        [grid(40, [0.8, 0, 0], [0, 0.8, 0], [0, 0, 0]), grid(40, [0, 0, 0.8], [0.8, 0, 0], [0, 0, 0])]
-    )
+    exact = joined([grid(40, [0.8, 0, 0], [0, 0.8, 0], [0, 0, 0]), grid(40, [0, 0, 0.8], [0.8, 0, 0], [0, 0, 0])])
     true, _ = face_vectors(*exact)
     mesh = noisy(exact)
     before, _ = face_vectors(*mesh)
@@ -140,9 +138,7 @@ def test_steps_higher_than_the_noise_stay() -> None:
 def test_modelled_meshes_are_no_scans() -> None:
     room = make_room(BOX)
     assert clean_mesh(room.vertices, room.triangles) is None
-    box = joined(
-        [grid(40, *edges) for edges in (([2, 0, 0], [0, 2, 0], [0, 0, 0]), ([0, 0, 2], [2, 0, 0], [0, 0, 0]))]
-    )
+    box = joined([grid(40, *edges) for edges in (([2, 0, 0], [0, 2, 0], [0, 0, 0]), ([0, 0, 2], [2, 0, 0], [0, 0, 0]))])
     assert clean_mesh(box[0].astype(np.float32), box[1]) is None
     flat = joined([grid(40, [2.0, 0, 0], [0, 2.0, 0], [0, 0, 0]), sphere(0.3)])
     assert clean_mesh(flat[0].astype(np.float32), flat[1]) is None

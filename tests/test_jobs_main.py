@@ -126,26 +126,17 @@ def panel_is_ready(options: MainJobOptions, blend: Path) -> None:
     try:
         bpy.ops.wm.open_mainfile(filepath=str(blend))
         state = bpy.context.scene.fipt
-        assert (
-            Path(state.run_folder) == options.output and Path(state.capture.imported_path) == options.capture
-        )
+        assert Path(state.run_folder) == options.output and Path(state.capture.imported_path) == options.capture
         assert [(view.name, view.split) for view in state.capture.views] == [
             (view["name"], view["split"])
             for view in read_document(RunFolder(options.output).capture_json, dict)["views"]
         ]
-        assert (
-            state.capture.train_count == 3 and state.capture.up_axis == "z" and state.capture.hold_back == 4
-        )
+        assert state.capture.train_count == 3 and state.capture.up_axis == "z" and state.capture.hold_back == 4
         assert [light.name for light in state.lights.lights] == ["Crate panel"]
         assert state.materials.object_count == 2 and state.materials.texture_size == "512"
         assert state.estimate.preset == "draft" and state.estimate.changes == ""
         assert not bpy.context.scene.camera.data.show_background_images, "the photograph hides no results"
-        spaces = [
-            area.spaces.active
-            for screen in bpy.data.screens
-            for area in screen.areas
-            if area.type == "VIEW_3D"
-        ]
+        spaces = [area.spaces.active for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"]
         assert spaces and {space.region_3d.view_perspective for space in spaces} == {"CAMERA"}
         assert bpy.ops.fipt.revert() == {"FINISHED"} and bpy.ops.fipt.look_through(step=1) == {"FINISHED"}
     finally:

@@ -46,9 +46,7 @@ def known_of(**group: tuple[float, float]) -> KnownMaterials:
 
 
 def test_without_hints_the_mixture_stays_as_it_is() -> None:
-    for one, other in zip(
-        vars(infer(None)).values(), vars(infer(KnownMaterials.none(3))).values(), strict=True
-    ):
+    for one, other in zip(vars(infer(None)).values(), vars(infer(KnownMaterials.none(3))).values(), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6)
 
 
@@ -136,16 +134,10 @@ def test_the_same_material_as_a_part_without_a_hint() -> None:
     [
         ([Hint((FLOOR,), "A"), Hint((FLOOR,), "B")], "'A' is on the same part as 'B'"),
         (
-            [
-                Hint((FLOOR,), "A", material="metal", same_as=CEILING),
-                Hint((CEILING,), "B", material="dielectric"),
-            ],
+            [Hint((FLOOR,), "A", material="metal", same_as=CEILING), Hint((CEILING,), "B", material="dielectric")],
             "no common material",
         ),
-        (
-            [Hint(((0.6, -0.6, 0.0),), "A", area=True), Hint(((0.6, -0.6, 0.0),), "B")],
-            "'B' lies in the area 'A'",
-        ),
+        ([Hint(((0.6, -0.6, 0.0),), "A", area=True), Hint(((0.6, -0.6, 0.0),), "B")], "'B' lies in the area 'A'"),
     ],
 )
 def test_hints_that_contradict_each_other_are_named(hints: list[Hint], problem: str) -> None:

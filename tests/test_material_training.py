@@ -71,13 +71,9 @@ def make_surfaces() -> Surfaces:
     return Surfaces(Box(np.full(3, -2.0), 4.0), np.array([0, 1, -1]), emitting)
 
 
-def do_train(
-    networks: Networks, steps: int, resume: Resume | None = None, progress=lambda _: None, **changes
-) -> None:
+def do_train(networks: Networks, steps: int, resume: Resume | None = None, progress=lambda _: None, **changes) -> None:
     data = make_data()
-    train(
-        networks, data, make_surfaces(), replace(SETTINGS, training_steps=steps, **changes), resume, progress
-    )
+    train(networks, data, make_surfaces(), replace(SETTINGS, training_steps=steps, **changes), resume, progress)
 
 
 def make_networks() -> Networks:

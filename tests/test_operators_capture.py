@@ -89,9 +89,7 @@ def test_import_again_and_of_another_capture(imported, sample, tmp_path):
     assert ops.import_capture(filepath=str(other / "sparse" / "0" / "images.txt")) == {"FINISHED"}
     assert imported.fipt.run_folder != first and (Path(first) / "capture.json").exists()
     assert len(imported.fipt.capture.views) == 3
-    assert all(
-        Path(view.image).is_relative_to(imported.fipt.run_folder) for view in imported.fipt.capture.views
-    )
+    assert all(Path(view.image).is_relative_to(imported.fipt.run_folder) for view in imported.fipt.capture.views)
 
 
 def test_bad_captures_are_refused_in_words_and_change_nothing(imported, sample, tmp_path):

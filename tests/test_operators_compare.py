@@ -28,9 +28,7 @@ def scene(tmp_path):
     run = make_scene(tmp_path)
     scene = bpy.context.scene
     for background in scene.camera.data.background_images:
-        image_files.save_exr(
-            Path(background.image.filepath_from_user()), np.full((HEIGHT, WIDTH, 3), 2.0, np.float32)
-        )
+        image_files.save_exr(Path(background.image.filepath_from_user()), np.full((HEIGHT, WIDTH, 3), 2.0, np.float32))
         background.image.reload()
     render = run.renders / "rerender" / "val_000.exr"
     image_files.save_exr(render, np.full((HEIGHT // 2, WIDTH // 2, 3), 0.5, np.float32))
@@ -55,9 +53,7 @@ def test_the_divider_parts_photograph_and_render(scene):
     scene.fipt.check.divider = 0.25
     assert bpy.ops.fipt.compare(mode="RENDER") == {"FINISHED"}
     picture = shown(scene)
-    assert np.allclose(picture[:, :8], (2.0, 2.0, 2.0, 1.0)) and np.allclose(
-        picture[:, 8:], (0.5, 0.5, 0.5, 1.0)
-    )
+    assert np.allclose(picture[:, :8], (2.0, 2.0, 2.0, 1.0)) and np.allclose(picture[:, 8:], (0.5, 0.5, 0.5, 1.0))
     scene.fipt.check.divider = 1.0
     assert np.allclose(shown(scene), (2.0, 2.0, 2.0, 1.0))
     assert bpy.ops.fipt.compare(mode="VIEWPORT") == {"FINISHED"}

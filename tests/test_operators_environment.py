@@ -50,9 +50,7 @@ def test_light_groups_sum_to_the_image(scene, tmp_path):
             channels.update({name: np.asarray(each.pixels) for name, each in part.channels.items()})
 
     def passed(name):
-        return np.stack(
-            [next(v for k, v in channels.items() if k.endswith(f"{name}.{c}")) for c in "RGB"], axis=-1
-        )
+        return np.stack([next(v for k, v in channels.items() if k.endswith(f"{name}.{c}")) for c in "RGB"], axis=-1)
 
     whole = passed("ViewLayer.Combined")
     parts = [passed(f"Combined_{name}") for name in names]

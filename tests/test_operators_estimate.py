@@ -243,12 +243,7 @@ def test_only_changed_settings_leave_the_preset(scene):
     settings.reject_views = settings.correct_exposure = False
     settings.preset = "draft"
     made = scene_settings(scene)
-    assert (made.training_steps, made.diffuse_spp, made.refine_diffuse_spp, made.denoise) == (
-        123,
-        7,
-        7,
-        False,
-    )
+    assert (made.training_steps, made.diffuse_spp, made.refine_diffuse_spp, made.denoise) == (123, 7, 7, False)
     assert not made.reject_views and not made.correct_exposure
     assert made.batch_size == make_settings("draft").batch_size
     settings.light_pixels = 0.25  # millions: small captures are told in fractions
@@ -276,11 +271,7 @@ def test_the_device_of_the_scene_comes_before_the_preferences(scene):
 
 
 def test_smaller_presets(scene, monkeypatch):
-    assert (smaller_preset("high"), smaller_preset("medium"), smaller_preset("draft")) == (
-        "medium",
-        "draft",
-        None,
-    )
+    assert (smaller_preset("high"), smaller_preset("medium"), smaller_preset("draft")) == ("medium", "draft", None)
     scene.fipt.estimate.preset = "draft"
     assert not ops.smaller_preset.poll()
     scene.fipt.estimate.preset = "medium"

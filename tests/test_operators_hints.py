@@ -161,9 +161,7 @@ def test_damaged_questions_are_refused_and_the_list_stays(settings, run_folder: 
     doubts_of(run_folder, "metal")
     bpy.context.scene.fipt.run_folder = str(run_folder.root)
     bpy.ops.fipt.read_doubts()
-    run_folder.doubts_json.write_text(
-        '{"format": "fipt-doubts", "version": 1, "doubts": [{"picture": "../x"}]}'
-    )
+    run_folder.doubts_json.write_text('{"format": "fipt-doubts", "version": 1, "doubts": [{"picture": "../x"}]}')
     assert "can't be read" in refused(bpy.ops.fipt.read_doubts)
     assert len(settings.doubts) == 1
 

@@ -13,14 +13,7 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend.lights.color import blackbody, luminance, temperature_of
-from samples.applied_rooms import (
-    RADIANCE,
-    front,
-    make_applied_scene,
-    make_scene,
-    use_fake_engine,
-    world_strength,
-)
+from samples.applied_rooms import RADIANCE, front, make_applied_scene, make_scene, use_fake_engine, world_strength
 from samples.operator_calls import refused
 from samples.spots import spot
 
@@ -258,10 +251,7 @@ def test_light_that_nothing_shows_is_there_with_the_results(tmp_path, monkeypatc
     use_fake_engine(monkeypatch)
     scene = make_scene(tmp_path / "run")
     path = tmp_path / "run" / "results" / "emitters.json"
-    table, ball = (
-        json.loads(path.read_text()),
-        {"position": [0.5, 0.25, 2.0], "radius": 0.1, "inferred": True},
-    )
+    table, ball = (json.loads(path.read_text()), {"position": [0.5, 0.25, 2.0], "radius": 0.1, "inferred": True})
 
     def applied(radiance: list[float]) -> bpy.types.Object:
         path.write_text(json.dumps({**table, "missing": [{**ball, "radiance": radiance}]}))

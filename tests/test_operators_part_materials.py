@@ -99,9 +99,7 @@ def test_an_adjustment_changes_its_part_alone(applied):
         ops.show_map(shown="ROUGHNESS")
         assert np.allclose(picture(applied, place + Vector((0, 0, 2)), place, 3, 0.1), roughness, atol=0.01)
         ops.show_map(shown="METALLIC")
-        assert np.allclose(
-            picture(applied, place + Vector((0, 0, 2)), place, 3, 0.1), min(metallic, 1.0), atol=0.01
-        )
+        assert np.allclose(picture(applied, place + Vector((0, 0, 2)), place, 3, 0.1), min(metallic, 1.0), atol=0.01)
 
 
 def test_adjusted_colours_of_arrays():

@@ -449,9 +449,7 @@ def test_a_second_blender_reports_errors(run):
     order = orders.make_order(bpy.context.scene, run, [VIEW], 2)
     write_json(folder / "order.json", {**vars(order), "scene": "gone"})
     code = render_job.child_command(folder / "scene.blend", folder / "order.json")[-1]
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_SECONDS
-    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_SECONDS)
     last = json.loads(result.stdout.splitlines()[-1])
     assert result.returncode == 1 and (last["type"], last["code"]) == ("error", "scene-gone")
 
@@ -497,9 +495,7 @@ def test_half_covered_pixels_mix_object_and_photograph():
     photo, empty = np.full((3, 3, 3), 0.2, np.float32), np.full((3, 3, 3), 0.6, np.float32)
     half = np.full((3, 3, 4), 0.5, np.float32)  # colour 1, half coverage
     full = 0.5 + 0.5 * empty
-    np.testing.assert_allclose(
-        composite.compose(composite.Layers(photo, full, empty, half)).picture(), 0.6, atol=1e-5
-    )
+    np.testing.assert_allclose(composite.compose(composite.Layers(photo, full, empty, half)).picture(), 0.6, atol=1e-5)
 
 
 def test_noisy_pixels_and_invisible_changes_leave_the_photograph():

@@ -14,12 +14,7 @@ import bpy
 import pytest
 
 from fipt_blender.jobs import prepare_job, run_job, running
-from fipt_blender.prepare.preparation import (
-    Group,
-    PreparationFolder,
-    read_preparation,
-    write_preparation,
-)
+from fipt_blender.prepare.preparation import Group, PreparationFolder, read_preparation, write_preparation
 from samples.operator_calls import refused
 from samples.prepared_captures import make_preparation, write_prepared
 

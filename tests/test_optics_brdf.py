@@ -80,9 +80,7 @@ def test_sharp_lobes_fit_their_density(sigma: float) -> None:
     material = (mi.Color3f(0.9), mi.Float(sigma), mi.Float(1.0))
 
     def sample(numbers: mi.Vector3f) -> tuple[mi.Vector3f, mi.Float]:
-        wi, _, density = brdf.sample(
-            numbers.x, mi.Point2f(numbers.y, numbers.z), mi.Vector3f(towards), *material
-        )
+        wi, _, density = brdf.sample(numbers.x, mi.Point2f(numbers.y, numbers.z), mi.Vector3f(towards), *material)
         inside = cap.map_backward(wi).y < 1.0
         counts = (density > 0.0) & inside
         return dr.select(counts, wi, cap.frame.n), dr.select(counts, 1.0, 0.0)

@@ -51,9 +51,7 @@ def chi2_upper(statistic: float, freedom: int) -> float:
 
 def areas() -> np.ndarray:
     corners = VERTICES[TRIANGLES].astype(float)
-    return 0.5 * np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
 
 
 def test_triangles_are_chosen_by_power() -> None:

@@ -19,9 +19,7 @@ from samples.layouts import drawn_by
 
 pytestmark = pytest.mark.usefixtures("registered")
 
-WARNINGS = [
-    {"code": code, "text": f"The {code} is odd.", "remedy": f"Mend the {code}."} for code in ("lamp", "wall")
-]
+WARNINGS = [{"code": code, "text": f"The {code} is odd.", "remedy": f"Mend the {code}."} for code in ("lamp", "wall")]
 
 
 def set_running(monkeypatch, kind: str, title: str, folder: Path) -> running.RunningJob:
@@ -38,9 +36,7 @@ def finished(monkeypatch, tmp_path) -> None:
     job = running.RunningJob("Estimate", "estimate", bpy.context.scene.name, tmp_path, state="finished")
     job.warnings += WARNINGS
     monkeypatch.setattr(running, "last", lambda kind: job if kind == "estimate" else None)
-    monkeypatch.setattr(
-        runstate, "known", lambda folder: runstate.RunState(stages=5, results=True, finished=True)
-    )
+    monkeypatch.setattr(runstate, "known", lambda folder: runstate.RunState(stages=5, results=True, finished=True))
 
 
 @pytest.mark.usefixtures("finished")

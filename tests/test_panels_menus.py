@@ -27,9 +27,7 @@ def site(monkeypatch):
 
 
 def test_every_item_of_the_menus_is_an_operator():
-    idnames = {
-        operator.bl_idname for operator in operators.CLASSES if issubclass(operator, bpy.types.Operator)
-    }
+    idnames = {operator.bl_idname for operator in operators.CLASSES if issubclass(operator, bpy.types.Operator)}
     listed = {f"fipt.{name}" for section in menus.SECTIONS.values() for name, _ in section}
     assert listed <= idnames
 

@@ -191,11 +191,7 @@ def test_set_up_runs_beside_the_users_work_and_is_cancelled(
     values: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     values.wheel_folder = str(tmp_path)
-    failure = {
-        "code": "pip-missing",
-        "text": "Python has neither pip nor ensurepip.",
-        "remedy": "Install it.",
-    }
+    failure = {"code": "pip-missing", "text": "Python has neither pip nor ensurepip.", "remedy": "Install it."}
     machine.store_status({"error": failure})
     monkeypatch.setattr(data_job, "setup_command", lambda *arguments: [sys.executable, "-c", SLEEPER])
     operator = type("Operator", (operators.FIPT_OT_set_up_engine,), {"allow_large": False})

@@ -47,14 +47,7 @@ def test_the_page_shows_what_each_step_has_found(folder, tmp_path):
     page = Page(write_report(folder, preparation, fractions.append))
     assert fractions == sorted(fractions) and 0.0 < fractions[-1] <= 1.0
     assert NASTY in page.text and "kitchen & <b>co" in page.text
-    for words in (
-        "6 photographs in 2 groups",
-        "1 of 2",
-        "0.60 px",
-        "1/100 s, 1/25 s, 1/6 s",
-        "4.17 %",
-        "not used",
-    ):
+    for words in ("6 photographs in 2 groups", "1 of 2", "0.60 px", "1/100 s, 1/25 s, 1/6 s", "4.17 %", "not used"):
         assert words in " ".join(page.text.split()).replace("6photographs", "6 photographs"), words
     assert "1 of 2 views has no camera." in page.text and "It shares too few points." in page.text
     assert "2 %" in page.text  # of the response

@@ -49,9 +49,7 @@ def test_the_basis_contains_other_responses():
         curve = true_curve(camera)
         contrast = contrast_of(curve)
         usable = slice(4, 252)
-        weights = np.linalg.lstsq(
-            basis.components[:, usable].T, (curve / contrast - basis.mean)[usable], rcond=None
-        )[0]
+        weights = np.linalg.lstsq(basis.components[:, usable].T, (curve / contrast - basis.mean)[usable], rcond=None)[0]
         found = basis.shape(weights) * contrast
         assert np.sqrt(((np.exp(found) - np.exp(curve)) ** 2).mean()) < 3e-3
 
@@ -100,18 +98,14 @@ def test_views_of_one_exposure_leave_the_prior():
     """Without differences of exposure nothing tells the shape, which the covariance says."""
     samples, _ = make_samples(CAMERAS[1], outliers=0.0)
     flat = np.round(interpolated(np.arange(256.0), samples.codes[:1]).repeat(len(samples.codes), 0))
-    found = adjust(
-        Samples(samples.point, samples.cluster, samples.view, samples.radius, flat), VIEWS, response_basis()
-    )
+    found = adjust(Samples(samples.point, samples.cluster, samples.view, samples.radius, flat), VIEWS, response_basis())
     assert np.isfinite(found.shape).all() and np.isfinite(found.covariance).all()
     assert np.abs(found.log_gains).max() < 1e-6
 
 
 def test_without_shared_points_nothing_is_adjusted():
     samples, _ = make_samples(CAMERAS[0])
-    alone = Samples(
-        np.arange(len(samples.view)), samples.cluster, samples.view, samples.radius, samples.codes
-    )
+    alone = Samples(np.arange(len(samples.view)), samples.cluster, samples.view, samples.radius, samples.codes)
     found = adjust(alone, VIEWS, response_basis())
     assert np.abs(found.log_gains).max() < 1e-9 and found.shared.max() == 0
     assert np.abs(found.shape - response_basis().shape(np.zeros(4))).max() < 1e-9

@@ -13,12 +13,7 @@ from PIL import Image
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.checks.quality import Cause, JudgedView, Quality
-from fipt_blender.core.report.comparison import (
-    Agreement,
-    compare,
-    psnr,
-    to_display,
-)
+from fipt_blender.core.report.comparison import Agreement, compare, psnr, to_display
 from fipt_blender.core.report.fixture_names import fixture_names
 from fipt_blender.core.report.page import MAPS, write_report
 from fipt_blender.core.report.quality_files import write_quality

@@ -16,9 +16,7 @@ def test_presets_and_changes() -> None:
     for preset, values in PRESETS.items():
         settings = dataclasses.asdict(make_settings(preset))
         assert settings["preset"] == preset and values.items() <= settings.items()
-    changed = make_settings(
-        "draft", {"seed": "7", "denoise": "false", "lambda_part": "0", "batch_size": 64.0}
-    )
+    changed = make_settings("draft", {"seed": "7", "denoise": "false", "lambda_part": "0", "batch_size": 64.0})
     assert (changed.seed, changed.denoise, changed.lambda_part, changed.batch_size) == (7, False, 0.0, 64)
 
 

@@ -107,9 +107,7 @@ def block() -> tuple[np.ndarray, np.ndarray]:
     step = np.linspace(-0.4, 0.4, count + 1)
     u, v = (axis.ravel() for axis in np.meshgrid(step, step, indexing="ij"))
     corner = np.arange((count + 1) ** 2).reshape(count + 1, count + 1)
-    quads = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1).reshape(
-        -1, 4
-    )
+    quads = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1).reshape(-1, 4)
     triangles = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
     far = np.full_like(u, 0.4)
     sides = [(u, v, far), (far, u, v), (-far, -u, v), (-u, far, v), (u, -far, v)]
@@ -125,9 +123,7 @@ def run_and_views(tmp_path: Path, rng: np.random.Generator):
     vertices = np.concatenate([scan.vertices, vertices + rng.normal(0.0, 0.003, vertices.shape)])
     triangles = np.concatenate([scan.triangles, triangles + len(scan.vertices)])
     thing = np.arange(len(triangles)) >= len(scan.triangles)
-    run = write_run(
-        tmp_path, mesh_room(vertices, triangles, np.zeros(len(triangles)), parts="masks"), "masks"
-    )
+    run = write_run(tmp_path, mesh_room(vertices, triangles, np.zeros(len(triangles)), parts="masks"), "masks")
     views = looking_views(tmp_path, mesh_room(vertices, triangles, thing, parts="masks"))
     return run, views, with_own_ids(views, rng)
 

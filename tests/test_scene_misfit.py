@@ -44,10 +44,7 @@ def views() -> list[View]:
     poses = [look_at([0.2, -1.6, 1.6], [0.0, 1.5, 0.9]), look_at([1.5, -1.4, 1.9], [-0.8, 1.6, 0.7])]
     lens = {"width": WIDTH, "height": HEIGHT, "fx": 210.0, "fy": 212.0, "cx": 163.0, "cy": 118.0}
     none = dict.fromkeys(("parts", "semantics", "mask"))
-    return [
-        View(str(i), "train", Path("a.exr"), camera_to_world=pose, **lens, **none)
-        for i, pose in enumerate(poses)
-    ]
+    return [View(str(i), "train", Path("a.exr"), camera_to_world=pose, **lens, **none) for i, pose in enumerate(poses)]
 
 
 def photograph(room: Room, view: View, seed: int) -> np.ndarray:

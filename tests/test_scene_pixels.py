@@ -31,10 +31,7 @@ def two_parts(tmp_path: Path) -> tuple[PixelStore, np.ndarray]:
     image = tmp_path / "image.exr"
     write_exr(image, np.full((HEIGHT, WIDTH, 3), 0.5, np.float32))
     room = make_room(
-        [
-            [[-3, -3, 0], [0.03, -3, 0], [0.03, 3, 0], [-3, 3, 0]],
-            [[0.03, -3, 0], [3, -3, 0], [3, 3, 0], [0.03, 3, 0]],
-        ]
+        [[[-3, -3, 0], [0.03, -3, 0], [0.03, 3, 0], [-3, 3, 0]], [[0.03, -3, 0], [3, -3, 0], [3, 3, 0], [0.03, 3, 0]]]
     )
     store = open_pixels(tmp_path / "pixels", [floor_camera(image)], create=True)
     assert fill_pixels(store, room, lambda done: None) == pytest.approx(0.5)
@@ -75,9 +72,7 @@ def test_masked_pixels_are_neither_room_nor_outside(tmp_path: Path) -> None:
     assert fill_pixels(store, room, lambda done: None) == pytest.approx(0.5)
     mark_pure(store, room, np.zeros(2, int), lambda done: None)
     triangle = np.asarray(store.triangle).reshape(HEIGHT, WIDTH)
-    assert (triangle[:, :8] == LEFT_OUT).all() and not np.asarray(store.pure).reshape(HEIGHT, WIDTH)[
-        :, :8
-    ].any()
+    assert (triangle[:, :8] == LEFT_OUT).all() and not np.asarray(store.pure).reshape(HEIGHT, WIDTH)[:, :8].any()
     assert (triangle[:2, 8:] == NO_TRIANGLE).all() and (triangle[4:, 8:] >= 0).all()
     ((_, radiance),) = outside_pixels(store)
     assert len(radiance) and np.allclose(radiance, 1.0)

@@ -56,10 +56,7 @@ def test_a_mesh_without_area_is_empty(tmp_path: Path) -> None:
 
 
 def test_arrays_of_other_lengths_are_refused(tmp_path: Path) -> None:
-    assert (
-        error_of(load_room, write_room(tmp_path, triangle_object=np.zeros(3, np.int32))).code
-        == "mesh-damaged"
-    )
+    assert error_of(load_room, write_room(tmp_path, triangle_object=np.zeros(3, np.int32))).code == "mesh-damaged"
 
 
 def test_an_archive_that_unpacks_to_far_more_than_it_holds_is_refused(tmp_path: Path) -> None:

@@ -121,15 +121,11 @@ def test_missing_unusable_and_clipped_photographs_are_named(tmp_path):
 def test_regions_of_single_photographs_are_linked_before_they_are_counted(tmp_path):
     folder, names = tmp_path / "in", ("a", "b", "c")
     room = make_room(BOX, objects=np.zeros(6, int))
-    poses = {
-        name: look_at([x, -1.0, 1.5], [0.0, 2.0, 1.5]) for x, name in zip((-0.3, 0, 0.3), names, strict=True)
-    }
+    poses = {name: look_at([x, -1.0, 1.5], [0.0, 2.0, 1.5]) for x, name in zip((-0.3, 0, 0.3), names, strict=True)}
     write_survey_input(folder, room, poses, **{name: {"parts": f"ids_{name}.exr"} for name in names})
     halves = np.repeat([0, 1], HEIGHT // 2)[:, None].repeat(WIDTH, axis=1)
     for number, name in enumerate(names):
-        write_exr(
-            folder / f"ids_{name}.exr", np.array([[1, 2], [2, 1], [5, 9]])[number][halves].astype(float)
-        )
+        write_exr(folder / f"ids_{name}.exr", np.array([[1, 2], [2, 1], [5, 9]])[number][halves].astype(float))
     data, _, labels = run_survey(folder, len(room.triangles))
     assert data["parts"]["counts"]["masks"] == 2
     assert len(set(labels["masks"][list(CEILING)])) == 1 and len(set(labels["masks"][list(FLOOR)])) == 1
@@ -145,10 +141,7 @@ def test_masks_of_ticked_views_become_parts(tmp_path):
     write_exr(folder / "ids.exr", ids)
     data, _, labels = run_survey(folder, len(room.triangles))
     assert data["parts"]["auto"] == "masks" and data["parts"]["counts"]["masks"] == 2
-    assert labels["masks"][list(CEILING)].tolist() == [0, 0] and labels["masks"][list(FLOOR)].tolist() == [
-        1,
-        1,
-    ]
+    assert labels["masks"][list(CEILING)].tolist() == [0, 0] and labels["masks"][list(FLOOR)].tolist() == [1, 1]
     write_exr(folder / "ids.exr", ids[:4])
     error = error_of(run_survey, folder, len(room.triangles))
     assert error.code == "mask-size" and "ids.exr" in error.text

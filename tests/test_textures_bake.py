@@ -51,9 +51,7 @@ def run(tmp_path):
     b = np.array([(0, 0), (0, 1), (-1, 1), (-1, 0)]) * TEXELS + (100.6, 10.1)  # turned by a quarter
     uv = np.array([a[[0, 1, 2]], a[[0, 2, 3]], b[[0, 1, 2]], b[[0, 2, 3]]]) / (width, height)
     np.savez(folder.atlas_npz, corner_uv=uv.astype(np.float32), triangle_image=np.zeros(4, np.int32))
-    write_json(
-        folder.atlas_json, {"mode": "uv", "images": [{"name": "Room.001", "width": width, "height": height}]}
-    )
+    write_json(folder.atlas_json, {"mode": "uv", "images": [{"name": "Room.001", "width": width, "height": height}]})
     return folder
 
 
@@ -81,9 +79,7 @@ def look_up(image, uv):
     x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
     fx, fy = (x - x0)[:, None], (y - y0)[:, None]
     pixel = lambda dy, dx: image[np.clip(y0 + dy, 0, height - 1), np.clip(x0 + dx, 0, width - 1)]  # noqa: E731
-    return (pixel(0, 0) * (1 - fx) + pixel(0, 1) * fx) * (1 - fy) + (
-        pixel(1, 0) * (1 - fx) + pixel(1, 1) * fx
-    ) * fy
+    return (pixel(0, 0) * (1 - fx) + pixel(0, 1) * fx) * (1 - fy) + (pixel(1, 0) * (1 - fx) + pixel(1, 1) * fx) * fy
 
 
 def read_map(folder, name):
@@ -183,10 +179,7 @@ def test_small_triangles_are_found_like_by_trying_all():
         away = np.linalg.norm(offset - along[..., None] * edge, axis=2)
         distance = np.minimum(distance, away)
     # Inside a triangle the distance is zero: a centre is on the same side of all edges.
-    sides = [
-        cross(corners[:, (k + 1) % 3] - corners[:, k], centers[:, None] - corners[None, :, k])
-        for k in range(3)
-    ]
+    sides = [cross(corners[:, (k + 1) % 3] - corners[:, k], centers[:, None] - corners[None, :, k]) for k in range(3)]
     distance[(np.sign(sides) == np.sign(sides[0])).all(axis=0)] = 0.0
     nearest = distance.argmin(axis=1)
     expected = np.flatnonzero(distance.min(axis=1) <= 0.75)

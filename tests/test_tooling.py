@@ -53,9 +53,7 @@ def test_zip_is_the_extension_and_reproducible(dev: ModuleType, tmp_path: Path) 
         assert name.split("/")[0] not in foreign
 
 
-def test_the_index_offers_the_zip_to_blender(
-    dev: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_index_offers_the_zip_to_blender(dev: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import bpy
 
     monkeypatch.setattr(dev, "VENV", Path(bpy.utils.resource_path("LOCAL")))
@@ -80,9 +78,7 @@ def test_a_release_has_the_zip_its_checksum_and_notes(dev: ModuleType, tmp_path:
     assert notes.strip() in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
-def test_build_refuses_versions_that_disagree(
-    dev: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_build_refuses_versions_that_disagree(dev: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     versions = {"blender_manifest.toml": "0.1.0", "pyproject.toml": "0.2.0"}
     monkeypatch.setattr(dev, "read_versions", lambda: versions)
     with pytest.raises(dev.SetupError, match=r"0\.2\.0"):

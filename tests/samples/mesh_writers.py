@@ -147,10 +147,7 @@ def write_obj(path: Path, solid: Solid, style: ObjStyle) -> None:
         if style.negative:
             indices = [index - written - 1 for index in indices]
         texture, normal = ("-1", "-1") if style.negative else ("1", "1")
-        words = [
-            style.corner.replace("t", texture).replace("n", normal).replace("v", str(index))
-            for index in indices
-        ]
+        words = [style.corner.replace("t", texture).replace("n", normal).replace("v", str(index)) for index in indices]
         joint = f"{style.blank}\\{style.end}{style.blank}" if style.wrapped else style.blank
         lines.append(style.blank.join(["f", words[0], words[1], joint.join(words[2:])]))
     path.write_bytes((style.end.join([*lines, ""])).encode())

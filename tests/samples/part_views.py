@@ -35,9 +35,7 @@ def looking_views(folder: Path, room: Room, radiance: float = 1.0) -> list[View]
         pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
         pose[:3, 3] = place
         image, parts = folder / f"{number}.exr", folder / f"parts_{number}.exr"
-        view = View(
-            str(number), "train", image, SIZE, SIZE, FOCAL, FOCAL, SIZE / 2, SIZE / 2, pose, parts=parts
-        )
+        view = View(str(number), "train", image, SIZE, SIZE, FOCAL, FOCAL, SIZE / 2, SIZE / 2, pose, parts=parts)
         surface = trace_pixels(room, view)
         lost = room.triangle_object[np.array(surface.triangle)] == 1
         write_exr(image, np.full((SIZE, SIZE, 3), radiance, np.float32))

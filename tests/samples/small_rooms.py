@@ -32,18 +32,14 @@ def make_room(quads: list, objects: np.ndarray | None = None, **names) -> Room:
     vertices = np.array(quads, np.float32).reshape(-1, 3)
     corners = np.arange(len(vertices), dtype=np.int32).reshape(-1, 4)
     triangles = corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    return mesh_room(
-        vertices, triangles, np.repeat(range(len(quads)) if objects is None else objects, 2), **names
-    )
+    return mesh_room(vertices, triangles, np.repeat(range(len(quads)) if objects is None else objects, 2), **names)
 
 
 def mesh_room(vertices: np.ndarray, triangles: np.ndarray, objects: np.ndarray, **names) -> Room:
     """A room with flat normals."""
     normals = np.repeat(triangle_normals(vertices, triangles)[:, None], 3, axis=1).astype(np.float32)
     objects = np.asarray(objects, np.int32)
-    return Room(
-        np.asarray(vertices, np.float32), np.asarray(triangles, np.int32), normals, objects, objects, **names
-    )
+    return Room(np.asarray(vertices, np.float32), np.asarray(triangles, np.int32), normals, objects, objects, **names)
 
 
 def write_room(folder: Path, room: Room, **more: np.ndarray) -> None:
