@@ -17,14 +17,7 @@ from fipt_blender.core.checks.projection import Projection, projected
 from fipt_blender.core.checks.quality import POOR, Cause, JudgedView, Quality, judge, shares
 from fipt_blender.core.checks.rerender import Estimate, Renderer
 from fipt_blender.core.pixels.store import LEFT_OUT, PixelStore, fill_pixels, open_pixels, trace_view
-from samples.small_captures import (
-    COLORS,
-    PANEL_RADIANCE,
-    PANEL_TRIANGLES,
-    SmallCapture,
-    panel_capture,
-    pinhole,
-)
+from samples.small_captures import COLORS, PANEL_RADIANCE, PANEL_TRIANGLES, SmallCapture, panel_capture, pinhole
 from samples.small_rooms import table
 
 HELD_BACK = 1
@@ -72,9 +65,7 @@ def test_a_true_estimate_renders_the_photograph(capture: SmallCapture, tmp_path:
     quality = judge(pixels, [view], true_estimate(capture, scale), {}, scale, 0)
     assert quality is not None and quality.held_back_db > 30.0 and quality.warning() is None
     assert quality.projection_db > 15.0  # five photographs do not show all
-    wrong = replace(
-        true_estimate(capture, scale), query=lambda p, t: (np.full((len(t), 3), 0.5), t * 0.0 + 1, t * 0.0)
-    )
+    wrong = replace(true_estimate(capture, scale), query=lambda p, t: (np.full((len(t), 3), 0.5), t * 0.0 + 1, t * 0.0))
     worse = judge(pixels, [view], wrong, {}, scale, 0)
     assert worse is not None and worse.held_back_db < quality.held_back_db - 8.0
     assert worse.projection_db == quality.projection_db

@@ -53,10 +53,7 @@ def directed_edges(mesh: FusedMesh) -> np.ndarray:
 def is_closed(mesh: FusedMesh) -> bool:
     """Whether every edge is walked once in each direction for each pair of triangles there."""
     edges = directed_edges(mesh)
-    there, back = (
-        np.unique(edges, axis=0, return_counts=True),
-        np.unique(edges[:, ::-1], axis=0, return_counts=True),
-    )
+    there, back = (np.unique(edges, axis=0, return_counts=True), np.unique(edges[:, ::-1], axis=0, return_counts=True))
     return np.array_equal(there[0], back[0]) and np.array_equal(there[1], back[1])
 
 

@@ -17,9 +17,9 @@ from fipt_blender.core.run.errors import FiptError
 HALF = 2.0  # metres, of the box's edges
 WIDTH, HEIGHT, FOCAL = 72, 54, 40.0
 # What a camera solve finds on the walls.
-POINTS = HALF * np.sign(np.eye(3)[np.arange(200) % 3]) + np.random.default_rng(1).uniform(
-    -1.8, 1.8, (200, 3)
-) * (1.0 - np.eye(3)[np.arange(200) % 3])
+POINTS = HALF * np.sign(np.eye(3)[np.arange(200) % 3]) + np.random.default_rng(1).uniform(-1.8, 1.8, (200, 3)) * (
+    1.0 - np.eye(3)[np.arange(200) % 3]
+)
 
 
 def distance(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:

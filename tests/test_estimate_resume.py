@@ -140,9 +140,7 @@ def test_a_resumed_run_repeats_the_warnings_of_finished_stages(
         assert warning["code"] == "view-exposure" and "train/002" in warning["text"] and warning["remedy"]
 
 
-def test_stages_that_take_no_time_have_no_rate(
-    capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stages_that_take_no_time_have_no_rate(capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Clocks may tick only every 16 ms."""
     monkeypatch.setattr(chain, "time", SimpleNamespace(monotonic=lambda: 7.0))
     run = write_run(tmp_path / "run", capture, **BASE)

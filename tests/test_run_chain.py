@@ -143,9 +143,7 @@ def test_the_method_is_part_of_the_keys(tmp_path: Path, monkeypatch: pytest.Monk
     assert work(tmp_path)[1] == ["table", "sum", "train"]
 
 
-@pytest.mark.parametrize(
-    "name", ["table/outputs.json", "table/table.npy", "sum/outputs.json", "train/outputs.json"]
-)
+@pytest.mark.parametrize("name", ["table/outputs.json", "table/table.npy", "sum/outputs.json", "train/outputs.json"])
 @pytest.mark.parametrize("content", [b"", b"cut off", None])
 def test_outputs_that_cannot_be_read_are_made_again(name: str, content: bytes | None, tmp_path: Path) -> None:
     first = work(tmp_path)[0]
@@ -171,9 +169,7 @@ def test_a_list_of_stages_that_cannot_be_read_begins_anew(text: str, tmp_path: P
     assert "checkpoint-damaged" in [warning["code"] for warning in reporter.warnings]
 
 
-def test_a_stage_that_replaces_another_removes_its_files_and_they_are_made_again_when_needed(
-    tmp_path: Path,
-) -> None:
+def test_a_stage_that_replaces_another_removes_its_files_and_they_are_made_again_when_needed(tmp_path: Path) -> None:
     def remake(inputs: Start, settings: Seeded, tools: Tools) -> Table:
         return Table(np.full((4, 2), float(inputs.number)), SOURCE)
 
@@ -186,9 +182,7 @@ def test_a_stage_that_replaces_another_removes_its_files_and_they_are_made_again
         chain_on(tmp_path, stages=[*stages[:2], replace(other, work=add_up)])
 
 
-def test_a_kill_amid_a_stage_keeps_its_finished_views(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kill_amid_a_stage_keeps_its_finished_views(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(finished_views, "NOTE_SECONDS", 0.0)
     seen: list[set[int]] = []
 

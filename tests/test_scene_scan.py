@@ -115,9 +115,7 @@ def test_objects_and_materials_of_a_scan_are_parts_only_if_asked_for() -> None:
     for noise, chosen in ((0.003, "none"), (0.0, "materials")):
         room, side = scanned_box(noise=noise)
         paged = (side % 2).astype(np.int32)
-        room = replace(
-            room, triangle_object=paged, triangle_material=paged, objects=("scan", PANES), parts="auto"
-        )
+        room = replace(room, triangle_object=paged, triangle_material=paged, objects=("scan", PANES), parts="auto")
         assert choose_source(room, []) == chosen
         assert choose_source(replace(room, parts="objects"), []) == "objects"
 
