@@ -47,7 +47,7 @@ def write_options(folder: Path) -> None:
     (folder / "capture").mkdir()
     write_colmap(folder / "capture", text=True)
     options = {"--scale": 1.0, "--up-axis": "y", "--hold-back": 2, "--views": 3, "--triangles": 0}
-    options |= {"--voxel": 0.02, "--close-holes": 0.1, "--depth-unit": 0.001}
+    options |= {"--voxel": 0.02, "--depth-unit": 0.001}
     options |= {"--mesh": "capture/scene.obj", "--images": "capture/images"}
     (folder / "options.json").write_text(json.dumps(options))
 

@@ -6,9 +6,10 @@
     python benchmarks/real_rooms.py --run RUN ...
 
 Protocol. A capture is read as a new user would: `estimate FOLDER` with a preset and nothing else; where it
-says that there are no cameras, `prepare` first. Views are held back by the capture's own split, else every
-eighth by name; at most eight of them, evenly spread, are judged, at the size at which light was solved. They
-are withheld from all stages, the exposure and response of the others included. *Render*: paths traced from
+says that there are no cameras, `prepare` first, and where there is no mesh, `--mesh-from-photographs`. Views
+are held back by the capture's own split, else every eighth by name; at most eight of them, evenly spread, are
+judged, at the size at which light was solved. They are withheld from all stages, the exposure and response of
+the others included. *Render*: paths traced from
 the estimate alone (materials, lamps, environment; 32 a pixel, at most 8 surfaces, denoised). *Projection*:
 the training photographs that see a pixel's point on the same mesh, weighted by direction and distance; unseen
 pixels take the nearest seen one. Each picture gets one factor of exposure, for all channels, the median over
@@ -84,6 +85,9 @@ def estimated(folder: Path, output: Path, preset: str) -> tuple[RunFolder, Job]:
     run = output / folder.resolve().name
     options = ["--preset", preset, "--no-renders"]
     job = run_product(["estimate", str(folder), "--output", str(run), *options])
+    if job.error and job.error["code"] == "mesh-missing":
+        options.append("--mesh-from-photographs")
+        job = run_product(["estimate", str(folder), "--output", str(run), *options])
     if job.error and job.error["code"] == "cameras-missing":
         prepared = output / f"{folder.resolve().name}-capture"
         first = run_product(["prepare", str(folder), str(prepared)])

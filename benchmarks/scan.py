@@ -25,7 +25,6 @@ from fipt_blender.core.capture.distortion import lens_pinhole
 from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.depth.cleaning import with_closed_holes
 from fipt_blender.core.depth.extraction import FusedMesh, extract
 from fipt_blender.core.depth.ply import write_ply
 from fipt_blender.core.depth.range_image import RangeImage
@@ -273,9 +272,6 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--pose-error", action="store_true", help="poses wrong by 2 mm and 0.1 degrees")
     parser.add_argument("--bulge", type=float, default=0.0, help="metres of photogrammetry's bulging walls")
     parser.add_argument("--smooth", type=int, default=0, metavar="STEPS", help="smooth the mesh, as apps do")
-    parser.add_argument(
-        "--close-holes", type=float, default=0.0, metavar="METRES", help="close smaller holes"
-    )
     arguments = parser.parse_args(list(argv))
     wrong = {"drift": 0.002, "tilt": 0.1} if arguments.pose_error else {}
     try:
@@ -285,7 +281,7 @@ def main(argv: Sequence[str]) -> int:
     except FiptError as error:
         print(f"error: {error.text} {error.remedy}", file=sys.stderr)
         return 1
-    mesh = with_closed_holes(smoothed(mesh, arguments.smooth), arguments.close_holes)
+    mesh = smoothed(mesh, arguments.smooth)
     if arguments.output.suffix == ".ply":
         write_ply(arguments.output, mesh)
     else:

@@ -62,9 +62,9 @@ _TABLE = (
     (
         "torn_parts",
         "torn parts are completed",
-        ["completion/torn_parts", "completion/revolution", "completion/sheet"],
+        [f"completion/{name}" for name in ("torn_parts", "cells", "revolution", "sheet")],
         {},
-        (SCAN, MASKS),
+        (SCAN,),
     ),
     ("outlines", "outlines of parts", ["parts/outlines", "parts/outline_misses"], {}, (SCAN, MASKS)),
     ("unmix", "mixed pixels are used", ["pixels/unmixing", "pixels/fragments"], {}, ()),

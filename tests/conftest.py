@@ -120,7 +120,6 @@ def applied(scene: Any) -> Any:
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """A seeded generator."""
     return np.random.default_rng(0)
 
 

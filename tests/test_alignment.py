@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Known similarities between a solve and a mesh are found again, from pairs and from sparse points."""
+"""Known similarities between a solve and a mesh are found again, from pairs, sparse points and sights."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import pytest
 
 from fipt_blender.core.alignment.pairs import fit_pairs
 from fipt_blender.core.alignment.registration import refine, register
+from fipt_blender.core.alignment.sights import Sights, fit_sights
 from fipt_blender.core.alignment.surface import closest_points, sample_surface, unit_normals
 from fipt_blender.core.capture.align_mesh import align_rig
 from fipt_blender.core.capture.formats.registry import read_points, read_rig
@@ -75,15 +76,6 @@ def test_pairs_give_the_similarity(scale: float, count: int) -> None:
     fit = fit_pairs(source, transform_points(matrix, source))
     np.testing.assert_allclose(fit.similarity, matrix, atol=1e-9 * scale)
     assert fit.error < 1e-9 * scale and not fit.mirrored and fit.residuals.shape == (count,)
-
-
-def test_residuals_name_the_wrong_pair() -> None:
-    rng = np.random.default_rng(0)
-    source = rng.normal(size=(8, 3))
-    target = 2.0 * source
-    target[5] += (0.5, 0.0, 0.0)
-    fit = fit_pairs(source, target)
-    assert int(fit.residuals.argmax()) == 5 and 0.05 < fit.error < 0.5
 
 
 def test_mirrored_mesh_is_said() -> None:
@@ -205,9 +197,7 @@ def write_solve(folder: Path, from_solve: np.ndarray, points: np.ndarray) -> lis
         level = np.array([[np.cos(angle), np.sin(angle), 0], [0, 0, -1], [-np.sin(angle), np.cos(angle), 0]])
         shots.append(replace(shot, width=24, height=16, rotation=level, centre=np.array([2.5, 2.4, 1.5])))
         turned = level @ (from_solve[:3, :3] / scale).T
-        solved.append(
-            replace(shots[-1], rotation=turned, centre=transform_points(from_solve, shots[-1].centre))
-        )
+        solved.append(replace(shots[-1], rotation=turned, centre=transform_points(from_solve, shots[-1].centre)))
     rig_writers.write_opensfm(folder, [solved], "perspective", transform_points(from_solve, points))
     for shot in shots:
         pixels = 2.0 + np.random.default_rng(0).random((16, 24, 3), np.float32)
@@ -258,18 +248,88 @@ def test_points_of_each_format(tmp_path: Path) -> None:
     metashape_writers.write_realityscan_colmap(tmp_path / "colmap", shots)
     rig_writers.write_openmvg(tmp_path / "openmvg", shots, "pinhole", "")
     rig_writers.write_meshroom(tmp_path / "meshroom", shots, (1, 2, 8))
-    edit_json(
-        tmp_path / "openmvg" / "sfm_data.json", "structure", [{"key": 0, "value": {"X": [0.1, 0.2, 0.3]}}]
-    )
+    edit_json(tmp_path / "openmvg" / "sfm_data.json", "structure", [{"key": 0, "value": {"X": [0.1, 0.2, 0.3]}}])
     edit_json(tmp_path / "meshroom" / "cameras.sfm", "structure", [{"X": ["0.1", "-0.2", "-0.3"]}])
     for name in ("bundler", "nvm", "colmap", "openmvg", "meshroom"):
         np.testing.assert_allclose(read_points(tmp_path / name, name), [[0.1, 0.2, 0.3]])
 
 
-@pytest.mark.parametrize("name", ["bundler", "nvm", "colmap", "opensfm", "openmvg", "meshroom"])
-def test_points_of_a_folder_without_the_format(tmp_path: Path, name: str) -> None:
-    assert error_of(read_points, tmp_path, name).code == "rig-damaged"
-
-
 def edit_json(path: Path, key: str, value: object) -> None:
     path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
+
+
+CAMERAS = np.array([[1.0, 1.0, 1.2], [4.0, 1.2, 1.6], [3.5, 3.0, 1.4], [1.2, 2.8, 1.5]])
+
+
+def picked(
+    points: np.ndarray, cameras: list[list[int]], to_solve: np.ndarray, spread: float = 0.0, seed: int = 0
+) -> Sights:
+    """Rays through points, each from some cameras; no camera stands for a point that is known itself."""
+    rng = np.random.default_rng(seed)
+    rotation = to_solve[:3, :3] / np.cbrt(np.linalg.det(to_solve[:3, :3]))
+    pairs, origins, directions = [], [], []
+    for index, chosen in enumerate(cameras):
+        for camera in chosen or [-1]:
+            pairs.append(index)
+            origins.append(points[index] if camera < 0 else CAMERAS[camera])
+            ray = points[index] - CAMERAS[camera]
+            ray = ray / np.linalg.norm(ray) + spread * rng.normal(size=3)
+            directions.append(0.0 * ray if camera < 0 else rotation @ (ray / np.linalg.norm(ray)))
+    return Sights(np.array(pairs), transform_points(to_solve, np.array(origins)), np.array(directions))
+
+
+@pytest.mark.parametrize("scale", [0.0254, 1.0, 1000.0])
+@pytest.mark.parametrize(
+    "cameras",
+    [
+        [[0, 1], [1, 2], [2, 3]],  # three points, each in two photographs
+        [[0], [1], [2], [3], [0]],  # five points, each in one
+        [[], [], [0], [1]],  # two points of the solve, two in one photograph each
+        [[], [], []],
+    ],
+)
+def test_the_similarity_is_found(scale: float, cameras: list[list[int]]) -> None:
+    rng = np.random.default_rng(len(cameras))
+    points = rng.uniform([0, 0, 0], [5, 4, 2.6], (len(cameras), 3))
+    to_solve, to_mesh = drawn_similarity(rng, 0.4), drawn_similarity(rng, scale)
+    fit = fit_sights(picked(points, cameras, to_solve), transform_points(to_mesh, points))
+    back = np.linalg.inv(to_mesh) @ fit.similarity @ to_solve
+    np.testing.assert_allclose(back, np.eye(4), atol=1e-6)
+    assert fit.error < 1e-6 * scale and fit.residuals.shape == (len(cameras),) and not fit.mirrored
+
+
+def test_errors_of_a_pixel_cost_millimetres_and_the_wrong_pair_is_named() -> None:
+    points = np.random.default_rng(1).uniform([0, 0, 0], [5, 4, 2.6], (6, 3))
+    cameras = [[index % 4, (index + 1) % 4] for index in range(6)]
+    pixel = 1.0 / 600.0
+    fit = fit_sights(picked(points, cameras, np.eye(4), pixel), points)
+    assert 0.001 < fit.error < 0.02
+    assert np.linalg.norm(transform_points(fit.similarity, points) - points, axis=1).max() < 0.03
+    sights = picked(points, cameras, np.eye(4), pixel)
+    points[4] += (0.0, 0.3, 0.0)  # of the mesh alone
+    assert int(fit_sights(sights, points).residuals.argmax()) == 4
+
+
+def test_a_mirrored_mesh_is_said() -> None:
+    points = np.random.default_rng(2).uniform([0, 0, 0], [5, 4, 2.6], (6, 3))
+    cameras = [[index % 4, (index + 1) % 4] for index in range(6)]
+    sights = picked(points, cameras, np.eye(4), 1e-3)
+    assert fit_sights(sights, points * [1.0, -1.0, 1.0]).mirrored
+    assert not fit_sights(sights, points).mirrored
+
+
+@pytest.mark.parametrize(
+    ("cameras", "text"),
+    [([[0, 1], [1, 2]], "too few"), ([[0], [1], [2]], "too few"), ([[0], [0], [0], [0], [0]], "scale")],
+)
+def test_what_does_not_decide_the_placement_is_refused(cameras: list[list[int]], text: str) -> None:
+    points = np.random.default_rng(3).uniform([0, 0, 0], [5, 4, 2.6], (len(cameras), 3))
+    with pytest.raises(FiptError, match=text) as caught:
+        fit_sights(picked(points, cameras, np.eye(4)), points)
+    assert caught.value.code == "alignment-pairs" and caught.value.remedy.startswith("Pick")
+
+
+def test_points_on_a_line_are_refused() -> None:
+    points = np.outer(np.linspace(0.0, 1.0, 5), [4.0, 3.0, 2.0])
+    with pytest.raises(FiptError, match="line"):
+        fit_sights(picked(points, [[0, 1]] * 5, np.eye(4)), points)

@@ -27,12 +27,7 @@ def little(**changes) -> dict:
         "scenes": [{"nodes": [0]}],
         "nodes": [
             {"mesh": 0, "children": [1]},
-            {
-                "mesh": 0,
-                "translation": [0.0, 0.0, 5.0],
-                "scale": [2.0, 2.0, 2.0],
-                "rotation": [0.0, 0.0, 1.0, 0.0],
-            },
+            {"mesh": 0, "translation": [0.0, 0.0, 5.0], "scale": [2.0, 2.0, 2.0], "rotation": [0.0, 0.0, 1.0, 0.0]},
         ],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
         "accessors": [
@@ -137,9 +132,6 @@ def test_what_is_not_read_is_named(tmp_path: Path, owner: str, name: str) -> Non
     assert name in error_of(read_mesh, tmp_path / "scan.glb").text
 
 
-HOSTILE = ("accessor", "empty accessor", "unused accessor", "view", "buffers", "stride", "deep")
-
-
 def hostile(kind: str) -> dict:
     """Little files that state, or repeat, far more than they hold."""
     content = little()
@@ -161,8 +153,7 @@ def hostile(kind: str) -> dict:
 
 
 @pytest.mark.parametrize(
-    "kind",
-    ["accessor", "empty accessor", "unused accessor", "view", "buffers", "stride", "primitives", "deep"],
+    "kind", ["accessor", "empty accessor", "unused accessor", "view", "buffers", "stride", "primitives", "deep"]
 )
 def test_hostile_files_take_no_memory(tmp_path: Path, kind: str) -> None:
     (tmp_path / "scan.glb").write_bytes(glb(hostile(kind), binary()))

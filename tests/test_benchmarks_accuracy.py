@@ -25,9 +25,7 @@ def make_view(folder: Path) -> View:
     """Looks down from 2 m at the origin; 8 x 6 pixels."""
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[2, 3] = 2.0
-    return View(
-        "val/000", "held_back", folder / "val" / "Image" / "000_0001.exr", 8, 6, 8.0, 8.0, 4.0, 3.0, pose
-    )
+    return View("val/000", "held_back", folder / "val" / "Image" / "000_0001.exr", 8, 6, 8.0, 8.0, 4.0, 3.0, pose)
 
 
 def make_maps() -> Maps:
@@ -84,9 +82,7 @@ def floor_with_lamp(border: float) -> LitRoom:
     triangles = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]], np.int32)
     room = mesh_room(vertices, triangles, np.zeros(4))
     materials = TriangleMaterials(np.tile([0.6, 0.4, 0.2], (4, 1)), np.full(4, 0.5), np.full(4, 0.25))
-    table = EmitterTable(
-        np.array([0, 1], np.int32), np.full((2, 3), 5.0, np.float32), np.zeros((2, 3), np.float32)
-    )
+    table = EmitterTable(np.array([0, 1], np.int32), np.full((2, 3), 5.0, np.float32), np.zeros((2, 3), np.float32))
     return LitRoom(room, materials, AreaLights(vertices, triangles, table))
 
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks import accuracy, metrics, truth
+from benchmarks import metrics, truth
 from benchmarks.metrics import Maps
 from fipt_blender.core.report import comparison
 
@@ -116,11 +116,3 @@ def test_filtered_ground_truth_is_recognised(filtered: bool) -> None:
     maps = dataclasses.replace(make_maps(), roughness=roughness)
     assert truth.maps_are_filtered([maps]) is filtered
     assert truth.maps_are_filtered([dataclasses.replace(maps, roughness=np.ones((9, 9)))]) is False
-
-
-def test_bounds() -> None:
-    result = {"held_back": {"kd_psnr": 25.0, "relight_psnr": None}, "seconds": 100.0}
-    good = {"held_back": {"kd_psnr": [20.0, None]}, "seconds": [None, 200.0]}
-    assert accuracy.out_of_bounds(result, good) == []
-    bad = {"held_back": {"kd_psnr": [26.0, None], "relight_psnr": [1.0, None]}, "seconds": [None, 50.0]}
-    assert len(accuracy.out_of_bounds(result, bad)) == 3

@@ -32,9 +32,7 @@ def test_numbers_in_capitals_are_found_with_their_comments() -> None:
     one = dataclasses.replace(found[2], value=1)
     assert [one.scaled(0.5), one.scaled(2.0)] == [0, 2]
     assert len(constants.all_constants()) > 100
-    shared = constants.module_constants(
-        "# In metres.\nDEPTH = 1.0\nWIDTH = 2.0\n\nHEIGHT = 3.0\n", "room.wall"
-    )
+    shared = constants.module_constants("# In metres.\nDEPTH = 1.0\nWIDTH = 2.0\n\nHEIGHT = 3.0\n", "room.wall")
     assert [each.comment for each in shared] == ["In metres.", "In metres.", ""]
     assert not [each.key for each in constants.all_constants(skipped=()) if not each.comment]
 
@@ -99,9 +97,7 @@ def test_a_gain_must_be_more_than_another_seed_changes_in_the_same_capture() -> 
 
 
 def test_lamps_are_compared_by_where_they_are() -> None:
-    square = np.array(
-        [[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]]
-    )
+    square = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]])
     away, behind, small = square + (3.0, 0.0, 0.0), square + (0.0, 0.0, 0.03), 0.4 * square
     counts = lamps.count_lamps([behind, 0.5 * away + 5.0], [square, away])
     assert counts == lamps.LampCounts(

@@ -146,32 +146,6 @@ def test_scans_are_unwrapped_by_charts(run, monkeypatch):
     assert np.allclose(texels / areas, 128.0**2, rtol=0.05)  # the same density for all
 
 
-def test_outlines_turn_like_whole_islands(monkeypatch):
-    random = np.random.default_rng(2)
-    corners = random.normal(size=(3000, 1, 2)) * [3.0, 1.0] + random.normal(size=(3000, 3, 2)) * 0.1
-    island = random.integers(0, 4, 3000)
-    island[:5] = 5  # a small one, and none with the number 4
-    by_outline = islands.rotate_islands(corners, island)
-    monkeypatch.setattr(islands, "LARGE_ISLAND", 10_000)
-    assert np.array_equal(by_outline, islands.rotate_islands(corners, island))
-
-
-def test_sparse_islands_are_cut():
-    # A frame of 40 squares around a hole of 9 by 9.
-    cells = [(x, y) for x in range(11) for y in range(11) if x in (0, 10) or y in (0, 10)]
-    corners, polygon = [], []
-    for index, (x, y) in enumerate(cells):
-        a, b, c, d = (x, y), (x + 1, y), (x + 1, y + 1), (x, y + 1)
-        corners += [[a, b, c], [a, c, d]]
-        polygon += [index, index]
-    corners = np.array(corners, np.float64) * 40.0
-    island = islands.split_sparse_islands(corners, np.zeros(len(corners), np.int64), np.array(polygon))
-    before = islands.island_bounds(corners, np.zeros(len(corners), np.int64))[1].prod(axis=1).sum()
-    after = islands.island_bounds(corners, island)[1].prod(axis=1).sum()
-    assert after < 0.7 * before
-    assert (island[0::2] == island[1::2]).all()
-
-
 def test_colour_attribute_mode_and_changed_rooms(run):
     item = cube()
     _, atlas, _, image = atlas_of([item], run, atlas_mode="color_attribute")
@@ -209,9 +183,7 @@ def box(count=50):
 
 def cylinder(rows=120, columns=180, radius=0.5, height=2.0):
     """The side of an upright cylinder."""
-    z, angle = np.meshgrid(
-        np.linspace(0.0, height, rows), np.arange(columns) * (2.0 * np.pi / columns), indexing="ij"
-    )
+    z, angle = np.meshgrid(np.linspace(0.0, height, rows), np.arange(columns) * (2.0 * np.pi / columns), indexing="ij")
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1).reshape(-1, 3)
     return points, grid(rows, columns, closed=True)
 
@@ -299,20 +271,6 @@ def test_sheets_above_each_other_are_cut_apart():
     result = unwrapped(points, triangles)
     assert result.chart.max() > 0
     assert overlap(result, 0.005) <= 1e-3
-
-
-def test_long_charts_are_cut_and_polygons_stay_whole():
-    points, triangles = box()
-    polygon = np.repeat(np.arange(len(triangles) // 2), 2)
-    result = run_through(charts.chart_slices(points, triangles, polygon, 0.7))
-    assert islands.island_bounds(result.uv, result.chart)[1].max() < 0.85
-    assert (result.chart[0::2] == result.chart[1::2]).all()
-
-
-def test_the_result_depends_on_the_mesh_alone():
-    points, triangles = noisy(*sphere(40), share=0.3)
-    first, second = (unwrapped(points, triangles) for _ in range(2))
-    assert np.array_equal(first.uv, second.uv) and np.array_equal(first.chart, second.chart)
 
 
 def test_scans_are_told_from_modelled_meshes():

@@ -71,18 +71,6 @@ def test_projection_agrees_with_the_pinhole(run):
         assert np.abs(projected - pixels).max() < 1e-4
 
 
-def test_cameras_show_photographs_and_are_not_duplicated(run):
-    names = cameras.add_cameras(run)
-    assert cameras.add_cameras(run) == names
-    assert len(bpy.data.objects) == len(run.views)
-    camera = bpy.data.objects[names[0]]
-    assert camera["fipt_split"] == "held_back"
-    assert [each.name for each in camera.users_collection] == ["Photographs"]
-    image = camera.data.background_images[0].image
-    assert image.is_float and image.colorspace_settings.name == "Linear Rec.709"
-    assert len(bpy.data.images) == 1
-
-
 pytestmark = pytest.mark.usefixtures("registered")
 SIZE = (96, 64)
 LENSES = {"Wide": (24.0, 36.0, 0.0, 0.0), "Shifted": (35.0, 32.0, 0.05, -0.08)}

@@ -13,7 +13,6 @@ from mathutils import Euler, Matrix
 
 from fipt_blender.blend.capture import importing
 from fipt_blender.blend.capture.exporting import export_capture
-from fipt_blender.blend.capture.look import stand_in_photograph
 from fipt_blender.blend.slices import run_through
 from fipt_blender.core import conventions
 from fipt_blender.core.run.documents import read_document
@@ -95,9 +94,7 @@ def test_the_mesh_follows_the_alignment_and_the_capture_s_axes(run, scene):
     bpy.context.view_layer.update()
     world = np.array([room.matrix_world @ vertex.co for vertex in room.data.vertices])
     source = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float64)
-    expected = conventions.transform_points(
-        np.array(ALIGNED) @ conventions.world_from_source("y", 2.0), source
-    )
+    expected = conventions.transform_points(np.array(ALIGNED) @ conventions.world_from_source("y", 2.0), source)
     assert np.abs(np.sort(world, axis=0) - np.sort(expected, axis=0)).max() < 1e-5
 
 
@@ -201,25 +198,6 @@ def test_chosen_objects_stay_the_room_and_are_not_changed(run, scene):
     assert cube.name in scene.objects  # only unlinked from the collection
 
 
-def test_a_capture_without_mesh_warns(run, scene):
-    write_json(run.ingest_json, {**read_document(run.ingest_json, dict), "mesh": None})
-    assert [message["code"] for message in bring_in(run)] == ["mesh-missing"]
-    assert len(scene.fipt.capture.views) == 5
-
-
-def test_objects_of_a_new_file_are_told_once(run, scene):
-    bpy.ops.mesh.primitive_cube_add()
-    cube = bpy.context.object
-    cube.location.x = 0.1
-    hidden = cube.copy()
-    hidden.hide_render = True
-    scene.collection.objects.link(hidden)
-    (warning,) = bring_in(run)
-    assert warning["code"] == "objects-beside"
-    assert warning["text"].endswith(f": '{cube.name}'.")
-    assert bring_in(run) == []  # the same capture again
-
-
 def test_start_up_objects_are_hidden_and_shown_again(run, scene):
     bpy.ops.mesh.primitive_cube_add()
     light, camera = bpy.data.lights.new("Light", "POINT"), bpy.data.cameras.new("Camera")
@@ -235,18 +213,6 @@ def test_start_up_objects_are_hidden_and_shown_again(run, scene):
     scene.objects["Light"].location.z += 0.1  # the artist's from now on
     bpy.ops.fipt.hide_startup_objects()
     assert [scene.objects[name].hide_render for name in names] == [True, False, True]
-
-
-def test_the_room_is_one_tree_and_starts_in_a_photograph(run, scene):
-    bring_in(run)
-    (tree,) = (child for child in scene.collection.children if child.name == "Room")
-    assert {child.name for child in tree.children} == {"Parts", "Photographs"}
-    assert len(tree.children["Photographs"].objects) == 5
-    settings = scene.fipt.capture
-    stand_in_photograph(scene, bpy.context)
-    assert scene.camera == settings.views[0].camera_object()
-    settings.picture = settings.views[3].name  # a thumbnail that is clicked
-    assert scene.camera == settings.views[3].camera_object() and settings.active_view == 3
 
 
 def test_masks_of_a_folder(run, scene, tmp_path):

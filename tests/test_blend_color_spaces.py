@@ -15,8 +15,6 @@ import bpy
 import numpy as np
 import pytest
 
-from fipt_blender.blend import color_spaces
-
 TESTS = Path(__file__).parent
 # Primaries and white, CIE xy.
 D65, D60 = (0.3127, 0.3290), (0.32168, 0.33767)
@@ -92,9 +90,7 @@ def run(code: list[str], config: Path | None) -> subprocess.CompletedProcess[str
     environment["PYTHONPATH"] = os.pathsep.join([str(TESTS), str(TESTS.parent)])
     if config is not None:
         environment["OCIO"] = str(config)
-    return subprocess.run(
-        [sys.executable, *code], env=environment, capture_output=True, text=True, timeout=300
-    )
+    return subprocess.run([sys.executable, *code], env=environment, capture_output=True, text=True, timeout=300)
 
 
 def seen(folder: Path, config: Path | None = None, working_space: str = "") -> dict:
@@ -147,10 +143,3 @@ os._exit(bool(bpy.data.images.get("FIPT Probe")))
 """
     result = run(["-u", "-c", code], config)
     assert result.returncode == 0 and "color-space-missing" in result.stdout and "OCIO" in result.stdout
-
-
-def test_by_default_nothing_is_converted(rng):
-    values = rng.random((4, 3)).astype(np.float32) * 9.0
-    assert color_spaces.to_scene_linear(values) is values
-    assert color_spaces.from_scene_linear(values) is values
-    assert (color_spaces.linear_space(), color_spaces.encoded_space()) == ("Linear Rec.709", "sRGB")

@@ -184,13 +184,6 @@ def profile_file(folder: Path, candela: list[float], vertical: list[float], mult
     return path
 
 
-def test_mean_intensity(tmp_path):
-    even = ies.read_profile(profile_file(tmp_path, [5.0] * 3, [0.0, 90.0, 180.0], multiplier=2.0))
-    assert even.mean() == pytest.approx(10.0)
-    below = ies.read_profile(profile_file(tmp_path, [8.0] * 10, np.linspace(0.0, 90.0, 10).tolist()))
-    assert below.mean() == pytest.approx(4.0)
-
-
 @pytest.mark.parametrize(
     "text",
     ["",
@@ -204,13 +197,6 @@ def test_other_files_are_refused(tmp_path, text):
     path = tmp_path / "lamp.ies"
     path.write_text(text, encoding="utf-8")
     assert error_of(ies.read_profile, path).code == "ies-unreadable"
-
-
-def test_missing_and_large_files_are_refused(tmp_path):
-    assert "can't be read" in str(error_of(ies.read_profile, tmp_path / "none.ies"))
-    large = tmp_path / "large.ies"
-    large.write_bytes(b" " * (ies.MAX_BYTES + 1))
-    assert "larger" in str(error_of(ies.read_profile, large))
 
 
 def lit_floor() -> float:

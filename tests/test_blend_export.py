@@ -67,9 +67,7 @@ def test_gltf_has_textures_emission_and_names_and_is_valid(scene, tmp_path):
     assert np.allclose(lumens, np.pi * nits, rtol=1e-4)
     images = {"Panel_base_color", "Panel_orm", "Cube_base_color", "Cube_orm"}
     assert {image["name"] for image in document["images"]} == images
-    accessors = {
-        key for mesh in document["meshes"] for each in mesh["primitives"] for key in each["attributes"]
-    }
+    accessors = {key for mesh in document["meshes"] for each in mesh["primitives"] for key in each["attributes"]}
     assert "TEXCOORD_0" in accessors and "TEXCOORD_1" not in accessors
 
 
@@ -83,9 +81,7 @@ def test_an_empty_blender_shows_the_estimate_with_its_adjustments(scene, tmp_pat
     assert len(cube.uv_layers) == 1
     material = cube.materials[0]
     shader = principled(material)
-    color, rough, metal = (
-        texture_behind(shader.inputs[name]) for name in ("Base Color", "Roughness", "Metallic")
-    )
+    color, rough, metal = (texture_behind(shader.inputs[name]) for name in ("Base Color", "Roughness", "Metallic"))
     wanted = np.array(ConstantFields.base_color)
     uv = np.empty(len(cube.loops) * 2, np.float32)
     cube.uv_layers[0].uv.foreach_get("vector", uv)
@@ -155,9 +151,7 @@ def test_a_ball_has_a_point_light_of_its_power():
     light, matrix = lamp_light(item)
     area = sum(face.area for face in mesh.polygons)
     assert light.type == "POINT" and np.allclose(matrix.translation, (1.0, 2.0, 3.0), atol=1e-3)
-    assert np.allclose(
-        light.energy * np.array(light.color), np.pi * area * np.array([3.0, 2.0, 1.0]), rtol=1e-3
-    )
+    assert np.allclose(light.energy * np.array(light.color), np.pi * area * np.array([3.0, 2.0, 1.0]), rtol=1e-3)
 
 
 def test_what_can_not_be_exported_is_refused_and_changes_nothing(scene, tmp_path):
@@ -176,13 +170,6 @@ def test_what_can_not_be_exported_is_refused_and_changes_nothing(scene, tmp_path
     ops.apply_results()
     error = error_of(export_room, scene, tmp_path / "room.glb")
     assert error.code == "export-attributes" and not (tmp_path / "room.glb").exists()
-
-
-def test_the_operator_adds_the_suffix(scene, tmp_path):
-    assert ops.export_room(filepath=str(tmp_path / "a.b"), file_format=".gltf") == {"FINISHED"}
-    assert (tmp_path / "a.b.gltf").is_file()
-    ops.revert()
-    assert not ops.export_room.poll()
 
 
 def test_the_command_line(scene, tmp_path, capfd):

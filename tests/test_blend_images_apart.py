@@ -12,11 +12,9 @@ from mathutils import Vector
 from fipt_blender.blend.export.exporting import ExportOptions, export_room
 from fipt_blender.blend.marks import MAP
 from fipt_blender.blend.results.materials import is_uniform
-from fipt_blender.blend.results.reading import own_images
 from fipt_blender.blend.room.atlas import file_names
 from fipt_blender.core.run.parts import read_parts
 from fipt_blender.core.run.run_files import read_room_files
-from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.textures import bake
 from samples.applied_rooms import ConstantFields, picture
 
@@ -85,9 +83,7 @@ def test_a_part_of_one_value_has_constants_which_can_be_adjusted_and_exported(sc
         and max(node.inputs["Base Color"].default_value[:3]) > 0.0
     )
     assert principled.inputs["Roughness"].default_value == pytest.approx(0.9, abs=1e-4)
-    assert np.allclose(
-        principled.inputs["Base Color"].default_value[:3], ConstantFields.base_color, atol=1e-4
-    )
+    assert np.allclose(principled.inputs["Base Color"].default_value[:3], ConstantFields.base_color, atol=1e-4)
 
 
 @pytest.mark.parametrize("owner", ["object", "part"])
@@ -115,35 +111,5 @@ def test_each_owner_has_an_image_and_shows_its_place(scene, owner, tmp_path):
     assert scene.fipt.materials.image_count == 1 and material("cube") == kept
 
 
-def test_triangles_without_area_take_the_image_of_their_part_and_object():
-    part, owner = np.array([0, 0, 1, 1, 1, 2, 3]), np.array([0, 0, 0, 1, 1, 1, 2])
-    image = np.array([3, -1, -1, 4, -1, -1, -1])
-    assert own_images(image, part, owner).tolist() == [3, 3, 4, 4, 4, 4, 0]
-
-
 def test_names_of_files_differ_on_every_system():
-    assert file_names(["Wall", "wall", "Wall/2", "Wall 2", "?"]) == [
-        "Wall",
-        "wall_2",
-        "Wall_2_2",
-        "Wall_2_3",
-        "Part",
-    ]
-
-
-def test_ranges_tell_parts_of_one_value(scene):
-    run = RunFolder(scene.fipt.run_folder)
-    room, names = read_room_files(run)
-    parts = read_parts(run, room["triangle_object"], names.objects)
-    ranges = bake.PartRanges(parts)
-    triangles = np.arange(len(parts.triangle))
-    values = np.full(len(triangles), 0.5, np.float32)
-    samples = bake.Samples(
-        np.full((len(triangles), 3), 0.25, np.float32), values, values, np.ones((len(triangles), 3))
-    )
-    ranges.add(samples, triangles)
-    assert [entry.part for entry in ranges.uniform()] == [part.key for part in parts.parts]
-    values[np.flatnonzero(parts.triangle == 1)[:1]] += 0.01
-    ranges.add(samples, triangles)
-    (entry,) = ranges.uniform()
-    assert entry.part == parts.parts[0].key and list(entry.base_color) == [0.25] * 3
+    assert file_names(["Wall", "wall", "Wall/2", "Wall 2", "?"]) == ["Wall", "wall_2", "Wall_2_2", "Wall_2_3", "Part"]

@@ -74,9 +74,7 @@ def test_a_blend_lies_between_in_radiance(scene, factor):
     assert not front(row.object).any() and not row.on
 
 
-@pytest.mark.parametrize(
-    "text", ["", "[]", '{"lights": {}}', '{"lights": {"a": {"rgb": [1, 2]}}, "world": null}']
-)
+@pytest.mark.parametrize("text", ["", "[]", '{"lights": {}}', '{"lights": {"a": {"rgb": [1, 2]}}, "world": null}'])
 def test_a_damaged_state_is_refused(text):
     assert error_of(light_states.read, text).code == "state-damaged"
 
@@ -121,9 +119,7 @@ def test_keyframes_of_power_color_and_switch(scene):
     scene.fipt.lights.lights[1].solo = False
     light_drivers.clear(item)
     scene.frame_set(1)
-    assert (
-        np.allclose(front(item), 2.0 * blue) and not item.data.materials[0].node_tree.animation_data.drivers
-    )
+    assert np.allclose(front(item), 2.0 * blue) and not item.data.materials[0].node_tree.animation_data.drivers
     ops.reset_light(light="Fixture.001")
     assert np.allclose(front(item), RADIANCE)
 

@@ -10,7 +10,7 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend.capture.cameras import use_view
-from fipt_blender.blend.lights import eevee, new_lights, outline
+from fipt_blender.blend.lights import eevee, new_lights
 from fipt_blender.blend.marks import PIXEL_ASPECT, RESOLUTION, VISIBILITY, light_probe
 from fipt_blender.blend.render_settings import changed_by_artist
 from samples.applied_rooms import make_applied_scene
@@ -24,39 +24,6 @@ pytestmark = pytest.mark.usefixtures("registered")
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
     return make_applied_scene(tmp_path / "run", monkeypatch)
-
-
-def test_the_outline_of_an_open_mesh_is_its_border():
-    bpy.ops.mesh.primitive_grid_add(x_subdivisions=3, y_subdivisions=3, size=2.0)
-    points = np.array(outline.outline(bpy.context.object))
-    assert len(points) == 2 * 12 and (np.abs(points[:, :2]).max(axis=1) == 1.0).all()
-    bpy.ops.mesh.primitive_cube_add(size=2.0)
-    assert len(outline.outline(bpy.context.object)) == 2 * 12
-
-
-@pytest.mark.parametrize(("shape", "reach"), [("RECTANGLE", (0.5, 1.0, 0.0)), ("ELLIPSE", (0.5, 1.0, 0.0))])
-def test_the_outline_of_an_area_light_is_its_shape(shape, reach):
-    bpy.ops.object.light_add(type="AREA")
-    light = bpy.context.object.data
-    light.shape, light.size, light.size_y = shape, 1.0, 2.0
-    assert np.allclose(np.abs(outline.outline(bpy.context.object)).max(axis=0), reach)
-
-
-def test_selecting_a_light_activates_its_row(scene):
-    ops.add_light(location=(0, 0, 3))
-    fixture = scene.fipt.lights.lights[0].object
-    assert scene.fipt.lights.active == 1
-    bpy.context.view_layer.objects.active = fixture
-    outline.follow_selection()
-    assert scene.fipt.lights.active == 0
-    bpy.context.view_layer.objects.active = bpy.data.objects["cube"]
-    outline.follow_selection()
-    assert scene.fipt.lights.active == 0
-    ops.fixture_to_area_light(fixture=fixture.name)
-    scene.fipt.lights.active = 1
-    bpy.context.view_layer.objects.active = fixture.children[0]
-    outline.follow_selection()
-    assert scene.fipt.lights.active == 0
 
 
 def test_a_light_is_aimed_and_its_beam_ends_on_the_room():
@@ -151,9 +118,3 @@ def test_render_settings_are_set_once_and_what_the_artist_changes_survives(scene
     ops.revert()  # to what was last the artist's
     assert scene.view_settings.view_transform == "AgX" and scene.view_settings.exposure == 3.0
     assert (scene.cycles.samples, scene.cycles.max_bounces) == (77, 3)
-
-
-def test_a_room_is_needed_for_eevee(scene):
-    bpy.data.batch_remove(list(bpy.data.collections["Parts"].objects))
-    assert "no room" in refused(ops.prepare_eevee)
-    assert scene.render.engine == "CYCLES"

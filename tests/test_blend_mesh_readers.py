@@ -61,20 +61,15 @@ def check_file(path: Path, solid: Solid, exact: float = 2e-5) -> None:
     """Both readers find the solid: its triangles, area, volume and bounds, all within `exact` of its size."""
     for read in (of_engine, of_blender):
         vertices, triangles = read(path)
-        found = Solid(
-            vertices[np.unique(triangles)], np.searchsorted(np.unique(triangles), triangles).tolist()
-        )
+        found = Solid(vertices[np.unique(triangles)], np.searchsorted(np.unique(triangles), triangles).tolist())
         assert len(triangles) == solid.triangle_count, (read, len(triangles))
         np.testing.assert_allclose(found.figures, solid.figures, atol=exact * np.abs(solid.figures).max())
 
 
 @pytest.mark.parametrize(
-    ("outline", "blank", "negative", "apart"),
-    pairs(OUTLINES, (" ", "\t", " \t "), (False, True), (False, True)),
+    ("outline", "blank", "negative", "apart"), pairs(OUTLINES, (" ", "\t", " \t "), (False, True), (False, True))
 )
-def test_obj(
-    tmp_path: Path, drawn: np.random.Generator, outline: str, blank: str, negative: bool, apart: bool
-):
+def test_obj(tmp_path: Path, drawn: np.random.Generator, outline: str, blank: str, negative: bool, apart: bool):
     style = ObjStyle(
         blank,
         negative,
@@ -127,11 +122,7 @@ def test_stl(tmp_path: Path, drawn: np.random.Generator, outline: str, text: boo
 STYLES = [
     *(GltfStyle(mode, indexed) for mode in (4, 5, 6) for indexed in (False, True)),
     *(GltfStyle(mode, True, index, stride=20) for mode in (4, 5, 6) for index in ("|u1", "<u4")),
-    *(
-        GltfStyle(4, True, "<u2", kind, flag)
-        for kind in ("|i1", "|u1", "<i2", "<u2")
-        for flag in (False, True)
-    ),
+    *(GltfStyle(4, True, "<u2", kind, flag) for kind in ("|i1", "|u1", "<i2", "<u2") for flag in (False, True)),
 ]
 # Of a solid's size: float32, and positions of 8 and 16 bits.
 EXACT = {"<f4": 2e-5, "|i1": 2e-2, "|u1": 2e-2, "<i2": 1e-4, "<u2": 1e-4}
@@ -161,9 +152,7 @@ def drawn_node(rng: np.random.Generator, kind: str) -> tuple[dict, np.ndarray]:
 
 @pytest.mark.parametrize("style", STYLES, ids=str)
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
-def test_primitives_of_gltf(
-    tmp_path: Path, drawn: np.random.Generator, style: GltfStyle, suffix: str
-) -> None:
+def test_primitives_of_gltf(tmp_path: Path, drawn: np.random.Generator, style: GltfStyle, suffix: str) -> None:
     file, solids, nodes = Gltf(), [], []
     for name in CONVEX:
         solids.append(made(name, drawn))
@@ -179,9 +168,7 @@ def test_nodes_of_gltf(tmp_path: Path, drawn: np.random.Generator, parent: str, 
     file, solid = Gltf(), made(str(drawn.choice(CONVEX)), drawn)
     style = STYLES[int(drawn.integers(len(STYLES)))]
     mesh, decode = file.add_mesh(solid, style)
-    (above, outer), (below, inner), (beside, other) = (
-        drawn_node(drawn, kind) for kind in (parent, child, child)
-    )
+    (above, outer), (below, inner), (beside, other) = (drawn_node(drawn, kind) for kind in (parent, child, child))
     nodes = [{**above, "children": [1, 2]}, {**below, "children": [3]}, {**beside, "children": [4]}]
     nodes += [{"mesh": mesh, **node_of(decode)}, {"mesh": mesh, **node_of(decode)}]
     more: dict = {}

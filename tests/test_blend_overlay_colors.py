@@ -7,10 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fipt_blender.blend.capture.survey import DISAGREEMENT, coverage_colors, level_colors, part_colors
-from fipt_blender.panels import capture as panel
-from fipt_blender.panels import swatches
-from samples.layouts import Layout
+from fipt_blender.blend.capture.survey import coverage_colors
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -39,29 +36,3 @@ def test_everyone_can_tell_the_colors_of_the_coverage_apart(blindness):
     distance = np.linalg.norm(seen[:, None] - seen[None], axis=2) + 100.0 * np.eye(5)
     assert distance.min() > 20.0
     assert (np.diff(seen[1:, 0]) > 15.0).all()  # more views are lighter
-
-
-def test_the_legend_has_a_swatch_of_each_color(monkeypatch):
-    monkeypatch.setattr(swatches, "icon", lambda color: color)
-    layout = Layout()
-    panel.draw_legend(layout, "coverage")
-    levels = [(options["text"], options["icon_value"]) for options in layout.labels[1:]]
-    assert [text for text, _ in levels] == ["0", "1", "2", "3+", "5+"]
-    np.testing.assert_array_equal([color for _, color in levels], coverage_colors(np.array([0, 1, 2, 3, 5])))
-    pixels = np.reshape(swatches.square_pixels(levels[0][1]), (-1, 4))
-    assert (pixels[:, 3] == 1.0).all() and (pixels[:, :3] == levels[0][1]).all(axis=1).mean() > 0.7
-    other = Layout()
-    panel.draw_legend(other, "disagreement")
-    assert [options["text"] for options in other.labels[1:]] == ["?", "0", ".1", ".25", ".5"]
-    values = np.array([-1.0, 0.0, 0.2, 0.25, 1.0])
-    colors = [options["icon_value"] for options in other.labels[1:]]
-    np.testing.assert_array_equal(colors, level_colors(DISAGREEMENT, values))
-
-
-def test_colours_of_coverage_and_parts():
-    colors = coverage_colors(np.array([0, 1, 2, 3, 4, 5, 200]))
-    assert len(np.unique(colors, axis=0)) == 5 and (colors[3] == colors[4]).all()
-    parts = part_colors(np.arange(-1, 40))
-    assert parts.min() >= 0.0 and parts.max() <= 1.0 and (parts[0] == 0.25).all()
-    distance = np.linalg.norm(parts[1:, None] - parts[None, 1:], axis=2) + np.eye(40)
-    assert distance.min() > 0.02 and np.diagonal(distance, 1).min() > 0.2  # neighbours differ most

@@ -62,9 +62,7 @@ def other_values(owner: bpy.types.bpy_struct) -> dict[str, list]:
             values = (min(max(other, low), high) for other in (value * 2 + 1, value / 2, low, high))
             found[name] = [int(other) if each.type == "INT" else other for other in values]
         elif each.type == "ENUM":
-            found[name] = [
-                item.identifier for item in each.enum_items if item.identifier not in ("GPU", value)
-            ]
+            found[name] = [item.identifier for item in each.enum_items if item.identifier not in ("GPU", value)]
     return found
 
 
@@ -166,25 +164,7 @@ def test_sets_and_depth_of_field_are_not_in_checks(tmp_path):
 def folder_names() -> list[str]:
     """Names with what Blender's paths, its templates, formats of numbers and shells give a meaning."""
     draw = random.Random(7)
-    signs = [
-        "{",
-        "}",
-        "{client}",
-        "{{",
-        "#",
-        "####",
-        "%04d",
-        "$HOME",
-        "~",
-        "é",
-        "é",
-        "部屋",
-        " ",
-        ".",
-        "&",
-        ";",
-        "'",
-    ]
+    signs = ["{", "}", "{client}", "{{", "#", "####", "%04d", "$HOME", "~", "é", "é", "部屋", " ", ".", "&", ";", "'"]
     made = ["".join(draw.choices([*signs, "room", "1"], k=5)).strip("/") for _ in range(12)]
     return ["{client} room", "{blend_name}", "a}b", "shot.####", "100 %", *made]
 
@@ -206,7 +186,7 @@ def test_the_name_of_a_folder_stops_no_step(tmp_path, name, monkeypatch):
     photo = photograph(run, 4)
     scene = bpy.context.scene
     export_room([bpy.data.objects["Floor"], bpy.data.objects["Wall"]], run)
-    RoomSteps(MainJobOptions(capture=folder, output=run.root, render_spp=4), run).rerender()
+    list(RoomSteps(MainJobOptions(capture=folder, output=run.root, render_spp=4), run).rerender())
     (entry,) = read_document(run.renders_json, dict)["renders"]
     render = image_files.read_pixels(run.resolve(entry["image"]))
     assert render.mean() == pytest.approx(photo.mean(), rel=0.2)

@@ -164,9 +164,7 @@ def test_environment_direction(room):
     directions = conventions.equirect_pixel_directions(64, 32)
     write_exr(run.environment_exr, (directions * 0.5 + 0.5).astype(np.float32))
     data = read_document(run.emitters_json, dict)
-    write_json(
-        run.emitters_json, {**data, "environment": {"image": "environment.exr", "observed_share": 1.0}}
-    )
+    write_json(run.emitters_json, {**data, "environment": {"image": "environment.exr", "observed_share": 1.0}})
     for item in list(bpy.data.objects):
         bpy.data.objects.remove(item)
     world.apply_environment(run)

@@ -127,12 +127,6 @@ def test_custom_normals_reach_the_export(run):
     assert np.allclose(room.corner_normals, [0.0, math.sin(0.3), math.cos(0.3)], atol=1e-3)
 
 
-def test_export_without_faces_is_an_error(run):
-    item = bpy.data.objects.new("m", bpy.data.meshes.new("m"))
-    assert error_of(exporting.export_room, [item], run).code == "mesh-empty"
-    assert not run.room_npz.exists()
-
-
 def test_faces_of_opposite_winding_render_alike(tmp_path):
     # Two halves of a wall share an edge; the second one has the opposite winding and normals.
     text = "\n".join(

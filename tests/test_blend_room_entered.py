@@ -5,69 +5,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import pytest
 
-from fipt_blender.blend.capture import look
-from fipt_blender.blend.marks import VIEW
 from fipt_blender.jobs import running, session
 
 pytestmark = pytest.mark.usefixtures("registered")
-
-
-def add_views(scene: bpy.types.Scene, *splits: str) -> None:
-    """A view of each split, with a camera at the centre of `make_scene`'s cube."""
-    for index, split in enumerate(splits):
-        camera = bpy.data.objects.new(f"view {index}", bpy.data.cameras.new("camera"))
-        camera.location = (0.0, 5.0, 0.0)
-        scene.collection.objects.link(camera)
-        view = scene.fipt.capture.views.add()
-        view.name = view.camera = camera.name
-        view.split = split
-        camera[VIEW] = view.name
-    bpy.context.view_layer.update()
-
-
-def space(shading: str) -> SimpleNamespace:
-    """Stands in for a 3D view that looks from outside."""
-    return SimpleNamespace(
-        region_3d=SimpleNamespace(view_perspective="PERSP"),
-        shading=SimpleNamespace(type=shading, show_backface_culling=False),
-    )
-
-
-@pytest.mark.parametrize(("splits", "index"), [(("train", "held_back"), 1), (("train", "train"), 0)])
-def test_the_room_is_entered_through_a_held_back_view_where_there_is_one(monkeypatch, splits, index):
-    scene = bpy.context.scene
-    add_views(scene, *splits)
-    solid, preview = space("SOLID"), space("MATERIAL")
-    monkeypatch.setattr(look, "view_spaces", lambda context, scene: [solid, preview])
-    scene.render.engine = "CYCLES"
-    look.enter_room(bpy.context, scene)
-    assert scene.camera.name == f"view {index}"
-    assert solid.region_3d.view_perspective == "CAMERA"
-    assert (solid.shading.type, preview.shading.type) == ("RENDERED", "MATERIAL")
-    scene.camera = bpy.data.objects["view 0"]
-    look.enter_room(bpy.context, scene)
-    assert scene.camera.name == "view 0", "an artist who looks through a view stays there"
-
-
-@pytest.mark.parametrize(("inward", "share"), [(False, 0.0), (True, 1.0)])
-def test_walls_that_face_inwards_are_hidden_from_behind(monkeypatch, inward, share):
-    scene = bpy.context.scene
-    add_views(scene, "train")
-    bpy.ops.mesh.primitive_cube_add(location=(0.0, 5.0, 0.0))
-    cube = bpy.context.object
-    if inward:
-        cube.data.flip_normals()
-    material = bpy.data.materials.new("wall")
-    cube.data.materials.append(material)
-    assert look.inward_share([cube], cube.location) == share
-    monkeypatch.setattr(look, "room_with_results", lambda scene: [cube])
-    look.cull_outside(scene)
-    assert material.use_backface_culling is look.is_culled(scene) is inward
 
 
 @pytest.mark.parametrize("wanted", [True, False])

@@ -44,14 +44,6 @@ def test_a_disk_that_is_nearly_full_is_named(tmp_path, monkeypatch):
     assert error.code == "disk-full" and "3 MB" in error.text
 
 
-def test_success_is_no_reason(tmp_path):
-    path = tmp_path / "room.blend"
-    for text in ("Error: Success\n", "Error: Permission denied\n"):
-        error = save.write_error(path, RuntimeError(text), "blend-unwritable")
-        assert error.code == "blend-unwritable" and "Success" not in error.text and str(path) in error.text
-    assert "Permission denied" in error.text
-
-
 def test_a_folder_without_permission_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(save, "reserve", fail(errno.EACCES))
     error = saving_fails(tmp_path / "room.blend")

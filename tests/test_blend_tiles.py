@@ -68,14 +68,6 @@ def test_every_side_shows_its_place_also_after_saving(scene, tmp_path):
             assert np.allclose(seen, color_at(side), atol=0.02), (axis, sign)
 
 
-def test_applying_again_keeps_the_material_and_its_name(scene):
-    material = bpy.data.objects["cube"].data.materials[0]
-    material.name = "My cube"
-    assert bpy.ops.fipt.apply_results() == {"FINISHED"}
-    assert [each.name for each in bpy.data.objects["cube"].data.materials] == ["My cube"]
-    assert len([image for image in bpy.data.images if image.source == "TILED"]) == 4
-
-
 @pytest.mark.parametrize("suffix, size", [(".glb", 4096), (".glb", 256), (".usdc", 4096)])
 def test_other_programs_get_one_material_of_the_chosen_size(scene, tmp_path, suffix, size):
     path = tmp_path / f"room{suffix}"

@@ -102,39 +102,10 @@ def device_works(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(native, "check_engine", lambda python: (found, FiptError("", "", "")))
 
 
-def test_pips_lines_become_texts_and_a_fraction_that_never_falls(tmp_path: Path) -> None:
-    listener = Listener()
-    progress = PipProgress(tmp_path, 0.2, listener)
-    for line in (
-        "Collecting torch==2.13.0",
-        "  Downloading torch-2.13.0-cp313-cp313-manylinux_2_28_x86_64.whl.metadata (30 kB)",
-        "Downloading torch-2.13.0+cpu-cp313-cp313-manylinux_2_28_x86_64.whl (100.0 MB)",
-        "Progress 50000000 of 100000000",
-        "Progress 100000000 of 100000000",
-        "Using cached mitsuba-3.9.1-cp313-cp313-manylinux_2_28_x86_64.whl (62.6 MB)",
-        "Installing collected packages: torch, mitsuba",
-    ):
-        progress.line(line + "\n")
-    (tmp_path / "torch-2.13.0.dist-info").mkdir()
-    progress.watch()
-    assert listener.texts == [
-        "Downloading: torch 2.13.0+cpu (100.0 MB)",
-        "Taking from pip's cache: mitsuba 3.9.1 (62.6 MB)",
-        "Installing 2 packages",
-    ]
-    fractions = listener.fractions
-    assert fractions == sorted(fractions) and len(set(fractions)) >= 3 and 0.5 < fractions[-1] < 1.0
-    assert not any(line.startswith("Progress") for line in listener.lines)
-
-
 @pytest.mark.parametrize(
     ("lines", "wheels", "code"),
     [
-        (
-            ["ERROR: Could not install packages due to an OSError: [Errno 28] No space left"],
-            None,
-            "disk-full",
-        ),
+        (["ERROR: Could not install packages due to an OSError: [Errno 28] No space left"], None, "disk-full"),
         (
             [
                 "WARNING: Retrying after connection broken by 'NewConnectionError(...)'",
@@ -384,8 +355,3 @@ def test_little_space_is_seen_beforehand(tmp_path: Path, monkeypatch: pytest.Mon
     (wheels / "broken-1.0-py3-none-any.whl").write_bytes(b"0" * 500_000)
     assert check(2_502_000, wheels, "").warnings == []
     assert error_of(check, 2_500_000, wheels, "").code == "disk-full"
-
-
-def test_a_base_that_is_no_python_is_refused(tmp_path: Path) -> None:
-    refusal = error_of(environment.make_environment, make_plan(tmp_path, base=tmp_path / "gone"))
-    assert refusal.code == "python-unfit"

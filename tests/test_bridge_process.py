@@ -154,12 +154,6 @@ def test_the_child_runs_in_a_group_of_its_own_and_nicely(tmp_path):
     assert data["nice"] == expected
 
 
-def test_a_log_that_cannot_be_written_loses_no_message(tmp_path):
-    command = [sys.executable, "-c", "import json; print('stray')\n" + DONE]
-    process = EngineProcess(command, tmp_path / "no such folder" / "log.txt")
-    assert collect(process)[-1]["type"] == "done"
-
-
 @pytest.mark.parametrize(
     "line",
     [

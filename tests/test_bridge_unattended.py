@@ -23,7 +23,7 @@ from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.lock import hold, holder
-from fipt_blender.core.run.process_identity import PARENT_VARIABLE, host_name, process_start
+from fipt_blender.core.run.process_identity import PARENT_VARIABLE
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import run_job
 from samples.child_processes import SLEEPER, frozen_clock, is_alive, posix, wait_for
@@ -156,13 +156,6 @@ def test_a_process_is_left_alone_where_the_engine_runs_on_another_machine(run_fo
     assert is_alive(engine.pid) and not attached.running
 
 
-def test_a_process_is_known_by_its_time_of_start(run_folder, engine):
-    found = holder(run_folder)
-    assert found.is_here and found.host == host_name()
-    assert process_start(engine.pid) == found.started != process_start(os.getpid())
-    assert process_start(2**22 + 5) == ""
-
-
 def test_the_command_of_a_lock_names_no_other_file(run_folder):
     (run_folder.root.parent / "evil.jsonl").touch()
     run_folder.messages("estimate").parent.mkdir()
@@ -197,8 +190,7 @@ def test_a_job_attaches_and_notes_that_its_step_is_finished(run_folder, engine):
 @posix
 def test_a_request_to_cancel_never_waits(run_folder, monkeypatch):
     script = (
-        "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
-        "print('{}', flush=True); time.sleep(3600)"
+        "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('{}', flush=True); time.sleep(3600)"
     )
     log = run_folder.log
 

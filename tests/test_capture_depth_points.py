@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Captures with depth come to a mesh from another program by what their depth images measure."""
+"""Captures come to a mesh by what their depth images measure, or by the points of many photographs."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 from PIL import Image
 
 from fipt_blender.core.capture.depth_points import depth_points
-from fipt_blender.core.capture.formats.registry import read_rig
+from fipt_blender.core.capture.formats.registry import colmap, read_points, read_rig
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
+from samples import metashape_writers, rig_writers
 from samples.rgbd_frames import BOX_ROOM, write_box_room
 
 SIZE, FOCAL, FRAMES = (64, 48), 40.0, 6
@@ -44,18 +46,14 @@ def test_cameras_come_to_a_laser_mesh_by_their_depth(tmp_path: Path) -> None:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = INCHES * turn, (30.0, -100.0, 7.0)
     moved_mesh(tmp_path / "laser.obj", matrix)
-    options = CaptureOptions(
-        hold_back=0, mesh=tmp_path / "laser.obj", align_mesh=True, up_axis="z", scale=0.0254
-    )
+    options = CaptureOptions(hold_back=0, mesh=tmp_path / "laser.obj", align_mesh=True, up_axis="z", scale=0.0254)
     ingest(tmp_path / "room", RunFolder(tmp_path / "run"), options, Reporter(io.StringIO()))
     data = json.loads((tmp_path / "run" / "capture.json").read_text())
     assert data["mesh"] == str(tmp_path / "laser.obj")
     for view, pose in zip(data["views"], poses, strict=True):
         truth = 0.0254 * (matrix @ pose)[:3, 3]
         np.testing.assert_allclose(np.array(view["camera_to_world"])[:3, 3], truth, atol=5e-3)
-        np.testing.assert_allclose(
-            np.array(view["camera_to_world"])[:3, :3], turn @ pose[:3, :3], atol=np.radians(0.2)
-        )
+        np.testing.assert_allclose(np.array(view["camera_to_world"])[:3, :3], turn @ pose[:3, :3], atol=np.radians(0.2))
 
 
 def test_pixels_beside_edges_are_no_points(tmp_path: Path) -> None:
@@ -75,3 +73,25 @@ def test_pixels_beside_edges_are_no_points(tmp_path: Path) -> None:
     with pytest.raises(FiptError, match="edges") as caught:
         depth_points(rig.depths, np.random.default_rng(0))
     assert caught.value.code == "depth-empty"
+
+
+def test_points_that_many_photographs_show_are_the_sure_ones(tmp_path: Path) -> None:
+    shots = rig_writers.make_shots(rig_writers.Style(off_centre=(0.0, 0.0)), colmap.SURE_VIEWS)
+    metashape_writers.write_realityscan_colmap(tmp_path / "colmap", shots)
+    folder = next(tmp_path.glob("colmap/**/cameras.*")).parent
+    model = pycolmap.Reconstruction(str(folder))
+    images = sorted(model.reg_image_ids())
+    for image in images:
+        model.images[image].points2D = pycolmap.Point2DList(
+            [pycolmap.Point2D(np.ones(2)) for _ in range(colmap.ENOUGH_POINTS + 20)]
+        )
+    for index in range(colmap.ENOUGH_POINTS + 20):
+        sure = index < colmap.ENOUGH_POINTS
+        elements = [pycolmap.TrackElement(image, index) for image in images[: None if sure else 2]]
+        model.add_point3D(np.array([float(sure), 0.0, index]), pycolmap.Track(elements), np.zeros(3, np.uint8))
+    written = tmp_path / "written"
+    written.mkdir()
+    model.write(str(written))
+    every, sure = read_points(written, "colmap"), read_points(written, "colmap", sure=True)
+    assert len(sure) == colmap.ENOUGH_POINTS < len(every)
+    assert (sure[:, 0] == 1.0).all()

@@ -32,9 +32,7 @@ LENSES = [
 
 def pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Radiance (..., 3) in direction (x, y, 1): smooth, with values far above 1 and close to 0."""
-    return np.stack(
-        [50.0 + 45.0 * np.sin(9.0 * x), np.exp(4.0 * y), 1e-3 * (2.0 + np.cos(8.0 * (x + y)))], -1
-    )
+    return np.stack([50.0 + 45.0 * np.sin(9.0 * x), np.exp(4.0 * y), 1e-3 * (2.0 + np.cos(8.0 * (x + y)))], -1)
 
 
 def parts(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -63,9 +61,7 @@ def test_undistorted_pattern_is_the_pinholes(lens):
         (np.arange(pinhole.height) + 0.5 - pinhole.cy) / pinhole.fy,
     )
     # bilinear error of these sines is below 0.2 % of their range; half a pixel's shift would be 3 %
-    np.testing.assert_allclose(
-        image / [95.0, 1.0, 3e-3], pattern(u, v) / [95.0, 1.0, 3e-3], atol=4e-3, rtol=4e-3
-    )
+    np.testing.assert_allclose(image / [95.0, 1.0, 3e-3], pattern(u, v) / [95.0, 1.0, 3e-3], atol=4e-3, rtol=4e-3)
     assert set(np.unique(ids)) == {7, 1000}  # nearest neighbour does not interpolate ids
     assert (ids != parts(u, v)).mean() < 0.01
 

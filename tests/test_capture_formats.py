@@ -152,10 +152,7 @@ def test_transforms_with_a_field_of_view_takes_the_size_from_the_image(tmp_path)
 @pytest.mark.parametrize(
     ("extra", "lens"),
     [
-        (
-            {"camera_model": "OPENCV_FISHEYE", "k1": 0.1, "k4": 0.2},
-            Lens("OPENCV_FISHEYE", (0.1, 0.0, 0.0, 0.2)),
-        ),
+        ({"camera_model": "OPENCV_FISHEYE", "k1": 0.1, "k4": 0.2}, Lens("OPENCV_FISHEYE", (0.1, 0.0, 0.0, 0.2))),
         ({"is_fisheye": True, "k2": 0.1}, Lens("OPENCV_FISHEYE", (0.0, 0.1, 0.0, 0.0))),
         ({"k1": 0.1, "p2": 0.01}, Lens("OPENCV", (0.1, 0.0, 0.0, 0.01))),
         ({"k1": 0.1, "k3": 0.01}, Lens("FULL_OPENCV", (0.1, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0))),
@@ -169,9 +166,7 @@ def test_transforms_distortion(tmp_path, extra, lens):
     np.testing.assert_allclose(view.lens.parameters[4:], lens.parameters)
 
 
-@pytest.mark.parametrize(
-    "extra", [{"camera_model": "EQUIRECTANGULAR"}, {"camera_model": "OPENCV", "k4": 0.1}]
-)
+@pytest.mark.parametrize("extra", [{"camera_model": "EQUIRECTANGULAR"}, {"camera_model": "OPENCV", "k4": 0.1}])
 def test_transforms_with_lenses_that_have_no_pinhole(tmp_path, extra):
     write_transforms(tmp_path, make_samples(1), **extra)
     assert error_of(read, tmp_path).code == "camera-model"
@@ -205,12 +200,6 @@ def test_transforms_splits_masks_and_up_axis(tmp_path):
     assert [view.split for view in rig.views] == [None, "held_back", None]
     assert not rig.notes and rig.up_axis == "y"
     assert [view.mask for view in rig.views] == [tmp_path / "masks" / "0.png", None, None]
-
-
-def test_transforms_names_of_frames(tmp_path):
-    write_transforms(tmp_path, make_samples(2))
-    edit_json(tmp_path / "transforms.json", lambda data: data["frames"][1].update(name="Camera.001"))
-    assert [view.name for view in read(tmp_path).views] == ["images/000_0001", "Camera.001"]
 
 
 def test_transforms_one_file_a_split(tmp_path):
@@ -327,12 +316,7 @@ def test_images_are_found_by_stem_with_exr_first(tmp_path):
 
 @pytest.mark.parametrize(
     ("path", "name"),
-    [
-        ("./images/a.jpg", "images/a"),
-        ("../x/b.0001.exr", "x/b.0001"),
-        ("C:\\x\\c.png", "x/c"),
-        ("/d/e", "d/e"),
-    ],
+    [("./images/a.jpg", "images/a"), ("../x/b.0001.exr", "x/b.0001"), ("C:\\x\\c.png", "x/c"), ("/d/e", "d/e")],
 )
 def test_view_names_stay_inside_a_folder(path, name):
     assert view_name(path) == name

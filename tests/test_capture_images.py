@@ -92,11 +92,7 @@ def test_several_pictures_in_an_exr_are_listed_and_one_can_be_named(tmp_path, se
     error = error_of(read_radiance, path)
     assert error.code == "image-layers" and "--layer" in error.remedy
     assert all(name in error.text for name in names)
-    for name in (
-        *names,
-        names[0].upper(),
-        *(key for key, planes in layers.items() if set("RGB") <= set(planes)),
-    ):
+    for name in (*names, names[0].upper(), *(key for key, planes in layers.items() if set("RGB") <= set(planes))):
         wanted = next(key for key in layers if key.lower() == name.lower())
         np.testing.assert_array_equal(read_radiance(path, name), stacked(layers[wanted]))
     assert error_of(read_radiance, path, "absent").code == "image-channels"
@@ -151,9 +147,7 @@ def write_hdr(path, pixels, header=b"", form=b"rgbe"):
     codes = np.floor(pixels * 256.0 / 2.0 ** exponent[..., None])
     rgbe = np.concatenate([codes, exponent[..., None] + 128.0], axis=-1).astype(np.uint8)
     size = b"-Y %d +X %d\n" % pixels.shape[:2]
-    path.write_bytes(
-        b"#?RADIANCE\n" + header + b"FORMAT=32-bit_rle_" + form + b"\n\n" + size + rgbe.tobytes()
-    )
+    path.write_bytes(b"#?RADIANCE\n" + header + b"FORMAT=32-bit_rle_" + form + b"\n\n" + size + rgbe.tobytes())
     return path
 
 
@@ -210,14 +204,10 @@ def write_codes(path, codes, profile):
 def test_icc_profiles_say_primaries_and_curve(tmp_path, suffix, primaries, curve):
     colors = np.kron(0.2 + 0.6 * RADIANCE, np.ones((16, 16, 1)))  # within all curves and primaries
     encode = CURVES[curve][1]
-    path = write_codes(
-        tmp_path / f"a{suffix}", encode(in_primaries(colors, primaries)), icc_profile(primaries, curve)
-    )
+    path = write_codes(tmp_path / f"a{suffix}", encode(in_primaries(colors, primaries)), icc_profile(primaries, curve))
     tolerance = 2e-3 if suffix == ".tif" else 0.02
     np.testing.assert_allclose(read_radiance(path)[8::16, 8::16], colors[8::16, 8::16], atol=tolerance)
-    assert is_encoded(path) and is_plain(path) == (
-        primaries == "Rec.709" and curve == "sRGB" and suffix != ".heic"
-    )
+    assert is_encoded(path) and is_plain(path) == (primaries == "Rec.709" and curve == "sRGB" and suffix != ".heic")
     codes, matrix = read_codes(path)  # for `prepare`: by sRGB's curve, with the matrix to follow
     linear = srgb_decoded(codes / float(np.iinfo(codes.dtype).max))
     linear = linear if matrix is None else linear @ matrix.T
@@ -258,9 +248,7 @@ WRITERS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("kind", "suffix"), pairs(WRITERS, (".jpg", ".png", ".tif", ".exr", ".webp", ".hdr", ".bin"))
-)
+@pytest.mark.parametrize(("kind", "suffix"), pairs(WRITERS, (".jpg", ".png", ".tif", ".exr", ".webp", ".hdr", ".bin")))
 def test_the_content_of_a_file_decides_not_its_suffix(tmp_path, kind, suffix):
     path = tmp_path / f"a{suffix}"
     WRITERS[kind](path)
@@ -279,9 +267,7 @@ def test_tiff_of_any_depth_planes_apart_or_not(tmp_path, planar, channels, kind)
     wanted = stored[..., :3] if channels > 2 else np.repeat(stored[..., :1], 3, axis=-1)
     assert is_encoded(path) == (kind != "float32") == (describe(path, "a").kind == "ldr")
     found = read_radiance(path)
-    np.testing.assert_allclose(
-        found if most == 1 else srgb_encoded(found) * most, wanted, rtol=1e-4, atol=most * 1e-6
-    )
+    np.testing.assert_allclose(found if most == 1 else srgb_encoded(found) * most, wanted, rtol=1e-4, atol=most * 1e-6)
 
 
 @pytest.mark.parametrize(("suffix", "orientation"), pairs((".jpg", ".png", ".tif", ".webp"), range(1, 9)))
@@ -318,13 +304,7 @@ def test_heic_is_turned_once(tmp_path, orientation):
 
 
 # PNG's numbers of the kinds of colour, with their channels and depths.
-PNG_KINDS = {
-    0: (1, (1, 2, 4, 8, 16)),
-    2: (3, (8, 16)),
-    3: (1, (1, 2, 4, 8)),
-    4: (2, (8, 16)),
-    6: (4, (8, 16)),
-}
+PNG_KINDS = {0: (1, (1, 2, 4, 8, 16)), 2: (3, (8, 16)), 3: (1, (1, 2, 4, 8)), 4: (2, (8, 16)), 6: (4, (8, 16))}
 
 
 @pytest.mark.parametrize(
@@ -340,9 +320,7 @@ def test_id_images_keep_all_ids(tmp_path, color, depth):
     found = read_ids(path)
     assert found.dtype == np.int32 and len(np.unique(found)) == len(np.unique(ids))
     if channels < 3 or depth == 16:
-        np.testing.assert_array_equal(
-            found, np.where(ids % 257, ids, ids // 257 << 16) if channels > 2 else ids
-        )
+        np.testing.assert_array_equal(found, np.where(ids % 257, ids, ids // 257 << 16) if channels > 2 else ids)
     else:
         np.testing.assert_array_equal(found, ids << 16)
 

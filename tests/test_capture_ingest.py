@@ -72,9 +72,7 @@ def test_transforms_become_views_in_metres(tmp_path, run):
     write_transforms(tmp_path / "in", samples)
     write_mesh(tmp_path / "room.obj")
     run.create(make_settings("draft"))
-    messages = run_ingest(
-        tmp_path / "in", run, up_axis="y", scale=0.5, mesh=tmp_path / "room.obj", hold_back=4
-    )
+    messages = run_ingest(tmp_path / "in", run, up_axis="y", scale=0.5, mesh=tmp_path / "room.obj", hold_back=4)
     assert warnings(messages) == ["size-implausible"]  # half a meter high
     assert messages[-1]["type"] == "done" and messages[-1]["data"]["held_back"] == 2
     assert [message["fraction"] for message in messages if message["type"] == "progress"][-1] >= 0.8
@@ -119,9 +117,7 @@ def test_level_cameras_tell_which_way_is_up(tmp_path, run, up):
     assert mean_down[2] < -0.5 and np.abs(mean_down[:2]).max() < 0.5
 
 
-@pytest.mark.parametrize(
-    "write", [write_transforms, lambda root, samples: write_colmap(root, samples, False)]
-)
+@pytest.mark.parametrize("write", [write_transforms, lambda root, samples: write_colmap(root, samples, False)])
 def test_distorted_images_and_masks_are_undistorted(tmp_path, run, write):
     samples = make_samples(3, model="OPENCV")
     write(tmp_path / "in", samples)

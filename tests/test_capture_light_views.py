@@ -20,16 +20,8 @@ from fipt_blender.core.capture.images import write_exr, write_ids
 from fipt_blender.core.capture.light_views import chosen_views, light_radiance, light_views
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.run import light_size as light_size_module
-from fipt_blender.core.run.light_size import (
-    LEAST_PIXELS,
-    SPARE_BYTES,
-    light_plan,
-    light_size,
-    light_views_count,
-    refuse_full_disk,
-)
+from fipt_blender.core.run.light_size import LEAST_PIXELS, SPARE_BYTES, light_size, light_views_count, refuse_full_disk
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.core.run.settings import make_settings
 from samples.refusals import error_of
 
 SIZES = [(5, 3), (7, 4), (10, 6), (31, 17)]
@@ -131,9 +123,7 @@ def test_averaged_files_are_kept_until_their_source_or_size_changes(
     first = lights()
     assert (first[0].width, first[0].height) == (9, 6)
     assert first[1] is views[1]
-    assert first[0].radiance() == pytest.approx(
-        means(views[0].radiance(), first[0].width, first[0].height), rel=1e-6
-    )
+    assert first[0].radiance() == pytest.approx(means(views[0].radiance(), first[0].width, first[0].height), rel=1e-6)
     ids, masked, classes = first[0].part_ids(), first[0].masked(), first[0].semantic_ids()
     assert ids is not None and set(np.unique(ids)) == {1, 2}
     assert masked is not None and masked[0, 0] and masked.sum() == 1  # any share spoils the mean
@@ -163,28 +153,6 @@ def test_light_pixels_with_clipped_ones_are_clipped(tmp_path: Path) -> None:
     assert clipped.sum() == 4
     grey = srgb_decoded(np.array([128 / 255.0]))[0]
     assert srgb_decoded(found[2, 2] / 255.0) == pytest.approx(0.99 * grey + 0.01, rel=1e-4)
-
-
-def test_a_missing_photograph_is_named(tmp_path: Path) -> None:
-    view = make_view(tmp_path)
-    view.image.unlink()
-    error = error_of(light_views, RunFolder(tmp_path / "run"), [view], 1e-3)
-    assert error.code == "image-missing" and str(view.image) in error.text
-
-
-def test_a_plan_names_resolution_time_and_disk() -> None:
-    settings = make_settings("draft", {"light_pixels": 6.0})
-    plan = light_plan([(4032, 3024)] * 60, settings)
-    assert plan.resolution == "60 photographs of 12.2 megapixels; light is solved at 0.10 megapixels each"
-    assert 5.9 < plan.light_megapixels * 60 <= 6.0
-    few = light_plan([(4032, 3024)] * 2000, settings)
-    assert few.used == 300 and few.resolution.endswith("each of 300 of them")
-    small = light_plan([(256, 128)] * 60, settings)
-    assert small.resolution == "60 photographs of 0.033 megapixels"
-    assert small.seconds < plan.seconds and small.bytes < plan.bytes
-    assert plan.cost.startswith("about ") and plan.cost.endswith(" GB on the disk")
-    # The photographs' size hardly changes the cost.
-    assert plan.seconds < 1.5 * light_plan([(1600, 1200)] * 60, settings).seconds
 
 
 def test_a_disk_that_is_too_small_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -99,9 +99,7 @@ def write_capture(kind: str, folder: Path, names: list[str], files: list[str]) -
             old = f'"{Path(shot.name).stem}"' if kind == "metashape" else shot.name
             text = text.replace(f"B:\\\\photos\\\\{old}", old).replace(f"images/{old}", old)
             text = text.replace(f"./{old}", old)
-            file.write_text(
-                text.replace(old, quoteattr(name) if kind == "metashape" else escaped), encoding="utf-8"
-            )
+            file.write_text(text.replace(old, quoteattr(name) if kind == "metashape" else escaped), encoding="utf-8")
     if kind == "colmap-binary":
         model = pycolmap.Reconstruction(str(folder))
         for index, name in enumerate(names, start=1):
@@ -125,22 +123,12 @@ def assert_found(folder: Path, shots: list[write.Shot], files: list[str]) -> Non
 
 # --------------------------------------------------------------------------------------- the generated family
 
-PREFIXES = (
-    "",
-    "./",
-    "images/",
-    "images\\",
-    "C:\\Users\\me\\shoot 3\\images\\",
-    "/home/me/shoot 3/",
-    ".\\images/",
-)
+PREFIXES = ("", "./", "images/", "images\\", "C:\\Users\\me\\shoot 3\\images\\", "/home/me/shoot 3/", ".\\images/")
 CASES: tuple[Callable[[str], str], ...] = (str, str.upper, str.lower)
 FORMS = ("NFC", "NFD")
 SUFFIXES = (".jpg", ".JPG", "", ".jpeg", ".CR2")
 FOLDERS = ("images", "images", "Images", "", "shoot 3/images", "photos/day 1")
-STYLES = [
-    *itertools.product(PREFIXES, CASES, FORMS, SUFFIXES, FOLDERS, CASES, FORMS, (".jpg", ".JPG", ".Jpg"))
-]
+STYLES = [*itertools.product(PREFIXES, CASES, FORMS, SUFFIXES, FOLDERS, CASES, FORMS, (".jpg", ".JPG", ".Jpg"))]
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -187,9 +175,7 @@ def test_one_file_is_never_that_of_two_cameras(tmp_path: Path, kind: str) -> Non
 
 @pytest.mark.parametrize("kind", [kind for kind in ANYWHERE if kind not in LABELS])
 @pytest.mark.parametrize("start", ["", "D:\\old\\"])
-def test_a_photograph_in_the_folder_of_other_cameras_is_not_taken(
-    tmp_path: Path, kind: str, start: str
-) -> None:
+def test_a_photograph_in_the_folder_of_other_cameras_is_not_taken(tmp_path: Path, kind: str, start: str) -> None:
     """The photograph of day/1 is gone; that of night/1 has no camera."""
     names = [f"{start}day/1.jpg", f"{start}night/2.jpg"]
     write_capture(kind, tmp_path / "in", names, ["photos/night/1.jpg", "photos/night/2.jpg"])
@@ -248,31 +234,6 @@ def test_suffixes_of_fixed_layouts_in_upper_case(tmp_path: Path) -> None:
                 assert getattr(other, kind) == expected, (folder.name, kind)
 
 
-def test_xmp_files_beside_photographs_of_several_folders(tmp_path: Path) -> None:
-    shots = write.make_shots(write.Style(off_centre=CENTRED), 2)
-    for folder, shot in zip(("day", "night"), shots, strict=True):
-        write_realityscan_xmp(tmp_path / "photos" / folder, [shot])
-        for file in (tmp_path / "photos" / folder).iterdir():
-            file.rename(file.with_stem("0001"))
-    views = {view.image: view for view in read(tmp_path).views}
-    for folder, shot in zip(("day", "night"), shots, strict=True):
-        view = views[tmp_path / "photos" / folder / "0001.jpg"]
-        np.testing.assert_allclose(view.camera_to_world, shot.pose, atol=1e-5)
-
-
-@pytest.mark.parametrize("has_size", [True, False])
-def test_polycam_takes_the_size_of_the_image(tmp_path: Path, has_size: bool) -> None:
-    shots = write.make_shots(write.Style(off_centre=CENTRED), 3)
-    write.write_polycam(tmp_path, shots, np.eye(4), True)
-    if not has_size:
-        for file in (tmp_path / "keyframes" / "corrected_cameras").iterdir():
-            data = json.loads(file.read_text())
-            file.write_text(json.dumps({k: v for k, v in data.items() if k not in ("width", "height")}))
-    assert [(view.width, view.height) for view in read(tmp_path).views] == [
-        (shot.width, shot.height) for shot in shots
-    ]
-
-
 @pytest.mark.parametrize("folder", ["dense/sparse", "sparse/0", "sparse"])
 def test_images_of_the_size_of_their_cameras(tmp_path: Path, folder: str) -> None:
     """COLMAP's undistorted photographs have other sizes than the originals beside them."""
@@ -299,9 +260,7 @@ def test_byte_order_marks(tmp_path: Path, kind: str, encoding: str) -> None:
     shots = write_capture(kind, tmp_path / "in", names, files)
     for file in (tmp_path / "in").rglob("*"):
         if file.suffix in (".json", ".xml", ".csv", ".txt", ".out", ".nvm", ".sfm"):
-            file.write_text(
-                file.read_text(encoding="utf-8").replace("\n", "\r\n"), encoding=encoding, newline=""
-            )
+            file.write_text(file.read_text(encoding="utf-8").replace("\n", "\r\n"), encoding=encoding, newline="")
     assert_found(tmp_path / "in", shots, files)
 
 
@@ -335,13 +294,9 @@ def test_splits_name_photographs_in_any_style(tmp_path: Path, frame: str, listed
 # ------------------------------------------------------------------------------------------------------ masks
 
 
-@pytest.mark.parametrize(
-    "name", ["masks\\0.png", ".\\masks/0.PNG", "C:\\me\\masks\\0.png", "/me/masks/0.png", "0"]
-)
+@pytest.mark.parametrize("name", ["masks\\0.png", ".\\masks/0.PNG", "C:\\me\\masks\\0.png", "/me/masks/0.png", "0"])
 def test_masks_of_any_style(tmp_path: Path, name: str) -> None:
-    write_capture(
-        "transforms", tmp_path / "in", ["images/0.jpg", "images/1.jpg"], ["images/0.jpg", "images/1.jpg"]
-    )
+    write_capture("transforms", tmp_path / "in", ["images/0.jpg", "images/1.jpg"], ["images/0.jpg", "images/1.jpg"])
     path = tmp_path / "in" / "transforms.json"
     data = json.loads(path.read_text())
     data["frames"][0]["mask_path"] = name
@@ -355,18 +310,6 @@ def test_masks_of_any_style(tmp_path: Path, name: str) -> None:
     Image.new("L", (480, 320), 255).save(mask)
     first, second = read(tmp_path / "in").views
     assert first.mask == mask and second.mask is None and not first.missing
-
-
-@pytest.mark.parametrize("file", ["0.png", "0.PNG", "0.EXR", "images/0.png", "Images/0.png", "0.jpg.png"])
-def test_id_images_are_found_like_photographs(tmp_path: Path, file: str) -> None:
-    write_capture(
-        "transforms", tmp_path / "in", ["images\\0.jpg", "./images/1"], ["images/0.jpg", "images/1.JPG"]
-    )
-    path = tmp_path / "in" / "parts" / file
-    path.parent.mkdir(parents=True)
-    path.write_bytes(b"")
-    rig = read(tmp_path / "in")
-    assert [view.parts for view in rig.views] == [path, None] and not rig.notes
 
 
 def test_id_images_of_other_folders_are_not_taken(tmp_path: Path) -> None:
@@ -421,9 +364,7 @@ def test_cameras_that_are_switched_off_in_metashape(tmp_path: Path, value: str) 
     names = [f"{index}.jpg" for index in range(3)]
     write_capture("metashape", tmp_path / "in", names, names)
     path = tmp_path / "in" / "cameras.xml"
-    path.write_text(
-        path.read_text().replace('label="1.jpg" enabled="true"', f'label="1.jpg" enabled="{value}"')
-    )
+    path.write_text(path.read_text().replace('label="1.jpg" enabled="true"', f'label="1.jpg" enabled="{value}"'))
     rig = read(tmp_path / "in")
     assert [view.name for view in rig.views] == ["0", "2"]
     assert "cameras-off" in [note.code for note in rig.notes] and "1.jpg" in rig.notes[0].text
@@ -492,16 +433,7 @@ def test_no_name_leads_out_of_the_folders(tmp_path: Path) -> None:
     (tmp_path / "capture").mkdir()
     (tmp_path / "capture" / "own.jpg").write_bytes(b"")
     folders = Folders()
-    for start in (
-        "",
-        "../",
-        "..\\",
-        f"{tmp_path}/",
-        "x/../../",
-        "C:\\",
-        "//server/share/",
-        "\\\\server\\share\\",
-    ):
+    for start in ("", "../", "..\\", f"{tmp_path}/", "x/../../", "C:\\", "//server/share/", "\\\\server\\share\\"):
         assert folders.find(f"{start}secret.jpg", [tmp_path / "capture"], tmp_path / "capture") is None
         found = folders.find(f"{start}own.jpg", [tmp_path / "capture"], tmp_path / "capture")
         assert found.path == tmp_path / "capture" / "own.jpg"
@@ -513,10 +445,7 @@ def test_no_name_leads_out_of_the_folders(tmp_path: Path) -> None:
 def test_existing_solves_find_groups_by_paths(tmp_path: Path) -> None:
     write_capture("colmap", tmp_path / "in", ["day/1.jpg", "night/1.jpg"], ["day/1.jpg", "night/1.jpg"])
     rig = read_rig(tmp_path / "in", "auto", CaptureOptions())
-    wanted = [
-        WantedView("1", 480, 320, ("1", "Day/1.CR2")),
-        WantedView("1_2", 320, 480, ("1_2", "night\\1.CR2")),
-    ]
+    wanted = [WantedView("1", 480, 320, ("1", "Day/1.CR2")), WantedView("1_2", 320, 480, ("1_2", "night\\1.CR2"))]
     wanted[1] = WantedView("1_2", 320, 480, ("1_2", "night/1.CR2"))
     model = model_from_rig(rig, wanted)
     for number, view in enumerate(rig.views, start=1):

@@ -116,10 +116,3 @@ def test_photographs_that_fit_keep_their_cameras(tmp_path: Path) -> None:
     rig = replace(rig, views=tuple(right), depths=tuple(depths))
     found = with_color_camera(rig, 1.0)
     assert found is rig
-
-
-def test_two_frames_tell_nothing(tmp_path: Path) -> None:
-    rig = write_frames(tmp_path, 0.9, np.zeros(3))
-    few = replace(rig, views=rig.views[:2], depths=rig.depths[:2])
-    assert with_color_camera(few, 1.0) is few
-    assert find_color_camera(few.depths, 1.0) is None

@@ -210,9 +210,7 @@ def test_scanner_app(tmp_path: Path) -> None:
 
 
 def test_scannetpp(tmp_path: Path) -> None:
-    first, *others = write.make_shots(write.Style((-0.03, 0.004, 0.001, -0.0005), aspect=1.01, fisheye=True))[
-        ::2
-    ]
+    first, *others = write.make_shots(write.Style((-0.03, 0.004, 0.001, -0.0005), aspect=1.01, fisheye=True))[::2]
     shots = [first, *(replace(shot, fx=first.fx, fy=first.fy) for shot in others)]
     write.write_scannetpp(tmp_path, shots, held_back=1)
     for path in (tmp_path, tmp_path / "dslr", tmp_path / "dslr" / "nerfstudio" / "transforms.json"):
@@ -294,8 +292,7 @@ def moved_chunk(shots: list[write.Shot]) -> Chunk:
 
 @pytest.mark.parametrize("component", [False, True])
 @pytest.mark.parametrize(
-    "style",
-    [replace(BROWN3, aspect=1.01), write.Style((-0.1, 0.02, -0.004, 0.001), (0.002, -0.001), fisheye=True)],
+    "style", [replace(BROWN3, aspect=1.01), write.Style((-0.1, 0.02, -0.004, 0.001), (0.002, -0.001), fisheye=True)]
 )
 def test_metashape(tmp_path: Path, style: write.Style, component: bool) -> None:
     shots = write.make_shots(style)
@@ -340,9 +337,7 @@ def test_metashape_reads_the_largest_of_several_chunks(tmp_path: Path) -> None:
 
 def test_metashape_with_geographic_coordinates_is_named(tmp_path: Path) -> None:
     shots = write.make_shots(count=2)
-    chunk = Chunk(
-        [replace(shot, centre=shot.centre + 4e6) for shot in shots], 1.0, np.eye(3), np.full(3, 4e6)
-    )
+    chunk = Chunk([replace(shot, centre=shot.centre + 4e6) for shot in shots], 1.0, np.eye(3), np.full(3, 4e6))
     write_metashape(tmp_path, [metashape_chunk(chunk)])
     assert [note.code for note in read(tmp_path).notes] == ["georeferenced"]
 
@@ -382,12 +377,7 @@ def test_realityscan_xmp_values_may_be_attributes(tmp_path: Path) -> None:
     path = tmp_path / f"{Path(shots[0].name).stem}.xmp"
     document = path.read_text()
     start, end = document.index("      <xcr:Rotation>"), document.index("      <xcr:Position>")
-    attribute = (
-        document[start:end]
-        .strip()
-        .replace("<xcr:Rotation>", 'xcr:Rotation="')
-        .replace("</xcr:Rotation>", '"')
-    )
+    attribute = document[start:end].strip().replace("<xcr:Rotation>", 'xcr:Rotation="').replace("</xcr:Rotation>", '"')
     path.write_text((document[:start] + document[end:]).replace('xcr:Skew="0"', f'xcr:Skew="0" {attribute}'))
     assert_same(read(tmp_path), shots)
 

@@ -50,15 +50,11 @@ def test_frames_of_one_folder_are_read_with_intrinsics_of_each_size(tmp_path: Pa
     assert (view.width, view.height) == (2 * WIDTH, 2 * HEIGHT)
     assert view.lens.parameters == pytest.approx((2 * FOCAL, 2 * FOCAL, WIDTH, HEIGHT))
     assert (depth.fx, depth.fy, depth.cx, depth.cy) == (FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
-    assert np.allclose(view.camera_to_world, frame_pose(1)) and np.allclose(
-        depth.camera_to_world, frame_pose(1)
-    )
+    assert np.allclose(view.camera_to_world, frame_pose(1)) and np.allclose(depth.camera_to_world, frame_pose(1))
 
 
 def test_frames_of_scannets_exporter_are_read_in_order_with_both_cameras(tmp_path: Path) -> None:
-    rig = read_rig(
-        rgbd_frames.write_exported_scan(tmp_path / "scan", (WIDTH, HEIGHT), FOCAL), "auto", CaptureOptions()
-    )
+    rig = read_rig(rgbd_frames.write_exported_scan(tmp_path / "scan", (WIDTH, HEIGHT), FOCAL), "auto", CaptureOptions())
     assert [view.name for view in rig.views] == ["9", "10"]
     assert rig.views[0].lens.parameters == (2.5 * FOCAL, 2.5 * FOCAL, 30.0, 20.0)
     assert (rig.depths[0].fx, rig.depths[0].cx, rig.depths[0].cy) == (FOCAL, 30.0, 20.0)

@@ -96,10 +96,7 @@ def test_rooms_in_any_frame_stand_upright(tmp_path: Path, noise: float, sideways
     rng = np.random.default_rng(seed)
     rotation, poses = random_rotation(rng), held(rng, 24, sideways)
     vertices, triangles = furnished(rng, noise)
-    write_ply(
-        tmp_path / "room.ply",
-        FusedMesh((vertices @ rotation.T).astype(np.float32), triangles.astype(np.int32)),
-    )
+    write_ply(tmp_path / "room.ply", FusedMesh((vertices @ rotation.T).astype(np.float32), triangles.astype(np.int32)))
     poses = turned(poses, rotation)
     found = find_upright(poses, tmp_path / "room.ply")
     assert found.source == "planes" and off(found, rotation[:, 2]) < 1.0

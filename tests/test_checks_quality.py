@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter, shift
+from scipy.ndimage import affine_transform, gaussian_filter, shift
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
@@ -17,14 +17,7 @@ from fipt_blender.core.checks.projection import Projection, projected
 from fipt_blender.core.checks.quality import POOR, Cause, JudgedView, Quality, judge, shares
 from fipt_blender.core.checks.rerender import Estimate, Renderer
 from fipt_blender.core.pixels.store import LEFT_OUT, PixelStore, fill_pixels, open_pixels, trace_view
-from samples.small_captures import (
-    COLORS,
-    PANEL_RADIANCE,
-    PANEL_TRIANGLES,
-    SmallCapture,
-    panel_capture,
-    pinhole,
-)
+from samples.small_captures import COLORS, PANEL_RADIANCE, PANEL_TRIANGLES, SmallCapture, panel_capture, pinhole
 from samples.small_rooms import table
 
 HELD_BACK = 1
@@ -72,9 +65,7 @@ def test_a_true_estimate_renders_the_photograph(capture: SmallCapture, tmp_path:
     quality = judge(pixels, [view], true_estimate(capture, scale), {}, scale, 0)
     assert quality is not None and quality.held_back_db > 30.0 and quality.warning() is None
     assert quality.projection_db > 15.0  # five photographs do not show all
-    wrong = replace(
-        true_estimate(capture, scale), query=lambda p, t: (np.full((len(t), 3), 0.5), t * 0.0 + 1, t * 0.0)
-    )
+    wrong = replace(true_estimate(capture, scale), query=lambda p, t: (np.full((len(t), 3), 0.5), t * 0.0 + 1, t * 0.0))
     worse = judge(pixels, [view], wrong, {}, scale, 0)
     assert worse is not None and worse.held_back_db < quality.held_back_db - 8.0
     assert worse.projection_db == quality.projection_db
@@ -107,10 +98,15 @@ def picture() -> np.ndarray:
 
 
 def first_cause(
-    photograph: np.ndarray, render: np.ndarray, plain: np.ndarray, off: np.ndarray | None = None
+    photograph: np.ndarray,
+    render: np.ndarray,
+    plain: np.ndarray,
+    off: np.ndarray | None = None,
+    missed: np.ndarray | None = None,
 ) -> str:
     spread = np.zeros(SIZE, np.float32) if off is None else off.astype(np.float32)
-    projection = Projection(plain, np.full(SIZE, 4, np.int16), spread)
+    missed = np.zeros(SIZE, bool) if missed is None else missed
+    projection = Projection(plain, np.full(SIZE, 4, np.int16), spread, missed)
     view = View("0", "held_back", Path(), SIZE[1], SIZE[0], 70.0, 70.0, 40.0, 30.0, np.eye(4))
     judged = JudgedView("0", np.array([photograph, render, plain], np.float32), np.zeros((2, 3)))
     found = shares(judged, projection, np.ones(SIZE, bool), view, 0.8 if off is None else 0.0, 0.0)
@@ -127,10 +123,13 @@ def test_the_cause_that_was_built_in_is_named_first() -> None:
     assert first_cause(true, true + 0.1 * rng.normal(size=true.shape), true + noise) == "materials"
     moved = shift(true, (0.0, 2.5, 0.0), mode="nearest")
     assert first_cause(true, moved, moved) == "poses"
+    wider = affine_transform(true, np.diag([0.95, 0.95, 1.0]), [1.5, 2.0, 0.0], order=1)
+    assert first_cause(true, wider, wider) == "poses"
     block = np.zeros(SIZE, bool)
     block[20:40, 20:50] = True
     torn = np.where(block[..., None], true[::-1], true)
     assert first_cause(true, torn, torn + noise, block) == "surfaces"
+    assert first_cause(true, torn, torn + noise, missed=block) == "surfaces"
     blurred = gaussian_filter(true, (1.5, 1.5, 0.0))
     assert first_cause(blurred, true, true) == "photographs"
     assert first_cause(true, true * [1.0, 0.8, 0.7], true * [1.0, 0.8, 0.7]) == "photographs"

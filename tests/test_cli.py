@@ -17,8 +17,6 @@ from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
-from fipt_blender.cli.output import Display
-from fipt_blender.core.run.errors import FiptError
 from samples.child_processes import PATIENCE_SECONDS, is_alive, wait_for
 
 PACKAGE = Path(cli.__file__).parent.parent
@@ -91,14 +89,6 @@ def test_wrong_usage_is_status_2_with_text_on_stderr(argv, capsys):
     assert "error: " in output.err and output.out == ""
 
 
-def test_help_and_version(capsys):
-    assert cli.main(["--help"]) == 0 and cli.main(["estimate", "--help"]) == 0
-    text = capsys.readouterr().out
-    for option in ("--mesh", "--preset", "--resume", "--engine-python", "--json", "--hold-back"):
-        assert option in text
-    assert cli.main(["--version"]) == 0
-
-
 def test_captures_whose_names_differ_have_different_output_folders(capture, monkeypatch):
     cameras = capture / "cameras.json"
     cameras.touch()
@@ -137,34 +127,10 @@ def test_a_good_run_shows_progress_and_ends_with_the_files(capture, monkeypatch,
     assert output.err == "warning: Odd. Even it.\n"
 
 
-def test_what_to_look_at_first_is_nearest_to_the_prompt(capsys):
-    display = Display(sys.stdout, as_json=False, quiet=False)
-    display.show({"type": "done", "files": ["room.blend", "report.html", "log.txt"], "data": {}})
-    assert [line.split()[-1] for line in capsys.readouterr().out.splitlines()] == [
-        *("log.txt", "report.html", "room.blend")
-    ]
-
-
-def test_quiet_prints_no_progress(capture, monkeypatch, capfd):
-    fake_job(monkeypatch, GOOD)
-    assert cli.main(["estimate", "room", "--quiet"]) == 0
-    output = capfd.readouterr()
-    assert output.out == "" and "warning" in output.err
-
-
 def test_a_failed_job_is_status_1_with_text_and_remedy(capture, monkeypatch, capfd):
     fake_job(monkeypatch, BAD)
     assert cli.main(["estimate", "room"]) == 1
     assert "error: No mesh. Give one.\n" in capfd.readouterr().err
-
-
-def test_a_job_that_cannot_start_is_status_1(capture, monkeypatch, capfd):
-    def make(options):
-        raise FiptError("engine-missing", "No engine.", "Install it.")
-
-    monkeypatch.setattr(cli, "make_main_job", make)
-    assert cli.main(["estimate", "room"]) == 1
-    assert capfd.readouterr().err == "error: No engine. Install it.\n"
 
 
 def test_what_blender_prints_meanwhile_goes_to_the_log(capture, monkeypatch, capfd):

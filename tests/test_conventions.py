@@ -102,9 +102,7 @@ def test_similarity_moves_cameras_points_and_normals_together():
     np.testing.assert_allclose(back, view.camera_to_world, atol=1e-6)
     normals = conventions.transform_normals(similarity, directions)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-6)
-    np.testing.assert_allclose(
-        conventions.transform_normals(np.linalg.inv(similarity), normals), directions, atol=1e-6
-    )
+    np.testing.assert_allclose(conventions.transform_normals(np.linalg.inv(similarity), normals), directions, atol=1e-6)
 
 
 @pytest.mark.parametrize("values", INTRINSICS)
@@ -140,9 +138,7 @@ def test_blender_camera_round_trip(values):
     width, height, *intrinsics = values
     camera = conventions.intrinsics_to_blender(width, height, *intrinsics)
     assert min(camera.pixel_aspect_x, camera.pixel_aspect_y) >= 1.0  # Blender's limit
-    np.testing.assert_allclose(
-        conventions.blender_to_intrinsics(width, height, camera), intrinsics, rtol=1e-9
-    )
+    np.testing.assert_allclose(conventions.blender_to_intrinsics(width, height, camera), intrinsics, rtol=1e-9)
 
 
 def test_equirect_round_trip():

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fipt_blender.core.depth.cleaning import border_loops, with_closed_holes, without_specks
+from fipt_blender.core.depth.cleaning import without_specks
 from fipt_blender.core.depth.extraction import FusedMesh, extract
 from fipt_blender.core.depth.range_image import RangeImage
 from fipt_blender.core.depth.simplification import simplified
@@ -53,10 +53,7 @@ def directed_edges(mesh: FusedMesh) -> np.ndarray:
 def is_closed(mesh: FusedMesh) -> bool:
     """Whether every edge is walked once in each direction for each pair of triangles there."""
     edges = directed_edges(mesh)
-    there, back = (
-        np.unique(edges, axis=0, return_counts=True),
-        np.unique(edges[:, ::-1], axis=0, return_counts=True),
-    )
+    there, back = (np.unique(edges, axis=0, return_counts=True), np.unique(edges[:, ::-1], axis=0, return_counts=True))
     return np.array_equal(there[0], back[0]) and np.array_equal(there[1], back[1])
 
 
@@ -112,28 +109,6 @@ def test_nothing_measured_gives_no_surface() -> None:
     image = RangeImage(np.zeros((8, 8), np.float32), 8.0, 8.0, 4.0, 4.0, np.eye(4))
     mesh = fused([image])
     assert mesh.vertices.shape == (0, 3) and mesh.triangles.shape == (0, 3)
-
-
-def punched(mesh: FusedMesh, radius: float) -> FusedMesh:
-    """The mesh without the triangles within a radius of its top."""
-    top = np.array([0.0, 0.0, RADIUS])
-    near = np.linalg.norm(mesh.vertices[mesh.triangles].mean(axis=1) - top, axis=1) < radius
-    return FusedMesh(mesh.vertices, mesh.triangles[~near])
-
-
-def test_small_holes_are_closed_and_wide_ones_stay() -> None:
-    mesh = punched(fused([sphere_image(origin) for origin in around()]), 0.1)
-    assert not is_closed(mesh) and len(border_loops(mesh.triangles)) == 1
-    assert is_closed(with_closed_holes(mesh, 0.4))
-    assert len(with_closed_holes(mesh, 0.1).triangles) == len(mesh.triangles)
-
-
-def test_colors_of_closed_holes_are_those_of_their_borders() -> None:
-    mesh = punched(fused([sphere_image(origin, np.array([0.2, 0.4, 0.6])) for origin in around()]), 0.1)
-    mesh = FusedMesh(mesh.vertices, mesh.triangles, np.full(mesh.vertices.shape, 0.25, np.float32))
-    closed = with_closed_holes(mesh, 0.4)
-    assert closed.colors is not None and len(closed.colors) == len(closed.vertices)
-    assert np.allclose(closed.colors[len(mesh.vertices) :], 0.25)
 
 
 def test_specks_are_dropped_and_large_pieces_stay() -> None:

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import argparse
-import io
 import json
 import os
 import stat
@@ -16,8 +14,7 @@ from pathlib import Path
 import pytest
 
 from fipt_blender.bridge import interpreter, places
-from fipt_blender.core.device import check, llvm, probe, variant
-from fipt_blender.core.run.messages import Reporter, parse_message
+from fipt_blender.core.device import llvm, probe, variant
 from samples.refusals import error_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -83,9 +80,7 @@ def test_named_library_and_own_folder_lead(tmp_path: Path, monkeypatch: pytest.M
 
 
 @linux
-def test_aborting_library_is_survived_and_the_next_one_taken(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_aborting_library_is_survived_and_the_next_one_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bad = make_library(tmp_path / "lib", "libLLVM.so.20.1")
     good = make_library(tmp_path / "lib", "libLLVM.so.19.1")
     abort = 'case "$DRJIT_LIBLLVM_PATH" in *20.1) kill -ABRT $$;; esac'
@@ -157,16 +152,6 @@ def test_cuda_without_a_driver_is_explained(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(variant, "cuda_driver_version", lambda: None)
     caught = error_of(variant.set_variant, "cuda")
     assert caught.code == "cuda-missing" and "driver" in caught.text
-
-
-def test_check_reports_devices_and_packages() -> None:
-    stream = io.StringIO()
-    check.run(argparse.Namespace(device="auto", gpu=""), Reporter(stream))
-    messages = [parse_message(line) for line in stream.getvalue().splitlines()]
-    data = messages[-1]["data"]
-    assert messages[-1]["type"] == "done" and data["ready"] is True
-    assert data["device"] in ("cuda", "llvm") and data["oidn"] is True
-    assert data["packages"]["mitsuba"] and data["cores"] >= 1
 
 
 def test_engine_starts_isolated_from_any_folder(tmp_path: Path) -> None:

@@ -12,15 +12,7 @@ from PIL import Image
 
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.run.runfolder import RunFolder
-from samples.small_captures import (
-    COLORS,
-    PANEL_TRIANGLES,
-    UNTRAINED,
-    SmallCapture,
-    panel_capture,
-    run_here,
-    write_run,
-)
+from samples.small_captures import COLORS, PANEL_TRIANGLES, UNTRAINED, SmallCapture, panel_capture, run_here, write_run
 from samples.small_rooms import surface_points
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -57,9 +57,7 @@ def run_child(run: RunFolder, kill=None) -> tuple[list[dict], int]:
     with (run.root / "log.txt").open("a") as log:
         # One thread: networks this small lose more by waiting for a second one, above all on a busy machine.
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-        child = subprocess.Popen(
-            command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=log, text=True
-        )
+        child = subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=log, text=True)
         assert child.stdout is not None
         for line in child.stdout:
             message = parse_message(line)
@@ -168,9 +166,7 @@ def test_base_colours_are_near_the_truth(finished, capture: SmallCapture) -> Non
     assert errors.mean() < 0.06 and errors.max() < 0.12
 
 
-def test_killed_at_any_time_it_ends_bit_for_bit_the_same(
-    finished, capture: SmallCapture, tmp_path: Path
-) -> None:
+def test_killed_at_any_time_it_ends_bit_for_bit_the_same(finished, capture: SmallCapture, tmp_path: Path) -> None:
     """Killed at the start of a stage, while overwriting shadings, and in training after a checkpoint."""
     run = write_run(tmp_path / "run", capture)
 

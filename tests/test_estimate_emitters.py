@@ -191,9 +191,7 @@ def test_a_cabinet_whose_front_is_indented_makes_no_phantom_lamps(tmp_path: Path
     run_here(run)
     (found,) = json.loads(run.emitters_json.read_text())["fixtures"]
     assert found["triangles"] == lamp
-    points, _, triangle = surface_points(
-        indented, 4000, np.random.default_rng(0), np.array([FIRST, FIRST + 1])
-    )
+    points, _, triangle = surface_points(indented, 4000, np.random.default_rng(0), np.array([FIRST, FIRST + 1]))
     color, _, metallic = RoomFields.load(run).query(points, triangle)
     wrong = np.abs(color * (1.0 - metallic[:, None]) - tints[triangle]).mean(axis=1)
     # Only where the front's edges cast their shadows elsewhere is anything painted on it.

@@ -16,14 +16,7 @@ from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.run.hints import Hint, write_hints
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.versions import can_continue, list_versions, present_version
-from samples.small_captures import (
-    PANEL_TRIANGLES,
-    UNTRAINED,
-    SmallCapture,
-    panel_capture,
-    run_here,
-    write_run,
-)
+from samples.small_captures import PANEL_TRIANGLES, UNTRAINED, SmallCapture, panel_capture, run_here, write_run
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -144,9 +137,7 @@ def test_the_light_changes_with_the_lamps(finished: RunFolder, capture: SmallCap
     assert not (run.stage / "hinted-refinement").exists()
 
 
-def test_an_area_becomes_a_part_of_its_own(
-    finished: RunFolder, capture: SmallCapture, tmp_path: Path
-) -> None:
+def test_an_area_becomes_a_part_of_its_own(finished: RunFolder, capture: SmallCapture, tmp_path: Path) -> None:
     run = copy_of(finished, tmp_path)
     room = capture.room
     center = tuple(room.vertices[room.triangles[0]].mean(axis=0).tolist())

@@ -13,7 +13,6 @@ from PIL import Image
 
 from benchmarks.ldr import Camera, draw_gains, photograph, write_photograph
 from fipt_blender.core.capture.encoded import srgb_decoded
-from fipt_blender.core.estimate.pipeline import pipeline
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from samples.small_captures import (
     CAMERAS,
@@ -72,11 +71,3 @@ def test_a_clipped_panel_is_found_with_its_radiance(tmp_path: Path) -> None:
     # One scale is left open: found exposures are relative to the median view's.
     found = np.array(fixture["radiance"]) * 2.0 ** np.median(offsets)
     assert found == pytest.approx(np.array(PANEL_RADIANCE), rel=0.25)
-
-
-def test_hdr_photographs_do_not_run_through_this_code() -> None:
-    """Therefore they have the same bits as before."""
-    names = [stage.name for stage in pipeline(1, encoded=True)]
-    plain = [stage.name for stage in pipeline(1, encoded=False)]
-    assert [name for name in names if name not in plain] == ["photometry", "refit"]
-    assert [name for name in names if name in plain] == plain

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -139,9 +140,7 @@ def test_a_resumed_run_repeats_the_warnings_of_finished_stages(
         assert warning["code"] == "view-exposure" and "train/002" in warning["text"] and warning["remedy"]
 
 
-def test_stages_that_take_no_time_have_no_rate(
-    capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stages_that_take_no_time_have_no_rate(capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Clocks may tick only every 16 ms."""
     monkeypatch.setattr(chain, "time", SimpleNamespace(monotonic=lambda: 7.0))
     run = write_run(tmp_path / "run", capture, **BASE)
@@ -149,3 +148,14 @@ def test_stages_that_take_no_time_have_no_rate(
     listed = read_document(run.statistics_json, dict)["stages"]
     assert [stage["seconds"] for stage in listed] == [0.0] * 7
     assert listed[4]["rays"] > 0 and "mrays_per_second" not in listed[4]
+
+
+def test_a_changed_photograph_that_was_held_back_is_judged_again(fresh, tmp_path: Path) -> None:
+    run = RunFolder(shutil.copytree(fresh(rounds=0).root, tmp_path / "run"))
+    data = json.loads(run.capture_json.read_text())
+    data["views"][1]["split"] = "held_back"
+    run.capture_json.write_text(json.dumps(data))
+    assert work(run)[-1] == "quality" and work(run) == []
+    image = run.resolve(data["views"][1]["image"])
+    os.utime(image, (0, 0))
+    assert work(run) == ["quality"]

@@ -110,14 +110,10 @@ def test_blenders_python_stays_as_it_is(trees: dict[str, ast.Module]) -> None:
                 assert node.func.id not in ("exec", "eval"), (name, node.lineno)
             text = ast.unparse(node) if isinstance(node, ast.Call | ast.Assign | ast.AugAssign) else ""
             if name not in STARTED_ALONE:
-                assert not text.startswith(
-                    ("sys.path.", "sys.path =", "sys.path[:] =", "sys.path +=", "bl_info")
-                )
+                assert not text.startswith(("sys.path.", "sys.path =", "sys.path[:] =", "sys.path +=", "bl_info"))
 
 
-def test_it_writes_into_the_users_folder_alone_and_is_offline(
-    archive: zipfile.ZipFile, tmp_path: Path
-) -> None:
+def test_it_writes_into_the_users_folder_alone_and_is_offline(archive: zipfile.ZipFile, tmp_path: Path) -> None:
     """The extension, installed elsewhere, imports a capture; Blender is offline, as bpy is by default."""
     data, package = tmp_path / "data", tmp_path / "site" / "installed" / "fipt_blender"
     archive.extractall(package)

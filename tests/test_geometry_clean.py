@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.surface.adjacency import NONE, face_vectors, make_mesh
 from fipt_blender.core.surface.clean import CleanMesh, clean_mesh
 from fipt_blender.core.surface.patches import Planes
 from fipt_blender.core.surface.planes import parallel_normals
-from fipt_blender.core.surface.room import Room, load_room
+from fipt_blender.core.surface.room import load_room
 from fipt_blender.core.surface.stored import prepare_geometry
 from samples.scans import scanned_box
-from samples.small_rooms import BOX, make_room
+from samples.small_rooms import BOX, make_room, write_room
 
 STEP = 0.02  # metres between vertices
 NOISE = 0.001
@@ -78,9 +78,7 @@ def errors(clean: CleanMesh, triangles: np.ndarray, true: np.ndarray) -> np.ndar
 
 def test_walls_become_planes_and_right_angles_stay() -> None:
     # Floor and wall meet in the x axis.
-    exact = joined(
-        [grid(40, [0.8, 0, 0], [0, 0.8, 0], [0, 0, 0]), grid(40, [0, 0, 0.8], [0.8, 0, 0], [0, 0, 0])]
-    )
+    exact = joined([grid(40, [0.8, 0, 0], [0, 0.8, 0], [0, 0, 0]), grid(40, [0, 0, 0.8], [0.8, 0, 0], [0, 0, 0])])
     true, _ = face_vectors(*exact)
     mesh = noisy(exact)
     before, _ = face_vectors(*mesh)
@@ -140,28 +138,16 @@ def test_steps_higher_than_the_noise_stay() -> None:
 def test_modelled_meshes_are_no_scans() -> None:
     room = make_room(BOX)
     assert clean_mesh(room.vertices, room.triangles) is None
-    box = joined(
-        [grid(40, *edges) for edges in (([2, 0, 0], [0, 2, 0], [0, 0, 0]), ([0, 0, 2], [2, 0, 0], [0, 0, 0]))]
-    )
+    box = joined([grid(40, *edges) for edges in (([2, 0, 0], [0, 2, 0], [0, 0, 0]), ([0, 0, 2], [2, 0, 0], [0, 0, 0]))])
     assert clean_mesh(box[0].astype(np.float32), box[1]) is None
     flat = joined([grid(40, [2.0, 0, 0], [0, 2.0, 0], [0, 0, 0]), sphere(0.3)])
     assert clean_mesh(flat[0].astype(np.float32), flat[1]) is None
 
 
-def write_room(root: Path, room: Room) -> RunFolder:
-    run = RunFolder(root)
-    root.mkdir(parents=True, exist_ok=True)
-    names = ("vertices", "triangles", "corner_normals", "triangle_object", "triangle_material")
-    arrays = {name: getattr(room, name) for name in names}
-    np.savez(run.room_npz, triangle_polygon=np.arange(len(room.triangles), dtype=np.int32), **arrays)
-    objects = [str(number) for number in range(int(room.triangle_object.max()) + 1)]
-    write_json(run.room_json, {"objects": objects, "materials": objects, "parts": "none"})
-    return run
-
-
 def test_a_run_works_on_the_cleaned_scan(tmp_path: Path) -> None:
     scan, side = scanned_box(cells=20, noise=0.01)
-    run = write_room(tmp_path, scan)
+    run = RunFolder(tmp_path)
+    write_room(run.root, scan)
     assert np.array_equal(load_room(run).vertices, scan.vertices)
     prepare_geometry(run)
     room = load_room(run)
@@ -179,7 +165,8 @@ def test_a_run_works_on_the_cleaned_scan(tmp_path: Path) -> None:
 
 def test_a_modelled_room_keeps_every_bit(tmp_path: Path) -> None:
     exact = make_room(BOX)
-    run = write_room(tmp_path, exact)
+    run = RunFolder(tmp_path)
+    write_room(run.root, exact)
     prepare_geometry(run)
     room = load_room(run)
     assert not run.geometry_npz.exists() and room.noise == 0.0 and room.plane is None
@@ -192,7 +179,8 @@ def test_a_modelled_room_keeps_every_bit(tmp_path: Path) -> None:
 @pytest.mark.parametrize("fault", ["cut", "other mesh", "nan"])
 def test_a_cleaned_copy_that_does_not_fit_is_made_again(tmp_path: Path, fault: str) -> None:
     scan, _ = scanned_box(cells=20, noise=0.01)
-    run = write_room(tmp_path, scan)
+    run = RunFolder(tmp_path)
+    write_room(run.root, scan)
     prepare_geometry(run)
     good = load_room(run).vertices
     if fault == "cut":

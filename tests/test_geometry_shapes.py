@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fipt_blender.core.completion.revolution import Revolution, fit_revolutions
+from fipt_blender.core.completion.revolution import fit_revolutions, revolved
 from fipt_blender.core.completion.sheet import fit_sheets
 
 STEP = 0.02
@@ -33,9 +33,9 @@ def turned(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def test_a_cone_is_found_from_half_of_it(rng: np.random.Generator, side: int) -> None:
     points, normals = cone(rng, share=0.5)
     found = fit_revolutions(points, turned(side * normals, rng), np.ones(len(points)), STEP)
-    assert [each.side for each in found] == [side]
-    assert np.abs(found[0].axis - AXIS).max() < 0.003
+    assert len(found) == 1
     places, facing = found[0].cells()
+    assert np.abs(places.mean(axis=(0, 1))[:2] - AXIS).max() < 0.003
     radius = np.linalg.norm(places[..., :2] - AXIS, axis=2)
     assert np.abs(radius - (0.2 - 0.2 * (places[..., 2] - 1.0))).max() < 0.004
     around = (places[..., :2] - AXIS) / radius[..., None]
@@ -58,7 +58,7 @@ def test_boxes_walls_and_thin_rods_are_no_surfaces_of_revolution(rng: np.random.
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_the_mesh_of_a_revolution_has_its_area_and_faces_its_side(side: int) -> None:
-    cylinder = Revolution(AXIS, 1.0, STEP, np.full(11, 0.2), side)
+    cylinder = revolved(AXIS, 1.0, STEP, np.full(11, 0.2), side)
     vertices, triangles, normals = cylinder.surface(np.ones(cylinder.shape, bool))
     corners = vertices[triangles].astype(np.float64)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -86,7 +86,8 @@ def test_sheets_of_two_sides_are_apart_and_keep_their_waves(rng: np.random.Gener
     points, normals = np.concatenate([front[~hole], side]), np.concatenate([facing[~hole], left])
     found = fit_sheets(points, turned(normals, rng), np.ones(len(points)), STEP, 100, rng)
     assert len(found) >= 2
-    assert found[0].axes[2] @ [0.0, -1.0, 0.0] > 0.99 and found[1].axes[2] @ [-1.0, 0.0, 0.0] > 0.99
+    front, left = (each.normals.mean(axis=(0, 1)) for each in found[:2])
+    assert front @ [0.0, -1.0, 0.0] > 0.9 and left @ [-1.0, 0.0, 0.0] > 0.9
     places, normals = found[0].cells()
     x, y, z = np.moveaxis(places, 2, 0)
     within = (x > 0.02) & (x < 0.98) & (z > 0.02) & (z < 0.98)
@@ -96,4 +97,4 @@ def test_sheets_of_two_sides_are_apart_and_keep_their_waves(rng: np.random.Gener
     vertices, triangles, _ = found[0].surface(within)
     corners = vertices[triangles].astype(np.float64)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert (cross @ found[0].axes[2] > 0.0).all() and len(triangles) == 2 * within.sum()
+    assert (cross @ front > 0.0).all() and len(triangles) == 2 * within.sum()

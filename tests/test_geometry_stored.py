@@ -81,9 +81,7 @@ def test_the_setting_turns_it_off_and_on_again(tmp_path: Path, rng: np.random.Ge
     assert not run.closing_npz.exists() and not run.geometry_npz.exists()
 
 
-def test_a_room_that_holds_an_earlier_closing_gets_no_second_one(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_room_that_holds_an_earlier_closing_gets_no_second_one(tmp_path: Path, rng: np.random.Generator) -> None:
     """As when the scene is estimated again after its results were applied."""
     run = write_run(tmp_path, with_pinholes(rng), "none")
     write_json(run.room_json, {"objects": ["scan"], "object_ids": [CLOSING], "materials": ["scan"]})
@@ -105,9 +103,7 @@ def test_a_modelled_room_keeps_its_openings(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fault", ["cut", "index", "beside", "other mesh"])
-def test_a_closing_that_does_not_fit_is_left_out(
-    tmp_path: Path, rng: np.random.Generator, fault: str
-) -> None:
+def test_a_closing_that_does_not_fit_is_left_out(tmp_path: Path, rng: np.random.Generator, fault: str) -> None:
     scan = with_pinholes(rng)
     run = write_run(tmp_path, scan, "none")
     prepare_geometry(run, most_edges=120)
@@ -130,9 +126,7 @@ def test_a_closing_that_does_not_fit_is_left_out(
     assert files(run) == whole
 
 
-def test_what_closes_a_hole_has_the_part_around_it_and_is_no_lamp(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_what_closes_a_hole_has_the_part_around_it_and_is_no_lamp(tmp_path: Path, rng: np.random.Generator) -> None:
     run = write_run(tmp_path, with_pinholes(rng), "objects")
     prepare_geometry(run, most_edges=120)
     room = load_room(run)
@@ -143,8 +137,6 @@ def test_what_closes_a_hole_has_the_part_around_it_and_is_no_lamp(
     ceiling = room.vertices[room.triangles].mean(axis=1)[:, 2] > room.vertices[:, 2].max() - 0.05
     for lamp, count in ((room.closing, 0), (ceiling & ~room.closing, 1)):
         seen = np.repeat(np.flatnonzero(lamp), 4)
-        pixels = EmitterPixels(
-            seen, np.ones(len(seen), bool), np.full((len(seen), 3), 9.0), np.ones(len(seen))
-        )
+        pixels = EmitterPixels(seen, np.ones(len(seen), bool), np.full((len(seen), 3), 9.0), np.ones(len(seen)))
         fixtures = group_fixtures(room, lamp, pixels)
         assert len(fixtures) == count

@@ -21,7 +21,5 @@ BLENDER = os.environ.get("FIPT_TEST_BLENDER", "")
 def test_from_an_empty_scene_to_a_relit_render(tmp_path):
     shots = Path(os.environ.get("FIPT_TEST_SHOTS") or tmp_path)
     command = [sys.executable, str(RUN), "--blender", BLENDER, "--shots", str(shots)]
-    result = subprocess.run(
-        [*command, "--engine", sys.executable], stderr=subprocess.PIPE, text=True, check=False
-    )
+    result = subprocess.run([*command, "--engine", sys.executable], stderr=subprocess.PIPE, text=True, check=False)
     assert result.returncode == 0, result.stderr

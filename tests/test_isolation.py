@@ -32,10 +32,7 @@ SHARED = """
     run.result_contents run.run_files run.runfolder run.settings run.shapes run.version_figures
     run.versions report.comparison report.fixture_names textures.raster textures.write_back
 """.split()
-SHARED_MODULES = (
-    *(f"core.{name}" for name in SHARED),
-    *("prepare.editing", "prepare.facts", "prepare.preparation"),
-)
+SHARED_MODULES = (*(f"core.{name}" for name in SHARED), *("prepare.editing", "prepare.facts", "prepare.preparation"))
 # The rooms from the lowest floor to the highest: each imports only from itself and from rooms before it.
 FLOORS = """
     core.run core.conventions core.robust core.device core.alignment core.depth core.capture core.surface
@@ -170,9 +167,7 @@ def test_the_checks_find_what_they_forbid(monkeypatch: pytest.MonkeyPatch, tmp_p
         (tmp_path / place).write_text(text)
         return tmp_path / place
 
-    engine = written(
-        "core/pixels/a.py", "def f():\n    import bpy\nfrom ...panels import b\nfrom ..checks import c\n"
-    )
+    engine = written("core/pixels/a.py", "def f():\n    import bpy\nfrom ...panels import b\nfrom ..checks import c\n")
     assert forbidden(engine) == {"bpy", "panels"} and from_above(engine) == {"panels", "core.checks"}
     side = written(
         "blend/room/b.py", "import torch.nn\nfrom ...core.pixels import a\nfrom ...core import conventions\n"

@@ -73,13 +73,7 @@ def test_the_files_that_an_obj_names_count(tmp_path: Path, monkeypatch: pytest.M
     find = lambda: mesh_fingerprint(mesh)  # noqa: E731
     for name in ("a room.mtl", "one.mtl", "two.mtl", "room.mtl"):  # the last by its name, as Blender finds it
         assert depends(find, tmp_path / name), name
-    lines = [
-        "newmtl a",
-        "map_Kd -s 1 1 1 oak floor.png",
-        "\tmap_bump maps\\bump.png",
-        "Kd 1 0 0",
-        "NORM n.png",
-    ]
+    lines = ["newmtl a", "map_Kd -s 1 1 1 oak floor.png", "\tmap_bump maps\\bump.png", "Kd 1 0 0", "NORM n.png"]
     write(tmp_path / "one.mtl", "\n".join(lines))
     for name in ("oak floor.png", "maps/bump.png", "n.png"):
         assert depends(find, tmp_path / name), name
@@ -100,8 +94,7 @@ def test_the_files_that_a_gltf_names_count(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content",
-    [b"", b"{", b"[1]", b'{"images": 5}', b"glTF" + b"\xff" * 30, b"[" * 100_000, b'{"buffers": [0]}'],
+    "content", [b"", b"{", b"[1]", b'{"images": 5}', b"glTF" + b"\xff" * 30, b"[" * 100_000, b'{"buffers": [0]}']
 )
 def test_damaged_files_have_fingerprints_too(content: bytes, tmp_path: Path) -> None:
     for name in ("a.gltf", "a.glb", "a.obj"):

@@ -60,12 +60,6 @@ def test_the_newest_run_without_a_file_or_a_blender_is_offered(data):
     assert unsaved.newest(data, []).folder.name == "old" and not unsaved.mark_of(left.root).exists()
 
 
-def test_the_mark_leaves_the_folder_of_a_new_run_empty(data):
-    folder = machine.new_run_folder("room")
-    unsaved.mark(folder)
-    RunFolder(folder).create(make_settings())
-
-
 def test_saving_the_file_makes_its_run_known(data):
     run = make_run(data, "a", 1.0)
     bpy.context.scene.fipt.run_folder = str(run.root)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import time
-from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -24,7 +23,6 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import job_scene, run_job, running, runstate, session
-from fipt_blender.operators.estimate import FIPT_OT_cancel
 from fipt_blender.operators.job_operator import JobOperator
 from samples.child_processes import wait_for
 from samples.refusals import error_of
@@ -69,46 +67,6 @@ def test_only_one_job_runs(run):
     assert caught.code == "job-running" and "Test" in caught.text
     assert running.current() is info and not bpy.ops.fipt.estimate.poll()
     running.cancel()
-    tick_until(lambda: info.state == "cancelled")
-
-
-def press_escape(playing: bool = False) -> tuple[set[str], list[str]]:
-    """What the shortcut returns, and the messages of the dialogs that it opens."""
-    asked = []
-
-    def invoke_confirm(operator, event, message, **texts):
-        asked.append(message)
-        return {"RUNNING_MODAL"}
-
-    operator = SimpleNamespace(by_key=True, execute=lambda context: bpy.ops.fipt.cancel())
-    context = SimpleNamespace(
-        screen=SimpleNamespace(is_animation_playing=playing),
-        window_manager=SimpleNamespace(invoke_confirm=invoke_confirm),
-    )
-    return FIPT_OT_cancel.invoke(operator, context, None), asked
-
-
-def test_escape_asks_before_it_ends_a_long_run(run):
-    info = start(make_job(run), run)
-    tick_until(lambda: at_work(info))
-    info.started -= 7200.0
-    answer, asked = press_escape()
-    assert answer == {"RUNNING_MODAL"} and "2 h 0 min" in asked[0] and not info.stopping
-    assert bpy.ops.fipt.cancel("INVOKE_DEFAULT") == {"FINISHED"} and info.stopping  # the panel's button
-    tick_until(lambda: info.state == "cancelled")
-
-
-def test_escape_that_stops_playback_ends_no_run(run, monkeypatch):
-    info = start(make_job(run), run)
-    tick_until(lambda: at_work(info))
-    assert press_escape(playing=True) == ({"PASS_THROUGH"}, [])
-    # Blender stops playback and passes the key on.
-    for handler in bpy.app.handlers.animation_playback_post:
-        handler(bpy.context.scene, None)
-    assert press_escape() == ({"PASS_THROUGH"}, []) and not info.stopping
-    monkeypatch.setattr(session.time, "monotonic", lambda now=time.monotonic: now() + 5.0)
-    assert press_escape() == ({"FINISHED"}, [])  # a run of seconds is not asked for
-    monkeypatch.undo()
     tick_until(lambda: info.state == "cancelled")
 
 
@@ -168,14 +126,6 @@ def test_in_another_file_the_engine_goes_on_but_functions_touch_nothing(run, tmp
     assert job_scene.find_scene("Scene", run.root) is not None
 
 
-def test_an_engine_job_ends_well_without_its_scene(run):
-    info = start(make_job(run), run)
-    tick_until(lambda: at_work(info))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    finish(run, info)
-    assert info.state == "finished"
-
-
 def test_disabling_stops_the_engine_by_default(run):
     info = start(make_job(run), run)
     tick_until(lambda: at_work(info))
@@ -232,15 +182,6 @@ def test_a_failure_at_the_end_is_the_jobs(run, raised, code, capsys):
     info = start(make_job(run, lambda: None, engine=False), run, on_end=end)
     tick_until(lambda: info.state != "running")
     assert info.state == "failed" and info.error["code"] == (code or "blender-step-failed")
-
-
-def test_ctrl_c_in_a_blocking_run_leaves_nothing_running(run):
-    def stop():
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        running.run(make_job(run, stop, engine=False), running.RunningJob("T", "t", "", run.root))
-    assert running.current() is None and running.last("t").state == "cancelled"
 
 
 def test_the_state_of_a_run_folder(run):
@@ -319,13 +260,6 @@ def test_an_operators_failure_is_an_error_for_scripts(run, operator, mode, words
     assert running.belongs_to(job, bpy.context.scene)
     bpy.context.scene.fipt.run_folder = "elsewhere"
     assert not running.belongs_to(job, bpy.context.scene)
-
-
-def test_an_operator_waits_for_the_job_that_runs(run, operator):
-    info = start(make_job(run), run)
-    assert not operator.poll()
-    finish(run, info)
-    assert operator.poll()
 
 
 def test_a_job_that_starts_at_the_end_of_another_is_advanced_by_the_same_timer(run):

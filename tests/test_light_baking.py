@@ -10,13 +10,7 @@ import pytest
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.light.baking import (
-    SUBPIXELS,
-    TriangleTables,
-    denoised,
-    samples_per_start,
-    start_points,
-)
+from fipt_blender.core.light.baking import SUBPIXELS, TriangleTables, denoised, samples_per_start, start_points
 from fipt_blender.core.light.shadings import Shadings
 from fipt_blender.core.pixels.store import fill_pixels, open_pixels
 from fipt_blender.core.surface.room import Room
@@ -47,8 +41,7 @@ def starts(tmp_path: Path, gap: float, labels: list[int]) -> list[np.ndarray]:
     rows = np.arange(WIDTH * HEIGHT)[::-1]  # any pixels in any order
     points = start_points(room, store.of_view(0), rows, tables)
     position, normal, geometric, view_direction = (
-        np.array(getattr(points, item.name)).T.reshape(len(rows), len(SUBPIXELS), 3)[::-1]
-        for item in fields(points)
+        np.array(getattr(points, item.name)).T.reshape(len(rows), len(SUBPIXELS), 3)[::-1] for item in fields(points)
     )
     # a start's directions belong to its own surface point
     toward = pose[:3, 3] - position

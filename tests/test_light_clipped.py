@@ -9,14 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fipt_blender.core.light.clipped import (
-    ON_LAMP,
-    OUTSIDE,
-    Expectation,
-    LitPoints,
-    light_on_points,
-    solve_lamps,
-)
+from fipt_blender.core.light.clipped import ON_LAMP, OUTSIDE, Expectation, LitPoints, light_on_points, solve_lamps
 from samples.shading_points import grid_of
 from samples.small_rooms import BOX, make_room
 

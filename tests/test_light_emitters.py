@@ -19,14 +19,10 @@ from fipt_blender.core.light.emitters import (
 from samples.small_rooms import BOX, make_room, room_with_bulb
 
 
-def pixels(
-    rows: list[tuple[int, bool, float, float]],
-) -> EmitterPixels:
+def pixels(rows: list[tuple[int, bool, float, float]]) -> EmitterPixels:
     """Pixels of (triangle, front, weight, grey) rows."""
     triangle, front, weight, grey = (np.array(column) for column in zip(*rows, strict=True))
-    return EmitterPixels(
-        triangle, front.astype(bool), np.repeat(grey[:, None], 3, axis=1), weight.astype(float)
-    )
+    return EmitterPixels(triangle, front.astype(bool), np.repeat(grey[:, None], 3, axis=1), weight.astype(float))
 
 
 def test_weighted_medians_of_both_sides() -> None:

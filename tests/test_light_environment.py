@@ -6,17 +6,11 @@ import mitsuba as mi
 import numpy as np
 
 from fipt_blender.core.conventions import equirect_pixel_directions
-from fipt_blender.core.light.environment import (
-    MOST_PIXELS,
-    Environment,
-    estimate_environment,
-)
+from fipt_blender.core.light.environment import MOST_PIXELS, Environment, estimate_environment
 from fipt_blender.core.optics.environment import EnvironmentLight
 
 
-def estimated(
-    directions: np.ndarray, radiance: np.ndarray, width: int, rng: np.random.Generator
-) -> Environment | None:
+def estimated(directions: np.ndarray, radiance: np.ndarray, width: int, rng: np.random.Generator) -> Environment | None:
     """Of pixels that come in pieces, as views do."""
     pieces = [(directions[first::3], radiance[first::3]) for first in range(3)]
     return estimate_environment(lambda: pieces, width, rng)

@@ -12,11 +12,7 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.light.emission import constancy, emission_probability, log_evidence
 from fipt_blender.core.light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
-from fipt_blender.core.light.evidence import (
-    log_ratio,
-    most_nearby,
-    spill_free_fraction,
-)
+from fipt_blender.core.light.evidence import log_ratio
 from fipt_blender.core.parts.labels import Parts
 from fipt_blender.core.pixels.store import NO_TRIANGLE, PixelStore, open_pixels
 from samples.small_rooms import make_room
@@ -28,9 +24,7 @@ ROOM = make_room([(QUAD + [2.0 * i, 0.0, 0.0]).tolist() for i in range(3)])
 OPTIONS = {".": (WALL, True), "L": (LAMP, True), "l": (LAMP, False), "B": (BAR, True), "b": (BAR, False)}
 
 
-def store(
-    folder: Path, pictures: list[tuple[list[str], list[list[float]]]], weight: float = 0.5
-) -> PixelStore:
+def store(folder: Path, pictures: list[tuple[list[str], list[list[float]]]], weight: float = 0.5) -> PixelStore:
     """Views of one letter a pixel (OPTIONS: what its centre sees, and capitals where it sees that alone; a
     blank looks outside) and of its grey radiance, which is its own; mixed pixels have the given weight."""
     views = [
@@ -77,9 +71,7 @@ def test_brighter_than_white_is_evidence_and_what_white_explains_is_none() -> No
     rough = log_evidence(ratio - 0.02, ratio + 0.02, np.full(7, 0.6))
     assert (rough[4:] < found[4:]).all()  # light that is known less well explains more
     # An interval that may be anything tells nothing, one that is cut off below by white a little.
-    assert log_evidence(np.array([-14.0]), np.array([7.0]), np.array([0.15]))[0] == pytest.approx(
-        0.0, abs=0.01
-    )
+    assert log_evidence(np.array([-14.0]), np.array([7.0]), np.array([0.15]))[0] == pytest.approx(0.0, abs=0.01)
 
 
 def test_light_is_unexplained_channel_by_channel() -> None:
@@ -97,9 +89,7 @@ def test_constant_radiance_in_varying_light_is_emitted(rng: np.random.Generator)
     texture = np.log(rng.uniform(0.2, 0.8, count))
     even = np.full(count, 0.7)
     radiance = np.concatenate([noise, light + noise, light + texture, even + noise])
-    found = constancy(
-        radiance, np.concatenate([light, light, light, even]), np.repeat([0, 1, 2, 3], count), 5
-    )
+    found = constancy(radiance, np.concatenate([light, light, light, even]), np.repeat([0, 1, 2, 3], count), 5)
     assert found[0] > 20.0 and found[1] < -20.0 and abs(found[2]) < 8.0 and abs(found[3]) < 0.5
     assert found[4] == 0.0
     few = constancy(noise[:20], light[:20], np.zeros(20, np.int64), 1)
@@ -174,15 +164,3 @@ def test_a_rim_that_faces_sideways_on_a_scan_may_show_the_paper_beside_it(tmp_pa
     rim = store(tmp_path, [(["..LL.."], [[0.8, 0.8, 0.9, 0.9, 0.8, 0.8]])] * 6)
     assert emission(rim, diffuse=np.tile(light, 6)) == [LAMP, LAMP + 1]
     assert emission(rim, diffuse=np.tile(light, 6), reach=1) == []
-
-
-def test_the_share_that_is_a_pixels_own() -> None:
-    light = np.array([1.0, 1.0, 1.0, 0.0])
-    assert spill_free_fraction(light, np.array([1.0, 1.5, 3.0, 2.0])).tolist() == [1.0, 0.5, 0.0, 0.0]
-
-
-def test_light_beside_is_that_of_the_mesh_in_each_channel() -> None:
-    reflected = np.array([[1.0, 5.0, 0.0], [2.0, 1.0, 0.0], [9.0, 9.0, 9.0], [0.0, 0.0, 0.0]])
-    hit = np.array([True, True, False, True])
-    expected = [[2.0, 5.0, 0.0], [2.0, 5.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
-    assert most_nearby(reflected, hit, (1, 4), 1).tolist() == expected

@@ -22,12 +22,7 @@ AREA, LUMINANCE = 1e-4, 1000.0
 
 def lamp_above(height: float) -> list:
     """A square of one centimetre that shines down."""
-    return [
-        [-0.005, -0.005, height],
-        [-0.005, 0.005, height],
-        [0.005, 0.005, height],
-        [0.005, -0.005, height],
-    ]
+    return [[-0.005, -0.005, height], [-0.005, 0.005, height], [0.005, 0.005, height], [0.005, -0.005, height]]
 
 
 def fixture(quad: int, height: float) -> Fixture:
@@ -70,9 +65,7 @@ def test_lamps_that_few_pixels_see_alone_are_doubted_by_the_spread_of_their_radi
     triangle = np.array([2] * 20 + [4] * 12)
     own = np.full((32, 3), 100.0, np.float32)
     own[20:26] *= 1.5
-    pixels = SimpleNamespace(
-        triangle=triangle, own=own, weight=np.full(32, 0.5), pure=np.arange(32) < 22, radiance=own
-    )
+    pixels = SimpleNamespace(triangle=triangle, own=own, weight=np.full(32, 0.5), pure=np.arange(32) < 22, radiance=own)
     lamps = [fixture(1, 0.5), fixture(2, 1.0)]
     (doubt,) = hardly_seen(lamps, pixels, len(room.triangles))
     assert (doubt.index, doubt.pixels) == (1, 12) and doubt.spread == pytest.approx(0.2)

@@ -66,7 +66,5 @@ def test_stage_1_reads_lamps_from_the_table_and_all_else_from_the_cache() -> Non
     cache = SurfaceLookup(grid, np.full((len(grid.voxels) * 6, 3), 0.25, np.float32))
     source = CachedRadiance(room, cache, None, AreaLights(room.vertices, room.triangles, table))
     ray = mi.Ray3f(mi.Point3f([0.5, -1.0], [0.3, -1.0], [2.9, 2.9]), mi.Vector3f(0.0, 0.0, -1.0))
-    path, _, _ = source.step(
-        new_path(2), ray.d, source.intersect(ray, mi.Bool(True)), mi.PCG32(2), dr.ones(mi.Bool, 2)
-    )
+    path, _, _ = source.step(new_path(2), ray.d, source.intersect(ray, mi.Bool(True)), mi.PCG32(2), dr.ones(mi.Bool, 2))
     assert np.array(path.radiance)[0].tolist() == pytest.approx([60.0, 0.25])

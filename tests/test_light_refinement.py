@@ -63,9 +63,7 @@ def test_refinement_weighs_emitter_and_brdf_samples_rightly(
     times = 40_000
     position, frame, _ = lanes(points, times)
     rng = mi.PCG32(dr.width(position), 5)
-    direction = frame.to_world(
-        mi.warp.square_to_cosine_hemisphere(mi.Point2f(rng.next_float32(), rng.next_float32()))
-    )
+    direction = frame.to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(rng.next_float32(), rng.next_float32())))
     origin = position + frame.n * room.offset
     throughput, total = mi.Color3f(1.0), mi.Color3f(0.0)
     active = mi.Bool(True)
@@ -112,9 +110,7 @@ def test_looking_up_the_diffuse_shading_changes_no_mean() -> None:
     for diffuse in (None, ones):
         source = TracedRadiance(room, ones, lookup, diffuse, area_lights(room, NOTHING), None, 0.6, 5)
         counts = SampleCounts(32, 8, 0)
-        found.append(
-            mean_and_error(baked(points, source, area_lights(room, NOTHING), LEVELS, counts, 300)[0])
-        )
+        found.append(mean_and_error(baked(points, source, area_lights(room, NOTHING), LEVELS, counts, 300)[0]))
     (traced, noise), (looked_up, error) = found
     agree(traced - looked_up, np.hypot(noise, error))
     assert (traced.min(axis=1) < 0.99).all()  # the floor matters

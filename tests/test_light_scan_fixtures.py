@@ -80,9 +80,7 @@ def test_specks_near_a_lamp_are_part_of_it_and_others_are_none() -> None:
     assert (group[lamp[ids]] == 0).all() and (group[near[ids]] == 0).all() and (group[far[ids]] == -1).all()
     small = np.linalg.norm(ROOM.scan.centers - [-1.5, -1.5, 0.0], axis=1) < 0.3
     group = scan_groups(ROOM.scan, np.flatnonzero(lamp | small), None)
-    assert sorted(np.bincount(group)) == sorted(
-        [lamp.sum(), small.sum()]
-    )  # a small lamp far from the large one
+    assert sorted(np.bincount(group)) == sorted([lamp.sum(), small.sum()])  # a small lamp far from the large one
     apart = scan_groups(ROOM.scan, ids, np.where(near, 1, 0))
     assert (apart[near[ids]] == -1).all()  # the speck is of another part
 

@@ -27,15 +27,7 @@ from samples.shading_points import (
     mean_and_error,
     points_on,
 )
-from samples.small_rooms import (
-    BOX,
-    agree,
-    area_lights,
-    make_room,
-    room_with_bulb,
-    surface_points,
-    table,
-)
+from samples.small_rooms import BOX, agree, area_lights, make_room, room_with_bulb, surface_points, table
 
 BLOCK = [[-0.6, -0.1, 2.0], [0.3, -0.1, 2.0], [0.3, 0.5, 2.0], [-0.6, 0.5, 2.0]]
 
@@ -46,9 +38,7 @@ def occluded_room() -> Room:
     return room_with_bulb(0.25, (1.2, -1.0, 1.2), [*BOX, LAMP, BLOCK])
 
 
-def reflected(
-    points: ShadingPoints, source, color: list[float], roughness: float, metallic: float, times: int
-):
+def reflected(points: ShadingPoints, source, color: list[float], roughness: float, metallic: float, times: int):
     """Direct integration of the whole BRDF at each point: (points, times, 3) estimates."""
     position, frame, wo = lanes(points, times)
     rng = mi.PCG32(dr.width(position), 11)
@@ -57,9 +47,7 @@ def reflected(
     direction = frame.to_world(wi)
     ray = mi.Ray3f(position + frame.n * source.offset, direction)
     active = wi.z > 0.0
-    path, _, _ = source.step(
-        new_path(dr.width(position)), direction, source.intersect(ray, active), rng, active
-    )
+    path, _, _ = source.step(new_path(dr.width(position)), direction, source.intersect(ray, active), rng, active)
     return np.array(weight * path.radiance).T.reshape(len(points.position), times, 3)
 
 
@@ -81,9 +69,7 @@ def test_factorisation_is_direct_integration(aimed: int) -> None:
     for level, roughness in enumerate(LEVELS):
         total = kd * diffuse + ks * specular[:, :, level, 0] + specular[:, :, level, 1]
         mean, error = mean_and_error(total)
-        expected, noise = mean_and_error(
-            reflected(points, source, color.tolist(), float(roughness), metallic, 30_000)
-        )
+        expected, noise = mean_and_error(reflected(points, source, color.tolist(), float(roughness), metallic, 30_000))
         agree(mean - expected, np.hypot(error, noise))
         assert np.median(error / mean) < 0.03  # tight enough to tell a wrong weight
 
@@ -194,10 +180,7 @@ def test_starts_of_a_pixel_are_averaged() -> None:
     lights = area_lights(room, NOTHING)
     each, noise = mean_and_error(baked(points, source, lights, LEVELS, SampleCounts(16, 8, 0), 400)[0])
     pairs = ShadingPoints(
-        *(
-            np.tile(getattr(points, name).reshape(4, 6), (400, 1)).reshape(-1, 3)
-            for name in points.__annotations__
-        )
+        *(np.tile(getattr(points, name).reshape(4, 6), (400, 1)).reshape(-1, 3) for name in points.__annotations__)
     )
     together = bake(pairs, source, lights, LEVELS, SampleCounts(16, 8, 0), 3, starts=2)
     assert together.specular.shape == (1600, len(LEVELS), 2, 3)
@@ -214,9 +197,6 @@ def test_levels_and_seeds() -> None:
     grid = grid_of(room)
     source = CachedRadiance(room, SurfaceLookup(grid, np.ones((len(grid.voxels) * 6, 3), np.float32)), None)
     points = points_on(room, 2, [0])
-    runs = [
-        bake(points, source, area_lights(room, NOTHING), LEVELS, SampleCounts(8, 4, 8), seed)
-        for seed in (1, 1, 2)
-    ]
+    runs = [bake(points, source, area_lights(room, NOTHING), LEVELS, SampleCounts(8, 4, 8), seed) for seed in (1, 1, 2)]
     assert (runs[0].specular == runs[1].specular).all() and (runs[0].diffuse == runs[1].diffuse).all()
     assert (runs[0].specular != runs[2].specular).any()

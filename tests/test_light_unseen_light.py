@@ -131,9 +131,7 @@ def test_the_hull_shines_by_place_where_no_view_looks_outside() -> None:
     table[rng.random(len(table)) < 0.2] = -1.0
     seen = np.zeros((16, 32), bool)
     seen[:4] = True
-    environment = Environment(
-        np.full((16, 32, 3), 7.0, np.float32), 0.2, seen, hull=replace(hull, radiance=table)
-    )
+    environment = Environment(np.full((16, 32, 3), 7.0, np.float32), 0.2, seen, hull=replace(hull, radiance=table))
     start = rng.uniform([-0.9, -1.9, 0.1], [0.9, 1.9, 2.9], (500, 3))
     way = rng.normal(size=(500, 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
@@ -159,11 +157,7 @@ def drawn_points(rng: np.random.Generator, sources: int) -> tuple[Transport, Exp
     unseen = 0.2 * rng.dirichlet(np.full(sources, 0.2), count)
     noise = 0.1 * rng.normal(size=(count, 3))
     logs = np.log(ALBEDO[group] * (seen + unseen @ radiance)) + noise
-    return (
-        Transport(logs, group, seen, unseen),
-        Expectation(np.zeros((sources, 3)), np.ones(sources, bool)),
-        radiance,
-    )
+    return (Transport(logs, group, seen, unseen), Expectation(np.zeros((sources, 3)), np.ones(sources, bool)), radiance)
 
 
 def test_sources_are_found_within_their_errors() -> None:
@@ -184,7 +178,5 @@ def test_points_held_back_tell_light_from_noise() -> None:
     assert held_back_gain(points, expected, np.random.default_rng(0)) > 5.0
     rng = np.random.default_rng(5)
     light = points.seen + points.unseen @ np.exp(expected.log_radiance)
-    dark = replace(
-        points, log_radiance=np.log(ALBEDO[points.group] * light) + 0.3 * rng.normal(size=light.shape)
-    )
+    dark = replace(points, log_radiance=np.log(ALBEDO[points.group] * light) + 0.3 * rng.normal(size=light.shape))
     assert held_back_gain(dark, expected, np.random.default_rng(0)) < 1.0

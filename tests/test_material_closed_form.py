@@ -10,13 +10,7 @@ import pytest
 
 from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.light.observations import Observations, observe
-from fipt_blender.core.material.closed_form import (
-    CellEstimate,
-    TrainingData,
-    fit_cells,
-    followed_by_paths,
-    white_rows,
-)
+from fipt_blender.core.material.closed_form import CellEstimate, TrainingData, fit_cells, followed_by_paths, white_rows
 from fipt_blender.core.material.mixture import GroupMaterials
 from fipt_blender.core.material.projection import color_lines
 from samples.panel_pixels import IS_PANEL, PARTS, ROOM, SETTINGS, make_pixels

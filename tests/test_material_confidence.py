@@ -12,12 +12,7 @@ import pytest
 from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.material import confidence
 from fipt_blender.core.material.cell_errors import groups_of_cells
-from fipt_blender.core.material.confidence import (
-    UNIFORM_DEVIATION,
-    LinearisedPixels,
-    linearise,
-    standard_errors,
-)
+from fipt_blender.core.material.confidence import UNIFORM_DEVIATION, LinearisedPixels, linearise, standard_errors
 from fipt_blender.core.material.groups import Units
 from fipt_blender.core.material.pixel_samples import RADIANCE_FLOOR
 from fipt_blender.core.material.projection import color_lines
@@ -129,9 +124,7 @@ def test_colour_is_uncertain_where_it_compensates_an_uncertain_material():
     pixels, color, _ = synthetic(200, np.full(200, 0.5), 0.002, np.random.default_rng(2), gloss=0.0)
     known = errors_of(pixels)
     # Without gloss a metallic of 0.1 takes a tenth of the reflected light away.
-    unknown = errors_of(
-        replace(pixels, by_metallic=-0.1 * color.repeat(VIEWS * EACH, axis=0) * pixels.by_color)
-    )
+    unknown = errors_of(replace(pixels, by_metallic=-0.1 * color.repeat(VIEWS * EACH, axis=0) * pixels.by_color))
     added = np.sqrt(unknown**2 - known**2)
     assert added == pytest.approx(0.1 * np.sqrt((color**2).mean(axis=1)), rel=0.1)
 

@@ -33,13 +33,7 @@ def columns(*rows: tuple[int, int, int, int]) -> list[np.ndarray]:
 
 def test_the_finest_group_that_is_large_enough_counts():
     # Two colours of one piece; a piece whose colours have few pixels; small pieces of one class and colour.
-    rows = [
-        (0, 0, 7, 50),
-        (0, 0, 8, 50),
-        (1, 1, 7, 20),
-        (1, 1, 8, 25),
-        *((2, 10 + i, 9, 5) for i in range(8)),
-    ]
+    rows = [(0, 0, 7, 50), (0, 0, 8, 50), (1, 1, 7, 20), (1, 1, 8, 25), *((2, 10 + i, 9, 5) for i in range(8))]
     group = material_groups(*columns(*rows), least=40)
     assert (group >= 0).all() and len(np.unique(group)) == 4
     assert len(np.unique(group[:50])) == 1 and group[0] != group[60]

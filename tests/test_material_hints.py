@@ -15,7 +15,6 @@ from fipt_blender.core.material.hints import KnownMaterials, SurfaceHints, neare
 from fipt_blender.core.material.likelihood import make_candidates
 from fipt_blender.core.material.mixture import GroupMaterials, infer_materials
 from fipt_blender.core.parts.labels import Parts
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.hints import Hint, hints_digest, read_hints, write_hints
 from samples.material_pixels import LEVELS, SETTINGS, synthetic
 from samples.refusals import error_of
@@ -47,9 +46,7 @@ def known_of(**group: tuple[float, float]) -> KnownMaterials:
 
 
 def test_without_hints_the_mixture_stays_as_it_is() -> None:
-    for one, other in zip(
-        vars(infer(None)).values(), vars(infer(KnownMaterials.none(3))).values(), strict=True
-    ):
+    for one, other in zip(vars(infer(None)).values(), vars(infer(KnownMaterials.none(3))).values(), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-6)
 
 
@@ -124,11 +121,6 @@ def test_an_area_takes_its_triangles_from_the_part() -> None:
         assert parts[0] == 6 and (parts[1:] == WALL[1:]).all()
 
 
-def test_points_of_an_area_off_every_center_find_the_nearest_triangle() -> None:
-    hints = placed(Hint(((1.9, -1.9, 0.02),), area=True))
-    assert np.flatnonzero(hints.triangle == 0).tolist() == [0]
-
-
 def test_the_same_material_as_a_part_without_a_hint() -> None:
     hints = placed(Hint((FLOOR,), "Floor", material="metal", same_as=CEILING))
     assert hints.triangle[:4].tolist() == [0, 0, 1, 1] and hints.same.tolist() == [0, 0]
@@ -142,16 +134,10 @@ def test_the_same_material_as_a_part_without_a_hint() -> None:
     [
         ([Hint((FLOOR,), "A"), Hint((FLOOR,), "B")], "'A' is on the same part as 'B'"),
         (
-            [
-                Hint((FLOOR,), "A", material="metal", same_as=CEILING),
-                Hint((CEILING,), "B", material="dielectric"),
-            ],
+            [Hint((FLOOR,), "A", material="metal", same_as=CEILING), Hint((CEILING,), "B", material="dielectric")],
             "no common material",
         ),
-        (
-            [Hint(((0.6, -0.6, 0.0),), "A", area=True), Hint(((0.6, -0.6, 0.0),), "B")],
-            "'B' lies in the area 'A'",
-        ),
+        ([Hint(((0.6, -0.6, 0.0),), "A", area=True), Hint(((0.6, -0.6, 0.0),), "B")], "'B' lies in the area 'A'"),
     ],
 )
 def test_hints_that_contradict_each_other_are_named(hints: list[Hint], problem: str) -> None:
@@ -198,13 +184,6 @@ def test_bad_files_are_refused(tmp_path: Path, change: dict) -> None:
     entry = {"points": [[0.0, 0.0, 0.0]], **change}
     path.write_text(json.dumps({"format": "fipt-hints", "version": 1, "hints": [entry]}))
     assert error_of(read_hints, path).code in ("file-damaged", "hints-invalid")
-
-
-def test_files_with_too_much_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fipt_blender.core.run.hints.MOST_HINTS", 2)
-    write_hints(tmp_path / "hints.json", [Hint((FLOOR,))] * 3)
-    with pytest.raises(FiptError, match="more than 2 hints"):
-        read_hints(tmp_path / "hints.json")
 
 
 def test_doubts_are_ordered_by_what_a_hint_is_worth() -> None:

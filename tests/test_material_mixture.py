@@ -11,13 +11,7 @@ import pytest
 
 from fipt_blender.core.material import likelihood, training_input
 from fipt_blender.core.material.likelihood import make_candidates
-from fipt_blender.core.material.mixture import (
-    GroupMaterials,
-    Prior,
-    broad_prior,
-    group_posterior,
-    infer_materials,
-)
+from fipt_blender.core.material.mixture import GroupMaterials, Prior, broad_prior, group_posterior, infer_materials
 from fipt_blender.core.material.pixel_samples import PixelSamples
 from fipt_blender.core.material.projection import fit_colors
 from fipt_blender.core.optics.factorised import color_line
@@ -34,7 +28,6 @@ def infer(samples: PixelSamples, similarity: np.ndarray | None = None) -> GroupM
 
 
 def first_cells(samples: PixelSamples, cells: int) -> PixelSamples:
-    """The pixels of the first cells of each group."""
     return samples.take(samples.cell % CELLS < cells)
 
 
@@ -222,9 +215,7 @@ def test_errors_that_pixels_share_in_a_view_are_told_from_noise(rng: np.random.G
     assert found[1] == pytest.approx(SETTINGS.view_error, rel=0.2)
 
 
-def test_a_material_is_less_certain_where_views_err(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_material_is_less_certain_where_views_err(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     samples = with_view_errors(rng, [(0.3, 0.0), (1.0, 0.0)], 0.02, 0.0)
     factor = 1.0 + 0.05 * rng.normal(size=(VIEWS, 1)).astype(np.float32)
     samples = replace(samples, radiance=samples.radiance * factor[samples.view])

@@ -221,9 +221,7 @@ def test_emission_and_diffuse_terms() -> None:
 
 def test_part_term_by_hand() -> None:
     """|0.5 - 0.4| + |0.2 - 0| for the first pixel, 0.3 + 1 for the second; the third has no part."""
-    values = [
-        torch.tensor(v, dtype=torch.float64) for v in ([[0.5] * 3] * 3, [0.5, 0.7, 0.9], [0.2, 0.0, 0.6])
-    ]
+    values = [torch.tensor(v, dtype=torch.float64) for v in ([[0.5] * 3] * 3, [0.5, 0.7, 0.9], [0.2, 0.0, 0.6])]
     target = torch.tensor([[0.4, 0.0], [1.0, 1.0], [1.0, 0.0]], dtype=torch.float64)
     known = torch.tensor([True, True, False])
     assert float(losses.part_loss(Prediction(*values), target, known)) == pytest.approx(1.6 / 3)

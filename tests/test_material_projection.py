@@ -14,9 +14,7 @@ from samples.material_pixels import LEVELS, materials_of, synthetic
 
 
 @pytest.mark.parametrize("noise, outliers, within", [(0.0, 0.0, 0.01), (0.03, 0.05, 0.06)])
-def test_known_materials_are_recovered(
-    rng: np.random.Generator, noise: float, outliers: float, within: float
-) -> None:
+def test_known_materials_are_recovered(rng: np.random.Generator, noise: float, outliers: float, within: float) -> None:
     truths = [(1.0, 0.0), (float(LEVELS[3]), 0.0), (float(LEVELS[2]), 1.0), (float(LEVELS[5]), 1.0)]
     samples, color = synthetic(rng, truths, noise, outliers)
     roughness, metallic = materials = materials_of(samples)

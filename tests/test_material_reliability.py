@@ -57,9 +57,7 @@ def seen(true: np.ndarray, rng: np.random.Generator, light: float = 1.0) -> tupl
         light: factor of the error of light that all views share.
     """
     common = 1.0 + light * LIGHT * smooth(rng, 12.0)
-    errors = [
-        NEAR * smooth(rng, 3.0) + FAR * smooth(rng, 15.0) + NOISE * smooth(rng, 0.0) for _ in range(VIEWS)
-    ]
+    errors = [NEAR * smooth(rng, 3.0) + FAR * smooth(rng, 15.0) + NOISE * smooth(rng, 0.0) for _ in range(VIEWS)]
     views = (true * (common + np.array(errors))[..., None]).reshape(VIEWS, -1, 3)
     sees = rng.random(views.shape[:2]) < SEES
     kept = sees.any(axis=0)
@@ -77,7 +75,6 @@ def seen(true: np.ndarray, rng: np.random.Generator, light: float = 1.0) -> tupl
 
 
 def as_parts(walls: list[PlaceColors]) -> PlaceColors:
-    """Walls as parts of one room."""
     along = {"halves": 1, "weight": 1}
     joined = {
         name: np.concatenate([getattr(wall, name) for wall in walls], axis=along.get(name, 0))
@@ -109,8 +106,7 @@ def test_patterns_stay_and_paint_beside_them_is_one_colour(kind: str, width: int
     rng = np.random.default_rng([width, KINDS.index(kind)])
     cases = list(itertools.product((0.08, 0.7), (0.0, *CONTRASTS)))
     made = [
-        seen(bright * TINT * (1.0 - contrast * pattern(kind, width, rng)[..., None]), rng)
-        for bright, contrast in cases
+        seen(bright * TINT * (1.0 - contrast * pattern(kind, width, rng)[..., None]), rng) for bright, contrast in cases
     ]
     values = shrunk([places for places, _ in made])
     for (_, contrast), (places, true), result in zip(cases, made, values, strict=True):
@@ -208,9 +204,7 @@ def test_the_halves_are_made_of_the_pixels_of_the_views(contrast: float) -> None
     units = Units(np.arange(2, dtype=np.int32), np.array([True, False]))
     cells = seen_cells(BOX, [(points, part)])
     count, levels = VIEWS * SIDE**2, roughness_levels(2, 0.1, 1.0)
-    shadings = ShadingStore(
-        light.reshape(-1, 3).astype(np.float16), np.zeros((count, len(levels), 2, 3), np.float16)
-    )
+    shadings = ShadingStore(light.reshape(-1, 3).astype(np.float16), np.zeros((count, len(levels), 2, 3), np.float16))
     view = np.repeat(np.arange(VIEWS), SIDE**2)
     pixels = SimpleNamespace(own=(shown * light).reshape(-1, 3), view_of=lambda rows: view[rows])
     seen_by = SimpleNamespace(pixels=pixels, footprint=PIXEL)

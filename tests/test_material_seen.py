@@ -10,14 +10,7 @@ from fipt_blender.core.light.cache import pool, unseen_points
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.material.groups import Units
 from fipt_blender.core.material.reliability import PlaceColors, part_detail
-from fipt_blender.core.material.seen import (
-    RESOLUTION,
-    Box,
-    fallback_values,
-    room_box,
-    seen_cells,
-    seen_statistics,
-)
+from fipt_blender.core.material.seen import RESOLUTION, Box, fallback_values, room_box, seen_cells, seen_statistics
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.run.shapes import ROOM_ARRAYS
@@ -96,8 +89,7 @@ def test_a_doubtful_place_lowers_confidence_and_blurs_nothing(fields):
     on = np.zeros(len(points), int)
     errors = np.full_like(fields.errors, 0.001)
     exact, fine, coarse = (
-        RoomFields(Ramp(), units([0, 1, 2, -1], True), fields.cells, errors, place)
-        for place in (0.0, 0.01, 0.02)
+        RoomFields(Ramp(), units([0, 1, 2, -1], True), fields.cells, errors, place) for place in (0.0, 0.01, 0.02)
     )
     for one, other in zip(exact.query(points, on), coarse.query(points, on), strict=True):
         np.testing.assert_array_equal(one, other)

@@ -71,13 +71,9 @@ def make_surfaces() -> Surfaces:
     return Surfaces(Box(np.full(3, -2.0), 4.0), np.array([0, 1, -1]), emitting)
 
 
-def do_train(
-    networks: Networks, steps: int, resume: Resume | None = None, progress=lambda _: None, **changes
-) -> None:
+def do_train(networks: Networks, steps: int, resume: Resume | None = None, progress=lambda _: None, **changes) -> None:
     data = make_data()
-    train(
-        networks, data, make_surfaces(), replace(SETTINGS, training_steps=steps, **changes), resume, progress
-    )
+    train(networks, data, make_surfaces(), replace(SETTINGS, training_steps=steps, **changes), resume, progress)
 
 
 def make_networks() -> Networks:
@@ -192,19 +188,3 @@ def test_every_term_is_in_the_total(kind: str) -> None:
         "lambda_semantic": kind == "semantic",
     }
     assert raised == expected
-
-
-def test_batches_keep_their_rows_together(rng: np.random.Generator) -> None:
-    data, surfaces = make_data(), make_surfaces()
-    seen, pixels = data.observations, data.observations.pixels
-    seen.part[5] = data.group[5] = -1
-    rows = rng.permutation(200)
-    batch = gather_batch(data, surfaces, rows, CPU)
-    order = np.sort(rows)
-    assert (batch.label.numpy() == seen.part[order]).all()
-    assert not batch.grouped[5] and batch.grouped[6]
-    np.testing.assert_array_equal(batch.radiance.numpy(), pixels.own[order])
-    np.testing.assert_array_equal(batch.position.numpy(), surfaces.box.normalise(pixels.position[order]))
-    assert (batch.reflects.numpy() == (pixels.triangle[order] != 2)).all()
-    assert batch.unit.numpy().tolist() == surfaces.unit[pixels.triangle[order]].tolist()
-    assert batch.diffuse.dtype == torch.float32 and batch.group_material[5].tolist() == [1.0, 0.0]

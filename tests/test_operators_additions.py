@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from fipt_blender import machine
-from fipt_blender.api import applying
 from fipt_blender.blend.capture import overlay
 from fipt_blender.blend.capture.additions import added_surfaces
-from fipt_blender.blend.marks import ADDED, CLOSED, FOUND
+from fipt_blender.blend.marks import ADDED, FOUND
 from fipt_blender.blend.room.mesh_arrays import world_bounds
 from fipt_blender.core import conventions
 from fipt_blender.core.run.documents import read_document
@@ -23,6 +22,7 @@ from fipt_blender.core.run.run_files import CLOSING
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs.room_steps import export_scene_room
 from samples.lost_things import HIGH, LOW, photographed, with_box
+from samples.operator_calls import refused
 from samples.scans import scanned_box
 
 ops = bpy.ops.fipt
@@ -78,12 +78,6 @@ def exported(scene: bpy.types.Scene) -> tuple[dict, dict[str, np.ndarray]]:
 
 def bounds(item: bpy.types.Object) -> np.ndarray:
     return np.array(world_bounds([item]))
-
-
-def refused(operator, **arguments) -> str:
-    with pytest.raises(RuntimeError) as error:
-        operator(**arguments)
-    return str(error.value)
 
 
 def test_what_is_found_is_shown_and_what_is_deleted_stays_away(imported):
@@ -165,27 +159,3 @@ def test_a_drawn_surface_stands_where_the_photographs_disagree(imported):
     _, second = added_surfaces(imported)
     bpy.context.view_layer.update()
     assert np.allclose(bounds(second)[0, 2], 0.0, atol=1e-5)  # at the 3D cursor: nothing else is lacking
-
-
-def test_surfaces_need_a_room_and_object_mode(imported):
-    for item in imported.fipt.capture.room_objects(imported):
-        bpy.data.objects.remove(item)
-    assert "The room has no meshes" in refused(ops.add_surface)
-    assert "No meshes are chosen" in refused(ops.find_missing_surfaces)
-
-
-def test_what_an_estimation_has_added_is_the_artists_from_then_on(imported, monkeypatch):
-    """As after Apply Results, which makes objects of what the estimation has added."""
-    monkeypatch.setattr("fipt_blender.blend.results.scene_state.finish", lambda scene, run: None)
-    task = applying.application()
-    task.finished(imported, RunFolder(imported.fipt.run_folder))
-    assert not imported.fipt.capture.completed
-    assert ops.add_surface(shape="BOX") == {"FINISHED"}
-    task.finished(imported, RunFolder(imported.fipt.run_folder))
-    assert not imported.fipt.capture.completed
-    added_surfaces(imported)[0][ADDED] = CLOSED
-    task.finished(imported, RunFolder(imported.fipt.run_folder))
-    assert not imported.fipt.capture.completed  # with other masks the search may find more
-    added_surfaces(imported)[0][ADDED] = FOUND
-    task.finished(imported, RunFolder(imported.fipt.run_folder))
-    assert imported.fipt.capture.completed

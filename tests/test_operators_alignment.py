@@ -171,9 +171,7 @@ def test_placements_of_the_engine_are_taken_and_chosen(truth, tmp_path):
         matrix[:3, :3] = 1.5 * np.array(Matrix.Rotation(angle, 3, "Z"))
         matrix[0, 3] = shift
         moves.append(matrix)
-    entries = [
-        {"similarity": m.tolist(), "error": 0.004 * (i + 1), "inliers": 0.9} for i, m in enumerate(moves)
-    ]
+    entries = [{"similarity": m.tolist(), "error": 0.004 * (i + 1), "inliers": 0.9} for i, m in enumerate(moves)]
     (tmp_path / "align").mkdir()
     data = {"format": "fipt-align", "version": 1, "candidates": entries, "text": "90% lie near", "poses": {}}
     write_json(tmp_path / "align" / "align.json", data)
@@ -236,9 +234,7 @@ def write_solve(folder: Path, from_room: np.ndarray) -> None:
     for index, pose in enumerate(POSES):
         solved = conventions.transform_poses(from_room, pose)
         name = f"{index}.jpg"
-        shots.append(
-            replace(shot, name=name, width=24, height=16, rotation=solved[:3, :3].T, centre=solved[:3, 3])
-        )
+        shots.append(replace(shot, name=name, width=24, height=16, rotation=solved[:3, :3].T, centre=solved[:3, 3]))
         write_exr(folder / "images" / f"{index}.exr", 1.0 + rng.random((16, 24, 3), np.float32))
     moved = conventions.transform_points(from_room, points)
     rig_writers.write_opensfm(folder, [shots], "perspective", moved)

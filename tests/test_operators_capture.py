@@ -16,7 +16,6 @@ from mathutils import Euler, Matrix, Vector
 from fipt_blender import api, machine
 from fipt_blender.blend.capture import overlay
 from fipt_blender.blend.capture.importing import find_alignment
-from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.conventions import UP_AXES, world_from_source
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
@@ -90,9 +89,7 @@ def test_import_again_and_of_another_capture(imported, sample, tmp_path):
     assert ops.import_capture(filepath=str(other / "sparse" / "0" / "images.txt")) == {"FINISHED"}
     assert imported.fipt.run_folder != first and (Path(first) / "capture.json").exists()
     assert len(imported.fipt.capture.views) == 3
-    assert all(
-        Path(view.image).is_relative_to(imported.fipt.run_folder) for view in imported.fipt.capture.views
-    )
+    assert all(Path(view.image).is_relative_to(imported.fipt.run_folder) for view in imported.fipt.capture.views)
 
 
 def test_bad_captures_are_refused_in_words_and_change_nothing(imported, sample, tmp_path):
@@ -117,22 +114,6 @@ def test_bad_captures_are_refused_in_words_and_change_nothing(imported, sample, 
     assert imported.fipt.run_folder == run and len(settings.views) == views
     assert [each.name for each in (tmp_path / "data" / "runs").iterdir()] == [Path(run).name]
     assert running.current() is None
-
-
-def test_first_import_needs_a_path_and_an_engine(scene, sample, tmp_path, monkeypatch):
-    assert "folder" in refused(ops.import_capture)
-    monkeypatch.setenv("FIPT_ENGINE_PYTHON", str(tmp_path / "no-python"))
-    assert "no-python" in refused(ops.import_capture, filepath=str(sample))
-    assert scene.fipt.run_folder == ""
-
-
-def test_a_run_is_named_after_the_capture_that_could_be_imported(scene, sample, tmp_path):
-    (tmp_path / "empty").mkdir()
-    refused(ops.import_capture, filepath=str(tmp_path / "empty"))
-    assert Path(scene.fipt.run_folder).name.startswith("empty")  # holds the log
-    assert ops.import_capture(filepath=str(sample)) == {"FINISHED"}
-    (folder,) = (tmp_path / "data" / "runs").iterdir()
-    assert folder.name.startswith("kitchen") and scene.fipt.run_folder == str(folder)
 
 
 def test_mesh_and_room(imported, sample, tmp_path):
@@ -229,14 +210,6 @@ def test_undo_takes_an_import_back_and_redo_brings_it_again(scene, sample):
     assert settings.alignment.name in scene.objects
 
 
-def test_without_a_capture_the_buttons_say_what_is_needed(scene):
-    for operator in (ops.look_through, ops.tick_views, ops.check_views):
-        assert "Import a capture first" in refused(operator)
-    assert "Use Check Views first" in refused(ops.show_coverage)
-    assert "Use Check Views first" in refused(ops.show_parts)
-    assert "no cameras" in refused(ops.use_scene_cameras)
-
-
 @pytest.fixture
 def drawn(monkeypatch) -> list[list[overlay.Part]]:
     """The coloured triangles given to the overlay, in the order in which they were."""
@@ -289,28 +262,6 @@ def test_check_fills_the_list_and_colours_follow_the_ticks(imported, sample, dra
     other = bpy.data.scenes.new("other")
     assert overlay.shown(other) == ""  # the colours belong to one scene
     assert ops.show_parts(show=False) == {"FINISHED"} and overlay.shown(imported) == ""
-
-
-def test_check_needs_a_room(imported):
-    for item in imported.fipt.capture.room_objects(imported):
-        bpy.data.objects.remove(item)
-    assert "No meshes are chosen" in refused(ops.check_views)
-
-
-def test_masks_of_the_artist_are_counted(imported, sample, tmp_path):
-    parts = imported.fipt.parts
-    for number in range(10):
-        width, height = (48, 32) if number % 2 == 0 else (32, 48)
-        ids = np.ones((height, width), np.float32)
-        ids[:, : width // 2] = 2.0
-        write_exr(tmp_path / "masks" / f"{number:03d}_0001.exr", ids)
-    parts.source, parts.folder = "folder", str(tmp_path / "masks")
-    assert ops.check_views() == {"FINISHED"}
-    assert json.loads(parts.counts)["masks"] == 2
-    assert ops.show_parts() == {"FINISHED"}
-    parts.source = "masks"  # the capture's own, which it does not have
-    assert "masks" in refused(ops.show_parts)
-    overlay.hide()
 
 
 def test_own_cameras_become_the_capture(scene, sample, tmp_path):

@@ -98,9 +98,7 @@ def test_every_file_that_is_left_shows_its_pictures(scene, tmp_path, estimate_ag
         name = estimate_again()
         for path in (blend, tmp_path / f"copy{index}.blend"):
             if rng.random() < 0.5:
-                bpy.ops.wm.save_as_mainfile(
-                    filepath=str(path), copy=path != blend, compress=rng.random() < 0.5
-                )
+                bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=path != blend, compress=rng.random() < 0.5)
                 made[path] = name
     for path in [path for path in made if path != blend and rng.random() < 0.4]:
         path.unlink()
@@ -108,9 +106,7 @@ def test_every_file_that_is_left_shows_its_pictures(scene, tmp_path, estimate_ag
     backups = set()
     if (backup := blend.with_name("kitchen.blend1")).is_file():
         with bpy.data.libraries.load(str(backup)) as (_, _):
-            backups = {
-                each for each in sets(tmp_path / "kitchen_textures") if each.encode() in _bytes(backup)
-            }
+            backups = {each for each in sets(tmp_path / "kitchen_textures") if each.encode() in _bytes(backup)}
     ops.clean_up_pictures()
     assert sets(tmp_path / "kitchen_textures") == {*made.values(), shown()} | backups
     for path in made:

@@ -49,14 +49,10 @@ def own_image(path: Path, color: float) -> bpy.types.Image:
 
 
 def state() -> dict[str, tuple[object, ...]]:
-    return {
-        image.name: (image.filepath, image.packed_file is None, image.is_dirty) for image in bpy.data.images
-    }
+    return {image.name: (image.filepath, image.packed_file is None, image.is_dirty) for image in bpy.data.images}
 
 
-@pytest.mark.parametrize(
-    ("pack", "keep", "tiled"), pairs((False, True), ("BESIDE", "PACKED", "IN_RUN"), (False, True))
-)
+@pytest.mark.parametrize(("pack", "keep", "tiled"), pairs((False, True), ("BESIDE", "PACKED", "IN_RUN"), (False, True)))
 def test_a_collected_room_opens_elsewhere(scene, tmp_path, pack, keep, tiled):
     first, target = tmp_path / "first", tmp_path / "second" / "room"
     first.mkdir()

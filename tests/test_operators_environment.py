@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What lights the room besides its lamps: the environment, light groups, exposure and other lights."""
+"""The environment, light groups, exposure, other lights, states of all lights and IES profiles."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import pytest
 from mathutils import Matrix, Vector
 
 from fipt_blender.blend.marks import has_light_groups
-from samples.applied_rooms import world_strength
+from samples.applied_rooms import RADIANCE, front, world_strength
+from samples.operator_calls import refused
 from samples.spots import spot
 
 ops = bpy.ops.fipt
@@ -49,9 +50,7 @@ def test_light_groups_sum_to_the_image(scene, tmp_path):
             channels.update({name: np.asarray(each.pixels) for name, each in part.channels.items()})
 
     def passed(name):
-        return np.stack(
-            [next(v for k, v in channels.items() if k.endswith(f"{name}.{c}")) for c in "RGB"], axis=-1
-        )
+        return np.stack([next(v for k, v in channels.items() if k.endswith(f"{name}.{c}")) for c in "RGB"], axis=-1)
 
     whole = passed("ViewLayer.Combined")
     parts = [passed(f"Combined_{name}") for name in names]
@@ -117,3 +116,46 @@ def test_exposure_and_other_lights(scene):
     assert sun.hide_render
     assert ops.hide_other_lights(hide=False) == {"FINISHED"} and not sun.hide_render
     assert ops.hide_other_lights(hide=True) == {"FINISHED"} and sun.hide_viewport
+
+
+def test_states_are_saved_recalled_blended_and_removed(scene):
+    settings = scene.fipt.lights
+    row = settings.lights[0]
+    assert "Save a light state first" in refused(ops.recall_light_state)
+    assert ops.save_light_state() == {"FINISHED"}
+    row.stops = 2.0
+    assert ops.save_light_state(kind="PRESENT", name="Bright") == {"FINISHED"}
+    assert ops.save_light_state(kind="LAMP") == {"FINISHED"}
+    assert ops.save_light_state(kind="PHOTOGRAPHED") == {"FINISHED"}
+    assert ops.save_light_state(kind="EVENING") == {"FINISHED"}
+    names = [state.name for state in settings.states]
+    assert names == ["Lights", "Bright", "Panel", "As Photographed", "Evening"] and settings.active_state == 4
+    assert ops.recall_light_state(state="Lights") == {"FINISHED"} and row.stops == 0.0
+    assert ops.save_light_state(name="Evening") == {"FINISHED"} and len(settings.states) == 5
+    settings.blend_from, settings.blend_to = "Lights", "Bright"
+    settings.blend = 0.5
+    assert np.allclose(front(row.object), 2.5 * np.array(RADIANCE), rtol=1e-4)
+    assert "no light state 'Day'" in refused(ops.recall_light_state, state="Day")
+    settings.states["Bright"].data = "{}"
+    assert "damaged" in refused(ops.recall_light_state, state="Bright")
+    settings.blend = 0.25  # nothing to blend, and no error
+    assert ops.remove_light_state(state="Bright") == {"FINISHED"} and not settings.can_blend()
+    for _ in range(4):
+        ops.remove_light_state()
+    assert not len(settings.states) and not ops.remove_light_state.poll()
+
+
+def test_an_ies_profile_needs_a_blender_light(scene, tmp_path):
+    path = tmp_path / "lamp.ies"
+    path.write_text("IESNA\nTILT=NONE\n1 1 1 2 1 1 1 0 0 0 1 1 1 0 90 0 10 10", encoding="utf-8")
+    assert "Convert to Blender Light" in refused(ops.set_ies_profile, filepath=str(path))
+    ops.fixture_to_area_light()
+    (light,) = scene.fipt.lights.lights[0].object.children
+    assert ops.set_ies_profile(filepath=str(path)) == {"FINISHED"} and light.data.type == "POINT"
+    assert ops.apply_results() == {"FINISHED"}  # the profile stays
+    (light,) = scene.fipt.lights.lights[0].object.children
+    assert light.data.type == "POINT" and any(n.type == "TEX_IES" for n in light.data.node_tree.nodes)
+    assert "no IES profile" in refused(ops.set_ies_profile, filepath=__file__)
+    assert ops.remove_ies_profile() == {"FINISHED"} and light.data.type == "AREA"
+    assert ops.area_light_to_fixture() == {"FINISHED"}
+    ops.revert()

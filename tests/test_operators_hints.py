@@ -6,23 +6,17 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 
 from fipt_blender.blend.hints.exchange import scene_hints, write_for_run, write_hints_rerun
-from fipt_blender.blend.marks import PROBABILITY
 from fipt_blender.core.run.hints import light_changes, read_hints
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.panels import hints as panel
 from fipt_blender.panels.hints import hint_text
-from fipt_blender.panels.lights import FIPT_PT_lights, FIPT_UL_lights
 from samples.applied_rooms import make_applied_scene
-from samples.layouts import Layout, drawn_by
 from samples.operator_calls import refused
-from samples.refusals import error_of
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -52,10 +46,6 @@ def test_a_click_makes_a_hint_that_moves_with_its_object(settings) -> None:
     assert found.points[0] == pytest.approx((6.0, 0.0, 2.0)) and found.material == "metal"
     assert found.roughness == pytest.approx((0.25, 0.25)) and found.emits is None and not found.area
     assert hint_text(hint) == "Metal, 0.25"
-
-
-def test_a_ray_past_everything_makes_none(settings) -> None:
-    assert add(50.0) == {"CANCELLED"} and not len(settings.hints)
 
 
 def test_hints_on_removed_objects_are_left_out(settings) -> None:
@@ -136,36 +126,6 @@ def test_a_hint_on_a_lamp_outlasts_the_next_results(tmp_path: Path, monkeypatch)
     np.testing.assert_allclose(sorted(said.points), triangles, atol=1e-5)
 
 
-def test_only_fixtures_are_lamps_or_not(tmp_path: Path, monkeypatch) -> None:
-    assert not bpy.ops.fipt.hint_on_lamp.poll()
-    scene = make_applied_scene(tmp_path / "run", monkeypatch)
-    bpy.ops.fipt.add_light(location=(0, 0, 3), size=1.0, power=50.0)
-    added = scene.fipt.lights.lights[1].object
-    assert "was added, not estimated" in refused(bpy.ops.fipt.hint_on_lamp, light=added.name)
-    assert not len(scene.fipt.hints.hints)
-
-
-def test_the_panel_asks_of_a_doubtful_lamp_and_offers_to_use_the_answer(tmp_path: Path, monkeypatch) -> None:
-    lamp = make_applied_scene(tmp_path / "run", monkeypatch).fipt.lights.lights[0].object
-    rows = bpy.context.scene.fipt.lights.lights
-
-    def icons() -> list[str]:
-        layout = Layout()
-        FIPT_UL_lights.draw_row(None, bpy.context, layout, rows[0], 0)
-        return [label["icon"] for label in layout.labels]
-
-    drawn, _ = drawn_by(FIPT_PT_lights)
-    assert "fipt.hint_on_lamp" not in drawn and icons() == []  # it is certain
-    lamp[PROBABILITY] = 0.778
-    assert icons() == ["QUESTION"]
-    drawn, _ = drawn_by(FIPT_PT_lights)
-    assert "A lamp? 78 % sure" in drawn and drawn.count("fipt.hint_on_lamp") == 2
-    assert "fipt.reestimate" not in drawn
-    bpy.ops.fipt.hint_on_lamp(emission="NOT")
-    drawn, properties = drawn_by(FIPT_PT_lights)
-    assert drawn.count("fipt.hint_on_lamp") == 2 and "fipt.reestimate" in drawn and "light" in properties
-
-
 def doubts_of(run: RunFolder, *questions: str) -> None:
     entry = {"name": "Box", "text": "?", "view": "train/000", "point": [5.0, 0.0, 2.0], "pixels": 5}
     numbers = dict.fromkeys(("share", "roughness", "metallic", "roughness_error", "metallic_error"), 0.2)
@@ -201,9 +161,7 @@ def test_damaged_questions_are_refused_and_the_list_stays(settings, run_folder: 
     doubts_of(run_folder, "metal")
     bpy.context.scene.fipt.run_folder = str(run_folder.root)
     bpy.ops.fipt.read_doubts()
-    run_folder.doubts_json.write_text(
-        '{"format": "fipt-doubts", "version": 1, "doubts": [{"picture": "../x"}]}'
-    )
+    run_folder.doubts_json.write_text('{"format": "fipt-doubts", "version": 1, "doubts": [{"picture": "../x"}]}')
     assert "can't be read" in refused(bpy.ops.fipt.read_doubts)
     assert len(settings.doubts) == 1
 
@@ -229,38 +187,3 @@ def test_files_of_a_run_and_of_a_run_again(settings, run_folder: RunFolder) -> N
     assert not run_folder.hints_json.exists() and not run_folder.hints_again_json.exists()
     write_hints_rerun(scene, run_folder)
     assert not run_folder.hints_again_json.exists()
-
-
-def test_the_panel_offers_answers_and_hints(settings, run_folder: RunFolder) -> None:
-    doubts_of(run_folder, "metal", "gloss", "lamp")
-    bpy.context.scene.fipt.run_folder = str(run_folder.root)
-    bpy.ops.fipt.read_doubts()
-    add()
-    settings.hint().roughness_known = "RANGE"
-    answers = []
-    for index in range(3):
-        settings.active_doubt = index
-        layout = Layout()
-        panel.FIPT_PT_estimate_hints.draw(SimpleNamespace(layout=layout), bpy.context)
-        answers.append([button.text for button in layout.buttons if button.name == "fipt.answer_doubt"])
-        assert {"fipt.reestimate", "fipt.pick_same_material"} < set(layout.drawn)
-    assert answers == [["Metal", "No Metal", "Leave Alone"], ["Glossy", "Matt", "Leave Alone"]] + [
-        ["Lamp", "No Lamp", "Leave Alone"]
-    ]
-    rows = Layout()
-    for row, item in ((panel.FIPT_UL_hints, settings.hint()), (panel.FIPT_UL_doubts, settings.doubt())):
-        row.draw_row(None, bpy.context, rows, item, 0)
-    assert [button.name for button in rows.buttons] == ["fipt.remove_hint"]
-
-
-def test_too_many_hints_are_refused(settings, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fipt_blender.blend.hints.exchange.MOST_HINTS", 1)
-    add()
-    add(0.0)
-    assert "more than 1 hints" in str(error_of(scene_hints, bpy.context.scene))
-
-
-def test_reestimate_needs_a_finished_run(settings, run_folder: RunFolder, tmp_path: Path) -> None:
-    assert not bpy.ops.fipt.reestimate.poll()
-    bpy.context.scene.fipt.run_folder = str(tmp_path / "nothing")
-    assert not bpy.ops.fipt.reestimate.poll()

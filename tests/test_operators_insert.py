@@ -14,7 +14,6 @@ from mathutils import Euler, Matrix, Vector
 
 from fipt_blender.blend import marks
 from fipt_blender.blend.insert import placing, sample_objects, surfaces
-from fipt_blender.operators.pointer import PicksInViewport
 from samples.rendered_rooms import VIEW, make_scene
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -97,18 +96,6 @@ def test_a_rotated_object_keeps_its_rotation_and_children(scene):
     assert cube.matrix_world.to_euler().x == pytest.approx(math.pi / 2, abs=1e-5)
 
 
-def test_an_object_with_a_distant_origin_stands_at_the_pixel(scene):
-    mesh = bpy.data.meshes.new("far")
-    mesh.from_pydata([(9, 9, 4), (10, 9, 4), (9, 10, 4), (9, 9, 5)], [], [(0, 1, 2), (0, 1, 3)])
-    item = bpy.data.objects.new("Far", mesh)
-    scene.collection.objects.link(item)
-    place(kind="OBJECT", object_name="Far", location=(1, 0, 0))
-    bpy.context.view_layer.update()
-    corners = np.array([item.matrix_world @ vertex.co for vertex in mesh.vertices])
-    assert corners.min(axis=0) == pytest.approx([0.5, -0.5, 0.0], abs=1e-5)
-    assert corners.max(axis=0) == pytest.approx([1.5, 0.5, 1.0], abs=1e-5)
-
-
 def test_a_copy_does_not_move_the_original(scene):
     cube = add_cube(scene)
     before = cube.matrix_world.copy()
@@ -118,18 +105,6 @@ def test_a_copy_does_not_move_the_original(scene):
     assert [each.name for each in copy.users_collection] == ["Inserted"]
     place(kind="OBJECT", object_name="Floor", copy=True, location=(0, 0, 0))  # a part of the room, too
     assert "Floor.001" in scene.objects and "fipt_inserted" not in bpy.data.objects["Floor"]
-
-
-@pytest.mark.parametrize("own", [False, True])
-def test_a_copy_of_the_room_is_no_shadow_catcher_unless_the_artist_made_it_one(scene, own):
-    floor = bpy.data.objects["Floor"]
-    floor.is_shadow_catcher = own
-    bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
-    assert floor.is_shadow_catcher
-    place(kind="OBJECT", object_name="Floor", copy=True, location=(0, 0, 0))
-    assert bpy.data.objects["Floor.001"].is_shadow_catcher is own
-    bpy.ops.fipt.set_backdrop(mode="ROOM")
-    assert floor.is_shadow_catcher is bpy.data.objects["Floor.001"].is_shadow_catcher is own
 
 
 def test_an_object_of_another_scene_is_copied(scene):
@@ -162,40 +137,6 @@ def test_without_a_location_a_free_spot_is_found(scene):
     assert abs(across.x) > 0.1 and abs(across.y) < 1e-5  # side by side as the camera sees them
     diagonal = math.hypot(4.0, 4.0, 2.5)
     assert sample_objects.ball_size(scene.fipt.capture.room_objects(scene)) == pytest.approx(0.03 * diagonal)
-
-
-def test_rays_skip_hidden_objects(scene):
-    shelf = add_cube(scene, "Shelf", 0.5, (0, 0, 1.0))
-    placement = placing.begin_placing(scene, shelf)
-
-    def height(**options):
-        bpy.context.view_layer.update()
-        graph = bpy.context.evaluated_depsgraph_get()
-        found = surfaces.find_surface(scene, graph, Vector((0, 0, 2)), Vector((0, 0, -3)), **options)
-        return None if found is None else round(found.position.z, 4)
-
-    assert height() == 1.25
-    with placing.moved_aside(placement):
-        assert height() == 0.0
-    assert height() == 1.25
-    shelf.hide_set(True)
-    assert height() == 0.0
-    shelf.hide_set(False)
-    shelf.hide_viewport = True
-    assert height() == 0.0
-    bpy.data.objects["Floor"].hide_set(True)
-    assert height() is None
-    shelf.hide_viewport = False
-    for polygon in shelf.data.polygons:
-        polygon.flip()
-    shelf.data.update()
-    assert height() == 1.25 and height(skip_backs=True) == 0.75
-
-
-def test_the_normal_faces_the_ray(scene):
-    graph = bpy.context.evaluated_depsgraph_get()
-    found = surfaces.find_surface(scene, graph, Vector((0, 0, -1)), Vector((0, 0, 1)))
-    assert tuple(found.normal) == (0.0, 0.0, -1.0)
 
 
 @pytest.mark.parametrize(
@@ -266,13 +207,6 @@ def test_cancelling_a_second_placement_keeps_the_first(scene):
     assert np.allclose(cube.matrix_world, first) and marks.inserted_objects(scene) == [cube]
 
 
-def test_not_in_edit_mode(scene):
-    add_cube(scene)
-    bpy.ops.object.mode_set(mode="EDIT")
-    assert not bpy.ops.fipt.insert_object.poll() and not bpy.ops.fipt.remove_inserted.poll()
-    bpy.ops.object.mode_set(mode="OBJECT")
-
-
 class Window:
     """Half a 3D viewport (x below 100) beside its sidebar; notes what an operator shows."""
 
@@ -299,71 +233,6 @@ class Window:
         )
 
 
-class Picker(PicksInViewport):
-    """Finds something left of x = 50."""
-
-    text_in_header = True
-
-    def __init__(self) -> None:
-        self.done: list[float] = []
-
-    def take_click(self, context, event) -> bool:
-        self.place = event.mouse_x
-        return event.mouse_x < 50
-
-    def execute(self, context) -> set[str]:
-        self.done.append(self.place)
-        return {"FINISHED"}
-
-
-def event(kind: str, x: float = 20.0, value: str = "PRESS") -> SimpleNamespace:
-    return SimpleNamespace(type=kind, value=value, mouse_x=x, mouse_y=50.0)
-
-
 @pytest.fixture
 def window():
     return Window()
-
-
-@pytest.fixture
-def picker(window):
-    picker = Picker()
-    assert picker.wait_for_clicks(window.context, "Click it") == {"RUNNING_MODAL"}
-    assert window.shown == {"cursor": "EYEDROPPER", "status": "Click it", "header": "Click it"}
-    return picker
-
-
-NOTHING = {"cursor": None, "status": None, "header": None}
-
-
-def test_a_click_that_hits_executes_and_restores_the_window(window, picker):
-    assert picker.modal(window.context, event("LEFTMOUSE")) == {"FINISHED"}
-    assert picker.done == [20.0] and window.shown == NOTHING
-
-
-def test_after_a_miss_it_waits_for_another_click(window, picker):
-    assert picker.modal(window.context, event("LEFTMOUSE", 70.0)) == {"RUNNING_MODAL"}
-    assert not picker.done and window.shown["status"] == "Click it"
-    assert picker.modal(window.context, event("LEFTMOUSE", 10.0)) == {"FINISHED"} and picker.done == [10.0]
-
-
-@pytest.mark.parametrize("kind", ["ESC", "RIGHTMOUSE"])
-def test_it_is_cancelled(window, picker, kind):
-    assert picker.modal(window.context, event(kind, value="RELEASE")) == {"RUNNING_MODAL"}
-    assert picker.modal(window.context, event(kind)) == {"CANCELLED"}
-    assert not picker.done and window.shown == NOTHING
-
-
-def test_the_view_and_the_sidebar_stay_usable_and_keys_do_nothing(window, picker):
-    for kind in ("MIDDLEMOUSE", "WHEELUPMOUSE", "MOUSEMOVE", "NDOF_MOTION"):
-        assert picker.modal(window.context, event(kind)) == {"PASS_THROUGH"}
-    assert picker.modal(window.context, event("LEFTMOUSE", 150.0)) == {"PASS_THROUGH"}
-    for kind, value in (("X", "PRESS"), ("LEFTMOUSE", "RELEASE")):
-        assert picker.modal(window.context, event(kind, value=value)) == {"RUNNING_MODAL"}
-    assert not picker.done and window.shown["cursor"] == "EYEDROPPER"
-
-
-def test_a_closed_window_leaves_nothing_to_restore(window, picker):
-    window.context.window = window.context.area = None
-    picker.cancel(window.context)
-    assert window.shown["status"] is None

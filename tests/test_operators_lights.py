@@ -13,16 +13,7 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend.lights.color import blackbody, luminance, temperature_of
-from fipt_blender.panels import lights
-from samples.applied_rooms import (
-    RADIANCE,
-    front,
-    make_applied_scene,
-    make_scene,
-    use_fake_engine,
-    world_strength,
-)
-from samples.layouts import drawn_by
+from samples.applied_rooms import RADIANCE, front, make_applied_scene, make_scene, use_fake_engine, world_strength
 from samples.operator_calls import refused
 from samples.spots import spot
 
@@ -129,32 +120,6 @@ def test_on_solo_and_all(scene):
     assert lamp.on and new.on and new.object.data.energy == energy and world_strength() == 1.0
 
 
-@pytest.mark.parametrize(
-    ("color", "has"),
-    [
-        *[(blackbody(kelvin), True) for kelvin in (1200.0, 1900.0, 2700.0, 4000.0, 6504.0, 20000.0)],
-        ((1.0, 1.0, 1.0), True),
-        ((0.2, 1.0, 0.2), False),
-        ((0.7, 1.0, 0.6), False),
-        ((1.0, 0.3, 1.0), False),
-        ((0.1, 0.2, 1.0), False),
-        ((1.0, 0.8, 0.0), False),
-        ((1.0, 0.0, 0.0), False),
-    ],
-)
-def test_a_temperature_is_shown_for_colours_of_black_bodies(scene, color, has):
-    row = scene.fipt.lights.lights[0]
-    row.color = np.array(color) / max(color)
-    assert row.has_temperature() == has
-    row.tint = "ESTIMATED"
-    row.object["fipt_base"] = color
-    assert row.has_temperature() == has
-    _, properties = drawn_by(lights.FIPT_PT_lights)
-    assert ("kelvin" in properties, "color" in properties) == (has, not has)
-    row.tint = "TEMPERATURE"
-    assert row.has_temperature() and "kelvin" in drawn_by(lights.FIPT_PT_lights)[1]
-
-
 def test_strengths_entered_in_blenders_fields_become_settings(scene):
     ops.add_light(location=(0, 0, 3), size=1.0, power=50.0)
     lamp, new = scene.fipt.lights.lights
@@ -187,21 +152,6 @@ def test_settings_are_saved_and_copied_with_the_object(scene, tmp_path):
     assert [row.is_here() for row in bpy.context.scene.fipt.lights.lights] == [True, False]
 
 
-def test_choosing_and_bad_names(scene):
-    assert ops.select_light(light="Fixture.001") == {"FINISHED"}
-    assert bpy.context.view_layer.objects.active.name == "Panel"
-    assert "no light 'Sun'" in refused(ops.select_light, light="Sun")
-    assert "no light 'x'" in refused(ops.fixture_to_area_light, fixture="x")
-    ops.add_light(location=(0, 0, 3))
-    assert "not an estimated fixture" in refused(ops.fixture_to_area_light)  # the new light is the chosen one
-    bpy.data.collections["Lamps"].hide_viewport = True
-    bpy.context.view_layer.update()
-    assert "hidden" in refused(ops.select_light, light="Fixture.001")
-    ops.revert()
-    assert ops.switch_lights.poll()  # the new light is left
-    assert not ops.match_exposure.poll()
-
-
 def test_new_light(scene):
     cursor = scene.cursor.location = Vector((1.0, 2.0, 2.5))
     assert ops.add_light() == {"FINISHED"}
@@ -220,18 +170,6 @@ def test_new_light(scene):
     ops.list_lights()
     assert len(scene.fipt.lights.lights) == 2
     assert "no direction" in refused(ops.add_light, direction=(0, 0, 0))
-
-
-def test_a_light_is_aimed_from_in_front_of_obstacles():
-    from fipt_blender.blend.lights.new_lights import aim
-
-    bpy.ops.mesh.primitive_plane_add(size=10.0)
-    bpy.ops.mesh.primitive_plane_add(size=10.0, location=(0, 0, 2.5))
-    graph, scene = bpy.context.evaluated_depsgraph_get(), bpy.context.scene
-    place, direction = aim(scene, graph, Vector((1, 0, 0)), Vector((0, 0, 1)), 4.0)
-    assert 1.0 < place.z < 2.5 and direction.dot(Vector((0, 0, -1))) > 0.999
-    place, direction = aim(scene, graph, Vector((1, 0, 2.5)), Vector((0, 0, -1)), 1.0)
-    assert 2.4 < place.z < 2.5 and direction.z < -0.999  # it hangs there
 
 
 def test_a_converted_fixture_follows_its_settings(scene):
@@ -290,16 +228,6 @@ def test_deleted_lights_stay_deleted_and_others_are_made_anew(scene):
     assert len(scene.fipt.lights.lights[0].object.children) == 1
 
 
-def test_buttons_need_results():
-    for operator in (
-        ops.switch_lights, ops.reset_light, ops.select_light, ops.fixture_to_area_light,
-        ops.area_light_to_fixture, ops.make_light_groups, ops.remove_light_groups, ops.match_exposure,
-    ):  # fmt: skip
-        assert not operator.poll()
-    assert ops.add_light() == {"FINISHED"}  # a light needs no room
-    assert bpy.data.objects["FIPT Light"].data.energy > 0.0
-
-
 def test_a_lamp_that_the_mesh_lacks_is_added_once(tmp_path, monkeypatch):
     use_fake_engine(monkeypatch)
     scene = make_scene(tmp_path / "run")
@@ -323,10 +251,7 @@ def test_light_that_nothing_shows_is_there_with_the_results(tmp_path, monkeypatc
     use_fake_engine(monkeypatch)
     scene = make_scene(tmp_path / "run")
     path = tmp_path / "run" / "results" / "emitters.json"
-    table, ball = (
-        json.loads(path.read_text()),
-        {"position": [0.5, 0.25, 2.0], "radius": 0.1, "inferred": True},
-    )
+    table, ball = (json.loads(path.read_text()), {"position": [0.5, 0.25, 2.0], "radius": 0.1, "inferred": True})
 
     def applied(radiance: list[float]) -> bpy.types.Object:
         path.write_text(json.dumps({**table, "missing": [{**ball, "radiance": radiance}]}))

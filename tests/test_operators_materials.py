@@ -10,10 +10,7 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend import marks
-from fipt_blender.blend.room.atlas import atlas_slices
-from fipt_blender.blend.slices import run_through
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.core.run.settings import make_settings
 from fipt_blender.properties.materials import SHOWN
 from samples.applied_rooms import MEDIAN, ConstantFields, fingerprint, picture
 from samples.operator_calls import refused
@@ -140,17 +137,6 @@ def test_an_artists_node_before_the_output_is_restored(applied):
     assert tree.nodes["FIPT Output"].inputs["Surface"].links[0].from_node.name == "mine"
 
 
-def test_solid_shading_draws_the_map(applied):
-    nodes = bpy.data.objects["cube"].data.materials[0].node_tree.nodes
-    for shown, label in (
-        ("ROUGHNESS", "Roughness"),
-        ("ESTIMATED", "Base Color"),
-        ("CONFIDENCE", "Confidence"),
-    ):
-        ops.show_map(shown=shown)
-        assert nodes.active.name == f"FIPT {label}"
-
-
 @pytest.mark.parametrize("mode", ["uv", "color_attribute"])
 def test_solid_viewports_draw_maps_and_are_restored(scene, mode):
     areas = [area for window in bpy.context.window_manager.windows for area in window.screen.areas]
@@ -205,14 +191,6 @@ def test_stopping_halfway_changes_nothing(applied):
         assert fingerprint(applied) == before
 
 
-def test_laying_out_does_not_change_a_room_with_results(applied):
-    before = fingerprint(applied)
-    run = RunFolder(applied.fipt.run_folder)
-    objects = applied.fipt.capture.room_objects(applied)
-    atlas = run_through(atlas_slices(objects, run, make_settings(changes={"texel_density": 20.0})))
-    assert fingerprint(applied) == before and atlas.images
-
-
 def test_results_and_state_survive_saving(applied, tmp_path):
     ops.show_map(shown="ORIGINAL")
     path = str(tmp_path / "saved.blend")
@@ -255,31 +233,3 @@ def test_each_is_one_step_of_undo(scene):
     assert [row.object.name for row in scene.fipt.lights.lights] == ["Panel"]
     scene.fipt.materials.shown = "ESTIMATED"
     assert len(marks.room_with_results(scene)) == 2
-
-
-def eevee() -> str:
-    """The identifier of EEVEE in this Blender."""
-    return "BLENDER_EEVEE_NEXT" if (4, 2) <= bpy.app.version < (5, 0) else "BLENDER_EEVEE"
-
-
-def test_eevee_without_light_is_warned_of(scene):
-    scene.fipt.materials.set_rendering = False
-    scene.render.engine = eevee()
-    ops.apply_results()
-    assert scene.render.engine == eevee() and scene.fipt.lights.needs_cycles()
-    assert "Switch to Cycles" in refused(ops.make_light_groups)
-    ops.fixture_to_area_light(fixture="Fixture.001")  # EEVEE renders Blender lights
-    assert not scene.fipt.lights.needs_cycles()
-    ops.area_light_to_fixture(fixture="Fixture.001")
-    assert ops.use_cycles() == {"FINISHED"} and not scene.fipt.lights.needs_cycles()
-    assert ops.make_light_groups() == {"FINISHED"}
-    ops.revert()
-    assert scene.render.engine == eevee()
-
-
-def test_new_fixtures_belong_to_the_backdrop(applied):
-    ops.set_backdrop(mode="PHOTOGRAPH")
-    ops.fixture_to_area_light(fixture="Fixture.001")
-    ops.apply_results()
-    lamp = bpy.data.objects["Panel"]
-    assert lamp.is_shadow_catcher and lamp.children[0].is_shadow_catcher

@@ -68,8 +68,7 @@ def state(scene) -> dict[str, tuple]:
 
 
 @pytest.mark.parametrize(
-    ("modelling", "density", "moved", "mode"),
-    pairs(MODELLING, (16.0, 32.0), (False, True), ("uv", "color_attribute")),
+    ("modelling", "density", "moved", "mode"), pairs(MODELLING, (16.0, 32.0), (False, True), ("uv", "color_attribute"))
 )
 def test_applying_again_keeps_what_the_artist_has_modelled(scene, modelling, density, moved, mode):
     scene.fipt.materials.atlas_mode = mode
@@ -125,9 +124,7 @@ PLACES = ("delete", "separate", "extrude", "subdivide", "join", "join the other"
 
 @pytest.mark.parametrize("restart", [False, True])
 @pytest.mark.parametrize("modelling", PLACES)
-def test_modelled_surfaces_show_what_was_estimated_at_their_place(
-    scene, bakes, monkeypatch, modelling, restart
-):
+def test_modelled_surfaces_show_what_was_estimated_at_their_place(scene, bakes, monkeypatch, modelling, restart):
     """Also where the atlas is laid out anew, and where the room was modelled before the first application."""
     if not restart:
         ops.apply_results()

@@ -13,7 +13,6 @@ from mathutils import Vector
 
 from fipt_blender.blend import marks
 from fipt_blender.blend.results import adjust
-from fipt_blender.blend.results.part_assets import ball
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running
 from samples.applied_rooms import ConstantFields, fingerprint, picture
@@ -100,9 +99,7 @@ def test_an_adjustment_changes_its_part_alone(applied):
         ops.show_map(shown="ROUGHNESS")
         assert np.allclose(picture(applied, place + Vector((0, 0, 2)), place, 3, 0.1), roughness, atol=0.01)
         ops.show_map(shown="METALLIC")
-        assert np.allclose(
-            picture(applied, place + Vector((0, 0, 2)), place, 3, 0.1), min(metallic, 1.0), atol=0.01
-        )
+        assert np.allclose(picture(applied, place + Vector((0, 0, 2)), place, 3, 0.1), min(metallic, 1.0), atol=0.01)
 
 
 def test_adjusted_colours_of_arrays():
@@ -154,24 +151,6 @@ def test_picking_makes_the_part_under_the_ray_active(applied):
     assert applied.fipt.materials.part().name == "Sill"
 
 
-def test_selecting_faces(applied):
-    make_active(applied, "Box")
-    bpy.data.objects["panel"].select_set(True)
-    assert ops.select_part_faces(edit=False) == {"FINISHED"}
-    cube = bpy.data.objects["cube"]
-    assert [polygon.select for polygon in cube.data.polygons][:4] == [True, True, True, False]
-    assert sum(polygon.select for polygon in cube.data.polygons) == 3
-    corners = {vertex for polygon in list(cube.data.polygons)[:3] for vertex in polygon.vertices}
-    assert {vertex.index for vertex in cube.data.vertices if vertex.select} == corners
-    assert bpy.context.selected_objects == [cube] and bpy.context.object == cube
-    assert ops.select_part_faces() == {"FINISHED"} and bpy.context.mode == "EDIT_MESH"
-    assert not ops.select_part_faces.poll()
-    bpy.ops.object.mode_set(mode="OBJECT")
-    assert sum(polygon.select for polygon in cube.data.polygons) == 3
-    ops.show_map(shown="ORIGINAL")
-    assert not ops.select_part_faces.poll() and not ops.pick_part.poll()
-
-
 def test_assets_have_previews_and_survive_revert(applied):
     make_active(applied, "Sill")
     assert ops.mark_part_assets() == {"FINISHED"}
@@ -183,17 +162,6 @@ def test_assets_have_previews_and_survive_revert(applied):
     assert bpy.data.materials["Frame FIPT"].asset_data is not None
     ops.revert()
     assert not len(applied.fipt.materials.parts) and "Sill FIPT" in bpy.data.materials
-
-
-def test_a_preview_shows_colour_and_gloss():
-    matt, glossy, metal = (
-        ball((0.8, 0.1, 0.1), 1.0, 0.0),
-        ball((0.8, 0.1, 0.1), 0.2, 0.0),
-        ball((0.8, 0.1, 0.1), 0.2, 1.0),
-    )
-    assert matt[64, 64, 0] > 2.0 * matt[64, 64, 1] and matt[0, 0, 3] == 0.0
-    assert glossy[..., 1].max() > matt[..., 1].max() + 0.2  # a white highlight
-    assert metal[64, 100, 0] < glossy[64, 100, 0]  # a metal has no diffuse reflection
 
 
 @pytest.mark.parametrize("mode", ["uv", "color_attribute"])

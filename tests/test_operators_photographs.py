@@ -62,28 +62,3 @@ def test_photographs_cover_results_only_where_the_artist_switches_them_on(scene,
     assert covering() == [False, False]
     ops.revert()
     assert covering() == [True, True]
-
-
-def test_the_pie_menu_shows_and_hides_the_photograph(scene, photographs):
-    first, second = photographs
-    assert ops.look_through(toggle=True) == {"FINISHED"}
-    assert not first.show_background_images and not scene.fipt.capture.photograph_over_mesh
-    ops.look_through(step=1)
-    assert not second.show_background_images
-    ops.look_through(toggle=True)
-    assert second.show_background_images
-    ops.look_through(view="a", toggle=True)  # another view: its photograph is wanted
-    assert first.show_background_images
-
-
-def test_a_comparison_with_the_viewport_goes_on_where_another_map_is_shown(scene, photographs):
-    data, photograph = photographs[0], photographs[0].background_images[0].image
-    ops.apply_results("EXEC_DEFAULT")
-    assert ops.compare(mode="VIEWPORT") == {"FINISHED"}
-    scene.fipt.materials.shown = "ROUGHNESS"
-    assert scene.fipt.check.compare == "VIEWPORT" and data.show_background_images
-    assert data.background_images[0].image != photograph
-    ops.revert()
-    assert scene.fipt.check.compare == "VIEWPORT" and data.background_images[0].image != photograph
-    ops.compare(mode="OFF")
-    assert data.background_images[0].image == photograph and data.show_background_images

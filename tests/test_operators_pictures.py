@@ -20,18 +20,17 @@ import fipt_blender
 from fipt_blender.blend import png16
 from fipt_blender.blend.changed import unset
 from fipt_blender.blend.lights import light_state
-from fipt_blender.blend.marks import KEPT_PHOTOGRAPH, STOPS, estimated_objects
+from fipt_blender.blend.marks import STOPS
 from fipt_blender.blend.pictures import check_pictures, composite, image_files, orders, render_job, view_check
 from fipt_blender.blend.pictures.cycles import exposure_of
 from fipt_blender.blend.pictures.renders import plate_size
 from fipt_blender.blend.results.scene_state import median_shown
-from fipt_blender.core.report.comparison import ERROR_STOPS, psnr
+from fipt_blender.core.report.comparison import psnr
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import write_json
 from fipt_blender.jobs import running
 from fipt_blender.jobs.room_steps import RoomSteps
-from fipt_blender.properties.check import ERROR_SCALE
 from samples.applied_rooms import front
 from samples.child_processes import PATIENCE_SECONDS
 from samples.operator_calls import refused
@@ -74,14 +73,6 @@ def test_without_an_object_the_picture_is_the_photograph(run):
     assert bpy.context.scene.fipt.insert.picture == str(path) and path.with_suffix(".png").exists()
     (entry,) = read_document(run.renders_json, dict)["renders"]
     assert entry == {"kind": "composite", "view": VIEW, "image": path.relative_to(run.root).as_posix()}
-
-
-def test_a_grey_object_that_nothing_sees_leaves_the_photograph(run):
-    photo = photograph(run, 16)
-    ball()
-    bpy.data.objects["FIPT Gray Ball"].location.z = -3.0  # below the floor, away from its light
-    layers = into_photograph(run, 16)
-    np.testing.assert_allclose(layers[""], photo, rtol=1e-3, atol=1e-6)
 
 
 def test_the_layers_make_the_picture_and_the_depth_is_the_objects(run):
@@ -216,15 +207,6 @@ def state(scene):
     return items, render.film_transparent, render.engine, render.resolution_x, scene.camera.name
 
 
-def test_added_objects(run):
-    scene = bpy.context.scene
-    ball()
-    light = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "AREA"))
-    scene.collection.objects.link(light)
-    assert {item.name for item in composite.added_objects(scene, ROOM)} == {"FIPT Gray Ball", "Lamp"}
-    assert {item.name for item in estimated_objects(scene, ROOM)} == ROOM | {"Fixture.001"}
-
-
 def convert_lamp() -> tuple[bpy.types.Object, bpy.types.Object]:
     """Let a Blender light stand for the room's fixture; returns both."""
     scene = bpy.context.scene
@@ -342,16 +324,6 @@ def test_views_are_checked_without_inserted_objects(run):
     assert tuple(error.size) == SIZE
 
 
-def test_ticked_views_are_added_to_the_list(run):
-    photograph(run, 4)
-    scene = bpy.context.scene
-    scene.fipt.check.which = "TICKED"
-    assert bpy.ops.fipt.render_views(samples=2) == {"FINISHED"}
-    assert [view.name for view in scene.fipt.check.views] == [VIEW, "train/000"]  # held-back ones first
-    assert bpy.ops.fipt.render_views(view="train/000", samples=2) == {"FINISHED"}
-    assert len(scene.fipt.check.views) == 2
-
-
 def test_pictures_are_shown_over_the_view_and_removed(run):
     photograph(run, 4)
     bpy.ops.fipt.render_views(samples=2)
@@ -418,17 +390,6 @@ def test_views_without_photographs_are_rendered_but_not_compared(run):
             (run.root / "photos/val_000.exr").touch()
 
 
-def test_the_main_job_goes_on_without_a_photograph(run):
-    write_json(run.statistics_json, {"radiance_scale": 0.25})
-    steps = RoomSteps(None, run)
-    _, warnings = steps.photographed_radiance(VIEW)
-    assert not warnings
-    (run.root / "photos/val_000.exr").unlink()
-    radiance, (warning,) = steps.photographed_radiance(VIEW)
-    assert np.median(radiance) == 0.25
-    assert "val_000.exr" in warning["text"] and warning["code"] == "image-missing" and warning["remedy"]
-
-
 def test_a_photograph_that_is_not_hdr_has_no_radiance_of_its_own(run):
     """Its values are not in the unit of the estimate: the median of all photographs sets the exposure."""
     write_json(run.statistics_json, {"radiance_scale": 0.06, "photometry": {"median_shown": 0.24}})
@@ -438,17 +399,6 @@ def test_a_photograph_that_is_not_hdr_has_no_radiance_of_its_own(run):
     write_json(run.capture_json, data)
     radiance, warnings = RoomSteps(None, run).photographed_radiance(VIEW)
     assert exposure_of(radiance, median_shown(run)) == pytest.approx(2.0) and not warnings
-
-
-def test_polls(run):
-    scene = bpy.context.scene
-    assert bpy.ops.fipt.render_views.poll() and bpy.ops.fipt.final_picture.poll()
-    assert not bpy.ops.fipt.show_check.poll() and not bpy.ops.fipt.open_report.poll()
-    assert not bpy.ops.fipt.open_picture.poll()
-    scene.fipt.run_folder = ""
-    assert not bpy.ops.fipt.render_views.poll() and not bpy.ops.fipt.write_report.poll()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    assert not bpy.ops.fipt.set_backdrop.poll()
 
 
 def test_the_report_is_written_and_opened_on_demand(run, monkeypatch):
@@ -512,25 +462,9 @@ def test_a_second_blender_reports_errors(run):
     order = orders.make_order(bpy.context.scene, run, [VIEW], 2)
     write_json(folder / "order.json", {**vars(order), "scene": "gone"})
     code = render_job.child_command(folder / "scene.blend", folder / "order.json")[-1]
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_SECONDS
-    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_SECONDS)
     last = json.loads(result.stdout.splitlines()[-1])
     assert result.returncode == 1 and (last["type"], last["code"]) == ("error", "scene-gone")
-
-
-def test_written_pixels_are_read_back(tmp_path):
-    values = np.random.default_rng(0).random((5, 7, 3)).astype(np.float32) * 4.0
-    image_files.save_exr(tmp_path / "a.exr", values)
-    np.testing.assert_array_equal(image_files.read_pixels(tmp_path / "a.exr"), values)
-    display = np.random.default_rng(0).integers(0, 256, (5, 7, 3)) / 255.0
-    image_files.save_png(tmp_path / "a.png", display)
-    np.testing.assert_allclose(image_files.read_pixels(tmp_path / "a.png"), display, atol=1e-6)
-
-
-def test_the_panels_scale_has_the_colours_of_the_pictures():
-    np.testing.assert_allclose(np.array(ERROR_SCALE) * 255.0, ERROR_STOPS, atol=1e-4)
-    assert KEPT_PHOTOGRAPH.startswith("fipt_")
 
 
 def test_radiance_is_displayed_as_renders_are_and_error_images_are_not(run):
@@ -549,11 +483,6 @@ def layers(shape=(6, 8), alpha=0.0):
     rng = np.random.default_rng(1)
     photo, empty = rng.random((2, *shape, 3)).astype(np.float32) + 0.1
     return composite.Layers(photo, empty.copy(), empty, np.full((*shape, 4), alpha, np.float32))
-
-
-def test_without_any_change_the_composite_is_the_photograph():
-    image = layers()
-    np.testing.assert_array_equal(composite.compose(image).picture(), image.plate)
 
 
 def test_with_a_perfect_estimate_the_composite_is_the_render():
@@ -579,9 +508,7 @@ def test_half_covered_pixels_mix_object_and_photograph():
     photo, empty = np.full((3, 3, 3), 0.2, np.float32), np.full((3, 3, 3), 0.6, np.float32)
     half = np.full((3, 3, 4), 0.5, np.float32)  # colour 1, half coverage
     full = 0.5 + 0.5 * empty
-    np.testing.assert_allclose(
-        composite.compose(composite.Layers(photo, full, empty, half)).picture(), 0.6, atol=1e-5
-    )
+    np.testing.assert_allclose(composite.compose(composite.Layers(photo, full, empty, half)).picture(), 0.6, atol=1e-5)
 
 
 def test_noisy_pixels_and_invisible_changes_leave_the_photograph():

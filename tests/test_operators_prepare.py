@@ -13,15 +13,8 @@ from pathlib import Path
 import bpy
 import pytest
 
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.jobs import prepare_job, run_job, running
-from fipt_blender.prepare.preparation import (
-    Group,
-    PreparationFolder,
-    make_prepare_settings,
-    read_preparation,
-    write_preparation,
-)
+from fipt_blender.prepare.preparation import Group, PreparationFolder, read_preparation, write_preparation
 from samples.operator_calls import refused
 from samples.prepared_captures import make_preparation, write_prepared
 
@@ -111,26 +104,6 @@ def test_groups_changed_by_hand_are_shown_and_never_overwritten(settings, comman
     assert read_preparation(folder).groups == changed
 
 
-def test_an_older_list_after_an_undo_is_written(settings, commands):
-    ops.find_brackets()
-    before = settings.listed
-    settings.groups[1].name = "window"
-    assert ops.prepare() == {"FINISHED"}
-    settings.groups[1].name, settings.listed = "IMG_4", before  # as an undo step does
-    assert ops.prepare() == {"FINISHED"}
-    assert read_preparation(PreparationFolder(settings.capture_folder())).groups[1].name == "IMG_4"
-
-
-def test_chosen_files_tick_their_groups(settings, commands, tmp_path):
-    files = [{"name": "IMG_5.jpg"}, {"name": "IMG_7.jpg"}]
-    assert ops.choose_photographs(directory=str(tmp_path / "card") + "/", files=files) == {"FINISHED"}
-    assert not settings.groups and settings.chosen == "IMG_5.jpg\nIMG_7.jpg"
-    ops.find_brackets()
-    assert [group.used for group in settings.groups] == [False, True, True]
-    ops.choose_photographs(directory=str(tmp_path / "card"), files=[{"name": ""}])
-    assert settings.chosen == ""
-
-
 def test_refusals_name_a_remedy_and_write_nothing(settings, commands, tmp_path):
     assert not ops.prepare.poll() and not ops.split_bracket.poll() and not ops.merge_brackets.poll()
     foreign = tmp_path / "pictures"
@@ -152,39 +125,6 @@ def test_refusals_name_a_remedy_and_write_nothing(settings, commands, tmp_path):
     assert "no report" in refused(ops.open_photographs_report)
     settings.path = ""
     assert not ops.find_brackets.poll() and settings.capture_folder() is None
-
-
-def test_without_an_engine_the_panel_says_so(settings, monkeypatch):
-    def no_engine():
-        raise FiptError("engine-missing", "There is no engine.", "Use Set Up Engine.")
-
-    monkeypatch.setattr(run_job, "find_launch", no_engine)
-    assert "There is no engine" in refused(ops.find_brackets)
-    assert not settings.capture_folder().exists()
-
-
-def test_an_engine_at_work_in_the_folder_is_watched(settings, commands, monkeypatch, tmp_path):
-    ops.find_brackets()
-    folder = PreparationFolder(settings.capture_folder())
-    watching = object()
-    monkeypatch.setattr(prepare_job, "find_engine", lambda run: "engine" if run.root == folder.root else None)
-    monkeypatch.setattr(prepare_job, "attach_job", lambda run, steps, record: watching)
-    assert prepare_job.make_prepare_job(tmp_path / "card", folder, {}) is watching
-    assert len(commands) == 1
-
-
-def test_every_setting_is_one_of_the_engines(settings):
-    settings.cameras = str(Path("solve").absolute())
-    settings.scale, settings.scale_length = "marker", 0.15
-    made = make_prepare_settings(settings.engine_settings())
-    assert made.scale == "marker" and made.scale_length == pytest.approx(0.15)
-    assert Path(made.cameras).is_absolute()
-
-
-def test_dropped_photographs_have_a_handler(settings):
-    handler = bpy.types.FIPT_FH_photographs
-    assert handler.bl_import_operator == "fipt.choose_photographs"
-    assert {".cr2", ".nef", ".dng", ".jpg", ".exr"} <= set(handler.bl_file_extensions.split(";"))
 
 
 def test_two_points_are_picked_in_merged_images(settings, commands):

@@ -57,8 +57,7 @@ def test_textures_of_a_saved_file_lie_beside_it(scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("keep", "change", "suffix"),
-    pairs(("BESIDE", "PACKED", "IN_RUN"), ("open", "undo", "save"), ("EXR", "PNG")),
+    ("keep", "change", "suffix"), pairs(("BESIDE", "PACKED", "IN_RUN"), ("open", "undo", "save"), ("EXR", "PNG"))
 )
 def test_a_file_shows_the_results_that_it_was_saved_with(scene, tmp_path, monkeypatch, keep, change, suffix):
     blend = str(tmp_path / "kitchen.blend")
@@ -114,9 +113,7 @@ def test_a_moved_file_finds_its_textures(scene, tmp_path, suffix):
     assert np.allclose(shown, ConstantFields.roughness, atol=0.01)
     ops.show_map(shown="BASE_COLOR")
     shown = picture(bpy.context.scene, Vector((0, 5, 4)), Vector((0, 5, 0)))
-    assert np.allclose(
-        shown, [1.055 * value ** (1 / 2.4) - 0.055 for value in ConstantFields.base_color], atol=0.01
-    )
+    assert np.allclose(shown, [1.055 * value ** (1 / 2.4) - 0.055 for value in ConstantFields.base_color], atol=0.01)
 
 
 def test_textures_of_an_unsaved_file_are_packed_until_it_is_saved(applied, tmp_path):
@@ -229,18 +226,6 @@ def test_runs_without_ids_match_by_name(scene):
     bpy.data.objects["panel"].name = "wall"  # applying gave it an id
     assert ops.apply_results() == {"FINISHED"} and not warned()
     assert len(bpy.data.objects["wall"].data.polygons) == 2
-
-
-def test_a_room_without_any_estimated_object_is_refused(applied):
-    room = bpy.data.collections["Parts"]
-    for item in list(room.objects):
-        room.objects.unlink(item)
-        applied.collection.objects.link(item)
-    bpy.ops.mesh.primitive_cube_add()
-    room.objects.link(bpy.context.object)
-    before = fingerprint(applied)
-    assert "None of the estimated objects" in refused(ops.apply_results)
-    assert fingerprint(applied) == before
 
 
 @pytest.mark.parametrize(("pack", "suffix", "tiled"), pairs((False, True), ("EXR", "PNG"), (False, True)))

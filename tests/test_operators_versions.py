@@ -9,7 +9,6 @@ import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -23,9 +22,7 @@ from fipt_blender.core.run.replacing import keep_inputs
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.textures import bake
 from fipt_blender.jobs import run_job, running, runstate
-from fipt_blender.panels import versions as panel
 from samples.applied_rooms import ConstantFields, make_scene
-from samples.layouts import Layout
 from samples.operator_calls import refused
 from samples.refusals import error_of
 
@@ -173,29 +170,6 @@ def test_re_estimate_applies_its_results_and_asks_nothing_twice(scene, works):
     # Its stages are those of the estimate before, too: that one can be continued.
     ops.use_version(version=api.versions()[1].id)
     assert shown(scene) == pytest.approx(0.5, abs=1e-3) and ops.reestimate.poll()
-
-
-def test_the_panel_says_what_is_in_use_and_what_the_room_shows(scene):
-    newest, oldest = ids(scene)
-    run = RunFolder(scene.fipt.run_folder)
-
-    def drawn() -> Layout:
-        layout = Layout()
-        panel.FIPT_PT_estimate_versions.draw(SimpleNamespace(fields=lambda: layout), bpy.context)
-        return layout
-
-    assert panel.FIPT_PT_estimate_versions.poll(bpy.context)
-    layout = drawn()
-    buttons = [(button.name, button.version) for button in layout.buttons]
-    rename, others = "fipt.rename_version", ("fipt.compare_versions", "fipt.delete_version")
-    assert buttons == [("fipt.use_version", newest), (rename, newest), ("fipt.use_version", oldest)] + [
-        (name, oldest) for name in (rename, *others)
-    ]
-    assert "The room shows" not in " ".join(layout.drawn)
-    versions.use_version(run, oldest)
-    assert "The room shows" in " ".join(drawn().drawn)
-    ops.revert()
-    assert "The room shows" not in " ".join(drawn().drawn)
 
 
 def test_the_command_line_lists_and_uses_versions(scene, capsys, tmp_path):

@@ -8,7 +8,6 @@ import mitsuba as mi
 import numpy as np
 
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
-from fipt_blender.core.run.result_contents import EmitterFixture
 
 # triangle 0 emits nothing, 1 both sides, 2 its back, 3 its front but has no area, 4 its front
 VERTICES = np.array(
@@ -52,9 +51,7 @@ def chi2_upper(statistic: float, freedom: int) -> float:
 
 def areas() -> np.ndarray:
     corners = VERTICES[TRIANGLES].astype(float)
-    return 0.5 * np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
 
 
 def test_triangles_are_chosen_by_power() -> None:
@@ -134,15 +131,3 @@ def test_irradiance_of_a_triangle_is_lamberts_formula() -> None:
     error = values.std() / np.sqrt(len(values))
     assert error < 0.01 * abs(exact)
     assert abs(values.mean() - abs(exact)) < 4 * error
-
-
-def test_fixtures_give_one_entry_a_triangle() -> None:
-    fixtures = [
-        EmitterFixture("a", (4, 7), (1, 2, 3), (0, 0, 0)),
-        EmitterFixture("b", (2,), (0, 0, 0), (4, 5, 6)),
-    ]
-    table = EmitterTable.from_fixtures(fixtures)
-    assert table.triangles.tolist() == [4, 7, 2]
-    assert table.radiance.tolist() == [[1, 2, 3], [1, 2, 3], [0, 0, 0]]
-    assert table.back_radiance[2].tolist() == [4, 5, 6]
-    assert EmitterTable.from_fixtures([]).radiance.shape == (0, 3)

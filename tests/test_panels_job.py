@@ -1,11 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How sections draw their jobs, on a stand-in of Blender's layout: the way on first, then warnings."""
+"""How sections draw their jobs: the way on first, then warnings; and what the section Capture tells."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -14,15 +13,13 @@ from fipt_blender.bridge.sequence import own_job
 from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
-from fipt_blender.jobs import running, runstate, window
-from fipt_blender.panels import estimate, statusbar
+from fipt_blender.jobs import running, runstate
+from fipt_blender.panels import capture, estimate
 from samples.layouts import drawn_by
 
 pytestmark = pytest.mark.usefixtures("registered")
 
-WARNINGS = [
-    {"code": code, "text": f"The {code} is odd.", "remedy": f"Mend the {code}."} for code in ("lamp", "wall")
-]
+WARNINGS = [{"code": code, "text": f"The {code} is odd.", "remedy": f"Mend the {code}."} for code in ("lamp", "wall")]
 
 
 def set_running(monkeypatch, kind: str, title: str, folder: Path) -> running.RunningJob:
@@ -39,9 +36,7 @@ def finished(monkeypatch, tmp_path) -> None:
     job = running.RunningJob("Estimate", "estimate", bpy.context.scene.name, tmp_path, state="finished")
     job.warnings += WARNINGS
     monkeypatch.setattr(running, "last", lambda kind: job if kind == "estimate" else None)
-    monkeypatch.setattr(
-        runstate, "known", lambda folder: runstate.RunState(stages=5, results=True, finished=True)
-    )
+    monkeypatch.setattr(runstate, "known", lambda folder: runstate.RunState(stages=5, results=True, finished=True))
 
 
 @pytest.mark.usefixtures("finished")
@@ -67,40 +62,12 @@ def test_a_result_says_how_good_it_is(monkeypatch, tmp_path):
     assert "Held-back photographs: 27.1 dB (projection 29.4)" in drawn
 
 
-def test_warnings_of_an_estimation_that_another_blender_has_run(monkeypatch, tmp_path):
-    bpy.context.scene.fipt.run_folder = str(tmp_path)
-    state = runstate.RunState(stages=5, results=True, finished=True, warnings=tuple(WARNINGS[:1]))
-    monkeypatch.setattr(runstate, "known", lambda folder: state)
-    monkeypatch.setattr(running, "last", lambda kind: None)
-    assert drawn_by(estimate.FIPT_PT_estimate)[0][-1] == "1 warning"
-
-
-@pytest.mark.usefixtures("finished")
-def test_while_an_estimation_runs_only_its_own_warnings_are_counted(monkeypatch, tmp_path):
-    job = set_running(monkeypatch, "estimate", "Estimate", tmp_path)
-    drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
-    assert "Estimate: 42%" in drawn and "fipt.estimate" not in drawn and "2 warnings" not in drawn
-    job.warnings += WARNINGS
-    assert drawn_by(estimate.FIPT_PT_estimate)[0][-1] == "2 warnings"
-
-
 def test_estimate_says_for_what_it_waits_and_how_to_stop_that(monkeypatch, tmp_path):
     set_running(monkeypatch, "survey", "Check Views", tmp_path)
     drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
     assert drawn.index("fipt.estimate") < drawn.index("Check Views: 42%") < drawn.index("fipt.cancel")
     with pytest.raises(RuntimeError, match=r"Check Views is running\. Wait for its end, or stop it with Esc"):
         bpy.ops.fipt.estimate()
-
-
-def test_the_resolution_of_light_and_the_cost_are_told_before_the_start():
-    settings = bpy.context.scene.fipt
-    settings.capture.train_count, settings.capture.megapixels = 60, 12.2
-    settings.estimate.preset = "draft"
-    text = " ".join(drawn_by(estimate.FIPT_PT_estimate)[0])
-    assert "60 photographs of 12.2 megapixels" in text and "light is solved at" in text
-    assert "About" in text and "minutes" in text and "GB" in text
-    settings.capture.train_count = 0
-    assert "megapixels" not in " ".join(drawn_by(estimate.FIPT_PT_estimate)[0])
 
 
 @pytest.fixture
@@ -112,23 +79,8 @@ def notices(monkeypatch) -> list[tuple[str, str]]:
 
 
 def do_job(tmp_path: Path, function) -> running.RunningJob:
-    """Run a job of one function to its end."""
     job = own_job([Step("one", "One", 1.0, function=function)], tmp_path / "steps.json", tmp_path / "log.txt")
     return running.run(job, running.RunningJob("Check Views", "views", "", tmp_path))
-
-
-def test_a_job_in_a_few_words():
-    job = running.RunningJob("Estimate", "estimate", "", Path())
-    assert statusbar.status_text(job) == "Estimate: 0%"
-    job.fraction, job.remaining_seconds = 0.42, 181.0
-    assert statusbar.status_text(job) == "Estimate: 42%, 3 min left"
-    job.stopping = True
-    assert statusbar.status_text(job) == "Estimate: stopping..."
-
-
-def test_the_end_is_told(tmp_path, notices):
-    assert do_job(tmp_path, lambda: None).state == "finished"
-    assert notices == [("Check Views: finished", "INFO")]
 
 
 def test_a_failure_is_told_with_its_reason(tmp_path, notices):
@@ -139,35 +91,27 @@ def test_a_failure_is_told_with_its_reason(tmp_path, notices):
     assert notices == [("Check Views failed: There is no mesh.", "ERROR")]
 
 
-def test_who_cancels_is_told_nothing(tmp_path, notices):
-    def wait():
-        while True:
-            yield 0.0
-
-    job = own_job([Step("one", "One", 1.0, function=wait)], tmp_path / "steps.json", tmp_path / "log.txt")
-    info = running.start(job, running.RunningJob("Check Views", "views", "", tmp_path))
-    running.tick()
-    running.cancel()
-    running.tick()
-    assert info.state == "cancelled" and notices == []
+def test_a_warning_goes_once_its_remedy_was_followed(tmp_path):
+    info = running.RunningJob("Import Capture", "capture", bpy.context.scene.name, tmp_path)
+    info.warnings += [{"code": "mesh-missing"}, {"code": "images-not-hdr"}]
+    running.refuse(info, FiptError("odd", "The file is odd.", "Export it again."))
+    bpy.ops.mesh.primitive_cube_add()
+    assert bpy.ops.fipt.set_room() == {"FINISHED"}
+    assert info.warnings == [{"code": "images-not-hdr"}]
 
 
-def test_a_notice_reports():
-    with pytest.raises(RuntimeError, match="no mesh"):
-        bpy.ops.fipt.notice(text="There is no mesh.", level="ERROR")
-    assert bpy.ops.fipt.notice(text="Finished", level="INFO") == {"FINISHED"}
-
-
-def test_the_status_bar_waits_while_a_tool_shows_its_keys(monkeypatch):
-    cleared = []
-    workspace = SimpleNamespace(status_text_set_internal=cleared.append)
-    screen = SimpleNamespace(areas=[])
-    windows = [
-        SimpleNamespace(modal_operators=tools, workspace=workspace, screen=screen) for tools in ([1], [])
-    ]
-    context = SimpleNamespace(window_manager=SimpleNamespace(windows=windows))
-    monkeypatch.setattr(
-        window, "bpy", SimpleNamespace(context=context, app=SimpleNamespace(background=False))
-    )
-    window.redraw()
-    assert cleared == [None]
+@pytest.mark.parametrize(
+    ("source", "told"),
+    [
+        ("format", "-Y is up by the format"),
+        ("option", "-Y is up by the import settings"),
+        ("planes", "10.3° from -Y is up by the planes of the room"),
+        ("cameras", "10.3° from -Y is up by the cameras"),
+    ],
+)
+def test_what_is_up_is_told_with_a_choice_of_the_others(source, told):
+    settings = bpy.context.scene.fipt.capture
+    assert "up" not in drawn_by(capture.FIPT_PT_capture)[1]
+    settings.imported_up, settings.up_source, settings.up_angle = "-y", source, 10.3
+    texts, properties = drawn_by(capture.FIPT_PT_capture)[:2]
+    assert told in " ".join(texts) and "up" in properties

@@ -21,16 +21,13 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @pytest.fixture(autouse=True)
 def site(monkeypatch):
-    """A documentation site."""
     address = manual.SITE or "https://docs.example/"
     monkeypatch.setattr(manual, "SITE", address)
     return address
 
 
 def test_every_item_of_the_menus_is_an_operator():
-    idnames = {
-        operator.bl_idname for operator in operators.CLASSES if issubclass(operator, bpy.types.Operator)
-    }
+    idnames = {operator.bl_idname for operator in operators.CLASSES if issubclass(operator, bpy.types.Operator)}
     listed = {f"fipt.{name}" for section in menus.SECTIONS.values() for name, _ in section}
     assert listed <= idnames
 
@@ -42,13 +39,6 @@ def test_each_section_has_a_chapter():
         assert manual.chapter_page(chapter) == f"guide/{chapter}.html"
     assert manual.chapter_of("FIPT_PT_capture_alignment") == "capture" and manual.chapter_of("X") == ""
     assert chapter and manual.chapter_page("") == "guide/index.html"
-
-
-def test_without_any_pages_nothing_links_to_them(monkeypatch, tmp_path):
-    monkeypatch.setattr(manual, "SITE", "")
-    monkeypatch.setattr(manual, "PAGES", tmp_path)
-    assert not bpy.ops.fipt.help.poll()
-    assert manual.manual_map({}) == ("", ())
 
 
 def test_without_a_site_help_opens_the_pages_of_the_extension(monkeypatch, tmp_path):
@@ -110,13 +100,6 @@ def _browser(opened):
     finally:
         bpy.utils.unregister_class(Recorder)
         bpy.utils.register_class(original)
-
-
-def test_the_pie_menu_has_a_key_that_no_other_shortcut_of_the_viewport_has():
-    keymap = bpy.context.window_manager.keyconfigs.addon.keymaps["3D View"]
-    items = [item for item in keymap.keymap_items if item.idname == "wm.call_menu_pie"]
-    assert [item.properties.name for item in items] == ["FIPT_MT_pie"]
-    assert (items[0].type, items[0].shift, items[0].alt, items[0].ctrl) == ("F", True, True, False)
 
 
 @pytest.fixture

@@ -4,16 +4,14 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import bpy
 import pytest
 
 from fipt_blender import machine
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.jobs import running, runstate, session, setup_size
-from fipt_blender.panels import estimate, materials, path, start
-from samples.layouts import Layout, drawn_by, tab_count
+from fipt_blender.jobs import running, session, setup_size
+from fipt_blender.panels import estimate, start
+from samples.layouts import drawn_by, tab_count
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -68,30 +66,6 @@ def test_each_stage_shows_what_can_be_used_then():
     assert {"Insert", "Render", "Capture"}.isdisjoint(count.opened)
 
 
-@pytest.mark.usefixtures("ready")
-@pytest.mark.parametrize(
-    ("width", "told"), [(400, "3 views, mesh of 12 triangles"), (280, "3 views, 12 triangles"), (120, "")]
-)
-def test_a_closed_section_tells_its_state_as_far_as_there_is_room(width, told):
-    add_capture()
-    preferences = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0))
-    context = SimpleNamespace(
-        scene=bpy.context.scene, region=SimpleNamespace(width=width), preferences=preferences
-    )
-    assert path.state_text("FIPT_PT_capture", "Capture", 1, context) == told
-
-
-@pytest.mark.usefixtures("ready")
-def test_a_closed_section_tells_of_warnings(monkeypatch, tmp_path):
-    add_capture()
-    bpy.context.scene.fipt.run_folder = str(tmp_path)
-    job = running.RunningJob("Import Capture", "capture", bpy.context.scene.name, tmp_path, state="finished")
-    job.warnings += [{"code": "odd", "text": "Odd.", "remedy": "Even it."}]
-    monkeypatch.setattr(running, "last", lambda kind: job)
-    context = SimpleNamespace(scene=bpy.context.scene, region=None)
-    assert path.state_text("FIPT_PT_capture", "Capture", 1, context) == "3 views, 1 warning"
-
-
 def test_online_access_is_explained_and_asked_for_where_it_is_needed(monkeypatch):
     monkeypatch.setattr(machine, "has_engine", lambda: False)
     drawn, properties = drawn_by(start.FIPT_PT_start)
@@ -109,16 +83,6 @@ def test_a_python_that_can_not_make_environments_is_told_before_the_set_up(monke
     drawn = drawn_by(start.FIPT_PT_start)[0]
     before = " ".join(drawn[: drawn.index("fipt.set_up_engine")])
     assert ("apt-get install python3-venv" in before) is not there
-
-
-def test_a_set_up_that_runs_is_shown_with_its_way_to_stop_it(monkeypatch, tmp_path):
-    job = running.RunningJob("Set Up Engine", running.DATA_KIND, "", tmp_path, fraction=0.25)
-    monkeypatch.setattr(running, "current", lambda: job)
-    drawn = drawn_by(start.FIPT_PT_start)[0]
-    assert (
-        drawn.index("Set Up Engine: 25%") + 1 == drawn.index("fipt.cancel")
-        and "fipt.set_up_engine" not in drawn
-    )
 
 
 def test_without_an_engine_an_error_leads_to_its_set_up(tmp_path):
@@ -156,15 +120,6 @@ def test_chosen_photographs_without_cameras_become_a_capture(tmp_path):
     assert tab_count().sections == ("Photographs",)
 
 
-def test_a_finished_estimate_is_one_line_once_it_is_applied(monkeypatch):
-    state = runstate.RunState(stages=5, results=True, finished=True)
-    monkeypatch.setattr(runstate, "known", lambda folder: state)
-    assert "fipt.apply_results" in drawn_by(estimate.FIPT_PT_estimate)[0]
-    bpy.context.scene.fipt.materials.object_count = 1
-    assert drawn_by(estimate.FIPT_PT_estimate)[0] == ["Estimate Again"]
-    assert "fipt.estimate" in drawn_by(estimate.FIPT_PT_estimate, is_open=True)[0]
-
-
 def test_without_a_mesh_the_next_step_is_to_bring_one():
     add_capture()
     assert "fipt.estimate" in drawn_by(estimate.FIPT_PT_estimate)[0]
@@ -175,37 +130,6 @@ def test_without_a_mesh_the_next_step_is_to_bring_one():
     assert "fipt.import_mesh" in drawn and "fipt.estimate" not in drawn
 
 
-def test_a_running_example_does_not_call_the_estimate_stopped(monkeypatch, tmp_path):
-    scene = bpy.context.scene
-    scene.fipt.run_folder = str(tmp_path)
-    monkeypatch.setattr(runstate, "known", lambda folder: runstate.RunState(stages=3))
-    job = running.RunningJob("Apply Results", "materials", scene.name, tmp_path, fraction=0.5)
-    monkeypatch.setattr(running, "current", lambda: job)
-    text = " ".join(drawn_by(estimate.FIPT_PT_estimate)[0])
-    assert "Apply Results: 50%" in text and "Stopped" not in text
-
-
 def test_no_process_is_started_while_drawing(monkeypatch):
     monkeypatch.setattr(machine, "engine_python", lambda: pytest.fail("a process was started"))
     assert tab_count().sections
-
-
-@pytest.mark.parametrize(
-    ("shading", "shown", "offered"),
-    [("SOLID", "ESTIMATED", True), ("SOLID", "ROUGHNESS", False), ("MATERIAL", "ESTIMATED", False)],
-)
-def test_the_light_is_a_click_away_where_the_viewport_shows_textures_alone(shading, shown, offered):
-    settings = bpy.context.scene.fipt.materials
-    settings.object_count = 1
-    settings.shown = shown
-    properties: list[str] = []
-    context = SimpleNamespace(
-        scene=bpy.context.scene,
-        space_data=SimpleNamespace(shading=SimpleNamespace(type=shading)),
-        mode="OBJECT",
-        region=None,
-        preferences=bpy.context.preferences,
-    )
-    panel = SimpleNamespace(fields=lambda: Layout([], properties=properties))
-    materials.FIPT_PT_materials.draw(panel, context)
-    assert ("type" in properties) is offered

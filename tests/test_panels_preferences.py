@@ -97,15 +97,6 @@ def check_result(**changes: Any) -> dict[str, Any]:
     return {"time": 0.0, "product_version": version, "engine": engine, "warnings": [], "error": None}
 
 
-def test_answers_without_being_enabled(data: Path) -> None:
-    assert machine.get_preferences().on_close == "STOP"
-    assert machine.device_setting() == "auto" and machine.engine_variables() == {}
-    assert machine.data_folder() == data
-    assert machine.new_run_folder("a room").parent == data / "runs"
-    own = places.environment_python(places.PACKAGE_FOLDER.parent / ".venv")
-    assert machine.engine_python() == (own if own.exists() else Path(sys.executable))
-
-
 def test_values_and_a_data_folder_of_the_users_own(values: Any, data: Path, tmp_path: Path) -> None:
     assert machine.get_preferences() == values
     values.data_folder, values.device = str(tmp_path / "own"), "llvm"
@@ -200,11 +191,7 @@ def test_set_up_runs_beside_the_users_work_and_is_cancelled(
     values: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     values.wheel_folder = str(tmp_path)
-    failure = {
-        "code": "pip-missing",
-        "text": "Python has neither pip nor ensurepip.",
-        "remedy": "Install it.",
-    }
+    failure = {"code": "pip-missing", "text": "Python has neither pip nor ensurepip.", "remedy": "Install it."}
     machine.store_status({"error": failure})
     monkeypatch.setattr(data_job, "setup_command", lambda *arguments: [sys.executable, "-c", SLEEPER])
     operator = type("Operator", (operators.FIPT_OT_set_up_engine,), {"allow_large": False})
@@ -274,29 +261,6 @@ def test_images_of_the_open_file_keep_their_run(values: Any, data: Path) -> None
     bpy.data.images.remove(image)
     bpy.ops.fipt.clear_data()
     assert not run.root.exists()
-
-
-@pytest.mark.parametrize(
-    ("status", "words"),
-    [
-        ({}, "not set up yet"),
-        (check_result(), "ready, computes on the CPU"),
-        (check_result(device="cuda", cuda="Card 1", llvm=None), "ready, computes on Card 1"),
-        (check_result(ready=False, llvm=None, gpus=[], memory_free_gb=None), "does not work yet"),
-        ({**check_result(), "product_version": "0.0.1"}, "press Check"),
-        ({**check_result(), "error": {"text": "No Python.", "remedy": "Set up."}}, "No Python. Set up."),
-        ({**check_result(), "warnings": [{"text": "Little memory.", "remedy": "Close."}]}, "Little memory."),
-        ({"time": 0.0, "error": {"text": "Broken.", "remedy": ""}, "engine": {}}, "does not work yet"),
-        ({"cancelled": True}, "set-up cancelled"),
-        ({**check_result(), "cancelled": True}, "ready, computes on the CPU"),
-    ],
-)
-def test_preferences_are_drawn_from_what_is_known(values: Any, status: dict[str, Any], words: str) -> None:
-    texts: list[str] = []
-    facts = panel.Facts(status, {"sizes": {"a": 2e9, "engine-1": 5e9}, "runs": ["a"]}, "/data")
-    panel.draw(Layout(texts), bpy.context, values, facts)
-    assert words in " ".join(texts)
-    assert "1 cached runs: 2.0 GB; engine: 5.0 GB" in texts
 
 
 def test_drawing_asks_no_disk_and_starts_nothing(values: Any, monkeypatch: pytest.MonkeyPatch) -> None:

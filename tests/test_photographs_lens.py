@@ -50,12 +50,7 @@ def test_vignetting_of_a_known_lens_is_that_of_lensfun() -> None:
 
 @pytest.mark.parametrize(
     "other",
-    [
-        {"lens": "", "focal_length": 24.0},
-        {"model": "Unknown 1"},
-        {"focal_length": 300.0},
-        {"focal_length": None},
-    ],
+    [{"lens": "", "focal_length": 24.0}, {"model": "Unknown 1"}, {"focal_length": 300.0}, {"focal_length": None}],
 )
 def test_an_unknown_lens_has_no_correction(other: dict[str, object]) -> None:
     assert lens.vignetting(replace(KNOWN, **other), 60, 40) is None

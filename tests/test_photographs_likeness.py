@@ -13,7 +13,6 @@ from scipy import ndimage
 
 from benchmarks.dng import Shot, mosaic_of, write_dng
 from fipt_blender.prepare.brackets import find_groups
-from fipt_blender.prepare.editing import free_name, merge_groups, split_group
 from fipt_blender.prepare.exif import describe
 from fipt_blender.prepare.likeness import SIDE, Likeness, small_picture
 from fipt_blender.prepare.merging import moved_regions
@@ -21,7 +20,6 @@ from fipt_blender.prepare.motion import Motion, after, measure, warped
 from fipt_blender.prepare.preparation import Group, Photograph
 from fipt_blender.prepare.reading import list_photographs
 from samples.photographs import exif, smooth_radiance, write_jpeg
-from samples.refusals import error_of
 
 HEIGHT, WIDTH = 160, 240
 
@@ -177,30 +175,3 @@ def test_what_moves_is_taken_from_one_exposure() -> None:
     assert len(set(choice[5:10, 12:17].ravel())) == 1  # one region, one exposure
     noisy = [still + np.random.default_rng(i).normal(0.0, 0.03, still.shape) for i in range(3)]
     assert (moved_regions(noisy, [np.full((20, 30), 0.03)] * 3) == -1).all()
-
-
-GROUPS = [Group("a", ("a.jpg", "x/b.jpg", "c.jpg")), Group("B", ("d.jpg",), False), Group("e", ("e.jpg",))]
-
-
-def test_split_names_the_second_part_by_its_first_photograph():
-    split = split_group(GROUPS, 0, 1)
-    assert [group.name for group in split] == ["a", "b-2", "B", "e"]  # "B" is taken on some file systems
-    assert split[0].photographs == ("a.jpg",) and split[1].photographs == ("x/b.jpg", "c.jpg")
-    assert split[2:] == GROUPS[1:]
-
-
-@pytest.mark.parametrize(("index", "at"), [(0, 0), (0, 3), (1, 0), (1, 1)])
-def test_split_refuses_an_empty_part(index, at):
-    assert error_of(split_group, GROUPS, index, at).code == "group-not-split"
-
-
-def test_merge_keeps_the_first_name_and_undoes_a_split():
-    merged = merge_groups(GROUPS, 1)
-    assert merged == [GROUPS[0], Group("B", ("d.jpg", "e.jpg"), True)]
-    assert merge_groups(split_group(GROUPS, 0, 2), 0) == GROUPS
-    for index in (2, -1):
-        assert error_of(merge_groups, GROUPS, index).code == "group-not-merged"
-
-
-def test_free_names_differ_in_any_case():
-    assert [free_name("A", taken) for taken in ((), ("b",), ("a",), ("a", "A-2"))] == ["A", "A", "A-2", "A-3"]

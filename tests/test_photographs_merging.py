@@ -26,12 +26,7 @@ from fipt_blender.prepare.exif import describe
 from fipt_blender.prepare.frames import load, upright
 from fipt_blender.prepare.merging import measure_noise, merge_exposures, sensor_noise
 from fipt_blender.prepare.motion import Motion
-from fipt_blender.prepare.preparation import (
-    Photograph,
-    PreparationFolder,
-    read_preparation,
-    write_preparation,
-)
+from fipt_blender.prepare.preparation import Photograph, PreparationFolder, read_preparation, write_preparation
 from fipt_blender.prepare.response import LEVELS, recover_response, srgb_curve
 from samples import refusals
 from samples.image_files import icc_profile, in_primaries, write_exr_layers
@@ -166,9 +161,7 @@ def test_linear_pictures_keep_their_values(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("suffix", "orientation"), [(".jpg", 1), (".jpg", 6), (".tif", 6), (".png", 3)])
-def test_photographs_of_other_primaries_are_merged_upright(
-    tmp_path: Path, suffix: str, orientation: int
-) -> None:
+def test_photographs_of_other_primaries_are_merged_upright(tmp_path: Path, suffix: str, orientation: int) -> None:
     truth = np.kron(0.1 + 0.5 * np.random.default_rng(1).random((3, 4, 3)), np.ones((16, 16, 1)))
     codes = np.round(255.0 * srgb_encoded(in_primaries(truth, "P3"))).astype(np.uint8)
     (tmp_path / "in").mkdir()
@@ -248,9 +241,7 @@ def test_merging_is_unbiased_and_prefers_the_less_noisy() -> None:
     rng = np.random.default_rng(1)
     gain, read, truth = 1e-3, 2e-3, 0.02
     exposures = [1.0, 4.0, 16.0]
-    values = [
-        truth * e + rng.normal(0.0, np.sqrt(gain * truth * e + read**2), (200, 200, 3)) for e in exposures
-    ]
+    values = [truth * e + rng.normal(0.0, np.sqrt(gain * truth * e + read**2), (200, 200, 3)) for e in exposures]
     clipped = [value >= 1.0 for value in values]
     merged, none = merge_exposures(values, clipped, exposures, sensor_noise(gain, read))
     assert merged.mean() == pytest.approx(truth, rel=1e-3) and not none.any()
@@ -345,9 +336,7 @@ def test_a_raw_file_that_is_damaged_later_is_named(tmp_path: Path, content: byte
         assert not folder.images.exists()
 
 
-def test_a_stopped_merge_goes_on_with_the_other_groups(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stopped_merge_goes_on_with_the_other_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
     for index in range(2):
         write_raw(source, smooth_radiance(index), 3 * index, index)
@@ -368,9 +357,7 @@ def test_a_stopped_merge_goes_on_with_the_other_groups(
     assert [path.name for path in folder.images.iterdir()] == ["IMG_0.exr"]
     assert not folder.facts("merge").exists()
     monkeypatch.setattr(
-        merge_step,
-        "write_exr",
-        lambda path, *rest, **more: written.append(path.name) or write_exr(path, *rest, **more),
+        merge_step, "write_exr", lambda path, *rest, **more: written.append(path.name) or write_exr(path, *rest, **more)
     )
     prepare(source, folder.root)
     assert written == ["IMG_0.exr", "IMG_3.exr"]

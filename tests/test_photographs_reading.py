@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 import pytest
 
 from fipt_blender import cli
@@ -90,25 +89,11 @@ def test_a_raw_photograph_that_is_none_is_refused_in_plain_words(tmp_path: Path)
         describe(tmp_path / "a.cr2", "a.cr2")
 
 
-def test_a_photograph_of_too_many_pixels_is_refused_with_words(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_photograph_of_too_many_pixels_is_refused_with_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_jpeg(tmp_path / "a.jpg", GREY, exif(0.01))
     monkeypatch.setattr(encoded, "MOST_PIXELS", 20)
     with pytest.raises(FiptError, match=r"a\.jpg has 8 x 6 pixels"):
         describe(path, "a.jpg")
-
-
-def test_a_photograph_without_exif_has_no_exposure(tmp_path: Path) -> None:
-    found = describe(write_jpeg(tmp_path / "a.jpg", GREY, exif(None)), "a.jpg")
-    assert found.exposure is None and found.time is None and found.make == ""
-
-
-def test_linear_pictures_hold_radiance(tmp_path: Path) -> None:
-    planes = dict.fromkeys("RGB", np.ones((3, 5), np.float32))
-    OpenEXR.File({"type": OpenEXR.scanlineimage}, planes).write(str(tmp_path / "a.exr"))
-    found = describe(tmp_path / "a.exr", "a.exr")
-    assert (found.kind, found.width, found.height, found.exposure) == ("linear", 5, 3, 1.0)
 
 
 def test_brackets_by_time_and_exposure(tmp_path: Path) -> None:
@@ -125,10 +110,7 @@ def test_brackets_by_time_and_exposure(tmp_path: Path) -> None:
 def test_a_bracket_ends_where_an_exposure_repeats() -> None:
     exposures = (1.0, 0.25, 4.0, 1.0, 0.25, 4.0)
     photographs = [shot(f"{index}.jpg", value) for index, value in enumerate(exposures)]
-    assert names(find_groups(photographs, "auto")) == [
-        ("0.jpg", "1.jpg", "2.jpg"),
-        ("3.jpg", "4.jpg", "5.jpg"),
-    ]
+    assert names(find_groups(photographs, "auto")) == [("0.jpg", "1.jpg", "2.jpg"), ("3.jpg", "4.jpg", "5.jpg")]
 
 
 @pytest.mark.parametrize("other", [{"model": "Y"}, {"focal_length": 50.0}, {"width": 9}, {"time": 20.0}])
@@ -164,23 +146,11 @@ def test_what_looks_wrong_is_told() -> None:
     ]
     photographs = good + odd
     found = {remark.code: remark for remark in remarks(photographs, find_groups(photographs, "auto"))}
-    assert set(found) == {
-        "bracket-incomplete",
-        "exposure-unknown",
-        "cameras-mixed",
-        "sizes-mixed",
-        "aperture-varies",
-    }
+    assert set(found) == {"bracket-incomplete", "exposure-unknown", "cameras-mixed", "sizes-mixed", "aperture-varies"}
     assert "'91'" in found["exposure-unknown"].text or "91.jpg" in found["exposure-unknown"].text
     assert all(remark.remedy for remark in found.values())
     single = good[:1]
     assert [remark.code for remark in remarks(single, find_groups(single, "auto"))] == ["no-brackets"]
-
-
-def test_portrait_and_landscape_are_the_same_size() -> None:
-    photographs = [shot("1.jpg", 1.0), shot("2.jpg", 1.0, width=6, height=8)]
-    codes = {remark.code for remark in remarks(photographs, find_groups(photographs, "single"))}
-    assert "sizes-mixed" not in codes
 
 
 def test_the_jpeg_beside_a_raw_photograph_is_left_out() -> None:
@@ -211,9 +181,7 @@ def test_corrections_by_the_user_stay_until_the_files_change(tmp_path: Path) -> 
     write_jpeg(source / "x.jpg", GREY, exif(None))
     prepare(source, folder.root)
     before = read_preparation(folder)
-    entered = tuple(
-        replace(item, exposure=0.5) if item.exposure is None else item for item in before.photographs
-    )
+    entered = tuple(replace(item, exposure=0.5) if item.exposure is None else item for item in before.photographs)
     write_preparation(folder, replace(before, photographs=entered, groups=before.groups[:1]))
     reporter = prepare(source, folder.root, changes=("working_width=640",))
     after = read_preparation(folder)
@@ -228,11 +196,7 @@ def test_corrections_by_the_user_stay_until_the_files_change(tmp_path: Path) -> 
 
 @pytest.mark.parametrize(
     ("files", "code"),
-    [
-        ({}, "no-photographs"),
-        ({"a.jpg": b"", "b.dng": b"x" * 99}, "no-photographs"),
-        (None, "photographs-missing"),
-    ],
+    [({}, "no-photographs"), ({"a.jpg": b"", "b.dng": b"x" * 99}, "no-photographs"), (None, "photographs-missing")],
 )
 def test_folders_without_photographs(tmp_path: Path, files: dict[str, bytes] | None, code: str) -> None:
     source = tmp_path / "in"
@@ -305,11 +269,6 @@ def test_a_preparation_with_a_setting_of_an_earlier_version_is_continued(tmp_pat
     assert error_of(prepare, source, folder.root, changes=(f"masks={masks}",)).code == "setting-unknown"
 
 
-def test_settings_from_texts() -> None:
-    settings = make_prepare_settings({"working_width": "0", "align": "false", "grouping": "folders"})
-    assert (settings.working_width, settings.align, settings.grouping) == (0, False, "folders")
-
-
 def test_unknown_steps_and_options_are_refused(tmp_path: Path) -> None:
     for options in ({"steps": "read,cook"}, {"changes": ("working_width",)}):
         assert error_of(prepare, tmp_path, tmp_path / "out", **options).code == "option-invalid"
@@ -342,9 +301,6 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     messages = [json.loads(line) for line in io.StringIO(capsys.readouterr().out)]
     assert messages[-1]["type"] == "done" and len(read_preparation(PreparationFolder(output)).groups) == 2
     assert (
-        cli.main(
-            ["prepare", str(tmp_path / "none"), "--output", str(output), "--engine-python", sys.executable]
-        )
-        == 1
+        cli.main(["prepare", str(tmp_path / "none"), "--output", str(output), "--engine-python", sys.executable]) == 1
     )
     assert "does not exist" in capsys.readouterr().err

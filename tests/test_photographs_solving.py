@@ -23,7 +23,7 @@ from fipt_blender.core.capture.rig import Lens, Rig, RigView
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.prepare.lens import FULL_FRAME_DIAGONAL
 from fipt_blender.prepare.models import WantedView, model_from_rig, read_model, write_model
-from fipt_blender.prepare.pairs import MOST_EXHAUSTIVE, image_pairs
+from fipt_blender.prepare.pairs import image_pairs
 from fipt_blender.prepare.preparation import (
     Group,
     Photograph,
@@ -32,15 +32,7 @@ from fipt_blender.prepare.preparation import (
     PrepareSettings,
     write_preparation,
 )
-from fipt_blender.prepare.solving import (
-    Connections,
-    SolveView,
-    camera_groups,
-    copy_name,
-    left_out,
-    own_sizes,
-    solve,
-)
+from fipt_blender.prepare.solving import Connections, SolveView, camera_groups, copy_name, left_out, own_sizes, solve
 from fipt_blender.prepare.steps import run_steps
 from fipt_blender.prepare.tonemap import tone_mapped
 from samples import textured_room
@@ -57,9 +49,7 @@ def poses(count: int) -> list[np.ndarray]:
     steps = np.linspace(-0.9, 0.9, count)
     return [
         look_at(
-            np.array(
-                [2.0 + 1.2 * np.sin(step), 0.9 + 0.3 * np.cos(3.0 * step), 1.2 + 0.3 * np.sin(5 * step)]
-            ),
+            np.array([2.0 + 1.2 * np.sin(step), 0.9 + 0.3 * np.cos(3.0 * step), 1.2 + 0.3 * np.sin(5 * step)]),
             TARGET + [0.4 * step, 0.0, 0.2 * np.cos(7.0 * step)],
         )
         for step in steps
@@ -157,11 +147,7 @@ def test_two_picked_points_give_meters(solved: tuple[PreparationFolder, Preparat
     true = [pose[:3, 3] for pose in poses(7)]
     for views, tolerance in (([0, 3, 6], 0.02), ([3], 0.05)):  # where rays meet; at the depth of points near
         reporter = run(
-            folder,
-            preparation,
-            scale="points",
-            scale_length=length,
-            scale_picks=picks([first, second], views),
+            folder, preparation, scale="points", scale_length=length, scale_picks=picks([first, second], views)
         )
         found = centers(folder)
         measured = distances([found[f"room {index}"] for index in range(7)])
@@ -173,9 +159,7 @@ def test_two_picked_points_give_meters(solved: tuple[PreparationFolder, Preparat
     assert folder.facts("solve").stat().st_mtime_ns == before, "the cameras are not solved again"
 
 
-def test_the_transform_to_a_mesh_is_applied_as_it_is(
-    solved: tuple[PreparationFolder, Preparation, Reporter],
-) -> None:
+def test_the_transform_to_a_mesh_is_applied_as_it_is(solved: tuple[PreparationFolder, Preparation, Reporter]) -> None:
     folder, preparation, _ = solved
     run(folder, preparation, scale="mesh", scale_matrix="1 0 0 0 0 1 0 0 0 0 1 0")
     plain = centers(folder)
@@ -209,9 +193,7 @@ def test_a_wrong_scale_is_refused_and_the_cameras_stay(
     assert not [path for path in (folder.root / "sparse").iterdir() if path.name != "0"]
 
 
-def test_an_existing_solve_is_taken(
-    solved: tuple[PreparationFolder, Preparation, Reporter], tmp_path: Path
-) -> None:
+def test_an_existing_solve_is_taken(solved: tuple[PreparationFolder, Preparation, Reporter], tmp_path: Path) -> None:
     """A solve of larger copies that bear the names of the photographs, in another format."""
     folder = PreparationFolder(tmp_path / "capture")
     room = textured_room.wall_textures(1)
@@ -280,9 +262,7 @@ def write_copies(folder: Path, images: dict[str, np.ndarray]) -> list[SolveView]
 
 def test_a_stopped_solve_goes_on_where_it_stood(tmp_path: Path) -> None:
     room = textured_room.wall_textures(1)
-    views = write_copies(
-        tmp_path, {f"v{i}": textured_room.photograph(pose, room) for i, pose in enumerate(poses(3))}
-    )
+    views = write_copies(tmp_path, {f"v{i}": textured_room.photograph(pose, room) for i, pose in enumerate(poses(3))})
 
     def stop(share: float) -> None:
         if share > 0.5:  # after features and matches
@@ -306,9 +286,7 @@ def test_a_stopped_solve_goes_on_where_it_stood(tmp_path: Path) -> None:
 
 def test_a_damaged_database_is_named(tmp_path: Path) -> None:
     room = textured_room.wall_textures(1)
-    views = write_copies(
-        tmp_path, {f"v{i}": textured_room.photograph(pose, room) for i, pose in enumerate(poses(2))}
-    )
+    views = write_copies(tmp_path, {f"v{i}": textured_room.photograph(pose, room) for i, pose in enumerate(poses(2))})
     (tmp_path / "database.db").write_bytes(b"not a database" * 100)
     caught = error_of(solve, tmp_path, views, 0, lambda share: None)
     assert caught.code == "solve-database" and "database.db" in caught.text
@@ -318,8 +296,7 @@ def test_without_overlap_the_solve_says_so(tmp_path: Path) -> None:
     """Two photographs of different walls; nothing of the capture is written."""
     folder = PreparationFolder(tmp_path / "capture")
     images = {
-        f"wall {seed}": textured_room.photograph(poses(1)[0], textured_room.wall_textures(seed))
-        for seed in (3, 4)
+        f"wall {seed}": textured_room.photograph(poses(1)[0], textured_room.wall_textures(seed)) for seed in (3, 4)
     }
     preparation = write_capture(folder, images)
     caught = error_of(run, folder, preparation)
@@ -335,11 +312,6 @@ def test_solving_needs_merged_images(tmp_path: Path) -> None:
     (folder.images / "a.exr").unlink()
     caught = error_of(run, folder, preparation)
     assert caught.code == "image-missing" and "merge" in caught.remedy
-
-
-def test_few_photographs_are_all_compared() -> None:
-    assert image_pairs(1) == [] and image_pairs(3) == [(0, 1), (0, 2), (1, 2)]
-    assert len(image_pairs(MOST_EXHAUSTIVE)) == MOST_EXHAUSTIVE * (MOST_EXHAUSTIVE - 1) // 2
 
 
 def test_many_photographs_are_compared_with_near_ones_and_loops_are_closed() -> None:

@@ -83,9 +83,7 @@ def capture(tmp_path: Path) -> tuple[PreparationFolder, Preparation, dict[str, n
     points = generator.uniform(0.0, 1.0, (900, 3)) * [SIZE[0], 0.0, SIZE[2]] + [0.0, SIZE[1], 0.0]
     model = pycolmap.Reconstruction()
     center = [0.5 * WIDTH, 0.5 * HEIGHT]
-    camera = pycolmap.Camera(
-        camera_id=1, model="SIMPLE_PINHOLE", width=WIDTH, height=HEIGHT, params=[FOCAL, *center]
-    )
+    camera = pycolmap.Camera(camera_id=1, model="SIMPLE_PINHOLE", width=WIDTH, height=HEIGHT, params=[FOCAL, *center])
     model.add_camera_with_trivial_rig(camera)
     share = light_share(TRUE, WIDTH, HEIGHT)[..., None]
     tracks: dict[int, pycolmap.Track] = {index: pycolmap.Track() for index in range(len(points))}
@@ -105,10 +103,7 @@ def capture(tmp_path: Path) -> tuple[PreparationFolder, Preparation, dict[str, n
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.linalg.inv(pose)[:3]))
         # A wall whose brightness is a smooth function of the position on it.
         x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
-        rays = (
-            np.stack([(x - center[0]) / FOCAL, (y - center[1]) / FOCAL, np.ones_like(x)], axis=-1)
-            @ pose[:3, :3].T
-        )
+        rays = np.stack([(x - center[0]) / FOCAL, (y - center[1]) / FOCAL, np.ones_like(x)], axis=-1) @ pose[:3, :3].T
         depth = (SIZE[1] - pose[1, 3]) / rays[..., 1]
         wall = pose[:3, 3] + rays * depth[..., None]
         value = 1.5 + np.sin(2.0 * wall[..., 0]) * np.cos(3.0 * wall[..., 2])
@@ -188,9 +183,7 @@ def test_radiance_files_and_known_lenses_are_left_alone(
     before = {path.name: path.read_bytes() for path in folder.images.iterdir()}
     linear = tuple(replace(photograph, kind="linear") for photograph in preparation.photographs)
     camera = {"make": "Canon", "model": "Canon EOS 5D Mark III", "lens": "EF24-105mm f/4L IS USM"}
-    known = tuple(
-        replace(item, focal_length=24.0, aperture=8.0, **camera) for item in preparation.photographs
-    )
+    known = tuple(replace(item, focal_length=24.0, aperture=8.0, **camera) for item in preparation.photographs)
     assert run(folder, replace(preparation, photographs=linear)).get("lenses", []) == []
     # The merge has corrected RAW photographs by the database, and JPEGs that the camera has not.
     for changes in ({"kind": "raw"}, {"corrected": False}):

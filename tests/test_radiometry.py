@@ -49,9 +49,7 @@ def test_the_basis_contains_other_responses():
         curve = true_curve(camera)
         contrast = contrast_of(curve)
         usable = slice(4, 252)
-        weights = np.linalg.lstsq(
-            basis.components[:, usable].T, (curve / contrast - basis.mean)[usable], rcond=None
-        )[0]
+        weights = np.linalg.lstsq(basis.components[:, usable].T, (curve / contrast - basis.mean)[usable], rcond=None)[0]
         found = basis.shape(weights) * contrast
         assert np.sqrt(((np.exp(found) - np.exp(curve)) ** 2).mean()) < 3e-3
 
@@ -100,18 +98,14 @@ def test_views_of_one_exposure_leave_the_prior():
     """Without differences of exposure nothing tells the shape, which the covariance says."""
     samples, _ = make_samples(CAMERAS[1], outliers=0.0)
     flat = np.round(interpolated(np.arange(256.0), samples.codes[:1]).repeat(len(samples.codes), 0))
-    found = adjust(
-        Samples(samples.point, samples.cluster, samples.view, samples.radius, flat), VIEWS, response_basis()
-    )
+    found = adjust(Samples(samples.point, samples.cluster, samples.view, samples.radius, flat), VIEWS, response_basis())
     assert np.isfinite(found.shape).all() and np.isfinite(found.covariance).all()
     assert np.abs(found.log_gains).max() < 1e-6
 
 
 def test_without_shared_points_nothing_is_adjusted():
     samples, _ = make_samples(CAMERAS[0])
-    alone = Samples(
-        np.arange(len(samples.view)), samples.cluster, samples.view, samples.radius, samples.codes
-    )
+    alone = Samples(np.arange(len(samples.view)), samples.cluster, samples.view, samples.radius, samples.codes)
     found = adjust(alone, VIEWS, response_basis())
     assert np.abs(found.log_gains).max() < 1e-9 and found.shared.max() == 0
     assert np.abs(found.shape - response_basis().shape(np.zeros(4))).max() < 1e-9
@@ -176,13 +170,3 @@ def test_radiance_of_codes_comes_back():
         light = 0.2 * np.exp(log_gains[view]) * (1.0 - camera.falloff * radius[:, None] ** 2)
         logs.append(found.values(view, camera.respond(light) * 255.0, radius) * found.factor)
     assert np.ptp(np.array(logs), axis=(0, 1)).max() < 0.04
-
-
-def test_facts_are_numbers_of_views():
-    samples, _ = make_samples(CAMERAS[0])
-    source = Source("usual", 1.1, 0.2)
-    found = Radiometry(adjust(samples, VIEWS, response_basis()), source, (source,))
-    facts = found.facts([f"v{i}" for i in range(VIEWS)], np.linspace(0.0, 0.5, VIEWS))
-    assert len(facts["log_curve"]) == 256 and facts["log_curve"][-1] == 0.0
-    assert facts["views"]["v11"]["clipped"] == 0.5 and facts["views"]["v0"]["white_balance"][1] == 1.0
-    assert facts["contrast"]["usual"] == [1.1, 0.2]

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.run import chain as chain_module
-from fipt_blender.core.run import finished_views
+from fipt_blender.core.run import finished_views, messages
 from fipt_blender.core.run.chain import Chain, Given, Stage, Tools, Watch
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
@@ -142,9 +143,7 @@ def test_the_method_is_part_of_the_keys(tmp_path: Path, monkeypatch: pytest.Monk
     assert work(tmp_path)[1] == ["table", "sum", "train"]
 
 
-@pytest.mark.parametrize(
-    "name", ["table/outputs.json", "table/table.npy", "sum/outputs.json", "train/outputs.json"]
-)
+@pytest.mark.parametrize("name", ["table/outputs.json", "table/table.npy", "sum/outputs.json", "train/outputs.json"])
 @pytest.mark.parametrize("content", [b"", b"cut off", None])
 def test_outputs_that_cannot_be_read_are_made_again(name: str, content: bytes | None, tmp_path: Path) -> None:
     first = work(tmp_path)[0]
@@ -170,9 +169,7 @@ def test_a_list_of_stages_that_cannot_be_read_begins_anew(text: str, tmp_path: P
     assert "checkpoint-damaged" in [warning["code"] for warning in reporter.warnings]
 
 
-def test_a_stage_that_replaces_another_removes_its_files_and_they_are_made_again_when_needed(
-    tmp_path: Path,
-) -> None:
+def test_a_stage_that_replaces_another_removes_its_files_and_they_are_made_again_when_needed(tmp_path: Path) -> None:
     def remake(inputs: Start, settings: Seeded, tools: Tools) -> Table:
         return Table(np.full((4, 2), float(inputs.number)), SOURCE)
 
@@ -185,9 +182,7 @@ def test_a_stage_that_replaces_another_removes_its_files_and_they_are_made_again
         chain_on(tmp_path, stages=[*stages[:2], replace(other, work=add_up)])
 
 
-def test_a_kill_amid_a_stage_keeps_its_finished_views(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kill_amid_a_stage_keeps_its_finished_views(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(finished_views, "NOTE_SECONDS", 0.0)
     seen: list[set[int]] = []
 
@@ -302,3 +297,23 @@ def test_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(FiptError) as caught:
         work(tmp_path, stages=[Stage("table", plain, "Making"), *STAGES[1:]])
     assert caught.value.code == "disk-full"
+
+
+def test_a_plan_is_continued_by_the_next_one_and_skipped_stages_tell_nothing_of_the_pace(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stream, clock = io.StringIO(), iter(range(1000))
+    monkeypatch.setattr(messages.time, "monotonic", lambda: 10.0 * next(clock))
+    reporter = Reporter(stream)
+    reporter.plan([1.0, 9.0])
+    reporter.stage("first", "First")
+    reporter.progress(1.0)
+    reporter.plan([1.0, 1.0, 1.0])
+    reporter.skip()
+    reporter.stage("second", "Second")
+    reporter.progress(1.0)
+    told = [json.loads(line) for line in stream.getvalue().splitlines()]
+    shares = [each["fraction"] for each in told if each["type"] == "progress"]
+    assert shares == [0.0, 0.1, 0.4, 0.7]
+    # The clock has told 40 seconds since the first plan, in which 0.4 were done and not skipped.
+    assert told[-1]["remaining_seconds"] == pytest.approx(30.0)

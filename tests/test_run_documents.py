@@ -69,9 +69,7 @@ def capture(**changes: Any) -> dict[str, Any]:
 def test_what_fits_becomes_the_dataclass() -> None:
     view = View("a", 8, as_matrix(POSE))
     assert as_kind(capture(), Capture) == Capture((view,))
-    more = capture(
-        **{"class": "wall", "points": [[1, 2.5, 3]], "share": 1, "counts": {"b": 2}, "used": False}
-    )
+    more = capture(**{"class": "wall", "points": [[1, 2.5, 3]], "share": 1, "counts": {"b": 2}, "used": False})
     points = ((1.0, 2.5, 3.0),)
     changed = replace(view, class_name="wall", points=points, share=1.0, counts={"b": 2}, used=False)
     assert as_kind(more, Capture).views == (changed,)

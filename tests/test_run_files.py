@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.run.arrays import read_arrays
 from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from samples.refusals import error_of
@@ -52,10 +51,6 @@ def refused(run: RunFolder) -> str:
     return caught.text
 
 
-def test_whole_files_are_read(run: RunFolder) -> None:
-    read_all(run)
-
-
 @pytest.mark.parametrize("name", ["room.npz", "atlas.npz"])
 @pytest.mark.parametrize(
     "damage",
@@ -91,10 +86,6 @@ def test_a_room_that_does_not_fit_itself_is_refused(run: RunFolder, change: dict
     assert text in refused(run)
 
 
-def test_an_array_that_is_missing_is_named(run: RunFolder) -> None:
-    assert "lacks the array 'x'" in str(error_of(read_arrays, run.room_npz, {"x": ("f", (3,))}))
-
-
 @pytest.mark.parametrize(
     ("change", "text"),
     [
@@ -107,9 +98,7 @@ def test_an_atlas_of_another_room_is_refused(run: RunFolder, change: dict, text:
     assert text in refused(run)
 
 
-@pytest.mark.parametrize(
-    "name", ["../../EVIL", "..", "", "a/b", "a\\b", "C:x", "a\0b", "x" * 300, ".hidden", "a\n", 5]
-)
+@pytest.mark.parametrize("name", ["../../EVIL", "..", "", "a/b", "a\\b", "C:x", "a\0b", "x" * 300, ".hidden", "a\n", 5])
 def test_names_of_images_are_file_names(run: RunFolder, name: object) -> None:
     run.atlas_json.write_text(json.dumps({"mode": "uv", "images": [{**IMAGE, "name": name}]}))
     assert "images[0].name should be a file name" in refused(run)

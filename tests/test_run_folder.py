@@ -95,12 +95,9 @@ def test_a_damaged_run_json_is_refused(run_folder: RunFolder, content: str) -> N
 
 
 @pytest.mark.parametrize(
-    "name, value",
-    [("doubt_pixels", False), ("lamp_outlines", True), ("emission", "joint"), ("lambda_joint", 0.5)],
+    "name, value", [("doubt_pixels", False), ("lamp_outlines", True), ("emission", "joint"), ("lambda_joint", 0.5)]
 )
-def test_a_run_with_a_setting_that_is_gone_is_read_without_it(
-    run_folder: RunFolder, name: str, value: object
-) -> None:
+def test_a_run_with_a_setting_that_is_gone_is_read_without_it(run_folder: RunFolder, name: str, value: object) -> None:
     settings = make_settings("draft", {"seed": 3})
     run_folder.create(settings)
     data = json.loads(run_folder.run_json.read_text())

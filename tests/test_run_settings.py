@@ -16,9 +16,7 @@ def test_presets_and_changes() -> None:
     for preset, values in PRESETS.items():
         settings = dataclasses.asdict(make_settings(preset))
         assert settings["preset"] == preset and values.items() <= settings.items()
-    changed = make_settings(
-        "draft", {"seed": "7", "denoise": "false", "lambda_part": "0", "batch_size": 64.0}
-    )
+    changed = make_settings("draft", {"seed": "7", "denoise": "false", "lambda_part": "0", "batch_size": 64.0})
     assert (changed.seed, changed.denoise, changed.lambda_part, changed.batch_size) == (7, False, 0.0, 64)
 
 
@@ -65,13 +63,8 @@ def test_presets_that_do_not_exist(preset: Any) -> None:
     assert "no preset" in str(error_of(make_settings, preset))
 
 
-def test_switches_take_true_false_one_and_zero() -> None:
-    for value, expected in (
-        (True, True),
-        (1, True),
-        ("TRUE", True),
-        (False, False),
-        (0, False),
-        ("0", False),
-    ):
-        assert make_settings("draft", {"denoise": value}).denoise is expected
+@pytest.mark.parametrize(
+    "value, expected", [(True, True), (1, True), ("TRUE", True), (False, False), (0, False), ("0", False)]
+)
+def test_switches_take_true_false_one_and_zero(value: Any, expected: bool) -> None:
+    assert make_settings("draft", {"denoise": value}).denoise is expected

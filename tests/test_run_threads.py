@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -14,9 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from fipt_blender.core.run.per_view import LocalWorkers, TwoSteps
 from fipt_blender.core.run.threads import MOST_THREADS, cached_property, in_threads
-from samples.child_processes import PATIENCE_SECONDS
 
 
 @pytest.mark.parametrize("cores", [None, 1, 2, 500])
@@ -46,36 +42,6 @@ def test_an_error_reaches_the_caller(monkeypatch: pytest.MonkeyPatch, cores: int
     monkeypatch.setattr(os, "cpu_count", lambda: cores)
     with pytest.raises(ZeroDivisionError):
         list(in_threads(lambda item: 1 / item, [1, 0, 2]))
-
-
-def test_the_second_step_of_a_view_runs_beside_the_first_of_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    next_began = [threading.Event() for _ in range(4)]
-
-    def first(item: int) -> int:
-        next_began[item].set()
-        return item
-
-    def second(item: int) -> int:
-        assert item == 3 or next_began[item + 1].wait(PATIENCE_SECONDS)
-        return item * item
-
-    class Work:
-        def prepare(self) -> TwoSteps[int, int, int]:
-            return TwoSteps(first, second)
-
-    assert list(LocalWorkers().map(Work(), range(4))) == [(0, 0), (1, 1), (2, 4), (3, 9)]
-
-
-_CODE = "from fipt_blender.core.run.messages import peak_memory_gb; print(peak_memory_gb())"
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the system counts otherwise")
-def test_the_memory_of_the_process_that_starts_the_engine_is_not_counted():
-    block = bytearray(400_000_000)
-    block[::4096] = b"x" * len(block[::4096])
-    result = subprocess.run([sys.executable, "-c", _CODE], capture_output=True, text=True, check=True)
-    assert 0.0 < float(result.stdout) < 0.2
 
 
 def test_a_property_is_computed_once_by_all_threads_together():

@@ -85,8 +85,7 @@ def write_solve(folder: Path, points: np.ndarray, poses: dict[str, np.ndarray]) 
     """A reconstruction of OpenSfM with these cameras and points."""
     (shot,) = rig_writers.make_shots(rig_writers.Style(off_centre=(0.0, 0.0)), 1)
     shots = [
-        replace(shot, name=f"{name}.jpg", rotation=pose[:3, :3].T, centre=pose[:3, 3])
-        for name, pose in poses.items()
+        replace(shot, name=f"{name}.jpg", rotation=pose[:3, :3].T, centre=pose[:3, 3]) for name, pose in poses.items()
     ]
     rig_writers.write_opensfm(folder, [shots], "perspective", points)
 

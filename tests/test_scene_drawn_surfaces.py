@@ -25,7 +25,7 @@ from samples.lost_things import HIGH, photographed, with_box
 from samples.part_views import looking_views, write_run
 from samples.refusals import error_of
 from samples.scans import scanned_box
-from samples.small_rooms import mesh_room
+from samples.small_rooms import mesh_room, write_room
 
 CLOSED_EDGES = 120
 
@@ -34,12 +34,7 @@ def written(root: Path, room: Room, exact: np.ndarray | None, **names) -> RunFol
     """A run with a room, of which some triangles (T,) are exact."""
     root.mkdir(exist_ok=True)
     run = RunFolder(root)
-    arrays = ("vertices", "triangles", "corner_normals", "triangle_object", "triangle_material")
-    exact_too = {} if exact is None else {"triangle_exact": exact}
-    polygons = np.arange(len(room.triangles), dtype=np.int32)
-    np.savez(
-        run.room_npz, triangle_polygon=polygons, **{name: getattr(room, name) for name in arrays}, **exact_too
-    )
+    write_room(root, room, **({} if exact is None else {"triangle_exact": exact}))
     objects = [f"object {index}" for index in range(int(room.triangle_object.max()) + 1)]
     write_json(run.room_json, {"objects": objects, "materials": objects, "parts": "none", **names})
     prepare_geometry(run, most_edges=CLOSED_EDGES)

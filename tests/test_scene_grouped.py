@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sums and medians of groups: the same as numpy's and the standard library's, group by group."""
+"""Sums and medians of groups as numpy has them group by group; connected components."""
 
 import statistics
 
 import numpy as np
 import pytest
 
+from fipt_blender.core.parts.components import graph_components, mesh_components
 from fipt_blender.core.pixels.grouped import (
     first_by_key,
     grouped_means,
@@ -14,7 +15,6 @@ from fipt_blender.core.pixels.grouped import (
     grouped_sums,
     grouped_weighted_median,
     numbered,
-    place_of,
     summed_by_key,
 )
 
@@ -43,11 +43,6 @@ def test_sums_are_those_of_each_group_alone(rng: np.random.Generator) -> None:
     means = grouped_means(values, group, 42)
     assert np.isnan(means[40:]).all() and np.isnan(grouped_means(values[:, 0], group, 42)[40:]).all()
     np.testing.assert_allclose(means[:40], [values[group == index].mean(axis=0) for index in range(40)])
-
-
-def test_places_are_those_of_keys_that_are_there() -> None:
-    assert place_of(np.array([2, 5, 9]), np.array([9, 1, 5, 6, 2, 10])).tolist() == [2, -1, 1, -1, 0, -1]
-    assert place_of(np.zeros(0, np.int64), np.array([0, 3])).tolist() == [-1, -1]
 
 
 def test_keys_in_pieces_give_what_all_of_them_give_at_once(rng: np.random.Generator) -> None:
@@ -79,3 +74,20 @@ def test_numbers_follow_the_order_of_the_combinations(rng: np.random.Generator, 
     assert combinations.shape[1] < 200
     assert (numbered(columns) == expected.reshape(-1)).all()
     assert not len(numbered([np.zeros(0, np.int32)] * 2))
+
+
+def test_components_are_numbered_by_their_lowest_nodes():
+    pairs = np.array([[6, 5], [4, 1], [1, 4], [2, 2], [3, 6]])
+    assert graph_components(pairs, 8).tolist() == [0, 1, 2, 3, 1, 3, 3, 4]
+    assert graph_components(np.zeros((0, 2), int), 3).tolist() == [0, 1, 2]
+    assert graph_components(np.zeros((0, 2), int), 0).tolist() == []
+
+
+def test_an_edge_given_often_still_counts():
+    assert graph_components(np.tile([[0, 1]], (512, 1)), 2).tolist() == [0, 0]
+
+
+def test_triangles_are_connected_through_shared_vertices():
+    corners = np.array([[7, 8, 9], [1, 2, 3], [3, 4, 5], [11, 9, 12]])
+    assert mesh_components(corners).tolist() == [1, 0, 0, 1]
+    assert mesh_components(np.zeros((0, 3), int)).tolist() == []

@@ -43,12 +43,6 @@ def test_the_highest_id_counts_and_huge_ids_cost_nothing() -> None:
     assert peak < 1_000_000
 
 
-def test_unseen_triangles_take_their_neighbours_labels() -> None:
-    strip = np.array([[i, i + 1, i + 2] for i in range(6)] + [[20, 21, 22]])
-    found = spread_labels(np.array([4, -1, -1, -1, -1, 9, -1]), strip)
-    assert found.tolist() == [4, 4, 4, 9, 9, 9, NO_PART]
-
-
 @pytest.mark.parametrize("seed", range(20))
 def test_labels_spread_ring_by_ring_whatever_the_mesh(seed: int) -> None:
     random = np.random.default_rng(seed)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.capture.images import read_ids, write_exr
-from fipt_blender.core.parts import linked_masks, linking
+from fipt_blender.core.parts import linking
 from fipt_blender.core.parts.linked_masks import link_masks, shared_ids
 from fipt_blender.core.parts.linking import RegionPixels, link_regions
 from fipt_blender.core.surface.room import load_room
@@ -107,9 +107,7 @@ def block() -> tuple[np.ndarray, np.ndarray]:
     step = np.linspace(-0.4, 0.4, count + 1)
     u, v = (axis.ravel() for axis in np.meshgrid(step, step, indexing="ij"))
     corner = np.arange((count + 1) ** 2).reshape(count + 1, count + 1)
-    quads = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1).reshape(
-        -1, 4
-    )
+    quads = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1).reshape(-1, 4)
     triangles = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
     far = np.full_like(u, 0.4)
     sides = [(u, v, far), (far, u, v), (-far, -u, v), (-u, far, v), (u, -far, v)]
@@ -125,9 +123,7 @@ def run_and_views(tmp_path: Path, rng: np.random.Generator):
     vertices = np.concatenate([scan.vertices, vertices + rng.normal(0.0, 0.003, vertices.shape)])
     triangles = np.concatenate([scan.triangles, triangles + len(scan.vertices)])
     thing = np.arange(len(triangles)) >= len(scan.triangles)
-    run = write_run(
-        tmp_path, mesh_room(vertices, triangles, np.zeros(len(triangles)), parts="masks"), "masks"
-    )
+    run = write_run(tmp_path, mesh_room(vertices, triangles, np.zeros(len(triangles)), parts="masks"), "masks")
     views = looking_views(tmp_path, mesh_room(vertices, triangles, thing, parts="masks"))
     return run, views, with_own_ids(views, rng)
 
@@ -182,14 +178,3 @@ def test_places_that_no_two_views_share_take_bounded_memory_and_time(monkeypatch
     tracemalloc.stop()
     # 500 sets of one view each are one region of it; all others stay alone. All pairs would take 1.8 GB.
     assert len(np.unique(part)) > count - 500 and peak < 200e6
-
-
-def test_cells_get_wider_where_views_see_too_many(run_and_views, monkeypatch: pytest.MonkeyPatch) -> None:
-    run, _, own = run_and_views
-    seen = linked_masks.seen_cells(load_room(run), own)
-    cells, places = linked_masks.numbered_cells(seen)
-    monkeypatch.setattr(linked_masks, "MOST_CELLS", 100)
-    wider, fewer = linked_masks.numbered_cells(seen)
-    assert len(places) > 100 >= len(fewer) > 10
-    assert all((one >= 0).tolist() == (other >= 0).tolist() for one, other in zip(cells, wider, strict=True))
-    assert max(int(cell.max()) for cell in wider) == len(fewer) - 1

@@ -13,7 +13,6 @@ import pytest
 from fipt_blender.core.alignment.edges import corrected_pose, edge_flow
 from fipt_blender.core.alignment.turns import turn_by
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.checks import survey
 from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at
 from samples.small_rooms import BOX, make_room
@@ -45,10 +44,7 @@ def views() -> list[View]:
     poses = [look_at([0.2, -1.6, 1.6], [0.0, 1.5, 0.9]), look_at([1.5, -1.4, 1.9], [-0.8, 1.6, 0.7])]
     lens = {"width": WIDTH, "height": HEIGHT, "fx": 210.0, "fy": 212.0, "cx": 163.0, "cy": 118.0}
     none = dict.fromkeys(("parts", "semantics", "mask"))
-    return [
-        View(str(i), "train", Path("a.exr"), camera_to_world=pose, **lens, **none)
-        for i, pose in enumerate(poses)
-    ]
+    return [View(str(i), "train", Path("a.exr"), camera_to_world=pose, **lens, **none) for i, pose in enumerate(poses)]
 
 
 def photograph(room: Room, view: View, seed: int) -> np.ndarray:
@@ -123,9 +119,3 @@ def test_large_photographs_are_compared_smaller_in_their_own_pixels(room: Room, 
     found = view_misfit(room, replace(view, **lens), image)
     assert found is not None and found[1] == 2
     assert found[0].misfit * found[1] == pytest.approx(12.0, rel=1.0 / 3.0)
-
-
-def test_the_words_for_a_view() -> None:
-    facts = survey.PhotographFacts(looks_ldr=True, misfit=3.24, much_off=True)
-    assert survey.view_warning(facts, 1.0) == "the mesh is 3.2 pixels off in this view"
-    assert "8-bit" in survey.view_warning(replace(facts, much_off=False), 1.0)

@@ -63,11 +63,7 @@ def cleaned(room: Room) -> Room:
     clean = clean_mesh(room.vertices, room.triangles)
     assert clean is not None
     return replace(
-        room,
-        vertices=clean.vertices,
-        corner_normals=clean.corner_normals,
-        plane=clean.plane,
-        noise=clean.noise,
+        room, vertices=clean.vertices, corner_normals=clean.corner_normals, plane=clean.plane, noise=clean.noise
     )
 
 

@@ -31,10 +31,7 @@ def two_parts(tmp_path: Path) -> tuple[PixelStore, np.ndarray]:
     image = tmp_path / "image.exr"
     write_exr(image, np.full((HEIGHT, WIDTH, 3), 0.5, np.float32))
     room = make_room(
-        [
-            [[-3, -3, 0], [0.03, -3, 0], [0.03, 3, 0], [-3, 3, 0]],
-            [[0.03, -3, 0], [3, -3, 0], [3, 3, 0], [0.03, 3, 0]],
-        ]
+        [[[-3, -3, 0], [0.03, -3, 0], [0.03, 3, 0], [-3, 3, 0]], [[0.03, -3, 0], [3, -3, 0], [3, 3, 0], [0.03, 3, 0]]]
     )
     store = open_pixels(tmp_path / "pixels", [floor_camera(image)], create=True)
     assert fill_pixels(store, room, lambda done: None) == pytest.approx(0.5)
@@ -61,16 +58,6 @@ def test_a_mixed_pixel_takes_a_donor_of_its_own_part(two_parts: tuple[PixelStore
     assert (find_donors(store, 0, part, 0).reshape(HEIGHT, WIDTH)[:, 8] == -1).all()
 
 
-def test_the_reach_counts_steps(two_parts: tuple[PixelStore, np.ndarray]) -> None:
-    store, part = two_parts
-    pure = np.ones((HEIGHT, WIDTH), bool)
-    pure[:, 10:] = False
-    store.pure[:] = pure.reshape(-1)
-    donors = find_donors(store, 0, np.zeros_like(part), 3).reshape(HEIGHT, WIDTH)
-    own = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
-    assert (donors[:, 10:13] == own[:, 9:10]).all() and (donors[:, 13:] == -1).all()
-
-
 def test_masked_pixels_are_neither_room_nor_outside(tmp_path: Path) -> None:
     """The left half is masked; its glare must not affect the scale, the pixels or the environment."""
     image, mask = tmp_path / "image.exr", tmp_path / "mask.exr"
@@ -85,9 +72,7 @@ def test_masked_pixels_are_neither_room_nor_outside(tmp_path: Path) -> None:
     assert fill_pixels(store, room, lambda done: None) == pytest.approx(0.5)
     mark_pure(store, room, np.zeros(2, int), lambda done: None)
     triangle = np.asarray(store.triangle).reshape(HEIGHT, WIDTH)
-    assert (triangle[:, :8] == LEFT_OUT).all() and not np.asarray(store.pure).reshape(HEIGHT, WIDTH)[
-        :, :8
-    ].any()
+    assert (triangle[:, :8] == LEFT_OUT).all() and not np.asarray(store.pure).reshape(HEIGHT, WIDTH)[:, :8].any()
     assert (triangle[:2, 8:] == NO_TRIANGLE).all() and (triangle[4:, 8:] >= 0).all()
     ((_, radiance),) = outside_pixels(store)
     assert len(radiance) and np.allclose(radiance, 1.0)

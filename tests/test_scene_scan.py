@@ -13,30 +13,30 @@ from fipt_blender.core.parts.segments import absorb_small
 from fipt_blender.core.parts.smooth_parts import Votes, smooth_labels, without_specks
 from fipt_blender.core.run.run_files import PANES
 from fipt_blender.core.surface.adjacency import Mesh
-from fipt_blender.core.surface.part_adjacency import PLACE_NOISE, find_adjacency
+from fipt_blender.core.surface.scan import PLACE_NOISE
 from samples.scans import scanned_box
 from samples.small_rooms import BOX, make_room
 
 STRIP = np.array([[i, i + 1, i + 2] for i in range(40)])
 
 
-def strip_adjacency():
+def strip_mesh():
     vertices = np.array([[0.5 * i, i % 2, 0.0] for i in range(42)])
-    return find_adjacency(Mesh(vertices, STRIP))
+    return Mesh(vertices, STRIP)
 
 
 def test_triangles_that_share_an_edge_are_neighbours() -> None:
-    adjacency = strip_adjacency()
-    pairs = {tuple(sorted(pair)) for pair in adjacency.pairs.tolist()}
+    mesh = strip_mesh()
+    pairs = {tuple(sorted(pair)) for pair in mesh.dual_edges.tolist()}
     assert pairs == {(i, i + 1) for i in range(39)}
-    assert np.allclose(adjacency.length, np.hypot(0.5, 1.0))
-    assert (adjacency.matrix(adjacency.length) - adjacency.matrix(adjacency.length).T).nnz == 0
+    assert np.allclose(mesh.dual_lengths, np.hypot(0.5, 1.0))
+    assert (mesh.dual_matrix(mesh.dual_lengths) - mesh.dual_matrix(mesh.dual_lengths).T).nnz == 0
 
 
 def test_an_edge_of_three_triangles_connects_none() -> None:
     triangles = np.array([[0, 1, 2], [0, 1, 3], [1, 0, 4], [2, 1, 5]])
-    adjacency = find_adjacency(Mesh(np.eye(6)[:, :3], triangles))
-    assert {tuple(sorted(pair)) for pair in adjacency.pairs.tolist()} == {(0, 3)}
+    mesh = Mesh(np.eye(6)[:, :3], triangles)
+    assert {tuple(sorted(pair)) for pair in mesh.dual_edges.tolist()} == {(0, 3)}
 
 
 def test_scans_are_rough_and_modelled_rooms_are_not() -> None:
@@ -70,7 +70,7 @@ def test_parts_of_a_scan_follow_the_walk_of_the_votes() -> None:
     shown = part_at(room.scan.centers[seen] + rng.normal(0.0, 0.2, (len(seen), 3)))
     centers = room.scan.centers
     true = np.where((side == 0) & (np.abs(centers[:, :2]) < 1.0).all(axis=1), 9, side + 1)
-    found = smooth_labels(Votes(seen, shown, np.ones(len(seen))), room.scan.adjacency, room.scan.cross)
+    found = smooth_labels(Votes(seen, shown, np.ones(len(seen))), room.scan.mesh, room.scan.cross)
     wrong_before = np.count_nonzero(shown != true[seen])
     assert wrong_before > 0.01 * len(seen)
     assert np.count_nonzero(found[seen] != true[seen]) < 0.6 * wrong_before
@@ -91,8 +91,8 @@ def test_specks_join_the_part_around_them_and_small_parts_stay() -> None:
     label[10] = 1  # a speck of the part that the end of the strip has
     label[30:] = 1
     label[20:22] = 2  # a part of its own
-    kept = without_specks(label, strip_adjacency(), np.where(label == 1, 2.0, 1.0))
-    kept_more = without_specks(np.where(np.arange(40) == 11, 1, label), strip_adjacency(), np.ones(40))
+    kept = without_specks(label, strip_mesh(), np.where(label == 1, 2.0, 1.0))
+    kept_more = without_specks(np.where(np.arange(40) == 11, 1, label), strip_mesh(), np.ones(40))
     assert kept[10] == 0 and np.array_equal(np.delete(kept, 10), np.delete(label, 10))
     assert kept_more[10] == kept_more[11] == 1  # two of twelve are more than a tenth
 
@@ -115,9 +115,7 @@ def test_objects_and_materials_of_a_scan_are_parts_only_if_asked_for() -> None:
     for noise, chosen in ((0.003, "none"), (0.0, "materials")):
         room, side = scanned_box(noise=noise)
         paged = (side % 2).astype(np.int32)
-        room = replace(
-            room, triangle_object=paged, triangle_material=paged, objects=("scan", PANES), parts="auto"
-        )
+        room = replace(room, triangle_object=paged, triangle_material=paged, objects=("scan", PANES), parts="auto")
         assert choose_source(room, []) == chosen
         assert choose_source(replace(room, parts="objects"), []) == "objects"
 
@@ -125,7 +123,7 @@ def test_objects_and_materials_of_a_scan_are_parts_only_if_asked_for() -> None:
 def test_small_components_join_the_neighbour_with_the_longest_border() -> None:
     component = np.zeros(40, np.int64)
     component[5:7], component[7:] = 1, 2
-    joined = absorb_small(component, strip_adjacency(), np.ones(40), 4.0)
+    joined = absorb_small(component, strip_mesh(), np.ones(40), 4.0)
     assert len(np.unique(joined)) == 2 and len(np.unique(joined[5:7])) == 1
-    alone = absorb_small(np.zeros(40, np.int64), strip_adjacency(), np.ones(40), 100.0)
+    alone = absorb_small(np.zeros(40, np.int64), strip_mesh(), np.ones(40), 100.0)
     assert not alone.any()  # without a neighbour it stays

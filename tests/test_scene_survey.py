@@ -13,9 +13,7 @@ import numpy as np
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.checks import survey
-from fipt_blender.core.parts.labels import loose_pieces
 from fipt_blender.core.run.messages import Reporter, parse_message
-from fipt_blender.core.surface.adjacency import weld
 from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at
 from samples.refusals import error_of
@@ -99,27 +97,6 @@ def test_triangles_between_the_rays_are_seen_and_hidden_ones_not(tmp_path):
     assert ((areas[12:20] > 0.0) == toward).all()
 
 
-def test_no_rays_are_needed_for_triangles_out_of_the_image_that_are_known(tmp_path):
-    from fipt_blender.core.capture.views import load_capture
-    from fipt_blender.core.parts.coverage import view_coverage
-    from fipt_blender.core.run.runfolder import RunFolder
-
-    room = make_room(BOX)
-    poses = {
-        "in": look_at([0.0, -1.0, 1.5], [0.0, 2.0, 1.5]),
-        "away": look_at([0.0, -4.0, 1.5], [0.0, -9.0, 1.5]),
-    }
-    write_survey_input(tmp_path / "in", room, poses)
-    inside, away = load_capture(RunFolder(tmp_path / "in")).views
-    known, unknown = np.ones(len(room.triangles), bool), np.zeros(len(room.triangles), bool)
-    first = view_coverage(room, inside, unknown)
-    again = view_coverage(room, inside, known)
-    assert (again.seen == first.seen).all() and first.seen.any()
-    assert (again.in_sight == first.seen).all() and first.in_sight.all()
-    nothing = view_coverage(room, away, known)
-    assert not nothing.seen.any() and not nothing.in_sight.any()
-
-
 def test_missing_unusable_and_clipped_photographs_are_named(tmp_path):
     pose = look_at([0.0, -1.0, 1.5], [0.0, 2.0, 1.5])
     names = ("good", "gone", "small", "clipped", "ldr", "hidden")
@@ -144,15 +121,11 @@ def test_missing_unusable_and_clipped_photographs_are_named(tmp_path):
 def test_regions_of_single_photographs_are_linked_before_they_are_counted(tmp_path):
     folder, names = tmp_path / "in", ("a", "b", "c")
     room = make_room(BOX, objects=np.zeros(6, int))
-    poses = {
-        name: look_at([x, -1.0, 1.5], [0.0, 2.0, 1.5]) for x, name in zip((-0.3, 0, 0.3), names, strict=True)
-    }
+    poses = {name: look_at([x, -1.0, 1.5], [0.0, 2.0, 1.5]) for x, name in zip((-0.3, 0, 0.3), names, strict=True)}
     write_survey_input(folder, room, poses, **{name: {"parts": f"ids_{name}.exr"} for name in names})
     halves = np.repeat([0, 1], HEIGHT // 2)[:, None].repeat(WIDTH, axis=1)
     for number, name in enumerate(names):
-        write_exr(
-            folder / f"ids_{name}.exr", np.array([[1, 2], [2, 1], [5, 9]])[number][halves].astype(float)
-        )
+        write_exr(folder / f"ids_{name}.exr", np.array([[1, 2], [2, 1], [5, 9]])[number][halves].astype(float))
     data, _, labels = run_survey(folder, len(room.triangles))
     assert data["parts"]["counts"]["masks"] == 2
     assert len(set(labels["masks"][list(CEILING)])) == 1 and len(set(labels["masks"][list(FLOOR)])) == 1
@@ -168,22 +141,7 @@ def test_masks_of_ticked_views_become_parts(tmp_path):
     write_exr(folder / "ids.exr", ids)
     data, _, labels = run_survey(folder, len(room.triangles))
     assert data["parts"]["auto"] == "masks" and data["parts"]["counts"]["masks"] == 2
-    assert labels["masks"][list(CEILING)].tolist() == [0, 0] and labels["masks"][list(FLOOR)].tolist() == [
-        1,
-        1,
-    ]
+    assert labels["masks"][list(CEILING)].tolist() == [0, 0] and labels["masks"][list(FLOOR)].tolist() == [1, 1]
     write_exr(folder / "ids.exr", ids[:4])
     error = error_of(run_survey, folder, len(room.triangles))
     assert error.code == "mask-size" and "ids.exr" in error.text
-
-
-def test_loose_pieces_stay_inside_objects_and_follow_long_chains():
-    strip = np.array([[i, i + 1, i + 2] for i in range(500)])[::-1]
-    far = np.array([[600, 601, 602]])
-    pieces = loose_pieces(np.concatenate([strip, far]), np.zeros(501, int))
-    assert len(np.unique(pieces[:500])) == 1 and pieces[500] != pieces[0]
-    halves = (np.arange(501) % 2).astype(int)  # neighbours of different objects are not connected
-    assert len(np.unique(loose_pieces(np.concatenate([strip, far]), halves))) > 2
-    room = make_room(BOX, objects=np.zeros(6, int))
-    assert len(np.unique(loose_pieces(weld(room.vertices)[room.triangles], room.triangle_object))) == 1
-    assert len(loose_pieces(np.zeros((0, 3), int), np.zeros(0, int))) == 0

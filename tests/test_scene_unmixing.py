@@ -16,14 +16,7 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.pixels.fragments import OUTSIDE, SUBPIXELS, Fragments, group_samples
 from fipt_blender.core.pixels.mixed_pixels import mark_pure
 from fipt_blender.core.pixels.store import PixelStore, fill_pixels, open_pixels
-from fipt_blender.core.pixels.unmixing import (
-    at_centres,
-    fit_unknown,
-    posterior,
-    standard_error,
-    unmix_pixels,
-    weights,
-)
+from fipt_blender.core.pixels.unmixing import at_centres, fit_unknown, posterior, standard_error, unmix_pixels, weights
 from fipt_blender.core.surface.room import Room
 from samples.small_rooms import make_room
 
@@ -53,9 +46,7 @@ def photograph(view: View, bounds: list[float], colors: np.ndarray) -> None:
     write_exr(view.image, image.astype(np.float32))
 
 
-def unmixed(
-    room: Room, views: list[View], folder: Path, labels: np.ndarray, workers: Any = None
-) -> PixelStore:
+def unmixed(room: Room, views: list[View], folder: Path, labels: np.ndarray, workers: Any = None) -> PixelStore:
     store = open_pixels(folder, views, create=True)
     scale = fill_pixels(store, room, lambda done: None)
     store.radiance[:] *= scale
@@ -77,9 +68,7 @@ def test_two_halves_of_known_colours_are_recovered(tmp_path: Path) -> None:
         np.testing.assert_array_equal(store.own[~mixed], store.radiance[~mixed])
         true = colors[labels[store.triangle[mixed]]]
         assert np.abs(store.own[mixed] / true - 1.0).max() < 0.08
-        assert (
-            np.abs(store.own[mixed] - true).mean(axis=1) < np.abs(store.radiance[mixed] - true).mean(axis=1)
-        ).all()
+        assert (np.abs(store.own[mixed] - true).mean(axis=1) < np.abs(store.radiance[mixed] - true).mean(axis=1)).all()
 
 
 def test_a_strip_of_a_third_of_a_pixel_gets_its_own_radiance(tmp_path: Path) -> None:

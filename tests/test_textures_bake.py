@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baking analytic fields: lookups in the textures at random surface points return the fields."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -53,9 +51,7 @@ def run(tmp_path):
     b = np.array([(0, 0), (0, 1), (-1, 1), (-1, 0)]) * TEXELS + (100.6, 10.1)  # turned by a quarter
     uv = np.array([a[[0, 1, 2]], a[[0, 2, 3]], b[[0, 1, 2]], b[[0, 2, 3]]]) / (width, height)
     np.savez(folder.atlas_npz, corner_uv=uv.astype(np.float32), triangle_image=np.zeros(4, np.int32))
-    write_json(
-        folder.atlas_json, {"mode": "uv", "images": [{"name": "Room.001", "width": width, "height": height}]}
-    )
+    write_json(folder.atlas_json, {"mode": "uv", "images": [{"name": "Room.001", "width": width, "height": height}]})
     return folder
 
 
@@ -83,9 +79,7 @@ def look_up(image, uv):
     x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
     fx, fy = (x - x0)[:, None], (y - y0)[:, None]
     pixel = lambda dy, dx: image[np.clip(y0 + dy, 0, height - 1), np.clip(x0 + dx, 0, width - 1)]  # noqa: E731
-    return (pixel(0, 0) * (1 - fx) + pixel(0, 1) * fx) * (1 - fy) + (
-        pixel(1, 0) * (1 - fx) + pixel(1, 1) * fx
-    ) * fy
+    return (pixel(0, 0) * (1 - fx) + pixel(0, 1) * fx) * (1 - fy) + (pixel(1, 0) * (1 - fx) + pixel(1, 1) * fx) * fy
 
 
 def read_map(folder, name):
@@ -154,24 +148,6 @@ def test_colour_attributes_hold_the_field_at_corners(run):
         assert np.abs(corner["roughness"].ravel() - expected[1]).max() < 2e-3
 
 
-def test_missing_atlas_is_explained(run):
-    run.atlas_npz.unlink()
-    assert error_of(bake.bake, run, AnalyticFields()).code == "file-missing"
-
-
-def test_command_is_listed_and_fails_with_a_message(run, capfd):
-    import subprocess
-    import sys
-
-    child = subprocess.run(
-        [sys.executable, "-m", "fipt_blender.core", "textures", str(run.root / "nothing")],
-        capture_output=True,
-        text=True,
-    )
-    messages = [json.loads(line) for line in child.stdout.splitlines()]
-    assert child.returncode == 1 and messages[-1]["type"] == "error"
-
-
 # --- rasteriser ------------------------------------------------------------------------------------------
 
 
@@ -203,10 +179,7 @@ def test_small_triangles_are_found_like_by_trying_all():
         away = np.linalg.norm(offset - along[..., None] * edge, axis=2)
         distance = np.minimum(distance, away)
     # Inside a triangle the distance is zero: a centre is on the same side of all edges.
-    sides = [
-        cross(corners[:, (k + 1) % 3] - corners[:, k], centers[:, None] - corners[None, :, k])
-        for k in range(3)
-    ]
+    sides = [cross(corners[:, (k + 1) % 3] - corners[:, k], centers[:, None] - corners[None, :, k]) for k in range(3)]
     distance[(np.sign(sides) == np.sign(sides[0])).all(axis=0)] = 0.0
     nearest = distance.argmin(axis=1)
     expected = np.flatnonzero(distance.min(axis=1) <= 0.75)

@@ -23,11 +23,7 @@ from samples.small_rooms import mesh_room
 
 SIZE, FACTOR = 256, 8  # pixels of a photograph, and in one of light, along each axis
 TEXELS = 160  # on the wall, along each axis
-PLACES = (
-    (0.3, 0.6, 1.6),
-    (1.0, 1.0, 1.5),
-    (1.6, 1.3, 1.7),
-)  # of the cameras, which look down on a wall of 2 x 2 m
+PLACES = ((0.3, 0.6, 1.6), (1.0, 1.0, 1.5), (1.6, 1.3, 1.7))  # of the cameras, which look down on a wall of 2 x 2 m
 PHOTOGRAPHS = 3
 
 
@@ -79,9 +75,7 @@ def photograph(view, color, light, shelf):
 def hits(view, dx, dy, shelf):
     """Points (H, W, 3) that the places of the pixels see, and whether they are on the shelf."""
     row, column = np.mgrid[0 : view.height, 0 : view.width]
-    along = np.stack(
-        [(column + dx - view.cx) / view.fx, (row + dy - view.cy) / view.fy, np.ones(row.shape)], axis=-1
-    )
+    along = np.stack([(column + dx - view.cx) / view.fx, (row + dy - view.cy) / view.fy, np.ones(row.shape)], axis=-1)
     along = along @ view.camera_to_world[:3, :3].T
     eye = view.camera_to_world[:3, 3]
     point = eye + along * ((0.0 - eye[2]) / along[..., 2:])
@@ -106,9 +100,7 @@ def scene(folder, color, light, gains=(1.0, 1.0, 1.0), noise=0.0, shelf=False):
     for index, place in enumerate(PLACES):
         pose = np.diag([1.0, -1.0, -1.0, 1.0])
         pose[:3, 3] = place
-        view = View(
-            f"train/{index}", "train", folder / f"{index}.exr", SIZE, SIZE, 150.0, 150.0, 128.0, 128.0, pose
-        )
+        view = View(f"train/{index}", "train", folder / f"{index}.exr", SIZE, SIZE, 150.0, 150.0, 128.0, 128.0, pose)
         image = photograph(view, color, light, shelf) * gains[index]
         write_exr(view.image, image * (1.0 + noise * rng.normal(size=image.shape)))
         small = view.resized(SIZE // FACTOR, SIZE // FACTOR)

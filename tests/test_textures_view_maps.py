@@ -81,10 +81,3 @@ def test_the_fields_are_asked_at_surface_points_alone(run):
             return super().query(positions, triangles)
 
     write_view_maps(run, Finite(), VIEWS)
-
-
-def test_a_room_without_lamps_has_maps_without_emission(run):
-    write_json(run.emitters_json, {"fixtures": [], "environment": None})
-    files = write_view_maps(run, Fields(), VIEWS)
-    maps = {path.stem: read_radiance(path) for path in files[:-1]}
-    assert not maps["000_emission"].any() and (maps["000_roughness"][:, :12] == 0.25).all()

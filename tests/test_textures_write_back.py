@@ -35,9 +35,7 @@ def test_the_correction_is_exact_for_greys_and_never_negative(masking):
     whole = share < 1.0
     assert whole.mean() > 0.7
     assert np.allclose((share[:, None] * principled + diffuse)[whole], wanted[whole], atol=1e-9)
-    assert np.allclose(
-        share[:, None] * principled + diffuse, wanted, atol=2e-3 if masking == "schlick" else 0.04
-    )
+    assert np.allclose(share[:, None] * principled + diffuse, wanted, atol=2e-3 if masking == "schlick" else 0.04)
 
 
 def test_the_table_interpolates_between_its_entries():

@@ -7,7 +7,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import subprocess
 import sys
 import tomllib
 import zipfile
@@ -54,9 +53,7 @@ def test_zip_is_the_extension_and_reproducible(dev: ModuleType, tmp_path: Path) 
         assert name.split("/")[0] not in foreign
 
 
-def test_the_index_offers_the_zip_to_blender(
-    dev: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_index_offers_the_zip_to_blender(dev: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import bpy
 
     monkeypatch.setattr(dev, "VENV", Path(bpy.utils.resource_path("LOCAL")))
@@ -81,9 +78,7 @@ def test_a_release_has_the_zip_its_checksum_and_notes(dev: ModuleType, tmp_path:
     assert notes.strip() in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
-def test_build_refuses_versions_that_disagree(
-    dev: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_build_refuses_versions_that_disagree(dev: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     versions = {"blender_manifest.toml": "0.1.0", "pyproject.toml": "0.2.0"}
     monkeypatch.setattr(dev, "read_versions", lambda: versions)
     with pytest.raises(dev.SetupError, match=r"0\.2\.0"):
@@ -136,14 +131,6 @@ def test_set_up_is_done_once_and_again_when_something_changed(dev: ModuleType, t
     assert not pins.is_set_up(tmp_path, key)
     stamp.write_text("{")
     assert not pins.is_set_up(tmp_path, key)
-
-
-def test_unknown_command_and_help() -> None:
-    command = [sys.executable, str(ROOT / "dev.py")]
-    unknown = subprocess.run([*command, "nonsense"], capture_output=True, text=True)
-    assert unknown.returncode == 2 and "demo" in unknown.stdout
-    helped = subprocess.run([*command, "--help"], capture_output=True, text=True)
-    assert helped.returncode == 0 and helped.stdout == unknown.stdout
 
 
 def test_unsupported_python_is_named(

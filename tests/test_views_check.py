@@ -13,15 +13,7 @@ from fipt_blender.core.checks.registration import Fit, register
 from fipt_blender.core.checks.view_check import ViewCheck
 from fipt_blender.core.pixels.store import LEFT_OUT, NO_TRIANGLE, PixelStore
 from samples.checked_views import run_check
-from samples.small_captures import (
-    CAMERAS,
-    COLORS,
-    PANEL,
-    PANEL_RADIANCE,
-    SmallCapture,
-    matt,
-    photograph_room,
-)
+from samples.small_captures import CAMERAS, COLORS, PANEL, PANEL_RADIANCE, SmallCapture, matt, photograph_room
 from samples.small_rooms import BOX, make_room, table
 
 EXTRA_CAMERAS = [[[1.5, 0.2, 1.8], [-1.2, -0.4, 0.6]], [[-0.3, 1.7, 1.5], [0.1, -1.5, 0.8]]]
@@ -49,9 +41,7 @@ def capture() -> SmallCapture:
     room = make_room(quads, parts="objects")
     lamps = table([12, 13], PANEL_RADIANCE)
     materials = matt(np.repeat(np.array(colors), 2, axis=0))
-    return photograph_room(
-        room, materials, lamps, cameras=[*CAMERAS, *EXTRA_CAMERAS], scale=3, spp=24, denoise=True
-    )
+    return photograph_room(room, materials, lamps, cameras=[*CAMERAS, *EXTRA_CAMERAS], scale=3, spp=24, denoise=True)
 
 
 def turned(capture: SmallCapture, index: int, degrees: float, axis: int = 1) -> SmallCapture:
@@ -85,9 +75,7 @@ def test_photographs_without_anything_bright_agree(capture: SmallCapture, tmp_pa
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_view_turned_by_two_degrees_is_left_out_by_name(
-    capture: SmallCapture, tmp_path: Path, axis: int
-) -> None:
+def test_a_view_turned_by_two_degrees_is_left_out_by_name(capture: SmallCapture, tmp_path: Path, axis: int) -> None:
     degrees = 2.0 if axis < 2 else 5.0  # a roll displaces the centre of the image little
     pixels, check, (message,) = run_check(tmp_path, turned(capture, 3, degrees, axis))
     assert list(check.left_out) == ["train/003"] and check.exposure == {}
@@ -134,9 +122,7 @@ def test_an_exposure_of_one_and_a_half_is_corrected(capture: SmallCapture, tmp_p
     assert np.ptp(by_view) < 0.02 * np.mean(by_view)
 
 
-def test_a_view_that_is_both_is_left_out_and_a_darker_one_corrected(
-    capture: SmallCapture, tmp_path: Path
-) -> None:
+def test_a_view_that_is_both_is_left_out_and_a_darker_one_corrected(capture: SmallCapture, tmp_path: Path) -> None:
     spoilt = exposed(exposed(turned(capture, 3, 2.0), 3, 1.5), 5, 0.7)
     _, check, messages = run_check(tmp_path, spoilt)
     assert list(check.left_out) == ["train/003"] and list(check.exposure) == ["train/005"]
@@ -184,9 +170,7 @@ def test_an_overlap_too_narrow_to_compare_speaks_against_no_view(
     assert register(photograph, predicted, known, intrinsics) == Fit(0.0, 1.0, 0.0, 0.0)
 
 
-def test_a_good_view_that_shares_a_strip_with_the_others_is_kept(
-    capture: SmallCapture, tmp_path: Path
-) -> None:
+def test_a_good_view_that_shares_a_strip_with_the_others_is_kept(capture: SmallCapture, tmp_path: Path) -> None:
 
     def keep_strip(pixels: PixelStore) -> None:
         outside = np.ones((96, 144), bool)

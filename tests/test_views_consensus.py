@@ -79,9 +79,7 @@ def test_a_plain_room_passes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("chosen", [[4], [1, 5, 8], [0, 2, 5, 7, 9, 11]])
-def test_wrong_poses_are_found_up_to_half(
-    capture: SmallCapture, views: list[View], chosen: list[int]
-) -> None:
+def test_wrong_poses_are_found_up_to_half(capture: SmallCapture, views: list[View], chosen: list[int]) -> None:
     assert sorted(check_input(capture.room, disturbed(views, chosen), SETTINGS)) == chosen
 
 
@@ -126,9 +124,7 @@ def test_poses_or_mesh_are_blamed_by_evidence(capture: SmallCapture, views: list
     assert "the poses are wrong" in refused("views-disagree", capture, disturbed(views, list(range(12))))
 
 
-def test_a_mesh_that_these_cameras_measured_is_not_told_to_move(
-    capture: SmallCapture, views: list[View]
-) -> None:
+def test_a_mesh_that_these_cameras_measured_is_not_told_to_move(capture: SmallCapture, views: list[View]) -> None:
     room = replace(capture.room, vertices=capture.room.vertices * np.float32(1000.0))
     assert error_of(check_input, room, views, SETTINGS).code == "mesh-misplaced"
     assert error_of(check_input, room, views, SETTINGS, own_mesh=True).code != "mesh-misplaced"

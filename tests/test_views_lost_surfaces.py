@@ -66,9 +66,7 @@ def test_a_scan_that_lacks_nothing_is_searched_once(
 
 
 @pytest.mark.parametrize("glossy", [0.0, 0.5])
-def test_nothing_is_found_where_nothing_is_lost(
-    tmp_path: Path, rng: np.random.Generator, glossy: float
-) -> None:
+def test_nothing_is_found_where_nothing_is_lost(tmp_path: Path, rng: np.random.Generator, glossy: float) -> None:
     scan, _ = scanned_box(cells=60, noise=0.003)
     assert found(scan, photographed(tmp_path, scan, rng, glossy)) == []
 

@@ -13,12 +13,12 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.completion.panes import close_holes
 from fipt_blender.core.run.run_files import PANES, read_room_files
-from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import Settings
 from fipt_blender.core.surface.room import load_room
 from fipt_blender.core.surface.stored import prepare_geometry
 from samples.scans import scanned_box
-from samples.small_rooms import BOX, make_room, mesh_room
+from samples.small_rooms import BOX, make_room, mesh_room, write_room
 
 SIZE = 48
 
@@ -38,11 +38,7 @@ def opened(behind: bool = False):
 
 def write_run(root: Path, room) -> RunFolder:
     run = RunFolder(root)
-    names = ("vertices", "triangles", "corner_normals", "triangle_object", "triangle_material")
-    polygons = np.arange(len(room.triangles), dtype=np.int32)
-    np.savez(run.room_npz, triangle_polygon=polygons, **{name: getattr(room, name) for name in names})
-    objects = [str(number) for number in range(int(room.triangle_object.max()) + 1)]
-    write_json(run.room_json, {"objects": objects, "materials": objects, "parts": "none"})
+    write_room(root, room)
     prepare_geometry(run)
     return run
 

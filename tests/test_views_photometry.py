@@ -41,18 +41,10 @@ def store(tmp_path_factory) -> tuple[PixelStore, object]:
     room = make_room([*BOX, PANEL], parts="objects")
     materials = matt(np.repeat(np.array([*COLORS, [0.0] * 3]), 2, axis=0))
     capture = photograph_room(
-        room,
-        materials,
-        table([12, 13], PANEL_RADIANCE),
-        cameras=[*CAMERAS, *MORE],
-        scale=3,
-        spp=24,
-        denoise=True,
+        room, materials, table([12, 13], PANEL_RADIANCE), cameras=[*CAMERAS, *MORE], scale=3, spp=24, denoise=True
     )
     folder = tmp_path_factory.mktemp("photometry")
-    pixels = open_pixels(
-        folder / "pixels", load_capture(write_run(folder / "run", capture)).train, create=True
-    )
+    pixels = open_pixels(folder / "pixels", load_capture(write_run(folder / "run", capture)).train, create=True)
     fill_pixels(pixels, room, lambda _: None)
     mark_pure(pixels, room, room.triangle_object, lambda _: None)
     return pixels, room
@@ -194,8 +186,6 @@ def test_a_view_that_was_corrected_keeps_its_correction(store, all_adjusted, tru
     pixels = copied(adjusted_pixels)
     pixels.radiance[pixels.rows(2)] /= np.float32(1.2)
     light = true_light[0].astype(np.float16)
-    after = refit_photographs(before, pixels, room, room.triangle_object, lambda rows, _: light[rows]).facts[
-        "views"
-    ]
+    after = refit_photographs(before, pixels, room, room.triangle_object, lambda rows, _: light[rows]).facts["views"]
     moved = [after[name]["exposure_ev"] - view["exposure_ev"] for name, view in before.facts["views"].items()]
     assert moved[2] - np.median(moved) == pytest.approx(np.log2(1.2), abs=0.05)

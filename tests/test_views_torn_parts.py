@@ -66,10 +66,7 @@ def in_hole(places: np.ndarray) -> np.ndarray:
     [(shade, "masks"), (board, "masks"), (shade, "own ids"), (board, "own ids"), (shade, "photographs")],
 )
 def test_a_hole_in_a_part_is_filled(
-    tmp_path: Path,
-    rng: np.random.Generator,
-    thing: Callable[[], tuple[np.ndarray, np.ndarray]],
-    evidence: str,
+    tmp_path: Path, rng: np.random.Generator, thing: Callable[[], tuple[np.ndarray, np.ndarray]], evidence: str
 ) -> None:
     scan, _ = scanned_box(cells=60, noise=NOISE)
     vertices, triangles = thing()
@@ -89,9 +86,7 @@ def test_a_hole_in_a_part_is_filled(
     for view in views:
         now, exact = trace_pixels(room, view), trace_pixels(true, view)
         new = added[np.array(now.triangle)]
-        gap = np.isin(np.array(exact.triangle), len(scan.triangles) + np.flatnonzero(hole)) & np.array(
-            exact.front
-        )
+        gap = np.isin(np.array(exact.triangle), len(scan.triangles) + np.flatnonzero(hole)) & np.array(exact.front)
         close = np.abs(np.array(now.distance) - np.array(exact.distance)) < STEP
         filled, wanted = filled + (gap & new & close).sum(), wanted + gap.sum()
         assert (new & ~close).mean() < 0.01

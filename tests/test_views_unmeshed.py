@@ -51,9 +51,7 @@ def test_a_lamp_without_mesh_is_named_and_left_out(with_bulb: SmallCapture, tmp_
     assert (~left).mean() < 0.02
 
 
-def test_a_lamp_with_mesh_and_one_in_a_mirror_are_no_such_lamps(
-    with_bulb: SmallCapture, tmp_path: Path
-) -> None:
+def test_a_lamp_with_mesh_and_one_in_a_mirror_are_no_such_lamps(with_bulb: SmallCapture, tmp_path: Path) -> None:
     _, check, messages = run_check(tmp_path / "bulb", with_bulb)
     assert check == ViewCheck() and messages == []
     mirror = [[-1.98, -0.9, 0.6], [-1.98, 0.9, 0.6], [-1.98, 0.9, 2.4], [-1.98, -0.9, 2.4]]
@@ -86,12 +84,7 @@ def test_a_white_table_without_mesh_is_left_out_but_no_lamp(tmp_path: Path) -> N
     corners = [(1.7, 0.3), (-1.6, 0.8), (0.4, 1.7), (0.2, -1.7), (-1.5, -1.4), (1.5, 1.4)]
     down = [[[x, y, 2.6], [-0.2 * x, -0.2 * y, 0.4]] for x, y in corners]
     capture = photograph_room(
-        whole,
-        materials,
-        table([12, 13], [30.0, 25.0, 20.0]),
-        cameras=[*down, *CAMERAS[1:6:2]],
-        scale=2,
-        spp=32,
+        whole, materials, table([12, 13], [30.0, 25.0, 20.0]), cameras=[*down, *CAMERAS[1:6:2]], scale=2, spp=32
     )
     pixels, check, messages = run_check(tmp_path, replace(capture, room=lacking))
     assert check.lamps == [] and messages == []

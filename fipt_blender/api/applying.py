@@ -138,6 +138,7 @@ def apply_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Ste
     import uuid
 
     from ..bridge.step import Step
+    from ..jobs.expected import atlas_seconds, texture_seconds
 
     atlas_values = {name: getattr(settings, name) for name in _ATLAS_SETTINGS}
 
@@ -173,6 +174,7 @@ def apply_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Ste
             },
             function=lay_out,
             outputs=[run.atlas_npz, run.atlas_json],
+            expected=lambda: atlas_seconds(run),
         ),
         Step(
             "apply-textures",
@@ -181,6 +183,7 @@ def apply_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Ste
             inputs={"fields": _stamp(run.fields_npz)},
             command=["textures", str(run.root)],
             outputs=[run.textures],
+            expected=lambda: texture_seconds(run, settings),
         ),
         Step(
             "apply-build",

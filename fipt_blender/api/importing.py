@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _CAPTURE_SETTINGS = (
     *("format", "up_axis", "layer", "clamp_negative", "align_mesh", "triangles"),
-    "undo_applied_transform",
+    *("mesh_from_photographs", "undo_applied_transform"),
 )
 
 

@@ -87,10 +87,7 @@ class Job:
         self._slices: StepSlices | None = None
         self._ended = False
         self._warnings: list[Message] = []
-        self._progress = JobProgress(
-            [step.weight for step in self._steps], [mode != "run" for mode in self._modes]
-        )
-        self._step_started = time.monotonic()
+        self._progress = JobProgress(self._steps, [mode != "run" for mode in self._modes])
 
     def _plan(self) -> list[str]:
         """The mode of each step: "run", "skip" or "restore".
@@ -267,7 +264,7 @@ class Job:
         if not (step.repeat and self._record.finished(step, key)):
             self._record.store(step.name, key, finished=False)
         self._announced = True
-        self._step_started = time.monotonic()
+        self._progress.begin()
         self._warnings = []
         stage = {"type": "stage", "name": step.name, "index": self._position, "count": len(self._steps)}
         return [*repeated, {**stage, "text": step.text}, self._progress_message(0.0)]
@@ -319,14 +316,13 @@ class Job:
             ) from error
 
     def _complete(self, step: Step) -> list[Message]:
-        seconds = time.monotonic() - self._step_started
-        self._record.store(step.name, self._keys[self._position], True, seconds, self._warnings)
         message = self._progress_message(1.0)
-        self._progress.complete(step.weight)
+        seconds = self._progress.complete(self._position)
+        self._record.store(step.name, self._keys[self._position], True, seconds, self._warnings)
         return [message]
 
     def _progress_message(self, step_fraction: float, step_remaining: float | None = None) -> Message:
-        return self._progress.message(self._steps[self._position].weight, step_fraction, step_remaining)
+        return self._progress.message(self._position, step_fraction, step_remaining)
 
     def _fail(self, message: Message) -> list[Message]:
         self.error = message

@@ -38,7 +38,8 @@ class Step:
     Attributes:
         name: stable identifier, the key in steps.json.
         text: shown to the user while the step runs.
-        weight: expected time in seconds, on a small machine.
+        weight: expected time in seconds, on a small machine, before anything is known of the capture.
+        expected: the same from what the steps before have found; None while that is unknown.
         inputs: JSON-serialisable values on which the result depends besides the steps before.
         command: arguments of an engine command, or None.
         process: instead of `command`, starts another process that writes messages like the engine's.
@@ -61,6 +62,12 @@ class Step:
     repeat: bool = False
     reset: Callable[[], None] | None = None
     restore: Callable[[], None] | None = None
+    expected: Callable[[], float | None] | None = None
+
+    def seconds(self) -> float:
+        """Expected time."""
+        known = None if self.expected is None else self.expected()
+        return self.weight if known is None else known
 
 
 _VERSION = 1  # of steps.json
@@ -159,43 +166,64 @@ _PRIOR_SECONDS = 30.0  # weight, against measured time, of the assumption that e
 class JobProgress:
     """Fraction and remaining time of a job.
 
+    Of steps whose time is expected from the capture, the time that they take says how fast the machine is; of
+    others, which are guessed, it does so only where there are none of these.
+
     Args:
-        weights: expected time of each step in seconds, on a small machine.
+        steps: of the job.
         skipped: whether each step is left out.
     """
 
-    def __init__(self, weights: Sequence[float], skipped: Sequence[bool]) -> None:
-        self._weight_skipped = sum(weight for weight, skip in zip(weights, skipped, strict=True) if skip)
-        self._weight_total = sum(weights) or 1.0
-        self._weight_done = self._weight_skipped
-        self._started = time.monotonic()
-        self._memory_gb = 0.0
-
-    def complete(self, weight: float) -> None:
-        """Count a step with this weight as done."""
-        self._weight_done += weight
+    def __init__(self, steps: Sequence[Step], skipped: Sequence[bool]) -> None:
+        self._steps = list(steps)
+        self._weights = [step.seconds() for step in steps]  # expected seconds, on a small machine
+        self._skipped = list(skipped)
+        known = [step.expected is not None for step in steps]
+        self._telling = known if any(known) else [True] * len(known)
+        self._worked = self._taken = 0.0  # expected and real seconds of finished steps that tell the pace
+        self._started = time.monotonic()  # of the current step
+        self._shown = self._memory_gb = 0.0
 
     def note_memory(self, memory_gb: float) -> None:
         """Take an engine's peak memory in GB into account."""
         self._memory_gb = max(self._memory_gb, memory_gb)
 
-    def message(self, weight: float, step_fraction: float, step_remaining: float | None) -> dict[str, Any]:
-        """The message `progress` of the job.
+    def begin(self) -> None:
+        """A step begins."""
+        self._started = time.monotonic()
+
+    def complete(self, index: int) -> float:
+        """A step is finished: returns its seconds; later ones are expected by what it has found."""
+        seconds = time.monotonic() - self._started
+        if self._telling[index]:
+            self._worked, self._taken = self._worked + self._weights[index], self._taken + seconds
+        else:
+            self._weights[index] = max(self._weights[index], seconds)
+        for later in range(index + 1, len(self._steps)):
+            self._weights[later] = self._steps[later].seconds()
+        return seconds
+
+    def message(self, index: int, step_fraction: float, step_remaining: float | None) -> dict[str, Any]:
+        """The message `progress` of the job; its fraction never falls.
 
         Args:
-            weight: of the current step.
+            index: of the current step.
             step_fraction: share of the step that is done.
             step_remaining: remaining seconds of the step if known.
         """
-        done = self._weight_done + weight * min(max(step_fraction, 0.0), 1.0)
-        elapsed = time.monotonic() - self._started
-        # Seconds per expected second on this machine; at first close to 1, as the first steps say little.
-        pace = (elapsed + _PRIOR_SECONDS) / (done - self._weight_skipped + _PRIOR_SECONDS)
-        after = self._weight_total - self._weight_done - weight
-        current = weight * (1.0 - step_fraction) * pace if step_remaining is None else step_remaining
+        weight, share = self._weights[index], min(max(step_fraction, 0.0), 1.0)
+        work = [0.0 if skipped else each for each, skipped in zip(self._weights, self._skipped, strict=True)]
+        worked, taken = self._worked + _PRIOR_SECONDS, self._taken + _PRIOR_SECONDS
+        if self._telling[index]:
+            worked, taken = worked + weight * share, taken + time.monotonic() - self._started
+        pace = taken / worked  # at first close to 1, as the first steps say little
+        after = sum(work[index + 1 :])
+        current = weight * (1.0 - share) * pace if step_remaining is None else step_remaining
+        total = sum(self._weights) or 1.0
+        self._shown = max(self._shown, (total - after - weight * (1.0 - share)) / total)
         return {
             "type": "progress",
-            "fraction": round(done / self._weight_total, 4),
+            "fraction": round(self._shown, 4),
             "stage_fraction": round(step_fraction, 4),
             "remaining_seconds": round(current + after * pace, 1),
             "memory_gb": self._memory_gb,

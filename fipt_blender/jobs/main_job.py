@@ -7,23 +7,23 @@ The command line runs it, in Blender or in a Python with bpy. bpy is imported on
 
 from __future__ import annotations
 
-import functools
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..bridge.process import Message
 from ..bridge.sequence import Job
-from ..bridge.step import Step
+from ..bridge.step import Step, StepFunction
 from ..core.run.errors import FiptError
 from ..core.run.hints import Hint, hints_digest, read_hints, write_hints
 from ..core.run.method import method_digest
 from ..core.run.runfolder import PRODUCT_VERSION, RunFolder
 from ..core.run.settings import TEXTURE_SETTINGS, Settings
+from .expected import PICTURE, atlas_seconds, estimate_seconds, render_seconds, texture_seconds
 from .fingerprints import folder_fingerprint, mesh_fingerprint
-from .options import BLEND_NAME, MainJobOptions, check_options
+from .options import BLEND_NAME, MOST_RERENDERED, MainJobOptions, check_options
 from .run_job import find_launch, ingest_step, open_job, refuse_busy
 
 if TYPE_CHECKING:
@@ -35,8 +35,8 @@ _RENDER_TEXTS = {
     "relight": "Rendering the view with the estimated lights off and a new area light",
     "insert": "Rendering the view with an inserted object",
 }
-# Expected times of these and of the steps below: seconds for the example room on two idle cores.
-_RENDER_SECONDS = {"rerender": 28.0, "relight": 10.0, "insert": 10.0}
+_PICTURES = {"rerender": MOST_RERENDERED}
+# Expected times until the capture is read: seconds for the example room on two idle cores.
 _ESTIMATE_SECONDS = {"draft": 85.0, "medium": 150.0, "high": 2400.0}
 
 
@@ -100,6 +100,7 @@ def estimate_step(
         command=["estimate", str(run.root), *([] if cluster is None else [f"--cluster={cluster}"])],
         outputs=[run.fields_npz, run.emitters_json],
         reset=None if resume else lambda: _empty(run.stage),
+        expected=lambda: estimate_seconds(run, settings),
     )
 
 
@@ -135,7 +136,7 @@ def _hints_digests(run: RunFolder) -> list[str | None]:
 
 
 def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
-    @functools.cache
+    @cache
     def room() -> RoomSteps:
         from .room_steps import RoomSteps
 
@@ -199,9 +200,15 @@ def _result_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], Ro
             function=lambda: room().make_atlas(),
             outputs=[run.atlas_npz, run.atlas_json],
             repeat=True,
+            expected=lambda: atlas_seconds(run),
         ),
         Step(
-            "textures", "Baking textures", 11.0, command=["textures", str(run.root)], outputs=[run.textures]
+            "textures",
+            "Baking textures",
+            11.0,
+            command=["textures", str(run.root)],
+            outputs=[run.textures],
+            expected=lambda: texture_seconds(run, options.settings),
         ),
         Step(
             "save",
@@ -216,7 +223,7 @@ def _result_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], Ro
 
 
 def _render_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], RoomSteps]) -> list[Step]:
-    functions: dict[str, Callable[[], list[Message] | None]] = {
+    functions: dict[str, StepFunction] = {
         "rerender": lambda: room().rerender(),
         "relight": lambda: room().relight(),
         "insert": lambda: room().insert(),
@@ -225,11 +232,12 @@ def _render_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], Ro
         Step(
             f"render-{kind}",
             _RENDER_TEXTS[kind],
-            _RENDER_SECONDS[kind],
+            PICTURE * _PICTURES.get(kind, 1),
             inputs={"spp": options.render_spp, "view": options.render_view},
             function=functions[kind],
             outputs=[run.renders_json],
             reset=(lambda: _remove(run.renders)) if kind == options.renders[0] else None,
+            expected=partial(render_seconds, run, _PICTURES.get(kind, 1), options.render_spp),
         )
         for kind in options.renders
     ]

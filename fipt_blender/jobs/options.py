@@ -14,6 +14,7 @@ from ..core.run.settings import Settings
 BLEND_NAME = "room.blend"
 PARTS = ("auto", "masks", "semantics", "materials", "objects", "loose", "none")
 RENDER_KINDS = ("rerender", "relight", "insert")
+MOST_RERENDERED = 3  # held-back views that are rendered
 
 
 @dataclass(frozen=True, kw_only=True)

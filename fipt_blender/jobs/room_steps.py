@@ -25,7 +25,7 @@ from ..blend.lights.placement import find_light_place, room_light_power
 from ..blend.lights.world import apply_environment
 from ..blend.pictures.cycles import RenderOptions, exposure_of
 from ..blend.pictures.image_files import photograph
-from ..blend.pictures.renders import render_list
+from ..blend.pictures.renders import render_listed
 from ..blend.render_settings import set_up
 from ..blend.results.applying import apply_results
 from ..blend.results.scene_state import median_radiance, median_shown
@@ -41,7 +41,7 @@ from ..core.run.errors import FiptError
 from ..core.run.run_files import read_capture
 from ..core.run.runfolder import RunFolder
 from .batch_state import panel_state, remember_run
-from .options import BLEND_NAME, MainJobOptions
+from .options import BLEND_NAME, MOST_RERENDERED, MainJobOptions
 
 NEW_LIGHT = "FIPT New Light"
 # A chrome ball shows a shadow, reflections and the light of the room at once.
@@ -73,8 +73,10 @@ class RoomSteps:
             raise FiptError(
                 "mesh-missing",
                 "No mesh of the room was found beside the cameras: there is none, or there are several.",
-                "Give the room's mesh file (--mesh) or a capture with depth images, or model the room in"
-                " Blender over the photographs: there it becomes the room by From Selection.",
+                "Give the room's mesh file (--mesh) or a capture with depth images: a scan by a phone with"
+                " LiDAR, or a mesh that RealityScan, Metashape or Meshroom makes. Or model the room in"
+                " Blender over the photographs: there it becomes the room by From Selection."
+                " --mesh-from-photographs makes a rough mesh of the photographs alone.",
             )
         matrix = np.array(capture.world_from_source)
         mesh_import.import_room(self._run.resolve(capture.mesh), matrix)
@@ -113,12 +115,15 @@ class RoomSteps:
         """Restore the state after `apply_and_save`."""
         bpy.ops.wm.open_mainfile(filepath=str(self._run.root / BLEND_NAME), load_ui=False, use_scripts=False)
 
-    def rerender(self) -> None:
+    def rerender(self) -> Slices[None]:
         """Render the chosen view and further held-back views, as photographed."""
         chosen, _ = self._view()
         views = preferred_views(read_capture(self._run.capture_json), self._options.render_view)
         others = [view.name for view in views if view.split == "held_back" and view.name != chosen]
-        self._render("rerender", [chosen, *others[:2]])
+        names = [chosen, *others[: MOST_RERENDERED - 1]]
+        for done, name in enumerate(names, 1):
+            self._render("rerender", name)
+            yield done / len(names)
 
     def relight(self) -> list[Message]:
         """Render the view with the estimated lights off and a new area light below the ceiling.
@@ -139,7 +144,7 @@ class RoomSteps:
         switch_all(False)
         light = add_area_light(NEW_LIGHT, [radiance] * 3, Rectangle((place.size, place.size), matrix))
         try:
-            self._render("relight", [self._view()[0]])
+            self._render("relight", self._view()[0])
         finally:
             bpy.data.objects.remove(light)
             switch_all(True)
@@ -161,14 +166,14 @@ class RoomSteps:
             bpy.context.scene, Vector(support.point), kind=INSERTED_KIND, size=2.0 * support.radius
         )
         try:
-            self._render("insert", [view])
+            self._render("insert", view)
         finally:
             bpy.data.objects.remove(inserted)
         return []
 
-    def _render(self, kind: str, views: list[str]) -> None:
+    def _render(self, kind: str, view: str) -> None:
         options = RenderOptions(self._options.render_spp, self._options.settings.seed)
-        render_list(self._run, bpy.context.scene, kind, views, options)
+        render_listed(self._run, bpy.context.scene, kind, view, options)
 
     def photographed_radiance(self, name: str) -> tuple[np.ndarray, list[Message]]:
         """Radiances (...) of a view's photograph; if that is missing, the median of all, and a warning.

@@ -152,9 +152,7 @@ def pairs() -> dict[str, Any]:
     return {
         "count": len(settings.pairs),
         "sights": [len(pair.sights) for pair in settings.pairs],
-        "points": [
-            list(bpy.data.objects[pair.name].matrix_world @ Vector(pair.point)) for pair in settings.pairs
-        ],
+        "points": [list(bpy.data.objects[pair.name].matrix_world @ Vector(pair.point)) for pair in settings.pairs],
         "error": settings.error,
         "problem": settings.problem,
     }
@@ -209,8 +207,7 @@ def emission_strengths(name: str) -> list[float]:
 def checks() -> list[dict[str, Any]]:
     """The views that were re-rendered."""
     return [
-        {"name": view.name, "psnr": view.psnr, "render": view.render}
-        for view in bpy.context.scene.fipt.check.views
+        {"name": view.name, "psnr": view.psnr, "render": view.render} for view in bpy.context.scene.fipt.check.views
     ]
 
 
@@ -298,8 +295,7 @@ def hints() -> dict[str, Any]:
     statistics = Path(bpy.path.abspath(state.run_folder)) / "results" / "statistics.json"
     return {
         "hints": [
-            {"object": hint.object and hint.object.name, "material": hint.material}
-            for hint in state.hints.hints
+            {"object": hint.object and hint.object.name, "material": hint.material} for hint in state.hints.hints
         ],
         "questions": [doubt.text for doubt in state.hints.doubts],
         "told": json.loads(statistics.read_text()).get("hints", []) if statistics.is_file() else [],

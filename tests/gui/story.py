@@ -196,10 +196,7 @@ def estimate(window: Window, options: Options) -> None:
         window.open_section("Estimate")
     window.click("fipt.estimate")
     window.wait(
-        inside.job,
-        "estimate",
-        until=lambda job: job["fraction"] >= 0.4 or job["error"],
-        seconds=_ENGINE_SECONDS,
+        inside.job, "estimate", until=lambda job: job["fraction"] >= 0.4 or job["error"], seconds=_ENGINE_SECONDS
     )
     window.shot("08_estimate_running")
     window.key("ESC")

@@ -34,9 +34,7 @@ def align(window: Window, options: Options) -> None:
     before = window.ask(inside.camera_places)
     window.click("fipt.align_by_pairs")
     after = window.wait(inside.camera_places, until=before.__ne__)
-    moved = max(
-        abs(a - b) for one, other in zip(before, after, strict=True) for a, b in zip(one, other, strict=True)
-    )
+    moved = max(abs(a - b) for one, other in zip(before, after, strict=True) for a, b in zip(one, other, strict=True))
     assert moved < 0.2, moved  # they were right but for the pixels of the clicks
     fit = window.wait(inside.pairs, until=lambda pairs: 0.0 <= pairs["error"] <= found["error"] + 1e-3)
     window.click("fipt.look_through", step=1)

@@ -135,7 +135,6 @@ def front(item: bpy.types.Object) -> np.ndarray:
 
 
 def world_strength() -> float:
-    """Strength of our world's background."""
     return bpy.data.worlds["FIPT World"].node_tree.nodes["FIPT Background"].inputs["Strength"].default_value
 
 

@@ -10,9 +10,7 @@ import numpy as np
 
 
 def look_at(
-    origin: Sequence[float] | np.ndarray,
-    target: Sequence[float] | np.ndarray,
-    up: Sequence[float] = (0.0, 0.0, 1.0),
+    origin: Sequence[float] | np.ndarray, target: Sequence[float] | np.ndarray, up: Sequence[float] = (0.0, 0.0, 1.0)
 ) -> np.ndarray:
     """Camera-to-world of a camera at `origin` that looks at `target`; level with the default `up`."""
     forward = np.subtract(target, origin)

@@ -130,12 +130,8 @@ def write_fipt_synthetic(root: Path, splits: dict[str, list[np.ndarray]], named:
             frames.append({"transform_matrix": conventions.opencv_to_fipt_camera(pose).tolist()})
             if named:
                 frames[-1]["file_path"] = f"Image/{index:03d}_0001.exr"
-            write_exr(
-                root / split / "Image" / f"{index:03d}_0001.exr", radiance(index, width, height), half=True
-            )
-            write_exr(
-                root / split / "IndexMA" / f"{index:03d}_0001.exr", np.full((height, width, 3), index + 1)
-            )
+            write_exr(root / split / "Image" / f"{index:03d}_0001.exr", radiance(index, width, height), half=True)
+            write_exr(root / split / "IndexMA" / f"{index:03d}_0001.exr", np.full((height, width, 3), index + 1))
             write_exr(root / split / "segmentation" / f"{index:03d}.exr", np.full((height, width, 3), 50))
         data = {"camera_angle_x": 1.2, "frames": frames}
         if named:

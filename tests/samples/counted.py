@@ -19,7 +19,6 @@ class Counted:
 
 @contextmanager
 def counted_calls() -> Iterator[Counted]:
-    """Count the calls within the block."""
     counted = Counted()
 
     def count(frame: object, event: str, argument: object) -> None:

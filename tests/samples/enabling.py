@@ -13,14 +13,7 @@ _MODULES = {
     *("blend", "blend.marks", "blend.capture", "blend.capture.other_cameras", "blend.capture.pair_marks"),
     *("blend.lights", "blend.lights.outline", "blend.previews", "blend.results", "blend.results.dropped"),
     *("core", "core.capture", "core.capture.suffixes", "prepare", "prepare.preparation"),
-    *(
-        "core.run",
-        "core.run.documents",
-        "core.run.errors",
-        "core.run.kinds",
-        "core.run.paths",
-        "core.run.runfolder",
-    ),
+    *("core.run", "core.run.documents", "core.run.errors", "core.run.kinds", "core.run.paths", "core.run.runfolder"),
     *("core.run.shapes", "jobs", "jobs.job_scene", "jobs.recovery", "jobs.running"),
     *("jobs.runstate", "jobs.session", "jobs.setup_size", "jobs.tasks", "jobs.window"),
 }

@@ -45,10 +45,7 @@ def in_primaries(rec709: np.ndarray, name: str) -> np.ndarray:
 
 def _parameters(kind: int, *numbers: float) -> bytes:
     return (
-        b"para"
-        + bytes(4)
-        + struct.pack(">HH", kind, 0)
-        + np.round(np.array(numbers) * 65536).astype(">i4").tobytes()
+        b"para" + bytes(4) + struct.pack(">HH", kind, 0) + np.round(np.array(numbers) * 65536).astype(">i4").tobytes()
     )
 
 
@@ -121,14 +118,10 @@ def write_png(path: Path, samples: np.ndarray, depth: int, color: int, *chunks: 
 def write_tiff(path: Path, pixels: np.ndarray, planar: bool = False, profile: bytes | None = None) -> Path:
     """Write pixels (height, width, channels) of 8 or 16 bits or floats, planes apart or not."""
     height, width, channels = pixels.shape
-    spec = oiio.ImageSpec(
-        width, height, channels, oiio.TypeDesc(str(pixels.dtype).replace("float32", "float"))
-    )
+    spec = oiio.ImageSpec(width, height, channels, oiio.TypeDesc(str(pixels.dtype).replace("float32", "float")))
     spec.attribute("planarconfig", "separate" if planar else "contig")
     if profile is not None:
-        spec.attribute(
-            "ICCProfile", oiio.TypeDesc(f"uint8[{len(profile)}]"), np.frombuffer(profile, np.uint8)
-        )
+        spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{len(profile)}]"), np.frombuffer(profile, np.uint8))
     output = oiio.ImageOutput.create(str(path))
     assert output.open(str(path), spec), output.geterror()
     output.write_image(np.ascontiguousarray(pixels))
@@ -136,9 +129,7 @@ def write_tiff(path: Path, pixels: np.ndarray, planar: bool = False, profile: by
     return path
 
 
-def write_exr_layers(
-    path: Path, layers: dict[str, dict[str, np.ndarray]], parts: bool, **header: object
-) -> Path:
+def write_exr_layers(path: Path, layers: dict[str, dict[str, np.ndarray]], parts: bool, **header: object) -> Path:
     """Write channels by layer ("" for none), each layer in a part of its own or all in one part."""
     header = {"type": OpenEXR.scanlineimage, **header}
     if parts:
@@ -177,9 +168,7 @@ def write_plain_exr(path: Path, planes: dict[str, np.ndarray], chromaticities: t
     rows, offsets, start = b"", [], len(head) + 8 * height
     for y in range(height):
         data = b"".join(
-            planes[name][y // steps[name]].astype("<f4").tobytes()
-            for name in sorted(planes)
-            if y % steps[name] == 0
+            planes[name][y // steps[name]].astype("<f4").tobytes() for name in sorted(planes) if y % steps[name] == 0
         )
         offsets.append(start + len(rows))
         rows += struct.pack("<ii", y, len(data)) + data

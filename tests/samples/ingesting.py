@@ -13,7 +13,6 @@ from fipt_blender.core.run.messages import Reporter, parse_message
 
 
 def run_ingest(capture, run, **options):
-    """Ingest and return the messages."""
     stream = io.StringIO()
     ingest(capture, run, CaptureOptions(**options), Reporter(stream))
     return [parse_message(line) for line in stream.getvalue().splitlines()]

@@ -65,11 +65,7 @@ def drawn_by(panel: type, is_open: bool = False) -> tuple[list[str], list[str]]:
         is_open: whether what folds inside the panel is open.
     """
     context = SimpleNamespace(
-        scene=bpy.context.scene,
-        space_data=None,
-        mode="OBJECT",
-        region=None,
-        preferences=bpy.context.preferences,
+        scene=bpy.context.scene, space_data=None, mode="OBJECT", region=None, preferences=bpy.context.preferences
     )
     drawn, properties = [], []
     layout = Layout(drawn, is_open, properties)
@@ -92,8 +88,7 @@ def tab_count() -> TabCount:
     panels = [
         panel
         for panel in panel_package.CLASSES
-        if issubclass(panel, bpy.types.Panel)
-        and (panel.bl_space_type, panel.bl_region_type) == ("VIEW_3D", "UI")
+        if issubclass(panel, bpy.types.Panel) and (panel.bl_space_type, panel.bl_region_type) == ("VIEW_3D", "UI")
     ]
     shown = {panel.__name__ for panel in panels if not hasattr(panel, "poll") or panel.poll(bpy.context)}
     closed = {panel.__name__ for panel in panels if "DEFAULT_CLOSED" in getattr(panel, "bl_options", ())}

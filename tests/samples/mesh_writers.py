@@ -56,7 +56,6 @@ class Solid:
 
 
 def together(solids: list[Solid]) -> Solid:
-    """Several solids as one."""
     faces, count = [], 0
     for solid in solids:
         faces += [[count + index for index in face] for face in solid.faces]
@@ -134,7 +133,6 @@ class ObjStyle:
 
 
 def write_obj(path: Path, solid: Solid, style: ObjStyle) -> None:
-    """Write an OBJ file."""
     position = [style.blank.join(["v", *(f"{value:.9g}" for value in vertex)]) for vertex in solid.vertices]
     lines = ["# made by a test", style.blank.join(["vt", "0", "1"]), style.blank.join(["vn", "0", "0", "1"])]
     lines += [] if style.apart else position
@@ -149,10 +147,7 @@ def write_obj(path: Path, solid: Solid, style: ObjStyle) -> None:
         if style.negative:
             indices = [index - written - 1 for index in indices]
         texture, normal = ("-1", "-1") if style.negative else ("1", "1")
-        words = [
-            style.corner.replace("t", texture).replace("n", normal).replace("v", str(index))
-            for index in indices
-        ]
+        words = [style.corner.replace("t", texture).replace("n", normal).replace("v", str(index)) for index in indices]
         joint = f"{style.blank}\\{style.end}{style.blank}" if style.wrapped else style.blank
         lines.append(style.blank.join(["f", words[0], words[1], joint.join(words[2:])]))
     path.write_bytes((style.end.join([*lines, ""])).encode())
@@ -190,7 +185,6 @@ _CODES = {"uchar": "B", "ushort": "H", "int": "i", "uint": "I", "float": "f", "d
 
 
 def write_ply(path: Path, solid: Solid, style: PlyStyle) -> None:
-    """Write a PLY file."""
     kind = {"<": "binary_little_endian", ">": "binary_big_endian", "": "ascii"}[style.order]
     header = ["ply", f"format {kind} 1.0", "comment made by a test", f"element vertex {len(solid.vertices)}"]
     colors = [f"property uchar {name}" for name in ("red", "green", "blue")] if style.extra else []
@@ -252,7 +246,6 @@ def write_stl(path: Path, solid: Solid, text: bool, end: str = "\n") -> None:
 
 
 def glb(content: dict, binary: bytes) -> bytes:
-    """A binary glTF file."""
     text = json.dumps(content).encode()
     text += b" " * (-len(text) % 4)
     binary += b"\0" * (-len(binary) % 4)

@@ -71,9 +71,7 @@ def metashape_chunk(chunk: Chunk, component: bool = False) -> str:
 
 def write_metashape(folder: Path, chunks: list[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    document = (
-        f'<?xml version="1.0" encoding="UTF-8"?>\n<document version="1.5.0">{"".join(chunks)}</document>'
-    )
+    document = f'<?xml version="1.0" encoding="UTF-8"?>\n<document version="1.5.0">{"".join(chunks)}</document>'
     (folder / "cameras.xml").write_text(document)
 
 
@@ -136,9 +134,7 @@ def write_realityscan_colmap(folder: Path, shots: list[Shot]) -> None:
     """RealityScan's COLMAP export: text files in the folder itself, no 2D points, points without tracks."""
     cameras, images = ["# Camera list"], ["# Image list"]
     for index, shot in enumerate(shots, start=1):
-        cameras.append(
-            f"{index} PINHOLE {shot.width} {shot.height} {shot.fx!r} {shot.fy!r} {shot.cx!r} {shot.cy!r}"
-        )
+        cameras.append(f"{index} PINHOLE {shot.width} {shot.height} {shot.fx!r} {shot.fy!r} {shot.cx!r} {shot.cy!r}")
         translation = -shot.rotation @ shot.centre
         images += [f"{index} {text([*quaternion(shot.rotation), *translation])} {index} {shot.name}", ""]
     write_photographs(folder / "images", shots)

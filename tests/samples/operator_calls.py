@@ -8,7 +8,6 @@ import pytest
 
 
 def refused(operator, **arguments) -> str:
-    """The words with which an operator refuses."""
     with pytest.raises(RuntimeError) as error:
         operator(**arguments)
     return str(error.value)

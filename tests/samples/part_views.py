@@ -15,6 +15,7 @@ from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.surface.room import Room
 from fipt_blender.core.surface.stored import prepare_geometry
+from samples.small_rooms import write_room
 
 SIZE, FOCAL = 96, 60.0
 THING_PART, ROOM_PART = 7, 1
@@ -34,9 +35,7 @@ def looking_views(folder: Path, room: Room, radiance: float = 1.0) -> list[View]
         pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
         pose[:3, 3] = place
         image, parts = folder / f"{number}.exr", folder / f"parts_{number}.exr"
-        view = View(
-            str(number), "train", image, SIZE, SIZE, FOCAL, FOCAL, SIZE / 2, SIZE / 2, pose, parts=parts
-        )
+        view = View(str(number), "train", image, SIZE, SIZE, FOCAL, FOCAL, SIZE / 2, SIZE / 2, pose, parts=parts)
         surface = trace_pixels(room, view)
         lost = room.triangle_object[np.array(surface.triangle)] == 1
         write_exr(image, np.full((SIZE, SIZE, 3), radiance, np.float32))
@@ -63,9 +62,7 @@ def with_own_ids(views: list[View], rng: np.random.Generator) -> list[View]:
 
 def write_run(root: Path, room: Room, parts: str) -> RunFolder:
     run = RunFolder(root)
-    names = ("vertices", "triangles", "corner_normals", "triangle_object", "triangle_material")
-    polygons = np.arange(len(room.triangles), dtype=np.int32)
-    np.savez(run.room_npz, triangle_polygon=polygons, **{name: getattr(room, name) for name in names})
+    write_room(root, room)
     write_json(run.room_json, {"objects": ["scan"], "materials": ["scan"], "parts": parts})
     prepare_geometry(run)
     return run

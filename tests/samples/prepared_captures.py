@@ -11,13 +11,7 @@ from PIL import Image
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.runfolder import write_json
-from fipt_blender.prepare.preparation import (
-    Group,
-    Photograph,
-    Preparation,
-    PreparationFolder,
-    write_preparation,
-)
+from fipt_blender.prepare.preparation import Group, Photograph, Preparation, PreparationFolder, write_preparation
 
 SHUTTERS = (0.01, 0.04, 0.16)
 SIZE = (24, 16)

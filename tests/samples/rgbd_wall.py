@@ -39,9 +39,7 @@ def facing(index: int) -> np.ndarray:
     return matrix
 
 
-def seen_points(
-    size: tuple[int, int], lens: tuple[float, ...], camera: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def seen_points(size: tuple[int, int], lens: tuple[float, ...], camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where the rays of a camera meet the wall (H, W, 3), and their depths (H, W)."""
     y, x = np.mgrid[: size[1], : size[0]] + 0.5
     local = np.stack([(x - lens[2]) / lens[0], (y - lens[3]) / lens[1], np.ones_like(x)], axis=2)

@@ -122,13 +122,7 @@ def write_meshroom(folder: Path, shots: list[Shot], version: tuple[int, int, int
         shared = {"width": str(shot.width), "height": str(shot.height)}
         path = f"B:\\photos\\{shot.name}"
         views.append(
-            {
-                "viewId": str(index),
-                "poseId": str(index),
-                "intrinsicId": str(70 + index),
-                "path": path,
-                **shared,
-            }
+            {"viewId": str(index), "poseId": str(index), "intrinsicId": str(70 + index), "path": path, **shared}
         )
         rotation, centre = (FLIP_YZ @ shot.rotation.T).T, FLIP_YZ @ shot.centre
         stored = [str(rotation[row, column]) for column in range(3) for row in range(3)]
@@ -158,17 +152,10 @@ def meshroom_lens(shot: Shot, version: tuple[int, int, int]) -> dict:
         return {**lens, "pxFocalLength": [str(shot.fx), str(shot.fy)]}
     focal = shot.fy if version >= (1, 2, 11) else shot.fx
     ratio = shot.fx / shot.fy if version < (1, 2, 5) else shot.fy / shot.fx
-    return {
-        **lens,
-        "sensorWidth": "6.4",
-        "focalLength": str(focal * 6.4 / shot.width),
-        "pixelRatio": str(ratio),
-    }
+    return {**lens, "sensorWidth": "6.4", "focalLength": str(focal * 6.4 / shot.width), "pixelRatio": str(ratio)}
 
 
-def write_opensfm(
-    folder: Path, groups: list[list[Shot]], kind: str, points: Sequence[np.ndarray] = ()
-) -> None:
+def write_opensfm(folder: Path, groups: list[list[Shot]], kind: str, points: Sequence[np.ndarray] = ()) -> None:
     """reconstruction.json: lengths over the longer side, axis times angle, translation; sparse points."""
     stored = {str(index): {"coordinates": list(point)} for index, point in enumerate(points)}
     models = []
@@ -181,16 +168,8 @@ def write_opensfm(
             if kind in ("perspective", "fisheye"):
                 camera["focal"] = shot.fx / side
             else:
-                camera |= {
-                    "focal_x": shot.fx / side,
-                    "focal_y": shot.fy / side,
-                    "p1": shot.p[0],
-                    "p2": shot.p[1],
-                }
-                camera |= {
-                    "c_x": (shot.cx - shot.width / 2) / side,
-                    "c_y": (shot.cy - shot.height / 2) / side,
-                }
+                camera |= {"focal_x": shot.fx / side, "focal_y": shot.fy / side, "p1": shot.p[0], "p2": shot.p[1]}
+                camera |= {"c_x": (shot.cx - shot.width / 2) / side, "c_y": (shot.cy - shot.height / 2) / side}
             model["cameras"][f"camera of {shot.name}"] = camera
             w, x, y, z = quaternion(shot.rotation)
             length = math.sqrt(x * x + y * y + z * z)
@@ -223,9 +202,7 @@ def write_openmvg(folder: Path, shots: list[Shot], kind: str, key: str) -> None:
         first = {"polymorphic_id": 2147483649, "polymorphic_name": kind}
         value = {**(first if index == 0 else {"polymorphic_id": 1}), "ptr_wrapper": {"id": 1, "data": data}}
         intrinsics.append({"key": index, "value": value})
-        extrinsics.append(
-            {"key": index, "value": {"rotation": shot.rotation.tolist(), "center": shot.centre.tolist()}}
-        )
+        extrinsics.append({"key": index, "value": {"rotation": shot.rotation.tolist(), "center": shot.centre.tolist()}})
     data = {"sfm_data_version": "0.3", "root_path": "/home/someone/images", "views": views,
             "intrinsics": intrinsics, "extrinsics": extrinsics, "structure": []}  # fmt: skip
     write_photographs(folder / "images", shots)
@@ -322,12 +299,7 @@ def write_scannetpp(folder: Path, shots: list[Shot], held_back: int) -> None:
         pose[2] *= -1.0
         stem = Path(shot.name).stem
         frames.append(
-            {
-                "file_path": shot.name,
-                "mask_path": f"{stem}.png",
-                "transform_matrix": pose.tolist(),
-                "is_bad": False,
-            }
+            {"file_path": shot.name, "mask_path": f"{stem}.png", "transform_matrix": pose.tolist(), "is_bad": False}
         )
     frames.append({**frames[0], "file_path": "bad.JPG", "is_bad": True})
     shot = shots[0]

@@ -54,9 +54,7 @@ def points_on(room: Room, count: int, triangles: list[int]) -> ShadingPoints:
 
 
 def repeat(points: ShadingPoints, times: int) -> ShadingPoints:
-    return ShadingPoints(
-        *[np.repeat(getattr(points, name), times, axis=0) for name in points.__annotations__]
-    )
+    return ShadingPoints(*[np.repeat(getattr(points, name), times, axis=0) for name in points.__annotations__])
 
 
 def baked(points: ShadingPoints, source, lights, levels: np.ndarray, counts: SampleCounts, times: int):

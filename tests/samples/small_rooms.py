@@ -32,25 +32,21 @@ def make_room(quads: list, objects: np.ndarray | None = None, **names) -> Room:
     vertices = np.array(quads, np.float32).reshape(-1, 3)
     corners = np.arange(len(vertices), dtype=np.int32).reshape(-1, 4)
     triangles = corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    return mesh_room(
-        vertices, triangles, np.repeat(range(len(quads)) if objects is None else objects, 2), **names
-    )
+    return mesh_room(vertices, triangles, np.repeat(range(len(quads)) if objects is None else objects, 2), **names)
 
 
 def mesh_room(vertices: np.ndarray, triangles: np.ndarray, objects: np.ndarray, **names) -> Room:
     """A room with flat normals."""
     normals = np.repeat(triangle_normals(vertices, triangles)[:, None], 3, axis=1).astype(np.float32)
     objects = np.asarray(objects, np.int32)
-    return Room(
-        np.asarray(vertices, np.float32), np.asarray(triangles, np.int32), normals, objects, objects, **names
-    )
+    return Room(np.asarray(vertices, np.float32), np.asarray(triangles, np.int32), normals, objects, objects, **names)
 
 
-def write_room(folder: Path, room: Room) -> None:
-    """room.npz and room.json as Blender writes them, of a room of quadrilaterals."""
+def write_room(folder: Path, room: Room, **more: np.ndarray) -> None:
+    """room.npz, with more arrays, and room.json as Blender writes them, of a room of quadrilaterals."""
     arrays = ("vertices", "triangles", "corner_normals", "triangle_object", "triangle_material")
     polygon = np.arange(len(room.triangles)) // 2
-    np.savez(folder / "room.npz", **{n: getattr(room, n) for n in arrays}, triangle_polygon=polygon)
+    np.savez(folder / "room.npz", **{n: getattr(room, n) for n in arrays}, triangle_polygon=polygon, **more)
     objects = [f"object {index}" for index in range(int(room.triangle_object.max(initial=-1)) + 1)]
     materials = [f"material {index}" for index in range(int(room.triangle_material.max(initial=-1)) + 1)]
     names = {"objects": objects, "materials": materials, "parts": room.parts}

@@ -273,7 +273,8 @@ def _import_room(scene: bpy.types.Scene, run: RunFolder, capture: CapturedViews)
         text = "No mesh of the room was found beside the cameras."
         remedy = (
             "Press Import Mesh, or model the room over the photographs, select its objects and press From"
-            " Selection."
+            " Selection. Mesh from Photographs in the import settings makes a rough one of the photographs"
+            " alone."
         )
         return [_warning("mesh-missing", text, remedy)]
     path, matrix = run.resolve(capture.mesh), np.array(capture.world_from_source)

@@ -110,22 +110,18 @@ def list_render(run: RunFolder, kind: str, view: str, path: Path) -> None:
     write_json(run.renders_json, Renders((*kept, Render(kind, view, image.as_posix()))))
 
 
-def render_list(
-    run: RunFolder, scene: bpy.types.Scene, kind: str, views: Sequence[str], options: RenderOptions
-) -> list[Path]:
-    """Render views into renders/KIND/ and list them in renders.json.
+def render_listed(
+    run: RunFolder, scene: bpy.types.Scene, kind: str, view: str, options: RenderOptions
+) -> None:
+    """Render a view into renders/KIND/ and list it in renders.json.
 
     Args:
         run: the run folder.
         scene: the scene.
         kind: "rerender", "relight" or "insert".
-        views: names of the views.
-        options: how to render them.
+        view: its name.
+        options: how to render it.
     """
-    paths = []
-    for view in views:
-        path = render_path(run, kind, view)
-        render_view(scene, view, path, options, COMPARED_WIDTH)
-        list_render(run, kind, view, path)
-        paths.append(path)
-    return paths
+    path = render_path(run, kind, view)
+    render_view(scene, view, path, options, COMPARED_WIDTH)
+    list_render(run, kind, view, path)

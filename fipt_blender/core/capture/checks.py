@@ -238,16 +238,18 @@ def judge_pixels(
     return notes
 
 
-def judge_size(points: np.ndarray) -> Note | None:
+def judge_size(points: np.ndarray, slack: float = 1.0) -> Note | None:
     """A warning where a room can't have the size that it has; None where it can.
 
     Args:
         points: (N, 3) on its surfaces, world metres, Z up.
+        slack: factor by which the bounds are wider.
     """
     low, high = np.percentile(points, (OUTLIERS, 100.0 - OUTLIERS), axis=0)
     width, depth, height = high - low
     longest = max(width, depth)
-    if HEIGHTS[0] <= height <= HEIGHTS[1] and WIDTHS[0] <= longest <= WIDTHS[1]:
+    sizes = (height, HEIGHTS), (longest, WIDTHS)
+    if all(least / slack <= size <= most * slack for size, (least, most) in sizes):
         return None
     if not height > 0.0:
         return None

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..depth.cleaning import with_closed_holes, without_specks
+from ..depth.cleaning import without_specks
 from ..depth.extraction import FusedMesh, extract
 from ..depth.ply import write_ply
 from ..depth.range_image import RangeImage
@@ -161,8 +161,6 @@ def fuse(
         progress((index + 1) / (len(views) + 1))
     mesh = extract(volume, min(2.0, len(views)))
     mesh = without_specks(mesh, (SPECK_VOXELS * options.voxel) ** 2)
-    if options.close_holes > 0.0:
-        mesh = with_closed_holes(mesh, options.close_holes)
     if not len(mesh.triangles):
         raise FiptError(
             "depth-empty",

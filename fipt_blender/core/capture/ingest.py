@@ -50,10 +50,11 @@ from .images import (
     write_jpeg,
 )
 from .options import CaptureOptions, add_options, options_of
+from .photograph_mesh import Photograph
 from .photograph_poses import with_photograph_poses
 from .places import MISSING_REMEDY
 from .rig import Pinhole, RigView
-from .source import mesh_fusion, read_source, size_note, write_mesh
+from .source import mesh_fusion, mesh_of_photographs, read_source, size_note, write_mesh
 from .upright import Upright, doubts, find_upright
 
 # Photographs with more pixels than these are rewritten with 8 bits (JPEG) or 16 (HDR) instead of 32: of 12
@@ -124,7 +125,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             reporter.warning(note.code, note.text, note.remedy)
 
     fusion = mesh_fusion(run_folder, source, options)
-    if fusion is not None:
+    of_photographs = options.mesh_from_photographs and source.mesh is None and fusion is None
+    if fusion is not None or of_photographs:
         reporter.plan([0.35, 0.6, 0.05])
     remedy = "use photographs whose distortion is undone already, or smaller ones"
     refuse_full_disk(run_folder.images, sum(_rewritten_bytes(view) for view in views), remedy)
@@ -141,8 +143,18 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
                 reporter.stage("fuse", "Fusing the depth images")
                 fused = None if fusion.is_kept else fusion.mesh(reporter.progress)
 
+            if of_photographs:
+                reporter.stage("mesh", "Making a mesh of the photographs")
+                photographs = [
+                    Photograph(files.get("image", view.image), view.layer, pinhole, view.camera_to_world)
+                    for view, files, pinhole in zip(views, written, pinholes, strict=True)
+                    if view.split == "train"
+                ]
+                given = run_folder, capture, source, photographs
+                made = mesh_of_photographs(*given, reporter.progress)
+                reporter.warning(made[1].code, made[1].text, made[1].remedy)
             reporter.stage("write", "Writing the capture")
-            mesh = write_mesh(run_folder, source, fusion, fused)
+            mesh = made[0] if of_photographs else write_mesh(run_folder, source, fusion, fused)
             upright = upright or find_upright(poses, mesh)
     except FiptError:
         if is_new:

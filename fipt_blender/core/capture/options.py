@@ -38,8 +38,10 @@ TEXTS = {
     "align_mesh": "align the cameras to a mesh from another program by the solve's points",
     "views": "use N photographs, evenly spread (default: all)",
     "voxel": "meters, of a mesh fused from depth images (default: 0.02)",
-    "close_holes": "close holes of a fused mesh up to this width in meters",
     "triangles": "simplify a mesh with more triangles to about N; 0 for none",
+    "mesh_from_photographs": (
+        "without a mesh and depth images, make a rough mesh of the photographs alone; takes seconds for each"
+    ),
     "depth_unit": "unit of 16-bit depth images in meters (default: 0.001)",
     "own_paths": "transforms.json: its paths may lead anywhere; only for files that you wrote yourself",
     "undo_applied_transform": (
@@ -56,7 +58,6 @@ class FusionOptions:
     """How depth images are fused; see `CaptureOptions`."""
 
     voxel: float = 0.02
-    close_holes: float = 0.0
     triangles: int = 0
 
 
@@ -78,8 +79,8 @@ class CaptureOptions:
     align_mesh: bool = False
     views: int = 0
     voxel: float = 0.02
-    close_holes: float = 0.0
     triangles: int = 0
+    mesh_from_photographs: bool = False
     depth_unit: float = 0.001
     own_paths: bool = False
     undo_applied_transform: bool = False
@@ -87,7 +88,7 @@ class CaptureOptions:
     @property
     def fusion(self) -> FusionOptions:
         """Those of depth images."""
-        return FusionOptions(self.voxel, self.close_holes, self.triangles)
+        return FusionOptions(self.voxel, self.triangles)
 
     def check(self) -> None:
         """Refuse impossible values.
@@ -113,8 +114,8 @@ class CaptureOptions:
                 f"Set a scale from {low:g} to {high:g} meters per unit.",
             ),
             (
-                finest <= self.voxel <= coarsest and 0.0 <= self.close_holes <= 100.0,
-                f"Voxels of {self.voxel:g} m or closed holes of {self.close_holes:g} m are impossible.",
+                finest <= self.voxel <= coarsest,
+                f"Voxels of {self.voxel:g} m are impossible.",
                 f"Set voxels from {finest:g} to {coarsest:g} meters.",
             ),
             (

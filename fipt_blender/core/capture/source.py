@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +25,12 @@ from .color_camera import with_color_camera
 from .depth_images import Fusion, checked_depths
 from .formats.registry import read_points, read_rig
 from .options import CaptureOptions
+from .photograph_mesh import Photograph, photograph_mesh
 from .rig import Note, Rig
+
+# Depth images are measured in metres, and often show a part of a room: only their unit can be wrong, which is
+# 1, 0.25 or 0.2 mm, so that sizes within this factor are plausible.
+MEASURED = 3.0
 
 
 @dataclass(frozen=True)
@@ -86,6 +92,28 @@ def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: Fus
     return source.mesh
 
 
+def mesh_of_photographs(
+    run: RunFolder,
+    capture: Path,
+    source: Source,
+    photographs: Sequence[Photograph],
+    progress: Callable[[float], None],
+) -> tuple[Path, Note]:
+    """The mesh file that is made of photographs alone, and what to say of it.
+
+    Raises:
+        FiptError: those of `photograph_mesh`; ``disk-full`` or ``run-unwritable``.
+    """
+    try:
+        points = read_points(capture, source.rig.source)
+    except FiptError:  # the format has none
+        points = np.zeros((0, 3))
+    mesh, note = photograph_mesh(photographs, points, progress)
+    run.fused_json.unlink(missing_ok=True)  # of depth images
+    write_ply(run.fused_ply, mesh)
+    return run.fused_ply, note
+
+
 def size_note(capture: Path, source: Source, mesh: Path | None, world_from_source: np.ndarray) -> Note | None:
     """A warning where the room can't have the size that it has, by its mesh or else by the solve's points.
 
@@ -97,7 +125,8 @@ def size_note(capture: Path, source: Source, mesh: Path | None, world_from_sourc
         points = read_mesh(mesh)[0] if mesh is not None else read_points(capture, source.rig.source)
     except FiptError:  # told where it is used, or the format has no points
         return None
-    return judge_size(transform_points(world_from_source, points)) if len(points) else None
+    slack = MEASURED if source.mesh is None and source.rig.depths else 1.0
+    return judge_size(transform_points(world_from_source, points), slack) if len(points) else None
 
 
 def _with_layer(rig: Rig, layer: str) -> Rig:

@@ -37,11 +37,13 @@ class Projection:
         radiance: (H, W, 3) float32, of unseen pixels that of the nearest seen one.
         seen: (H, W) int16, number of photographs that show the point.
         spread: (H, W) float32 weighted standard deviation of the logarithm of luminance between these.
+        missed: (H, W) bool, pixels that show no mesh.
     """
 
     radiance: np.ndarray
     seen: np.ndarray
     spread: np.ndarray
+    missed: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +98,7 @@ def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) 
     if (seen > 0).any():
         nearest = distance_transform_edt(seen == 0, return_distances=False, return_indices=True)
         image = image[tuple(nearest)]
-    return Projection(image, seen, spread.astype(np.float32).reshape(shape))
+    return Projection(image, seen, spread.astype(np.float32).reshape(shape), outside.reshape(shape))
 
 
 def _seen(

@@ -32,12 +32,16 @@ GAMMA = 1.0 / 2.2  # of display values of HDR photographs (paper, Sec. 6.2)
 MIDDLE = 0.18  # display exposure: radiance of the capture's median
 # Display values within which a pixel counts for the factor of exposure.
 USABLE = (0.05, 0.95)
-# Standard deviation of the logarithm of luminance between photographs, above which they do not show the same
-# point: the surface is not where the mesh has it. Gloss causes 0.1.
+# Difference of the logarithm of radiance between photographs, above which they do not show the same point: a
+# surface is not where the mesh has it. Gloss causes 0.1.
 DISAGREE = 0.25
+# An estimate of them may be twice as far off as their mean; this is the ratio of squares.
+AMPLIFIED = 4.0
+LEAST_SHIFT = 0.5  # pixels, of a motion that counts
 BLUR = 1.5  # pixels, by which a photograph may be blurred more than the others
 SMOOTH = 1.0 / 12.0  # of a picture's width: errors of light are smooth over it, as its fall-off is
 LEAST_SHARE = 0.05  # of the error, of a cause that is named
+DARK = 0.02  # display value below which ratios do not matter
 FLOOR = 1e-4  # radiance in units of the capture's median
 
 
@@ -264,10 +268,17 @@ def shares(
     found = dict.fromkeys(REMEDIES, 0.0)
     clipped = used & view.encoded & (photograph * 255.0 >= CLIPPED_CODE).any(axis=2)  # HDR ones are not
     found["photographs"] = float(of_render[clipped].sum()) / total
-    used = used & ~clipped
-    shared = float(np.minimum(of_render, of_plain)[used].sum()) / total
-    for name, share in _capture_causes(photograph, plain, projection, used, view).items():
-        found[name] += shared * share
+    missed = used & ~clipped & projection.missed  # what is outside of windows is as others show it
+    common = np.minimum(of_render, of_plain)
+    found["surfaces"] = float(common[missed].sum()) / total
+    used = used & ~clipped & ~missed
+    explained, off = _capture_causes(photograph, plain, projection, used, view)
+    common = np.where(off, np.minimum(of_render, AMPLIFIED * of_plain), common)
+    for name, share in explained.items():
+        found[name] += share * float(common[used].sum()) / total
+    left = 1.0 - sum(explained.values())
+    found["surfaces"] += left * float(common[used & off].sum()) / total
+    found["materials"] += left * float(common[used & ~off].sum()) / total  # gloss differs between directions
     rest = max(1.0 - sum(found.values()), 0.0)
     smooth = _smooth_share(photograph, render, used)
     found["light that nothing shows"] += rest * smooth * unseen_light
@@ -275,30 +286,38 @@ def shares(
     doubted = lamp_doubt * (1.0 - smooth)  # sharp shadows and the lamps' own pixels
     found["lamps"] += rest * doubted
     found["materials"] += rest * (1.0 - smooth - doubted)
-    return found
+    # A motion that explains the render's error explains it all: materials and light can't move a picture.
+    moved = _moved(photograph, render, used, view)
+    found = {name: (1.0 - moved) * share for name, share in found.items()}
+    return found | {"poses": found["poses"] + moved}
+
+
+def _moved(photograph: np.ndarray, other: np.ndarray, used: np.ndarray, view: View) -> float:
+    """The share of a picture's error that a motion of the camera or another lens explains."""
+    gray, predicted = (np.log(image.mean(axis=2) + DARK) for image in (photograph, other))
+    fit = register(gray, predicted, used, view.intrinsics, affine=True)
+    return 1.0 - fit.improvement if fit.shift > LEAST_SHIFT else 0.0
 
 
 def _capture_causes(
     photograph: np.ndarray, plain: np.ndarray, projection: Projection, used: np.ndarray, view: View
-) -> dict[str, float]:
-    """Shares of causes in the error of the projection, which sum to 1."""
+) -> tuple[dict[str, float], np.ndarray]:
+    """What a turn of the camera, gains and blur explain of the projection's error, and (H, W) bool, where
+    photographs, this one included, do not show the same point."""
     error = ((plain - photograph) ** 2).sum(axis=2)
     total = max(float(error[used].sum()), 1e-12)
     found = {}
-    off = used & ((projection.spread > DISAGREE) | (projection.seen == 0))
-    found["surfaces"] = float(error[off].sum()) / total
-    gray, predicted = (np.log(image.mean(axis=2) + 0.02) for image in (photograph, plain))
-    fit = register(gray, predicted, used & (projection.seen > 0), view.intrinsics)
-    found["poses"] = 1.0 - fit.improvement if fit.shift > 0.5 else 0.0
-    gains = np.median((photograph[used] + 0.02) / (plain[used] + 0.02), axis=0) if used.any() else 1.0
+    found["poses"] = _moved(photograph, plain, used & (projection.seen > 0), view)
+    gains = np.median((photograph[used] + DARK) / (plain[used] + DARK), axis=0) if used.any() else 1.0
     balanced = ((plain * gains - photograph) ** 2).sum(axis=2)
     blurred = ((gaussian_filter(plain, (BLUR, BLUR, 0.0)) - photograph) ** 2).sum(axis=2)
     better = [1.0 - float(other[used].sum()) / total for other in (balanced, blurred)]
     found["photographs"] = sum(max(share, 0.0) for share in better)
-    sum_of_all = sum(found.values())
-    if sum_of_all > 1.0:
-        return {name: share / sum_of_all for name, share in found.items()}
-    return {**found, "materials": 1.0 - sum_of_all}  # gloss, which differs between directions
+    most = max(sum(found.values()), 1.0)
+    apart = np.log((photograph + DARK) / (plain * gains + DARK)) / GAMMA
+    off = (projection.spread > DISAGREE) | (projection.seen == 0)
+    off |= np.sqrt((apart**2).mean(axis=2)) > DISAGREE
+    return {name: share / most for name, share in found.items()}, off
 
 
 def _smooth_share(photograph: np.ndarray, render: np.ndarray, used: np.ndarray) -> float:
@@ -310,7 +329,7 @@ def _smooth_share(photograph: np.ndarray, render: np.ndarray, used: np.ndarray) 
     def smooth(image: np.ndarray) -> np.ndarray:
         return np.stack([gaussian_filter(image[..., c] * known, width) / norm for c in range(3)], axis=2)
 
-    factor = (smooth(photograph) + 0.02) / (smooth(render) + 0.02)
+    factor = (smooth(photograph) + DARK) / (smooth(render) + DARK)
     before = float(((render - photograph)[used] ** 2).sum())
     after = float(((render * factor - photograph)[used] ** 2).sum())
     return float(np.clip(1.0 - after / max(before, 1e-12), 0.0, 1.0))

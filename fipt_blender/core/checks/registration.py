@@ -43,7 +43,13 @@ class Fit:
 NO_VERDICT = Fit(shift=0.0, improvement=1.0, gain=0.0, difference=0.0)
 
 
-def register(photograph: np.ndarray, predicted: np.ndarray, known: np.ndarray, intrinsics: np.ndarray) -> Fit:
+def register(
+    photograph: np.ndarray,
+    predicted: np.ndarray,
+    known: np.ndarray,
+    intrinsics: np.ndarray,
+    affine: bool = False,
+) -> Fit:
     """Find the camera's rotation by which the photograph agrees best with the prediction.
 
     A camera at a wrong position is found too: apart from parallax, its error looks like a rotation.
@@ -53,10 +59,11 @@ def register(photograph: np.ndarray, predicted: np.ndarray, known: np.ndarray, i
         predicted: (H, W) log radiance that the other views predict.
         known: (H, W) bool, where both are known.
         intrinsics: (3, 3) in pixels of these images.
+        affine: whether the image is stretched and sheared, too, as by wrong lenses and poses of others.
     """
     if known.sum() < LEAST_PIXELS:
         return NO_VERDICT
-    flow = _flow(known.shape, intrinsics)
+    flow = _flow(known.shape, intrinsics, affine)
     size = np.sqrt((flow**2).sum(axis=1).mean(axis=(1, 2)))
     flow = flow[:, :, known]
     rotation = np.zeros(len(flow))
@@ -81,13 +88,18 @@ def register(photograph: np.ndarray, predicted: np.ndarray, known: np.ndarray, i
     return Fit(shift, min(after / max(before, 1e-12), 1.0), before - after, difference)
 
 
-def _flow(shape: tuple[int, ...], intrinsics: np.ndarray) -> np.ndarray:
-    """(3, 2, H, W) displacement (x, y) of each pixel per radian of rotation about each axis of the camera."""
+def _flow(shape: tuple[int, ...], intrinsics: np.ndarray, affine: bool) -> np.ndarray:
+    """(3, 2, H, W) displacement (x, y) of each pixel per radian of rotation about each axis of the camera.
+
+    With `affine` (6, 2, H, W): further ones per unit of stretch along x and y, and of shear.
+    """
     height, width = shape
     fx, fy = intrinsics[0, 0], intrinsics[1, 1]
     x = (np.arange(width) + 0.5 - intrinsics[0, 2])[None] / fx + np.zeros((height, 1))
     y = (np.arange(height) + 0.5 - intrinsics[1, 2])[:, None] / fy + np.zeros((1, width))
     axes = [(-x * y, -(1.0 + y**2)), (1.0 + x**2, x * y), (-y, x)]
+    if affine:
+        axes += [(x, 0.0 * y), (0.0 * x, y), (y, 0.0 * x)]
     return np.array([[fx * dx, fy * dy] for dx, dy in axes])
 
 
@@ -109,7 +121,7 @@ class _Pair:
         photograph: (3, H, W) log radiance and its gradients along x and y.
         predicted: (M,) log radiance at the known pixels, row by row.
         known: (H, W) bool, true at M pixels.
-        flow: (3, 2, M) displacement of these pixels, as in :func:`_flow`.
+        flow: (K, 2, M) displacement of these pixels, as in :func:`_flow`.
     """
 
     photograph: np.ndarray
@@ -118,7 +130,7 @@ class _Pair:
     flow: np.ndarray
 
     def displacement(self, rotation: np.ndarray) -> np.ndarray:
-        """(2, M) displacement (x, y) in pixels by a small rotation (3,) in radians."""
+        """(2, M) displacement (x, y) in pixels by a small motion (K,)."""
         return np.einsum("k,kam->am", rotation, self.flow)
 
     def residuals(self, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -147,7 +159,7 @@ def _step(pair: _Pair, rotation: np.ndarray, pull: np.ndarray) -> np.ndarray:
     """One Gauss-Newton step of the rotation; a factor of exposure is fitted with it.
 
     Args:
-        pull: (3,) weight of the prior, for residuals of 1.
+        pull: (K,) weight of the prior, for residuals of 1.
     """
     residual, (dx, dy), usable = pair.residuals(rotation)
     if len(residual) < LEAST_PIXELS:

@@ -1,17 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Upright surfaces of revolution: lamp shades, vases, pots, drums, columns.
-
-They are fitted to the triangles of a scan, and meshed where the scan has none.
-"""
+"""Upright surfaces of revolution, fitted to triangles of a scan: lamp shades, vases, pots, drums, columns."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from ..surface.adjacency import without_unused
+from .cells import CellSurface
 
 # Triangles that face up or down by more than this sine hardly determine an axis or a radius.
 STEEPEST = 0.87
@@ -25,89 +20,29 @@ _TAIL = 0.01
 _ROUNDS = 15
 
 
-@dataclass(frozen=True)
-class Revolution:
-    """A surface of revolution about an upright axis, in rows of cells.
+def revolved(axis: np.ndarray, low: float, step: float, radius: np.ndarray, side: int) -> CellSurface:
+    """The surface of revolution about an upright axis.
 
-    Attributes:
+    Args:
         axis: (2,) x and y of the axis, metres.
         low: z of the lower end, metres.
         step: height of a row, metres.
         radius: (R + 1,) metres at the ends of the rows, upwards.
         side: 1 where its front is outside, -1 where it is inside.
     """
-
-    axis: np.ndarray
-    low: float
-    step: float
-    radius: np.ndarray
-    side: int
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows, and cells in a row, which are about as wide as high."""
-        around = 2.0 * np.pi * float(self.radius.max()) / self.step
-        return len(self.radius) - 1, max(int(np.ceil(around)), 3)
-
-    def near(self, points: np.ndarray, distance: float) -> np.ndarray:
-        """(N,) bool, whether points (N, 3) are so many metres from the surface or closer."""
-        row = (points[:, 2] - self.low) / self.step
-        off = np.linalg.norm(points[:, :2] - self.axis, axis=1) - self._radii(row)[0]
-        inside = (row > -distance / self.step) & (row < len(self.radius) - 1 + distance / self.step)
-        return np.asarray(inside & (np.abs(off) < distance))
-
-    def cells(self, down: float = 0.0, across: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Places (R, S, 3) in the cells and unit normals (R, S, 3) of their fronts there.
-
-        Args:
-            down, across: where, in cells from their middles.
-        """
-        rows, count = self.shape
-        at = np.arange(rows) + 0.5 + down, np.arange(count) + 0.5 + across
-        return self._places(*at), self._normals(*at)
-
-    def surface(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The mesh of some cells (R, S) bool.
-
-        Returns:
-            vertices (V, 3) float32, triangles (T, 3) int32, and corner normals (T, 3, 3) float32.
-        """
-        rows, count = self.shape
-        row, column = np.nonzero(chosen)
-        corners = [(row, column), (row, column + 1), (row + 1, column + 1), (row + 1, column)]
-        index = np.stack([down * count + across % count for down, across in corners], axis=1)
-        triangles = index[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)[:, :: self.side]
-        used, triangles = without_unused(triangles)
-        ends = np.arange(rows + 1.0), np.arange(float(count))
-        places, normals = self._places(*ends).reshape(-1, 3), self._normals(*ends).reshape(-1, 3)
-        return places[used].astype(np.float32), triangles, normals[used][triangles].astype(np.float32)
-
-    def _radii(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Radius at heights in rows, and its slope."""
-        slope = np.gradient(self.radius) / self.step
-        places = np.arange(len(self.radius))
-        return np.interp(row, places, self.radius), np.interp(row, places, slope)
-
-    def _around(self, column: np.ndarray) -> np.ndarray:
-        """(S, 2) unit vectors from the axis."""
-        angle = 2.0 * np.pi * column / self.shape[1]
-        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
-
-    def _places(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-        around = self.axis + self._radii(row)[0][:, None, None] * self._around(column)
-        height = np.broadcast_to((self.low + self.step * row)[:, None, None], (*around.shape[:2], 1))
-        return np.concatenate([around, height], axis=2)
-
-    def _normals(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-        slope = self._radii(row)[1][:, None, None]
-        around = np.broadcast_to(self._around(column), (len(row), len(column), 2))
-        normals = np.concatenate([around, np.broadcast_to(-slope, (*around.shape[:2], 1))], axis=2)
-        return self.side * normals / np.sqrt(1.0 + slope**2)
+    count = max(int(np.ceil(2.0 * np.pi * float(radius.max()) / step)), 3)
+    angle = -side * 2.0 * np.pi * np.arange(count + 1) / count
+    away = np.stack([np.cos(angle), np.sin(angle), np.zeros(count + 1)], axis=1)
+    up = np.array([0.0, 0.0, 1.0])
+    height, slope = low + step * np.arange(len(radius)), np.gradient(radius) / step
+    places = np.append(axis, 0.0) + radius[:, None, None] * away + height[:, None, None] * up
+    normals = side * (away - slope[:, None, None] * up) / np.sqrt(1.0 + slope**2)[:, None, None]
+    return CellSurface(places, normals, step, around=True)
 
 
 def fit_revolutions(
     points: np.ndarray, normals: np.ndarray, areas: np.ndarray, step: float
-) -> list[Revolution]:
+) -> list[CellSurface]:
     """Surfaces of revolution through the triangles of one thing, whose outside and inside are apart.
 
     Args:
@@ -151,7 +86,7 @@ def _axis_of_normals(
 
 def _fitted(
     points: np.ndarray, normals: np.ndarray, areas: np.ndarray, axis: np.ndarray, step: float, side: int
-) -> Revolution | None:
+) -> CellSurface | None:
     """The surface whose front triangles are given, None where they lie on none."""
     if len(points) < LEAST_ROWS * LEAST_RADIUS:
         return None
@@ -188,4 +123,4 @@ def _fitted(
     # Rows know the radius at their middles.
     ends = np.interp(np.arange(rows + 1.0), np.arange(rows) + 0.5, profile)
     ends[[0, -1]] += 0.5 * np.array([profile[0] - profile[1], profile[-1] - profile[-2]])
-    return Revolution(axis, float(low), (high - low) / rows, np.maximum(ends, 0.0), side)
+    return revolved(axis, float(low), (high - low) / rows, np.maximum(ends, 0.0), side)

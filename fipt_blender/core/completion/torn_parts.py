@@ -25,8 +25,9 @@ from ..robust import LEAST_VIEWS
 from ..run.threads import in_threads
 from ..surface.adjacency import NONE, Surface, face_vectors
 from ..surface.room import Room
-from .revolution import Revolution, fit_revolutions
-from .sheet import Sheet, fit_sheets
+from .cells import CellSurface
+from .revolution import fit_revolutions
+from .sheet import fit_sheets
 
 # Triangles of a part within this many edges belong to one thing; fewer triangles do not determine a shape.
 APART, LEAST_TRIANGLES = 2.0, 100
@@ -39,9 +40,6 @@ TORN = 0.05
 # A cell of a shape exists in the scan if the scan has a surface within this many edges in front of or behind
 # it, at four points: these offsets from the centre, in cells, along both axes.
 WITHIN, _BESIDE = 0.75, (-0.25, 0.25)
-
-
-Shape = Revolution | Sheet
 
 
 def torn_parts(room: Room, label: np.ndarray, masked: Sequence[MaskedView], edge: float) -> list[Surface]:
@@ -112,7 +110,7 @@ def torn_round_things(room: Room, pixels: ComparedPixels, edge: float) -> list[S
     return found
 
 
-def _agreement(shape: Shape, pixels: ComparedPixels, missing: np.ndarray) -> _Votes:
+def _agreement(shape: CellSurface, pixels: ComparedPixels, missing: np.ndarray) -> _Votes:
     """Votes of photographs on the missing cells (R, S) bool of a shape; all views of a cell vote alike.
 
     None vote for it unless they do at nearly all of the cells that enough views see.
@@ -157,7 +155,7 @@ class _Completion:
                 self._masked[number] = replace(one, distance=distance, same=one.same | nearer)
         self._seen = len(self._rooms)
 
-    def add(self, shape: Shape, part: int, missing: Callable[[np.ndarray, _Votes], np.ndarray]) -> None:
+    def add(self, shape: CellSurface, part: int, missing: Callable[[np.ndarray, _Votes], np.ndarray]) -> None:
         """Add the missing cells of a shape, if there are any.
 
         Args:
@@ -169,7 +167,7 @@ class _Completion:
             vertices, triangles, normals = shape.surface(chosen)
             self.put((vertices, triangles, normals, np.full(len(triangles), NONE)))
 
-    def distance(self, shape: Shape, part: int) -> float:
+    def distance(self, shape: CellSurface, part: int) -> float:
         """Mean distance in metres between views and the cells that they show."""
         votes = _votes(shape, self._masked, part, self._edge)
         return float(votes.distance.sum() / max(votes.yes.sum(), 1))
@@ -209,7 +207,7 @@ def _things(middles: np.ndarray, rows: np.ndarray, apart: float) -> list[np.ndar
     return list(pieces)
 
 
-def _on_scan(shape: Shape, room: Room, edge: float) -> np.ndarray:
+def _on_scan(shape: CellSurface, room: Room, edge: float) -> np.ndarray:
     """(R, S) bool, cells where the scan has a surface that faces the same way."""
     has = np.ones(shape.shape, bool)
     for down in _BESIDE:
@@ -222,7 +220,7 @@ def _on_scan(shape: Shape, room: Room, edge: float) -> np.ndarray:
     return has
 
 
-def _votes(shape: Shape, masked: Sequence[MaskedView], part: int, tolerance: float) -> _Votes:
+def _votes(shape: CellSurface, masked: Sequence[MaskedView], part: int, tolerance: float) -> _Votes:
     """Votes on a part at the cells of a shape that are `tolerance` metres or more in front of the scan."""
     centres, facing = (each.reshape(-1, 3) for each in shape.cells())
 

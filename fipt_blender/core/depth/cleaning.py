@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fused meshes made tidy: specks in the air dropped, small holes closed."""
+"""Fused meshes without specks in the air."""
 
 from __future__ import annotations
 
@@ -27,55 +27,6 @@ def without_specks(mesh: FusedMesh, least_area: float) -> FusedMesh:
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.bincount(piece, 0.5 * np.linalg.norm(cross, axis=1))
     return _compacted(mesh, mesh.triangles[area[piece] >= least_area])
-
-
-def with_closed_holes(mesh: FusedMesh, widest: float) -> FusedMesh:
-    """The mesh with holes closed by triangles around their middles.
-
-    Args:
-        widest: metres; holes with a vertex farther than half of it from their middle stay open, like the
-            outer border of what was seen.
-    """
-    vertices, colors, triangles = [mesh.vertices], [mesh.colors], [mesh.triangles]
-    count = len(mesh.vertices)
-    for loop in border_loops(mesh.triangles):
-        middle = mesh.vertices[loop].mean(axis=0)
-        if np.linalg.norm(mesh.vertices[loop] - middle, axis=1).max() > 0.5 * widest:
-            continue
-        # The border is walked in the direction of the triangles at it; those that close it walk back.
-        fan = np.stack([np.roll(loop, -1), loop, np.full(len(loop), count)], axis=1)
-        triangles.append(fan.astype(np.int32))
-        vertices.append(middle[None].astype(np.float32))
-        if mesh.colors is not None:
-            colors.append(mesh.colors[loop].mean(axis=0, keepdims=True))
-        count += 1
-    tints = None if mesh.colors is None else np.concatenate([tint for tint in colors if tint is not None])
-    return FusedMesh(np.concatenate(vertices), np.concatenate(triangles), tints)
-
-
-def border_loops(triangles: np.ndarray) -> list[np.ndarray]:
-    """Closed loops of vertices along edges of one triangle only, in the triangles' direction.
-
-    Loops that touch themselves are left out.
-    """
-    edges = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64)
-    most = int(edges.max(initial=0)) + 1
-    keys, back = edges[:, 0] * most + edges[:, 1], edges[:, 1] * most + edges[:, 0]
-    open_edges = edges[~np.isin(keys, back)]
-    starts, uses = np.unique(open_edges[:, 0], return_counts=True)
-    forked = set(starts[uses > 1].tolist())
-    following = dict(open_edges.tolist())
-    loops = []
-    while following:
-        first, vertex = next(iter(following.items()))
-        loop = [first]
-        del following[first]
-        while vertex in following:
-            loop.append(vertex)
-            vertex = following.pop(vertex)
-        if vertex == first and not forked.intersection(loop):
-            loops.append(np.array(loop))
-    return loops
 
 
 def _compacted(mesh: FusedMesh, triangles: np.ndarray) -> FusedMesh:

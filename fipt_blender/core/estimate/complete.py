@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ..capture.views import load_capture
 from ..device.variant import set_variant
 from ..run.errors import FiptError
 from ..run.messages import Reporter
@@ -33,11 +34,11 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     folder = RunFolder(RunFolder(arguments.run).survey)
     set_variant(settings.device)
     # Imported here because these modules need Mitsuba's variant when they are loaded.
-    from .input import completed_room, training_views
+    from .input import completed_room
 
-    photographs = training_views(folder, settings)
-    if not photographs:
+    capture = load_capture(folder)
+    if not capture.train:
         raise FiptError("views-none", "No view is ticked for estimation.", "Tick views in the list.")
     reporter.plan([0.2, 0.8])
-    completed_room(folder, settings, photographs, reporter)
+    completed_room(folder, settings, capture, reporter)
     reporter.done([str(path) for path in (folder.closing_npz, folder.panes_npz) if path.exists()])

@@ -56,9 +56,9 @@ def chain_of(
 ) -> Chain:
     """A chain of stages on the input's run folder."""
     hints, rerun = given.hints, given.hints_rerun or []
-    of_input = ("room", "views", "far_off", "held_back")
     values = {
-        **{name: Given(getattr(given, name), given.key) for name in of_input},
+        **{name: Given(getattr(given, name), given.key) for name in ("room", "views", "far_off")},
+        "held_back": Given(given.held_back, given.held_back_key),
         "hints": Given(hints, hints_digest(hints)),
         "hints_rerun": Given(rerun, hints_digest(rerun)),
         **{name: Given(index, str(index)) for name, index in round_numbers(given.settings.rounds).items()},

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 
 from ..capture.light_views import light_views
-from ..capture.views import View, load_capture
+from ..capture.views import Capture, View, load_capture
 from ..checks.consensus import check_input
 from ..completion.panes import close_holes
 from ..parts.linked_masks import link_masks
@@ -29,6 +29,9 @@ from ..run.settings import Settings
 from ..run.stage_settings import RoomSettings, ViewSettings, chosen
 from ..surface.room import Room, load_room
 from ..surface.stored import prepare_geometry
+
+# Shares of an estimation's time that averaging the photographs and completing a scan take, for progress.
+PREPARATION = (0.01, 0.05)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +51,7 @@ class EstimationInput:
         hints_rerun: those that the hinted stages honour instead; None where there are no such stages.
         light_changes: whether the hinted stages include a refinement.
         key: changes with views, room and device.
+        held_back_key: changes with the views that are held back.
     """
 
     folder: RunFolder
@@ -62,6 +66,7 @@ class EstimationInput:
     hints_rerun: Sequence[Hint] | None
     light_changes: bool
     key: str
+    held_back_key: str
 
 
 def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> EstimationInput:
@@ -75,24 +80,37 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
         FiptError: ``views-none``, ``disk-space`` unless forced, where the capture or the room can't be read,
             and those of `check_input`.
     """
-    photographs = training_views(folder, settings)
+    capture = load_capture(folder)
+    photographs = spread_views(capture.train, settings.view_share)
     if not photographs:
         raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
     plan = light_plan([(view.width, view.height) for view in photographs], settings)
     reporter.note(f"{plan.resolution}; {plan.cost}")
+    reporter.plan([*PREPARATION, 1.0 - sum(PREPARATION)])
     if not settings.force:
         refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
-    views, room, far_off, holes = completed_room(folder, settings, photographs, reporter)
+    views, room, far_off, holes = completed_room(folder, settings, capture, reporter)
     # Outlines depend on the linked masks, not the reverse, so that a resumed run keeps both.
     views = link_masks(folder, room, views)
     if outline_parts(folder, views if settings.outlines else [], room):
         room = load_room(folder)
     hints, rerun = read_hints(folder.hints_json), folder.hints_again_json
     hints_rerun, changes = read_hints(rerun) if rerun.exists() else None, light_changes(rerun)
-    held_back = load_capture(folder).held_back
-    key = input_key(folder, settings, views)
+    held_back = capture.held_back
     return EstimationInput(
-        folder, settings, plan, views, held_back, far_off, room, holes, hints, hints_rerun, changes, key
+        folder,
+        settings,
+        plan,
+        views,
+        held_back,
+        far_off,
+        room,
+        holes,
+        hints,
+        hints_rerun,
+        changes,
+        input_key(folder, settings, views),
+        input_key(folder, settings, held_back),
     )
 
 
@@ -113,23 +131,24 @@ def input_key(folder: RunFolder, settings: Settings, views: Sequence[View]) -> s
 
 
 def completed_room(
-    folder: RunFolder, settings: Settings, photographs: Sequence[View], reporter: Reporter
+    folder: RunFolder, settings: Settings, capture: Capture, reporter: Reporter
 ) -> tuple[list[View], Room, dict[int, float], ScanHoles | None]:
     """The views at the resolution of light, the room with what its scan lacks, without outlines, views that
     are far off and the holes; the last two as of `EstimationInput`.
 
     Args:
-        photographs: training views at full size.
+        capture: the folder's; with training views.
 
     Raises:
-        FiptError: where the capture or the room can't be read, and those of `check_input`.
+        FiptError: where the room can't be read, and those of `check_input`.
     """
     prepare_geometry(folder, settings.clean_scan, settings.close_holes_edges)
     holes = read_scan_holes(folder)
     begin = partial(reporter.stage, "light", "Averaging the photographs to the resolution of light")
+    photographs = spread_views(capture.train, settings.view_share)
     views = light_views(folder, photographs, settings.light_pixels, begin, reporter.progress)
     room = load_room(folder, outlined=False)
-    own_mesh = load_capture(folder).mesh == folder.fused_ply  # made from the rig itself
+    own_mesh = capture.mesh == folder.fused_ply  # made from the rig itself
     far_off = check_input(room, views, settings, own_mesh)
     if folder.geometry_npz.exists():
         text = "Looking for what the scan lacks"  # takes minutes
@@ -139,22 +158,13 @@ def completed_room(
     return views, room, far_off, holes
 
 
-def training_views(folder: RunFolder, settings: Settings) -> list[View]:
-    """The training views that an estimation may use, at full size; none where the capture has none.
-
-    Raises:
-        FiptError: those of `load_capture`.
-    """
-    views = load_capture(folder).train
-    return spread_views(views, settings.view_share) if views else []
-
-
 def spread_views(views: Sequence[View], share: float) -> list[View]:
-    """A share of the views (0 to 1, one at least), spread evenly over their order."""
+    """A share of the views (0 to 1, one of any at least), spread evenly over their order."""
     count = min(max(1, round(share * len(views))), len(views))
     return [views[i * len(views) // count] for i in range(count)]
 
 
 def estimation_views(folder: RunFolder, settings: Settings) -> list[View]:
     """The views of an estimation that was done in a folder, at the resolution of its pixels."""
-    return light_views(folder, training_views(folder, settings), settings.light_pixels)
+    photographs = spread_views(load_capture(folder).train, settings.view_share)
+    return light_views(folder, photographs, settings.light_pixels)

@@ -56,9 +56,9 @@ def _pixels(encoded: bool) -> Iterator[Stage]:
     if encoded:
         yield Stage("photometry", find_photometry, "Finding the radiance of the photographs", 0.3)
     yield Stage("checks", check_poses, "Checking the photographs' poses and exposures", 0.4)
-    yield Stage("unmixing", divide_mixed_pixels, "Dividing mixed pixels", 0.2)
+    yield Stage("unmixing", divide_mixed_pixels, "Dividing mixed pixels", 0.3)
     if encoded:
-        yield Stage("refit", refit_photometry, "Finding the radiance with the room's light", 0.5)
+        yield Stage("refit", refit_photometry, "Finding the radiance with the room's light", 0.8)
 
 
 def _light() -> Iterator[Stage]:
@@ -88,7 +88,7 @@ def _rounds(rounds: int) -> Iterator[Stage]:
 
 def _refinement(suffix: str, number: int, text: str, prefix: str = "", replaces: str = "") -> Iterator[Stage]:
     """Stage 3 with the last estimate; of the shadings that it replaces the files are not kept."""
-    yield Stage(f"{prefix}reflection{suffix}", find_reflection, f"Preparing light paths{text}", 0.3)
+    yield Stage(f"{prefix}reflection{suffix}", find_reflection, f"Preparing light paths{text}", 0.2)
     name, takes = f"{prefix}refinement{suffix}", {"index": f"round_{number}"}
     yield Stage(name, refine_shadings, f"Refining shadings{text}", 2.9, takes, replaces)
 
@@ -122,7 +122,7 @@ def _judgement(judged: bool) -> Iterator[Stage]:
     """The estimate on all surfaces, and how good it is."""
     yield Stage("room-fields", find_room_fields)
     if judged:
-        yield Stage("quality", judge_result, "Judging the result by photographs that were held back", 0.5)
+        yield Stage("quality", judge_result, "Judging the result by photographs that were held back", 0.7)
 
 
 def round_numbers(rounds: int) -> dict[str, int]:

@@ -13,8 +13,8 @@ import numpy as np
 
 from ..parts.labels import Parts, room_pieces
 from ..pixels.grouped import numbered
-from ..surface.part_adjacency import Scan
 from ..surface.room import Room
+from ..surface.scan import Scan
 from .cache import side_index
 
 # Width of the patches of a scan without part masks, in pixel widths, and largest distance between the centers

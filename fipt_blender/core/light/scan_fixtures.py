@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..parts.components import graph_components
-from ..surface.part_adjacency import Scan
+from ..surface.scan import Scan
 
 # A connected piece of emitting triangles is a fixture if it has at least this many of them. If its area is
 # less than this share of the largest of its surface, and a fixture is within this many median edges, it
@@ -28,10 +28,10 @@ def scan_groups(scan: Scan, ids: np.ndarray, surface: np.ndarray | None) -> np.n
         ids: (n,) int64 emitting triangles, ascending.
         surface: (T,) int; a fixture does not extend over several. None: all are one.
     """
-    place = np.full(scan.adjacency.count, -1, np.int64)
+    place = np.full(len(scan.centers), -1, np.int64)
     place[ids] = np.arange(len(ids))
     of = np.zeros(len(ids), np.int64) if surface is None else surface[ids].astype(np.int64)
-    pairs = place[scan.adjacency.pairs]
+    pairs = place[scan.mesh.dual_edges]
     pairs = pairs[(pairs >= 0).all(axis=1)]
     component = graph_components(pairs[of[pairs[:, 0]] == of[pairs[:, 1]]], len(ids))
     areas = np.linalg.norm(scan.cross[ids], axis=1)

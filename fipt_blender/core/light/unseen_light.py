@@ -57,6 +57,7 @@ APART = 1.5
 LEAST_LAMP = 0.005  # share of the light that a lamp casts
 # Least radius of a lamp in widths of a whole source, and most of these that an opening has to be a lamp.
 BALL, MOST_OF_LAMP = 0.2, 16
+WIDEST = 2.0  # radius of a disc in widths of a whole source; what is wider is divided
 FLAT = 0.7  # it is a disc if more than this share of its light leaves to one side
 CLEARANCE = 0.1  # of discs from the surface that shines, in widths of a source
 
@@ -160,11 +161,12 @@ class Sources:
     def lamps(self) -> Iterator[dict[str, Any]]:
         """Discs and balls that cast the light of bright sources, as lamps that the mesh lacks.
 
-        What shines to one side is a disc as wide as its sources are spread, others are balls.
+        What shines to one side is a disc as wide as its sources are spread, or several; others are balls.
         """
-        least = BALL * self.cells.size
-        for index in range(int(self.lamp.max(initial=-1)) + 1):
-            own = np.flatnonzero(self.lamp == index)
+        least, most = BALL * self.cells.size, WIDEST * self.cells.size
+        clusters = [np.flatnonzero(self.lamp == index) for index in range(int(self.lamp.max(initial=-1)) + 1)]
+        while clusters:
+            own = clusters.pop()
             cast = self.points.unseen[:, own] @ self.light.radiance[own]
             lit = cast.sum(axis=1) > 0.0
             weight = self.points.unseen[:, own].sum(axis=0) * self.light.radiance[own].mean(axis=1)
@@ -180,6 +182,12 @@ class Sources:
                 power = self.light.radiance[own].mean(axis=1) * self.width[own] ** 2
                 square = (off**2).sum(axis=1) + self.width[own] ** 2 / 6.0  # of a square around its middle
                 radius = max(float(np.sqrt(2.0 * np.average(square, weights=power))), least)
+                if radius > most:
+                    along = np.linalg.svd(off * np.sqrt(power)[:, None])[2][0]
+                    beyond = off @ along > 0.0
+                    if beyond.any() and not beyond.all():
+                        clusters += [own[beyond], own[~beyond]]
+                        continue
                 center = place + CLEARANCE * self.cells.size * facing
             else:
                 center = place - radius * way / max(float(np.linalg.norm(way)), 1e-9)

@@ -148,7 +148,7 @@ def _fused_labels(
         fused = fuse_masks(images, triangles, count)
     else:
         votes = count_votes(images, triangles, BORDER_VOTE)
-        fused = smooth_labels(votes, scan.adjacency, scan.cross)
+        fused = smooth_labels(votes, scan.mesh, scan.cross)
     return spread_labels(fused, weld(room.vertices)[room.triangles])
 
 
@@ -159,7 +159,7 @@ def room_pieces(room: Room) -> np.ndarray:
     """
     scan, exact = room.scan, room.exact
     if scan is not None:
-        segments = scan_segments(scan.adjacency, scan.cross, room.plane).astype(np.int32)
+        segments = scan_segments(scan.mesh, scan.cross, room.plane).astype(np.int32)
         if exact is None:
             return segments
     loose = loose_pieces(weld(room.vertices)[room.triangles], room.triangle_object)

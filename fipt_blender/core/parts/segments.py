@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..pixels.grouped import pairs_of, strongest
-from ..surface.part_adjacency import Adjacency, averaged_normals
+from ..surface.adjacency import Mesh
+from ..surface.scan import averaged_normals
 from .components import graph_components
 
 # Least area of a segment, in areas of the median triangle.
@@ -20,7 +21,7 @@ CREASE = 0.3
 RINGS = 3
 
 
-def scan_segments(adjacency: Adjacency, cross: np.ndarray, plane: np.ndarray | None) -> np.ndarray:
+def scan_segments(mesh: Mesh, cross: np.ndarray, plane: np.ndarray | None) -> np.ndarray:
     """(T,) int64 segment of each triangle, numbered from 0.
 
     Args:
@@ -28,16 +29,16 @@ def scan_segments(adjacency: Adjacency, cross: np.ndarray, plane: np.ndarray | N
         plane: (T,) int plane of each triangle, negative without; None where planes are unknown.
     """
     area = np.linalg.norm(cross, axis=1)
-    normals = averaged_normals(adjacency, cross, RINGS)
+    normals = averaged_normals(mesh, cross, RINGS)
     segment = np.full(len(cross), -1) if plane is None else plane
-    one, other = adjacency.pairs.T
+    one, other = mesh.dual_edges.T
     smooth = (normals[one] * normals[other]).sum(axis=1) > np.cos(CREASE)
     joined = (segment[one] == segment[other]) & ((segment[one] >= 0) | smooth)
-    component = graph_components(adjacency.pairs[joined], adjacency.count)
-    return absorb_small(component, adjacency, area, LEAST_SIZE * float(np.median(area)))
+    component = graph_components(mesh.dual_edges[joined], len(mesh.triangles))
+    return absorb_small(component, mesh, area, LEAST_SIZE * float(np.median(area)))
 
 
-def absorb_small(component: np.ndarray, adjacency: Adjacency, area: np.ndarray, least: float) -> np.ndarray:
+def absorb_small(component: np.ndarray, mesh: Mesh, area: np.ndarray, least: float) -> np.ndarray:
     """(T,) int64 components from 0, of which small ones have joined the neighbor with the longest border.
 
     Args:
@@ -46,7 +47,7 @@ def absorb_small(component: np.ndarray, adjacency: Adjacency, area: np.ndarray, 
     while True:
         count = int(component.max(initial=-1)) + 1
         size = np.bincount(component, area, minlength=count)
-        pairs = component[adjacency.pairs]
+        pairs = component[mesh.dual_edges]
         border = pairs[:, 0] != pairs[:, 1]
         # Each border counts for both sides: from the smaller component into the larger one.
         one, other = pairs[border].T
@@ -56,7 +57,7 @@ def absorb_small(component: np.ndarray, adjacency: Adjacency, area: np.ndarray, 
         if not wanted.any():
             return component
         small, large, place = pairs_of(low[wanted], high[wanted])
-        length = np.bincount(place, adjacency.length[border][wanted])
+        length = np.bincount(place, mesh.dual_lengths[border][wanted])
         joined = strongest(small, large, length, count, "high")
         joins = np.flatnonzero(joined >= 0)
         component = graph_components(np.stack([joins, joined[joins]], axis=1), count)[component]

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.sparse import csr_array, diags_array
 
 from ..pixels.grouped import pairs_of, strongest
-from ..surface.part_adjacency import Adjacency, averaged_normals
+from ..surface.adjacency import Mesh
+from ..surface.scan import averaged_normals
 from .components import graph_components
 
 # Share of the votes that goes on to the neighbours at each step; the walk is about three triangles long.
@@ -49,30 +50,30 @@ class Votes:
     weight: np.ndarray
 
 
-def edge_passage(adjacency: Adjacency, cross: np.ndarray) -> np.ndarray:
+def edge_passage(mesh: Mesh, cross: np.ndarray) -> np.ndarray:
     """(E,) how easily a walk passes each edge: its length, less at creases.
 
     Args:
         cross: (T, 3) normals with the areas as lengths.
     """
-    normals = averaged_normals(adjacency, cross, CREASE_RINGS)
-    one, other = normals[adjacency.pairs.T]
+    normals = averaged_normals(mesh, cross, CREASE_RINGS)
+    one, other = normals[mesh.dual_edges.T]
     angle = np.arccos(np.clip((one * other).sum(axis=1), -1.0, 1.0))
-    return adjacency.length * np.maximum(np.exp(-((angle / CREASE) ** 2)), LEAST_PASSED)
+    return mesh.dual_lengths * np.maximum(np.exp(-((angle / CREASE) ** 2)), LEAST_PASSED)
 
 
-def smooth_labels(votes: Votes, adjacency: Adjacency, cross: np.ndarray) -> np.ndarray:
+def smooth_labels(votes: Votes, mesh: Mesh, cross: np.ndarray) -> np.ndarray:
     """(T,) int64 label of each triangle after a random walk; -1 where no vote arrives.
 
     Args:
         cross: (T, 3) normals with the areas as lengths.
     """
     labels, column = np.unique(votes.label, return_inverse=True)
-    passage = edge_passage(adjacency, cross)
-    sums = _walk(votes, column, len(labels), adjacency.matrix(passage))
-    row = np.repeat(np.arange(adjacency.count), np.diff(sums.indptr))
-    found = strongest(row, sums.indices, sums.data, adjacency.count)
-    found = without_specks(found, adjacency, np.linalg.norm(cross, axis=1))
+    passage = edge_passage(mesh, cross)
+    sums = _walk(votes, column, len(labels), mesh.dual_matrix(passage))
+    row = np.repeat(np.arange(len(mesh.triangles)), np.diff(sums.indptr))
+    found = strongest(row, sums.indices, sums.data, len(mesh.triangles))
+    found = without_specks(found, mesh, np.linalg.norm(cross, axis=1))
     known = found >= 0
     found[known] = labels[found[known]]
     return found
@@ -92,7 +93,7 @@ def _walk(votes: Votes, column: np.ndarray, labels: int, passage: csr_array) -> 
     return sums
 
 
-def without_specks(label: np.ndarray, adjacency: Adjacency, area: np.ndarray) -> np.ndarray:
+def without_specks(label: np.ndarray, mesh: Mesh, area: np.ndarray) -> np.ndarray:
     """(T,) labels from 0 (-1: none) in which specks have the label with which they share the longest border.
 
     A speck is a component much smaller than the label's others, so that small parts stay.
@@ -100,9 +101,9 @@ def without_specks(label: np.ndarray, adjacency: Adjacency, area: np.ndarray) ->
     Args:
         area: (T,) of the triangles, in any unit.
     """
-    one, other = adjacency.pairs.T
+    one, other = mesh.dual_edges.T
     inside = label[one] == label[other]
-    component = graph_components(adjacency.pairs[inside], len(label))
+    component = graph_components(mesh.dual_edges[inside], len(label))
     size = np.bincount(component, area)
     of_label = np.bincount(np.maximum(label, 0), area * (label >= 0))
     least = np.minimum(SPECK_SHARE * of_label, SPECK_TRIANGLES * np.median(area))
@@ -113,7 +114,7 @@ def without_specks(label: np.ndarray, adjacency: Adjacency, area: np.ndarray) ->
     beyond = np.where(speck[one], other, one)[border]
     valid = label[beyond] >= 0
     of, next_to, place = pairs_of(component[within[valid]], label[beyond[valid]])
-    length = np.bincount(place, adjacency.length[border][valid])
+    length = np.bincount(place, mesh.dual_lengths[border][valid])
     taken = strongest(of, next_to, length, len(size), "high")
     replaced = speck & (taken[component] >= 0)
     return np.where(replaced, taken[component], label)

@@ -19,8 +19,8 @@ from ..radiometry.adjustment import usable
 from ..radiometry.inversion import Radiometry, is_clipped
 from ..run.stage_settings import PhotometrySettings
 from ..surface.adjacency import weld
-from ..surface.part_adjacency import Scan
 from ..surface.room import Room
+from ..surface.scan import Scan
 from .codes import Codes
 
 # A triangle is a clipped surface if more than this share of its pixels is clipped.
@@ -134,7 +134,7 @@ def _pieces_of_scan(scan: Scan, members: np.ndarray, label: np.ndarray, whole: n
     """
     place = np.full(len(label), -1, np.int64)
     place[members] = np.arange(len(members))
-    pairs = scan.adjacency.pairs
+    pairs = scan.mesh.dual_edges
     pairs = pairs[(place[pairs] >= 0).all(axis=1) & (label[pairs[:, 0]] == label[pairs[:, 1]])]
     component = graph_components(place[pairs], len(members))
     together = whole[members]

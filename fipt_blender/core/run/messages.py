@@ -114,7 +114,7 @@ class Reporter:
         self._weights: list[float] = [1.0]
         self._stage = 0
         self._started = time.monotonic()
-        self._done_before_start = 0.0
+        self._done_before = self._skipped = 0.0
         self._last_progress = 0.0
 
     def _write(self, message: Mapping[str, Any]) -> None:
@@ -131,12 +131,16 @@ class Reporter:
             self.lost = True
 
     def plan(self, weights: Sequence[float]) -> None:
-        """Set the expected time of each of the following stages, in any unit."""
+        """Set the expected time of each of the following stages, in any unit.
+
+        An earlier plan, of which not all stages have begun, is continued: these divide what it has left.
+        """
+        begin = self._done_before + sum(self._weights[: self._stage + 1])
+        if begin > 1.0 - 1e-6:
+            begin, self._skipped, self._started = 0.0, 0.0, time.monotonic()
         total = sum(weights) or 1.0
-        self._weights = [weight / total for weight in weights]
-        self._stage = -1
-        self._started = time.monotonic()
-        self._done_before_start = 0.0
+        self._weights = [(1.0 - begin) * weight / total for weight in weights]
+        self._stage, self._done_before = -1, begin
 
     def stage(self, name: str, text: str) -> None:
         """Begin the next planned stage."""
@@ -150,7 +154,7 @@ class Reporter:
         """Count stages as done that a resumed run already has; the remaining time does not include them."""
         for _ in range(count):
             self._stage = min(self._stage + 1, len(self._weights) - 1)
-        self._done_before_start = sum(self._weights[: self._stage + 1])
+            self._skipped += self._weights[self._stage]
 
     def progress(
         self, stage_fraction: float, force: bool = False, pictures: Sequence[str] | None = None
@@ -167,8 +171,9 @@ class Reporter:
             return
         self._last_progress = now
         stage = max(self._stage, 0)
-        fraction = sum(self._weights[:stage]) + self._weights[stage] * min(max(stage_fraction, 0.0), 1.0)
-        done = fraction - self._done_before_start
+        before = self._done_before + sum(self._weights[:stage])
+        fraction = before + self._weights[stage] * min(max(stage_fraction, 0.0), 1.0)
+        done = fraction - self._skipped
         elapsed = now - self._started
         remaining = elapsed * (1.0 - fraction) / done if done > 0.05 else None
         self._write(

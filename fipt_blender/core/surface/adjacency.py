@@ -70,6 +70,13 @@ class Mesh:
         ends = (self.vertices[corner.reshape(-1)[self._shared]] for corner in (start, end))
         return np.linalg.norm(np.subtract(*ends), axis=1)
 
+    def dual_matrix(self, weight: np.ndarray) -> csr_array:
+        """(T, T) symmetric matrix with the weight (E,) of each of `dual_edges`."""
+        rows, columns = self.dual_edges.T
+        both = np.concatenate([rows, columns]), np.concatenate([columns, rows])
+        count = len(self.triangles)
+        return csr_array((np.concatenate([weight, weight]), both), shape=(count, count))
+
     @cached_property
     def around(self) -> csr_array:
         """(V, T) sparse float32: 1 where a triangle has the vertex as a corner."""

@@ -20,7 +20,7 @@ from ..run.run_files import CLOSING, read_room_files
 from ..run.runfolder import RunFolder
 from ..run.threads import cached_property
 from .adjacency import face_vectors
-from .part_adjacency import Scan, find_scan
+from .scan import Scan, find_scan
 from .stored import stored_geometry
 
 # Distance at which rays start above a scan, in units of its noise.

@@ -1,13 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The surface of a scanned room: triangles that share an edge, and their centers and normals."""
+"""The surface of a scanned room: its triangles, their centers and normals."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from ..run.threads import cached_property
 from .adjacency import Mesh, face_vectors, make_mesh
@@ -18,39 +17,13 @@ from .clean import noise_level
 PLACE_NOISE = 24.0
 
 
-@dataclass(frozen=True)
-class Adjacency:
-    """Pairs of triangles that share an edge.
-
-    Attributes:
-        pairs: (E, 2) int64 triangles.
-        length: (E,) float64 metres of the edge.
-        count: number of triangles T.
-    """
-
-    pairs: np.ndarray
-    length: np.ndarray
-    count: int
-
-    def matrix(self, weight: np.ndarray) -> csr_array:
-        """(T, T) symmetric matrix with the weight (E,) of each pair."""
-        rows, columns = self.pairs.T
-        both = np.concatenate([rows, columns]), np.concatenate([columns, rows])
-        return csr_array((np.concatenate([weight, weight]), both), shape=(self.count, self.count))
-
-
-def find_adjacency(mesh: Mesh) -> Adjacency:
-    """The pairs of triangles at each edge; an edge where more than two meet connects none of them."""
-    return Adjacency(mesh.dual_edges, mesh.dual_lengths, len(mesh.triangles))
-
-
-def averaged_normals(adjacency: Adjacency, cross: np.ndarray, rings: int) -> np.ndarray:
+def averaged_normals(mesh: Mesh, cross: np.ndarray, rings: int) -> np.ndarray:
     """(T, 3) unit normals, averaged by area over this many rings of neighbours.
 
     Args:
         cross: (T, 3) normals with the areas as lengths.
     """
-    step = adjacency.matrix(np.ones(len(adjacency.pairs)))
+    step = mesh.dual_matrix(np.ones(len(mesh.dual_edges)))
     total = cross.astype(np.float64)
     for _ in range(rings):
         total = total + step @ total
@@ -62,13 +35,13 @@ class Scan:
     """The surface of a scanned mesh.
 
     Attributes:
-        adjacency: of its triangles.
+        mesh: its triangles.
         centers: (T, 3) float64 metres.
         cross: (T, 3) float64 normals with the areas as lengths.
         noise: standard deviation of its distance from its smooth fit, before it was cleaned, metres.
     """
 
-    adjacency: Adjacency
+    mesh: Mesh
     centers: np.ndarray
     cross: np.ndarray
     noise: float
@@ -76,7 +49,7 @@ class Scan:
     @cached_property
     def edge(self) -> float:
         """Metres, median of the edges that two triangles share; detail finer than this is lost."""
-        return float(np.median(self.adjacency.length))
+        return float(np.median(self.mesh.dual_lengths))
 
     @property
     def place(self) -> float:
@@ -100,7 +73,7 @@ def find_scan(
     if noise <= 0.0:
         return None
     centers = mesh.vertices[mesh.triangles].mean(axis=1)
-    return Scan(find_adjacency(mesh), centers, normals * areas[:, None], noise)
+    return Scan(mesh, centers, normals * areas[:, None], noise)
 
 
 def _noise(mesh: Mesh, normals: np.ndarray, areas: np.ndarray, exact: np.ndarray | None) -> float:
