@@ -22,10 +22,7 @@ _ALL = (0.0, 0.0, 1.0, 1.0)
 PICTURES = {
     "guide_panel": (("03_start", "04_capture_imported", "12_materials", "16_lights"), _SIDEBAR),
     "guide_preferences": (("02_preferences_before", "03_preferences_after"), _ALL),
-    "guide_photographs": (
-        ("03_photographs_found", "03_photographs_split", "03_photographs_prepared"),
-        _SIDEBAR,
-    ),
+    "guide_photographs": (("03_photographs_found", "03_photographs_split", "03_photographs_prepared"), _SIDEBAR),
     "guide_capture": (("05_capture_view", "06_capture_coverage"), _VIEW),
     "guide_parts": (("07_parts",), _VIEW),
     "guide_estimate": (("08_estimate_running",), _VIEW),
