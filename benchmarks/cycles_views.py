@@ -52,16 +52,18 @@ def render_views(
 
     from fipt_blender.blend.lights.area_lights import Rectangle, add_area_light
     from fipt_blender.blend.lights.light_state import switch_all
-    from fipt_blender.blend.pictures.renders import render_list
+    from fipt_blender.blend.pictures.renders import render_listed, render_path
 
     bpy.ops.wm.open_mainfile(filepath=str(blend_file), load_ui=False, use_scripts=False)
     scene = bpy.context.scene
-    if relight is None:
-        return render_list(run, scene, "rerender", views, options)
-    switch_all(False)
-    rectangle = Rectangle.of_corners(relight["vertices"])
-    add_area_light("FIPT Relight", relight["radiance"], rectangle, scene)
-    return render_list(run, scene, "relight", views, options)
+    kind = "rerender" if relight is None else "relight"
+    if relight is not None:
+        switch_all(False)
+        rectangle = Rectangle.of_corners(relight["vertices"])
+        add_area_light("FIPT Relight", relight["radiance"], rectangle, scene)
+    for view in views:
+        render_listed(run, scene, kind, view, options)
+    return [render_path(run, kind, view) for view in views]
 
 
 def main() -> None:

@@ -100,12 +100,14 @@ def test_lamps_are_compared_by_where_they_are() -> None:
     square = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]])
     away, behind, small = square + (3.0, 0.0, 0.0), square + (0.0, 0.0, 0.03), 0.4 * square
     counts = lamps.count_lamps([behind, 0.5 * away + 5.0], [square, away])
-    assert counts == lamps.LampCounts(
-        true=1, false=1, false_area=pytest.approx(0.25), lost=1, certain=1, certain_area=pytest.approx(0.25)
-    )
+    quarter = pytest.approx(0.25)
+    assert (counts.true, counts.false, counts.lost, counts.certain) == (1, 1, 1, 1)
+    assert (counts.false_area, counts.certain_area) == (quarter, quarter)
+    assert counts.claims == ((1.0, 1), (1.0, 0))
     # A fixture that is a piece of a lamp is right, but the lamp is lost with it.
-    assert lamps.count_lamps([small], [square]) == lamps.LampCounts(1, 0, 0.0, 1)
-    assert lamps.count_lamps([], [square]) == lamps.LampCounts(0, 0, 0.0, 1)
+    piece, none = lamps.count_lamps([small], [square], likely=[0.6]), lamps.count_lamps([], [square])
+    assert (piece.true, piece.false, piece.lost, piece.claims) == (1, 0, 1, ((0.6, 1),))
+    assert (none.true, none.false, none.lost, none.claims) == (0, 0, 1, ())
     assert lamps.count_lamps([square], []).false == 1
     spread = lamps.points_on(square, 4000, np.random.default_rng(0))
     assert np.abs(spread.mean(axis=0) - (0.5, 0.5, 0.0)).max() < 0.02
