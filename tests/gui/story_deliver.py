@@ -20,13 +20,14 @@ _MOST_CLICKS = 14
 _RENDER_SECONDS = 3600.0
 _PREVIEW = 20  # percent of the pictures' size, with --fast
 
-# What a Blender without the extension sees of a collected file: images without pixels; and its render.
+# What a Blender without the extension sees of a collected file: images without a file; and its render.
 _OPENED = """
-import bpy, sys
+import bpy, os, sys
 scene = bpy.context.scene
 assert not hasattr(scene, "fipt")
-files = [image for image in bpy.data.images if image.source in ("FILE", "TILED")]
-missing = [image.name for image in files if not image.has_data and not len(image.pixels)]
+files = [image for image in bpy.data.images if image.source in ("FILE", "TILED") and not image.packed_files]
+places = [bpy.path.abspath(image.filepath).replace("<UDIM>", "1001") for image in files]
+missing = [place for place in places if not os.path.isfile(place)]
 scene.cycles.samples, scene.render.resolution_percentage = 16, 20
 scene.render.filepath = sys.argv[-1]
 scene.render.image_settings.file_format = "PNG"
