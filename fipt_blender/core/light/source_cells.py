@@ -23,6 +23,7 @@ SIZE, SIZE_SHARE, MOST_CELLS = 0.5, 0.1, 32
 # A source consists of cells, so many along its width. It is halved as long as it casts more than this share
 # of the light, and there are fewer sources than that.
 FINER, DIVIDED_SHARE, MOST_DIVIDED = 4, 0.005, 400
+HALVES = 4  # of a source that is halved along both sides: most are flat
 # Voxels along each side of the cubes of which a side is unseen if no pixel sees it.
 UNSEEN = 4
 DARK_OUTSIDE = 0.01  # least expected radiance outside, in units of the capture's median
@@ -212,10 +213,10 @@ class Landed:
         Halves are expected to be as bright as their whole was found. Sources on the hull stay whole: what
         shines through an opening is farther away than that.
         """
-        share = light.shares(points)
+        share = light.shares(points).mean(axis=0)
         much = (share > DIVIDED_SHARE) & (width > 1) & ~expected.outside
         order = np.argsort(-np.where(much, share, 0.0), kind="stable")
-        much[order[max(MOST_DIVIDED - len(width), 0) // 4 :]] = False
+        much[order[max(MOST_DIVIDED - len(width), 0) // HALVES :]] = False
         if not much.any():
             return None
         own = np.flatnonzero((self.source >= 0) & (self.number > 0.0))

@@ -84,15 +84,14 @@ class SourceLight:
     log_albedo: np.ndarray
 
     def shares(self, points: Transport) -> np.ndarray:
-        """(K,) share of the light on points that each source casts, on average."""
+        """(N, K) share of the light on each point that each source casts."""
         cast = points.unseen * self.radiance.sum(axis=1)
         total = np.maximum(points.seen.sum(axis=1) + cast.sum(axis=1), DARKEST)
-        return np.asarray((cast / total[:, None]).mean(axis=0))
+        return np.asarray(cast / total[:, None])
 
     def share(self, points: Transport) -> np.ndarray:
         """(N,) share of the light on points that these sources cast."""
-        cast = (points.unseen @ self.radiance).sum(axis=1)
-        return np.asarray(cast / np.maximum(points.seen.sum(axis=1) + cast, DARKEST))
+        return np.asarray(self.shares(points).sum(axis=1))
 
     def error(self, points: Transport) -> np.ndarray:
         """(N,) standard deviation of the logarithm of the light on points, mean of the channels."""

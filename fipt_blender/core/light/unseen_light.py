@@ -52,8 +52,8 @@ GAIN = 3.0  # least logarithm of the likelihood of points held back
 CLOSE_RAYS, MOST_TRIANGLES, NORMAL_WEIGHT = 64, 20_000, 0.5
 # A source is a lamp or a window if it is brighter than the room's median light by this factor.
 LAMP = 4.0
-# Sources of one side are one lamp if they are less than so many of their widths apart; others, half a whole.
-APART = 1.5
+# Sources of one side are one lamp if they are closer than so many of their widths; others, of a whole one.
+APART, CLOSE = 1.5, 0.5
 LEAST_LAMP = 0.005  # share of the light that a lamp casts
 # Least radius of a lamp in widths of a whole source, and most of these that an opening has to be a lamp.
 BALL, MOST_OF_LAMP = 0.2, 16
@@ -71,7 +71,7 @@ def with_unseen_light(
         label: (T,) int surface of each triangle, on which points of one color have one albedo.
     """
     found = find_sources(observed, room, label, settings.seed)
-    if found is None or found.gain < GAIN:
+    if found is None:
         return observed
     environment = found.environment(observed.environment, settings.environment_width)
     unseen = close_share(observed, room, found, settings.seed)
@@ -83,9 +83,8 @@ class Sources:
     """K sources, and the N points that they light.
 
     Attributes:
-        points: N of them, the pixels `where` (N,), with `position` and `normal` (N, 3).
+        points: N of them, with `position` and `normal` (N, 3).
         expected, light: what was expected of the sources, and what was found.
-        gain: see :func:`.sources.held_back_gain`.
         entries: (E,) int64 cache entries of unseen surfaces, of_entry: (E,) their source.
         cells: that the sources consist of. of_hull: (C,) source of those of the hull, -1 without.
         place, toward: (K, 3) mean place, metres, and mean unit direction of the rays that land there.
@@ -93,12 +92,10 @@ class Sources:
     """
 
     points: Transport
-    where: np.ndarray
     position: np.ndarray
     normal: np.ndarray
     expected: Expectation
     light: SourceLight
-    gain: float
     entries: np.ndarray
     of_entry: np.ndarray
     cells: Cells
@@ -150,11 +147,11 @@ class Sources:
         one, other = cKDTree(place).query_pairs(APART * self.cells.size, output_type="ndarray").T
         distance = np.linalg.norm(place[one] - place[other], axis=1)
         near = distance < APART * np.maximum(width[one], width[other])
-        near &= (side[one] == side[other]) | (distance < 0.5 * self.cells.size)
+        near &= (side[one] == side[other]) | (distance < CLOSE * self.cells.size)
         lamp = graph_components(np.stack([one, other], axis=1)[near], len(members))
         own = np.bincount(lamp, width**2) <= MOST_OF_LAMP * self.cells.size**2
         own |= np.bincount(lamp, self.expected.outside[members]) == 0.0  # the world can't shine from a mesh
-        own &= np.bincount(lamp, self.light.shares(self.points)[members]) > LEAST_LAMP
+        own &= np.bincount(lamp, self.light.shares(self.points).mean(axis=0)[members]) > LEAST_LAMP
         result[members] = np.where(own, np.cumsum(own) - 1, -1)[lamp]
         return result
 
@@ -163,53 +160,61 @@ class Sources:
 
         What shines to one side is a disc as wide as its sources are spread, or several; others are balls.
         """
-        least, most = BALL * self.cells.size, WIDEST * self.cells.size
         clusters = [np.flatnonzero(self.lamp == index) for index in range(int(self.lamp.max(initial=-1)) + 1)]
         while clusters:
             own = clusters.pop()
-            cast = self.points.unseen[:, own] @ self.light.radiance[own]
-            lit = cast.sum(axis=1) > 0.0
             weight = self.points.unseen[:, own].sum(axis=0) * self.light.radiance[own].mean(axis=1)
-            place, way = (
-                np.average(array[own], axis=0, weights=weight) for array in (self.place, self.toward)
-            )
+            place = np.average(self.place[own], axis=0, weights=weight)
             of_side = np.bincount(self.side[own], weight, SIDES)
-            facing, radius = None, least
-            if of_side.max() > FLAT * of_side.sum():
-                facing = np.eye(3)[of_side.argmax() // 2] * (1.0 - 2.0 * (of_side.argmax() % 2))
-                off = self.place[own] - place
-                off -= (off @ facing)[:, None] * facing
-                power = self.light.radiance[own].mean(axis=1) * self.width[own] ** 2
-                square = (off**2).sum(axis=1) + self.width[own] ** 2 / 6.0  # of a square around its middle
-                radius = max(float(np.sqrt(2.0 * np.average(square, weights=power))), least)
-                if radius > most:
-                    along = np.linalg.svd(off * np.sqrt(power)[:, None])[2][0]
-                    beyond = off @ along > 0.0
-                    if beyond.any() and not beyond.all():
-                        clusters += [own[beyond], own[~beyond]]
-                        continue
-                center = place + CLEARANCE * self.cells.size * facing
-            else:
+            if of_side.max() <= FLAT * of_side.sum():
+                way, radius = np.average(self.toward[own], axis=0, weights=weight), BALL * self.cells.size
                 center = place - radius * way / max(float(np.linalg.norm(way)), 1e-9)
-            toward = center - self.position[lit]
-            squared = np.maximum((toward**2).sum(axis=1), radius**2)
-            cosine = np.maximum((toward * self.normal[lit]).sum(axis=1), 0.0) / np.sqrt(squared)
-            # Irradiance over pi by a lamp of radiance 1, where its light and that of the sources are alike.
-            unit = radius**2 * cosine / squared
-            if facing is not None:
-                unit *= np.maximum(-toward @ facing, 0.0) * np.sqrt(squared) / (squared + radius**2)
-            fitted = unit @ cast[lit] / max(float(unit @ unit), 1e-12)
-            yield {
-                "position": center.tolist(),
-                "radius": radius,
-                "radiance": fitted.tolist(),
-                "inferred": True,
-                "facing": None if facing is None else facing.tolist(),
-            }
+                yield self._fitted(own, center, radius, None)
+                continue
+            facing = np.eye(3)[of_side.argmax() // 2] * (1.0 - 2.0 * (of_side.argmax() % 2))
+            radius, beyond = self._spread(own, place, facing)
+            if radius > WIDEST * self.cells.size and beyond.any() and not beyond.all():
+                clusters += [own[beyond], own[~beyond]]
+            else:
+                yield self._fitted(own, place + CLEARANCE * self.cells.size * facing, radius, facing)
+
+    def _spread(self, own: np.ndarray, place: np.ndarray, facing: np.ndarray) -> tuple[float, np.ndarray]:
+        """Radius of a disc around a place (3,) that is as wide as sources (n,), metres, and which of these
+        are beyond its middle along the longest way over it."""
+        off = self.place[own] - place
+        off -= (off @ facing)[:, None] * facing
+        power = self.light.radiance[own].mean(axis=1) * self.width[own] ** 2
+        square = (off**2).sum(axis=1) + self.width[own] ** 2 / 6.0  # of a square around its middle
+        radius = float(np.sqrt(2.0 * np.average(square, weights=power)))
+        along = np.linalg.svd(off * np.sqrt(power)[:, None], full_matrices=False)[2][0]
+        return max(radius, BALL * self.cells.size), off @ along > 0.0
+
+    def _fitted(
+        self, own: np.ndarray, center: np.ndarray, radius: float, facing: np.ndarray | None
+    ) -> dict[str, Any]:
+        """The lamp of a place and radius, metres, that casts about the light of sources (n,)."""
+        cast = self.points.unseen[:, own] @ self.light.radiance[own]
+        lit = cast.sum(axis=1) > 0.0
+        toward = center - self.position[lit]
+        squared = np.maximum((toward**2).sum(axis=1), radius**2)
+        cosine = np.maximum((toward * self.normal[lit]).sum(axis=1), 0.0) / np.sqrt(squared)
+        # Irradiance over pi by a lamp of radiance 1, where its light and that of the sources are alike.
+        unit = radius**2 * cosine / squared
+        if facing is not None:
+            unit *= np.maximum(-toward @ facing, 0.0) * np.sqrt(squared) / (squared + radius**2)
+        fitted = unit @ cast[lit] / max(float(unit @ unit), 1e-12)
+        return {
+            "position": center.tolist(),
+            "radius": radius,
+            "radiance": fitted.tolist(),
+            "inferred": True,
+            "facing": None if facing is None else facing.tolist(),
+        }
 
 
 def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: int) -> Sources | None:
-    """The sources with their radiance; None where the photographs show all that lights the room."""
+    """The sources with their radiance; None where the photographs show all that lights the room, as far as
+    points that are held back tell."""
     pixels = observed.pixels
     where, group = _comparable(pixels, label, np.random.default_rng([seed, 23]))
     if len(where) < LEAST_POINTS:
@@ -228,9 +233,10 @@ def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: in
     landed = Landed.of(rays, observed, cells, number[source])
     logs = np.log(np.asarray(pixels.own[where], np.float64))
     points, expected = landed.transport(logs, group), landed.expectation()
-    gain = held_back_gain(points, expected, np.random.default_rng([seed, 24]))
+    if held_back_gain(points, expected, np.random.default_rng([seed, 24])) < GAIN:
+        return None
     light, width = solve_sources(points, expected), np.full(len(chosen), FINER)
-    while gain >= GAIN and (finer := landed.divided(cells, points, expected, light, width)) is not None:
+    while (finer := landed.divided(cells, points, expected, light, width)) is not None:
         landed, expected, width = finer
         points = landed.transport(logs, group)
         light = solve_sources(points, expected)
@@ -239,12 +245,10 @@ def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: in
     means = landed.means()
     return Sources(
         points=points,
-        where=where,
         position=lit[0],
         normal=lit[1],
         expected=expected,
         light=light,
-        gain=gain,
         entries=entries,
         of_entry=of_entry[entries],
         cells=cells,
