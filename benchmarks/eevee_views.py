@@ -26,16 +26,21 @@ def main(argv: list[str]) -> int:
     """Render both, compare and write."""
     out, count = Path(argv[1]).absolute(), int(argv[2]) if len(argv) > 2 else 3
     out.mkdir(parents=True, exist_ok=True)
-    import fipt_blender
-
-    fipt_blender.register()
-    bpy.ops.wm.open_mainfile(filepath=argv[0])
-    scene = bpy.context.scene
-    views = [view for view in scene.fipt.capture.views if view.split == "held_back"][:count]
-    figures = compare(scene, [view.camera_object() for view in views], out)
+    figures = compare(*opened(argv[0], count), out)
     (out / "eevee.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(figures, indent=1), flush=True)
     return 0
+
+
+def opened(blend_file: str, count: int) -> tuple[bpy.types.Scene, list[bpy.types.Object]]:
+    """The scene of a .blend file with results, and the cameras of the first held-back views."""
+    import fipt_blender
+
+    fipt_blender.register()
+    bpy.ops.wm.open_mainfile(filepath=blend_file)
+    scene = bpy.context.scene
+    views = [view for view in scene.fipt.capture.views if view.split == "held_back"][:count]
+    return scene, [view.camera_object() for view in views]
 
 
 def compare(scene: bpy.types.Scene, cameras: list[bpy.types.Object], out: Path) -> dict[str, object]:

@@ -27,7 +27,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.eevee_views import figures, render, set_size
+from benchmarks.eevee_views import figures, opened, render, set_size
+from fipt_blender.core.capture.encoded import srgb_decoded
 
 SAMPLES = 64
 _PAGE_SECONDS = 600.0
@@ -77,13 +78,7 @@ def main(argv: list[str]) -> int:
     """Export, draw, render, compare and write."""
     three, out, count = Path(argv[1]), Path(argv[2]).absolute(), int(argv[3]) if len(argv) > 3 else 2
     out.mkdir(parents=True, exist_ok=True)
-    import fipt_blender
-
-    fipt_blender.register()
-    bpy.ops.wm.open_mainfile(filepath=argv[0])
-    scene = bpy.context.scene
-    views = [view for view in scene.fipt.capture.views if view.split == "held_back"][:count]
-    cameras = [view.camera_object() for view in views]
+    scene, cameras = opened(argv[0], count)
     set_size(scene, cameras[0])
     bpy.ops.fipt.export_room(filepath=str(out / "room.glb"))
     scene.cycles.samples, scene.cycles.use_adaptive_sampling, scene.cycles.max_bounces = SAMPLES, False, 0
@@ -167,8 +162,7 @@ def _linear(path: Path, url: str) -> np.ndarray:
     from PIL import Image
 
     path.write_bytes(base64.b64decode(url.partition(",")[2]))
-    codes = np.asarray(Image.open(path).convert("RGB"), np.float32) / 255.0
-    return np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
+    return srgb_decoded(np.asarray(Image.open(path).convert("RGB"), np.float32) / 255.0)
 
 
 if __name__ == "__main__":

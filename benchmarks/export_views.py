@@ -17,7 +17,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.eevee_views import figures, render, set_size
+from benchmarks.eevee_views import figures, opened, render, set_size
 
 SAMPLES = 64  # and denoised; two renders of the source with other seeds tell the noise that is left
 _LENS = ("lens", "sensor_width", "sensor_height", "sensor_fit", "shift_x", "shift_y", "clip_start")
@@ -28,13 +28,7 @@ def main(argv: list[str]) -> int:
     """Export, import, render, compare and write."""
     out, count = Path(argv[1]).absolute(), int(argv[2]) if len(argv) > 2 else 2
     out.mkdir(parents=True, exist_ok=True)
-    import fipt_blender
-
-    fipt_blender.register()
-    bpy.ops.wm.open_mainfile(filepath=argv[0])
-    scene = bpy.context.scene
-    views = [view for view in scene.fipt.capture.views if view.split == "held_back"][:count]
-    cameras = [view.camera_object() for view in views]
+    scene, cameras = opened(argv[0], count)
     paths = {name: getattr(scene.cycles, name) for name in _PATHS}
     set_up(scene, paths)
     set_size(scene, cameras[0])
