@@ -3,11 +3,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Damaged and hostile inputs for every reader: none may hang, take much memory, crash, or touch other files.
 
-    .venv/bin/python benchmarks/fuzz.py --inputs 10000 --seed 1 [--only colmap-binary transforms]
+    .venv/bin/python benchmarks/fuzz.py --inputs 250 [--only colmap-binary transforms]
 
-Each input is a valid sample with a few mutations, read by a child process of its own. A reader passes where
-it accepts the input or ends with an error that has a code and a remedy. Failing inputs are kept below
---output.
+Each input is a valid sample with a few mutations, chosen by Hypothesis and read by a child process of its
+own. A reader passes where it accepts the input or ends with an error that has a code and a remedy. Inputs
+that fail are made as small as possible, saved, and tried first the next time.
 """
 
 from __future__ import annotations
@@ -24,22 +24,24 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import hypothesis
+from hypothesis import strategies as st
+from hypothesis.database import DirectoryBasedExampleDatabase
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.fuzz_targets import TARGETS, Target
 from fipt_blender.core.run.errors import FiptError
 
+Draw = Callable[[st.SearchStrategy[Any]], Any]  # `draw` of Hypothesis
+
 MOST_SECONDS = 20.0
 MOST_BYTES = 2_000_000_000
 _POLL_SECONDS = 0.002
-_TOLD = 500  # inputs between two lines that tell how many were tried
 _UNFORESEEN = ("engine-failed", "out-of-memory")
 _INTEGERS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**63, 2**64 - 1)
 _JSON_FILES = (".json", ".sfm", ".gltf")
@@ -68,88 +70,68 @@ _VALUES: tuple[Any, ...] = (
 )
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """How a reader took an input.
-
-    Attributes:
-        outcome: "accepted", "refused" or what went wrong.
-        seconds: wall time.
-        peak_bytes: memory beyond what the process had before.
-    """
-
-    outcome: str
-    seconds: float
-    peak_bytes: int
-
-    @property
-    def passed(self) -> bool:
-        """Whether the reader did what it should."""
-        return self.outcome in ("accepted", "refused")
-
-
 # ---------------------------------------------------------------------------------------------- mutations
 
 
-def mutate(folder: Path, rng: np.random.Generator) -> str:
+def mutate(folder: Path, draw: Draw) -> str:
     """Damage one or two files of a sample; returns what was done."""
     done = []
-    for _ in range(int(rng.integers(1, 3))):
+    for _ in range(draw(st.integers(1, 2))):
         files = sorted(path for path in folder.rglob("*") if path.is_file())
-        path = files[int(rng.integers(len(files)))]
-        kind = path.suffix.lower()
-        if kind in _JSON_FILES and rng.random() < 0.8:
-            done.append(f"{path.name}: {_mutate_json(path, rng)}")
-        elif kind in _TEXT_FILES and rng.random() < 0.7:
-            done.append(f"{path.name}: {_mutate_text(path, rng)}")
-        else:
-            done.append(f"{path.name}: {_mutate_bytes(path, files, rng)}")
+        path, kind = draw(st.sampled_from(files)), draw(st.integers(0, 19))
+        if kind == 0:
+            other = draw(st.sampled_from(files))
+            path.write_bytes(other.read_bytes())
+            done.append(f"{path.name} is {other.name}")
+            continue
+        mutation = _mutate_bytes
+        if path.suffix.lower() in _JSON_FILES and kind > 4:
+            mutation = _mutate_json
+        elif path.suffix.lower() in _TEXT_FILES and kind > 6:
+            mutation = _mutate_text
+        done.append(f"{path.name}: {mutation(path, draw)}")
     return "; ".join(done)
 
 
-def _mutate_bytes(path: Path, files: Sequence[Path], rng: np.random.Generator) -> str:
+def _mutate_bytes(path: Path, draw: Draw) -> str:
     data = bytearray(path.read_bytes())
-    kind = rng.choice(["cut", "flip", "integer", "remove", "repeat", "empty", "other", "zeros"])
-    place = int(rng.integers(len(data) + 1))
+    kind = draw(st.sampled_from(["cut", "flip", "integer", "remove", "repeat", "empty", "zeros"]))
+    place = draw(st.integers(0, len(data)))
     if kind == "cut":
         del data[place:]
-    elif kind == "flip":
-        for _ in range(int(rng.integers(1, 9))):
-            if data:
-                data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+    elif kind == "flip" and data:
+        for bit in draw(st.lists(st.integers(0, 8 * len(data) - 1), min_size=1, max_size=8)):
+            data[bit // 8] ^= 1 << bit % 8
     elif kind == "integer":
-        value = int(rng.choice(np.array(_INTEGERS, np.uint64)))
-        layout = "<Q" if rng.random() < 0.5 else "<I"
-        value &= 2 ** (8 * struct.calcsize(layout)) - 1
+        layout = draw(st.sampled_from(["<I", "<Q"]))
+        value = draw(st.sampled_from(_INTEGERS)) & 2 ** (8 * struct.calcsize(layout)) - 1
         data[place : place + struct.calcsize(layout)] = struct.pack(layout, value)
     elif kind == "remove":
-        del data[place : place + int(rng.integers(1, 65))]
+        del data[place : place + draw(st.integers(1, 64))]
     elif kind == "repeat":
-        data[place:place] = data[place : place + int(rng.integers(1, 1025))]
+        data[place:place] = data[place : place + draw(st.integers(1, 1024))]
     elif kind == "empty":
         data.clear()
-    elif kind == "other":
-        data = bytearray(files[int(rng.integers(len(files)))].read_bytes())
     else:
         data[place : place + 64] = bytes(min(64, len(data) - place))
     path.write_bytes(data)
     return f"{kind} at {place}"
 
 
-def _mutate_text(path: Path, rng: np.random.Generator) -> str:
-    if rng.random() < 0.05:
+def _mutate_text(path: Path, draw: Draw) -> str:
+    if draw(st.integers(0, 19)) == 19:
         lines = path.read_bytes().splitlines(keepends=True) or [b""]
-        place = int(rng.integers(len(lines)))
+        place = draw(st.integers(0, len(lines) - 1))
         path.write_bytes(b"".join([*lines[:place], lines[place] * _MANY_LINES, *lines[place:]]))
         return f"line {place} {_MANY_LINES} times"
     words = path.read_text(encoding="utf-8", errors="replace").split(" ")
-    place, word = int(rng.integers(len(words))), _WORDS[int(rng.integers(len(_WORDS)))]
+    place, word = draw(st.integers(0, len(words) - 1)), draw(st.sampled_from(_WORDS))
     words[place] = word
     path.write_bytes(" ".join(words).encode("utf-8", errors="surrogatepass"))
     return f"word {place} is {word[:20]!r}"
 
 
-def _mutate_json(path: Path, rng: np.random.Generator) -> str:
+def _mutate_json(path: Path, draw: Draw) -> str:
     try:
         data = json.loads(path.read_bytes())
     except (ValueError, RecursionError):
@@ -165,19 +147,19 @@ def _mutate_json(path: Path, rng: np.random.Generator) -> str:
             collect(value[key])
 
     collect(data)
-    kind = rng.choice(["value", "value", "value", "remove", "deep", "many"])
+    kind = draw(st.sampled_from(["value", "value", "value", "remove", "deep", "many"]))
     if kind == "deep":
         path.write_text("[" * 50_000 + "]" * 50_000)
         return "deep"
     if not places:
         return "empty"
-    holder, key = places[int(rng.integers(len(places)))]
+    holder, key = places[draw(st.integers(0, len(places) - 1))]
     if kind == "remove":
         del holder[key]
     elif kind == "many":
         holder[key] = [holder[key]] * 3
     else:
-        holder[key] = _VALUES[int(rng.integers(len(_VALUES)))]
+        holder[key] = draw(st.sampled_from(_VALUES))
     path.write_bytes(json.dumps(data).encode("utf-8", errors="surrogatepass"))
     return f"{kind} at {key!r}"
 
@@ -185,8 +167,8 @@ def _mutate_json(path: Path, rng: np.random.Generator) -> str:
 # ------------------------------------------------------------------------------------------------- running
 
 
-def judge(target: Target, sample: Path, base: Path) -> Verdict:
-    """Let a child process read a sample.
+def judge(target: Target, sample: Path, base: Path) -> str:
+    """Let a child process read a sample; returns "accepted", "refused" or what went wrong.
 
     Args:
         target: the reader.
@@ -204,17 +186,14 @@ def judge(target: Target, sample: Path, base: Path) -> Verdict:
     status, usage = _wait(child, started)
     with os.fdopen(reader, "rb") as pipe:
         said = pipe.read().decode("utf-8", errors="replace")
-    seconds, peak = time.monotonic() - started, max(usage.ru_maxrss * 1024 - own_bytes, 0)
     if os.WIFSIGNALED(status):
         number = os.WTERMSIG(status)
-        outcome = "hung" if number == signal.SIGKILL else f"signal {signal.Signals(number).name}"
-    elif peak > MOST_BYTES:
-        outcome = "memory"
-    elif _snapshot(base) != before:
-        outcome = "touched other files"
-    else:
-        outcome = said or f"status {os.WEXITSTATUS(status)}"
-    return Verdict(outcome, seconds, peak)
+        return "hung" if number == signal.SIGKILL else f"signal {signal.Signals(number).name}"
+    if usage.ru_maxrss * 1024 - own_bytes > MOST_BYTES:
+        return "memory"
+    if _snapshot(base) != before:
+        return "touched other files"
+    return said or f"status {os.WEXITSTATUS(status)}"
 
 
 def _work(target: Target, sample: Path, out: Path, pipe: int) -> None:
@@ -262,73 +241,63 @@ def _snapshot(base: Path) -> set[tuple[str, int]]:
     return {(str(path.relative_to(base)), path.stat().st_size if path.is_file() else -1) for path in paths}
 
 
-def run_inputs(targets: Sequence[Target], inputs: int, seed: int, keep: Path | None) -> list[dict[str, Any]]:
-    """The failures among `inputs` mutated samples; see `tries`."""
-    return [failure for failure in tries(targets, inputs, seed, keep) if failure]
-
-
-def tries(
-    targets: Sequence[Target], inputs: int, seed: int, keep: Path | None
-) -> Iterator[dict[str, Any] | None]:
-    """Try `inputs` mutated samples, the targets taking turns; yields each failure, or None.
+def try_target(target: Target, inputs: int, *, seed: int | None = None, saved: Path | None = None) -> None:
+    """Try mutated samples of a reader.
 
     Args:
-        targets: the readers.
-        inputs: how many inputs altogether.
-        seed: of the mutations; input i of a seed is always the same.
-        keep: where failing inputs are copied to.
+        inputs: how many samples at most.
+        seed: of the mutations; None: others each time.
+        saved: folder of inputs that failed, made as small as possible, which come first; without a seed.
+
+    Raises:
+        AssertionError: what was done to the smallest sample that failed, and how it failed.
     """
+    for name in target.modules:  # here, so that not each child imports them
+        importlib.import_module(name)
     with tempfile.TemporaryDirectory(prefix="fipt-fuzz-") as temporary:
-        samples = {target.name: Path(temporary) / target.name for target in targets}
-        for target in targets:
-            samples[target.name].mkdir()
-            target.write(samples[target.name])
-            for name in target.modules:  # here, so that not each child imports them
-                importlib.import_module(name)
-        for index in range(inputs):
-            target = targets[index % len(targets)]
-            base = Path(temporary) / "case"
-            shutil.copytree(samples[target.name], base / "sample")
+        sample, base = Path(temporary) / "sample", Path(temporary) / "case"
+        sample.mkdir()
+        target.write(sample)
+
+        @hypothesis.seed(seed) if seed is not None else lambda test: test
+        @hypothesis.settings(
+            max_examples=inputs,
+            database=None if saved is None else DirectoryBasedExampleDatabase(saved / target.name),
+            deadline=None,
+            suppress_health_check=list(hypothesis.HealthCheck),
+        )
+        @hypothesis.given(st.data())
+        def each_passes(data: st.DataObject) -> None:
+            shutil.rmtree(base, ignore_errors=True)
+            shutil.copytree(sample, base / "sample")
             (base / "out").mkdir()
-            what = mutate(base / "sample", np.random.default_rng([seed, index]))
-            verdict = judge(target, base / "sample", base)
-            if not verdict.passed and keep is not None:
-                shutil.copytree(base / "sample", keep / f"{target.name}-{index}", dirs_exist_ok=True)
-            shutil.rmtree(base)
-            failed = {"input": index, "target": target.name, "what": what, **vars(verdict)}
-            yield None if verdict.passed else failed
+            what = mutate(base / "sample", data.draw)
+            outcome = judge(target, base / "sample", base)
+            assert outcome in ("accepted", "refused"), f"{target.name}: {outcome}   ({what})"
+
+        each_passes()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the inputs and print the failures, the same ones together; 1 where there are any."""
+    """Try the readers and print their failures; how many readers failed."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--inputs", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="end after this time")
+    parser.add_argument("--inputs", type=int, default=250, help="for each reader")
+    parser.add_argument("--seed", type=int, help="always the same inputs, of which none is saved")
     parser.add_argument("--only", nargs="*", default=[target.name for target in TARGETS])
-    parser.add_argument("--output", type=Path, help="keep failing inputs here")
+    parser.add_argument("--saved", type=Path, default=Path("out/fuzz"), help="keep inputs that failed here")
     options = parser.parse_args(argv)
-    chosen = [target for target in TARGETS if target.name in options.only]
-    started = time.monotonic()
-    failures: list[dict[str, Any]] = []
-    tried = 0
-    for failure in tries(chosen, options.inputs, options.seed, options.output):
-        tried += 1
-        failures += [failure] if failure else []
-        if tried % _TOLD == 0:
-            print(f"{tried} inputs, {len(failures)} failures", file=sys.stderr, flush=True)
-        if time.monotonic() - started > options.seconds:
-            break
-    by_outcome: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for failure in failures:
-        by_outcome.setdefault((failure["target"], failure["outcome"]), []).append(failure)
-    for (target, outcome), same in sorted(by_outcome.items(), key=lambda item: -len(item[1])):
-        print(f"{len(same):5d}  {target}: {outcome}   (input {same[0]['input']}: {same[0]['what']})")
-    seconds = time.monotonic() - started
-    print(f"{tried} inputs, {len(failures)} failures, {seconds:.0f} s")
-    return int(bool(failures))
+    failed = 0
+    for target in TARGETS:
+        if target.name in options.only:
+            try:
+                try_target(target, options.inputs, seed=options.seed, saved=options.saved)
+            except AssertionError as error:
+                failed += 1
+                print(error, flush=True)
+    print(f"{failed} readers failed")
+    return failed
 
 
 if __name__ == "__main__":
