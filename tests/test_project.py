@@ -22,7 +22,8 @@ from benchmarks import results
 ROOT = Path(__file__).resolve().parent.parent
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "tests").rglob("*.md")]
-TEXTS = [*PAGES, *WORKFLOWS, *(ROOT / ".github" / "ISSUE_TEMPLATE").iterdir(), ROOT / ".ci" / "run"]
+ENTRIES = sorted((ROOT / ".ci").iterdir())
+TEXTS = [*PAGES, *WORKFLOWS, *(ROOT / ".github" / "ISSUE_TEMPLATE").iterdir(), *ENTRIES]
 TEXTS += [ROOT / ".pre-commit-config.yaml"]
 # A workflow may use nothing of the service but this, after the project's own commands.
 PUBLISHING = "gh release create"
@@ -46,11 +47,12 @@ def test_workflows_run_the_projects_own_commands(workflow: Path) -> None:
             for pattern in words[2:]:
                 assert pattern == '"$GITHUB_REF_NAME"' or list(ROOT.glob(pattern)), pattern
         else:
-            assert command == ".ci/run" or command.startswith(PUBLISHING)
+            assert ROOT / command in ENTRIES or command.startswith(PUBLISHING)
 
 
-def test_the_one_entry_can_be_started() -> None:
-    assert os.access(ROOT / ".ci" / "run", os.X_OK)
+@pytest.mark.parametrize("entry", ENTRIES, ids=lambda path: path.name)
+def test_entries_can_be_started(entry: Path) -> None:
+    assert os.access(entry, os.X_OK)
 
 
 def test_every_command_of_dev_py_that_is_named_exists_and_is_described() -> None:
