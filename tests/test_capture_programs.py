@@ -428,7 +428,7 @@ def test_blocksexchange_largest_component_and_photographs_without_a_pose(tmp_pat
     parts = (tmp_path / "block.xml").read_text().split("</Photogroup>")
     parts[1] = parts[1].replace("<Component>1", "<Component>2")
     parts[2] = parts[2].replace("<Component>1", "<Component>0")
-    parts[4] = parts[4].replace("Rotation>", "Unknown>")
+    parts[4] = parts[4].replace("Center>", "Unknown>")
     (tmp_path / "block.xml").write_text("</Photogroup>".join(parts))
     rig = read(tmp_path)
     assert_same(rig, [shots[0], shots[3]])

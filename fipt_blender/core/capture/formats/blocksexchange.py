@@ -54,7 +54,8 @@ def read(file: Path, options: CaptureOptions) -> Rig:
                 system = systems.get(group.findtext("SRSId", block.findtext("SRSId")), "").strip()
                 for photo in group.iterfind("Photo"):
                     component = photo.findtext("Component", "1").strip()
-                    if component == "0" or photo.find("Pose/Rotation") is None:  # 0: not aligned
+                    parts = photo.find("Pose/Rotation"), photo.find("Pose/Center")
+                    if component == "0" or None in parts:  # 0: not aligned
                         lost.append(photo.findtext("ImagePath", ""))
                         places.find(lost[-1])  # it is told of here, and not as one without a camera
                         continue
