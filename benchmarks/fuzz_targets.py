@@ -190,6 +190,7 @@ def _image_files(sample: Path, out: Path) -> None:
 
 PROGRAMS: dict[str, Callable[[Path, list[rig_writers.Shot]], None]] = {
     "metashape": _metashape,
+    "blocksexchange": rig_writers.write_blocksexchange,
     "realityscan-csv": metashape_writers.write_realityscan_csv,
     "realityscan-xmp": metashape_writers.write_realityscan_xmp,
     "meshroom": lambda folder, shots: rig_writers.write_meshroom(

@@ -67,6 +67,7 @@ WRITERS: dict[str, Writer] = {
     "colmap": write_realityscan_colmap,
     "colmap-binary": write_colmap_binary,
     "metashape": lambda folder, shots: write_metashape(folder, [metashape_chunk(Chunk(shots))]),
+    "blocksexchange": write.write_blocksexchange,
     "realityscan": write_realityscan_csv,
     "meshroom": lambda folder, shots: write.write_meshroom(folder, shots, (1, 2, 8)),
     "opensfm": lambda folder, shots: write.write_opensfm(folder, [shots], "perspective"),

@@ -232,6 +232,7 @@ def all_formats(root: Path) -> dict[str, Path]:
     write.write_photographs(root / "metashape", shots)
     write_metashape(root / "metashape", [metashape_chunk(Chunk(shots))])
     write_realityscan_csv(root / "realityscan", shots)
+    write.write_blocksexchange(root / "blocksexchange", shots)
     write.write_meshroom(root / "meshroom", shots, (1, 2, 8))
     write.write_opensfm(root / "opensfm", [shots], "perspective")
     write.write_openmvg(root / "openmvg", shots, "pinhole", "")
@@ -390,3 +391,79 @@ def test_realityscan_lenses_that_are_not_supported(tmp_path: Path, old: str, new
     path = tmp_path / "IMG_0000.xmp"
     path.write_text(path.read_text().replace(old, new))
     assert error_of(read, tmp_path).code == "camera-model"
+
+
+@pytest.mark.parametrize("angles", [False, True])
+@pytest.mark.parametrize("orientation", list(write.ORIENTATIONS))
+def test_blocksexchange(tmp_path: Path, orientation: str, angles: bool) -> None:
+    shots = write.make_shots(replace(BROWN3, aspect=1.01))
+    write.write_blocksexchange(tmp_path, shots, orientation, angles)
+    for path in (tmp_path, tmp_path / "block.xml"):
+        rig = read(path)
+        assert rig.source == "blocksexchange" and rig.up_axis is None and not rig.notes
+        assert_same(rig, shots)
+
+
+def test_blocksexchange_angles_of_the_documented_sample(tmp_path: Path) -> None:
+    """Bentley's sample has one pose in both forms."""
+    matrix = np.array(
+        [
+            [-0.9999982912233401, -0.001636319085375301, -0.0008602425863163225],
+            [-0.001631068695467463, 0.9999802528616577, -0.00606906089589293],
+            [0.0008701565192966738, -0.006067647409696231, -0.9999812130648239],
+        ]
+    )
+    shot = write.make_shots(count=1)[0]
+    write.write_blocksexchange(tmp_path, [shot], angles=True)
+    document = (tmp_path / "block.xml").read_text()
+    start, end = document.index("<Rotation>"), document.index("</Rotation>")
+    angles = write.tags({"Omega": 179.6523471469934, "Phi": 0.04985630236313049, "Kappa": 179.9065465708369})
+    (tmp_path / "block.xml").write_text(f"{document[:start]}<Rotation>{angles}{document[end:]}")
+    np.testing.assert_allclose(read(tmp_path).views[0].camera_to_world[:3, :3].T, matrix, atol=1e-8)
+
+
+def test_blocksexchange_largest_component_and_photographs_without_a_pose(tmp_path: Path) -> None:
+    shots = write.make_shots(count=5)
+    write.write_blocksexchange(tmp_path, shots)
+    parts = (tmp_path / "block.xml").read_text().split("</Photogroup>")
+    parts[1] = parts[1].replace("<Component>1", "<Component>2")
+    parts[2] = parts[2].replace("<Component>1", "<Component>0")
+    parts[4] = parts[4].replace("Center>", "Unknown>")
+    (tmp_path / "block.xml").write_text("</Photogroup>".join(parts))
+    rig = read(tmp_path)
+    assert_same(rig, [shots[0], shots[3]])
+    assert [note.code for note in rig.notes] == ["several-models", "pose-lost"]
+    assert "2 photographs" in rig.notes[1].text and "IMG_0002.jpg" in rig.notes[1].text
+
+
+@pytest.mark.parametrize(
+    ("system", "offset", "notes"),
+    [('LOCAL_CS["m"]', 0.0, []), ("ENU:1,2", 0.0, []), ("EPSG:2154", 6e5, ["georeferenced"])],
+)
+def test_blocksexchange_reference_systems(tmp_path: Path, system: str, offset: float, notes: list[str]) -> None:
+    shots = [replace(shot, centre=shot.centre + offset) for shot in write.make_shots(count=2)]
+    write.write_blocksexchange(tmp_path, shots, system=system)
+    assert [note.code for note in read(tmp_path).notes] == notes
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code"),
+    [
+        ("Perspective", "Fisheye", "camera-model"),
+        ("<Skew>0", "<Skew>0.1", "camera-model"),
+        ("<PrincipalPoint>", "<PrincipalPoint><xmm>0</xmm>", "camera-model"),
+        ("FocalLengthPixels", "Unknown", "intrinsics-missing"),
+        ("XRightYDown", "XForwardYDown", "rig-damaged"),
+        ("<K3>", "<K3>x", "rig-damaged"),
+        ("<z>", "<w>", "rig-damaged"),
+        ("Pose>", "PoseMetadata>", "no-views"),
+        ("M_00>", "Heading>", "pose-unsupported"),
+        ("<Definition>", "<Definition>EPSG:4326", "pose-unsupported"),
+    ],
+)
+def test_blocksexchange_that_cannot_be_used(tmp_path: Path, old: str, new: str, code: str) -> None:
+    write.write_blocksexchange(tmp_path, write.make_shots(BROWN3, 1))
+    document = (tmp_path / "block.xml").read_text()
+    assert old in document
+    (tmp_path / "block.xml").write_text(document.replace(old, new))
+    assert error_of(read, tmp_path).code == code

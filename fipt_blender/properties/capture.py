@@ -17,6 +17,7 @@ FORMATS = (
     ("colmap", "COLMAP", "A COLMAP model, binary or text"),
     ("transforms", "transforms.json", "The format of nerfstudio, instant-ngp and NeRF"),
     ("metashape", "Metashape", "The camera XML that Metashape exports"),
+    ("blocksexchange", "BlocksExchange", "The XML of ContextCapture and iTwin Capture, also by Metashape"),
     (
         "realityscan",
         "RealityScan",

@@ -209,6 +209,58 @@ def write_openmvg(folder: Path, shots: list[Shot], kind: str, key: str) -> None:
     (folder / "sfm_data.json").write_text(json.dumps(data))
 
 
+# -------------------------------------------------------------------------------------------- BlocksExchange
+
+# Rows: the camera's axes X, Y and Z as the format names them, in OpenCV's.
+ORIENTATIONS = {
+    "XRightYDown": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "XRightYUp": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    "XDownYRight": [[0, 1, 0], [1, 0, 0], [0, 0, -1]],
+    "XUpYRight": [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
+}
+
+
+def write_blocksexchange(
+    folder: Path, shots: list[Shot], orientation: str = "XRightYDown", angles: bool = False, system: str = ""
+) -> None:
+    """block.xml. With `angles` in place of matrices, focal lengths are in millimetres of a sensor of 36 mm."""
+    groups = ""
+    for index, shot in enumerate(shots):
+        matrix = np.array(ORIENTATIONS[orientation]) @ shot.rotation
+        values = {f"M_{row}{column}": matrix[row, column] for row in range(3) for column in range(3)}
+        focal = f"<FocalLengthPixels>{shot.fx!r}</FocalLengthPixels>"
+        if angles:
+            values = {
+                "Omega": math.degrees(math.atan2(-matrix[2, 1], matrix[2, 2])),
+                "Phi": math.degrees(math.asin(matrix[2, 0])),
+                "Kappa": math.degrees(math.atan2(-matrix[1, 0], matrix[0, 0])),
+            }
+            millimetres = shot.fx * 36.0 / max(shot.width, shot.height)
+            focal = f"<SensorSize>36</SensorSize><FocalLength>{millimetres!r}</FocalLength>"
+        k1, k2, k3 = (*shot.k, 0.0, 0.0, 0.0)[:3]
+        lens = {"K1": k1, "K2": k2, "K3": k3, "P1": shot.p[1], "P2": shot.p[0]}
+        groups += (
+            f"<Photogroup><ImageDimensions>{tags({'Width': shot.width, 'Height': shot.height})}</ImageDimensions>"
+            f"<CameraModelType>Perspective</CameraModelType>{focal}"
+            f"<CameraOrientation>{orientation}</CameraOrientation>"
+            f"<PrincipalPoint>{tags({'x': shot.cx - 0.5, 'y': shot.cy - 0.5})}</PrincipalPoint>"
+            f"<Distortion>{tags(lens)}</Distortion><AspectRatio>{shot.fy / shot.fx!r}</AspectRatio><Skew>0</Skew>"
+            f"<Photo><Id>{index}</Id><ImagePath>{shot.name}</ImagePath><Component>1</Component>"
+            f"<Pose><Rotation>{tags(values)}</Rotation>"
+            f"<Center>{tags(dict(zip('xyz', shot.centre, strict=True)))}</Center></Pose></Photo></Photogroup>\n"
+        )
+    write_photographs(folder, shots)
+    (folder / "block.xml").write_text(
+        '<?xml version="1.0" encoding="utf-8"?>\n<BlocksExchange version="3.2"><SpatialReferenceSystems><SRS>'
+        f"<Id>2</Id><Definition>{system}</Definition></SRS></SpatialReferenceSystems>"
+        f"<Block><SRSId>2</SRSId><Photogroups>{groups}</Photogroups></Block></BlocksExchange>"
+    )
+
+
+def tags(values: dict[str, float]) -> str:
+    return "".join(f"<{key}>{float(value)!r}</{key}>" for key, value in values.items())
+
+
 # ---------------------------------------------------------------------------------------------- Bundler, NVM
 
 

@@ -18,8 +18,9 @@ from ..run.errors import FiptError
 from ..run.shapes import SCALES
 
 FORMATS = (
-    *("fipt-synthetic", "fipt-real", "scannetpp", "transforms", "colmap", "metashape", "realityscan"),
-    *("meshroom", "opensfm", "openmvg", "bundler", "nvm", "polycam", "record3d", "3d-scanner-app", "rgbd"),
+    *("fipt-synthetic", "fipt-real", "scannetpp", "transforms", "colmap", "metashape", "blocksexchange"),
+    *("realityscan", "meshroom", "opensfm", "openmvg", "bundler", "nvm", "polycam", "record3d"),
+    *("3d-scanner-app", "rgbd"),
 )
 VOXELS = (0.002, 1.0)  # metres
 LEAST_TRIANGLES = 100  # of a budget; fewer are no room

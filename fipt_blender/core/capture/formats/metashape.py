@@ -18,11 +18,12 @@ from ...conventions import transform_poses
 from ...run.errors import FiptError
 from ..options import CaptureOptions
 from ..places import Places
-from ..rig import Lens, Note, Rig, RigView, WellFormed
+from ..rig import Lens, Rig, RigView, WellFormed
 from .radial import distorting_lens
 from .rig_files import (
     camera_file,
     cameras_off,
+    far_notes,
     largest_model,
     number,
     numbers,
@@ -33,7 +34,7 @@ from .rig_files import (
 
 NAME = "metashape"
 LOOKS_FOR = "an XML file with chunk, sensors and cameras"
-FAR = 1e5  # units from the origin; rooms with local coordinates are nearer
+_LOCAL = "Set the chunk's coordinate system to Local Coordinates, then export cameras and mesh again."
 _RADIAL = ("k1", "k2", "k3", "k4")
 _UNSUPPORTED = ("p3", "p4", "b2")
 
@@ -68,7 +69,7 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     views, notes = largest_model(models, str(file))
     off = [camera for chunk in chunks for camera in _cameras(chunk) if not _is_on(camera)]
     notes = (*notes, *cameras_off(file, [camera.get("label", "") for camera in off]))
-    return places.rig(NAME, views, None, places.mesh(), (*notes, *_far_notes(file, views)))
+    return places.rig(NAME, views, None, places.mesh(), (*notes, *far_notes(file, views, _LOCAL)))
 
 
 def _models(file: Path, chunk: Element, places: Places) -> list[list[RigView]]:
@@ -195,16 +196,3 @@ def _lens(file: Path, kind: str, values: dict[str, float], size: tuple[int, int]
 def _nonzero(values: dict[str, float]) -> str:
     names = ", ".join(key.upper() for key in _UNSUPPORTED if values.get(key))
     return f" with {names}" if names else ""
-
-
-def _far_notes(file: Path, views: tuple[RigView, ...]) -> tuple[Note, ...]:
-    """A warning where the chunk has the Earth's coordinates, in which meshes are exported otherwise."""
-    if not views or max(float(np.abs(view.camera_to_world[:3, 3]).max()) for view in views) < FAR:
-        return ()
-    return (
-        Note(
-            "georeferenced",
-            f"The cameras of {file} lie more than {FAR:g} units from the origin, in geographic coordinates.",
-            "Set the chunk's coordinate system to Local Coordinates, then export cameras and mesh again.",
-        ),
-    )

@@ -22,6 +22,7 @@ from ..options import CaptureOptions
 from ..rig import Note, Rig, damaged
 from ..suffixes import SUFFIXES
 from . import (
+    blocksexchange,
     bundler,
     colmap,
     fipt_real,
@@ -53,6 +54,7 @@ FORMATS: dict[str, ModuleType] = {
         transforms,
         colmap,
         metashape,
+        blocksexchange,
         realityscan,
         meshroom,
         opensfm,
