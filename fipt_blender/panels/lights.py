@@ -13,6 +13,7 @@ from bpy.types import Context, PropertyGroup, UILayout
 from ..blend.marks import (
     ANIMATED,
     FIXTURE,
+    INFERRED,
     MERGED,
     NAMED,
     PROBABILITY,
@@ -163,6 +164,9 @@ def _draw_light(
         return
     if name := report_name(light.object):
         layout.label(text=iface_("In the report: {}").format(name), translate=False)
+    if INFERRED in light.object:
+        text = iface_("Inferred, in no photograph: {:.0f} % of the light")
+        layout.label(text=text.format(100.0 * light.object[INFERRED]), icon="QUESTION", translate=False)
     if _probability(light.object) < CERTAIN:
         _draw_doubt(layout, scene.fipt.hints, light.object)
     column = layout.column(align=True)

@@ -41,7 +41,7 @@ def note_missing(scene: bpy.types.Scene, run: RunFolder) -> None:
             bpy.data.objects.remove(item)
     for lamp in inferred.values():
         if list(lamp.position) not in added:
-            _add(scene, as_json(lamp))[INFERRED] = 1
+            _add(scene, as_json(lamp))[INFERRED] = lamp.share
     light_state.refresh(scene)
     lamps = [
         lamp

@@ -161,6 +161,7 @@ def write_results(
             (scale * np.asarray(lamp["radiance"])).tolist(),
             lamp.get("inferred", False),
             lamp.get("facing"),
+            lamp.get("share", 0.0),
         )
         for lamp in [*light.missing, *(environment.lamps if environment is not None else ())]
     )

@@ -208,6 +208,7 @@ class Sources:
             "radius": radius,
             "radiance": fitted.tolist(),
             "inferred": True,
+            "share": float(self.light.shares(self.points)[:, own].sum(axis=1).mean()),
             "facing": None if facing is None else facing.tolist(),
         }
 

@@ -50,13 +50,14 @@ class EmitterEnvironment:
 @dataclass(frozen=True)
 class MissingLamp:
     """A lamp that the mesh lacks, in world metres: a ball, or a disc facing the side to which it shines (unit
-    vector); inferred: no photograph shows it."""
+    vector); inferred: no photograph shows it; share: of the light on the surfaces, of inferred ones."""
 
     position: Vector
     radius: NotNegative
     radiance: Vector
     inferred: bool = False
     facing: Vector | None = None
+    share: Share = 0.0
 
 
 @dataclass(frozen=True)
