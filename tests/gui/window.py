@@ -231,4 +231,6 @@ class Window(Hand):
                 return y
             if now != before:  # the header of another subpanel
                 self.press()
+            else:  # a picture may have opened the others to choose from
+                self.key("ESC")
         return None
