@@ -21,6 +21,7 @@ from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
 from samples.capture_files import make_samples, write_colmap, write_mesh, write_transforms
+from samples.engine_here import engine_here
 
 ops = bpy.ops.fipt
 CORNERS = [Vector(corner) for corner in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))]
@@ -59,7 +60,13 @@ def refused(operator, **arguments) -> str:
 
 
 @pytest.fixture
-def imported(scene, sample):
+def here():
+    with engine_here():
+        yield
+
+
+@pytest.fixture
+def imported(here, scene, sample):
     assert ops.import_capture(filepath=str(sample)) == {"FINISHED"}
     return scene
 
@@ -264,7 +271,7 @@ def test_check_fills_the_list_and_colours_follow_the_ticks(imported, sample, dra
     assert ops.show_parts(show=False) == {"FINISHED"} and overlay.shown(imported) == ""
 
 
-def test_own_cameras_become_the_capture(scene, sample, tmp_path):
+def test_own_cameras_become_the_capture(here, scene, sample, tmp_path):
     collection = bpy.data.collections.new("Matchmove")
     scene.collection.children.link(collection)
     scene.render.resolution_x, scene.render.resolution_y = 160, 90  # not the shape of the photographs
@@ -305,7 +312,7 @@ def places(scene) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("first", "axis"), [("auto", "y"), ("auto", "-z"), ("-y", "z"), ("x", "-x")])
-def test_the_panel_turns_the_capture_as_another_import_does(scene, sample, first, axis):
+def test_the_panel_turns_the_capture_as_another_import_does(here, scene, sample, first, axis):
     """Also when the artist has moved it; neither an import again nor one of another axis turns it twice."""
     settings = scene.fipt.capture
     assert api.import_capture(sample, options={"up_axis": first})
