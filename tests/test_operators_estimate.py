@@ -155,11 +155,11 @@ def test_an_estimate_that_is_killed_or_cancelled_resumes_and_leaves_the_first_on
     before = {path: path.read_bytes() for path in (*run.results.rglob("*"), *run.textures.rglob("*")) if path.is_file()}
     bpy.data.objects["wall 0"].location.x += 5.0  # the next estimate has another room and other settings
     quick |= {"diffuse_spp": 2048, "hash_levels": 4, "training_steps": 5000}  # long enough to be met
-    for killed in (False, True):
-        stop(run, "shadings", killed, resume=killed)
+    for stage, killed in (("shadings", False), ("training", True)):
+        stop(run, stage, killed, resume=killed)
         assert {path: path.read_bytes() for path in before} == before
         state = runstate.look(run)
-        assert state.results and not state.finished and state.stages == STAGES.index("shadings")
+        assert state.results and not state.finished and state.stages == STAGES.index(stage)
         assert not ops.reestimate.poll()  # its stages are those of the new one
     scene.fipt.materials.texel_density = 20.0  # so that the textures are baked again, from the first results
     bpy.data.objects["wall 0"].location.x -= 5.0
@@ -170,7 +170,6 @@ def test_an_estimate_that_is_killed_or_cancelled_resumes_and_leaves_the_first_on
     assert run.read().hash_levels == 4 and run.read_estimated().hash_levels == QUICK["hash_levels"]
 
     bpy.data.objects["wall 0"].location.x += 5.0
-    stop(run, "training", killed=True, resume=True)
     quick["training_steps"] = 20
     assert ops.resume() == {"FINISHED"} and worked(run) == ["training"]
     assert done(run) == STAGES and run.read_estimated().hash_levels == 4
