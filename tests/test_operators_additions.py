@@ -13,7 +13,8 @@ import pytest
 
 from fipt_blender import machine
 from fipt_blender.blend.capture import overlay
-from fipt_blender.blend.capture.additions import added_surfaces
+from fipt_blender.blend.capture.additions import added_surfaces, take_found
+from fipt_blender.blend.capture.survey import write_survey_input
 from fipt_blender.blend.marks import ADDED, FOUND
 from fipt_blender.blend.room.mesh_arrays import world_bounds
 from fipt_blender.core import conventions
@@ -112,10 +113,14 @@ def test_what_is_found_is_shown_and_what_is_deleted_stays_away(imported):
     assert names["completed"] and names["object_ids"][1:] == [CLOSING] and "triangle_exact" not in arrays
     settings.completed = False
     assert "completed" not in exported(imported)[0]
-    # Looked for again, it is there again, once.
-    with engine_here():
-        assert ops.find_missing_surfaces() == {"FINISHED"}
+    # Looked for again, it is there again, once: the engine gets the scan alone.
+    run = RunFolder(imported.fipt.run_folder)
+    take_found(imported, run)
     assert sorted(item[ADDED] for item in added_surfaces(imported)) == ["closed", "found"]
+    for search, objects in ((True, 1), (False, 3)):
+        for _ in write_survey_input(run, search):
+            pass
+        assert len(read_document(RunFolder(run.survey).room_json, dict)["objects"]) == objects
     # The surfaces that were found belong to a scan, and leave with it.
     assert ops.import_mesh(filepath=str(Path(imported.fipt.capture.path) / "scene.obj")) == {"FINISHED"}
     assert not added_surfaces(imported) and not settings.completed
