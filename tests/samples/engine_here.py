@@ -12,6 +12,7 @@ import pytest
 
 from fipt_blender.bridge.process import Engine
 from fipt_blender.core import __main__ as engine
+from fipt_blender.core.device import variant
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.jobs import run_job
 
@@ -36,8 +37,13 @@ class EngineHere(Engine):
 
 @contextmanager
 def engine_here() -> Iterator[None]:
-    """Jobs on run folders call the engine instead of starting a process, which takes a second or more."""
+    """Jobs on run folders call the engine instead of starting a process, which takes a second or more.
+
+    Mitsuba's variant stays that of the tests, whatever device a job asks for.
+    """
     with pytest.MonkeyPatch.context() as patches:
+        for device in variant.VARIANTS:
+            patches.setitem(variant.VARIANTS, device, variant.set_variant())
         patches.setattr(run_job, "EngineProcess", EngineHere)
         yield
 
