@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 from pathlib import Path
@@ -21,6 +22,7 @@ from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
 from samples.capture_files import make_samples, write_colmap, write_mesh, write_transforms
+from samples.engine_here import engine_here
 
 ops = bpy.ops.fipt
 CORNERS = [Vector(corner) for corner in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))]
@@ -59,7 +61,13 @@ def refused(operator, **arguments) -> str:
 
 
 @pytest.fixture
-def imported(scene, sample):
+def here():
+    with engine_here():
+        yield
+
+
+@pytest.fixture
+def imported(here, scene, sample):
     assert ops.import_capture(filepath=str(sample)) == {"FINISHED"}
     return scene
 
@@ -83,10 +91,14 @@ def test_import_again_and_of_another_capture(imported, sample, tmp_path):
     assert api.import_capture(sample, options={"scale": 0.5}).run == Path(first)
     places = np.array([view.camera_object().location for view in imported.fipt.capture.views])
     assert np.abs(places).max() < 1.01
+    imported.fipt.capture.up = "-x"
     other = tmp_path / "other"
     write_colmap(other, make_samples(3, model="OPENCV"), text=True)
     write_mesh(other / "scene.obj")
     assert ops.import_capture(filepath=str(other / "sparse" / "0" / "images.txt")) == {"FINISHED"}
+    # It is not turned by the choice for the last one.
+    assert imported.fipt.capture.up == imported.fipt.capture.imported_up
+    np.testing.assert_allclose(np.array(imported.fipt.capture.alignment.matrix_world), np.eye(4), atol=1e-6)
     assert imported.fipt.run_folder != first and (Path(first) / "capture.json").exists()
     assert len(imported.fipt.capture.views) == 3
     assert all(Path(view.image).is_relative_to(imported.fipt.run_folder) for view in imported.fipt.capture.views)
@@ -96,8 +108,7 @@ def test_bad_captures_are_refused_in_words_and_change_nothing(imported, sample, 
     run, views = imported.fipt.run_folder, len(imported.fipt.capture.views)
     assert "does not exist" in refused(ops.import_capture, filepath=str(tmp_path / "nowhere"))
     (tmp_path / "empty").mkdir()
-    told = refused(ops.import_capture, filepath=str(tmp_path / "empty"))
-    assert "neither photographs nor cameras" in told
+    assert "neither photographs nor cameras" in refused(ops.import_capture, filepath=str(tmp_path / "empty"))
     (tmp_path / "empty" / "IMG_1.JPG").touch()
     told = refused(ops.import_capture, filepath=str(tmp_path / "empty"))
     assert "photographs without cameras" in told and "Make Capture" in told
@@ -264,7 +275,7 @@ def test_check_fills_the_list_and_colours_follow_the_ticks(imported, sample, dra
     assert ops.show_parts(show=False) == {"FINISHED"} and overlay.shown(imported) == ""
 
 
-def test_own_cameras_become_the_capture(scene, sample, tmp_path):
+def test_own_cameras_become_the_capture(here, scene, sample, tmp_path):
     collection = bpy.data.collections.new("Matchmove")
     scene.collection.children.link(collection)
     scene.render.resolution_x, scene.render.resolution_y = 160, 90  # not the shape of the photographs
@@ -305,7 +316,7 @@ def places(scene) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("first", "axis"), [("auto", "y"), ("auto", "-z"), ("-y", "z"), ("x", "-x")])
-def test_the_panel_turns_the_capture_as_another_import_does(scene, sample, first, axis):
+def test_the_panel_turns_the_capture_as_another_import_does(here, scene, sample, first, axis):
     """Also when the artist has moved it; neither an import again nor one of another axis turns it twice."""
     settings = scene.fipt.capture
     assert api.import_capture(sample, options={"up_axis": first})
@@ -328,28 +339,17 @@ def test_the_panel_turns_the_capture_as_another_import_does(scene, sample, first
     np.testing.assert_allclose(places(scene), untouched, atol=1e-4)
 
 
-@pytest.mark.parametrize("imported_up", UP_AXES)
-@pytest.mark.parametrize("axis", UP_AXES)
-def test_each_direction_can_be_chosen_and_taken_back(scene, imported_up, axis):
+def test_each_direction_can_be_chosen_and_taken_back(scene):
     settings = scene.fipt.capture
     moved = Matrix.LocRotScale((1.0, 2.0, 3.0), Euler((0.1, -0.2, 2.0)), (0.5, 0.5, 0.5))
-    find_alignment(scene).matrix_basis = moved
-    settings.imported_up = imported_up
-    assert settings.up == imported_up
-    settings.up = axis
-    assert settings.up == axis
-    before = np.array(moved) @ world_from_source(axis)
-    after = np.array(settings.alignment.matrix_basis) @ world_from_source(imported_up)
-    np.testing.assert_allclose(after, before, atol=1e-5)
-    settings.up = imported_up
-    np.testing.assert_allclose(np.array(settings.alignment.matrix_basis), np.array(moved), atol=1e-5)
-
-
-def test_another_capture_is_not_turned_by_the_choice_for_the_last_one(imported, tmp_path):
-    imported.fipt.capture.up = "-x"
-    other = tmp_path / "other"
-    write_transforms(other, make_samples(4))
-    write_mesh(other / "scene.obj")
-    assert ops.import_capture(filepath=str(other)) == {"FINISHED"}
-    assert imported.fipt.capture.up == "z"
-    np.testing.assert_allclose(np.array(imported.fipt.capture.alignment.matrix_world), np.eye(4), atol=1e-6)
+    for imported_up, axis in itertools.product(UP_AXES, UP_AXES):
+        find_alignment(scene).matrix_basis = moved
+        settings.imported_up = imported_up
+        assert settings.up == imported_up
+        settings.up = axis
+        assert settings.up == axis
+        before = np.array(moved) @ world_from_source(axis)
+        after = np.array(settings.alignment.matrix_basis) @ world_from_source(imported_up)
+        np.testing.assert_allclose(after, before, atol=1e-5)
+        settings.up = imported_up
+        np.testing.assert_allclose(np.array(settings.alignment.matrix_basis), np.array(moved), atol=1e-5)

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from fipt_blender.blend.image_datablocks import image_values
-from samples.combinations import pairs
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
@@ -52,7 +51,10 @@ def state() -> dict[str, tuple[object, ...]]:
     return {image.name: (image.filepath, image.packed_file is None, image.is_dirty) for image in bpy.data.images}
 
 
-@pytest.mark.parametrize(("pack", "keep", "tiled"), pairs((False, True), ("BESIDE", "PACKED", "IN_RUN"), (False, True)))
+@pytest.mark.parametrize(
+    ("pack", "keep", "tiled"),
+    [(False, "BESIDE", True), (False, "IN_RUN", False), (True, "PACKED", False), (True, "IN_RUN", True)],
+)
 def test_a_collected_room_opens_elsewhere(scene, tmp_path, pack, keep, tiled):
     first, target = tmp_path / "first", tmp_path / "second" / "room"
     first.mkdir()

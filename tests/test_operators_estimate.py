@@ -8,7 +8,6 @@ import json
 import os
 import re
 import signal
-import time
 from pathlib import Path
 
 import bpy
@@ -27,9 +26,11 @@ from fipt_blender.jobs import run_job, running, runstate
 from fipt_blender.operators.estimate import smaller_preset
 from fipt_blender.properties.estimate import CHOICES
 from samples.child_processes import wait_for
+from samples.engine_here import engine_here, hardly_training
 from samples.operator_calls import refused
 from samples.small_captures import PANEL, QUICK, SmallCapture, panel_capture, write_run
 from samples.small_rooms import BOX
+from samples.stand_in_jobs import tick_until
 
 ops = bpy.ops.fipt
 posix = pytest.mark.skipif(os.name == "nt", reason="signals")
@@ -81,7 +82,7 @@ def quick(monkeypatch) -> dict:
     return changes
 
 
-def start(resume: bool = False) -> running.RunningJob:
+def start(resume: bool) -> running.RunningJob:
     """What the button does in a window, where a timer would call `running.tick`."""
     scene = bpy.context.scene
     settings = estimating.scene_settings(scene)
@@ -91,113 +92,87 @@ def start(resume: bool = False) -> running.RunningJob:
     return running.start(job, running.RunningJob("Estimate", "estimate", scene.name, run.root))
 
 
-def tick_to_stage(run: RunFolder, stage: str) -> None:
-    while stage not in begun(run):
-        assert running.current() is not None, running.last("estimate")
-        running.tick()
-        time.sleep(0.01)
-
-
-def tick_to_end() -> None:
-    while running.current() is not None:
-        running.tick()
-        time.sleep(0.01)
-
-
-def begun(run: RunFolder) -> list[str]:
-    """The stages that the engine has begun; none while it starts."""
-    try:
-        return worked(run)
-    except OSError:
-        return []
-
-
 def worked(run: RunFolder) -> list[str]:
-    """The stages that the engine did in its last run."""
-    lines = run.messages("estimate").read_text().splitlines()
+    """The stages that the engine began in its last run; none while it starts."""
+    path = run.messages("estimate")
+    lines = path.read_text().splitlines() if path.exists() else []
     return [json.loads(line)["name"] for line in lines if line.startswith('{"type": "stage"')]
 
 
 def done(run: RunFolder) -> list[str]:
-    path = run.stage / "stages.json"
-    return list(read_document(path, dict)["stages"]) if path.exists() else []
+    return list(read_document(run.stages_json, dict)["stages"])
 
 
 def test_estimate_works_on_the_scene_as_it_is_and_starts_anew_unless_stages_are_to_be_kept(scene, run, quick):
-    assert ops.estimate() == {"FINISHED"}
-    assert done(run) == worked(run) == STAGES
-    assert read_document(run.room_json, dict)["objects"] == [f"wall {index}" for index in range(7)]
-    assert read_document(run.emitters_json, dict)["fixtures"][0]["triangles"] == [12, 13]
-    assert run.read().training_steps == 20 and run.read().device == "llvm"
-    job = running.last("estimate")
-    assert job.state == "finished" and all(path.is_file() for path in job.pictures)
-    assert [path.name for path in job.pictures] == ["training-base_color.png", "training-emission.png"]
-    assert not ops.resume.poll()  # it is finished
+    with engine_here(), hardly_training():
+        assert ops.estimate() == {"FINISHED"}
+        assert done(run) == worked(run) == STAGES
+        assert read_document(run.room_json, dict)["objects"] == [f"wall {index}" for index in range(7)]
+        assert read_document(run.emitters_json, dict)["fixtures"][0]["triangles"] == [12, 13]
+        assert run.read().training_steps == 20 and run.read().device == "llvm"
+        job = running.last("estimate")
+        assert job.state == "finished" and all(path.is_file() for path in job.pictures)
+        assert [path.name for path in job.pictures] == ["training-base_color.png", "training-emission.png"]
+        assert not ops.resume.poll()  # it is finished
 
-    quick["training_steps"] = 12
-    outcome = api.estimate(keep_stages=True)
-    assert outcome.run == run.root and worked(run) == ["training"]
-    assert run.read().training_steps == 12 and done(run) == STAGES
-    newest, before = api.versions()
-    assert "training_steps=12" in newest.changes and "training_steps=20" in before.changes
+        quick["training_steps"] = 12
+        outcome = api.estimate(keep_stages=True)
+        assert outcome.run == run.root and worked(run) == ["training"]
+        assert run.read().training_steps == 12 and done(run) == STAGES
+        newest, before = api.versions()
+        assert "training_steps=12" in newest.changes and "training_steps=20" in before.changes
 
-    before = run.emitters_json.stat().st_mtime_ns
-    assert ops.estimate() == {"FINISHED"} and worked(run) == STAGES
-    assert run.emitters_json.stat().st_mtime_ns > before
+        before = run.emitters_json.stat().st_mtime_ns
+        assert ops.estimate() == {"FINISHED"} and worked(run) == STAGES
+        assert run.emitters_json.stat().st_mtime_ns > before
 
 
-def stop(run: RunFolder, stage: str, killed: bool, resume: bool = False) -> None:
+def stop(run: RunFolder, stage: str, killed: bool, resume: bool) -> None:
     """Start an estimate, and kill or cancel it when it has begun a stage."""
-    run.messages("estimate").unlink(missing_ok=True)
+    run.messages("estimate").unlink()
     info = start(resume)
-    tick_to_stage(run, stage)
+    tick_until(lambda: stage in worked(run) or running.current() is None)
     if killed:
         os.kill(find_engine(run).pid, signal.SIGKILL)
     else:
         ops.cancel()
         assert info.state == "running" and info.stopping
-    tick_to_end()
+    tick_until(lambda: running.current() is None)
     assert info.state == ("failed" if killed else "cancelled") and ops.resume.poll()
     if killed:
         assert info.error["code"] == "out-of-memory" and info.error["remedy"]
     else:
         assert info.error is None
         wait_for(lambda: find_engine(run) is None)
+    assert done(run) == STAGES[: STAGES.index(stage)]
 
 
 @posix
-def test_killed_or_cancelled_it_resumes_and_blender_lives_on(scene, run, quick):
-    quick |= {"diffuse_spp": 2048, "training_steps": 5000}  # long enough to be met
-    for stage, killed in (("shadings", True), ("shadings", False), ("training", True), ("training", False)):
-        stop(run, stage, killed, resume=bool(done(run)))
-        assert done(run) == STAGES[: STAGES.index(stage)] and not run.fields_npz.exists()
-        bpy.data.objects.new("still alive", None)
-    quick["training_steps"] = 20
-    assert ops.resume() == {"FINISHED"} and worked(run) == ["training"]
-    assert done(run) == STAGES and run.emitters_json.exists()
-
-
-@posix
-def test_a_second_estimate_that_is_stopped_leaves_the_first_one_usable(scene, run, quick):
-    assert ops.estimate() == {"FINISHED"} and ops.apply_results() == {"FINISHED"}
-    folders = run.results, run.textures
-    files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
-    before = {path: path.read_bytes() for path in files}
+def test_an_estimate_that_is_killed_or_cancelled_resumes_and_leaves_the_first_one_usable(scene, run, quick):
+    """In processes of their own, but for the first one."""
+    with engine_here(), hardly_training():
+        assert ops.estimate() == {"FINISHED"} and ops.apply_results() == {"FINISHED"}
+    before = {path: path.read_bytes() for path in (*run.results.rglob("*"), *run.textures.rglob("*")) if path.is_file()}
     bpy.data.objects["wall 0"].location.x += 5.0  # the next estimate has another room and other settings
-    quick |= {"diffuse_spp": 2048, "hash_levels": 4}
-    for killed in (False, True):
-        stop(run, "shadings", killed, resume=killed)
+    quick |= {"diffuse_spp": 2048, "hash_levels": 4, "training_steps": 5000}  # long enough to be met
+    for stage, killed in (("shadings", False), ("training", True)):
+        stop(run, stage, killed, resume=killed)
         assert {path: path.read_bytes() for path in before} == before
         state = runstate.look(run)
-        assert state.results and not state.finished and state.stages == STAGES.index("shadings")
+        assert state.results and not state.finished and state.stages == STAGES.index(stage)
         assert not ops.reestimate.poll()  # its stages are those of the new one
-    bpy.data.objects["wall 0"].location.x -= 5.0
     scene.fipt.materials.texel_density = 20.0  # so that the textures are baked again, from the first results
+    bpy.data.objects["wall 0"].location.x -= 5.0
     assert ops.apply_results() == {"FINISHED"}
-    kept = [path for path in files if path.is_relative_to(run.results) and "maps" not in path.parts]
+    kept = [path for path in before if path.is_relative_to(run.results) and "maps" not in path.parts]
     assert read_document(run.room_json, dict)["objects"]
     assert [path.read_bytes() for path in kept] == [before[path] for path in kept]
     assert run.read().hash_levels == 4 and run.read_estimated().hash_levels == QUICK["hash_levels"]
+
+    bpy.data.objects["wall 0"].location.x += 5.0
+    quick["training_steps"] = 20
+    assert ops.resume() == {"FINISHED"} and worked(run) == ["training"]
+    assert done(run) == STAGES and run.read_estimated().hash_levels == 4
 
 
 def test_no_engine_is_said_before_anything_is_made(scene, tmp_path, monkeypatch):
@@ -209,11 +184,8 @@ def test_no_engine_is_said_before_anything_is_made(scene, tmp_path, monkeypatch)
 
 
 @posix
-@pytest.mark.parametrize(
-    ("script", "code"),
-    [("exit 3", "engine-crashed"), ("echo 'Fatal Python error' >&2; kill -ABRT $$", "engine-crashed")],
-)
-def test_an_interpreter_that_breaks_at_work(scene, run, tmp_path, monkeypatch, script, code):
+@pytest.mark.parametrize("script", ["exit 3", "echo 'Fatal Python error' >&2; kill -ABRT $$"])
+def test_an_interpreter_that_breaks_at_work(scene, run, tmp_path, monkeypatch, script):
     broken = tmp_path / "python"
     broken.write_text(f"#!/bin/sh\n{script}\n")
     broken.chmod(0o755)
@@ -221,7 +193,7 @@ def test_an_interpreter_that_breaks_at_work(scene, run, tmp_path, monkeypatch, s
     monkeypatch.setattr(run_job, "find_launch", lambda explicit=None: launch)
     with pytest.raises(RuntimeError, match=r"log\.txt"):
         ops.estimate()
-    assert running.last("estimate").error["code"] == code
+    assert running.last("estimate").error["code"] == "engine-crashed"
 
     broken.chmod(0o644)
     assert "can't be started" in refused(ops.estimate)
@@ -254,6 +226,8 @@ def test_only_changed_settings_leave_the_preset(scene):
     assert settings.training_steps == 123
     ops.reset_setting()
     assert scene_settings(scene) == make_settings("draft", {"device": "llvm"})
+    settings.device = "cuda"  # before the one of the preferences
+    assert scene_settings(scene).device == "cuda"
     settings.changes = "nonsense"
     assert settings.rounds == 1
 
@@ -263,11 +237,6 @@ def test_settings_that_messages_name_are_in_the_panel():
     text = "".join(path.read_text(encoding="utf-8") for path in core.rglob("*.py"))
     named = set(re.findall(r"--set (\w+)=", text))
     assert named and named <= {field for choice in CHOICES.values() for field in choice.fields}
-
-
-def test_the_device_of_the_scene_comes_before_the_preferences(scene):
-    scene.fipt.estimate.device = "cuda"
-    assert scene_settings(scene).device == "cuda"
 
 
 def test_smaller_presets(scene, monkeypatch):

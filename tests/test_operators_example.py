@@ -15,7 +15,8 @@ from fipt_blender.api import estimating
 from fipt_blender.bridge.places import PACKAGE_FOLDER
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.operators.example import copy_example
-from samples.small_captures import QUICK
+from samples.engine_here import engine_here, hardly_training
+from samples.small_captures import QUICK, UNTRAINED
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -40,11 +41,13 @@ def test_the_example_is_copied_and_repaired(tmp_path):
 
 
 def test_one_click_estimates_the_room_in_a_scene_of_its_own(data, monkeypatch):
-    changes = {**QUICK, "training_steps": 20, "texture_size": 256, "texel_density": 10.0}
+    changes = {**QUICK, **UNTRAINED, "light_pixels": 0.03, "view_share": 0.3, "texture_size": 256}
+    changes["texel_density"] = 10.0
     monkeypatch.setattr(estimating, "scene_settings", lambda *_: make_settings("draft", changes))
     own = bpy.context.scene
     own.collection.objects.link(bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube")))
-    assert bpy.ops.fipt.try_example() == {"FINISHED"}
+    with engine_here(), hardly_training():
+        assert bpy.ops.fipt.try_example() == {"FINISHED"}
     scene = bpy.data.scenes["Example Room"]
     assert [each.name for each in own.objects] == ["Cube"] and not own.fipt.run_folder
     assert len(scene.fipt.capture.views) == 22 and scene.fipt.capture.held_back_count == 2

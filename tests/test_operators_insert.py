@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -205,34 +204,3 @@ def test_cancelling_a_second_placement_keeps_the_first(scene):
     placing.place(placement, surfaces.Surface(Vector((1, 1, 1)), Vector((1, 0, 0))), placing.Stance())
     placing.cancel_placing(placement)
     assert np.allclose(cube.matrix_world, first) and marks.inserted_objects(scene) == [cube]
-
-
-class Window:
-    """Half a 3D viewport (x below 100) beside its sidebar; notes what an operator shows."""
-
-    def __init__(self) -> None:
-        self.shown: dict[str, object] = {}
-        view = SimpleNamespace(type="WINDOW", x=0, y=0, width=200, height=100)
-        sidebar = SimpleNamespace(type="UI", x=100, y=0, width=100, height=100)
-        area = SimpleNamespace(
-            type="VIEW_3D",
-            regions=[view, sidebar],
-            spaces=SimpleNamespace(active="space"),
-            header_text_set=lambda text: self.shown.update(header=text),
-        )
-        window = SimpleNamespace(
-            screen=SimpleNamespace(areas=[area]),
-            cursor_modal_set=lambda cursor: self.shown.update(cursor=cursor),
-            cursor_modal_restore=lambda: self.shown.update(cursor=None),
-        )
-        self.context = SimpleNamespace(
-            window=window,
-            area=area,
-            workspace=SimpleNamespace(status_text_set=lambda text: self.shown.update(status=text)),
-            window_manager=SimpleNamespace(modal_handler_add=lambda operator: None),
-        )
-
-
-@pytest.fixture
-def window():
-    return Window()

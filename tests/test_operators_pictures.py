@@ -62,8 +62,41 @@ def into_photograph(run, samples) -> dict[str, np.ndarray]:
     return exr_layers(Path(scene.fipt.insert.picture))
 
 
+def rendered(scene, path: Path) -> np.ndarray:
+    """Blender's last render, (H, W, 3)."""
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_depth = "OPEN_EXR", "32"
+    bpy.data.images["Render Result"].save_render(str(path), scene=scene)
+    return image_files.read_pixels(path)
+
+
+def state(scene):
+    """What renders must not change."""
+    items = [(o.name, o.hide_render, o.is_holdout, o.is_shadow_catcher) for o in scene.objects]
+    render = scene.render
+    return items, render.film_transparent, render.engine, render.resolution_x, scene.camera.name
+
+
+def without_radiance(run) -> None:
+    """Let the photographs be ones that are not HDR."""
+    data = json.loads(run.capture_json.read_text())
+    for view in data["views"]:
+        view |= {"encoded": True, "exposure": None}
+    write_json(run.capture_json, data)
+
+
+def convert_lamp() -> tuple[bpy.types.Object, bpy.types.Object]:
+    """Let a Blender light stand for the room's fixture; returns both."""
+    scene = bpy.context.scene
+    light_state.list_lights(scene)
+    assert bpy.ops.fipt.fixture_to_area_light(fixture="Fixture.001") == {"FINISHED"}
+    lamp = scene.objects["Fixture.001"]
+    (light,) = lamp.children
+    return lamp, light
+
+
 def test_without_an_object_the_picture_is_the_photograph(run):
-    """To the rounding of halves, in every layer."""
+    """To the rounding of halves, in every layer, also where a Blender light stands for a fixture."""
     photo = photograph(run, 16)
     layers = into_photograph(run, 4)
     for name in ("", "plate"):
@@ -73,47 +106,47 @@ def test_without_an_object_the_picture_is_the_photograph(run):
     assert bpy.context.scene.fipt.insert.picture == str(path) and path.with_suffix(".png").exists()
     (entry,) = read_document(run.renders_json, dict)["renders"]
     assert entry == {"kind": "composite", "view": VIEW, "image": path.relative_to(run.root).as_posix()}
+    lamp, light = convert_lamp()
+    before = lamp.visible_diffuse, light.hide_render
+    np.testing.assert_allclose(into_photograph(run, 4)[""], photo, rtol=1e-3, atol=1e-6)
+    assert (lamp.visible_diffuse, light.hide_render) == before
 
 
-def test_the_layers_make_the_picture_and_the_depth_is_the_objects(run):
-    photograph(run, 16)
-    ball()
-    layers = into_photograph(run, 16)
-    added = layers["object"]
-    assert 0.0 < added[..., 3].mean() < 0.5 and layers["shadow"].min() < 0.9
-    made = added[..., :3] + (1.0 - added[..., 3:]) * layers["plate"] * layers["shadow"] + layers["light"]
-    np.testing.assert_allclose(layers[""], made, rtol=5e-3, atol=1e-3)
-    scene, depth = bpy.context.scene, layers["depth"][..., 0]
-    item, covered = bpy.data.objects["FIPT Gray Ball"], added[..., 3] > 0.999
-    bpy.context.view_layer.update()
-    to_camera = scene.camera.matrix_world.inverted() @ item.matrix_world
-    middle = -(to_camera @ (sum((Vector(corner) for corner in item.bound_box), Vector()) / 8)).z
-    radius = item.dimensions.x / 2
-    assert (depth[covered] < middle).all() and (depth[covered] > middle - radius).all()
-    # The wall behind has no sky: every pixel has a depth.
-    assert depth[0, 0] > middle + radius
-
-
-def test_the_compositor_scene_puts_the_layers_together_and_leaves_the_room(run, tmp_path):
-    photograph(run, 16)
+def test_an_object_is_added_in_layers_which_the_compositor_scene_puts_together(run, tmp_path):
+    photo = photograph(run)
     ball()
     scene = bpy.context.scene
     bpy.ops.fipt.set_backdrop(mode="ROOM")
     scene.cycles.samples = 1
     bpy.ops.fipt.final_picture()
     assert "no layers" in refused(bpy.ops.fipt.plate_nodes)
-    layers = into_photograph(run, 16)
+    layers = into_photograph(run, 64)
+    added, result = layers["object"], layers[""]
+    assert 0.0 < added[..., 3].mean() < 0.5 and layers["shadow"].min() < 0.9
+    made = added[..., :3] + (1.0 - added[..., 3:]) * layers["plate"] * layers["shadow"] + layers["light"]
+    np.testing.assert_allclose(result, made, rtol=5e-3, atol=1e-3)
+    # The ball stands in the middle column; its shadow is around its foot.
+    far = np.ones(SIZE[::-1], bool)
+    far[:, 9:23] = False
+    assert psnr(result[far], photo[far]) > 40.0
+    assert np.abs(result - photo)[6:14, 12:20].max() > 0.05
+    assert np.isfinite(result).all() and result.min() >= 0.0
+    # The depth is the object's, and that of the wall behind it.
+    depth, item, covered = layers["depth"][..., 0], bpy.data.objects["FIPT Gray Ball"], added[..., 3] > 0.999
+    bpy.context.view_layer.update()
+    to_camera = scene.camera.matrix_world.inverted() @ item.matrix_world
+    middle = -(to_camera @ (sum((Vector(corner) for corner in item.bound_box), Vector()) / 8)).z
+    radius = item.dimensions.x / 2
+    assert (depth[covered] < middle).all() and (depth[covered] > middle - radius).all()
+    assert depth[0, 0] > middle + radius
+
     for _ in range(2):
         assert bpy.ops.fipt.plate_nodes() == {"FINISHED"}
-    made = bpy.data.scenes["FIPT Composite"]
+    composed = bpy.data.scenes["FIPT Composite"]
     assert len(bpy.data.scenes) == 2 and not getattr(scene, "compositing_node_group", scene.use_nodes)
-    assert made.view_settings.exposure == scene.view_settings.exposure
-    bpy.ops.render.render(scene=made.name)
-    settings = made.render.image_settings
-    settings.file_format, settings.color_depth = "OPEN_EXR", "32"
-    bpy.data.images["Render Result"].save_render(str(tmp_path / "out.exr"), scene=made)
-    result = image_files.read_pixels(tmp_path / "out.exr")
-    np.testing.assert_allclose(result, layers[""], rtol=5e-3, atol=1e-3)
+    assert composed.view_settings.exposure == scene.view_settings.exposure
+    bpy.ops.render.render(scene=composed.name)
+    np.testing.assert_allclose(rendered(composed, tmp_path / "out.exr"), result, rtol=5e-3, atol=1e-3)
 
 
 def test_a_plate_that_is_not_hdr_is_brought_to_the_unit_of_the_room(run):
@@ -121,10 +154,7 @@ def test_a_plate_that_is_not_hdr_is_brought_to_the_unit_of_the_room(run):
     photo = photograph(run, 64)
     codes = png16.encode_srgb(np.clip(2.0 * photo, 0.0, 1.0))
     image_files.save_exr(run.root / "photos/val_000.exr", codes)
-    data = json.loads(run.capture_json.read_text())
-    for view in data["views"]:
-        view |= {"encoded": True, "exposure": None}
-    write_json(run.capture_json, data)
+    without_radiance(run)
     layers = into_photograph(run, 64)
     dark = photo.max(axis=-1) < 0.4
     np.testing.assert_allclose(layers[""][dark], photo[dark], rtol=0.1)
@@ -145,10 +175,7 @@ def test_f12_and_the_final_picture_are_the_same(run, tmp_path):
     assert scene.fipt.insert.picture == str(tmp_path / "shot_pictures" / "val_000.exr")
     assert (tmp_path / "shot_pictures" / "val_000.png").is_file() and picture.shape == (15, 24, 3)
     bpy.ops.render.render()
-    scene.render.image_settings.file_format = "OPEN_EXR"
-    scene.render.image_settings.color_depth = "32"
-    bpy.data.images["Render Result"].save_render(str(tmp_path / "f12.exr"), scene=scene)
-    np.testing.assert_array_equal(image_files.read_pixels(tmp_path / "f12.exr"), picture)
+    np.testing.assert_array_equal(rendered(scene, tmp_path / "f12.exr"), picture)
     assert bpy.ops.fipt.final_picture() == {"FINISHED"}
     assert scene.fipt.insert.picture.endswith("val_000_2.exr")
 
@@ -188,43 +215,6 @@ def test_a_denoiser_that_this_blender_lacks_stays_chosen(run):
     assert cycles["denoiser"] == 99
 
 
-def test_an_object_changes_only_its_surroundings(run):
-    photo = photograph(run)
-    ball()
-    result = into_photograph(run, 64)[""]
-    # The ball stands in the middle column; its shadow is around its foot.
-    far = np.ones(SIZE[::-1], bool)
-    far[:, 9:23] = False
-    assert psnr(result[far], photo[far]) > 40.0
-    assert np.abs(result - photo)[6:14, 12:20].max() > 0.05
-    assert np.isfinite(result).all() and result.min() >= 0.0
-
-
-def state(scene):
-    """What renders must not change."""
-    items = [(o.name, o.hide_render, o.is_holdout, o.is_shadow_catcher) for o in scene.objects]
-    render = scene.render
-    return items, render.film_transparent, render.engine, render.resolution_x, scene.camera.name
-
-
-def convert_lamp() -> tuple[bpy.types.Object, bpy.types.Object]:
-    """Let a Blender light stand for the room's fixture; returns both."""
-    scene = bpy.context.scene
-    light_state.list_lights(scene)
-    assert bpy.ops.fipt.fixture_to_area_light(fixture="Fixture.001") == {"FINISHED"}
-    lamp = scene.objects["Fixture.001"]
-    (light,) = lamp.children
-    return lamp, light
-
-
-def test_a_converted_fixture_leaves_the_photograph_as_it_is(run):
-    photo = photograph(run, 16)
-    lamp, light = convert_lamp()
-    before = lamp.visible_diffuse, light.hide_render
-    np.testing.assert_allclose(into_photograph(run, 4)[""], photo, rtol=1e-3, atol=1e-6)
-    assert (lamp.visible_diffuse, light.hide_render) == before
-
-
 @pytest.mark.parametrize("how", ["panel", "power", "moved", "deleted"])
 def test_what_was_changed_of_a_converted_fixture_is_seen_in_the_photograph(run, how):
     photo = photograph(run, 16)
@@ -251,17 +241,6 @@ def test_checks_show_a_converted_fixture_as_photographed(run):
     render = image_files.read_pixels(run.renders / "rerender" / "val_000.exr")
     assert render.mean() == pytest.approx(photo.mean(), rel=0.05)
     assert not light.hide_render and not lamp.visible_diffuse and not lamp.visible_camera
-
-
-def test_the_light_of_a_converted_fixture_is_not_inserted_into_the_backdrop(run):
-    """Cycles adds the light of lamps that are no shadow catchers to the photograph."""
-    bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
-    _, light = convert_lamp()
-    assert light.is_shadow_catcher
-    bpy.ops.fipt.set_backdrop(mode="ROOM")
-    assert not light.is_shadow_catcher
-    bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
-    assert light.is_shadow_catcher
 
 
 def test_pictures_are_made_of_the_scene_that_was_asked_for(run, tmp_path):
@@ -294,73 +273,61 @@ def test_the_backdrop_changes_and_is_restored(run):
     assert bpy.ops.fipt.set_backdrop(mode="ROOM") == {"FINISHED"}
     assert state(scene) == before and scene.fipt.insert.backdrop == "ROOM"
     assert camera.background_images[0].display_depth == "FRONT" and camera.background_images[0].alpha == 0.5
-
-
-def test_renders_are_independent_of_the_backdrop(run):
-    photo = photograph(run, 16)
+    # Cycles adds the light of lamps that are no shadow catchers to the photograph.
     bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
-    before = state(bpy.context.scene)
-    assert bpy.ops.fipt.render_views(which="CURRENT", samples=64) == {"FINISHED"}
-    assert state(bpy.context.scene) == before
-    render = image_files.read_pixels(run.renders / "rerender" / "val_000.exr")
-    assert render.mean() == pytest.approx(photo.mean(), rel=0.1)
+    _, light = convert_lamp()
+    for mode, caught in (("PHOTOGRAPH", True), ("ROOM", False), ("PHOTOGRAPH", True)):
+        bpy.ops.fipt.set_backdrop(mode=mode)
+        assert light.is_shadow_catcher is caught
 
 
-def test_views_are_checked_without_inserted_objects(run):
+def test_views_are_checked_without_inserted_objects_and_shown_over_the_view(run):
+    """By lamps as they were photographed and before the room, whatever the artist has chosen since."""
     photo = photograph(run)
     ball(y=0.0)
     scene = bpy.context.scene
+    into_photograph(run, 1)  # the backdrop stays the photograph
+    before = state(scene)
     lamp = scene.objects["Fixture.001"]
     light_state.change(scene, lamp, {STOPS: -3.0})
     assert bpy.ops.fipt.render_views(samples=64) == {"FINISHED"}  # the panel's choice: held-back views
+    assert state(scene) == before
     assert front(lamp) == pytest.approx(1.0)  # as before, not the 8 of the photograph
     (line,) = scene.fipt.check.views
     render = image_files.read_pixels(run.renders / "rerender" / "val_000.exr")
-    assert line.name == VIEW and line.held_back
+    assert line.name == VIEW and line.held_back and render.mean() == pytest.approx(photo.mean(), rel=0.1)
     assert line.psnr == pytest.approx(psnr(render, photo), abs=1e-3) and line.psnr > 25.0
     assert scene.fipt.check.mean_psnr == pytest.approx(line.psnr)
-    assert read_document(run.renders_json, dict)["renders"][0]["kind"] == "rerender"
-    error = bpy.data.images.load(line.error)
-    assert tuple(error.size) == SIZE
-
-
-def test_pictures_are_shown_over_the_view_and_removed(run):
-    photograph(run, 4)
-    bpy.ops.fipt.render_views(samples=2)
-    scene = bpy.context.scene
+    assert "rerender" in {entry["kind"] for entry in read_document(run.renders_json, dict)["renders"]}
+    assert tuple(bpy.data.images.load(line.error).size) == SIZE
+    # Radiance is displayed as renders are, and error images are not.
+    for path, as_render in ((line.render, True), (scene.fipt.insert.picture, True), (line.error, False)):
+        assert check_pictures.load_picture(Path(path)).use_view_as_render == as_render, path
     background = bpy.data.objects[VIEW].data.background_images[0]
-    photo = background.image
+    photograph_shown = background.image
+    assert photograph_shown.use_view_as_render
     for picture, end in (("RENDER", "rerender/val_000.exr"), ("ERROR", "error/val_000.png")):
         assert bpy.ops.fipt.show_check(view=VIEW, picture=picture) == {"FINISHED"}
         assert background.image.filepath.endswith(end) and background.alpha == 1.0
     assert bpy.ops.fipt.show_check(picture="PHOTOGRAPH") == {"FINISHED"}
-    assert background.image == photo and background.alpha == 1.0
+    assert background.image == photograph_shown and background.alpha == 1.0
+    bpy.ops.fipt.set_backdrop(mode="ROOM")
     bpy.ops.fipt.show_check(picture="RENDER")
     bpy.ops.fipt.look_through(view=VIEW)  # the section Capture shows the photograph again
-    assert background.image == photo and background.alpha == 0.5
+    assert background.image == photograph_shown and background.alpha == 0.5
     assert scene.camera.name == VIEW
     assert "has not been rendered" in refused(bpy.ops.fipt.show_check, view="train/000")
     os.remove(scene.fipt.check.views[0].error)
     assert "missing" in refused(bpy.ops.fipt.show_check, picture="ERROR")
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "words"),
-    [
-        ("render_views", {"view": "val/999"}, "no view 'val/999'"),
-        ("final_picture", {"view": "val/999"}, "no camera for the view 'val/999'"),
-        ("render_views", {"which": "TICKED"}, "No view is ticked"),
-        ("render_views", {"which": "HELD_BACK"}, "No ticked view is held back"),
-    ],
-)
-def test_missing_views_are_explained(run, name, options, words):
+def test_missing_views_photographs_rooms_and_cameras_are_explained(run):
     for view in bpy.context.scene.fipt.capture.views:
         view.enabled = False
-    with pytest.raises(RuntimeError, match=words):
-        getattr(bpy.ops.fipt, name)("EXEC_DEFAULT", **options)
-
-
-def test_missing_photographs_rooms_and_cameras_are_explained(run):
+    assert "no view 'val/999'" in refused(bpy.ops.fipt.render_views, view="val/999")
+    assert "no camera for the view 'val/999'" in refused(bpy.ops.fipt.final_picture, view="val/999")
+    assert "No view is ticked" in refused(bpy.ops.fipt.render_views, which="TICKED")
+    assert "No ticked view is held back" in refused(bpy.ops.fipt.render_views, which="HELD_BACK")
     (run.root / "photos/val_000.exr").unlink()
     with pytest.raises(RuntimeError, match=r"val_000\.exr of the view 'val/000' can't be read"):
         into_photograph(run, 1)
@@ -377,7 +344,7 @@ def test_views_without_photographs_are_rendered_but_not_compared(run):
     scene.fipt.check.which = "TICKED"
     assert bpy.ops.fipt.render_views(samples=1) == {"FINISHED"} and len(scene.fipt.check.views) == 2
     render = run.renders / "rerender" / "val_000.exr"
-    for content in (None, b"", b"no picture"):
+    for content in (None, b"no picture"):
         render.unlink()
         (run.root / "photos/val_000.exr").unlink()
         if content is not None:
@@ -393,10 +360,7 @@ def test_views_without_photographs_are_rendered_but_not_compared(run):
 def test_a_photograph_that_is_not_hdr_has_no_radiance_of_its_own(run):
     """Its values are not in the unit of the estimate: the median of all photographs sets the exposure."""
     write_json(run.statistics_json, {"radiance_scale": 0.06, "photometry": {"median_shown": 0.24}})
-    data = json.loads(run.capture_json.read_text())
-    for view in data["views"]:
-        view |= {"encoded": True, "exposure": None}
-    write_json(run.capture_json, data)
+    without_radiance(run)
     radiance, warnings = RoomSteps(None, run).photographed_radiance(VIEW)
     assert exposure_of(radiance, median_shown(run)) == pytest.approx(2.0) and not warnings
 
@@ -437,21 +401,25 @@ def test_no_file_is_opened_with_its_scripts():
     assert opening and all("use_scripts=False" in line for line in opening)
 
 
+def child(folder: Path, start: str = "") -> tuple[int, list[dict]]:
+    """The exit status and the messages of the child for an order in a folder, in a bpy module."""
+    code = render_job.child_command(folder / "scene.blend", folder / "order.json")[-1]
+    command = [sys.executable, "-c", start + code]
+    result = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=PATIENCE_SECONDS)
+    return result.returncode, [message for line in result.stdout.splitlines() if (message := parse_message(line))]
+
+
 def test_a_second_blender_carries_out_the_order(run, tmp_path):
-    """The child in a bpy module: its messages and files, and that it removes its folder."""
+    """And removes its folder."""
     photograph(run, 4)
     scene = bpy.context.scene
     folder = run.renders / ".job"
     order = orders.make_order(scene, run, [VIEW], 2)
     write_json(folder / "order.json", vars(order))
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"), copy=True)
-    code = render_job.child_command(folder / "scene.blend", folder / "order.json")[-1]
     start = f"import bpy; bpy.ops.wm.open_mainfile(filepath={str(folder / 'scene.blend')!r})\n"
-    result = subprocess.run(
-        [sys.executable, "-c", start + code], capture_output=True, text=True, timeout=PATIENCE_SECONDS
-    )
-    assert result.returncode == 0, result.stderr
-    messages = [message for line in result.stdout.splitlines() if (message := parse_message(line))]
+    status, messages = child(folder, start)
+    assert status == 0
     assert [messages[0]["type"], messages[-1]["type"]] == ["stage", "done"]
     assert any(message["type"] == "progress" and message["fraction"] > 0.0 for message in messages)
     assert not folder.exists() and view_check.read_checks(run).views[0].view == VIEW
@@ -461,22 +429,8 @@ def test_a_second_blender_reports_errors(run):
     folder = run.renders / ".job"
     order = orders.make_order(bpy.context.scene, run, [VIEW], 2)
     write_json(folder / "order.json", {**vars(order), "scene": "gone"})
-    code = render_job.child_command(folder / "scene.blend", folder / "order.json")[-1]
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_SECONDS)
-    last = json.loads(result.stdout.splitlines()[-1])
-    assert result.returncode == 1 and (last["type"], last["code"]) == ("error", "scene-gone")
-
-
-def test_radiance_is_displayed_as_renders_are_and_error_images_are_not(run):
-    photograph(run, 4)
-    bpy.ops.fipt.render_views(samples=2)
-    into_photograph(run, 1)
-    view = bpy.context.scene.fipt.check.views[0]
-    composite_path = Path(bpy.context.scene.fipt.insert.picture)
-    for path, as_render in ((Path(view.render), True), (composite_path, True), (Path(view.error), False)):
-        assert check_pictures.load_picture(path).use_view_as_render == as_render, path
-    photo = bpy.data.objects["train/000"].data.background_images[0].image
-    assert photo.use_view_as_render
+    status, messages = child(folder)
+    assert status == 1 and (messages[-1]["type"], messages[-1]["code"]) == ("error", "scene-gone")
 
 
 def layers(shape=(6, 8), alpha=0.0):

@@ -54,11 +54,11 @@ def main(argv: list[str] | None = None) -> int:
         texts = "\n".join(f"  {key:10s} {text}" for key, (_, text) in COMMANDS.items())
         print(f"usage: python -m fipt_blender.core COMMAND ...\n{texts}", file=sys.stderr)
         return 0 if name in ("-h", "--help") else 2
-    status = _run(argv, reporter)
+    status = run_command(argv, reporter)
     return errno.ENOSPC if reporter.lost else status
 
 
-def _run(argv: list[str], reporter: Reporter) -> int:
+def run_command(argv: list[str], reporter: Reporter) -> int:
     """Run one command, which locks its run folder for other engines; any failure becomes a message."""
     name = argv[0]
     module_name, text = COMMANDS[name]

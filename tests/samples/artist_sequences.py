@@ -88,6 +88,9 @@ class Sequence:
     def object(self) -> str:
         return self.random.choice(sorted(item.name for item in meshes()))
 
+    def kind(self, *kinds: str) -> str:
+        return self.random.choice(kinds)
+
     def save_as(self) -> None:
         self.files += 1
         folder = self.folder / f"place {self.files}"
@@ -158,12 +161,8 @@ class Sequence:
             "extrude": lambda: artist.extrude(self.object()),
             "separate": lambda: artist.separate(self.object()),
             "join": self.join,
-            "add a modifier": lambda: artist.add_modifier(
-                self.object(), self.random.choice(["BEVEL", "SOLIDIFY", "SUBSURF"])
-            ),
-            "apply a modifier": lambda: artist.apply_modifier(
-                self.object(), self.random.choice(["SOLIDIFY", "SUBSURF"])
-            ),
+            "add a modifier": lambda: artist.add_modifier(self.object(), self.kind("BEVEL", "SOLIDIFY", "SUBSURF")),
+            "apply a modifier": lambda: artist.apply_modifier(self.object(), self.kind("SOLIDIFY", "SUBSURF")),
             "transform": self.transform,
             "rename": self.rename,
             "copy the scene": self.copy_scene,
@@ -202,7 +201,5 @@ def elsewhere(scene: bpy.types.Scene) -> dict:
 def assert_same(now: Kept, before: Kept) -> None:
     assert now.keys() == before.keys()
     for name, values in before.items():
-        for what, value, present in zip(
-            ("faces", "modifiers", "layers", "place", "hidden"), values, now[name], strict=True
-        ):
+        for what, value, present in zip(WHAT, values, now[name], strict=True):
             assert present == value, f"{name}: {what}"

@@ -1,0 +1,57 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The real engine commands in this process, where what is tested is what Blender's side does with their answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from fipt_blender.bridge.process import Engine
+from fipt_blender.core import __main__ as engine
+from fipt_blender.core.device import variant
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.jobs import run_job
+
+
+class EngineHere(Engine):
+    """An engine command that has ended when this object is made; its messages are still to be read."""
+
+    def __init__(
+        self, command: Sequence[str], log: Path, environment: Mapping[str, str] | None, messages: Path
+    ) -> None:
+        messages.parent.mkdir(parents=True, exist_ok=True)
+        with open(messages, "w", encoding="utf-8") as stream:
+            engine.run_command(command[command.index(engine.__package__) + 1 :], Reporter(stream))
+        super().__init__(messages, log)
+
+    def _alive(self) -> bool:
+        return False
+
+    def _signal(self, terminate: bool) -> None:
+        pass
+
+
+@contextmanager
+def engine_here() -> Iterator[None]:
+    """Jobs on run folders call the engine instead of starting a process, which takes a second or more.
+
+    Mitsuba's variant stays that of the tests, whatever device a job asks for.
+    """
+    with pytest.MonkeyPatch.context() as patches:
+        for device in variant.VARIANTS:
+            patches.setitem(variant.VARIANTS, device, variant.set_variant())
+        patches.setattr(run_job, "EngineProcess", EngineHere)
+        yield
+
+
+@contextmanager
+def hardly_training() -> Iterator[None]:
+    """Estimations in this process take hardly a step towards the closed form."""
+    with pytest.MonkeyPatch.context() as patches:
+        for module in ("material.training", "estimate.training_stages"):
+            patches.setattr(f"fipt_blender.core.{module}.PRETRAINING_STEPS", 4)
+        yield
