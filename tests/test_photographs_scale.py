@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +29,7 @@ from fipt_blender.prepare.solve_step import copy_file, model_folder
 from fipt_blender.prepare.steps import run_steps
 from fipt_blender.prepare.tonemap import tone_mapped
 from samples.camera_poses import look_at, random_rotation
+from samples.prepared_captures import facts
 from samples.refusals import error_of
 from samples.textured_room import FOCAL, HEIGHT, WIDTH, photograph
 
@@ -172,10 +172,10 @@ def test_a_marker_on_a_wall_gives_meters(tmp_path: Path) -> None:
         chosen = PrepareSettings(scale="marker", scale_length=0.6, **settings)
         write_preparation(folder, Preparation(tmp_path, photographs, groups, chosen))
         run_steps(folder, ["scale"], Reporter())
-        return json.loads(folder.facts("scale").read_text(encoding="utf-8"))
+        return facts(folder, "scale")
 
-    facts = run()
-    assert facts["meters_per_unit"] == pytest.approx(10.0, rel=0.02) and facts["difference"] < 0.03
+    found = run()
+    assert found["meters_per_unit"] == pytest.approx(10.0, rel=0.02) and found["difference"] < 0.03
     places = poses(read_model(folder.sparse))[:, :3, 3]
     expected = np.linalg.norm(where[0][:3, 3] - where[2][:3, 3])
     assert np.linalg.norm(places[0] - places[2]) == pytest.approx(expected, rel=0.02)

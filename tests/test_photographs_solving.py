@@ -37,6 +37,7 @@ from fipt_blender.prepare.steps import run_steps
 from fipt_blender.prepare.tonemap import tone_mapped
 from samples import textured_room
 from samples.camera_poses import look_at
+from samples.prepared_captures import facts
 from samples.refusals import error_of
 from samples.textured_room import FOCAL, HEIGHT, WIDTH
 
@@ -79,10 +80,6 @@ def run(folder: PreparationFolder, preparation: Preparation, **settings: object)
     reporter = Reporter()
     run_steps(folder, ["solve", "scale"], reporter)
     return reporter
-
-
-def facts(folder: PreparationFolder, step: str) -> dict:
-    return json.loads(folder.facts(step).read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")

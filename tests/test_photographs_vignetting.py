@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,6 +26,7 @@ from fipt_blender.prepare.solve_step import model_folder
 from fipt_blender.prepare.steps import run_steps
 from fipt_blender.prepare.vignetting import Observations, fit_falloff, light_share, powers
 from samples.camera_poses import look_at
+from samples.prepared_captures import facts
 from samples.textured_room import FOCAL, HEIGHT, SIZE, WIDTH, project
 
 TRUE = np.array([-0.3, -0.15, 0.0])
@@ -122,7 +122,7 @@ def capture(tmp_path: Path) -> tuple[PreparationFolder, Preparation, dict[str, n
 def run(folder: PreparationFolder, preparation: Preparation, **settings: str) -> dict:
     write_preparation(folder, replace(preparation, settings=PrepareSettings(**settings)))
     run_steps(folder, ["vignetting"], Reporter())
-    return json.loads(folder.facts("vignetting").read_text(encoding="utf-8"))
+    return facts(folder, "vignetting")
 
 
 def errors(folder: PreparationFolder, originals: dict[str, np.ndarray]) -> float:
