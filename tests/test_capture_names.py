@@ -184,9 +184,6 @@ def test_what_is_not_found_is_told_alike(tmp_path: Path, kind: str) -> None:
         assert "1 of 2" in error.text
 
 
-# ------------------------------------------------------------------------------------- formats of fixed names
-
-
 def test_suffixes_of_fixed_layouts_in_upper_case(tmp_path: Path) -> None:
     shots = write.make_shots(write.Style(off_centre=CENTRED), 3)
     write.write_polycam(tmp_path / "polycam", shots, np.eye(4), True)
@@ -229,9 +226,6 @@ def test_images_of_the_size_of_their_cameras(tmp_path: Path, folder: str) -> Non
     assert images == [tmp_path / "capture" / "dense" / "images" / shot.name for shot in shots]
 
 
-# ------------------------------------------------------------------------------------------- byte-order marks
-
-
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
 @pytest.mark.parametrize("kind", [kind for kind in ANYWHERE if kind != "colmap-binary"])
 def test_byte_order_marks(tmp_path: Path, kind: str, encoding: str) -> None:
@@ -242,9 +236,6 @@ def test_byte_order_marks(tmp_path: Path, kind: str, encoding: str) -> None:
         if file.suffix in CAMERA_FILES:
             file.write_text(file.read_text(encoding="utf-8").replace("\n", "\r\n"), encoding=encoding, newline="")
     assert_found(tmp_path / "in", shots, files)
-
-
-# ----------------------------------------------------------------------------------------------------- splits
 
 
 @pytest.mark.parametrize(
@@ -405,9 +396,6 @@ def test_no_name_leads_out_of_the_folders(tmp_path: Path) -> None:
         assert folders.find(f"{start}secret.jpg", [tmp_path / "capture"], tmp_path / "capture") is None
         found = folders.find(f"{start}own.jpg", [tmp_path / "capture"], tmp_path / "capture")
         assert found.path == tmp_path / "capture" / "own.jpg"
-
-
-# -------------------------------------------------------------------------------------------- existing solves
 
 
 def test_existing_solves_find_groups_by_paths(tmp_path: Path) -> None:
