@@ -315,6 +315,7 @@ def test_files_that_lie_unused_are_told(tmp_path: Path, kind: str) -> None:
     assert not read(root).notes
     for index in range(12):
         shutil.copy(root / "images" / "0.jpg", root / "images" / f"more{index:02d}.jpg")
+    (root / "images" / "more00.CR2").write_bytes(b"")  # of another kind than those used
     (root / "parts").mkdir()
     for name in ("0.png", "7.png", "more00.png"):
         Image.new("L", (480, 320)).save(root / "parts" / name)
