@@ -115,9 +115,9 @@ def test_brackets_by_time_and_exposure(tmp_path: Path) -> None:
             {"a": ("a/1.jpg", "a/2.jpg"), "b": ("b/1.jpg", "b/2.jpg")},
         ),
         (  # names of groups are unique file names
-            [(path, 1.0) for path in ("a/X?.jpg", "b/x?.jpg", "c/x?.png")],
+            [(path, 1.0) for path in ("a/x?.jpg", "b/X?.jpg", "c/x?.png")],
             "single",
-            {"X_": ("a/X?.jpg",), "x__2": ("b/x?.jpg",), "x__3": ("c/x?.png",)},
+            {"x_": ("a/x?.jpg",), "X__2": ("b/X?.jpg",), "x__3": ("c/x?.png",)},
         ),
     ],
 )
