@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import json
 import re
-import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -110,26 +108,10 @@ def test_names_can_be_names_of_files(tmp_path: Path, name: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(b"")
     assert path.is_file() and path.is_relative_to(tmp_path)
-
-
-def test_long_names_stay_different() -> None:
     assert view_name("x" * 300 + "1.png") != view_name("x" * 300 + "2.png")
-    assert view_name("images/frame_0001.png") == "images/frame_0001"
 
 
 # -------------------------------------------------------------------------------------------------- images
-
-
-def png(path: Path, width: int, height: int) -> None:
-    """A PNG of one grey value, small on the disk whatever its size."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    rows = zlib.compress(bytes((width + 1) * height), 9)
-    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    signature = b"\x89PNG\r\n\x1a\n"
-    path.write_bytes(signature + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b""))
 
 
 def test_only_png_is_read_from_png_files(tmp_path: Path) -> None:
@@ -143,7 +125,7 @@ def test_only_png_is_read_from_png_files(tmp_path: Path) -> None:
 def test_a_large_mask_is_read_and_a_huge_one_refused(tmp_path: Path, monkeypatch) -> None:
     path = tmp_path / "ids.png"
     monkeypatch.setattr(PIL.Image, "MAX_IMAGE_PIXELS", 1000)
-    png(path, 100, 90)
+    PIL.Image.new("L", (100, 90)).save(path)
     assert images.read_ids(path).shape == (90, 100)
     monkeypatch.setattr(encoded, "MOST_PIXELS", 8000)
     assert error_of(images.read_ids, path).code == "image-too-large"
@@ -153,15 +135,11 @@ def test_a_large_mask_is_read_and_a_huge_one_refused(tmp_path: Path, monkeypatch
 def test_an_exr_of_few_bytes_does_not_take_gigabytes(tmp_path: Path) -> None:
     path = tmp_path / "a.exr"
     pixels = {name: np.zeros((2, 2), np.float16) for name in "RGB"}
-    window = (np.array([0, 0], np.int32), np.array([12_000, 12_000], np.int32))
-    header = {"displayWindow": window, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, pixels).write(str(path))
-    for read in (images.read_radiance, images.read_ids, images.read_size):
-        assert error_of(read, path).code == "image-unreadable"
-    window = (np.array([0, 0], np.int32), np.array([30_000, 30_000], np.int32))
-    OpenEXR.File({**header, "displayWindow": window}, pixels).write(str(path))
-    for read in (images.read_radiance, images.read_ids, images.read_size):
-        assert error_of(read, path).code == "image-too-large"
+    for side, code in ((12_000, "image-unreadable"), (30_000, "image-too-large")):
+        window = (np.array([0, 0], np.int32), np.array([side, side], np.int32))
+        OpenEXR.File({"displayWindow": window, "type": OpenEXR.scanlineimage}, pixels).write(str(path))
+        for read in (images.read_radiance, images.read_ids, images.read_size):
+            assert error_of(read, path).code == code
 
 
 def test_a_photograph_replaced_by_another_size_is_named(tmp_path: Path) -> None:
@@ -177,4 +155,5 @@ def test_a_photograph_replaced_by_another_size_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("target", fuzz_targets.TARGETS, ids=lambda target: target.name)
 def test_mutated_captures_never_crash_hang_or_touch_other_files(target: fuzz_targets.Target) -> None:
-    fuzz.try_target(target, inputs=7, seed=7)
+    """Few inputs; benchmarks/fuzz.py tries as many as it is told, and saves those that fail."""
+    fuzz.try_target(target, inputs=5, seed=7)

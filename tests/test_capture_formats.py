@@ -1,20 +1,18 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every reader returns the cameras from which the capture was written."""
+"""Readers of COLMAP, transforms.json and FIPT return the cameras from which the capture was written."""
 
 from __future__ import annotations
 
-import json
 import math
 
 import numpy as np
 import pytest
 
-from fipt_blender.core.capture.files import Folders, view_name
+from fipt_blender.core.capture.files import view_name
 from fipt_blender.core.capture.formats.registry import FORMATS, detect_format, read_rig
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
-from fipt_blender.core.capture.rig import Lens
 from samples.capture_files import (
     level_pose,
     make_samples,
@@ -24,11 +22,9 @@ from samples.capture_files import (
     write_mesh,
     write_transforms,
 )
+from samples.ingesting import edited_json
 from samples.refusals import error_of
-
-
-def read(path, **options):
-    return read_rig(path, "auto", CaptureOptions(**options))
+from samples.rig_checks import read
 
 
 def assert_same_cameras(rig, samples):
@@ -110,66 +106,54 @@ def test_transforms(tmp_path, model):
         assert [view.semantics is not None for view in rig.views] == [False, False, True, False]
 
 
-def edit_json(path, change):
-    data = json.loads(path.read_text())
-    change(data)
-    path.write_text(json.dumps(data))
-
-
 def test_transforms_with_global_intrinsics_and_names_without_suffix(tmp_path):
     samples = make_samples(4)[::2]
     write_transforms(tmp_path, samples)
-
-    def change(data):
-        first = data["frames"][0]
-        data.update({key: first[key] for key in ("w", "h", "fl_x", "fl_y", "cx", "cy")})
+    with edited_json(tmp_path / "transforms.json") as data:
+        data.update({key: data["frames"][0][key] for key in ("w", "h", "fl_x", "fl_y", "cx", "cy")})
         data["frames"] = [
             {"file_path": "./" + f["file_path"][:-4], "transform_matrix": f["transform_matrix"][:3]}
             for f in data["frames"]
         ]
-
-    edit_json(tmp_path / "transforms.json", change)
     assert_same_cameras(read(tmp_path), samples)
 
 
-def test_transforms_with_a_field_of_view_takes_the_size_from_the_image(tmp_path):
-    samples = make_samples(2)
-    write_transforms(tmp_path, samples)
-
-    def change(data):
+def test_transforms_take_the_size_from_the_image_and_need_a_field_of_view(tmp_path):
+    write_transforms(tmp_path, make_samples(2))
+    with edited_json(tmp_path / "transforms.json") as data:
         data["camera_angle_x"] = 1.0
         for frame in data["frames"]:
             for key in ("w", "h", "fl_x", "fl_y", "cx", "cy"):
                 del frame[key]
-
-    edit_json(tmp_path / "transforms.json", change)
     for view, width, height in zip(read(tmp_path).views, (48, 32), (32, 48), strict=True):
         focal = 0.5 * width / math.tan(0.5)
         assert (view.width, view.height) == (width, height)
         np.testing.assert_allclose(view.lens.parameters, (focal, focal, 0.5 * width, 0.5 * height))
+    with edited_json(tmp_path / "transforms.json") as data:
+        del data["camera_angle_x"]
+    assert error_of(read, tmp_path).code == "intrinsics-missing"
 
 
 @pytest.mark.parametrize(
-    ("extra", "lens"),
+    ("extra", "model", "parameters"),
     [
-        ({"camera_model": "OPENCV_FISHEYE", "k1": 0.1, "k4": 0.2}, Lens("OPENCV_FISHEYE", (0.1, 0.0, 0.0, 0.2))),
-        ({"is_fisheye": True, "k2": 0.1}, Lens("OPENCV_FISHEYE", (0.0, 0.1, 0.0, 0.0))),
-        ({"k1": 0.1, "p2": 0.01}, Lens("OPENCV", (0.1, 0.0, 0.0, 0.01))),
-        ({"k1": 0.1, "k3": 0.01}, Lens("FULL_OPENCV", (0.1, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0))),
-        ({"camera_model": "OPENCV", "k1": 0.0}, Lens("PINHOLE", ())),
+        ({"camera_model": "OPENCV_FISHEYE", "k1": 0.1, "k4": 0.2}, "OPENCV_FISHEYE", (0.1, 0.0, 0.0, 0.2)),
+        ({"is_fisheye": True, "k2": 0.1}, "OPENCV_FISHEYE", (0.0, 0.1, 0.0, 0.0)),
+        ({"k1": 0.1, "p2": 0.01}, "OPENCV", (0.1, 0.0, 0.0, 0.01)),
+        ({"k1": 0.1, "k3": 0.01}, "FULL_OPENCV", (0.1, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0)),
+        ({"camera_model": "OPENCV", "k1": 0.0}, "PINHOLE", ()),
+        ({"camera_model": "EQUIRECTANGULAR"}, None, ()),
+        ({"camera_model": "OPENCV", "k4": 0.1}, None, ()),
     ],
 )
-def test_transforms_distortion(tmp_path, extra, lens):
+def test_transforms_distortion(tmp_path, extra, model, parameters):
     write_transforms(tmp_path, make_samples(1), **extra)
-    view = read(tmp_path).views[0]
-    assert view.lens.model == lens.model
-    np.testing.assert_allclose(view.lens.parameters[4:], lens.parameters)
-
-
-@pytest.mark.parametrize("extra", [{"camera_model": "EQUIRECTANGULAR"}, {"camera_model": "OPENCV", "k4": 0.1}])
-def test_transforms_with_lenses_that_have_no_pinhole(tmp_path, extra):
-    write_transforms(tmp_path, make_samples(1), **extra)
-    assert error_of(read, tmp_path).code == "camera-model"
+    if model is None:
+        assert error_of(read, tmp_path).code == "camera-model"
+        return
+    lens = read(tmp_path).views[0].lens
+    assert lens.model == model
+    np.testing.assert_allclose(lens.parameters[4:], parameters)
 
 
 def test_transforms_before_the_applied_transform(tmp_path):
@@ -189,30 +173,19 @@ def test_transforms_before_the_applied_transform(tmp_path):
 
 def test_transforms_splits_masks_and_up_axis(tmp_path):
     write_transforms(tmp_path, make_samples(3), up_axis="y")
-
-    def change(data):
+    with edited_json(tmp_path / "transforms.json") as data:
         data["val_filenames"] = ["images/001_0001.exr"]
         data["frames"][0]["mask_path"] = "masks/0.png"
-
-    edit_json(tmp_path / "transforms.json", change)
     write_exr(tmp_path / "masks" / "0.png", np.ones((32, 48)))
     rig = read(tmp_path)
     assert [view.split for view in rig.views] == [None, "held_back", None]
     assert not rig.notes and rig.up_axis == "y"
     assert [view.mask for view in rig.views] == [tmp_path / "masks" / "0.png", None, None]
-
-
-def test_transforms_one_file_a_split(tmp_path):
-    write_transforms(tmp_path, make_samples(2))
-    (tmp_path / "transforms_test.json").write_text((tmp_path / "transforms.json").read_text())
+    whole = (tmp_path / "transforms.json").read_text()  # one file a split
+    (tmp_path / "transforms_test.json").write_text(whole)
     (tmp_path / "transforms.json").rename(tmp_path / "transforms_train.json")
-    assert [view.split for view in read(tmp_path).views] == ["train", "train", "held_back", "held_back"]
-
-
-def test_transforms_without_focal_length(tmp_path):
-    write_transforms(tmp_path, make_samples(1))
-    edit_json(tmp_path / "transforms.json", lambda data: [data["frames"][0].pop(k) for k in ("fl_x", "fl_y")])
-    assert error_of(read, tmp_path).code == "intrinsics-missing"
+    splits = [view.split for view in read(tmp_path).views]
+    assert splits == ["train", "held_back", "train", *["held_back"] * 3]
 
 
 @pytest.mark.parametrize("named", [True, False])
@@ -299,19 +272,6 @@ def test_a_capture_nearby_is_named(tmp_path):
         path.touch() if path.suffix else None
         error = error_of(detect_format, path)
         assert error.code == "capture-elsewhere" and f"{tmp_path / 'data' / 'room'}." in error.remedy
-
-
-def test_images_are_found_by_stem_with_exr_first(tmp_path):
-    hdr = tmp_path / "hdr"
-    for path in (tmp_path / "a.jpg", tmp_path / "frame.0001.jpg", hdr / "a.exr"):
-        path.parent.mkdir(exist_ok=True)
-        path.write_bytes(b"")
-    folders = Folders()
-    assert folders.find("a.jpg", [tmp_path, hdr]) == (hdr / "a.exr", ("a.jpg",))
-    assert folders.find("x/a.jpg", [tmp_path]) == (tmp_path / "a.jpg", ("a.jpg",))
-    assert folders.find("frame.0001", [tmp_path]) == (tmp_path / "frame.0001.jpg", ("frame.0001",))
-    assert folders.find("frame", [tmp_path], tmp_path) is None
-    assert folders.find("b.jpg", [hdr, tmp_path], tmp_path) is None
 
 
 @pytest.mark.parametrize(

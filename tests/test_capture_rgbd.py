@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-import io
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +15,10 @@ from PIL import Image
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.capture.depth_images import fuse, read_depth
 from fipt_blender.core.capture.formats.registry import detect_format, read_rig
-from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions, FusionOptions
-from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from samples import rgbd_frames
+from samples.ingesting import run_ingest
 from samples.refusals import error_of
 from samples.rgbd_frames import WALL, frame_pose
 
@@ -32,13 +30,14 @@ def write_frames(folder: Path) -> Path:
     return rgbd_frames.write_frames(folder, FRAMES, (WIDTH, HEIGHT), FOCAL)
 
 
+def import_frames(capture: Path, run: Path, **options: object) -> dict:
+    """The capture.json."""
+    run_ingest(capture, RunFolder(run), **{"hold_back": 0, **options})
+    return json.loads((run / "capture.json").read_text())
+
+
 def write_matrix(path: Path, matrix: np.ndarray) -> None:
     np.savetxt(path, matrix, "%.9f")
-
-
-def run_ingest(capture: Path, run: Path, options: CaptureOptions | None = None) -> dict:
-    ingest(capture, RunFolder(run), options or CaptureOptions(hold_back=0), Reporter(io.StringIO()))
-    return json.loads((run / "capture.json").read_text())
 
 
 def test_frames_of_one_folder_are_read_with_intrinsics_of_each_size(tmp_path: Path) -> None:
@@ -78,7 +77,7 @@ def test_frames_without_photographs_add_their_depth_and_lost_poses_are_told(tmp_
 
 def test_ingest_fuses_the_mesh_once(tmp_path: Path) -> None:
     capture, run = write_frames(tmp_path / "room"), tmp_path / "run"
-    data = run_ingest(capture, run)
+    data = import_frames(capture, run)
     assert data["mesh"] == str(run / "fused.ply")
     vertices, triangles = read_mesh(run / "fused.ply")
     assert np.abs(vertices[:, 2] - WALL).max() < 1e-3 and len(triangles) > 1000
@@ -86,20 +85,20 @@ def test_ingest_fuses_the_mesh_once(tmp_path: Path) -> None:
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
     assert (facing < 0.0).all()  # towards the cameras
     made = (run / "fused.ply").stat().st_mtime_ns
-    run_ingest(capture, run)
+    import_frames(capture, run)
     assert (run / "fused.ply").stat().st_mtime_ns == made
-    run_ingest(capture, run, CaptureOptions(hold_back=0, voxel=0.05))
+    import_frames(capture, run, voxel=0.05)
     assert len(read_mesh(run / "fused.ply")[1]) < 0.3 * len(triangles)
 
 
 def test_the_fused_mesh_keeps_to_its_budget(tmp_path: Path) -> None:
     capture, run = write_frames(tmp_path / "room"), tmp_path / "run"
-    run_ingest(capture, run, CaptureOptions(hold_back=0, triangles=200))
+    import_frames(capture, run, triangles=200)
     vertices, triangles = read_mesh(run / "fused.ply")
     assert 100 <= len(triangles) <= 200 and np.abs(vertices[:, 2] - WALL).max() < 5e-3
-    with pytest.raises(FiptError, match="5 triangles") as caught:
-        run_ingest(capture, tmp_path / "other", CaptureOptions(triangles=5))
-    assert caught.value.code == "setting-invalid" and not (tmp_path / "other").exists()
+    for impossible in ({"triangles": 5}, *({"voxel": voxel} for voxel in (0.0, -1.0, 5.0, float("nan")))):
+        error = error_of(import_frames, capture, tmp_path / "other", **impossible)
+        assert error.code == "setting-invalid" and not (tmp_path / "other").exists()
 
 
 def test_a_given_mesh_is_simplified_in_a_copy(tmp_path: Path) -> None:
@@ -114,26 +113,25 @@ def test_a_given_mesh_is_simplified_in_a_copy(tmp_path: Path) -> None:
     loose = "".join("v {:.9g} {:.9g} {:.9g}\n".format(*vertex) for vertex in vertices[corners].reshape(-1, 3))
     faces = "".join(f"f {i + 1} {i + 2} {i + 3}\n" for i in range(0, 3 * len(corners), 3))
     (tmp_path / "plane.obj").write_text(loose + faces)
-    options = CaptureOptions(hold_back=0, mesh=tmp_path / "plane.obj", triangles=300)
-    data = run_ingest(capture, run, options)
+    data = import_frames(capture, run, mesh=tmp_path / "plane.obj", triangles=300)
     assert data["mesh"] == str(run / "simplified.ply")
     small, triangles = read_mesh(run / "simplified.ply")
     assert 100 <= len(triangles) <= 300
     np.testing.assert_allclose([small.min(axis=0), small.max(axis=0)], [far, far + [4, 4, 0]], atol=2e-3)
-    options = CaptureOptions(hold_back=0, mesh=tmp_path / "plane.obj", triangles=len(corners))
-    assert run_ingest(capture, tmp_path / "all", options)["mesh"] == str(tmp_path / "plane.obj")
+    data = import_frames(capture, tmp_path / "all", mesh=tmp_path / "plane.obj", triangles=len(corners))
+    assert data["mesh"] == str(tmp_path / "plane.obj")
 
 
 def test_a_mesh_beside_the_frames_is_used(tmp_path: Path) -> None:
     capture = write_frames(tmp_path / "room")
     (capture / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    data = run_ingest(capture, tmp_path / "run")
+    data = import_frames(capture, tmp_path / "run")
     assert data["mesh"] == str(capture / "mesh.obj") and not (tmp_path / "run" / "fused.ply").exists()
 
 
 def test_some_of_the_photographs_are_used_with_all_depth_images(tmp_path: Path) -> None:
     capture = write_frames(tmp_path / "room")
-    data = run_ingest(capture, tmp_path / "run", CaptureOptions(hold_back=0, views=2))
+    data = import_frames(capture, tmp_path / "run", views=2)
     assert [view["name"] for view in data["views"]] == ["frame-000000", "frame-000002"]
     width = np.ptp(read_mesh(tmp_path / "run" / "fused.ply")[0][:, 0])
     assert width > WALL * WIDTH / FOCAL  # what two of all images see; the two with photographs see less
@@ -144,7 +142,7 @@ def test_poses_far_away_are_left_out_instead_of_wrapping_around(tmp_path: Path) 
     far = frame_pose(3)
     far[:3, 3] = 9e7
     write_matrix(capture / "frame-000003.pose.txt", far)
-    run_ingest(capture, tmp_path / "run")
+    import_frames(capture, tmp_path / "run")
     assert np.abs(read_mesh(tmp_path / "run" / "fused.ply")[0]).max() < 10.0
 
 
@@ -155,70 +153,32 @@ def test_captures_in_other_units_get_voxels_in_metres(tmp_path: Path) -> None:
     )
 
 
-def truncate(folder: Path) -> None:
-    path = folder / "frame-000000.depth.png"
-    path.write_bytes(path.read_bytes()[:-40])
+def write_depth(path: Path, value: int, kind: type = np.uint16, width: int = WIDTH) -> None:
+    Image.fromarray(np.full((HEIGHT, width), value, kind)).save(path)
 
 
-def eight_bits(folder: Path) -> None:
-    Image.fromarray(np.full((HEIGHT, WIDTH), 90, np.uint8)).save(folder / "frame-000000.depth.png")
-
-
-def other_size(folder: Path) -> None:
-    Image.fromarray(np.full((HEIGHT, WIDTH // 2), 2000, np.uint16)).save(folder / "frame-000003.depth.png")
-
-
-def other_unit(folder: Path) -> None:
+def everywhere(folder: Path, value: int) -> None:
     for path in folder.glob("*.depth.png"):
-        Image.fromarray(np.full((HEIGHT, WIDTH), 20, np.uint16)).save(path)
+        write_depth(path, value)
 
 
-def nothing_measured(folder: Path) -> None:
-    for path in folder.glob("*.depth.png"):
-        Image.fromarray(np.zeros((HEIGHT, WIDTH), np.uint16)).save(path)
+SHEAR = np.eye(4) + 0.5 * np.eye(4, k=1)[[0, 3, 3, 3]]
+FAULTS = {
+    "cut off": ("depth-unreadable", lambda p: os.truncate(p / "frame-000000.depth.png", 40)),
+    "eight bits": ("depth-format", lambda p: write_depth(p / "frame-000000.depth.png", 90, np.uint8)),
+    "size": ("depth-size", lambda p: write_depth(p / "frame-000003.depth.png", 2000, width=WIDTH // 2)),
+    "unit": ("depth-unit", lambda p: everywhere(p, 20)),
+    "empty": ("depth-empty", lambda p: everywhere(p, 0)),
+    "no lens": ("intrinsics-missing", lambda p: (p / "camera-intrinsics.txt").unlink()),
+    "sheared": ("pose-not-rotation", lambda p: write_matrix(p / "frame-000001.pose.txt", frame_pose(1) @ SHEAR)),
+    "focal": ("intrinsics-invalid", lambda p: write_matrix(p / "camera-intrinsics.txt", np.diag([0.0, FOCAL, 1.0]))),
+    "words": ("rig-damaged", lambda p: (p / "frame-000001.pose.txt").write_text("1 0 0 0\nlost\n")),
+}
 
 
-def no_intrinsics(folder: Path) -> None:
-    (folder / "camera-intrinsics.txt").unlink()
-
-
-def sheared_pose(folder: Path) -> None:
-    matrix = frame_pose(1)
-    matrix[0, 1] = 0.5
-    write_matrix(folder / "frame-000001.pose.txt", matrix)
-
-
-def no_focal_length(folder: Path) -> None:
-    write_matrix(folder / "camera-intrinsics.txt", np.diag([0.0, FOCAL, 1.0]))
-
-
-def words_for_a_pose(folder: Path) -> None:
-    (folder / "frame-000001.pose.txt").write_text("1 0 0 0\nlost\n")
-
-
-@pytest.mark.parametrize(
-    ("damage", "code"),
-    [
-        (truncate, "depth-unreadable"),
-        (eight_bits, "depth-format"),
-        (other_size, "depth-size"),
-        (other_unit, "depth-unit"),
-        (nothing_measured, "depth-empty"),
-        (no_intrinsics, "intrinsics-missing"),
-        (sheared_pose, "pose-not-rotation"),
-        (no_focal_length, "intrinsics-invalid"),
-        (words_for_a_pose, "rig-damaged"),
-    ],
-)
-def test_faults_are_said_and_nothing_is_written(tmp_path: Path, damage, code: str) -> None:
-    capture = write_frames(tmp_path / "room")
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_are_said_and_nothing_is_written(tmp_path: Path, fault: str) -> None:
+    capture, (code, damage) = write_frames(tmp_path / "room"), FAULTS[fault]
     damage(capture)
-    caught = error_of(run_ingest, capture, tmp_path / "run")
-    assert caught.code == code and caught.remedy
+    assert error_of(import_frames, capture, tmp_path / "run").code == code
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize("voxel", [0.0, -1.0, 5.0, float("nan")])
-def test_impossible_voxels_are_refused(tmp_path: Path, voxel: float) -> None:
-    with pytest.raises(FiptError, match="impossible"):
-        run_ingest(write_frames(tmp_path / "room"), tmp_path / "run", CaptureOptions(voxel=voxel))

@@ -4,17 +4,15 @@
 
 from __future__ import annotations
 
-import argparse
 import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageOps
 
 from benchmarks.dng import Shot, mosaic_of, write_dng
-from fipt_blender.core.run.messages import Reporter
-from fipt_blender.prepare import command, frames, merge_step, merging
+from fipt_blender.prepare import frames, merge_step, merging
 from fipt_blender.prepare.frames import (
     NEAR_TOP,
     binned_rows,
@@ -26,12 +24,11 @@ from fipt_blender.prepare.frames import (
     upright,
 )
 from fipt_blender.prepare.merging import in_rec709
+from samples.prepared_captures import prepare
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_orientations_are_those_of_exif(orientation: int) -> None:
-    from PIL import ImageOps
-
     pixels = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
     image = Image.fromarray(pixels)
     image.getexif()[0x0112] = orientation
@@ -115,13 +112,8 @@ def test_merging_five_large_photographs(tmp_path: Path, monkeypatch: pytest.Monk
         shot = Shot(0.01 * 2.0 ** (index - 2), time=f"2026:05:01 12:00:0{index}")
         write_dng(tmp_path / "in" / f"{index}.dng", values, shot, 256, 16383)
     settings = ["working_width=0", f"align={'true' if shift else 'false'}"]
-    capture = tmp_path / "out"
 
-    def run(steps: str) -> None:
-        options = argparse.Namespace(photographs=tmp_path / "in", run=capture, steps=steps, set=settings)
-        command.run(options, Reporter())
-
-    run("read")
+    prepare(tmp_path / "in", tmp_path / "out", "read", *settings)
     del y, x, moved, plane, light, values
     peaks = []
     merged = merge_step.merged_group
@@ -135,5 +127,5 @@ def test_merging_five_large_photographs(tmp_path: Path, monkeypatch: pytest.Monk
             tracemalloc.stop()
 
     monkeypatch.setattr(merge_step, "merged_group", measured)
-    run("merge")
+    prepare(tmp_path / "in", tmp_path / "out", "merge", *settings)
     assert peaks[0] / (HEIGHT * WIDTH) < MOST_BYTES

@@ -26,12 +26,15 @@ KNOWN = Photograph(
 )
 
 
-def lensfun_gain(width: int, height: int) -> np.ndarray:
-    """The factors that lensfun itself applies to an image of the known lens."""
+def known_modifier(width: int, height: int) -> lensfunpy.Modifier:
     database = lensfunpy.Database()
     camera = database.find_cameras(KNOWN.make, KNOWN.model)[0]
-    found = database.find_lenses(camera, None, KNOWN.lens)[0]
-    modifier = lensfunpy.Modifier(found, camera.crop_factor, width, height)
+    return lensfunpy.Modifier(database.find_lenses(camera, None, KNOWN.lens)[0], camera.crop_factor, width, height)
+
+
+def lensfun_gain(width: int, height: int) -> np.ndarray:
+    """The factors that lensfun itself applies to an image of the known lens."""
+    modifier = known_modifier(width, height)
     flags = lensfunpy.ModifyFlags.VIGNETTING
     modifier.initialize(24.0, 4.0, lens.ROOM_DISTANCE, scale=1.0, pixel_format=np.float32, flags=flags)
     image = np.ones((height, width, 3), np.float32)
@@ -62,9 +65,7 @@ def test_the_start_of_a_solve_follows_the_distortion_of_lensfun() -> None:
     nominal = lens.focal_pixels(KNOWN, width, height)
     assert found is not None and nominal is not None
     assert nominal == pytest.approx(24.0 / 36.0 * width, rel=1e-3)
-    database = lensfunpy.Database()
-    camera = database.find_cameras(KNOWN.make, KNOWN.model)[0]
-    modifier = lensfunpy.Modifier(database.find_lenses(camera, None, KNOWN.lens)[0], 1.0, width, height)
+    modifier = known_modifier(width, height)
     modifier.initialize(24.0, 4.0, scale=1.0, flags=lensfunpy.ModifyFlags.DISTORTION)
     bent = modifier.apply_geometry_distortion() - [0.5 * (width - 1), 0.5 * (height - 1)]
     y, x = np.mgrid[0:height, 0:width]

@@ -4,9 +4,7 @@
 
 from __future__ import annotations
 
-import argparse
 import errno
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -18,9 +16,8 @@ from PIL import Image
 from benchmarks.dng import Shot, mosaic_of, write_dng
 from fipt_blender.core.capture.encoded import srgb_encoded
 from fipt_blender.core.capture.images import read_radiance, write_exr
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
-from fipt_blender.prepare import command, frames, merge_step, merging
+from fipt_blender.prepare import frames, merge_step, merging
 from fipt_blender.prepare.calibration import Survey, correct_exposures
 from fipt_blender.prepare.exif import describe
 from fipt_blender.prepare.frames import load, upright
@@ -28,21 +25,30 @@ from fipt_blender.prepare.merging import measure_noise, merge_exposures, sensor_
 from fipt_blender.prepare.motion import Motion
 from fipt_blender.prepare.preparation import Photograph, PreparationFolder, read_preparation, write_preparation
 from fipt_blender.prepare.response import LEVELS, recover_response, srgb_curve
-from samples import refusals
+from samples import prepared_captures, refusals
 from samples.image_files import icc_profile, in_primaries, write_exr_layers
 from samples.photographs import exif, smooth_radiance, write_jpeg
+from samples.prepared_captures import facts as facts_of
 
 BLACK, WHITE = 256, 16383
 SHUTTERS = (1 / 400, 1 / 100, 1 / 25)
 TALL, WIDE = 48, 64
 
 
-def prepare(source: Path, capture: Path, changes: tuple[str, ...] = ()) -> Reporter:
-    """Run the steps read and merge in this process."""
-    reporter = Reporter()
-    options = argparse.Namespace(photographs=source, run=capture, steps="read,merge", set=list(changes))
-    command.run(options, reporter)
-    return reporter
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    (tmp_path / "in").mkdir()
+    return tmp_path / "in"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> PreparationFolder:
+    return PreparationFolder(tmp_path / "out")
+
+
+def merge(source: Path, folder: PreparationFolder, *changes: str) -> Reporter:
+    """Read and merge in full size, unless another working width is among the changes."""
+    return prepared_captures.prepare(source, folder.root, "read,merge", "working_width=0", *changes)
 
 
 def write_raw(folder: Path, radiance: np.ndarray, first: int = 0, minute: int = 0, turn: int = 1) -> None:
@@ -75,18 +81,17 @@ def error_of(image: np.ndarray, truth: np.ndarray) -> float:
     return float(np.median(np.abs(ratio / np.median(ratio) - 1.0)))
 
 
-def test_raw_brackets_become_radiance_on_one_scale(tmp_path: Path) -> None:
+def test_raw_brackets_become_radiance_on_one_scale(source: Path, folder: PreparationFolder) -> None:
     truths = [smooth_radiance(0), 0.25 * smooth_radiance(1)]
     for index, truth in enumerate(truths):
-        write_raw(tmp_path / "in", truth, 3 * index, index)
-    reporter = prepare(tmp_path / "in", tmp_path / "out", ("working_width=0",))
-    folder = PreparationFolder(tmp_path / "out")
+        write_raw(source, truth, 3 * index, index)
+    reporter = merge(source, folder)
     images = [read_radiance(folder.image(group)) for group in read_preparation(folder).used_groups]
     ratios = [np.median(image / truth) for image, truth in zip(images, truths, strict=True)]
     assert ratios[1] == pytest.approx(ratios[0], rel=3e-3)
     assert all(error_of(image, truth) < 0.01 for image, truth in zip(images, truths, strict=True))
     assert not reporter.warnings
-    facts = json.loads(folder.facts("merge").read_text())
+    facts = facts_of(folder, "merge")
     assert [entry["moved_share"] for entry in facts["images"]] == [0.0, 0.0]
     # Radiance 1 saturates the exposure in the middle.
     assert ratios[0] == pytest.approx(0.2, rel=0.01)
@@ -104,16 +109,15 @@ def test_a_raw_value_is_not_stretched(tmp_path: Path) -> None:
     np.testing.assert_allclose(stored.balance, 1.0)
 
 
-def test_jpeg_brackets_recover_the_cameras_response(tmp_path: Path) -> None:
+def test_jpeg_brackets_recover_the_cameras_response(source: Path, folder: PreparationFolder) -> None:
     truths = [smooth_radiance(seed, 96, 128, 1.2) for seed in range(3)]
     for index, truth in enumerate(truths):
-        write_jpegs(tmp_path / "in", truth, 3 * index, index)
-    folder = PreparationFolder(tmp_path / "out")
-    prepare(tmp_path / "in", folder.root, ("working_width=0",))
+        write_jpegs(source, truth, 3 * index, index)
+    merge(source, folder)
     for group, truth in zip(read_preparation(folder).used_groups, truths, strict=True):
         well = (0.2 * truth.max(axis=-1) / 4 < 0.8) & (0.2 * truth.min(axis=-1) * 4 > 0.05)
         assert error_of(read_radiance(folder.image(group))[well], truth[well]) < 0.03
-    facts = json.loads(folder.facts("merge").read_text())
+    facts = facts_of(folder, "merge")
     curve = np.array(facts["response"]["curves"][0])
     codes = np.arange(30, 226)
     linear = np.linspace(0.0, 1.0, 4096)
@@ -141,90 +145,78 @@ def test_the_response_from_exact_codes_and_its_uncertainty() -> None:
     assert recover_response(noisy, [times] * 4).uncertainty.mean() > 2.0 * found.uncertainty.mean()
 
 
-def test_single_photographs_pass_with_a_warning(tmp_path: Path) -> None:
-    source = tmp_path / "in"
+def test_single_photographs_pass_with_a_warning(source: Path, folder: PreparationFolder) -> None:
     codes = np.full((6, 8, 3), 128, np.uint8)
     write_jpeg(source / "a.jpg", codes, exif(1 / 60))
     write_jpeg(source / "b.jpg", codes, exif(1 / 60, 60.0))
-    folder = PreparationFolder(tmp_path / "out")
-    reporter = prepare(source, folder.root)
+    reporter = merge(source, folder)
     assert {"no-brackets", "response-unknown"} <= {message["code"] for message in reporter.warnings}
     np.testing.assert_allclose(read_radiance(folder.images / "a.exr"), srgb_curve()[128, 0], rtol=0.02)
 
 
-def test_linear_pictures_keep_their_values(tmp_path: Path) -> None:
-    truth = 3.0 * smooth_radiance(5).astype(np.float32)
-    write_exr(tmp_path / "in" / "a.exr", truth)
-    folder = PreparationFolder(tmp_path / "out")
-    prepare(tmp_path / "in", folder.root, ("working_width=0",))
-    np.testing.assert_allclose(read_radiance(folder.images / "a.exr"), truth, rtol=1e-3)
-
-
 @pytest.mark.parametrize(("suffix", "orientation"), [(".jpg", 1), (".jpg", 6), (".tif", 6), (".png", 3)])
-def test_photographs_of_other_primaries_are_merged_upright(tmp_path: Path, suffix: str, orientation: int) -> None:
+def test_photographs_of_other_primaries_are_merged_upright(
+    source: Path, folder: PreparationFolder, suffix: str, orientation: int
+) -> None:
     truth = np.kron(0.1 + 0.5 * np.random.default_rng(1).random((3, 4, 3)), np.ones((16, 16, 1)))
     codes = np.round(255.0 * srgb_encoded(in_primaries(truth, "P3"))).astype(np.uint8)
-    (tmp_path / "in").mkdir()
     profile, tags = icc_profile("P3", "sRGB"), exif(1 / 60, orientation=orientation)
     options = {"quality": 100, "subsampling": 0, "icc_profile": profile, "exif": tags}
-    Image.fromarray(codes).save(tmp_path / "in" / f"a{suffix}", **options)
-    folder = PreparationFolder(tmp_path / "out")
-    prepare(tmp_path / "in", folder.root, ("working_width=0", "response=srgb"))
+    Image.fromarray(codes).save(source / f"a{suffix}", **options)
+    merge(source, folder, "response=srgb")
     found, wanted = read_radiance(folder.images / "a.exr"), upright(truth, orientation)
     np.testing.assert_allclose(found[8::16, 8::16], wanted[8::16, 8::16], atol=0.01)
 
 
-def test_a_layer_is_chosen_by_its_name(tmp_path: Path) -> None:
-    (tmp_path / "in").mkdir()
-    layers = {name: dict.fromkeys("RGB", np.full((6, 8), value, np.float32))
-              for name, value in (("rgba", 0.2), ("beauty", 0.7))}  # fmt: skip
-    write_exr_layers(tmp_path / "in" / "a.exr", layers, parts=True)
-    folder = PreparationFolder(tmp_path / "out")
-    with pytest.raises(FiptError, match="--layer") as caught:
-        prepare(tmp_path / "in", folder.root)
-    assert caught.value.code == "image-layers"
-    prepare(tmp_path / "in", folder.root, ("layer=beauty",))
-    np.testing.assert_allclose(read_radiance(folder.images / "a.exr"), 0.7, rtol=1e-3)
+def test_linear_pictures_keep_their_values_and_a_layer_is_chosen_by_its_name(
+    source: Path, folder: PreparationFolder
+) -> None:
+    truth = 3.0 * smooth_radiance(5).astype(np.float32)
+    beauty = {name: np.ascontiguousarray(truth[..., index]) for index, name in enumerate("RGB")}
+    layers = {"rgba": dict.fromkeys("RGB", np.full((TALL, WIDE), 0.2, np.float32)), "beauty": beauty}
+    write_exr_layers(source / "a.exr", layers, parts=True)
+    caught = refusals.error_of(merge, source, folder)
+    assert caught.code == "image-layers" and "--layer" in caught.remedy
+    merge(source, folder, "layer=beauty")
+    np.testing.assert_allclose(read_radiance(folder.images / "a.exr"), truth, rtol=1e-3)
 
 
-def test_what_is_clipped_in_all_exposures_is_told(tmp_path: Path) -> None:
+def test_what_is_clipped_in_all_exposures_is_told(source: Path, folder: PreparationFolder) -> None:
     truth = np.ones((TALL, WIDE, 3))
     truth[8:16, 20:32] = 1000.0
-    write_raw(tmp_path / "in", truth)
-    folder = PreparationFolder(tmp_path / "out")
-    reporter = prepare(tmp_path / "in", folder.root, ("working_width=0",))
+    write_raw(source, truth)
+    reporter = merge(source, folder)
     assert [message["code"] for message in reporter.warnings] == ["clipped"]
     mask = np.asarray(Image.open(folder.clipped / "IMG_0.png"))
     assert mask[9:15, 21:31].min() == 255 and mask[20:].max() == 0
     image = read_radiance(folder.images / "IMG_0.exr")
     # At least as bright as the ceiling of the darkest exposure; the surroundings are right.
     assert image[9:15, 21:31].min() > 3.9 and image[30, 40] == pytest.approx(np.full(3, 0.2), rel=0.02)
-    facts = json.loads(folder.facts("merge").read_text())["images"][0]
+    facts = facts_of(folder, "merge")["images"][0]
     assert facts["clipped_share"] == pytest.approx(np.mean(mask == 255), abs=1e-6)
 
 
-def test_bands_of_rows_leave_no_traces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_raw(tmp_path / "in", smooth_radiance(6))
+def test_bands_of_rows_leave_no_traces(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_raw(source, smooth_radiance(6))
     images = []
     for rows in (7, 1000):
         for module in (frames, merging):
             monkeypatch.setattr(module, "BAND_ROWS", rows)
-        prepare(tmp_path / "in", tmp_path / str(rows), ("working_width=0",))
+        merge(source, PreparationFolder(tmp_path / str(rows)))
         images.append(read_radiance(tmp_path / str(rows) / "images" / "IMG_0.exr"))
     np.testing.assert_array_equal(*images)
 
 
-def test_the_working_size_is_a_mean_over_areas(tmp_path: Path) -> None:
+def test_the_working_size_is_a_mean_over_areas(source: Path, folder: PreparationFolder) -> None:
     truth = smooth_radiance(8, 96, 128)
-    write_raw(tmp_path / "in", truth)
-    folder = PreparationFolder(tmp_path / "out")
-    prepare(tmp_path / "in", folder.root, ("working_width=64",))
+    write_raw(source, truth)
+    merge(source, folder, "working_width=64")
     small = truth.reshape(48, 2, 64, 2, 3).mean((1, 3))
     image = read_radiance(folder.images / "IMG_0.exr")
     assert image.shape == small.shape and error_of(image, small) < 0.01
 
 
-def test_the_last_row_is_no_noisier_if_long_exposures_are_a_little_off(tmp_path: Path) -> None:
+def test_the_last_row_is_no_noisier_if_long_exposures_are_a_little_off() -> None:
     """A fraction of a pixel would leave it to the darkest exposure alone."""
     rng = np.random.default_rng(5)
     exposures, noise = (0.01, 0.1, 1.0), sensor_noise(1e-4, 1e-3)
@@ -273,33 +265,31 @@ def test_exposures_that_headers_round_are_corrected() -> None:
     assert found.mean() == pytest.approx(0.0) and 0.0 < largest < 0.1
 
 
-def test_a_bracket_of_borders_is_merged_without_blur(tmp_path: Path) -> None:
+def test_a_bracket_of_borders_is_merged_without_blur(source: Path, folder: PreparationFolder, tmp_path: Path) -> None:
     """Squares of one radiance, four pixels of the sensor long, become the pixels of the merged image."""
     squares = np.exp(np.random.default_rng(4).uniform(-1.0, 1.0, (48, 64, 3)))
-    write_raw(tmp_path / "in", squares.repeat(4, 0).repeat(4, 1))
-    prepare(tmp_path / "in", tmp_path / "out", ("working_width=64",))
+    write_raw(source, squares.repeat(4, 0).repeat(4, 1))
+    merge(source, folder, "working_width=64")
     image = read_radiance(next((tmp_path / "out" / "images").glob("*.exr")))
     assert image.shape == squares.shape
     assert np.quantile(np.abs(image / squares / np.median(image / squares) - 1.0), 0.99) < 0.02
 
 
-def test_a_stranger_in_a_bracket_is_left_out(tmp_path: Path) -> None:
+def test_a_stranger_in_a_bracket_is_left_out(source: Path, folder: PreparationFolder, tmp_path: Path) -> None:
     truth = smooth_radiance(11, 120, 160, 0.5)
-    write_raw(tmp_path / "in", truth)
+    write_raw(source, truth)
     other = tmp_path / "other"
     write_raw(other, smooth_radiance(12, 120, 160, 0.5))
-    shutil.copy(other / "IMG_2.dng", tmp_path / "in" / "IMG_2.dng")
-    folder = PreparationFolder(tmp_path / "out")
-    reporter = prepare(tmp_path / "in", folder.root, ("working_width=0",))
+    shutil.copy(other / "IMG_2.dng", source / "IMG_2.dng")
+    reporter = merge(source, folder)
     assert "exposures-left-out" in {message["code"] for message in reporter.warnings}
-    assert json.loads(folder.facts("merge").read_text())["images"][0]["left_out"] == ["IMG_2.dng"]
+    assert facts_of(folder, "merge")["images"][0]["left_out"] == ["IMG_2.dng"]
     assert error_of(read_radiance(folder.images / "IMG_0.exr"), truth) < 0.02
 
 
-def test_groups_that_can_not_be_merged_are_refused(tmp_path: Path) -> None:
-    source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
+def test_groups_that_can_not_be_merged_are_refused(source: Path, folder: PreparationFolder) -> None:
     write_raw(source, smooth_radiance(0))
-    prepare(source, folder.root)
+    merge(source, folder)
     before = read_preparation(folder)
     image = folder.images / "IMG_0.exr"
     content = image.read_bytes()
@@ -312,32 +302,30 @@ def test_groups_that_can_not_be_merged_are_refused(tmp_path: Path) -> None:
         (before.photographs, (replace(before.groups[0], used=False),), "no-photographs"),
     ):
         write_preparation(folder, replace(before, photographs=photographs, groups=groups))
-        with pytest.raises(FiptError) as caught:
-            prepare(source, folder.root)
-        assert caught.value.code == code and caught.value.remedy
+        assert refusals.error_of(merge, source, folder).code == code
         assert image.read_bytes() == content and not folder.facts("merge").exists()
 
 
 @pytest.mark.parametrize("content", [None, b"", b"II*" + bytes(500), "half"])
-def test_a_raw_file_that_is_damaged_later_is_named(tmp_path: Path, content: bytes | str | None) -> None:
-    source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
+def test_a_raw_file_that_is_damaged_later_is_named(
+    source: Path, folder: PreparationFolder, content: bytes | str | None
+) -> None:
     write_raw(source, smooth_radiance(0))
     path = source / "IMG_1.dng"
     photograph, whole = describe(path, "IMG_1.dng"), path.read_bytes()
     path.unlink()
     if content is not None:
         path.write_bytes(whole[: len(whole) // 2] if isinstance(content, str) else content)
-    with pytest.raises(FiptError) as caught:
-        load(path, photograph)
-    assert caught.value.code == "photograph-unreadable" and "IMG_1.dng" in caught.value.text
+    caught = refusals.error_of(load, path, photograph)
+    assert caught.code == "photograph-unreadable" and "IMG_1.dng" in caught.text
     if content == "half":
-        with pytest.raises(FiptError, match="IMG_1"):
-            prepare(source, folder.root)
+        assert "IMG_1" in refusals.error_of(merge, source, folder).text
         assert not folder.images.exists()
 
 
-def test_a_stopped_merge_goes_on_with_the_other_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
+def test_a_stopped_merge_goes_on_with_the_other_groups(
+    source: Path, folder: PreparationFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for index in range(2):
         write_raw(source, smooth_radiance(index), 3 * index, index)
     plain, images, written = Path.write_bytes, [], ["IMG_0.exr"]
@@ -351,7 +339,7 @@ def test_a_stopped_merge_goes_on_with_the_other_groups(tmp_path: Path, monkeypat
         return plain(self, data)
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    caught = refusals.error_of(prepare, source, folder.root)
+    caught = refusals.error_of(merge, source, folder)
     assert caught.code == "disk-full" and "Free some space" in caught.remedy
     monkeypatch.undo()
     assert [path.name for path in folder.images.iterdir()] == ["IMG_0.exr"]
@@ -359,11 +347,11 @@ def test_a_stopped_merge_goes_on_with_the_other_groups(tmp_path: Path, monkeypat
     monkeypatch.setattr(
         merge_step, "write_exr", lambda path, *rest, **more: written.append(path.name) or write_exr(path, *rest, **more)
     )
-    prepare(source, folder.root)
+    merge(source, folder)
     assert written == ["IMG_0.exr", "IMG_3.exr"]
-    prepare(source, folder.root)
+    merge(source, folder)
     assert len(written) == 2  # nothing has changed
     before = read_preparation(folder)
     write_preparation(folder, replace(before, groups=before.groups[:1]))
-    prepare(source, folder.root)
+    merge(source, folder)
     assert [path.name for path in folder.images.iterdir()] == ["IMG_0.exr"]

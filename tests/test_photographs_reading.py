@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import struct
@@ -21,7 +20,6 @@ from fipt_blender.core.capture import encoded
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.extras import EXTRAS, install_list, optional
 from fipt_blender.core.run.messages import Reporter
-from fipt_blender.prepare import command
 from fipt_blender.prepare.brackets import find_groups, remarks
 from fipt_blender.prepare.exif import describe
 from fipt_blender.prepare.preparation import (
@@ -34,18 +32,15 @@ from fipt_blender.prepare.preparation import (
 )
 from fipt_blender.prepare.reading import list_photographs, without_doubles
 from samples.photographs import exif, write_brackets, write_jpeg
+from samples.prepared_captures import prepare
 from samples.refusals import error_of
 
 ROOT = Path(__file__).resolve().parent.parent
 GREY = np.full((6, 8, 3), 128, np.uint8)
 
 
-def prepare(photographs: Path, capture: Path, steps: str = "read", changes: tuple[str, ...] = ()) -> Reporter:
-    """Run the command in this process."""
-    reporter = Reporter()
-    arguments = argparse.Namespace(photographs=photographs, run=capture, steps=steps, set=list(changes))
-    command.run(arguments, reporter)
-    return reporter
+def read(photographs: Path, capture: Path, *changes: str) -> Reporter:
+    return prepare(photographs, capture, "read", *changes)
 
 
 def shot(path: str, exposure: float | None, time: float | None = None, **others: object) -> Photograph:
@@ -83,13 +78,12 @@ def test_a_maker_note_tells_whether_the_camera_corrected_vignetting(
     assert found.has_vignetting is (corrected is False)
 
 
-def test_a_raw_photograph_that_is_none_is_refused_in_plain_words(tmp_path: Path) -> None:
+def test_photographs_that_can_not_be_read_are_refused_in_plain_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "a.cr2").write_bytes(b"II*\0" + bytes(200))
     with pytest.raises(FiptError, match=r"a\.cr2 can't be read \([A-Z]"):
         describe(tmp_path / "a.cr2", "a.cr2")
-
-
-def test_a_photograph_of_too_many_pixels_is_refused_with_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_jpeg(tmp_path / "a.jpg", GREY, exif(0.01))
     monkeypatch.setattr(encoded, "MOST_PIXELS", 20)
     with pytest.raises(FiptError, match=r"a\.jpg has 8 x 6 pixels"):
@@ -107,10 +101,29 @@ def test_brackets_by_time_and_exposure(tmp_path: Path) -> None:
     assert len(find_groups(photographs, "folders")) == 1
 
 
-def test_a_bracket_ends_where_an_exposure_repeats() -> None:
-    exposures = (1.0, 0.25, 4.0, 1.0, 0.25, 4.0)
-    photographs = [shot(f"{index}.jpg", value) for index, value in enumerate(exposures)]
-    assert names(find_groups(photographs, "auto")) == [("0.jpg", "1.jpg", "2.jpg"), ("3.jpg", "4.jpg", "5.jpg")]
+@pytest.mark.parametrize(
+    ("photographs", "by", "expected"),
+    [  # a bracket ends where an exposure repeats
+        (
+            [(f"{index}.jpg", 4.0 ** (index % 3)) for index in range(6)],
+            "auto",
+            {"0": ("0.jpg", "1.jpg", "2.jpg"), "3": ("3.jpg", "4.jpg", "5.jpg")},
+        ),
+        (  # folders tell the groups where headers say nothing
+            [(path, None) for path in ("b/1.jpg", "b/2.jpg", "a/1.jpg", "a/2.jpg")],
+            "auto",
+            {"a": ("a/1.jpg", "a/2.jpg"), "b": ("b/1.jpg", "b/2.jpg")},
+        ),
+        (  # names of groups are unique file names
+            [(path, 1.0) for path in ("a/x?.jpg", "b/X?.jpg", "c/x?.png")],
+            "single",
+            {"x_": ("a/x?.jpg",), "X__2": ("b/X?.jpg",), "x__3": ("c/x?.png",)},
+        ),
+    ],
+)
+def test_groups_and_their_names(photographs: list, by: str, expected: dict[str, tuple[str, ...]]) -> None:
+    groups = find_groups([shot(*photograph) for photograph in photographs], by)
+    assert {group.name: group.photographs for group in groups} == expected
 
 
 @pytest.mark.parametrize("other", [{"model": "Y"}, {"focal_length": 50.0}, {"width": 9}, {"time": 20.0}])
@@ -118,21 +131,6 @@ def test_a_bracket_is_of_one_camera_and_without_pause(other: dict[str, object]) 
     first, second = shot("1.jpg", 1.0, 0.0), shot("2.jpg", 4.0, 1.0)
     assert len(find_groups([first, second], "auto")) == 1
     assert len(find_groups([first, replace(second, **other)], "auto")) == 2
-
-
-def test_folders_tell_the_groups_where_headers_say_nothing() -> None:
-    paths = ("b/1.jpg", "b/2.jpg", "a/1.jpg", "a/2.jpg")
-    groups = find_groups([shot(path, None) for path in paths], "auto")
-    assert [(group.name, group.photographs) for group in groups] == [
-        ("a", ("a/1.jpg", "a/2.jpg")),
-        ("b", ("b/1.jpg", "b/2.jpg")),
-    ]
-
-
-def test_names_of_groups_are_unique_file_names() -> None:
-    paths = ("a/X?.jpg", "b/x?.jpg", "c/x?.png")
-    groups = find_groups([shot(path, 1.0) for path in paths], "single")
-    assert [group.name for group in groups] == ["X_", "x__2", "x__3"]
 
 
 def test_what_looks_wrong_is_told() -> None:
@@ -165,7 +163,7 @@ def test_reading_a_folder(tmp_path: Path) -> None:
     (source / "empty.dng").write_bytes(b"")
     (source / "cut.jpg").write_bytes((source / "IMG_1.jpg").read_bytes()[:20])
     (source / "text.txt").write_text("no photograph")
-    reporter = prepare(source, capture)
+    reporter = read(source, capture)
     preparation = read_preparation(PreparationFolder(capture))
     assert len(preparation.photographs) == 4 and len(preparation.groups) == 2
     assert [item.path for item in preparation.of(preparation.groups[0])] == ["IMG_2.jpg", "IMG_1.jpg"]
@@ -179,16 +177,16 @@ def test_corrections_by_the_user_stay_until_the_files_change(tmp_path: Path) -> 
     source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
     write_brackets(source, 2, (1 / 60, 1 / 240))
     write_jpeg(source / "x.jpg", GREY, exif(None))
-    prepare(source, folder.root)
+    read(source, folder.root)
     before = read_preparation(folder)
     entered = tuple(replace(item, exposure=0.5) if item.exposure is None else item for item in before.photographs)
     write_preparation(folder, replace(before, photographs=entered, groups=before.groups[:1]))
-    reporter = prepare(source, folder.root, changes=("working_width=640",))
+    reporter = read(source, folder.root, "working_width=640")
     after = read_preparation(folder)
     assert after.groups == before.groups[:1] and after.settings.working_width == 640
     assert [message["code"] for message in reporter.warnings]  # those of the reading are told again
     write_jpeg(source / "y.jpg", GREY, exif(1 / 30, 500.0))
-    prepare(source, folder.root)
+    read(source, folder.root)
     again = read_preparation(folder)
     assert len(again.groups) == len(before.groups) + 1
     assert next(item for item in again.photographs if item.path == "x.jpg").exposure == 0.5
@@ -204,7 +202,7 @@ def test_folders_without_photographs(tmp_path: Path, files: dict[str, bytes] | N
         source.mkdir()
         for name, content in files.items():
             (source / name).write_bytes(content)
-    caught = error_of(prepare, source, tmp_path / "out")
+    caught = error_of(read, source, tmp_path / "out")
     assert caught.code == code and caught.remedy
 
 
@@ -215,13 +213,13 @@ def test_foreign_folders_are_left_alone(tmp_path: Path) -> None:
     full.mkdir()
     (full / "mine.txt").write_text("mine")
     for capture in (full, source / "capture"):
-        caught = error_of(prepare, source, capture)
+        caught = error_of(read, source, capture)
         assert caught.code == "capture-foreign"
     assert [path.name for path in full.iterdir()] == ["mine.txt"] and not (source / "capture").exists()
-    prepare(source, tmp_path / "out")
+    read(source, tmp_path / "out")
     other = tmp_path / "other"
     write_brackets(other, 1, (1 / 60,))
-    caught = error_of(prepare, other, tmp_path / "out")
+    caught = error_of(read, other, tmp_path / "out")
     assert caught.code == "capture-foreign" and str(source) in caught.text
 
 
@@ -243,7 +241,7 @@ def test_foreign_folders_are_left_alone(tmp_path: Path) -> None:
 def test_a_damaged_preparation_is_refused(tmp_path: Path, damage: dict[str, object]) -> None:
     source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
     write_brackets(source, 1, (1 / 60,))
-    prepare(source, folder.root)
+    read(source, folder.root)
     data = json.loads(folder.prepare_json.read_text())
     folder.prepare_json.write_text(json.dumps({**data, **damage}))
     caught = error_of(read_preparation, folder)
@@ -256,22 +254,22 @@ def test_a_preparation_with_a_setting_of_an_earlier_version_is_continued(tmp_pat
     """The masks that the earlier version has found stay."""
     source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
     write_brackets(source, 1, (1 / 60,))
-    prepare(source, folder.root)
+    read(source, folder.root)
     data = json.loads(folder.prepare_json.read_text())
     settings = {**data["settings"], "masks": masks, "seed": 3}
     folder.prepare_json.write_text(json.dumps({**data, "settings": settings}))
     mask = folder.root / "parts" / "IMG_1.png"
     mask.parent.mkdir()
     mask.write_bytes(b"a mask")
-    prepare(source, folder.root)
+    read(source, folder.root)
     assert read_preparation(folder).settings == make_prepare_settings({"seed": 3})
     assert mask.read_bytes() == b"a mask"
-    assert error_of(prepare, source, folder.root, changes=(f"masks={masks}",)).code == "setting-unknown"
+    assert error_of(read, source, folder.root, f"masks={masks}").code == "setting-unknown"
 
 
 def test_unknown_steps_and_options_are_refused(tmp_path: Path) -> None:
-    for options in ({"steps": "read,cook"}, {"changes": ("working_width",)}):
-        assert error_of(prepare, tmp_path, tmp_path / "out", **options).code == "option-invalid"
+    for options in (("read,cook",), ("read", "working_width")):
+        assert error_of(prepare, tmp_path, tmp_path / "out", *options).code == "option-invalid"
     assert not (tmp_path / "out").exists()
 
 

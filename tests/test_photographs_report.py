@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -13,13 +12,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fipt_blender.core.capture.encoded import srgb_encoded
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import Lens, Rig, RigView
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder, write_json
-from fipt_blender.prepare import command
 from fipt_blender.prepare.lens import FULL_FRAME_DIAGONAL
 from fipt_blender.prepare.preparation import PreparationFolder
 from fipt_blender.prepare.report import make_plan, write_report
@@ -28,7 +27,7 @@ from samples import textured_room
 from samples.camera_poses import look_at
 from samples.pages import Page
 from samples.photographs import exif, write_jpeg
-from samples.prepared_captures import make_preparation, write_prepared
+from samples.prepared_captures import make_preparation, prepare, write_prepared
 from samples.refusals import error_of
 from samples.textured_room import FOCAL, HEIGHT, WIDTH
 
@@ -127,11 +126,6 @@ def poses() -> list[np.ndarray]:
     ]
 
 
-def srgb(values: np.ndarray) -> np.ndarray:
-    encoded = np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1.0 / 2.4) - 0.055)
-    return np.round(255.0 * encoded).astype(np.uint8)
-
-
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> tuple[PreparationFolder, Reporter]:
     root = tmp_path_factory.mktemp("brackets")
@@ -142,16 +136,11 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> tuple[PreparationFolde
         for index, shutter in enumerate(SHUTTERS):
             tags = exif(shutter, seconds=60.0 * number + index)
             tags.get_ifd(0x8769)[0xA405] = equivalent
-            pixels = srgb(np.clip(radiance * shutter / SHUTTERS[1], 0.0, 1.0))
-            write_jpeg(root / "card" / f"P{number}{index}.jpg", pixels, tags)
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    settings = ["scale=mesh", "scale_matrix=1 0 0 0 0 1 0 0 0 0 1 0", "response=srgb", "align=false"]
-    options = [word for setting in settings for word in ("--set", setting)]
-    reporter = Reporter()
+            pixels = np.round(255.0 * srgb_encoded(np.clip(radiance * shutter / SHUTTERS[1], 0.0, 1.0)))
+            write_jpeg(root / "card" / f"P{number}{index}.jpg", pixels.astype(np.uint8), tags)
     folder = PreparationFolder(root / "capture")
-    command.run(parser.parse_args([str(root / "card"), str(folder.root), *options]), reporter)
-    return folder, reporter
+    settings = ("scale=mesh", "scale_matrix=1 0 0 0 0 1 0 0 0 0 1 0", "response=srgb", "align=false")
+    return folder, prepare(root / "card", folder.root, ",".join(STEPS), *settings)
 
 
 def test_every_step_leaves_its_facts(prepared: tuple[PreparationFolder, Reporter]) -> None:

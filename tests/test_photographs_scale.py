@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +29,7 @@ from fipt_blender.prepare.solve_step import copy_file, model_folder
 from fipt_blender.prepare.steps import run_steps
 from fipt_blender.prepare.tonemap import tone_mapped
 from samples.camera_poses import look_at, random_rotation
+from samples.prepared_captures import facts
 from samples.refusals import error_of
 from samples.textured_room import FOCAL, HEIGHT, WIDTH, photograph
 
@@ -100,22 +100,14 @@ def test_depth_of_a_pick_is_that_of_points_near_it() -> None:
             scale.depth_of_pick(np.array(where), positions, depths, 100.0)
 
 
-def test_picks_from_a_text() -> None:
+def test_picks_and_matrices_from_a_text() -> None:
     first, second = scale.parse_picks("my desk 812 440.5, door 1 2; my desk 3 4")
     assert first == [Pick("my desk", 812.0, 440.5), Pick("door", 1.0, 2.0)] and second == [Pick("my desk", 3, 4)]
-
-
-@pytest.mark.parametrize("text", ["", "a 1 2", "a 1 2; b 3", "a 1 x; b 3 4", "a 1 2; b nan 4", "a 1 2;;", "1 2; 3 4"])
-def test_picks_that_are_no_two_points_are_refused(text: str) -> None:
-    assert error_of(scale.parse_picks, text).code == "scale-picks"
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["", "1 2 3", "a" * 12, "1 0 0 0 0 2 0 0 0 0 1 0", "0 0 0 0 0 0 0 0 0 0 0 0", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 2"],
-)
-def test_a_matrix_that_is_no_similarity_is_refused(text: str) -> None:
-    assert error_of(scale.parse_similarity, text).code == "scale-matrix"
+    for text in ("", "a 1 2", "a 1 2; b 3", "a 1 x; b 3 4", "a 1 2; b nan 4", "a 1 2;;", "1 2; 3 4"):
+        assert error_of(scale.parse_picks, text).code == "scale-picks"
+    stretched, last_row = "1 0 0 0 0 2 0 0 0 0 1 0", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 2"
+    for text in ("", "1 2 3", "a" * 12, stretched, "0 0 0 0 0 0 0 0 0 0 0 0", last_row):
+        assert error_of(scale.parse_similarity, text).code == "scale-matrix"
 
 
 def test_the_edge_of_a_marker_and_how_square_it_is() -> None:
@@ -172,10 +164,10 @@ def test_a_marker_on_a_wall_gives_meters(tmp_path: Path) -> None:
         chosen = PrepareSettings(scale="marker", scale_length=0.6, **settings)
         write_preparation(folder, Preparation(tmp_path, photographs, groups, chosen))
         run_steps(folder, ["scale"], Reporter())
-        return json.loads(folder.facts("scale").read_text(encoding="utf-8"))
+        return facts(folder, "scale")
 
-    facts = run()
-    assert facts["meters_per_unit"] == pytest.approx(10.0, rel=0.02) and facts["difference"] < 0.03
+    found = run()
+    assert found["meters_per_unit"] == pytest.approx(10.0, rel=0.02) and found["difference"] < 0.03
     places = poses(read_model(folder.sparse))[:, :3, 3]
     expected = np.linalg.norm(where[0][:3, 3] - where[2][:3, 3])
     assert np.linalg.norm(places[0] - places[2]) == pytest.approx(expected, rel=0.02)

@@ -37,11 +37,13 @@ from fipt_blender.prepare.steps import run_steps
 from fipt_blender.prepare.tonemap import tone_mapped
 from samples import textured_room
 from samples.camera_poses import look_at
+from samples.prepared_captures import facts
 from samples.refusals import error_of
 from samples.textured_room import FOCAL, HEIGHT, WIDTH
 
 FOCAL_35MM = FOCAL * FULL_FRAME_DIAGONAL / float(np.hypot(WIDTH, HEIGHT))
 TARGET = np.array([1.6, 3.0, 1.1])
+Solved = tuple[PreparationFolder, Preparation, Reporter]
 
 
 def poses(count: int) -> list[np.ndarray]:
@@ -54,6 +56,12 @@ def poses(count: int) -> list[np.ndarray]:
         )
         for step in steps
     ]
+
+
+def room_images(name: str, count: int, seed: int = 1) -> dict[str, np.ndarray]:
+    """Photographs of a room, whose walls depend on the seed."""
+    walls = textured_room.wall_textures(seed)
+    return {f"{name}{index}": textured_room.photograph(pose, walls) for index, pose in enumerate(poses(count))}
 
 
 def write_capture(
@@ -81,19 +89,13 @@ def run(folder: PreparationFolder, preparation: Preparation, **settings: object)
     return reporter
 
 
-def facts(folder: PreparationFolder, step: str) -> dict:
-    return json.loads(folder.facts(step).read_text(encoding="utf-8"))
-
-
 @pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory) -> tuple[PreparationFolder, Preparation, Reporter]:
+def solved(tmp_path_factory: pytest.TempPathFactory) -> Solved:
     """A capture of seven views of one room, four of another one, and one without any feature."""
     folder = PreparationFolder(tmp_path_factory.mktemp("solve") / "capture")
-    one, other = textured_room.wall_textures(1), textured_room.wall_textures(2)
-    images = {f"room {index}": textured_room.photograph(pose, one) for index, pose in enumerate(poses(7))}
+    images = room_images("room ", 7)
     # The other room is eight stops darker, with values that differ by much less than those of an 8-bit image.
-    for index, pose in enumerate(poses(4)):
-        images[f"hall {index}"] = textured_room.photograph(pose, other) / 256.0
+    images |= {name: pixels / 256.0 for name, pixels in room_images("hall ", 4, seed=2).items()}
     images["blank"] = np.full((HEIGHT, WIDTH, 3), 0.3, np.float32)
     preparation = write_capture(folder, images, {"blank": "Another Camera"})
     return folder, preparation, run(folder, preparation)
@@ -119,9 +121,7 @@ def distances(places: list[np.ndarray]) -> np.ndarray:
     return np.array([np.linalg.norm(a - b) for a, b in combinations(places, 2)])
 
 
-def test_the_largest_room_is_solved_and_the_rest_is_told(
-    solved: tuple[PreparationFolder, Preparation, Reporter],
-) -> None:
+def test_the_largest_room_is_solved_and_the_rest_is_told(solved: Solved) -> None:
     folder, _, reporter = solved
     found = facts(folder, "solve")
     assert [view["name"] for view in found["registered"]] == [f"room {index}" for index in range(7)]
@@ -139,7 +139,7 @@ def test_the_largest_room_is_solved_and_the_rest_is_told(
     assert sum("not connected" in reasons[f"hall {index}"] for index in range(4)) >= 3
 
 
-def test_two_picked_points_give_meters(solved: tuple[PreparationFolder, Preparation, Reporter]) -> None:
+def test_two_picked_points_give_meters(solved: Solved) -> None:
     folder, preparation, _ = solved
     before = folder.facts("solve").stat().st_mtime_ns
     first, second = np.array([1.0, 3.0, 0.8]), np.array([2.4, 3.0, 1.5])
@@ -159,7 +159,7 @@ def test_two_picked_points_give_meters(solved: tuple[PreparationFolder, Preparat
     assert folder.facts("solve").stat().st_mtime_ns == before, "the cameras are not solved again"
 
 
-def test_the_transform_to_a_mesh_is_applied_as_it_is(solved: tuple[PreparationFolder, Preparation, Reporter]) -> None:
+def test_the_transform_to_a_mesh_is_applied_as_it_is(solved: Solved) -> None:
     folder, preparation, _ = solved
     run(folder, preparation, scale="mesh", scale_matrix="1 0 0 0 0 1 0 0 0 0 1 0")
     plain = centers(folder)
@@ -181,9 +181,7 @@ def test_the_transform_to_a_mesh_is_applied_as_it_is(solved: tuple[PreparationFo
         ({"scale": "marker", "scale_length": 1.0, "marker_dictionary": "9X9"}, "marker-dictionary"),
     ],
 )
-def test_a_wrong_scale_is_refused_and_the_cameras_stay(
-    solved: tuple[PreparationFolder, Preparation, Reporter], settings: dict[str, object], code: str
-) -> None:
+def test_a_wrong_scale_is_refused_and_the_cameras_stay(solved: Solved, settings: dict[str, object], code: str) -> None:
     folder, preparation, _ = solved
     before = centers(folder)
     caught = error_of(run, folder, preparation, **settings)
@@ -193,12 +191,10 @@ def test_a_wrong_scale_is_refused_and_the_cameras_stay(
     assert not [path for path in (folder.root / "sparse").iterdir() if path.name != "0"]
 
 
-def test_an_existing_solve_is_taken(solved: tuple[PreparationFolder, Preparation, Reporter], tmp_path: Path) -> None:
+def test_an_existing_solve_is_taken(solved: Solved, tmp_path: Path) -> None:
     """A solve of larger copies that bear the names of the photographs, in another format."""
     folder = PreparationFolder(tmp_path / "capture")
-    room = textured_room.wall_textures(1)
-    images = {f"g{index}": textured_room.photograph(pose, room) for index, pose in enumerate(poses(3))}
-    preparation = write_capture(folder, images)
+    preparation = write_capture(folder, room_images("g", 3))
     frames = [
         {"file_path": f"images/{name}.jpg", "transform_matrix": (pose @ np.diag([1, -1, -1, 1])).tolist()}
         for name, pose in zip(("g0", "g1", "another"), poses(3), strict=True)
@@ -252,17 +248,16 @@ def test_a_solve_of_other_photographs_is_refused(rig: Rig, code: str) -> None:
     assert error_of(model_from_rig, rig, [WantedView("a", 300, 200, ("a",))]).code == code
 
 
-def write_copies(folder: Path, images: dict[str, np.ndarray]) -> list[SolveView]:
-    """The copies that a solve starts from."""
+def write_copies(folder: Path, count: int) -> list[SolveView]:
+    """The copies of a room that a solve starts from."""
     (folder / "copies").mkdir(parents=True)
-    for name, pixels in images.items():
+    for name, pixels in room_images("v", count).items():
         Image.fromarray(tone_mapped(pixels)).save(folder / "copies" / copy_name(name), quality=95)
-    return [SolveView(name, WIDTH, HEIGHT, focal=FOCAL) for name in images]
+    return [SolveView(f"v{index}", WIDTH, HEIGHT, focal=FOCAL) for index in range(count)]
 
 
 def test_a_stopped_solve_goes_on_where_it_stood(tmp_path: Path) -> None:
-    room = textured_room.wall_textures(1)
-    views = write_copies(tmp_path, {f"v{i}": textured_room.photograph(pose, room) for i, pose in enumerate(poses(3))})
+    views = write_copies(tmp_path, 3)
 
     def stop(share: float) -> None:
         if share > 0.5:  # after features and matches
@@ -285,8 +280,7 @@ def test_a_stopped_solve_goes_on_where_it_stood(tmp_path: Path) -> None:
 
 
 def test_a_damaged_database_is_named(tmp_path: Path) -> None:
-    room = textured_room.wall_textures(1)
-    views = write_copies(tmp_path, {f"v{i}": textured_room.photograph(pose, room) for i, pose in enumerate(poses(2))})
+    views = write_copies(tmp_path, 2)
     (tmp_path / "database.db").write_bytes(b"not a database" * 100)
     caught = error_of(solve, tmp_path, views, 0, lambda share: None)
     assert caught.code == "solve-database" and "database.db" in caught.text
@@ -295,10 +289,7 @@ def test_a_damaged_database_is_named(tmp_path: Path) -> None:
 def test_without_overlap_the_solve_says_so(tmp_path: Path) -> None:
     """Two photographs of different walls; nothing of the capture is written."""
     folder = PreparationFolder(tmp_path / "capture")
-    images = {
-        f"wall {seed}": textured_room.photograph(poses(1)[0], textured_room.wall_textures(seed)) for seed in (3, 4)
-    }
-    preparation = write_capture(folder, images)
+    preparation = write_capture(folder, room_images("one wall ", 1, seed=3) | room_images("other wall ", 1, seed=4))
     caught = error_of(run, folder, preparation)
     assert caught.code == "solve-failed" and "2 match no other one" in caught.text
     assert not (folder.root / "sparse").exists() and not folder.facts("solve").exists()

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,9 +26,12 @@ from fipt_blender.prepare.solve_step import model_folder
 from fipt_blender.prepare.steps import run_steps
 from fipt_blender.prepare.vignetting import Observations, fit_falloff, light_share, powers
 from samples.camera_poses import look_at
+from samples.prepared_captures import facts
 from samples.textured_room import FOCAL, HEIGHT, SIZE, WIDTH, project
 
 TRUE = np.array([-0.3, -0.15, 0.0])
+# The folder, what is prepared, and the images without vignetting by their names.
+Capture = tuple[PreparationFolder, Preparation, dict[str, np.ndarray]]
 
 
 def observations(falloff: np.ndarray, count: int, noise: float, seed: int = 0) -> Observations:
@@ -76,7 +78,7 @@ def test_the_share_of_light_never_rises_outwards() -> None:
 
 
 @pytest.fixture
-def capture(tmp_path: Path) -> tuple[PreparationFolder, Preparation, dict[str, np.ndarray]]:
+def capture(tmp_path: Path) -> Capture:
     """Five views of points on the walls of a room, through a lens with vignetting, and their solve."""
     folder = PreparationFolder(tmp_path / "capture")
     generator = np.random.default_rng(1)
@@ -122,7 +124,7 @@ def capture(tmp_path: Path) -> tuple[PreparationFolder, Preparation, dict[str, n
 def run(folder: PreparationFolder, preparation: Preparation, **settings: str) -> dict:
     write_preparation(folder, replace(preparation, settings=PrepareSettings(**settings)))
     run_steps(folder, ["vignetting"], Reporter())
-    return json.loads(folder.facts("vignetting").read_text(encoding="utf-8"))
+    return facts(folder, "vignetting")
 
 
 def errors(folder: PreparationFolder, originals: dict[str, np.ndarray]) -> float:
@@ -131,9 +133,7 @@ def errors(folder: PreparationFolder, originals: dict[str, np.ndarray]) -> float
     return float(np.abs(np.array(ratios) / np.median(ratios) - 1.0).max())
 
 
-def test_images_are_corrected_once_and_the_correction_can_be_undone(
-    capture: tuple[PreparationFolder, Preparation, dict[str, np.ndarray]],
-) -> None:
+def test_images_are_corrected_once_and_the_correction_can_be_undone(capture: Capture) -> None:
     folder, preparation, originals = capture
     before = {path.name: path.read_bytes() for path in folder.images.iterdir()}
     found = run(folder, preparation)["lenses"]
@@ -156,7 +156,7 @@ def test_images_are_corrected_once_and_the_correction_can_be_undone(
 
 
 def test_a_stop_between_record_and_image_corrects_nothing_twice(
-    capture: tuple[PreparationFolder, Preparation, dict[str, np.ndarray]], monkeypatch: pytest.MonkeyPatch
+    capture: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, preparation, originals = capture
     plain = Path.replace
@@ -176,9 +176,7 @@ def test_a_stop_between_record_and_image_corrects_nothing_twice(
     assert errors(folder, originals) < 0.03
 
 
-def test_radiance_files_and_known_lenses_are_left_alone(
-    capture: tuple[PreparationFolder, Preparation, dict[str, np.ndarray]],
-) -> None:
+def test_radiance_files_and_known_lenses_are_left_alone(capture: Capture) -> None:
     folder, preparation, _ = capture
     before = {path.name: path.read_bytes() for path in folder.images.iterdir()}
     linear = tuple(replace(photograph, kind="linear") for photograph in preparation.photographs)
@@ -197,9 +195,7 @@ def test_radiance_files_and_known_lenses_are_left_alone(
         assert found["source"] == "overlap"
 
 
-def test_vignetting_that_nothing_tells_is_said(
-    capture: tuple[PreparationFolder, Preparation, dict[str, np.ndarray]],
-) -> None:
+def test_vignetting_that_nothing_tells_is_said(capture: Capture) -> None:
     folder, preparation, _ = capture
     few = replace(preparation, groups=preparation.groups[:1])
     write_preparation(folder, few)

@@ -136,20 +136,14 @@ def test_a_path_that_leads_out_of_the_run_is_refused(run, path):
     assert caught.code == "path-outside" and not (run.report / "index.html").exists()
 
 
-def test_psnr_of_a_known_error():
+def test_both_psnrs_of_a_known_error():
     truth = np.full((4, 4, 3), 0.5**2.2, np.float32)
     estimate = np.full((4, 4, 3), 0.6**2.2, np.float32)
     assert psnr(estimate, truth) == pytest.approx(20.0, abs=1e-3)
     assert psnr(truth, truth) == float("inf")
     assert psnr(truth * 50.0, truth * 70.0, exposure=1.0) == float("inf")  # both clip to white
-
-
-def test_display_survives_what_images_can_hold():
     values = np.array([[[np.nan, np.inf, -np.inf], [-1.0, 2.0, 1.0]]], np.float32)
-    assert to_display(values).tolist() == [[[0.0, 1.0, 0.0], [0.0, 1.0, 1.0]]]
-
-
-def test_both_psnrs_of_a_known_error():
+    assert to_display(values).tolist() == [[[0.0, 1.0, 0.0], [0.0, 1.0, 1.0]]]  # what images can hold
     truth = np.full((4, 4, 3), 0.5, np.float32)
     agreement = compare(truth + 0.1, truth)
     assert agreement.psnr_linear == pytest.approx(20.0, abs=1e-3)
@@ -164,47 +158,34 @@ _FACES = [
 ]  # fmt: skip
 
 
-def room_of(*boxes: tuple[str, tuple, tuple], material: str = "") -> tuple[SimpleNamespace, list[np.ndarray]]:
-    """A room of boxes (object, low, high), and the triangles of each; the last box may have a material."""
-    vertices, triangles, owner, pieces = [], [], [], []
+def room_of(*boxes: tuple[str, tuple, tuple]) -> tuple[SimpleNamespace, list[np.ndarray]]:
+    """A room of boxes (object, low, high), and the triangles of each."""
+    vertices, triangles, owner = [], [], []
     objects = list(dict.fromkeys(name for name, _, _ in boxes))
     for name, low, high in boxes:
-        corners = [(x, y, z) for z in (low[2], high[2]) for y in (low[1], high[1]) for x in (low[0], high[0])]
-        pieces.append(np.arange(len(triangles), len(triangles) + 12))
         triangles += [tuple(index + len(vertices) for index in face) for face in _FACES]
-        vertices += corners
+        vertices += [(x, y, z) for z in (low[2], high[2]) for y in (low[1], high[1]) for x in (low[0], high[0])]
         owner += [objects.index(name)] * 12
-    count = len(triangles)
-    of_material = np.full(count, -1, np.int32)
-    if material:
-        of_material[pieces[-1]] = 0
     room = SimpleNamespace(
         vertices=np.array(vertices, np.float32),
         triangles=np.array(triangles, np.int32),
         triangle_object=np.array(owner, np.int32),
-        triangle_material=of_material,
+        triangle_material=np.full(len(triangles), -1, np.int32),
         objects=objects,
-        materials=[material] if material else [],
+        materials=[],
     )
-    return room, pieces
+    return room, list(np.arange(len(triangles)).reshape(-1, 12))
 
 
-def lamp(triangles):
-    return SimpleNamespace(triangles=triangles)
-
-
-def name_of(*boxes: tuple[str, tuple, tuple], material: str = "") -> str:
-    """The name of the lamp that the last box is."""
-    room, pieces = room_of(*boxes, material=material)
-    (name,) = fixture_names(room, [lamp(pieces[-1])])
+def name_of(*boxes: tuple[str, tuple, tuple], faces: slice = slice(None), parts: RoomParts | None = None) -> str:
+    """The name of the lamp that the last box is, or some of its triangles."""
+    room, pieces = room_of(*boxes)
+    (name,) = fixture_names(room, [SimpleNamespace(triangles=pieces[-1][faces])], parts)
     return name
 
 
-def test_an_object_that_is_a_lamp_gives_its_name():
+def test_lamps_have_the_names_of_their_objects_and_bulbs_of_the_lamp_that_holds_them():
     assert name_of(("Shell", *SHELL), ("Reading_Lamp.002", (1, 1, 1), (1.2, 1.2, 1.2))) == "Reading lamp"
-
-
-def test_a_bulb_is_named_after_the_lamp_that_holds_it():
     table_lamp = ("Table_lamp", (1.0, 1.0, 0.8), (1.3, 1.3, 1.2))
     bulb = ("Bulb", (1.1, 1.1, 1.25), (1.2, 1.2, 1.35))
     assert name_of(("Shell", *SHELL), table_lamp, bulb) == "Table lamp bulb"
@@ -224,19 +205,16 @@ def test_a_bulb_is_named_after_the_lamp_that_holds_it():
     ],
 )
 def test_place_and_shape_in_a_room_that_is_one_mesh(low, high, name):
-    if name == "Wall panel":  # a box has no mean normal: only the side towards the room emits
-        room, pieces = room_of(("scan", *SHELL), ("scan", low, high))
-        assert fixture_names(room, [lamp(pieces[-1][10:])]) == [name]
-    else:
-        assert name_of(("scan", *SHELL), ("scan", low, high)) == name
+    # A box has no mean normal: of a panel on a wall only the side towards the room emits.
+    faces = slice(10 if name == "Wall panel" else 0, None)
+    assert name_of(("scan", *SHELL), ("scan", low, high), faces=faces) == name
 
 
 @pytest.mark.parametrize(
     ("class_name", "name"), [("floor lamp", "Floor lamp"), ("walls", "Wall bulb"), ("", "Table bulb")]
 )
 def test_classes_of_parts_tell_where_objects_do_not(class_name, name):
-    room, pieces = room_of(("scan", *SHELL), ("scan", (2, 2, 0.9), (2.1, 2.1, 1.0)))
-    triangle = np.zeros(len(room.triangles), np.int32)
-    triangle[pieces[1]] = 1
-    parts = RoomParts(triangle, [RoomPart(0, "a", "A"), RoomPart(1, "b", "B", class_name=class_name)])
-    assert fixture_names(room, [lamp(pieces[1])], parts) == [name]
+    parts = RoomParts(
+        np.repeat([0, 1], 12).astype(np.int32), [RoomPart(0, "a", "A"), RoomPart(1, "b", "B", class_name=class_name)]
+    )
+    assert name_of(("scan", *SHELL), ("scan", (2, 2, 0.9), (2.1, 2.1, 1.0)), parts=parts) == name

@@ -1,20 +1,35 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Folders as `prepare` leaves them: two brackets of three photographs, a single one, and the steps' facts."""
+"""`prepare` in this process, and folders as it leaves them: two brackets, a single photograph, the steps' facts."""
 
 from __future__ import annotations
 
+import argparse
+import json
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import write_json
+from fipt_blender.prepare import command
 from fipt_blender.prepare.preparation import Group, Photograph, Preparation, PreparationFolder, write_preparation
 
 SHUTTERS = (0.01, 0.04, 0.16)
 SIZE = (24, 16)
+
+
+def prepare(photographs: Path, capture: Path, steps: str, *changes: str) -> Reporter:
+    """Run steps of the command with changed settings; returns what was reported."""
+    reporter = Reporter()
+    command.run(argparse.Namespace(photographs=photographs, run=capture, steps=steps, set=list(changes)), reporter)
+    return reporter
+
+
+def facts(folder: PreparationFolder, step: str) -> dict:
+    return json.loads(folder.facts(step).read_text(encoding="utf-8"))
 
 
 def make_preparation(source: Path, names: tuple[str, ...] = ("IMG_1", "IMG_4", "IMG_7")) -> Preparation:

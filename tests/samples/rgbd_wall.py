@@ -14,7 +14,7 @@ from fipt_blender.core.capture.rig import DepthView, Lens, Rig, RigView
 
 SIZE, FOCAL = (160, 120), 140.0  # of the depth images; photographs are twice as large
 NORMAL, DISTANCE = np.array([0.3, -0.2, 1.0]), 1.8  # the wall: NORMAL @ point = DISTANCE
-FRAMES = 12
+FRAMES = 6
 
 
 def pose(index: int) -> np.ndarray:

@@ -4,17 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from fipt_blender.core.capture.distortion import lens_camera
 from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import Rig
-from fipt_blender.core.run.errors import FiptError
 from samples import rig_writers as write
 
 CENTRED = (0.0, 0.0)
@@ -44,10 +41,3 @@ def assert_same(rig: Rig, shots: list[write.Shot], pixels: float = 1e-4) -> None
         local = (points - view.camera_to_world[:3, 3]) @ view.camera_to_world[:3, :3]
         expected = np.stack([shot.pixel(point) for point in points])
         np.testing.assert_allclose(np.asarray(camera.img_from_cam(local)), expected, atol=pixels)
-
-
-def error_of(reader: Callable[..., object], *arguments: object) -> FiptError:
-    with pytest.raises(FiptError) as caught:
-        reader(*arguments)
-    assert caught.value.remedy
-    return caught.value

@@ -107,17 +107,21 @@ def find_motions(frames: Sequence[DepthView], scale: float) -> Motions | None:
         return None
     sightings, reduced = shown
     place, lens = _before_photographs(frames, sightings, reduced[0].shape[1], scale)
-    images = np.stack([gradients(details(image, 1.0)) for image in reduced])
     motion = np.zeros((len(frames), 6))
-    before = _step(motion, images, sightings, place, lens)[1]
+    finest = _at_scale(reduced, BLURS[-1][0])
+    before = _step(motion, finest, sightings, place, lens)[1]
     for blur, steps in BLURS:
-        images = np.stack([gradients(details(image, blur)) for image in reduced])
+        images = finest if blur == BLURS[-1][0] else _at_scale(reduced, blur)
         for _ in range(steps):
             motion, _ = _step(motion, images, sightings, place, lens)
-    # The last blur is that of `before`.
     motion[(np.abs(motion / EXPECTED) > MOST).any(axis=1)] = 0.0
-    after = _step(motion, images, sightings, place, lens)[1]
+    after = _step(motion, finest, sightings, place, lens)[1]
     return Motions(motion, after / max(before, 1e-12))
+
+
+def _at_scale(reduced: Sequence[np.ndarray], blur: float) -> np.ndarray:
+    """(V, 3, H, W) details of photographs at one scale, with their derivatives."""
+    return np.stack([gradients(details(image, blur)) for image in reduced])
 
 
 def _before_photographs(
