@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,11 +35,14 @@ from samples.small_captures import (
     UNTRAINED,
     WIDTH,
     SmallCapture,
+    fixtures_of,
     matt,
+    outcome,
     panel_capture,
     photograph_room,
     run_here,
-    window_capture,
+    stages_of,
+    warnings_of,
     write_run,
 )
 from samples.small_rooms import BOX, make_room, surface_points
@@ -50,8 +54,8 @@ STAGES = [
 ]
 
 
-def run_child(run: RunFolder, kill=None) -> tuple[list[dict], int]:
-    """Estimate in a child process like Blender; SIGKILL at the first message for which `kill` is true."""
+def killed(run: RunFolder, kill: Callable[[dict], bool]) -> list[dict]:
+    """Messages of a child process like Blender's; SIGKILL at the first one for which `kill` is true."""
     command = [sys.executable, "-m", "fipt_blender.core", "estimate", str(run.root)]
     messages = []
     with (run.root / "log.txt").open("a") as log:
@@ -63,16 +67,12 @@ def run_child(run: RunFolder, kill=None) -> tuple[list[dict], int]:
             message = parse_message(line)
             assert message is not None, f"no message: {line}"
             messages.append(message)
-            if kill is not None and kill(message):
+            if kill(message):
                 os.kill(child.pid, signal.SIGKILL)
                 break
         child.stdout.close()
-        return messages, child.wait()
-
-
-def first_stage(messages: list[dict]) -> str:
-    """The first stage that a run does; pictures of earlier stages are reported before it."""
-    return next(message["name"] for message in messages if message["type"] == "stage")
+        assert child.wait() == -signal.SIGKILL, messages[-1]
+        return messages
 
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -87,9 +87,7 @@ def capture() -> SmallCapture:
 def finished(capture: SmallCapture, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunFolder, list[dict]]:
     """One uninterrupted run, and its messages."""
     run = write_run(tmp_path_factory.mktemp("finished") / "run", capture)
-    messages, status = run_child(run)
-    assert status == 0, messages[-1]
-    return run, messages
+    return run, run_here(run)
 
 
 @pytest.fixture(scope="module")
@@ -100,18 +98,10 @@ def untrained(capture: SmallCapture, tmp_path_factory: pytest.TempPathFactory) -
     return run
 
 
-def outcome(run: RunFolder) -> tuple[dict, str]:
-    """Arrays of fields.npz, and the text of emitters.json."""
-    with np.load(run.fields_npz, allow_pickle=False) as data:
-        return {name: data[name] for name in data.files}, run.emitters_json.read_text()
-
-
 def same(first: RunFolder, second: RunFolder) -> None:
     """Equal bit for bit."""
-    (arrays, emitters), (others, other_emitters) = outcome(first), outcome(second)
-    assert arrays.keys() == others.keys()
-    assert emitters == other_emitters
-    assert [name for name in arrays if arrays[name].tobytes() != others[name].tobytes()] == []
+    one, other = outcome(first), outcome(second)
+    assert one.keys() == other.keys() and [name for name in one if one[name] != other[name]] == []
 
 
 def connected_room_without_a_wall() -> tuple[SmallCapture, np.ndarray]:
@@ -136,8 +126,8 @@ def test_it_speaks_of_every_stage_and_names_its_files(finished) -> None:
     run, messages = finished
     stages = [message for message in messages if message["type"] == "stage"]
     assert messages[0]["type"] == "note" and "megapixels; about" in messages[0]["text"]
-    assert [stage["name"] for stage in stages] == STAGES
-    assert [(stage["index"], stage["count"]) for stage in stages] == [(i, 10) for i in range(10)]
+    listed = [(stage["name"], stage["index"], stage["count"]) for stage in stages]
+    assert listed == [(name, index, 10) for index, name in enumerate(STAGES)]
     fractions = [message["fraction"] for message in messages if message["type"] == "progress"]
     assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] <= 1.0
     assert messages[-1]["type"] == "done"
@@ -152,9 +142,9 @@ def test_it_speaks_of_every_stage_and_names_its_files(finished) -> None:
 
 
 def test_the_panel_is_found_with_its_radiance(finished) -> None:
-    data = json.loads(finished[0].emitters_json.read_text())
-    (fixture,) = data["fixtures"]
-    assert fixture["triangles"] == PANEL_TRIANGLES and data["environment"] is None
+    (fixture,) = fixtures_of(finished[0])
+    assert fixture["triangles"] == PANEL_TRIANGLES
+    assert json.loads(finished[0].emitters_json.read_text())["environment"] is None
     assert fixture["radiance"] == pytest.approx(PANEL_RADIANCE, rel=1e-3)
     assert fixture["back_radiance"] == [0.0, 0.0, 0.0]
     assert fixture["area"] == pytest.approx(1.96) and fixture["centroid"] == pytest.approx([0.0, 0.0, 2.9])
@@ -167,55 +157,33 @@ def test_base_colours_are_near_the_truth(finished, capture: SmallCapture) -> Non
 
 
 def test_killed_at_any_time_it_ends_bit_for_bit_the_same(finished, capture: SmallCapture, tmp_path: Path) -> None:
-    """Killed at the start of a stage, while overwriting shadings, and in training after a checkpoint."""
+    """Killed while overwriting shadings, and in training after a checkpoint."""
     run = write_run(tmp_path / "run", capture)
-
-    def begins(name: str):
-        return lambda message: message["type"] == "stage" and message["name"] == name
 
     def half_done(message: dict) -> bool:
         return message["type"] == "progress" and 0.45 < message["stage_fraction"] < 1.0
 
     checkpoint = run.stage / "training" / "unfinished.pt"
-    for number, kill in enumerate(
-        [
-            begins("estimate-0"),
-            lambda message: (run.stage / "refinement-1").exists() and half_done(message),
-            # A slow reader may miss the file.
-            lambda message: checkpoint.exists() or (checkpoint.parent.exists() and half_done(message)),
-        ]
+    for kill, resumed_at in (
+        (lambda message: (run.stage / "refinement-1").exists() and half_done(message), STAGES[0:1]),
+        # A slow reader may miss the file. The first kill may come only after quick stages that follow.
+        (lambda message: checkpoint.exists() or (checkpoint.parent.exists() and half_done(message)), STAGES[7:]),
     ):
-        messages, status = run_child(run, kill)
-        assert status == -signal.SIGKILL, (number, messages[-1])
+        assert stages_of(killed(run, kill))[0] in resumed_at  # a resumed run does not repeat what is done
         assert not run.fields_npz.exists()
-        # A resumed run does not repeat what is done.
-        # A kill amid the refinement may come only after the stages that follow: they are quick.
-        resumed_at = [STAGES[0:1], STAGES[5:6], STAGES[7:]][number]
-        assert first_stage(messages) in resumed_at
-    messages, status = run_child(run)
-    assert status == 0 and first_stage(messages) == "training"
+    assert stages_of(run_here(run)) == ["training"]
     same(finished[0], run)
     # Once more: nothing is left to do, and nothing changes.
-    messages = run_here(run)
-    assert "stage" not in {message["type"] for message in messages}
+    assert stages_of(run_here(run)) == []
     same(finished[0], run)
 
 
-@pytest.mark.parametrize(
-    ("rounds", "damaged"), [(0, False), (1, False), (0, True)], ids=["first", "refinement", "damaged"]
-)
 def test_views_baked_before_a_kill_are_not_baked_again(
-    rounds: int,
-    damaged: bool,
-    untrained: RunFolder,
-    capture: SmallCapture,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    untrained: RunFolder, capture: SmallCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = write_run(tmp_path / "run", capture, **UNTRAINED)
-    count = len(load_capture(run).train)
     bake_view = baking.bake_view
-    baked: list[int] = []
+    baked: list[int]
 
     def bake(*arguments):
         if len(baked) == limit:
@@ -227,22 +195,24 @@ def test_views_baked_before_a_kill_are_not_baked_again(
     monkeypatch.setattr(baking, "bake_view", bake)
     # While the fourth view is traced, the third one may still be denoised in another thread.
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    limit = rounds * count + 3
-    with pytest.raises(KeyboardInterrupt):
-        run_here(run, train=False)
-    if damaged:
-        (run.stage / "shadings" / "diffuse.npy").write_bytes(b"cut off")
+    every = list(range(len(capture.images)))
+    # In the first shadings, then twice in the refinement.
+    for stop, expected in ((3, every[:3]), (7, [*every[2:], *every[:3]]), (2, every[2:4])):
+        baked, limit = [], stop
+        with pytest.raises(KeyboardInterrupt):
+            run_here(run, train=False)
+        assert baked == expected
+    (run.stage / "refinement-1" / "diffuse.npy").write_bytes(b"cut off")
     baked, limit = [], -1
     run_here(run, train=False)
-    rest = [*range(0 if damaged else 2, count)]
-    assert baked == rest + [*range(count)] * (1 - rounds)
+    assert baked == every
     same(untrained, run)
 
 
 @pytest.mark.parametrize(
     "length, radiance, shift",
-    [(100.0, 1000.0, (0.0, 0.0, 0.0)), (0.01, 0.001, (0.0, 0.0, 0.0)), (1.0, 1.0, (1000.0, -600.0, 300.0))],
-    ids=["large and bright", "small and dark", "far away"],
+    [(100.0, 1000.0, (0.0, 0.0, 0.0)), (0.01, 0.001, (10.0, -6.0, 3.0))],
+    ids=["large and bright", "small, dark and far away"],
 )
 def test_nothing_depends_on_unit_exposure_or_place(
     finished, capture: SmallCapture, tmp_path: Path, length: float, radiance: float, shift: tuple
@@ -254,53 +224,31 @@ def test_nothing_depends_on_unit_exposure_or_place(
     other, other_roughness, _ = RoomFields.load(run).query(points * length + shift, triangle)
     assert np.abs(color - other).mean() < 0.01
     assert np.abs(roughness - other_roughness).mean() < 0.05
-    (fixture,) = json.loads(run.emitters_json.read_text())["fixtures"]
+    (fixture,) = fixtures_of(run)
     assert fixture["triangles"] == PANEL_TRIANGLES
     assert fixture["radiance"] == pytest.approx(np.multiply(PANEL_RADIANCE, radiance), rel=1e-3)
     assert fixture["centroid"] == pytest.approx(np.array([0.0, 0.0, 2.9]) * length + shift, abs=2e-3 * length)
 
 
-def test_a_window_becomes_an_environment(tmp_path: Path) -> None:
-    radiance = [5.0, 4.0, 3.0]
-    run = write_run(tmp_path / "run", window_capture(radiance), rounds=0, unseen_light=True, **UNTRAINED)
-    messages = run_here(run, train=False)
-    data = json.loads(run.emitters_json.read_text())
-    assert data["fixtures"] == [] and data["environment"]["image"] == "environment.exr"
-    assert 0.02 < data["environment"]["observed_share"] < 0.5
-    found = read_radiance(run.environment_exr)
-    assert found.shape == (32, 64, 3)
-    ratio = np.log(found / np.array(radiance))
-    seen = np.abs(ratio).max(axis=-1) < 1e-4
-    assert seen.mean() > 0.06, "what photographs show is taken as it is"
-    # The rest is like it, or follows from the light on the surfaces.
-    assert np.abs(ratio).max() < 0.25 and np.sqrt((ratio**2).mean()) < 0.08
-    assert "warning" not in {message["type"] for message in messages}
-    assert str(run.environment_exr) in messages[-1]["files"]
+def test_paths_without_a_cache_still_find_materials(capture: SmallCapture, tmp_path: Path) -> None:
+    """One of the paper's ablations."""
+    run = write_run(tmp_path / "run", capture, refine_cache=False, **UNTRAINED)
+    run_here(run, train=False)
+    assert [lamp["triangles"] for lamp in fixtures_of(run)] == [PANEL_TRIANGLES]
+    assert color_errors(run, capture).mean() < 0.1
 
 
-def test_a_room_without_lamp_is_a_warning(capture: SmallCapture, tmp_path: Path) -> None:
-    """All surfaces have the same radiance: white walls explain it without a lamp."""
-    grey = replace(capture, images=[np.full_like(image, 0.4) for image in capture.images])
-    run = write_run(
-        tmp_path / "run", grey, rounds=0, **UNTRAINED, force=True
-    )  # photographs without content are refused
-    messages = run_here(run, train=False)
-    assert [message["code"] for message in messages if message["type"] == "warning"] == ["no-emitter"]
-    assert messages[-1]["type"] == "done"
-    assert json.loads(run.emitters_json.read_text()) == {"fixtures": [], "environment": None}
-
-
-def test_lamps_that_are_painted_out_are_a_warning(capture: SmallCapture, tmp_path: Path) -> None:
+def test_lamps_that_are_painted_out_are_a_warning(finished, capture: SmallCapture, tmp_path: Path) -> None:
     brightest = max(image.max() for image in capture.images)
 
     def painted(image: np.ndarray) -> np.ndarray:
         lamp = image.max(axis=2, keepdims=True) > 0.5 * brightest
         return np.where(lamp, np.median(image), image).astype(np.float32)
 
-    for images, said in ((capture.images, False), ([painted(image) for image in capture.images], True)):
-        run = write_run(tmp_path / str(said), replace(capture, images=images), rounds=0, **UNTRAINED)
-        codes = [message["code"] for message in run_here(run, train=False) if message["type"] == "warning"]
-        assert ("light-missing" in codes) == said
+    images = [painted(image) for image in capture.images]
+    run = write_run(tmp_path / "run", replace(capture, images=images), rounds=0, **UNTRAINED)
+    assert "light-missing" in warnings_of(run_here(run, train=False))
+    assert warnings_of(finished[1]) == []
 
 
 def away(capture: SmallCapture) -> SmallCapture:
@@ -346,16 +294,14 @@ def test_another_versions_run_folder(tmp_path: Path, capture: SmallCapture) -> N
     run = write_run(tmp_path / "run", capture)
     data = json.loads(run.run_json.read_text())
     run.run_json.write_text(json.dumps({**data, "version": 99}))
-    messages, status = run_child(run)
-    assert status == 1
-    assert [(message["type"], message["code"]) for message in messages] == [("error", "run-version")]
+    assert error_of(run_here, run).code == "run-version"
     assert not any(run.stage.iterdir()) and not any(run.results.iterdir())
 
 
 def test_classes_tell_walls_of_one_piece_apart_where_light_enters(tmp_path: Path) -> None:
     """The light from directions that no photograph shows follows from surfaces of one albedo each."""
     capture, colors = connected_room_without_a_wall()
-    run = write_run(tmp_path / "run", capture, unseen_light=True)
+    run = write_run(tmp_path / "run", capture, rounds=0, unseen_light=True, environment_width=32, **UNTRAINED)
     data = json.loads(run.capture_json.read_text())
     for view, camera in zip(data["views"], load_capture(run).train, strict=True):
         triangle = trace_view(capture.room, camera).triangle.reshape(HEIGHT, WIDTH)
@@ -363,7 +309,8 @@ def test_classes_tell_walls_of_one_piece_apart_where_light_enters(tmp_path: Path
         ids = np.where(triangle >= 0, triangle // 2 + 1, 0).astype(np.uint8)
         Image.fromarray(ids).save(run.root / view["semantics"])
     run.capture_json.write_text(json.dumps(data))
-    run_here(run)
+    run_here(run, train=False)
+    assert json.loads(run.statistics_json.read_text())["part_kind"] == "semantic"
     points, _, triangle = surface_points(capture.room, 200, np.random.default_rng(0), np.arange(10))
     color, _, metallic = RoomFields.load(run).query(points, triangle)
     wrong = np.abs(color * (1 - metallic[:, None]) - colors[triangle]).mean(axis=1).reshape(5, -1)

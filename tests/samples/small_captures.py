@@ -153,3 +153,24 @@ def run_here(run: RunFolder, train: bool = True) -> list[dict]:
             patches.enter_context(patch.object(module, "PRETRAINING_STEPS", steps))
         command.run(argparse.Namespace(run=run.root, cluster=None), Reporter(stream))
     return [message for line in stream.getvalue().splitlines() if (message := parse_message(line))]
+
+
+def stages_of(messages: list[dict]) -> list[str]:
+    """The stages that were done."""
+    return [message["name"] for message in messages if message["type"] == "stage"]
+
+
+def warnings_of(messages: list[dict]) -> list[str]:
+    """The codes of all warnings."""
+    return [message["code"] for message in messages if message["type"] == "warning"]
+
+
+def fixtures_of(run: RunFolder) -> list[dict]:
+    return json.loads(run.emitters_json.read_text())["fixtures"]
+
+
+def outcome(run: RunFolder) -> dict[str, bytes]:
+    """The results, bit for bit."""
+    with np.load(run.fields_npz, allow_pickle=False) as data:
+        found = {name: data[name].tobytes() for name in data.files}
+    return found | {"emitters": run.emitters_json.read_bytes()}
