@@ -16,7 +16,17 @@ from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.run.hints import Hint, write_hints
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.versions import can_continue, list_versions, present_version
-from samples.small_captures import PANEL_TRIANGLES, UNTRAINED, SmallCapture, panel_capture, run_here, write_run
+from samples.small_captures import (
+    PANEL_TRIANGLES,
+    UNTRAINED,
+    SmallCapture,
+    fixtures_of,
+    panel_capture,
+    run_here,
+    stages_of,
+    warnings_of,
+    write_run,
+)
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -32,21 +42,13 @@ def capture() -> SmallCapture:
 
 @pytest.fixture(scope="module")
 def finished(capture: SmallCapture, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    run = write_run(tmp_path_factory.mktemp("finished") / "run", capture)
-    run_here(run)
+    run = write_run(tmp_path_factory.mktemp("finished") / "run", capture, **UNTRAINED)
+    run_here(run, train=False)
     return run
 
 
 def copy_of(run: RunFolder, folder: Path) -> RunFolder:
     return RunFolder(shutil.copytree(run.root, folder / "run"))
-
-
-def stages(messages: list[dict]) -> list[str]:
-    return [message["name"] for message in messages if message["type"] == "stage"]
-
-
-def warnings(messages: list[dict]) -> list[str]:
-    return [message["code"] for message in messages if message["type"] == "warning"]
 
 
 def wall_values(run: RunFolder, room) -> np.ndarray:
@@ -58,17 +60,17 @@ def wall_values(run: RunFolder, room) -> np.ndarray:
 
 def again(run: RunFolder, *hints: Hint, light: bool = False) -> list[dict]:
     write_hints(run.hints_again_json, hints, light)
-    return run_here(run)
+    return run_here(run, train=False)
 
 
-def test_hints_are_honoured_again_and_reuse_all_stages(
+def test_hints_are_honoured_again_and_reuse_all_stages_of(
     finished: RunFolder, capture: SmallCapture, tmp_path: Path
 ) -> None:
     run = copy_of(finished, tmp_path)
     before = wall_values(run, capture.room)
     metal = Hint((FLOOR,), "Floor", material="metal", roughness=(0.35, 0.35))
     messages = again(run, metal, Hint((BACK,), "Back", same_as=LEFT))
-    assert stages(messages) == AGAIN and warnings(messages) == []
+    assert stages_of(messages) == AGAIN and warnings_of(messages) == []
     after = wall_values(run, capture.room)
     np.testing.assert_allclose(after[:2], [[0.35, 1.0]] * 2, atol=1e-6)
     np.testing.assert_array_equal(after[4], after[6])  # back and left are of one material
@@ -77,12 +79,12 @@ def test_hints_are_honoured_again_and_reuse_all_stages(
     facts = json.loads(run.statistics_json.read_text())["hints"]
     assert facts[0]["name"] == "Floor" and facts[0]["roughness"] == 0.35 and facts[0]["metallic"] == 1.0
     # The same hints once more: nothing is left to do. Other hints: only the last stages.
-    assert stages(run_here(run)) == []
-    assert stages(again(run, Hint((FLOOR,), material="dielectric"))) == AGAIN
+    assert stages_of(run_here(run, train=False)) == []
+    assert stages_of(again(run, Hint((FLOOR,), material="dielectric"))) == AGAIN
     assert wall_values(run, capture.room)[:2, 1].max() == 0.0
     # Without any, the run's own results come back.
     run.hints_again_json.unlink()
-    assert stages(run_here(run)) == []
+    assert stages_of(run_here(run, train=False)) == []
     np.testing.assert_array_equal(wall_values(run, capture.room), before)
 
 
@@ -92,7 +94,7 @@ def test_what_a_hint_says_is_not_asked_again(
     """However wide the range that an answer leaves. The results before stay as a version."""
     run = copy_of(finished, tmp_path)
     monkeypatch.setattr(doubts, "LEAST_DOUBT", 1e-6)  # ask about each wall
-    run_here(run)
+    run_here(run, train=False)
     before = present_version(run)
     asked = json.loads(run.doubts_json.read_text())["doubts"]
     gloss = next(doubt for doubt in asked if doubt["question"] == "gloss")
@@ -107,8 +109,8 @@ def test_lamps_and_left_alone(finished: RunFolder, capture: SmallCapture, tmp_pa
     run = copy_of(finished, tmp_path)
     panel = Hint(((0.0, 0.0, 2.9),), "Panel", emits=False)
     messages = again(run, panel, Hint((LEFT,), "Left", emits=True), Hint((FLOOR,), "Floor", leave_alone=True))
-    assert warnings(messages).count("hints-lamps") == 1
-    fixtures = json.loads(run.emitters_json.read_text())["fixtures"]
+    assert warnings_of(messages).count("hints-lamps") == 1
+    fixtures = fixtures_of(run)
     lamps = {triangle for fixture in fixtures for triangle in fixture["triangles"]}
     assert not lamps & {*PANEL_TRIANGLES, 0, 1} and {6, 7} <= lamps
     with np.load(run.left_alone_npz) as file:
@@ -123,8 +125,8 @@ def test_the_light_changes_with_the_lamps(finished: RunFolder, capture: SmallCap
     before = (run.stage / "refinement-1" / "diffuse.npy").read_bytes()
     panel = Hint(((0.0, 0.0, 2.9),), "Panel", emits=False)
     messages = again(run, panel, light=True)
-    assert stages(messages) == LIGHT + AGAIN and "hints-lamps" not in warnings(messages)
-    assert json.loads(run.emitters_json.read_text())["fixtures"] == []
+    assert stages_of(messages) == LIGHT + AGAIN and "hints-lamps" not in warnings_of(messages)
+    assert fixtures_of(run) == []
     whole = write_run(tmp_path / "whole", capture, **UNTRAINED)
     write_hints(whole.hints_json, [panel])
     run_here(whole, train=False)
@@ -132,8 +134,8 @@ def test_the_light_changes_with_the_lamps(finished: RunFolder, capture: SmallCap
     old, new, wanted = (np.load(folder / "diffuse.npy").astype(float) for folder in folders)
     assert np.abs(new - wanted).mean() < 0.2 * np.abs(old - wanted).mean()
     assert (run.stage / "refinement-1" / "diffuse.npy").read_bytes() == before
-    assert stages(run_here(run)) == []
-    assert stages(again(run, panel)) == AGAIN
+    assert stages_of(run_here(run, train=False)) == []
+    assert stages_of(again(run, panel)) == AGAIN
     assert not (run.stage / "hinted-refinement").exists()
 
 
@@ -155,20 +157,20 @@ def test_an_area_becomes_a_part_of_its_own(finished: RunFolder, capture: SmallCa
 
 def test_a_run_with_hints_without_parts(capture: SmallCapture, tmp_path: Path) -> None:
     """The piece of the mesh at a hint becomes a part of its own; an empty file of later hints lifts them."""
-    run = write_run(tmp_path / "run", capture)
+    run = write_run(tmp_path / "run", capture, **UNTRAINED)
     names = json.loads(run.room_json.read_text())
     run.room_json.write_text(json.dumps({**names, "parts": "none"}))
     write_hints(run.hints_json, [Hint(((0.0, 0.0, 2.9),), "Panel", emits=False, material="metal")])
-    run_here(run)
-    assert json.loads(run.emitters_json.read_text())["fixtures"] == []
+    run_here(run, train=False)
+    assert fixtures_of(run) == []
     values = wall_values(run, capture.room)
     assert (values[PANEL_TRIANGLES, 1] == 1.0).all() and (values[:12, 1] < 1.0).all()
     # A name does not matter.
     write_hints(run.hints_json, [Hint(((0.0, 0.0, 2.9),), "Other", emits=False, material="metal")])
-    assert stages(run_here(run)) == []
+    assert stages_of(run_here(run, train=False)) == []
     messages = again(run)
-    assert stages(messages) == AGAIN
-    (fixture,) = json.loads(run.emitters_json.read_text())["fixtures"]
+    assert stages_of(messages) == AGAIN
+    (fixture,) = fixtures_of(run)
     assert fixture["triangles"] == PANEL_TRIANGLES
 
 

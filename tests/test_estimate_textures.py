@@ -105,8 +105,7 @@ def test_a_lamp_in_a_room_whose_mesh_is_open(tmp_path: Path) -> None:
     """No mesh of two walls, behind which it is dark: a scan that has not been completed."""
     quads = [*BOX[:4], PANEL]
     capture = photograph(quads, [*COLORS[:4], [0.0] * 3], table([8, 9], PANEL_RADIANCE), None)
-    changes = {**UNTRAINED, "rounds": 0, "unseen_light": True, "environment_width": 32}
-    run = write_run(tmp_path / "run", capture, **changes)
+    run = write_run(tmp_path / "run", capture, rounds=0, **UNTRAINED)
     assert run_here(run, train=False)[-1]["type"] == "done"
     assert [fixture["triangles"] for fixture in fixtures_of(run)] == [[8, 9]]
     assert_textures_and_maps_follow(run, open_mesh=True)

@@ -2,11 +2,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The radiance cache: exact means, sides that do not mix, holes filled, the same entries on both engines."""
 
+from pathlib import Path
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import pytest
+from scipy.ndimage import binary_dilation
 
 from fipt_blender.core.light.cache import SIDES, SurfaceLookup, pool, side_index
+from fipt_blender.core.light.observations import observe
+from samples.panel_pixels import IS_PANEL, PARTS, ROOM, SETTINGS, WALL_RADIANCE, make_pixels
 from samples.shading_points import make_grid
 from samples.small_rooms import BOX, make_room, surface_points
 
@@ -96,3 +102,16 @@ def test_grids_do_not_depend_on_scale() -> None:
     big, *_ = filled_grid(large)
     small, *_ = filled_grid(make_room(BOX))
     assert abs(len(big.voxels) - len(small.voxels)) < 0.02 * len(small.voxels)
+
+
+@pytest.mark.parametrize("rim_width", [1, 2])
+def test_rim_pixels_of_an_emitter_stay_out_of_the_cache(tmp_path: Path, rim_width: int) -> None:
+    """A bright rim one pixel wide is the lamp's own light: cells beside the lamp keep the wall's radiance."""
+    pixels = make_pixels(tmp_path / "pixels", 6)
+    for index, view in enumerate(pixels.views):
+        rows = pixels.rows(index)
+        on_panel = (np.asarray(pixels.triangle[rows]) >= 12).reshape(view.height, view.width)
+        rim = binary_dilation(on_panel, np.ones((3, 3)), iterations=rim_width).ravel()
+        pixels.own[rows] = np.where(rim, 100.0, WALL_RADIANCE)[:, None]
+    cache = observe(ROOM, pixels, PARTS, SETTINGS, tmp_path / "observed").cache(without=IS_PANEL)
+    assert (cache == WALL_RADIANCE).all() == (rim_width == 1)

@@ -68,26 +68,17 @@ def test_a_known_error_of_the_model_is_corrected():
     assert abs(wrong.log_contrast[0] - np.log(contrast)) > 0.05
 
 
-def test_an_expectation_decides_where_light_tells_nothing():
-    points, cache, bound, _ = synthetic(2.6)
+def test_a_known_contrast_is_kept_and_a_lamp_that_lights_nothing_is_said_to_be_unknown():
+    """Unless it is known from elsewhere: nothing looks outside, which is the third lamp."""
+    points, cache, bound, radiance = synthetic(2.6)
     broad = Expectation.of(bound, np.log(2.6))
+    found = solve_lamps(points, cache, broad, (np.log(2.6), 0.0))
+    assert found.log_contrast[0] == pytest.approx(np.log(2.6), abs=1e-3)
+    assert np.abs(found.log_radiance[:2] - np.log(radiance[:2])).max() < 0.06
+    assert found.deviation[2].min() > 1.5 and np.abs(found.log_radiance[2] - np.log(8.0 * 4.0)).max() < 1e-3
     known = replace(broad, log_radiance=np.full((3, 3), 1.5), deviation=np.array([2.0, 2.0, 0.1]))
     found = solve_lamps(points, cache, known, (np.log(2.6), 0.0))
     assert np.abs(found.log_radiance[2] - 1.5).max() < 1e-3 and found.deviation[2].max() < 0.11
-
-
-def test_a_known_contrast_is_kept():
-    points, cache, bound, radiance = synthetic(2.6)
-    found = solve_lamps(points, cache, Expectation.of(bound, np.log(2.6)), (np.log(2.6), 0.0))
-    assert found.log_contrast[0] == pytest.approx(np.log(2.6), abs=1e-3)
-    assert np.abs(found.log_radiance[:2] - np.log(radiance[:2])).max() < 0.06
-
-
-def test_a_lamp_that_lights_nothing_is_said_to_be_unknown():
-    points, cache, bound, _ = synthetic(2.6)
-    found = solve_lamps(points, cache, Expectation.of(bound, np.log(2.6)), (np.log(2.6), 0.0))
-    assert found.deviation[2].min() > 1.5  # nothing looks outside
-    assert np.abs(found.log_radiance[2] - np.log(8.0 * 4.0)).max() < 1e-3
 
 
 def test_direct_light_of_a_panel_over_the_floor():

@@ -65,11 +65,8 @@ def test_of_many_pixels_some_are_enough(rng: np.random.Generator) -> None:
     assert 0.2 < ratio.std() / (0.125 / MOST_PIXELS**0.5) < 2.0
 
 
-def test_no_pixel_outside_is_no_environment(rng: np.random.Generator) -> None:
+def test_no_pixel_outside_or_a_hole_in_the_mesh_is_no_environment(rng: np.random.Generator) -> None:
     assert estimate_environment(lambda: [], 64, rng) is None
-
-
-def test_a_hole_in_the_mesh_is_no_environment(rng: np.random.Generator) -> None:
     directions = equirect_pixel_directions(256, 128).reshape(-1, 3)
     hole = directions[:, 0] > 0.9995
     assert hole.any()

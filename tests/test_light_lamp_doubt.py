@@ -53,11 +53,7 @@ def test_where_a_shadow_ends_light_is_least_certain() -> None:
     edge, lit, shadow = (errors([board], 1.0, np.array([place]), 0.01)[0] for place in places)
     assert edge > 5.0 * lit > 0.0
     assert shadow == 0.0
-
-
-def test_a_lamp_that_shines_away_has_no_error() -> None:
-    above = np.array([[0.3, 0.0, 2.0]])
-    assert errors([], 1.0, above, 0.01)[0] == 0.0
+    assert errors([], 1.0, np.array([[0.3, 0.0, 2.0]]), 0.01)[0] == 0.0  # above a lamp that shines down
 
 
 def test_lamps_that_few_pixels_see_alone_are_doubted_by_the_spread_of_their_radiance() -> None:

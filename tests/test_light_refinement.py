@@ -1,17 +1,15 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Stage 3: paths that follow gloss, weigh emitters rightly and see what a mirror shows."""
+"""Stage 3: paths that follow gloss and weigh emitters rightly."""
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 
-from benchmarks.tracer.forward import LitRoom, RenderSettings, trace_paths
-from benchmarks.tracer.surfaces import TriangleMaterials
-from fipt_blender.core.light.cache import SurfaceLookup, pool
-from fipt_blender.core.light.radiance import CachedRadiance, TracedRadiance
-from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
+from fipt_blender.core.light.cache import SurfaceLookup
+from fipt_blender.core.light.radiance import TracedRadiance
+from fipt_blender.core.light.shadings import SampleCounts
 from fipt_blender.core.optics import brdf
 from fipt_blender.core.surface.room import Room
 from samples.shading_points import (
@@ -114,61 +112,3 @@ def test_looking_up_the_diffuse_shading_changes_no_mean() -> None:
     (traced, noise), (looked_up, error) = found
     agree(traced - looked_up, np.hypot(noise, error))
     assert (traced.min(axis=1) < 0.99).all()  # the floor matters
-
-
-def test_a_mirror_is_seen_by_stage_3_and_blurred_by_stage_1() -> None:
-    """Sharp shadings of walls that see a mirror-like floor, against path tracing with the true materials."""
-    room, materials = shiny_box(0.06)
-    grid = grid_of(room)
-    emission = [12.0, 12.0, 12.0]
-    lights = area_lights(room, table([12, 13], emission))
-    lit = LitRoom(room, TriangleMaterials(materials[:, :3], materials[:, 3], materials[:, 4]), lights)
-    rng = np.random.default_rng(8)
-    # Photographs from two places: rays over the whole sphere.
-    count = 60_000
-    direction = rng.normal(size=(count, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    origin = np.where(np.arange(count)[:, None] % 2, [-1.2, -1.3, 1.5], [1.3, 0.8, 1.2])
-
-    def photograph(origin: np.ndarray, direction: np.ndarray, paths: int, seed: int):
-        many = [mi.Point3f(np.repeat(origin, paths, axis=0).T.copy())]
-        many.append(mi.Vector3f(np.repeat(direction, paths, axis=0).T.copy()))
-        ray = mi.Ray3f(*many)
-        found = trace_paths(lit, ray, mi.PCG32(len(origin) * paths, seed), RenderSettings(depth=12))
-        return np.array(found.radiance).T.reshape(len(origin), paths, 3)
-
-    image = photograph(origin, direction, 24, 1).mean(axis=1)
-    hit = room.intersect(mi.Ray3f(mi.Point3f(origin.T.copy()), mi.Vector3f(direction.T.copy())))
-    normal = np.array(dr.select(hit.front, hit.geometric_normal, -hit.geometric_normal)).T
-    entries = grid.entries(np.array(hit.position).T.astype(float), normal.astype(float))
-    on_lamp = np.array(hit.triangle) >= 12
-    with_lamp = SurfaceLookup(grid, pool(grid, entries, image)[0])
-    without = SurfaceLookup(grid, pool(grid, entries[~on_lamp], image[~on_lamp])[0])
-    # Points of a wall that see the lamp's image, or the ceiling beside it, in the floor.
-    position = np.stack([np.full(40, 1.999), rng.uniform(-0.8, 0.8, 40), rng.uniform(1.0, 1.6, 40)], axis=1)
-    image_of_lamp = np.stack([rng.uniform(-0.9, 0.9, 40), position[:, 1] * 0.5, np.full(40, -2.6)], axis=1)
-    mirror = image_of_lamp - position
-    mirror /= np.linalg.norm(mirror, axis=1, keepdims=True)
-    wall = np.tile([-1.0, 0.0, 0.0], (40, 1))
-    view = 2 * (mirror * wall).sum(axis=1, keepdims=True) * wall - mirror
-    points = ShadingPoints(*[np.asarray(a, np.float32) for a in (position, wall, wall, view)])
-    levels = np.array([0.06], np.float32)
-    lookup = lookup_by_triangle(room, grid, materials)
-    counts = SampleCounts(8, 256, 16)
-    stage_1 = bake(points, CachedRadiance(room, with_lamp, None), lights, levels, counts, 1).specular
-    traced = TracedRadiance(room, without, lookup, None, lights, None, 0.6, 5)
-    stage_3 = bake(points, traced, lights, levels, counts, 1).specular
-    # L_s0 + L_s1 by sampling the lobe and tracing paths
-    paths = 2000
-    where, frame, wo = lanes(points, paths)
-    generator = mi.PCG32(dr.width(where), 9)
-    wi = brdf.sample_visible_normal(mi.Point2f(generator.next_float32(), generator.next_float32()), wo, 0.06)
-    lobe = sum(brdf.specular_lobes(wi, wo, 0.06)) / brdf.visible_normal_pdf(wi, wo, 0.06)
-    ray = mi.Ray3f(where + frame.n * room.offset, frame.to_world(wi))
-    radiance = trace_paths(lit, ray, generator, RenderSettings(depth=12)).radiance
-    value = np.array(dr.select(wi.z > 0.0, radiance * lobe, 0.0)).T.reshape(40, paths, 3)
-    true = value.mean(axis=1)
-    error_1 = np.abs(stage_1[:, 0].sum(axis=1) - true).mean() / true.mean()
-    error_3 = np.abs(stage_3[:, 0].sum(axis=1) - true).mean() / true.mean()
-    assert error_3 < 0.06
-    assert error_1 > 5 * error_3

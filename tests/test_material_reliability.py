@@ -101,7 +101,7 @@ def correlation(values: np.ndarray, true: np.ndarray) -> float:
     return float((values * true).sum() / np.sqrt((values**2).sum() * (true**2).sum() + 1e-30))
 
 
-@pytest.mark.parametrize(("kind", "width"), [*itertools.product(KINDS, (1, 2, 3, 5))])
+@pytest.mark.parametrize(("kind", "width"), [("lines", 1), ("dots", 2), ("dots", 5), ("print", 3), ("grain", 1)])
 def test_patterns_stay_and_paint_beside_them_is_one_colour(kind: str, width: int) -> None:
     rng = np.random.default_rng([width, KINDS.index(kind)])
     cases = list(itertools.product((0.08, 0.7), (0.0, *CONTRASTS)))

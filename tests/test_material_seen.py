@@ -5,16 +5,13 @@
 import numpy as np
 import pytest
 
-from benchmarks.tracer.surfaces import LatticeMaterials
 from fipt_blender.core.light.cache import pool, unseen_points
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.material.groups import Units
 from fipt_blender.core.material.reliability import PlaceColors, part_detail
 from fipt_blender.core.material.seen import RESOLUTION, Box, fallback_values, room_box, seen_cells, seen_statistics
-from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.core.run.shapes import ROOM_ARRAYS
-from fipt_blender.core.textures import bake
 from samples.refusals import error_of
 from samples.shading_points import make_grid
 from samples.small_rooms import BOX, make_room
@@ -125,37 +122,6 @@ def test_points_far_from_the_few_seen_ones_take_the_nearest_value():
         far = np.array([[-300.0, 50.0, 4.0], [1.0, 1.0, 1.0], [2e3, 1e3, -5e2]], np.float32)
         values = fallback_values(far, np.ones(3, int), statistics)
         np.testing.assert_allclose(values, 1.0, atol=1e-4)
-
-
-def test_textures_and_forward_rendering_have_the_same_materials(tmp_path, fields):
-    """Cycles' textures and the path tracer's lattice agree on a floor of which half was seen."""
-    import mitsuba as mi
-
-    room = make_room([[[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]]])
-    points = grid_points(0.0, 2.0, 0.0)
-    floor = RoomFields(Ramp(), units([0, 0]), seen_cells(BOX_4, [(points, np.zeros(len(points), int))]))
-    run = RunFolder(tmp_path / "run")
-    run.create(make_settings())
-    arrays = {name: getattr(room, name, np.zeros(2, np.int32)) for name in ROOM_ARRAYS}
-    np.savez(run.room_npz, **arrays)
-    write_json(run.room_json, {"objects": ["floor"], "materials": ["paint"]})
-    uv = room.vertices[room.triangles][..., :2] / 4.0 * 0.8 + 0.1
-    np.savez(run.atlas_npz, corner_uv=uv.astype(np.float32), triangle_image=np.zeros(2, np.int32))
-    write_json(run.atlas_json, {"mode": "uv", "images": [{"name": "a", "width": 400, "height": 400}]})
-    bake.bake(run, floor)
-    from fipt_blender.core.capture.images import read_radiance
-
-    image = read_radiance(run.textures / "a.base_color.exr")
-    x, y = np.meshgrid(np.linspace(0.3, 3.7, 30), np.linspace(0.3, 3.7, 30))
-    x, y = x.ravel(), y.ravel()
-    column, row = ((0.1 + 0.8 * v / 4.0) * 400 for v in (x, y))
-    texels = image[399 - row.astype(int), column.astype(int)]
-    materials = LatticeMaterials(room, floor.query, 0.02)
-    position = mi.Point3f(x.astype(np.float32), y.astype(np.float32), 0.0)
-    color, _, _ = materials.lookup(position, mi.UInt32((y > x).astype(np.uint32)))
-    off_border = np.abs(x - 2.0) > 2 * 4.0 / RESOLUTION  # of the seen area
-    np.testing.assert_allclose(np.array(color).T[off_border], texels[off_border], atol=0.01)
-    assert np.ptp(texels[(x > 2.2), 0]) < 1e-3 < np.ptp(texels[x < 1.8, 0])
 
 
 def test_refinement_has_a_point_for_every_entry_without_pixels():

@@ -1,22 +1,29 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""results/parts.json of a small room: names, counts, classes and mean values of its parts."""
+"""What a run shows: results/parts.json of a small room, and the pictures while it works."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.views import View
 from fipt_blender.core.estimate.part_list import write_part_list
+from fipt_blender.core.estimate.previews import Preview
 from fipt_blender.core.material.groups import Units
+from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.parts.labels import Parts, label_parts
+from fipt_blender.core.pixels.store import fill_pixels, open_pixels
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.parts import read_parts
 from fipt_blender.core.run.runfolder import RunFolder, write_json
-from samples.small_rooms import BOX, make_room
+from samples.small_rooms import BOX, make_room, table
 
 # Floor, ceiling and four walls of a box; a row of pixels sees all but the last wall.
 SEEN = np.repeat(np.arange(10), 3)
@@ -45,12 +52,12 @@ def named(objects, **names):
     return replace(room, objects=objects, **names)
 
 
-def listed(tmp_path, room, parts, views=(), units=None):
+def listed(tmp_path, room, parts, views=(), units=None, fields=None):
     run = RunFolder(tmp_path)
     run.results.mkdir(exist_ok=True)
     units = units or Units(parts.triangle_part, np.ones(int(parts.triangle_part.max()) + 1, bool))
     pixels = SimpleNamespace(ranges=[0, len(SEEN)], triangle=SEEN)
-    write_part_list(run, room, parts, views, pixels, Fields(units))
+    write_part_list(run, room, parts, views, pixels, fields or Fields(units))
     np.savez(run.parts_npz, triangle_part=units.triangle, single=units.single)
     return run, read_parts(run, room.triangle_object, room.objects).parts
 
@@ -95,17 +102,11 @@ def test_semantic_masks_give_classes(tmp_path):
 
 
 def test_no_parts_leave_the_objects(tmp_path):
+    units = Units(np.full(12, -1, np.int32), np.zeros(0, bool))
+    fields = SimpleNamespace(units=units, cells=SimpleNamespace(part=np.full(3, -1), points=None))
     room = named(tuple("abcdef"), parts="none")
-    nothing = np.full(12, -1, np.int32)
-    run = RunFolder(tmp_path)
-    run.results.mkdir()
-    fields = SimpleNamespace(
-        units=Units(nothing, np.zeros(0, bool)), cells=SimpleNamespace(part=np.full(3, -1), points=None)
-    )
-    pixels = SimpleNamespace(ranges=[0, len(SEEN)], triangle=SEEN)
-    write_part_list(run, room, Parts(nothing, "none"), [], pixels, fields)
-    np.savez(run.parts_npz, triangle_part=nothing, single=np.zeros(0, bool))
-    assert [part.name for part in read_parts(run, room.triangle_object, room.objects).parts] == list("ABCDEF")
+    _, found = listed(tmp_path, room, Parts(units.triangle, "none"), units=units, fields=fields)
+    assert [part.name for part in found] == list("ABCDEF")
 
 
 def test_slots_name_the_parts_of_a_modelled_mesh(tmp_path):
@@ -120,3 +121,46 @@ def test_slots_name_the_parts_of_a_modelled_mesh(tmp_path):
     _, found = listed(tmp_path, room, parts, [view])
     assert [each.name for each in found] == ["Rug", "Brass", "Brushed steel", "Shelf", "Gloss"]
     assert [each.key for each in found][:3] == ["object:Rug", "material:Brass", "material:Brushed_steel"]
+
+
+WIDTH, HEIGHT = 24, 16
+
+
+def downward_view(folder: Path, name: str, x: float, height: float) -> View:
+    """A camera that looks straight down at (x, 0, 0)."""
+    image = folder / f"{name}.exr"
+    write_exr(image, np.full((HEIGHT, WIDTH, 3), 0.5, np.float32))
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[:3, 3] = [x, 0.0, height]
+    return View(name, "train", image, WIDTH, HEIGHT, 20.0, 20.0, WIDTH / 2, HEIGHT / 2, pose)
+
+
+@pytest.fixture
+def preview(tmp_path: Path) -> Preview:
+    """Of a floor, mostly shown by the first view, and of a panel beside it, only shown by the second."""
+    room = make_room(
+        [[[-3, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]], [[9, -1, 0], [10, -1, 0], [10, 1, 0], [9, 1, 0]]]
+    )
+    views = [downward_view(tmp_path, "floor", 0.0, 4.0)]
+    views.append(downward_view(tmp_path, "panel", 9.5, 2.0))
+    pixels = open_pixels(tmp_path / "pixels", views, create=True)
+    fill_pixels(pixels, room, lambda done: None)
+    return Preview(tmp_path / "previews", pixels, np.array([0, 0, 1, 1]))
+
+
+def pictures(preview: Preview, emitters: EmitterTable) -> list[np.ndarray]:
+    """Base colour and emission."""
+
+    def colors(rows: np.ndarray) -> np.ndarray:
+        return np.full((len(rows), 3), 0.5, np.float32)
+
+    return [np.asarray(Image.open(path)) for path in preview.estimate("training", colors, emitters)]
+
+
+def test_emission_is_of_a_view_that_shows_a_lamp(preview: Preview) -> None:
+    color, emission = pictures(preview, table([2, 3], [30.0, 30.0, 30.0]))
+    assert emission.max() > 200 and color.min() > 0  # the whole picture of the base color shows the floor
+    color, emission = pictures(preview, table([0], [30.0, 30.0, 30.0]))
+    lit = emission.max(axis=2) > 200  # here it is the same view
+    assert lit.any() and not lit.all() and (lit == (color.max(axis=2) == 0)).all()
+    assert not pictures(preview, EmitterTable.empty())[1].any()
