@@ -1,15 +1,21 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Complete estimations of a tiny lit box: correct, equal after kills, clear errors for unusable input."""
+"""Complete estimations of a tiny lit box: correct, equal after kills and under changed settings, clear errors."""
+
+from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,9 +28,12 @@ from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.pixels.store import trace_view
-from fipt_blender.core.run import finished_views
+from fipt_blender.core.run import chain, finished_views
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import make_settings
+from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at
 from samples.refusals import error_of
 from samples.small_captures import (
@@ -32,15 +41,18 @@ from samples.small_captures import (
     HEIGHT,
     PANEL_RADIANCE,
     PANEL_TRIANGLES,
+    QUICK,
     UNTRAINED,
     WIDTH,
     SmallCapture,
+    few_sources,
     fixtures_of,
     matt,
     outcome,
     panel_capture,
     photograph_room,
     run_here,
+    some_views,
     stages_of,
     warnings_of,
     write_run,
@@ -52,6 +64,8 @@ STAGES = [
     *("pixels", "checks", "unmixing", "outside", "shadings", "estimate-0"),
     *("reflection-1", "refinement-1", "estimate-1", "training"),
 ]
+# Of runs whose networks learn next to nothing, such that each setting has an effect.
+BASE = {**QUICK, **UNTRAINED, "batch_size": 512, "rounds": 0}
 
 
 def killed(run: RunFolder, kill: Callable[[dict], bool]) -> list[dict]:
@@ -90,12 +104,22 @@ def finished(capture: SmallCapture, tmp_path_factory: pytest.TempPathFactory) ->
     return run, run_here(run)
 
 
+def work(run: RunFolder) -> list[str]:
+    """Run the estimation; returns the stages that were done."""
+    return stages_of(run_here(run, train=False))
+
+
 @pytest.fixture(scope="module")
-def untrained(capture: SmallCapture, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    """An uninterrupted run whose networks learn next to nothing."""
-    run = write_run(tmp_path_factory.mktemp("untrained") / "run", capture, **UNTRAINED)
-    run_here(run, train=False)
-    return run
+def fresh(capture: SmallCapture, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., RunFolder]:
+    """Makes run folders of complete estimations with some settings, of a few of the views."""
+
+    @cache
+    def make(**changes: Any) -> RunFolder:
+        run = write_run(tmp_path_factory.mktemp("run") / "run", some_views(capture), **{**BASE, **changes})
+        work(run)
+        return run
+
+    return make
 
 
 def same(first: RunFolder, second: RunFolder) -> None:
@@ -104,22 +128,23 @@ def same(first: RunFolder, second: RunFolder) -> None:
     assert one.keys() == other.keys() and [name for name in one if one[name] != other[name]] == []
 
 
-def connected_room_without_a_wall() -> tuple[SmallCapture, np.ndarray]:
-    """Gray walls of one connected mesh, lit by what no photograph shows; and their base colours (10, 3)."""
-    colors = np.repeat([[0.7, 0.68, 0.66], [0.8] * 3, [0.3] * 3, [0.55] * 3, [0.45, 0.45, 0.46]], 2, axis=0)
+def connected_room_without_a_wall() -> tuple[SmallCapture, list]:
+    """Gray walls of one connected mesh, lit by what no photograph shows; and their base colours."""
+    colors = [[0.7, 0.68, 0.66], [0.8] * 3, [0.3] * 3, [0.55] * 3, [0.45, 0.45, 0.46]]
     room = make_room([*BOX[:4], BOX[5]], parts="semantics", objects=np.zeros(5, int))
     places = [(-1.5, 1.7), (0.0, 0.6), (1.5, 2.2), (0.8, 1.5), (-0.7, 2.4)]
     cameras = [[[1.8, y, z], [-2.0, -0.7 * y, 3.0 - z]] for y, z in places]
     outside = EnvironmentLight(np.tile(np.array([3.0, 3.5, 4.0], np.float32), (8, 16, 1)))
-    return photograph_room(room, matt(colors), EmitterTable.empty(), outside, cameras), colors
+    return photograph_room(room, matt(np.repeat(colors, 2, axis=0)), EmitterTable.empty(), outside, cameras), colors
 
 
-def color_errors(run: RunFolder, capture: SmallCapture) -> np.ndarray:
-    """Mean absolute error of base colour on each wall of the box."""
-    points, _, triangle = surface_points(capture.room, 200, np.random.default_rng(0), np.arange(12))
+def color_errors(run: RunFolder, room: Room, colors: list | np.ndarray) -> np.ndarray:
+    """Mean absolute error of base colour on each wall, of these colours."""
+    walls = len(colors)
+    points, _, triangle = surface_points(room, 200, np.random.default_rng(0), np.arange(2 * walls))
     color, _, metallic = RoomFields.load(run).query(points, triangle)
-    wrong = np.abs(color * (1 - metallic[:, None]) - np.array(COLORS)[triangle // 2]).mean(axis=1)
-    return wrong.reshape(6, -1).mean(axis=1)
+    wrong = np.abs(color * (1 - metallic[:, None]) - np.array(colors)[triangle // 2]).mean(axis=1)
+    return wrong.reshape(walls, -1).mean(axis=1)
 
 
 def test_it_speaks_of_every_stage_and_names_its_files(finished) -> None:
@@ -152,7 +177,7 @@ def test_the_panel_is_found_with_its_radiance(finished) -> None:
 
 
 def test_base_colours_are_near_the_truth(finished, capture: SmallCapture) -> None:
-    errors = color_errors(finished[0], capture)
+    errors = color_errors(finished[0], capture.room, COLORS)
     assert errors.mean() < 0.06 and errors.max() < 0.12
 
 
@@ -179,9 +204,9 @@ def test_killed_at_any_time_it_ends_bit_for_bit_the_same(finished, capture: Smal
 
 
 def test_views_baked_before_a_kill_are_not_baked_again(
-    untrained: RunFolder, capture: SmallCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    fresh, capture: SmallCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = write_run(tmp_path / "run", capture, **UNTRAINED)
+    run = write_run(tmp_path / "run", some_views(capture), **{**BASE, "rounds": 1})
     bake_view = baking.bake_view
     baked: list[int]
 
@@ -195,9 +220,9 @@ def test_views_baked_before_a_kill_are_not_baked_again(
     monkeypatch.setattr(baking, "bake_view", bake)
     # While the fourth view is traced, the third one may still be denoised in another thread.
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    every = list(range(len(capture.images)))
+    every = [0, 1, 2, 3]
     # In the first shadings, then twice in the refinement.
-    for stop, expected in ((3, every[:3]), (7, [*every[2:], *every[:3]]), (2, every[2:4])):
+    for stop, expected in ((3, every[:3]), (5, [*every[2:], *every[:3]]), (1, every[2:3])):
         baked, limit = [], stop
         with pytest.raises(KeyboardInterrupt):
             run_here(run, train=False)
@@ -206,7 +231,7 @@ def test_views_baked_before_a_kill_are_not_baked_again(
     baked, limit = [], -1
     run_here(run, train=False)
     assert baked == every
-    same(untrained, run)
+    same(fresh(rounds=1), run)
 
 
 @pytest.mark.parametrize(
@@ -235,7 +260,7 @@ def test_paths_without_a_cache_still_find_materials(capture: SmallCapture, tmp_p
     run = write_run(tmp_path / "run", capture, refine_cache=False, **UNTRAINED)
     run_here(run, train=False)
     assert [lamp["triangles"] for lamp in fixtures_of(run)] == [PANEL_TRIANGLES]
-    assert color_errors(run, capture).mean() < 0.1
+    assert color_errors(run, capture.room, COLORS).mean() < 0.1
 
 
 def test_lamps_that_are_painted_out_are_a_warning(finished, capture: SmallCapture, tmp_path: Path) -> None:
@@ -281,8 +306,11 @@ def test_input_that_can_not_be_used(
     assert not any(run.results.iterdir())
 
 
-def test_classes_tell_walls_of_one_piece_apart_where_light_enters(tmp_path: Path) -> None:
+def test_classes_tell_walls_of_one_piece_apart_where_light_enters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The light from directions that no photograph shows follows from surfaces of one albedo each."""
+    few_sources(monkeypatch)
     capture, colors = connected_room_without_a_wall()
     run = write_run(tmp_path / "run", capture, rounds=0, unseen_light=True, environment_width=32, **UNTRAINED)
     data = json.loads(run.capture_json.read_text())
@@ -294,8 +322,78 @@ def test_classes_tell_walls_of_one_piece_apart_where_light_enters(tmp_path: Path
     run.capture_json.write_text(json.dumps(data))
     run_here(run, train=False)
     assert json.loads(run.statistics_json.read_text())["part_kind"] == "semantic"
-    points, _, triangle = surface_points(capture.room, 200, np.random.default_rng(0), np.arange(10))
-    color, _, metallic = RoomFields.load(run).query(points, triangle)
-    wrong = np.abs(color * (1 - metallic[:, None]) - colors[triangle]).mean(axis=1).reshape(5, -1)
-    assert wrong.mean(axis=1).max() < 0.06  # 0.38 where all walls have one albedo
+    assert color_errors(run, capture.room, colors).max() < 0.06  # 0.38 where all walls have one albedo
     assert read_radiance(run.environment_exr).mean(axis=(0, 1)) == pytest.approx([3.0, 3.5, 4.0], rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("before", "changes", "done"),
+    [
+        (0, {"unmix": False}, ["unmixing", *STAGES[3:6], "training"]),
+        (1, {"rounds": 0}, ["shadings", "training"]),  # the refinement replaced the shadings of stage 1
+        (1, {"rounds": 1, "refine_diffuse_spp": 17}, STAGES[7:]),
+        (1, {"rounds": 1, "shrink_detail": False, "checkpoint_steps": 7}, []),
+        (1, {"rounds": 2}, ["reflection-2", "refinement-2", "estimate-2", "training"]),
+    ],
+)
+def test_resumed_under_other_settings_equals_fresh(
+    fresh, tmp_path: Path, before: int, changes: dict[str, Any], done: list[str]
+) -> None:
+    """What does not read a setting is kept."""
+    copy = RunFolder(shutil.copytree(fresh(rounds=before).root, tmp_path / "run"))
+    copy.create(make_settings("draft", {**BASE, **changes}))
+    assert work(copy) == done
+    same(copy, fresh(**changes))
+
+
+@pytest.mark.parametrize("name", ["pixels", "refinement-1", None], ids=str)
+def test_damaged_outputs_of_a_stage_are_made_again(fresh, tmp_path: Path, name: str | None) -> None:
+    """Of one stage, or of all."""
+    run = RunFolder(shutil.copytree(fresh(rounds=1).root, tmp_path / "run"))
+    for folder in [run.stage / name] if name else [path for path in run.stage.iterdir() if path.is_dir()]:
+        for path in [*folder.rglob("*.npy"), *folder.glob("outputs.json")]:
+            path.write_bytes(path.read_bytes()[:20])
+    (run.stage / "training" / "outputs.json").unlink(missing_ok=True)
+    messages = run_here(run, train=False)
+    done = stages_of(messages)
+    # What no later stage and no result needs is not read.
+    assert {name or "pixels", "training"} <= set(done)
+    # Where all are damaged, a stage may begin before that of its inputs is noticed.
+    damaged = warnings_of(messages).count("checkpoint-damaged")
+    assert damaged == len(done) if name else 0 < damaged <= len(STAGES)
+    same(run, fresh(rounds=1))
+    assert work(run) == []
+
+
+def test_a_damaged_checkpoint_of_an_unfinished_training_is_discarded(fresh, tmp_path: Path) -> None:
+    run = RunFolder(shutil.copytree(fresh(rounds=0).root, tmp_path / "run"))
+    path = run.stage / "stages.json"
+    data = json.loads(path.read_text())
+    del data["stages"]["training"]
+    path.write_text(json.dumps(data))
+    (run.stage / "training" / "unfinished.pt").write_bytes(b"cut off")
+    messages = run_here(run, train=False)
+    assert stages_of(messages) == ["training"] and "checkpoint-damaged" in warnings_of(messages)
+    same(run, fresh(rounds=0))
+
+
+def test_stages_that_take_no_time_have_no_rate(fresh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Clocks may tick only every 16 ms."""
+    monkeypatch.setattr(chain, "time", SimpleNamespace(monotonic=lambda: 7.0))
+    run = RunFolder(shutil.copytree(fresh(rounds=0).root, tmp_path / "run"))
+    run.create(make_settings("draft", {**BASE, "diffuse_spp": 17}))
+    assert work(run) == ["shadings", "estimate-0", "training"]
+    listed = read_document(run.statistics_json, dict)["stages"]
+    assert [stage["seconds"] for stage in listed[4:]] == [0.0] * 3
+    assert listed[4]["rays"] > 0 and "mrays_per_second" not in listed[4]
+
+
+def test_a_changed_photograph_that_was_held_back_is_judged_again(fresh, tmp_path: Path) -> None:
+    run = RunFolder(shutil.copytree(fresh(rounds=0).root, tmp_path / "run"))
+    data = json.loads(run.capture_json.read_text())
+    data["views"][1]["split"] = "held_back"
+    run.capture_json.write_text(json.dumps(data))
+    assert work(run)[-1] == "quality" and work(run) == []
+    image = run.resolve(data["views"][1]["image"])
+    os.utime(image, (0, 0))
+    assert work(run) == ["quality"]

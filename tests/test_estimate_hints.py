@@ -23,6 +23,7 @@ from samples.small_captures import (
     fixtures_of,
     panel_capture,
     run_here,
+    some_views,
     stages_of,
     warnings_of,
     write_run,
@@ -37,7 +38,7 @@ LIGHT = ["hinted-lamps", "hinted-reflection", "hinted-refinement"]
 
 @pytest.fixture(scope="module")
 def capture() -> SmallCapture:
-    return panel_capture()
+    return some_views(panel_capture())
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +64,7 @@ def again(run: RunFolder, *hints: Hint, light: bool = False) -> list[dict]:
     return run_here(run, train=False)
 
 
-def test_hints_are_honoured_again_and_reuse_all_stages_of(
+def test_hints_are_honoured_again_and_reuse_all_stages(
     finished: RunFolder, capture: SmallCapture, tmp_path: Path
 ) -> None:
     run = copy_of(finished, tmp_path)
@@ -144,7 +145,10 @@ def test_an_area_becomes_a_part_of_its_own(finished: RunFolder, capture: SmallCa
     room = capture.room
     center = tuple(room.vertices[room.triangles[0]].mean(axis=0).tolist())
     area = Hint((center,), "Rug", area=True, material="metal", roughness=(0.2, 0.3))
-    again(run, area, Hint(((-0.5, 0.5, 0.0),), "Floor", roughness=(0.9, 1.0)))
+    floor = [Hint(((-x, x, 0.0),), f"Floor {x}", roughness=(0.9, 1.0)) for x in (0.5, 0.6)]
+    messages = again(run, area, *floor)
+    (text,) = [message["text"] for message in messages if message.get("code") == "hints-unclear"]
+    assert "'Floor 0.5' is on the same part as 'Floor 0.6'" in text
     values = wall_values(run, capture.room)
     assert values[0, 1] == 1.0 and 0.2 <= values[0, 0] <= 0.3
     assert values[1, 1] < 0.5 and 0.9 <= values[1, 0] <= 1.0
@@ -172,10 +176,3 @@ def test_a_run_with_hints_without_parts(capture: SmallCapture, tmp_path: Path) -
     assert stages_of(messages) == AGAIN
     (fixture,) = fixtures_of(run)
     assert fixture["triangles"] == PANEL_TRIANGLES
-
-
-def test_hints_that_are_about_nothing_are_named(finished: RunFolder, tmp_path: Path) -> None:
-    run = copy_of(finished, tmp_path)
-    messages = again(run, Hint((FLOOR,), "One", material="metal"), Hint((FLOOR,), "Two", material="metal"))
-    (text,) = [message["text"] for message in messages if message.get("code") == "hints-unclear"]
-    assert "'One' is on the same part as 'Two'" in text

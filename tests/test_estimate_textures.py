@@ -20,6 +20,7 @@ from samples.small_captures import (
     PANEL,
     PANEL_RADIANCE,
     UNTRAINED,
+    few_sources,
     fixtures_of,
     panel_capture,
     photograph,
@@ -69,8 +70,9 @@ def assert_textures_and_maps_follow(run: RunFolder, open_mesh: bool) -> None:
         assert not of_view["base_color"][~reflecting].any() and not of_view["confidence"][~reflecting].any()
 
 
-def test_a_window_becomes_an_environment(tmp_path: Path) -> None:
+def test_a_window_becomes_an_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Light from outside through a missing wall; no lamp."""
+    few_sources(monkeypatch)
     radiance = [5.0, 4.0, 3.0]
     changes = {**UNTRAINED, "rounds": 0, "unseen_light": True, "environment_width": 32}
     run = write_run(tmp_path / "run", window_capture(radiance), **changes)

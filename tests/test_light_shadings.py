@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Baked shadings: the factorisation is the rendering equation, furnaces, emitters; where in pixels they start."""
+"""Baked shadings: the factorisation is the rendering equation, furnaces, emitters, starts; and paths of stage 3."""
 
 import itertools
 from dataclasses import fields, replace
@@ -12,6 +12,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from benchmarks.tracer.forward import LitRoom, RenderSettings, trace_paths
+from benchmarks.tracer.surfaces import TriangleMaterials
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.baking import SUBPIXELS, TriangleTables, denoised, samples_per_start, start_points
@@ -19,7 +21,7 @@ from fipt_blender.core.light.cache import SurfaceLookup
 from fipt_blender.core.light.radiance import CachedRadiance, TracedRadiance, new_path
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, Shadings, bake, roughness_levels
 from fipt_blender.core.optics import brdf
-from fipt_blender.core.optics.lights import AreaLights
+from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.pixels.store import fill_pixels, open_pixels
 from fipt_blender.core.surface.room import Room
 from samples.shading_points import (
@@ -288,3 +290,59 @@ def test_specular_shadings_are_denoised_by_their_brightness() -> None:
     expected = np.broadcast_to(color / color.sum(axis=(1, 2), keepdims=True), shares.shape)
     np.testing.assert_allclose(shares, expected, rtol=1e-4)
     assert (both.specular[:width] == 0.0).all()
+
+
+def shiny_box(roughness: float, metallic: float = 1.0) -> tuple[Room, np.ndarray]:
+    """A box with a shiny floor, and the (T, 5) materials of its triangles; 12 and 13 are the lamp."""
+    room = make_room([*BOX, LAMP])
+    materials = np.tile([0.6, 0.5, 0.4, 1.0, 0.0], (14, 1))
+    materials[:2] = [0.9, 0.8, 0.7, roughness, metallic]
+    return room, materials
+
+
+@pytest.mark.parametrize(("roughness", "metallic"), [(0.06, 1.0), (0.3, 1.0), (0.2, 0.0)])
+def test_refinement_weighs_emitter_and_brdf_samples_rightly(roughness: float, metallic: float) -> None:
+    """Against path tracing of a room whose walls shine what the cache says of them."""
+    room, materials = shiny_box(roughness, metallic)
+    grid = grid_of(room)
+    shine = np.repeat(np.random.default_rng(2).uniform(0.2, 0.6, (7, 3)).astype(np.float32), 2, axis=0)
+    shine[12:] = [6.0, 5.0, 4.0]
+    cached, lookup = (lookup_by_triangle(room, grid, values) for values in (shine, materials))
+    lights = area_lights(room, table([12, 13], [6.0, 5.0, 4.0]))
+    source = TracedRadiance(room, cached, lookup, None, lights, None, 0.6, 4)
+    # There the lamp's back, which emits nothing, hides little.
+    points = points_on(room, 6, [4, 5, 6])
+    diffuse, specular = baked(points, source, lights, LEVELS, SampleCounts(32, 8, 16), 400)
+    shining = EmitterTable(np.arange(2, 14, dtype=np.int32), shine[2:], np.zeros((12, 3), np.float32))
+    surfaces = TriangleMaterials(materials[:, :3], materials[:, 3], materials[:, 4])
+    lit, times = LitRoom(room, surfaces, area_lights(room, shining)), 40_000
+    position, frame, _ = lanes(points, times)
+    rng = mi.PCG32(dr.width(position), 5)
+    direction = frame.to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(rng.next_float32(), rng.next_float32())))
+    ray = mi.Ray3f(position + frame.n * room.offset, direction)
+    traced = np.array(trace_paths(lit, ray, rng, RenderSettings(depth=6)).radiance).T
+    mean, error = mean_and_error(diffuse)
+    expected, noise = mean_and_error(traced.reshape(len(points.position), times, 3))
+    agree(mean - expected, np.hypot(error, noise))
+    assert np.isfinite(specular).all()
+    assert np.median(error / mean) < 0.02
+
+
+def test_looking_up_the_diffuse_shading_changes_no_mean() -> None:
+    """Between walls that all send radiance 1, L_d is 1, and a glossy floor looks the same, however much is known."""
+    room, materials = shiny_box(0.4, 0.3)
+    grid = grid_of(room)
+    lookup = lookup_by_triangle(room, grid, materials)
+    known = np.ones((len(grid.voxels) * 6, 3), np.float32)
+    ones = SurfaceLookup(grid, known)
+    half = SurfaceLookup(grid, np.where(np.arange(len(known))[:, None] // 6 % 2, known, -1.0).astype(np.float32))
+    points = points_on(room, 4, [4, 6, 8])
+    found = []
+    for diffuse in (None, ones, half):
+        source = TracedRadiance(room, ones, lookup, diffuse, area_lights(room, NOTHING), None, 0.6, 5)
+        counts = SampleCounts(32, 8, 0)
+        found.append(mean_and_error(baked(points, source, area_lights(room, NOTHING), LEVELS, counts, 300)[0]))
+    traced, noise = found[0]
+    for looked_up, error in found[1:]:
+        agree(traced - looked_up, np.hypot(noise, error))
+    assert (traced.min(axis=1) < 0.99).all()  # the floor matters
