@@ -28,6 +28,7 @@ from samples.small_captures import (
     PANEL_TRIANGLES,
     UNTRAINED,
     SmallCapture,
+    few_sources,
     fixtures_of,
     matt,
     photograph_room,
@@ -88,7 +89,7 @@ def test_many_small_lamps_and_a_bulb_of_two_centimetres(tmp_path: Path) -> None:
     near = [[[0.55, 0.2, 1.33], [0.4, 0.3, 1.4]], [[0.3, 0.5, 1.5], [0.4, 0.3, 1.4]]]
     upwards = [[[x, y, 0.3], [0.3 * x, 0.3 * y, 2.9]] for x, y in ((-1.5, -1.5), (1.5, 1.5), (1.5, -1.5))]
     cameras = [*CAMERAS[1:4:2], *near, *upwards]
-    found = radiances(tmp_path, photograph_room(room, matt(colors), lamps, cameras=cameras, scale=2, spp=64))
+    found = radiances(tmp_path, photograph_room(room, matt(colors), lamps, cameras=cameras, scale=2, spp=32))
     whole = tuple(range(FIRST + 40, FIRST + 48))
     # Hardly any pixel sees it alone.
     assert found.pop(whole) == pytest.approx([3000.0, 2500.0, 2000.0], rel=0.35)
@@ -106,7 +107,7 @@ def test_a_shade_lit_from_inside_is_no_lamp_but_its_bulb_is(tmp_path: Path) -> N
     room, colors = furnished(BOX, COLORS, shade, (*bulb([0.0, 0.0, 1.7], 0.06), BLACK))
     lamps = table(list(range(FIRST + 16, FIRST + 24)), [300.0, 250.0, 200.0])
     into = [[[0.6, -0.6, 2.6], [0.0, 0.0, 1.7]], [[-0.5, 0.4, 0.7], [0.0, 0.0, 1.8]]]
-    capture = photograph_room(room, matt(colors), lamps, cameras=[*CAMERAS[:3], *into], scale=2, spp=64)
+    capture = photograph_room(room, matt(colors), lamps, cameras=[*CAMERAS[:3], *into], scale=2, spp=32)
     found = radiances(tmp_path, capture)
     assert list(found) == [tuple(range(FIRST + 16, FIRST + 24))]
     assert list(found.values()) == [pytest.approx([300.0, 250.0, 200.0], rel=0.1)]
@@ -122,7 +123,7 @@ def test_a_fixture_in_three_views_only_and_a_wall_washed_by_a_bright_lamp(tmp_pa
     places = ((1, 1, 1), (1, -1, 2.2), (1.3, 0, 0.5), (0.3, -1.5, 0.6), (1.5, -0.6, 1.6), (1.7, 1.7, 1.3))
     away = [[[x, y, 1.5], [-1.9, -0.5 * y, z]] for x, y, z in places]
     back = [[[-0.8, -1.5, 1.0], [-0.3, 2.0, 2.3]], [[0.5, -1.2, 1.6], [0.0, 2.0, 2.4]]]
-    found = radiances(tmp_path, photograph_room(room, matt(colors), lamps, cameras=[*toward, *away, *back]))
+    found = radiances(tmp_path, photograph_room(room, matt(colors), lamps, cameras=[*toward, *away, *back], spp=64))
     assert sorted(found) == [(FIRST, FIRST + 1), (FIRST + 2, FIRST + 3)]
     assert found[FIRST, FIRST + 1] == pytest.approx([12.0, 10.0, 8.0], rel=1e-3)
     assert found[FIRST + 2, FIRST + 3] == pytest.approx([60.0, 55.0, 50.0], rel=0.02)
@@ -136,15 +137,16 @@ def test_a_mirror_that_shows_a_lamp_is_no_lamp(tmp_path: Path) -> None:
     lamps = table([FIRST, FIRST + 1], [30.0, 25.0, 20.0])
     toward = [[[1.5, -1.5, 1.4], [-2.0, 0.2, 1.6]], [[1.5, 1.5, 1.2], [-2.0, -0.2, 1.7]]]
     toward += [[[0.6, -0.9, 1.5], [-2.0, 0.1, 1.9]], [[0.3, 0.2, 0.6], [-2.0, 0.0, 1.6]]]
-    capture = photograph_room(room, materials, lamps, cameras=[*CAMERAS[:2], *toward], scale=2, spp=64)
+    capture = photograph_room(room, materials, lamps, cameras=[*CAMERAS[:2], *toward], scale=2, spp=32)
     assert max(float(image.max()) for image in capture.images[2:]) > 20.0  # they do show it
     found = radiances(tmp_path, capture)
     assert list(found) == [(FIRST, FIRST + 1)]
     assert found[FIRST, FIRST + 1] == pytest.approx([30.0, 25.0, 20.0], rel=0.02)
 
 
-def test_sun_on_the_floor_through_a_window_is_no_lamp(tmp_path: Path) -> None:
+def test_sun_on_the_floor_through_a_window_is_no_lamp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The right wall has a window onto a bright sky; a small sun throws a patch on the floor."""
+    few_sources(monkeypatch)
     low, high = ([[2, y, z] for y, z in ((-2, a), (-2, b), (2, b), (2, a))] for a, b in ((0, 1), (2.2, 3)))
     sides = [[[2, y, z] for y, z in ((a, 1), (a, 2.2), (b, 2.2), (b, 1))] for a, b in ((-2, -0.7), (0.7, 2))]
     quads = [*BOX[:4], BOX[5], low, high, *sides]
@@ -155,7 +157,7 @@ def test_sun_on_the_floor_through_a_window_is_no_lamp(tmp_path: Path) -> None:
     sky[row : row + 2, column : column + 2] = [1500.0, 1400.0, 1200.0]
     outwards = [[[-1.5, 0.0, 1.2], [2.0, 0.1, 1.6]], [[-1.2, -0.2, 0.4], [0.6, 0.0, 1.8]]]
     capture = photograph_room(
-        room, matt(colors), EmitterTable.empty(), EnvironmentLight(sky), [*CAMERAS, *outwards], spp=256
+        room, matt(colors), EmitterTable.empty(), EnvironmentLight(sky), [*CAMERAS, *outwards], spp=128
     )
     floor = max(float(np.quantile(image, 0.99)) for image in capture.images)
     assert floor > 1.5  # there is such a patch
@@ -180,11 +182,11 @@ def test_a_cabinet_whose_front_is_indented_makes_no_phantom_lamps(tmp_path: Path
     lamp = [FIRST + 10, FIRST + 11]
     toward = [[[x, -1.0, z], [0.3 * x, 1.5, 1.5]] for x, z in ((-1.2, 1.2), (0.0, 1.8), (1.2, 1.0))]
     capture = photograph_room(
-        real, matt(tints), table(lamp, [20.0, 18.0, 16.0]), cameras=[*CAMERAS[:3], *toward], scale=2, spp=64
+        real, matt(tints), table(lamp, [20.0, 18.0, 16.0]), cameras=[*CAMERAS[:3], *toward], scale=2, spp=32
     )
     indented = make_room([*BOX, *cabinet(1.6), PANEL], objects, parts="objects")
     run = write_run(tmp_path / "run", replace(capture, room=indented), rounds=0)
-    run_here(run)
+    run_here(run, train=False)
     (found,) = fixtures_of(run)
     assert found["triangles"] == lamp
     points, _, triangle = surface_points(indented, 4000, np.random.default_rng(0), np.array([FIRST, FIRST + 1]))
@@ -206,7 +208,7 @@ def test_bars_before_a_window_are_no_lamps_and_a_dim_panel_is_one(tmp_path: Path
     lamps = lamps_of((2, [40.0, 38.0, 36.0]), (2, [9.0, 8.5, 8.0]))
     toward = [[[x, -1.5, 1.5], [-0.5 * x, 1.98, 1.6]] for x in (-1.0, 0.2, 1.2)]
     across = [[[1.5, y, 1.5], [-1.98, -0.2, 1.5]] for y in (-1.0, 0.6)]
-    capture = photograph_room(room, matt(colors), lamps, cameras=[*toward, *across], scale=2, spp=64)
+    capture = photograph_room(room, matt(colors), lamps, cameras=[*toward, *across], scale=2, spp=32)
     found = radiances(tmp_path, capture)
     assert sorted(found) == [(FIRST, FIRST + 1), (FIRST + 2, FIRST + 3)]
     assert found[FIRST + 2, FIRST + 3] == pytest.approx([9.0, 8.5, 8.0], rel=1e-3)
@@ -235,7 +237,7 @@ def test_a_clipped_panel_is_found_with_its_radiance(tmp_path: Path) -> None:
     """Photographs that are not HDR."""
     room, colors = furnished([*BOX, PANEL], [*COLORS, BLACK])
     lamps = table(PANEL_TRIANGLES, PANEL_RADIANCE)
-    capture = photograph_room(room, matt(colors), lamps, cameras=[*CAMERAS[:4], *MORE], scale=2, spp=64)
+    capture = photograph_room(room, matt(colors), lamps, cameras=[*CAMERAS[:4], *MORE], scale=2, spp=32)
     run, gains = write_encoded(tmp_path / "run", capture)
     messages = run_here(run, train=False)
     assert messages[-1]["type"] == "done"

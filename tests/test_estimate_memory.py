@@ -8,6 +8,7 @@ import io
 import os
 import tracemalloc
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -104,13 +105,13 @@ def test_memory_of_the_views(action: str, captures: list, tmp_path: Path, monkey
             pixels = make_pixels(tmp_path / f"{len(sizes)}", len(pixels.views))
             window(pixels)
         actions: dict[str, Callable[[], object]] = {
-            "look up": lambda known=known: everything(known),
-            "lamps": lambda pixels=pixels: lamps(pixels, ROOM),
-            "agree": lambda pixels=pixels: agreement_of(pixels, ROOM),
-            "learn": lambda known=known: learn_from(known, None),
-            "learn without parts": lambda known=known: learn_from(known, ROOM.triangle_object),
+            "look up": partial(everything, known),
+            "lamps": partial(lamps, pixels, ROOM),
+            "agree": partial(agreement_of, pixels, ROOM),
+            "learn": partial(learn_from, known, None),
+            "learn without parts": partial(learn_from, known, ROOM.triangle_object),
         }
-        again = lambda pixels=pixels: observe(ROOM, pixels, PARTS, SETTINGS, tmp_path / "observed")  # noqa: E731
+        again = partial(observe, ROOM, pixels, PARTS, SETTINGS, tmp_path / "observed")
         peaks.append(peak(actions.get(action, again)))
         sizes.append(len(pixels))
     slope = (peaks[2] - peaks[1]) / (sizes[2] - sizes[1])

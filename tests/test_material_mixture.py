@@ -15,6 +15,7 @@ from fipt_blender.core.material.likelihood import make_candidates
 from fipt_blender.core.material.mixture import GroupMaterials, Prior, broad_prior, group_posterior, infer_materials
 from fipt_blender.core.material.pixel_samples import PixelSamples, window_means
 from fipt_blender.core.material.projection import color_lines, fit_colors
+from fipt_blender.core.optics.factorised import color_line
 from samples.material_pixels import CELLS, LEVELS, SETTINGS, VIEWS, materials_of, synthetic
 
 CANDIDATES = make_candidates(LEVELS)
@@ -173,6 +174,23 @@ def test_cells_of_any_wall_are_drawn_evenly(start: float) -> None:
         chosen = training_input.drawn(cell, start) < 0.1
         assert np.abs(chosen.reshape(10, 160).sum(axis=1) - 16).max() <= 5
         assert chosen.sum() == pytest.approx(160, abs=16)
+
+
+def test_squares_are_those_of_the_best_base_colours(rng: np.random.Generator) -> None:
+    """With each of the materials that are compared, beside a plain formula in double precision."""
+    samples, _ = synthetic(rng, [(0.3, 0.0), (0.4, 1.0)], 0.02, 0.0)
+    samples = samples.take(rng.permutation(len(samples.rows)), cell=rng.integers(0, 40, len(samples.rows)))
+    place, metallic = np.array([0.0, 1.25, len(LEVELS) - 1.0]), np.array([0.0, 1.0, 1.0])
+    squares = likelihood.DeviceCells(samples).squares(place, metallic)
+    weight = samples.square_weight.astype(np.float64)
+    for found, at, m in zip(squares, place, metallic, strict=True):
+        low = min(int(at), len(LEVELS) - 2)
+        share = at - low
+        specular = (1.0 - share) * samples.specular[:, low] + share * samples.specular[:, low + 1]
+        slope, offset = color_line(samples.diffuse.astype(np.float64), *np.moveaxis(specular, 1, 0), m)
+        color = fit_colors(samples.radiance, slope, offset, weight, samples.cell)
+        residual = samples.radiance - offset - color[samples.cell] * slope
+        np.testing.assert_allclose(found, (weight * residual**2).mean(axis=1), rtol=2e-3, atol=1e-6)
 
 
 def test_errors_that_pixels_share_in_a_view_are_told_from_noise(rng: np.random.Generator) -> None:

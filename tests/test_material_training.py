@@ -260,25 +260,22 @@ def test_hash_grid_gradients_are_the_same_bit_for_bit(rng: np.random.Generator) 
     assert torch.equal(grid.table.grad, gradients[0])
 
 
-def test_networks_stay_in_range_and_start_alike() -> None:
+def test_networks_stay_in_range() -> None:
     settings = Settings(hash_levels=4, hash_log2_size=10)
     positions = torch.rand((300, 3), generator=torch.Generator().manual_seed(2))
-    outputs = []
-    for _ in range(2):
-        generator = torch.Generator().manual_seed(5)
-        brdf = BrdfNetwork(settings, 4, np.full((3, 5), 0.5), generator, CPU)
-        emission = EmissionNetwork(generator, CPU)
-        outputs.append((brdf(positions, units_of(positions) - 1), emission(positions)))
-    (prediction, raw), (again, raw_again) = outputs
-    assert torch.equal(prediction.base_color, again.base_color) and torch.equal(raw, raw_again)
-    assert 0 <= prediction.base_color.min() and prediction.base_color.max() <= 1
-    assert prediction.roughness.min() >= 0.02 and prediction.roughness.max() <= 1
+    generator = torch.Generator().manual_seed(5)
+    brdf = BrdfNetwork(settings, 4, np.full((3, 5), 0.5), generator, CPU)
+    found = brdf(positions, units_of(positions) - 1)
+    assert 0 <= found.base_color.min() and found.base_color.max() <= 1
+    assert found.roughness.min() >= 0.02 and found.roughness.max() <= 1
+    emission = EmissionNetwork(generator, CPU)
+    assert torch.isfinite(emission(positions)).all()
     assert len(emission.layers) == 7 and emission.layers[3].in_features == 128 + 63  # the skip
-    raw = torch.tensor([-1.0, 0.0, 1.0])
-    assert emission_mask(raw).tolist() == pytest.approx([0.0, 0.0, 1 - np.exp(-1)])
+    assert emission_mask(torch.tensor([-1.0, 0.0, 1.0])).tolist() == pytest.approx([0.0, 0.0, 1 - np.exp(-1)])
 
 
 def test_the_network_starts_near_the_typical_values_of_each_unit() -> None:
+    """These are medians, and those of all where nothing was seen."""
     typical = np.array([[0.1, 0.2, 0.3, 0.4, 0.0], [0.9, 0.8, 0.7, 1.0, 1.0], [0.5] * 5])
     brdf = BrdfNetwork(Settings(hash_levels=4), 4, typical, torch.Generator().manual_seed(0), CPU)
     positions = torch.rand((60, 3), generator=torch.Generator().manual_seed(1))
@@ -286,6 +283,8 @@ def test_the_network_starts_near_the_typical_values_of_each_unit() -> None:
     values = torch.cat([found.base_color, found.roughness[:, None], found.metallic[:, None]], dim=1)
     expected = torch.from_numpy(typical).float()[units_of(positions) - 1]
     assert (values - expected).abs().max() < 0.01
+    medians = typical_values(np.array([[0.1], [0.3], [0.2], [0.9], [0.5]]), np.array([0, 0, 0, 2, -1]), 3)
+    assert medians[:, 0].tolist() == pytest.approx([0.2, 0.3, 0.9, 0.3])
 
 
 def test_units_that_touch_share_no_fine_detail() -> None:
@@ -300,12 +299,6 @@ def test_units_that_touch_share_no_fine_detail() -> None:
     after = grid(point, first), grid(point, second)
     assert (after[0] - before[0])[:, 6:].min() > 0.1
     assert torch.equal(after[1], before[1])
-
-
-def test_typical_values_are_medians_and_those_of_all_where_nothing_was_seen() -> None:
-    values = np.array([[0.1], [0.3], [0.2], [0.9], [0.5]])
-    found = typical_values(values, np.array([0, 0, 0, 2, -1]), 3)
-    assert found[:, 0].tolist() == pytest.approx([0.2, 0.3, 0.9, 0.3])
 
 
 def test_positional_encoding() -> None:
