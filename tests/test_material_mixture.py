@@ -16,7 +16,7 @@ from fipt_blender.core.material.mixture import GroupMaterials, Prior, broad_prio
 from fipt_blender.core.material.pixel_samples import PixelSamples, window_means
 from fipt_blender.core.material.projection import color_lines, fit_colors
 from fipt_blender.core.optics.factorised import color_line
-from samples.material_pixels import CELLS, LEVELS, SETTINGS, VIEWS, materials_of, synthetic
+from samples.material_pixels import CELLS, LEVELS, SETTINGS, VIEWS, synthetic
 
 CANDIDATES = make_candidates(LEVELS)
 HALF = len(CANDIDATES.roughness) // 2
@@ -228,7 +228,7 @@ def test_known_materials_are_recovered(rng: np.random.Generator, noise: float, o
     truths = [(1.0, 0.0), *((float(LEVELS[level]), 0.0) for level in (2, 3, 5))]
     truths += [(float(LEVELS[2]), 1.0), (float(LEVELS[5]), 1.0)]
     samples, color = synthetic(rng, truths, noise, outliers)
-    roughness, metallic = materials = materials_of(samples)
+    roughness, metallic = materials = infer(samples).mean.T
     np.testing.assert_allclose(metallic, [metallic for _, metallic in truths], atol=1e-3)
     for estimated, (true, _) in zip(roughness, truths, strict=True):
         assert estimated == pytest.approx(true, abs=0.08)
@@ -245,7 +245,7 @@ def test_roughness_between_levels_is_found(rng: np.random.Generator) -> None:
     samples, color = synthetic(rng, [(1.0, 0.0)], 0.0, 0.0)
     middle = 0.5 * (samples.specular[:, 3] + samples.specular[:, 4])
     radiance = (color * samples.diffuse + 0.04 * middle[:, 0] + middle[:, 1]).astype(np.float32)
-    roughness, metallic = materials_of(replace(samples, radiance=radiance))
+    roughness, metallic = infer(replace(samples, radiance=radiance)).mean.T
     assert roughness[0] == pytest.approx((0.5 * LEVELS[3] ** -2 + 0.5 * LEVELS[4] ** -2) ** -0.5, abs=1e-6)
     assert metallic[0] < 1e-3
 
