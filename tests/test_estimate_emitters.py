@@ -157,7 +157,7 @@ def test_sun_on_the_floor_through_a_window_is_no_lamp(tmp_path: Path, monkeypatc
     sky[row : row + 2, column : column + 2] = [1500.0, 1400.0, 1200.0]
     outwards = [[[-1.5, 0.0, 1.2], [2.0, 0.1, 1.6]], [[-1.2, -0.2, 0.4], [0.6, 0.0, 1.8]]]
     capture = photograph_room(
-        room, matt(colors), EmitterTable.empty(), EnvironmentLight(sky), [*CAMERAS, *outwards], spp=128
+        room, matt(colors), EmitterTable.empty(), EnvironmentLight(sky), [*CAMERAS, *outwards], spp=256
     )
     floor = max(float(np.quantile(image, 0.99)) for image in capture.images)
     assert floor > 1.5  # there is such a patch
