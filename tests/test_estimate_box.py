@@ -1,14 +1,21 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Complete estimations of a tiny lit box: correct, equal after kills, clear errors for unusable input."""
+"""Complete estimations of a tiny lit box: correct, equal after kills and under changed settings, clear errors."""
+
+from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,13 +24,17 @@ from PIL import Image
 from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.light import baking
+from fipt_blender.core.material import training
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.pixels.store import trace_view
-from fipt_blender.core.run import finished_views
+from fipt_blender.core.run import chain, finished_views
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.settings import make_settings
+from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at
 from samples.refusals import error_of
 from samples.small_captures import (
@@ -31,14 +42,20 @@ from samples.small_captures import (
     HEIGHT,
     PANEL_RADIANCE,
     PANEL_TRIANGLES,
+    QUICK,
     UNTRAINED,
     WIDTH,
     SmallCapture,
+    few_sources,
+    fixtures_of,
     matt,
+    outcome,
     panel_capture,
     photograph_room,
     run_here,
-    window_capture,
+    some_views,
+    stages_of,
+    warnings_of,
     write_run,
 )
 from samples.small_rooms import BOX, make_room, surface_points
@@ -48,10 +65,12 @@ STAGES = [
     *("pixels", "checks", "unmixing", "outside", "shadings", "estimate-0"),
     *("reflection-1", "refinement-1", "estimate-1", "training"),
 ]
+# Of runs whose networks learn next to nothing, such that each setting has an effect.
+BASE = {**QUICK, **UNTRAINED, "batch_size": 512, "rounds": 0}
 
 
-def run_child(run: RunFolder, kill=None) -> tuple[list[dict], int]:
-    """Estimate in a child process like Blender; SIGKILL at the first message for which `kill` is true."""
+def killed(run: RunFolder, kill: Callable[[dict], bool]) -> list[dict]:
+    """Messages of a child process like Blender's; SIGKILL at the first one for which `kill` is true."""
     command = [sys.executable, "-m", "fipt_blender.core", "estimate", str(run.root)]
     messages = []
     with (run.root / "log.txt").open("a") as log:
@@ -63,16 +82,12 @@ def run_child(run: RunFolder, kill=None) -> tuple[list[dict], int]:
             message = parse_message(line)
             assert message is not None, f"no message: {line}"
             messages.append(message)
-            if kill is not None and kill(message):
+            if kill(message):
                 os.kill(child.pid, signal.SIGKILL)
                 break
         child.stdout.close()
-        return messages, child.wait()
-
-
-def first_stage(messages: list[dict]) -> str:
-    """The first stage that a run does; pictures of earlier stages are reported before it."""
-    return next(message["name"] for message in messages if message["type"] == "stage")
+        assert child.wait() == -signal.SIGKILL, messages[-1]
+        return messages
 
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -87,57 +102,58 @@ def capture() -> SmallCapture:
 def finished(capture: SmallCapture, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunFolder, list[dict]]:
     """One uninterrupted run, and its messages."""
     run = write_run(tmp_path_factory.mktemp("finished") / "run", capture)
-    messages, status = run_child(run)
-    assert status == 0, messages[-1]
-    return run, messages
+    return run, run_here(run)
+
+
+def work(run: RunFolder) -> list[str]:
+    """Run the estimation; returns the stages that were done."""
+    return stages_of(run_here(run, train=False))
 
 
 @pytest.fixture(scope="module")
-def untrained(capture: SmallCapture, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    """An uninterrupted run whose networks learn next to nothing."""
-    run = write_run(tmp_path_factory.mktemp("untrained") / "run", capture, **UNTRAINED)
-    run_here(run, train=False)
-    return run
+def fresh(capture: SmallCapture, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., RunFolder]:
+    """Makes run folders of complete estimations with some settings, of a few of the views."""
 
+    @cache
+    def make(**changes: Any) -> RunFolder:
+        run = write_run(tmp_path_factory.mktemp("run") / "run", some_views(capture), **{**BASE, **changes})
+        work(run)
+        return run
 
-def outcome(run: RunFolder) -> tuple[dict, str]:
-    """Arrays of fields.npz, and the text of emitters.json."""
-    with np.load(run.fields_npz, allow_pickle=False) as data:
-        return {name: data[name] for name in data.files}, run.emitters_json.read_text()
+    return make
 
 
 def same(first: RunFolder, second: RunFolder) -> None:
     """Equal bit for bit."""
-    (arrays, emitters), (others, other_emitters) = outcome(first), outcome(second)
-    assert arrays.keys() == others.keys()
-    assert emitters == other_emitters
-    assert [name for name in arrays if arrays[name].tobytes() != others[name].tobytes()] == []
+    one, other = outcome(first), outcome(second)
+    assert one.keys() == other.keys() and [name for name in one if one[name] != other[name]] == []
 
 
-def connected_room_without_a_wall() -> tuple[SmallCapture, np.ndarray]:
-    """Gray walls of one connected mesh, lit by what no photograph shows; and their base colours (10, 3)."""
-    colors = np.repeat([[0.7, 0.68, 0.66], [0.8] * 3, [0.3] * 3, [0.55] * 3, [0.45, 0.45, 0.46]], 2, axis=0)
+def connected_room_without_a_wall() -> tuple[SmallCapture, list]:
+    """Gray walls of one connected mesh, lit by what no photograph shows; and their base colours."""
+    colors = [[0.7, 0.68, 0.66], [0.8] * 3, [0.3] * 3, [0.55] * 3, [0.45, 0.45, 0.46]]
     room = make_room([*BOX[:4], BOX[5]], parts="semantics", objects=np.zeros(5, int))
-    places = [(-1.5, 1.7), (0.0, 0.6), (1.5, 2.2), (0.8, 1.5), (-0.7, 2.4)]
+    places = [(-1.5, 1.7), (0.0, 0.6), (1.5, 2.2), (-0.7, 2.4)]
     cameras = [[[1.8, y, z], [-2.0, -0.7 * y, 3.0 - z]] for y, z in places]
     outside = EnvironmentLight(np.tile(np.array([3.0, 3.5, 4.0], np.float32), (8, 16, 1)))
-    return photograph_room(room, matt(colors), EmitterTable.empty(), outside, cameras), colors
+    return photograph_room(room, matt(np.repeat(colors, 2, axis=0)), EmitterTable.empty(), outside, cameras), colors
 
 
-def color_errors(run: RunFolder, capture: SmallCapture) -> np.ndarray:
-    """Mean absolute error of base colour on each wall of the box."""
-    points, _, triangle = surface_points(capture.room, 200, np.random.default_rng(0), np.arange(12))
+def color_errors(run: RunFolder, room: Room, colors: list | np.ndarray) -> np.ndarray:
+    """Mean absolute error of base colour on each wall, of these colours."""
+    walls = len(colors)
+    points, _, triangle = surface_points(room, 200, np.random.default_rng(0), np.arange(2 * walls))
     color, _, metallic = RoomFields.load(run).query(points, triangle)
-    wrong = np.abs(color * (1 - metallic[:, None]) - np.array(COLORS)[triangle // 2]).mean(axis=1)
-    return wrong.reshape(6, -1).mean(axis=1)
+    wrong = np.abs(color * (1 - metallic[:, None]) - np.array(colors)[triangle // 2]).mean(axis=1)
+    return wrong.reshape(walls, -1).mean(axis=1)
 
 
 def test_it_speaks_of_every_stage_and_names_its_files(finished) -> None:
     run, messages = finished
     stages = [message for message in messages if message["type"] == "stage"]
     assert messages[0]["type"] == "note" and "megapixels; about" in messages[0]["text"]
-    assert [stage["name"] for stage in stages] == STAGES
-    assert [(stage["index"], stage["count"]) for stage in stages] == [(i, 10) for i in range(10)]
+    listed = [(stage["name"], stage["index"], stage["count"]) for stage in stages]
+    assert listed == [(name, index, 10) for index, name in enumerate(STAGES)]
     fractions = [message["fraction"] for message in messages if message["type"] == "progress"]
     assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] <= 1.0
     assert messages[-1]["type"] == "done"
@@ -152,9 +168,9 @@ def test_it_speaks_of_every_stage_and_names_its_files(finished) -> None:
 
 
 def test_the_panel_is_found_with_its_radiance(finished) -> None:
-    data = json.loads(finished[0].emitters_json.read_text())
-    (fixture,) = data["fixtures"]
-    assert fixture["triangles"] == PANEL_TRIANGLES and data["environment"] is None
+    (fixture,) = fixtures_of(finished[0])
+    assert fixture["triangles"] == PANEL_TRIANGLES
+    assert json.loads(finished[0].emitters_json.read_text())["environment"] is None
     assert fixture["radiance"] == pytest.approx(PANEL_RADIANCE, rel=1e-3)
     assert fixture["back_radiance"] == [0.0, 0.0, 0.0]
     assert fixture["area"] == pytest.approx(1.96) and fixture["centroid"] == pytest.approx([0.0, 0.0, 2.9])
@@ -162,60 +178,43 @@ def test_the_panel_is_found_with_its_radiance(finished) -> None:
 
 
 def test_base_colours_are_near_the_truth(finished, capture: SmallCapture) -> None:
-    errors = color_errors(finished[0], capture)
+    errors = color_errors(finished[0], capture.room, COLORS)
     assert errors.mean() < 0.06 and errors.max() < 0.12
 
 
-def test_killed_at_any_time_it_ends_bit_for_bit_the_same(finished, capture: SmallCapture, tmp_path: Path) -> None:
-    """Killed at the start of a stage, while overwriting shadings, and in training after a checkpoint."""
+def test_killed_at_any_time_it_ends_bit_for_bit_the_same(
+    finished, capture: SmallCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed while overwriting shadings, and interrupted in training after a checkpoint."""
     run = write_run(tmp_path / "run", capture)
 
-    def begins(name: str):
-        return lambda message: message["type"] == "stage" and message["name"] == name
+    def amid_refinement(message: dict) -> bool:
+        half_done = message["type"] == "progress" and 0.45 < message["stage_fraction"] < 1.0
+        return half_done and (run.stage / "refinement-1").exists()
 
-    def half_done(message: dict) -> bool:
-        return message["type"] == "progress" and 0.45 < message["stage_fraction"] < 1.0
+    def save_and_stop(*arguments) -> None:
+        save_tensors(*arguments)
+        raise KeyboardInterrupt
 
-    checkpoint = run.stage / "training" / "unfinished.pt"
-    for number, kill in enumerate(
-        [
-            begins("estimate-0"),
-            lambda message: (run.stage / "refinement-1").exists() and half_done(message),
-            # A slow reader may miss the file.
-            lambda message: checkpoint.exists() or (checkpoint.parent.exists() and half_done(message)),
-        ]
-    ):
-        messages, status = run_child(run, kill)
-        assert status == -signal.SIGKILL, (number, messages[-1])
-        assert not run.fields_npz.exists()
-        # A resumed run does not repeat what is done.
-        # A kill amid the refinement may come only after the stages that follow: they are quick.
-        resumed_at = [STAGES[0:1], STAGES[5:6], STAGES[7:]][number]
-        assert first_stage(messages) in resumed_at
-    messages, status = run_child(run)
-    assert status == 0 and first_stage(messages) == "training"
+    assert stages_of(killed(run, amid_refinement))[0] == STAGES[0] and not run.fields_npz.exists()
+    save_tensors = training.save_tensors
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(training, "save_tensors", save_and_stop)
+        run_here(run)
+    assert not run.fields_npz.exists()
+    assert stages_of(run_here(run)) == ["training"]
     same(finished[0], run)
     # Once more: nothing is left to do, and nothing changes.
-    messages = run_here(run)
-    assert "stage" not in {message["type"] for message in messages}
+    assert stages_of(run_here(run)) == []
     same(finished[0], run)
 
 
-@pytest.mark.parametrize(
-    ("rounds", "damaged"), [(0, False), (1, False), (0, True)], ids=["first", "refinement", "damaged"]
-)
 def test_views_baked_before_a_kill_are_not_baked_again(
-    rounds: int,
-    damaged: bool,
-    untrained: RunFolder,
-    capture: SmallCapture,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    fresh, capture: SmallCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = write_run(tmp_path / "run", capture, **UNTRAINED)
-    count = len(load_capture(run).train)
+    run = write_run(tmp_path / "run", some_views(capture), **{**BASE, "rounds": 1})
     bake_view = baking.bake_view
-    baked: list[int] = []
+    baked: list[int]
 
     def bake(*arguments):
         if len(baked) == limit:
@@ -227,80 +226,62 @@ def test_views_baked_before_a_kill_are_not_baked_again(
     monkeypatch.setattr(baking, "bake_view", bake)
     # While the fourth view is traced, the third one may still be denoised in another thread.
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    limit = rounds * count + 3
-    with pytest.raises(KeyboardInterrupt):
-        run_here(run, train=False)
-    if damaged:
-        (run.stage / "shadings" / "diffuse.npy").write_bytes(b"cut off")
+    every = [0, 1, 2, 3]
+    # In the first shadings, then twice in the refinement.
+    for stop, expected in ((3, every[:3]), (5, [*every[2:], *every[:3]]), (1, every[2:3])):
+        baked, limit = [], stop
+        with pytest.raises(KeyboardInterrupt):
+            run_here(run, train=False)
+        assert baked == expected
+    (run.stage / "refinement-1" / "diffuse.npy").write_bytes(b"cut off")
     baked, limit = [], -1
     run_here(run, train=False)
-    rest = [*range(0 if damaged else 2, count)]
-    assert baked == rest + [*range(count)] * (1 - rounds)
-    same(untrained, run)
+    assert baked == every
+    same(fresh(rounds=1), run)
 
 
 @pytest.mark.parametrize(
-    "length, radiance, shift",
-    [(100.0, 1000.0, (0.0, 0.0, 0.0)), (0.01, 0.001, (0.0, 0.0, 0.0)), (1.0, 1.0, (1000.0, -600.0, 300.0))],
-    ids=["large and bright", "small and dark", "far away"],
+    "train, length, radiance, shift",
+    [(True, 100.0, 1000.0, (0.0, 0.0, 0.0)), (False, 0.01, 0.001, (10.0, -6.0, 3.0))],
+    ids=["large and bright", "small, dark and far away"],
 )
 def test_nothing_depends_on_unit_exposure_or_place(
-    finished, capture: SmallCapture, tmp_path: Path, length: float, radiance: float, shift: tuple
+    finished, fresh, capture, tmp_path: Path, train: bool, length: float, radiance: float, shift: tuple
 ) -> None:
-    run = write_run(tmp_path / "run", capture.scaled(length, radiance, shift))
-    run_here(run)
+    reference = finished[0] if train else fresh(rounds=1)
+    given = (capture if train else some_views(capture)).scaled(length, radiance, shift)
+    run = write_run(tmp_path / "run", given, **({} if train else {**BASE, "rounds": 1}))
+    run_here(run, train)
     points, _, triangle = surface_points(capture.room, 200, np.random.default_rng(0), np.arange(12))
-    color, roughness, _ = RoomFields.load(finished[0]).query(points, triangle)
+    color, roughness, _ = RoomFields.load(reference).query(points, triangle)
     other, other_roughness, _ = RoomFields.load(run).query(points * length + shift, triangle)
     assert np.abs(color - other).mean() < 0.01
     assert np.abs(roughness - other_roughness).mean() < 0.05
-    (fixture,) = json.loads(run.emitters_json.read_text())["fixtures"]
+    (fixture,) = fixtures_of(run)
     assert fixture["triangles"] == PANEL_TRIANGLES
     assert fixture["radiance"] == pytest.approx(np.multiply(PANEL_RADIANCE, radiance), rel=1e-3)
     assert fixture["centroid"] == pytest.approx(np.array([0.0, 0.0, 2.9]) * length + shift, abs=2e-3 * length)
 
 
-def test_a_window_becomes_an_environment(tmp_path: Path) -> None:
-    radiance = [5.0, 4.0, 3.0]
-    run = write_run(tmp_path / "run", window_capture(radiance), rounds=0, unseen_light=True, **UNTRAINED)
-    messages = run_here(run, train=False)
-    data = json.loads(run.emitters_json.read_text())
-    assert data["fixtures"] == [] and data["environment"]["image"] == "environment.exr"
-    assert 0.02 < data["environment"]["observed_share"] < 0.5
-    found = read_radiance(run.environment_exr)
-    assert found.shape == (32, 64, 3)
-    ratio = np.log(found / np.array(radiance))
-    seen = np.abs(ratio).max(axis=-1) < 1e-4
-    assert seen.mean() > 0.06, "what photographs show is taken as it is"
-    # The rest is like it, or follows from the light on the surfaces.
-    assert np.abs(ratio).max() < 0.25 and np.sqrt((ratio**2).mean()) < 0.08
-    assert "warning" not in {message["type"] for message in messages}
-    assert str(run.environment_exr) in messages[-1]["files"]
+def test_paths_without_a_cache_still_find_materials(capture: SmallCapture, tmp_path: Path) -> None:
+    """One of the paper's ablations."""
+    run = write_run(tmp_path / "run", capture, refine_cache=False, **UNTRAINED)
+    run_here(run, train=False)
+    assert [lamp["triangles"] for lamp in fixtures_of(run)] == [PANEL_TRIANGLES]
+    assert color_errors(run, capture.room, COLORS).mean() < 0.1
 
 
-def test_a_room_without_lamp_is_a_warning(capture: SmallCapture, tmp_path: Path) -> None:
-    """All surfaces have the same radiance: white walls explain it without a lamp."""
-    grey = replace(capture, images=[np.full_like(image, 0.4) for image in capture.images])
-    run = write_run(
-        tmp_path / "run", grey, rounds=0, **UNTRAINED, force=True
-    )  # photographs without content are refused
-    messages = run_here(run, train=False)
-    assert [message["code"] for message in messages if message["type"] == "warning"] == ["no-emitter"]
-    assert messages[-1]["type"] == "done"
-    assert json.loads(run.emitters_json.read_text()) == {"fixtures": [], "environment": None}
-
-
-def test_lamps_that_are_painted_out_are_a_warning(capture: SmallCapture, tmp_path: Path) -> None:
+def test_lamps_that_are_painted_out_are_a_warning(finished, capture: SmallCapture, tmp_path: Path) -> None:
     brightest = max(image.max() for image in capture.images)
 
     def painted(image: np.ndarray) -> np.ndarray:
         lamp = image.max(axis=2, keepdims=True) > 0.5 * brightest
         return np.where(lamp, np.median(image), image).astype(np.float32)
 
-    for images, said in ((capture.images, False), ([painted(image) for image in capture.images], True)):
-        run = write_run(tmp_path / str(said), replace(capture, images=images), rounds=0, **UNTRAINED)
-        codes = [message["code"] for message in run_here(run, train=False) if message["type"] == "warning"]
-        assert ("light-missing" in codes) == said
+    images = [painted(image) for image in capture.images]
+    run = write_run(tmp_path / "run", replace(capture, images=images), rounds=0, **UNTRAINED)
+    assert "light-missing" in warnings_of(run_here(run, train=False))
+    assert warnings_of(finished[1]) == []
 
 
 def away(capture: SmallCapture) -> SmallCapture:
@@ -309,53 +290,37 @@ def away(capture: SmallCapture) -> SmallCapture:
 
 
 def without_faces(capture: SmallCapture) -> SmallCapture:
-    room = capture.room
-    empty = {name: getattr(room, name)[:0] for name in ("triangles", "corner_normals", "triangle_object")}
-    return replace(capture, room=replace(room, **empty, triangle_material=room.triangle_material[:0]))
-
-
-def flat_faces(capture: SmallCapture) -> SmallCapture:
-    return replace(capture, room=replace(capture.room, vertices=capture.room.vertices * 0.0))
-
-
-def black(capture: SmallCapture) -> SmallCapture:
-    return replace(capture, images=[image * 0.0 for image in capture.images])
-
-
-def no_views(capture: SmallCapture) -> SmallCapture:
-    return replace(capture, images=[], poses=[])
+    names = ("triangles", "corner_normals", "triangle_object", "triangle_material")
+    return replace(capture, room=replace(capture.room, **{name: getattr(capture.room, name)[:0] for name in names}))
 
 
 @pytest.mark.parametrize(
-    "spoil, code",
+    "spoil, changes, code",
     [
-        (without_faces, "mesh-empty"),
-        (flat_faces, "mesh-empty"),
-        (away, "mesh-unseen"),
-        (black, "images-black"),
-        (no_views, "views-none"),
+        (without_faces, {}, "mesh-empty"),
+        (away, {}, "mesh-unseen"),
+        (lambda capture: replace(capture, images=[image * 0.0 for image in capture.images]), {}, "images-black"),
+        (lambda capture: replace(capture, images=[], poses=[]), {}, "views-none"),
+        (lambda capture: capture, {"version": 99}, "run-version"),
     ],
 )
-def test_input_that_can_not_be_used(spoil, code: str, capture: SmallCapture, tmp_path: Path) -> None:
+def test_input_that_can_not_be_used(
+    spoil: Callable, changes: dict, code: str, capture: SmallCapture, tmp_path: Path
+) -> None:
     run = write_run(tmp_path / "run", spoil(capture))
+    data = json.loads(run.run_json.read_text())
+    run.run_json.write_text(json.dumps({**data, **changes}))
     assert error_of(run_here, run).code == code
     assert not any(run.results.iterdir())
 
 
-def test_another_versions_run_folder(tmp_path: Path, capture: SmallCapture) -> None:
-    run = write_run(tmp_path / "run", capture)
-    data = json.loads(run.run_json.read_text())
-    run.run_json.write_text(json.dumps({**data, "version": 99}))
-    messages, status = run_child(run)
-    assert status == 1
-    assert [(message["type"], message["code"]) for message in messages] == [("error", "run-version")]
-    assert not any(run.stage.iterdir()) and not any(run.results.iterdir())
-
-
-def test_classes_tell_walls_of_one_piece_apart_where_light_enters(tmp_path: Path) -> None:
+def test_classes_tell_walls_of_one_piece_apart_where_light_enters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The light from directions that no photograph shows follows from surfaces of one albedo each."""
+    few_sources(monkeypatch)
     capture, colors = connected_room_without_a_wall()
-    run = write_run(tmp_path / "run", capture, unseen_light=True)
+    run = write_run(tmp_path / "run", capture, rounds=0, unseen_light=True, environment_width=32, **UNTRAINED)
     data = json.loads(run.capture_json.read_text())
     for view, camera in zip(data["views"], load_capture(run).train, strict=True):
         triangle = trace_view(capture.room, camera).triangle.reshape(HEIGHT, WIDTH)
@@ -363,9 +328,74 @@ def test_classes_tell_walls_of_one_piece_apart_where_light_enters(tmp_path: Path
         ids = np.where(triangle >= 0, triangle // 2 + 1, 0).astype(np.uint8)
         Image.fromarray(ids).save(run.root / view["semantics"])
     run.capture_json.write_text(json.dumps(data))
-    run_here(run)
-    points, _, triangle = surface_points(capture.room, 200, np.random.default_rng(0), np.arange(10))
-    color, _, metallic = RoomFields.load(run).query(points, triangle)
-    wrong = np.abs(color * (1 - metallic[:, None]) - colors[triangle]).mean(axis=1).reshape(5, -1)
-    assert wrong.mean(axis=1).max() < 0.06  # 0.38 where all walls have one albedo
+    run_here(run, train=False)
+    assert json.loads(run.statistics_json.read_text())["part_kind"] == "semantic"
+    assert color_errors(run, capture.room, colors).max() < 0.06  # 0.38 where all walls have one albedo
     assert read_radiance(run.environment_exr).mean(axis=(0, 1)) == pytest.approx([3.0, 3.5, 4.0], rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("before", "changes", "done"),
+    [
+        (0, {"unmix": False}, ["unmixing", *STAGES[3:6], "training"]),
+        (1, {"rounds": 0}, ["shadings", "training"]),  # the refinement replaced the shadings of stage 1
+        (1, {"rounds": 1, "refine_diffuse_spp": 17}, STAGES[7:]),
+        (1, {"rounds": 1, "shrink_detail": False, "checkpoint_steps": 7}, []),
+        (1, {"rounds": 2}, ["reflection-2", "refinement-2", "estimate-2", "training"]),
+    ],
+)
+def test_resumed_under_other_settings_equals_fresh(
+    fresh, tmp_path: Path, before: int, changes: dict[str, Any], done: list[str]
+) -> None:
+    """What does not read a setting is kept."""
+    copy = RunFolder(shutil.copytree(fresh(rounds=before).root, tmp_path / "run"))
+    copy.create(make_settings("draft", {**BASE, **changes}))
+    assert work(copy) == done
+    same(copy, fresh(**changes))
+
+
+@pytest.mark.parametrize("name", ["pixels", "refinement-1", None], ids=str)
+def test_damaged_outputs_of_a_stage_are_made_again(
+    fresh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str | None
+) -> None:
+    """Of one stage, or of all. Stages that take no time have no rate: clocks may tick only every 16 ms."""
+    monkeypatch.setattr(chain, "time", SimpleNamespace(monotonic=lambda: 7.0))
+    run = RunFolder(shutil.copytree(fresh(rounds=1).root, tmp_path / "run"))
+    for folder in [run.stage / name] if name else [path for path in run.stage.iterdir() if path.is_dir()]:
+        for path in [*folder.rglob("*.npy"), *folder.glob("outputs.json")]:
+            path.write_bytes(path.read_bytes()[:20])
+    (run.stage / "training" / "outputs.json").unlink(missing_ok=True)
+    messages = run_here(run, train=False)
+    done = stages_of(messages)
+    # What no later stage and no result needs is not read.
+    assert {name or "pixels", "training"} <= set(done)
+    # Where all are damaged, a stage may begin before that of its inputs is noticed.
+    damaged = warnings_of(messages).count("checkpoint-damaged")
+    assert damaged == len(done) if name else 0 < damaged <= len(STAGES)
+    listed = read_document(run.statistics_json, dict)["stages"]
+    assert {stage["seconds"] for stage in listed if stage["name"] in done} == {0.0}
+    same(run, fresh(rounds=1))
+    assert work(run) == []
+
+
+def test_a_damaged_checkpoint_of_an_unfinished_training_is_discarded(fresh, tmp_path: Path) -> None:
+    run = RunFolder(shutil.copytree(fresh(rounds=0).root, tmp_path / "run"))
+    path = run.stage / "stages.json"
+    data = json.loads(path.read_text())
+    del data["stages"]["training"]
+    path.write_text(json.dumps(data))
+    (run.stage / "training" / "unfinished.pt").write_bytes(b"cut off")
+    messages = run_here(run, train=False)
+    assert stages_of(messages) == ["training"] and "checkpoint-damaged" in warnings_of(messages)
+    same(run, fresh(rounds=0))
+
+
+def test_a_changed_photograph_that_was_held_back_is_judged_again(fresh, tmp_path: Path) -> None:
+    run = RunFolder(shutil.copytree(fresh(rounds=0).root, tmp_path / "run"))
+    data = json.loads(run.capture_json.read_text())
+    data["views"][1]["split"] = "held_back"
+    run.capture_json.write_text(json.dumps(data))
+    assert work(run)[-1] == "quality" and work(run) == []
+    image = run.resolve(data["views"][1]["image"])
+    os.utime(image, (0, 0))
+    assert work(run) == ["quality"]

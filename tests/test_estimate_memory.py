@@ -8,6 +8,7 @@ import io
 import os
 import tracemalloc
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -76,11 +77,20 @@ def learn_from(seen: Observations, pieces: np.ndarray | None) -> None:
     assert len(units.triangle) == len(seen.parts.triangle_part)
 
 
-ACTIONS = ("observe", "look up", "lamps", "agree", "look outside", "learn", "learn without parts")
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[PixelStore, Observations]]:
+    """Pixels of few and of many views, and what is known of them."""
+    folder, found = tmp_path_factory.mktemp("captures"), []
+    for views in (6, 18):
+        pixels = make_pixels(folder / f"{views}", views)
+        found.append((pixels, observe(ROOM, pixels, PARTS, SETTINGS, folder / f"observed {views}")))
+    return found
 
 
-@pytest.mark.parametrize("action", ACTIONS)
-def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "action", ["observe", "look up", "lamps", "agree", "learn", "learn without parts", "look outside"]
+)
+def test_memory_of_the_views(action: str, captures: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Smaller than these captures, as their usual sizes are smaller than large ones.
     monkeypatch.setattr(emitters, "CHUNK", 4096)
     monkeypatch.setattr(observations, "FOOTPRINT_PIXELS", 1000)
@@ -90,26 +100,19 @@ def test_memory_of_the_views(action: str, tmp_path: Path, monkeypatch: pytest.Mo
     # How many views are in memory at the same moment is otherwise chance.
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
     peaks, sizes = [], []
-    for views in (6, 6, 36):  # the first warms up
-        pixels = make_pixels(tmp_path / f"{views}", views)
-
-        def seen(pixels: PixelStore = pixels) -> Observations:
-            return observe(ROOM, pixels, PARTS, SETTINGS, tmp_path / "observed")
-
-        actions: dict[str, Callable[[], object]] = {
-            "observe": seen,
-            "lamps": lambda pixels=pixels: lamps(pixels, ROOM),
-            "agree": lambda pixels=pixels: agreement_of(pixels, ROOM),
-            "look outside": seen,
-        }
+    for pixels, known in (captures[0], *captures):  # the first warms up
         if action == "look outside":
+            pixels = make_pixels(tmp_path / f"{len(sizes)}", len(pixels.views))
             window(pixels)
-        if action in ("look up", "learn", "learn without parts"):
-            known = seen()
-            actions["look up"] = lambda known=known: everything(known)
-            actions["learn"] = lambda known=known: learn_from(known, None)
-            actions["learn without parts"] = lambda known=known: learn_from(known, ROOM.triangle_object)
-        peaks.append(peak(actions[action]))
+        actions: dict[str, Callable[[], object]] = {
+            "look up": partial(everything, known),
+            "lamps": partial(lamps, pixels, ROOM),
+            "agree": partial(agreement_of, pixels, ROOM),
+            "learn": partial(learn_from, known, None),
+            "learn without parts": partial(learn_from, known, ROOM.triangle_object),
+        }
+        again = partial(observe, ROOM, pixels, PARTS, SETTINGS, tmp_path / "observed")
+        peaks.append(peak(actions.get(action, again)))
         sizes.append(len(pixels))
     slope = (peaks[2] - peaks[1]) / (sizes[2] - sizes[1])
     assert slope < MOST_BYTES, f"{slope:.1f} bytes a pixel"

@@ -1,12 +1,20 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Emitters: grouped into fixtures, measured by the pixels that see them."""
+"""What emits: evidence of pixels, fixtures and their sides, of a scan as a whole, and presumed lamps of stage 1."""
 
-import itertools
+from dataclasses import replace
+from pathlib import Path
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
 
+from fipt_blender.core.capture.views import View
+from fipt_blender.core.light.baking import ShadingStore
+from fipt_blender.core.light.cache import SurfaceLookup
+from fipt_blender.core.light.emission import constancy, emission_probability, log_evidence
+from fipt_blender.core.light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
 from fipt_blender.core.light.emitters import (
     ALIKE,
     EmitterPixels,
@@ -14,26 +22,29 @@ from fipt_blender.core.light.emitters import (
     emitter_components,
     emitter_table,
     group_fixtures,
-    side_medians,
 )
+from fipt_blender.core.light.evidence import log_ratio
+from fipt_blender.core.light.presumed import presume_lamps
+from fipt_blender.core.light.radiance import CachedRadiance, new_path
+from fipt_blender.core.light.scan_fixtures import scan_groups, seen_sides
+from fipt_blender.core.optics.lights import AreaLights
+from fipt_blender.core.parts.labels import NO_PART, Parts
+from fipt_blender.core.pixels.store import NO_TRIANGLE, PixelStore, open_pixels
+from fipt_blender.core.surface.room import Room
+from samples.scans import scanned_box
+from samples.shading_points import grid_of
 from samples.small_rooms import BOX, make_room, room_with_bulb
+
+SCAN, SIDE = scanned_box(noise=0.002)
+assert SCAN.scan is not None
+CENTERS = SCAN.scan.centers
+CEILING = 1
 
 
 def pixels(rows: list[tuple[int, bool, float, float]]) -> EmitterPixels:
     """Pixels of (triangle, front, weight, grey) rows."""
     triangle, front, weight, grey = (np.array(column) for column in zip(*rows, strict=True))
     return EmitterPixels(triangle, front.astype(bool), np.repeat(grey[:, None], 3, axis=1), weight.astype(float))
-
-
-def test_weighted_medians_of_both_sides() -> None:
-    group = np.array([0, 0, 1, -1])
-    rows = [(0, True, 1.0, 4.0), (0, True, 1.0, 6.0), (1, True, 1.0, 9.0), (1, True, 0.1, 100.0)]
-    rows += [(0, False, 1.0, 1.0), (2, True, 0.1, 3.0), (3, True, 1.0, 50.0), (-1, True, 1.0, 70.0)]
-    medians, weights = side_medians(pixels(rows), group)
-    assert medians[:, :, 0].tolist() == [[6.0, 1.0], [3.0, 0.0]]
-    np.testing.assert_allclose(weights, [[3.1, 1.0], [0.1, 0.0]])
-    medians, _ = side_medians(pixels(rows), np.full(4, -1))
-    assert len(medians) == 0
 
 
 def test_two_lamps_apart_are_two_fixtures_with_their_sides() -> None:
@@ -69,24 +80,14 @@ def test_touching_triangles_of_unlike_radiance_are_two_fixtures() -> None:
 
 
 def test_unseen_triangles_are_as_bright_as_their_lamp_and_black_ones_are_no_lamp() -> None:
-    room = room_with_bulb(0.05)
-    emitting = np.arange(20) >= 12
-    rows = [(i, True, 1.0, 8.0) for i in (12, 13, 14)] + [(2, True, 1.0, 0.3)]
-    fixtures = group_fixtures(room, emitting, pixels(rows))
-    assert [fixture.triangles.tolist() for fixture in fixtures] == [list(range(12, 20))]
-    black = [(i, True, 1.0, 0.0) for i in (12, 13, 14)]
-    assert group_fixtures(room, emitting, pixels(black)) == []
-
-
-def test_the_far_side_of_a_bulb_in_mixed_pixels_alone_is_the_bulb() -> None:
     """Pixels at its outline show mostly what is behind; the sides seen alone tell how bright it is."""
     room = room_with_bulb(0.05)
     emitting = np.arange(20) >= 12
-    rows = [(i, True, 1.0, 8.0) for i in (12, 13, 14)] + [(2, True, 1.0, 0.3)]
-    rows += [(i, True, 0.1, 0.6) for i in (15, 16, 17, 18)]
-    (fixture,) = group_fixtures(room, emitting, pixels(rows))
-    assert fixture.triangles.tolist() == list(range(12, 20))
-    assert fixture.radiance.tolist() == [8.0] * 3
+    alone = [(i, True, 1.0, 8.0) for i in (12, 13, 14)] + [(2, True, 1.0, 0.3)]
+    for mixed in ([], [(i, True, 0.1, 0.6) for i in (15, 16, 17, 18)]):
+        (fixture,) = group_fixtures(room, emitting, pixels(alone + mixed))
+        assert fixture.triangles.tolist() == list(range(12, 20)) and fixture.radiance.tolist() == [8.0] * 3
+    assert group_fixtures(room, emitting, pixels([(i, True, 1.0, 0.0) for i in (12, 13, 14)])) == []
 
 
 def test_bright_triangles_are_aimed_at() -> None:
@@ -101,13 +102,7 @@ def test_bright_triangles_are_aimed_at() -> None:
 
 @pytest.mark.parametrize("unseen", [0, 3])
 def test_fixtures_do_not_depend_on_the_order_of_triangles(unseen: int, rng: np.random.Generator) -> None:
-    """Triangles of two luminances, and some without pixels, alternate around vertices."""
-    luminance, seen = np.array([1.0, 10.0, 1.0, 10.0]), np.ones(4, bool)
-    fan = np.array([[0, 1, 2], [0, 3, 4], [0, 5, 6], [0, 7, 8]])
-    for order in itertools.permutations(range(4)):
-        group = emitter_components(fan, luminance[list(order)], seen)
-        assert len(np.unique(group)) == 2, order
-        assert len(np.unique(group[np.argsort(order)][:2])) == 2
+    """Some have no pixels."""
     corners = rng.integers(0, 40, (60, 3))
     luminance = np.exp(rng.normal(size=60))
     seen = np.arange(60) >= unseen
@@ -124,3 +119,269 @@ def test_fixtures_do_not_depend_on_the_order_of_triangles(unseen: int, rng: np.r
         order = rng.permutation(60)
         other = emitter_components(rng.permuted(corners[order], axis=1), luminance[order], seen[order])
         np.testing.assert_array_equal(other[:, None] == other, linked[order][:, order])
+
+
+def in_square(side: int, half: float) -> np.ndarray:
+    """(T,) bool, triangles of a side of the scanned box within a square of x and y."""
+    return np.asarray((SIDE == side) & (np.abs(CENTERS[:, :2]) < half).all(axis=1))
+
+
+def seen(triangles: np.ndarray, grey: np.ndarray | float, front: bool = True) -> list[tuple[int, bool, float, float]]:
+    """Rows of a pixel on each triangle."""
+    return [(t, front, 1.0, g) for t, g in zip(triangles, np.broadcast_to(grey, len(triangles)), strict=True)]
+
+
+def test_a_modelled_room_emits_triangle_by_triangle_and_unjudged_ones_follow_their_part() -> None:
+    room = make_room(BOX)
+    surfaces = emitter_surfaces(room, Parts(np.full(12, NO_PART, np.int32), "none"), 0.01)
+    assert np.array_equal(surfaces.unit, np.arange(12)) and surfaces.unseen == 0.0
+    assert len(np.unique(surfaces.component)) == 6
+    part = np.arange(12, dtype=np.int32) % 2  # the two triangles of a side
+    assert len(np.unique(emitter_surfaces(room, Parts(part, "part"), 0.01).component)) == 12
+
+
+def test_a_scan_emits_by_parts_and_without_them_by_patches() -> None:
+    part = np.where(in_square(CEILING, 0.5), 3, SIDE % 2).astype(np.int32)
+    part[SIDE == 5] = NO_PART
+    surfaces = emitter_surfaces(SCAN, Parts(part, "part"), 0.1)
+    known = part >= 0
+    pairs = np.unique(np.column_stack([surfaces.unit[known], part[known]]), axis=0)
+    assert len(pairs) == len(np.unique(part[known]))
+    assert not np.isin(surfaces.unit[~known], surfaces.unit[known]).any()
+    assert surfaces.gap > 0.2
+    patches = emitter_surfaces(SCAN, Parts(np.full(len(part), NO_PART, np.int32), "none"), 0.1)
+    for unit in np.unique(patches.unit)[::50]:
+        members = CENTERS[patches.unit == unit]
+        assert np.ptp(members, axis=0).max() <= 0.2 and len(np.unique(SIDE[patches.unit == unit])) == 1
+
+
+def test_specks_near_a_lamp_are_part_of_it_and_others_are_none() -> None:
+    lamp = in_square(CEILING, 0.6)
+    distance = np.linalg.norm(CENTERS - [0.9, 0.0, 3.0], axis=1)
+    near = np.zeros_like(lamp)
+    near[distance.argmin()] = True
+    far = np.zeros_like(lamp)
+    far[np.linalg.norm(CENTERS - [-1.8, -1.8, 0.0], axis=1).argmin()] = True
+    ids = np.flatnonzero(lamp | near | far)
+    group = scan_groups(SCAN.scan, ids, None)
+    assert (group[lamp[ids]] == 0).all() and (group[near[ids]] == 0).all() and (group[far[ids]] == -1).all()
+    small = np.linalg.norm(CENTERS - [-1.5, -1.5, 0.0], axis=1) < 0.3
+    group = scan_groups(SCAN.scan, np.flatnonzero(lamp | small), None)
+    assert sorted(np.bincount(group)) == sorted([lamp.sum(), small.sum()])  # a small lamp far from the large one
+    apart = scan_groups(SCAN.scan, ids, np.where(near, 1, 0))
+    assert (apart[near[ids]] == -1).all()  # the speck is of another part
+
+
+def test_a_side_shines_only_if_much_of_it_is_seen() -> None:
+    areas, fixture = np.ones(10), np.zeros(10, np.int64)
+    seen_front, seen_back = np.ones(10, bool), np.arange(10) < 2
+    assert seen_sides(areas, np.column_stack([seen_front, seen_back]), fixture).tolist() == [[True, False]]
+    assert seen_sides(areas, np.ones((10, 2), bool), fixture).tolist() == [[True, True]]
+    unseen = seen_sides(areas, np.zeros((10, 2), bool), np.full(10, -1))
+    assert unseen.shape == (0, 2)
+
+
+def test_fixtures_of_a_scan_are_whole_and_have_one_side() -> None:
+    """The rim is darker, pixels at the rim see the back, and the wall beside the lamp is lit by it."""
+    lamp = np.flatnonzero(in_square(CEILING, 0.8))
+    rim = np.abs(CENTERS[lamp, :2]).max(axis=1) > 0.7
+    emitting = np.zeros(len(SIDE), bool)
+    emitting[lamp] = True
+    rows = seen(lamp, np.where(rim, 30.0, 100.0)) + seen(lamp[rim][:20], 50.0, front=False)
+    (fixture,) = group_fixtures(SCAN, emitting, pixels(rows))
+    assert np.array_equal(fixture.triangles, lamp)
+    assert np.allclose(fixture.radiance, 100.0) and not fixture.back_radiance.any()
+    both = pixels(seen(lamp, 100.0) + seen(lamp, 50.0, front=False))
+    (fixture,) = group_fixtures(SCAN, emitting, both)
+    assert np.allclose(fixture.back_radiance, 50.0)
+
+
+def presumed(room: Room, radiance: dict[int, list[float]]) -> tuple:
+    """Bright triangles, table and lamps, of pure pixels of grey radiances on the fronts of triangles."""
+    seen = pixels([(index, True, 1.0, grey) for index, values in radiance.items() for grey in values])
+    bright = bright_triangles(room, seen.triangle, seen.front, seen.radiance)
+    return bright, *presume_lamps(room, seen, bright)
+
+
+def test_unseen_sides_of_a_lamp_shine_too() -> None:
+    room = room_with_bulb(0.1)
+    walls = {index: [0.5, 0.6] for index in range(12)}
+    _, table, lamps = presumed(room, walls | {12: [60.0, 61.0, 59.0], 13: [60.0, 60.0]})
+    assert np.flatnonzero(lamps).tolist() == list(range(12, 20))
+    assert sorted(table.triangles.tolist()) == list(range(12, 20)) and not table.reflective_mask().any()
+    assert table.radiance == pytest.approx(60.0)
+
+
+@pytest.mark.parametrize("varies", [True, False])
+def test_lit_surfaces_and_single_pixels_are_no_lamps(varies: bool) -> None:
+    """They are aimed at, and their radiance stays in the cache."""
+    room = room_with_bulb(0.1)
+    walls = {index: [0.5, 0.6] for index in range(12)}
+    on_bulb = {12: [20.0, 30.0, 40.0, 50.0, 60.0, 70.0]} if varies else {12: [60.0, 60.0]}
+    bright, table, lamps = presumed(room, walls | on_bulb)
+    assert not lamps.any()
+    assert table.triangles.tolist() == bright.triangles.tolist() and table.reflective_mask().all()
+    bright, table, lamps = presumed(room, {index: [0.0] for index in range(12)})
+    assert table is bright and not lamps.any()
+
+
+def test_stage_1_reads_lamps_from_the_table_and_all_else_from_the_cache() -> None:
+    room = room_with_bulb(0.1)
+    walls = {index: [0.5] * 6 for index in range(12)}
+    _, table, _ = presumed(room, walls | {12: [60.0] * 6, 11: [40.0, 90.0]})
+    assert table.reflective_mask().sum() == 1  # a bright spot of a wall
+    grid = grid_of(room)
+    cache = SurfaceLookup(grid, np.full((len(grid.voxels) * 6, 3), 0.25, np.float32))
+    source = CachedRadiance(room, cache, None, AreaLights(room.vertices, room.triangles, table))
+    ray = mi.Ray3f(mi.Point3f([0.5, -1.0], [0.3, -1.0], [2.9, 2.9]), mi.Vector3f(0.0, 0.0, -1.0))
+    path, _, _ = source.step(new_path(2), ray.d, source.intersect(ray, mi.Bool(True)), mi.PCG32(2), dr.ones(mi.Bool, 2))
+    assert np.array(path.radiance)[0].tolist() == pytest.approx([60.0, 0.25])
+
+
+# Three quads apart, two triangles each; the views below show the first of each.
+WALL, LAMP, BAR = 0, 2, 4
+QUAD = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+ROOM = make_room([(QUAD + [2.0 * i, 0.0, 0.0]).tolist() for i in range(3)])
+OPTIONS = {".": (WALL, True), "L": (LAMP, True), "l": (LAMP, False), "B": (BAR, True), "b": (BAR, False)}
+
+
+def store(folder: Path, pictures: list[tuple[list[str], list[list[float]]]], weight: float = 0.5) -> PixelStore:
+    """Views of one letter a pixel (OPTIONS: what its centre sees, and capitals where it sees that alone; a
+    blank looks outside) and of its grey radiance, which is its own; mixed pixels have the given weight."""
+    views = [
+        View(f"train/{i}", "train", Path(), len(rows[0]), len(rows), 1.0, 1.0, 0.0, 0.0, np.eye(4))
+        for i, (rows, _) in enumerate(pictures)
+    ]
+    pixels = open_pixels(folder / "pixels", views, create=True)
+    for index, (rows, grey) in enumerate(pictures):
+        seen = [OPTIONS.get(letter, (NO_TRIANGLE, True)) for letter in "".join(rows)]
+        place = pixels.rows(index)
+        pixels.triangle[place], pixels.pure[place] = np.array(seen).T
+        pixels.radiance[place] = pixels.own[place] = np.array(grey, np.float32).reshape(-1, 1)
+        pixels.weight[place] = np.where(pixels.pure[place], 1.0, weight)
+    return pixels
+
+
+def probability(
+    pixels: PixelStore,
+    told: tuple[int, ...] = (),
+    diffuse: np.ndarray | float = 1.0,
+    hdr: bool = True,
+    **changes: object,
+) -> np.ndarray:
+    """(T,) probability to emit where L_d is 1, or as given for each pixel, and surfaces are diffuse."""
+    ids = np.arange(len(ROOM.triangles))
+    surfaces: EmitterSurfaces = replace(emitter_surfaces(ROOM, Parts(ids, "none"), 0.01), **changes)
+    light = np.broadcast_to(np.reshape(diffuse, (-1, 1)), (len(pixels), 3)).astype(np.float16)
+    shadings = ShadingStore(light, np.zeros((len(pixels), 2, 2, 3), np.float16))
+    none, hints = np.zeros(len(ids), bool), np.isin(ids, told).astype(np.int8)
+    return emission_probability(
+        ROOM, pixels, shadings, lambda rows: light[rows].astype(np.float32), surfaces, hints, none, hdr
+    )
+
+
+def emission(pixels: PixelStore, **options: object) -> list[int]:
+    """Triangles that emit; options of :func:`probability`."""
+    return np.flatnonzero(probability(pixels, **options) > 0.5).tolist()  # type: ignore[arg-type]
+
+
+def test_brighter_than_white_is_evidence_and_what_white_explains_is_none() -> None:
+    ratio = np.log([0.02, 0.3, 1.0, 1.2, 2.0, 4.0, 40.0])
+    found = log_evidence(ratio - 0.02, ratio + 0.02, np.full(7, 0.15))
+    assert (found[:4] < 0.0).all() and (found[4:] > 0.0).all() and (np.diff(found) > 0.0).all()
+    rough = log_evidence(ratio - 0.02, ratio + 0.02, np.full(7, 0.6))
+    assert (rough[4:] < found[4:]).all()  # light that is known less well explains more
+    # An interval that may be anything tells nothing, one that is cut off below by white a little.
+    assert log_evidence(np.array([-14.0]), np.array([7.0]), np.array([0.15]))[0] == pytest.approx(0.0, abs=0.01)
+
+
+def test_light_is_unexplained_channel_by_channel() -> None:
+    """A red lamp under white light is as bright as a grey wall."""
+    lamp, wall = np.array([[3.0, 0.1, 0.1]]), np.full((1, 3), 0.8)
+    assert log_ratio(lamp, np.ones((1, 3)))[0] > np.log(2.0)
+    assert log_ratio(wall, np.ones((1, 3)))[0] == pytest.approx(np.log(0.8))
+    assert log_ratio(2.0 * wall, np.ones((1, 3)))[0] == pytest.approx(np.log(1.6))
+
+
+def test_constant_radiance_in_varying_light_is_emitted(rng: np.random.Generator) -> None:
+    """A panel against a wall, a textured wall and a surface in even light; few pixels say little."""
+    count = 400
+    light, noise = np.log(rng.uniform(1.0, 3.0, count)), 0.02 * rng.normal(size=count)
+    texture = np.log(rng.uniform(0.2, 0.8, count))
+    even = np.full(count, 0.7)
+    radiance = np.concatenate([noise, light + noise, light + texture, even + noise])
+    found = constancy(radiance, np.concatenate([light, light, light, even]), np.repeat([0, 1, 2, 3], count), 5)
+    assert found[0] > 20.0 and found[1] < -20.0 and abs(found[2]) < 8.0 and abs(found[3]) < 0.5
+    assert found[4] == 0.0
+    few = constancy(noise[:20], light[:20], np.zeros(20, np.int64), 1)
+    assert 0.0 < few[0] < 0.3 * found[0]
+
+
+def test_a_lamp_much_brighter_than_white_emits(tmp_path: Path) -> None:
+    view = (["..BBLL"], [[0.8, 0.8, 1.3, 1.3, 5.0, 5.0]])
+    found = probability(store(tmp_path, [view] * 4))
+    assert (found[[LAMP, LAMP + 1]] > 0.9).all() and (found[[WALL, BAR]] < 0.05).all()
+    assert found[LAMP + 1] == found[LAMP]  # no pixel judged the other triangle of the quad
+    # Fewer views and a dimmer lamp are less certain, and no step lies between.
+    less = probability(store(tmp_path / "two", [view] * 2))[LAMP]
+    dim = (["..BBLL"], [[0.8, 0.8, 1.3, 1.3, 3.0, 3.0]])
+    assert 0.02 < less < found[LAMP] and probability(store(tmp_path / "dim", [dim] * 4))[LAMP] < found[LAMP]
+
+
+def test_light_that_may_be_brighter_explains_more(tmp_path: Path) -> None:
+    pixels = store(tmp_path, [(["..LL"], [[0.8, 0.8, 5.0, 5.0]])] * 4)
+    found = [probability(pixels, **options)[LAMP] for options in ({}, {"unseen": 0.5}, {"hdr": False})]
+    assert found[0] > 0.9 and found[0] > found[1] and found[0] > found[2]
+    assert emission(pixels, told=(WALL, WALL + 1)) == [WALL, WALL + 1, LAMP, LAMP + 1]
+
+
+def test_a_dim_lamp_emits_as_a_part_of_constant_radiance(tmp_path: Path) -> None:
+    """As bright as the wall beside it, in light that varies by a factor of four."""
+    light = np.linspace(1.0, 4.0, 60)
+    dim, wall = np.full(60, 0.9), 0.5 * light
+    pixels = store(tmp_path, [(["L" * 60, "." * 60], [dim, wall])] * 3)  # type: ignore[list-item]
+    part = np.arange(len(ROOM.triangles)) // 2
+    assert emission(pixels, diffuse=np.tile(light, 6), part=part) == [LAMP, LAMP + 1]
+    # Clipped photographs are constant, too.
+    assert emission(pixels, diffuse=np.tile(light, 6), part=part, hdr=False) == []
+
+
+def test_stray_pixels_do_not_decide(tmp_path: Path) -> None:
+    """A highlight on the wall in one view, a dark pixel on the lamp in another."""
+    bright = (["...LLL"], [[0.8, 0.8, 0.8, 9.0, 9.0, 9.0]])
+    views = [(["...LLL"], [[9.0, 0.8, 0.8, 9.0, 9.0, 0.1]]), *[bright] * 5]
+    assert emission(store(tmp_path, views)) == [LAMP, LAMP + 1]
+
+
+def test_a_bar_before_a_lamp_is_no_lamp_in_however_many_views(tmp_path: Path) -> None:
+    """No pixel sees it alone. What is left when the lamp is subtracted is uncertain, however bright it is."""
+    rows, grey = ["LLbLL"] * 3, [[20.0, 20.0, 19.0, 20.0, 20.0]] * 3
+    assert emission(store(tmp_path, [(rows, grey)] * 6, weight=0.08)) == [LAMP, LAMP + 1]
+    # Light that a lens spreads from the lamp is none of its own, even where the remainder is certain.
+    rows, grey = ["LLbLL"] * 3, [[20.0, 20.0, 9.0, 20.0, 20.0]] * 3
+    assert emission(store(tmp_path / "lens", [(rows, grey)] * 6, weight=0.9)) == [LAMP, LAMP + 1]
+
+
+def test_light_that_spills_into_a_pure_pixel_is_no_emission(tmp_path: Path) -> None:
+    """The bar is as bright as half the lamp beside it, in one column of pixels; two columns are proof."""
+    near = store(tmp_path, [(["LB.."] * 2, [[20.0, 9.0, 0.8, 0.8]] * 2)] * 6)
+    assert emission(near) == [LAMP, LAMP + 1]
+    wide = store(tmp_path / "wide", [(["LBBB"] * 2, [[20.0, 9.0, 9.0, 9.0]] * 2)] * 6)
+    assert emission(wide) == [LAMP, LAMP + 1, BAR, BAR + 1]
+
+
+def test_unjudged_triangles_are_lamps_as_their_piece_is(tmp_path: Path) -> None:
+    pixels = store(tmp_path, [(["LL"], [[9.0, 9.0]])] * 6)
+    one = np.zeros(len(ROOM.triangles), np.int64)  # all quads are one piece
+    found = probability(pixels, component=one)
+    assert found == pytest.approx(found[LAMP])
+    apart = probability(pixels)
+    assert apart[LAMP + 1] == apart[LAMP] and not apart[[WALL, BAR]].any()
+
+
+def test_a_rim_that_faces_sideways_on_a_scan_may_show_the_paper_beside_it(tmp_path: Path) -> None:
+    """A rim, on which the scan lets little light fall, is as bright as the lit paper beside it."""
+    light = np.array([1.0, 1.0, 0.2, 0.2, 1.0, 1.0])
+    rim = store(tmp_path, [(["..LL.."], [[0.8, 0.8, 0.9, 0.9, 0.8, 0.8]])] * 6)
+    assert emission(rim, diffuse=np.tile(light, 6)) == [LAMP, LAMP + 1]
+    assert emission(rim, diffuse=np.tile(light, 6), reach=1) == []

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light that nothing shows is found from what it does to floor and walls, near sources at their place."""
+"""Light that no photograph shows as it is: outside, from what nothing shows, and of clipped lamps."""
 
 from __future__ import annotations
 
@@ -13,18 +13,21 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.light.clipped import ON_LAMP, OUTSIDE, hemisphere_rays
-from fipt_blender.core.light.environment import Environment, Hull
+from fipt_blender.core.conventions import equirect_pixel_directions
+from fipt_blender.core.light.clipped import ON_LAMP, OUTSIDE, LitPoints, hemisphere_rays, light_on_points, solve_lamps
+from fipt_blender.core.light.clipped import Expectation as LampExpectation
+from fipt_blender.core.light.environment import MOST_PIXELS, Environment, Hull, estimate_environment
 from fipt_blender.core.light.observations import Observations
 from fipt_blender.core.light.radiance import OutsideRadiance
 from fipt_blender.core.light.sources import Expectation, Transport, held_back_gain, solve_sources
 from fipt_blender.core.light.unseen_light import with_unseen_light
+from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.pixels.store import open_pixels, trace_view
 from fipt_blender.core.run.settings import Settings
 from fipt_blender.core.surface.room import Room, triangle_normals
 from samples.camera_poses import look_at
 from samples.shading_points import grid_of
-from samples.small_captures import CAMERAS, pinhole
+from samples.small_captures import CAMERAS, few_sources, pinhole
 from samples.small_rooms import BOX, make_room
 
 CEILING = 1  # quadrilateral of the box
@@ -64,7 +67,7 @@ def observations(folder: Path, room: Room, lit: bool = True) -> Observations:
     triangle = np.asarray(pixels.triangle)
     middle = room.vertices[room.triangles].mean(axis=1)
     pixels.triangle[:] = np.where(middle[triangle, 2] > 2.9, -1, triangle)
-    hit = np.flatnonzero(np.asarray(pixels.triangle) >= 0)[::7]
+    hit = np.flatnonzero(np.asarray(pixels.triangle) >= 0)[::14]
     triangle = np.asarray(pixels.triangle[hit])
     normal = triangle_normals(room.vertices, room.triangles)[triangle]
     normal *= np.where(pixels.front[hit], 1.0, -1.0)[:, None]
@@ -94,7 +97,10 @@ def found_light(observed: Observations, room: Room) -> Observations:
 
 
 @pytest.mark.parametrize("quads", [[BOX[0], *BOX[2:]], BOX], ids=["no ceiling", "unseen ceiling"])
-def test_a_lamp_that_no_view_shows_is_found_at_its_place(tmp_path: Path, quads: list) -> None:
+def test_a_lamp_that_no_view_shows_is_found_at_its_place(
+    tmp_path: Path, quads: list, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few_sources(monkeypatch)
     room = make_room(quads)
     found = found_light(observations(tmp_path, room), room).environment
     assert found is not None and found.unseen is not None and found.hull is not None
@@ -180,3 +186,158 @@ def test_points_held_back_tell_light_from_noise() -> None:
     light = points.seen + points.unseen @ np.exp(expected.log_radiance)
     dark = replace(points, log_radiance=np.log(ALBEDO[points.group] * light) + 0.3 * rng.normal(size=light.shape))
     assert held_back_gain(dark, expected, np.random.default_rng(0)) < 1.0
+
+
+def estimated(directions: np.ndarray, radiance: np.ndarray, width: int, rng: np.random.Generator) -> Environment | None:
+    """Of pixels that come in pieces, as views do."""
+    pieces = [(directions[first::3], radiance[first::3]) for first in range(3)]
+    return estimate_environment(lambda: pieces, width, rng)
+
+
+def test_pixels_that_look_outside_give_the_map_back(rng: np.random.Generator) -> None:
+    image = rng.uniform(0.1, 2.0, (16, 32, 3)).astype(np.float32)
+    directions = np.repeat(equirect_pixel_directions(32, 16).reshape(-1, 3), 3, axis=0)
+    radiance = np.repeat(image.reshape(-1, 3), 3, axis=0)
+    radiance[1::3] *= 50.0  # a stray pixel in each cell: the median forgets it
+    order = rng.permutation(len(directions))
+    found = estimated(directions[order], radiance[order], 32, rng)
+    assert found is not None and found.observed_share == 1.0
+    np.testing.assert_array_equal(found.image, image)
+    # and rays that leave the room look it up in the same place
+    light = EnvironmentLight(found.image)
+    rays = mi.Vector3f(directions[::3].T.astype(np.float32).copy())
+    np.testing.assert_allclose(np.array(light.radiance(rays)).T, image.reshape(-1, 3))
+
+
+def test_unseen_cells_take_the_nearest_ones(rng: np.random.Generator) -> None:
+    """Only a window to the east is seen: everything has its radiance, across the seam of the map too."""
+    directions = equirect_pixel_directions(64, 32).reshape(-1, 3)
+    east = directions[:, 0] > 0.9
+    found = estimated(directions[east], np.tile([[1.0, 2.0, 3.0]], (east.sum(), 1)), 64, rng)
+    assert found is not None
+    np.testing.assert_allclose(found.image, np.tile([1.0, 2.0, 3.0], (32, 64, 1)), rtol=1e-6)
+    assert abs(found.observed_share - 0.05) < 0.01  # (1 - 0.9) / 2 of the sphere
+    west = directions[:, 0] < -0.95
+    radiance = np.where(east[:, None], 4.0, 1.0) * np.ones(3)
+    both = estimated(directions[east | west], radiance[east | west], 64, rng)
+    assert both is not None
+    flat = both.image.reshape(-1, 3)
+    assert (flat[directions[:, 0] > 0.8] == 4.0).mean() > 0.9
+    assert (flat[directions[:, 0] < -0.85] == 1.0).mean() > 0.9
+
+
+def test_of_many_pixels_some_are_enough(rng: np.random.Generator) -> None:
+    """Beyond MOST_PIXELS a cell's median is that of a sample: unbiased, and stray pixels stay forgotten."""
+    image = rng.uniform(0.1, 2.0, (8, 16, 3))
+    times = 20 * MOST_PIXELS
+    directions = np.repeat(equirect_pixel_directions(16, 8).reshape(-1, 3), times, axis=0)
+    radiance = np.repeat(image.reshape(-1, 3), times, axis=0)
+    radiance *= rng.uniform(0.9, 1.1, (len(radiance), 1))
+    radiance[::5] *= 50.0
+    found = estimated(directions, radiance.astype(np.float32), 16, rng)
+    assert found is not None
+    ratio = found.image[..., 0] / image[..., 0]
+    # A fifth lies above all others, so the median is at 5/8 of these: 0.9 + 0.2 * 5/8; its error by chance
+    # is half a range over the square root of the sample.
+    assert abs(ratio.mean() - 1.025) < 0.003
+    assert 0.2 < ratio.std() / (0.125 / MOST_PIXELS**0.5) < 2.0
+
+
+def test_no_pixel_outside_or_a_hole_in_the_mesh_is_no_environment(rng: np.random.Generator) -> None:
+    assert estimate_environment(lambda: [], 64, rng) is None
+    directions = equirect_pixel_directions(256, 128).reshape(-1, 3)
+    hole = directions[:, 0] > 0.9995
+    assert hole.any()
+    assert estimated(directions[hole], np.full((hole.sum(), 3), 5.0), 256, rng) is None
+
+
+UP = np.array([[0.0, 0.0, 1.0]])
+
+
+def lamp_of(room):
+    """The two triangles after those of the box are one lamp."""
+    return np.where(np.isin(np.arange(len(room.triangles)), (12, 13)), 0, -1).astype(np.int32)
+
+
+def synthetic(contrast: float, seed: int = 0):
+    """Points of eight parts that two lamps light, with textures and a tenth of glossy points."""
+    rng = np.random.default_rng(seed)
+    count, entries = 2500, 400
+    cache = rng.normal(-1.0, 0.7, (entries, 3))
+    # Rays of one point meet what lies near it: the indirect light varies, too.
+    entry = rng.integers(0, 20, (count, 1)) * 20 + rng.integers(0, 20, (count, 32))
+    direct = np.stack([np.exp(rng.normal(-4.0, 1.2, count)), np.exp(rng.normal(-5.0, 1.0, count))], axis=1)
+    direct = np.concatenate([direct, np.zeros((count, 1))], axis=1)
+    radiance = np.array([[60.0, 50.0, 40.0], [200.0, 150.0, 90.0], [1.0, 1.0, 1.0]])
+    part = rng.integers(0, 8, count)
+    albedo = rng.uniform(0.1, 0.8, (8, 3))[part] * np.exp(rng.normal(0.0, 0.1, (count, 1)))
+    light = np.exp(cache)[entry].mean(axis=1) + direct @ radiance
+    value = np.log(albedo * light * np.where(rng.random((count, 1)) < 0.1, 2.0, 1.0)) / contrast
+    value[rng.random(value.shape) < 0.05] = np.nan
+    points = LitPoints(value, part, entry, direct)
+    return points, cache / contrast, np.full((3, 3), np.log(4.0) / contrast), radiance
+
+
+@pytest.mark.parametrize("contrast", [2.3, 3.2])
+def test_lamps_and_contrast_come_back(contrast):
+    points, cache, bound, radiance = synthetic(contrast)
+    found = solve_lamps(points, cache, LampExpectation.of(bound, np.log(2.8)), (np.log(2.8), 1.0))
+    assert found.log_contrast[0] == pytest.approx(np.log(contrast), abs=0.03)
+    assert np.abs(found.log_radiance[:2] - np.log(radiance[:2])).max() < 0.1
+    assert found.deviation[:2].max() < 0.15 and found.spread * contrast < 0.2
+
+
+def test_a_known_error_of_the_model_is_corrected():
+    """Light that varies more than the model says: without the correction, the contrast is wrong."""
+    contrast = 2.6
+    points, cache, bound, radiance = synthetic(contrast)
+    light = points.light(cache, radiance, contrast)
+    correction = 0.2 * np.log(light)
+    points = replace(points, value=points.value + correction / contrast, correction=correction)
+    expected = LampExpectation.of(bound, np.log(2.8))
+    found = solve_lamps(points, cache, expected, (np.log(2.8), 1.0))
+    assert found.log_contrast[0] == pytest.approx(np.log(contrast), abs=0.03)
+    assert np.abs(found.log_radiance[:2] - np.log(radiance[:2])).max() < 0.1
+    wrong = solve_lamps(replace(points, correction=0.0), cache, expected, (np.log(2.8), 1.0))
+    assert abs(wrong.log_contrast[0] - np.log(contrast)) > 0.05
+
+
+def test_a_known_contrast_is_kept_and_a_lamp_that_lights_nothing_is_said_to_be_unknown():
+    """Unless it is known from elsewhere: nothing looks outside, which is the third lamp."""
+    points, cache, bound, radiance = synthetic(2.6)
+    broad = LampExpectation.of(bound, np.log(2.6))
+    found = solve_lamps(points, cache, broad, (np.log(2.6), 0.0))
+    assert found.log_contrast[0] == pytest.approx(np.log(2.6), abs=1e-3)
+    assert np.abs(found.log_radiance[:2] - np.log(radiance[:2])).max() < 0.06
+    assert found.deviation[2].min() > 1.5 and np.abs(found.log_radiance[2] - np.log(8.0 * 4.0)).max() < 1e-3
+    known = replace(broad, log_radiance=np.full((3, 3), 1.5), deviation=np.array([2.0, 2.0, 0.1]))
+    found = solve_lamps(points, cache, known, (np.log(2.6), 0.0))
+    assert np.abs(found.log_radiance[2] - 1.5).max() < 1e-3 and found.deviation[2].max() < 0.11
+
+
+def test_direct_light_of_a_panel_over_the_floor():
+    """The analytic irradiance of a small horizontal square: A cos² / (pi d²)."""
+    small = [[x, y, 2.9] for x, y in ((-0.05, -0.05), (-0.05, 0.05), (0.05, 0.05), (0.05, -0.05))]
+    room = make_room([*BOX, small])
+    position = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    entry, direct = light_on_points(room, grid_of(room), (position, np.repeat(UP, 2, 0)), lamp_of(room), 0)
+    squared = np.array([2.9**2, 2.9**2 + 1.0])
+    expected = 0.01 * (2.9**2 / squared) / (np.pi * squared)
+    assert direct[:, 0] == pytest.approx(expected, rel=0.01) and direct[:, 1].max() == 0.0
+    assert (entry >= 0).mean() > 0.95
+    screen = [[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]]
+    room = make_room([*BOX, small, screen])
+    _, shaded = light_on_points(room, grid_of(room), (position[:1], UP), lamp_of(room), 0)
+    assert shaded.max() == 0.0
+
+
+def test_light_from_all_around_is_one():
+    """Where every surface is one lamp, or there is nothing, all light is its radiance."""
+    room = make_room(BOX)
+    every = np.zeros(len(room.triangles), np.int32)
+    point = (np.array([[0.1, 0.2, 1e-3]]), UP)
+    entry, _ = light_on_points(room, grid_of(room), point, every, 0)
+    assert (entry == ON_LAMP).all()
+    floor = make_room(BOX[:1])
+    entry, direct = light_on_points(floor, grid_of(floor), point, np.full(2, -1, np.int32), 0)
+    assert (entry == OUTSIDE).all() and direct.tolist() == [[1.0]]

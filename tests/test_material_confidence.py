@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Expected standard errors compared with the actual errors of synthetic pixels."""
+"""Expected standard errors: of synthetic pixels, and of light by the doubt about where a scan's lamps are."""
+
+from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
@@ -10,13 +12,16 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.light.baking import ShadingStore
+from fipt_blender.core.light.emitters import Fixture
+from fipt_blender.core.light.lamp_doubt import hardly_seen, light_errors, power_errors
 from fipt_blender.core.material import confidence
-from fipt_blender.core.material.cell_errors import groups_of_cells
+from fipt_blender.core.material.cell_errors import LitCells, add_light_errors, groups_of_cells
 from fipt_blender.core.material.confidence import UNIFORM_DEVIATION, LinearisedPixels, linearise, standard_errors
 from fipt_blender.core.material.groups import Units
 from fipt_blender.core.material.pixel_samples import RADIANCE_FLOOR
 from fipt_blender.core.material.projection import color_lines
 from fipt_blender.core.material.seen import Box, SeenCells
+from samples.small_rooms import make_room
 
 LEVELS = np.linspace(0.02, 1.0, 6).astype(np.float32)
 VIEWS, EACH = 6, 4
@@ -139,11 +144,6 @@ def test_errors_never_exceed_those_of_the_uniform_prior():
     assert worse.mean() > 2 * better.mean()
 
 
-def test_confidence_is_one_minus_the_error_relative_to_the_priors():
-    errors = np.array([0.0, UNIFORM_DEVIATION / 2, UNIFORM_DEVIATION, 1.0])
-    assert confidence.confidence(errors).tolist() == [1.0, 0.5, 0.0, 0.0]
-
-
 def test_many_units_stay_apart() -> None:
     """Also from unit 8191 on, where 32 bits do not hold the pair of unit and block."""
     part = np.array([-1, 0, 8190, 8191, 8192, 16384, 16384 + 8191, 100_000, 116_384], np.int32)
@@ -164,9 +164,77 @@ def test_base_color_is_less_certain_where_places_are() -> None:
     assert scan[2, 0] == errors[2, 0]
 
 
-def test_no_map_of_a_poor_result_is_certain() -> None:
+def test_confidence_is_one_minus_the_error_relative_to_the_priors_and_never_high_in_a_poor_result() -> None:
+    known = np.array([0.0, UNIFORM_DEVIATION / 2, UNIFORM_DEVIATION, 1.0])
+    assert confidence.confidence(known).tolist() == [1.0, 0.5, 0.0, 0.0]
     errors = np.array([[0.02, 0.03, 0.28]], np.float32)
     poor = confidence.confidence(confidence.no_better_than(errors, 10.0 ** (-16.0 / 20.0)))
     assert poor.max() < 0.3
     good = confidence.no_better_than(errors, 10.0 ** (-40.0 / 20.0))
     np.testing.assert_array_equal(good, errors)
+
+
+FLOOR = [[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]]
+UP = np.array([[0.0, 0.0, 1.0]])
+AREA, LUMINANCE = 1e-4, 1000.0
+
+
+def lamp_above(height: float) -> list:
+    """A square of one centimetre that shines down."""
+    return [[-0.005, -0.005, height], [-0.005, 0.005, height], [0.005, 0.005, height], [0.005, -0.005, height]]
+
+
+def fixture(quad: int, height: float) -> Fixture:
+    triangles = np.array([2 * quad, 2 * quad + 1])
+    shines = np.full(3, LUMINANCE)
+    return Fixture(triangles, shines, np.zeros(3), AREA, np.array([0.0, 0.0, height]))
+
+
+def errors(quads: list, height: float, points: np.ndarray, doubt: float) -> np.ndarray:
+    room = make_room([FLOOR, lamp_above(height), *quads])
+    surface = points, np.repeat(UP, len(points), axis=0)
+    return light_errors(room, [fixture(1, height)], surface, doubt, 0)
+
+
+@pytest.mark.parametrize("height", [0.3, 0.6, 1.2])
+def test_the_error_is_that_of_the_inverse_square(height: float) -> None:
+    """Below a small lamp L_d is A L / (pi h^2); an error d of h changes it by 2 d / h."""
+    doubt = 0.01
+    found = errors([], height, np.zeros((1, 3)), doubt)
+    light = AREA * LUMINANCE / (np.pi * height**2)
+    assert found[0] == pytest.approx(2.0 * doubt / height * light, rel=0.05)
+
+
+def test_where_a_shadow_ends_light_is_least_certain() -> None:
+    """A board halfway between lamp and floor, whose edge's shadow lies below the lamp."""
+    board = [[0.0, -1, 0.5], [1.5, -1, 0.5], [1.5, 1, 0.5], [0.0, 1, 0.5]]
+    places = ([0.002, 0.0, 0.0], [-0.5, 0.0, 0.0], [0.5, 0.0, 0.0])
+    edge, lit, shadow = (errors([board], 1.0, np.array([place]), 0.01)[0] for place in places)
+    assert edge > 5.0 * lit > 0.0
+    assert shadow == 0.0
+    assert errors([], 1.0, np.array([[0.3, 0.0, 2.0]]), 0.01)[0] == 0.0  # above a lamp that shines down
+
+
+def test_lamps_that_few_pixels_see_alone_are_doubted_by_the_spread_of_their_radiance() -> None:
+    room = make_room([FLOOR, lamp_above(0.5), lamp_above(1.0)])
+    triangle = np.array([2] * 20 + [4] * 12)
+    own = np.full((32, 3), 100.0, np.float32)
+    own[20:26] *= 1.5
+    pixels = SimpleNamespace(triangle=triangle, own=own, weight=np.full(32, 0.5), pure=np.arange(32) < 22, radiance=own)
+    lamps = [fixture(1, 0.5), fixture(2, 1.0)]
+    (doubt,) = hardly_seen(lamps, pixels, len(room.triangles))
+    assert (doubt.index, doubt.pixels) == (1, 12) and doubt.spread == pytest.approx(0.2)
+    surface = np.array([[0.3, 0.0, 0.75]]), UP  # below that lamp, above the other
+    received = AREA * LUMINANCE / np.pi * 0.25**2 / (0.25**2 + 0.3**2) ** 2
+    found = power_errors(room, lamps, [doubt], surface, 0)
+    assert found[0] == pytest.approx(0.2 * received, rel=0.05)
+
+
+def test_base_color_is_as_wrong_as_the_light() -> None:
+    known = np.full((4, 3), 0.03, np.float32)
+    points = np.zeros((2, 3))
+    lit = LitCells(np.array([1, 3]), points, points, np.array([0.5, 0.8]), np.array([2.0, 0.1]))
+    found = add_light_errors(known, lit, np.array([0.16, 1.0]))
+    assert found[1, 0] == pytest.approx(np.hypot(0.03, 0.5 * 0.08))
+    assert found[3, 0] == pytest.approx(UNIFORM_DEVIATION)
+    assert np.array_equal(found[[0, 2]], known[[0, 2]]) and np.array_equal(found[:, 1:], known[:, 1:])

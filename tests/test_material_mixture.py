@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Roughness and metallic as a mixture: calibrated, and not misled by errors that views share."""
+"""Materials of known pixels: a calibrated mixture that errors shared by views do not mislead, and base colours."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.material import likelihood, training_input
 from fipt_blender.core.material.likelihood import make_candidates
 from fipt_blender.core.material.mixture import GroupMaterials, Prior, broad_prior, group_posterior, infer_materials
-from fipt_blender.core.material.pixel_samples import PixelSamples
-from fipt_blender.core.material.projection import fit_colors
+from fipt_blender.core.material.pixel_samples import PixelSamples, window_means
+from fipt_blender.core.material.projection import color_lines, fit_colors
 from fipt_blender.core.optics.factorised import color_line
 from samples.material_pixels import CELLS, LEVELS, SETTINGS, VIEWS, synthetic
 
@@ -87,13 +88,6 @@ def test_small_changes_of_the_pixels_change_the_answer_by_little(rng: np.random.
     np.testing.assert_allclose(before.mean[:, 1], after.mean[:, 1], atol=5e-3)
 
 
-@pytest.mark.parametrize("level", [2, 3, 5, 7])
-def test_roughness_is_found_in_little_noise(rng: np.random.Generator, level: int) -> None:
-    samples = with_view_errors(rng, [(float(LEVELS[level]), 0.0)], 0.03, 0.0)
-    found = infer(samples)
-    assert found.mean[0, 0] == pytest.approx(LEVELS[level], abs=0.03) and found.mean[0, 1] < 0.01
-
-
 def test_few_pixels_leave_the_prior(rng: np.random.Generator) -> None:
     """With few of its pixels a faint gloss is less certain, and closer to the prior's mean."""
     samples = with_view_errors(rng, [(float(LEVELS[3]), 0.0)], 0.3, 0.005)
@@ -128,6 +122,11 @@ def test_the_posterior_of_one_group_is_bayes_rule() -> None:
     posterior = group_posterior(log_likelihood, CANDIDATES, Prior(prior, 1e9))
     expected = np.exp(log_likelihood) * prior[:, None]
     np.testing.assert_allclose(posterior, expected / expected.sum(axis=0), rtol=1e-5, atol=1e-12)
+    # What is not possible stays so, however likely.
+    allowed = np.ones(log_likelihood.shape, bool)
+    allowed[10] = False
+    found = group_posterior(log_likelihood, CANDIDATES, Prior(prior, 1e9), allowed)
+    assert (found[10] == 0.0).all() and found.sum(axis=0) == pytest.approx(1.0)
 
 
 def test_groups_of_unclear_gloss_follow_the_room() -> None:
@@ -137,17 +136,12 @@ def test_groups_of_unclear_gloss_follow_the_room() -> None:
     matt = roughness_of(likelihood_of(*[(12, -40.0)] * 20, (12, 1.0)))
     alone = roughness_of(likelihood_of((12, 1.0)))
     assert glossy[-1] < 0.6 < alone[0] < matt[-1]
+    unseen = np.zeros((len(CANDIDATES.roughness), 50))  # groups that no pixel shows do not count
+    with_unseen = roughness_of(np.concatenate([likelihood_of(*clear, (12, 1.0)), unseen], axis=1))
+    np.testing.assert_allclose(with_unseen[:21], glossy, atol=1e-6)
     assert glossy[-1] > CANDIDATES.roughness[12] and matt[-1] > 0.95
     # A group that is clear keeps its own material.
     assert roughness_of(likelihood_of(*clear, (12, -40.0)))[-1] > 0.99
-
-
-def test_what_is_not_possible_stays_so_however_likely() -> None:
-    log_likelihood = likelihood_of((12, 40.0))
-    allowed = np.ones(log_likelihood.shape, bool)
-    allowed[12] = False
-    found = group_posterior(log_likelihood, CANDIDATES, Prior(broad_prior(CANDIDATES), 1e9), allowed)
-    assert found[12, 0] == 0.0 and found.sum() == pytest.approx(1.0)
 
 
 def test_groups_of_one_class_and_color_count_more_than_the_room() -> None:
@@ -160,18 +154,13 @@ def test_groups_of_one_class_and_color_count_more_than_the_room() -> None:
     assert roughness[25] < 0.55 and roughness[26] > 0.95
 
 
-def test_groups_that_no_pixel_shows_do_not_count_for_the_room() -> None:
-    unseen = np.zeros((len(CANDIDATES.roughness), 50))
-    known = likelihood_of(*[(12, 40.0)] * 10, (12, 1.0))
-    with_unseen = roughness_of(np.concatenate([known, unseen], axis=1))
-    np.testing.assert_allclose(with_unseen[:11], roughness_of(known), atol=1e-6)
-
-
 def test_pixels_without_group_or_company_tell_nothing(rng: np.random.Generator) -> None:
     samples, _ = synthetic(rng, [(float(LEVELS[3]), 0.0)], 0.01, 0.0)
     alone = infer(replace(samples, cell=np.arange(len(samples.rows))))
     prior = broad_prior(CANDIDATES)
     assert alone.mean[0, 0] == pytest.approx(float(CANDIDATES.roughness @ prior), abs=1e-5)
+    several = infer(replace(samples, group=2 * samples.group + 1))  # group 0 has no pixel
+    assert len(several.mean) == 2 and np.isfinite(several.mean).all()
     nothing = infer(replace(samples, group=np.full(len(samples.rows), -1)))
     assert all(len(values) == 0 for values in vars(nothing).values())
 
@@ -232,3 +221,53 @@ def test_a_material_is_less_certain_where_views_err(rng: np.random.Generator, mo
 def test_no_group_uses_more_pixels_than_all_may_use_together(count, most):
     assert training_input.most_of_each(np.array(count)) == most
     assert np.minimum(count, most).sum() <= 600_000
+
+
+@pytest.mark.parametrize("noise, outliers, within", [(0.0, 0.0, 0.01), (0.03, 0.05, 0.06)])
+def test_known_materials_are_recovered(rng: np.random.Generator, noise: float, outliers: float, within: float) -> None:
+    truths = [(1.0, 0.0), *((float(LEVELS[level]), 0.0) for level in (2, 3, 5))]
+    truths += [(float(LEVELS[2]), 1.0), (float(LEVELS[5]), 1.0)]
+    samples, color = synthetic(rng, truths, noise, outliers)
+    roughness, metallic = materials = infer(samples).mean.T
+    np.testing.assert_allclose(metallic, [metallic for _, metallic in truths], atol=1e-3)
+    for estimated, (true, _) in zip(roughness, truths, strict=True):
+        assert estimated == pytest.approx(true, abs=0.08)
+    shadings, rows = ShadingStore(samples.diffuse, samples.specular), np.arange(len(samples.group))
+    lines = color_lines(shadings, LEVELS, rows, np.stack(materials, axis=1)[samples.group])
+    found = fit_colors(samples.radiance, *lines, samples.square_weight, samples.cell)[samples.cell]
+    for index in range(len(truths)):
+        rows = samples.group == index
+        assert np.median(np.abs(found[rows] - color[rows])) < within
+
+
+def test_roughness_between_levels_is_found(rng: np.random.Generator) -> None:
+    """Shadings halfway between two levels give the roughness at which the levels have equal shares."""
+    samples, color = synthetic(rng, [(1.0, 0.0)], 0.0, 0.0)
+    middle = 0.5 * (samples.specular[:, 3] + samples.specular[:, 4])
+    radiance = (color * samples.diffuse + 0.04 * middle[:, 0] + middle[:, 1]).astype(np.float32)
+    roughness, metallic = infer(replace(samples, radiance=radiance)).mean.T
+    assert roughness[0] == pytest.approx((0.5 * LEVELS[3] ** -2 + 0.5 * LEVELS[4] ** -2) ** -0.5, abs=1e-6)
+    assert metallic[0] < 1e-3
+
+
+def test_window_means_stay_within_part_and_view(rng: np.random.Generator) -> None:
+    """Against a plain loop over two images of different sizes."""
+    sizes = [(5, 7), (4, 3)]
+    view = np.repeat([0, 1], [35, 12])
+    widths = np.array([7, 3])
+    count = len(view)
+    part, pure = rng.integers(0, 2, count), rng.random(count) < 0.7
+    values = rng.normal(size=(count, 2, 3)).astype(np.float32)
+    rows = np.flatnonzero(pure)
+    (means,) = window_means([values], rows, pure, part, np.array([0, 35, 47]), widths)
+    for row, mean in zip(rows, means, strict=True):
+        first = 35 * view[row]
+        height, width = sizes[view[row]]
+        y, x = divmod(row - first, width)
+        near = [
+            first + j * width + i
+            for j in range(max(y - 1, 0), min(y + 2, height))
+            for i in range(max(x - 1, 0), min(x + 2, width))
+        ]
+        near = [other for other in near if pure[other] and part[other] == part[row]]
+        np.testing.assert_allclose(mean, values[near].mean(axis=0), rtol=1e-5, atol=1e-6)

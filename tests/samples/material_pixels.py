@@ -5,7 +5,6 @@
 import numpy as np
 
 from fipt_blender.core.light.shadings import roughness_levels
-from fipt_blender.core.material.mixture import infer_materials
 from fipt_blender.core.material.pixel_samples import PixelSamples
 from fipt_blender.core.run.settings import Settings
 
@@ -42,20 +41,6 @@ def synthetic(
     radiance *= 1.0 + noise * rng.normal(size=radiance.shape)
     wrong = rng.random(count) < outliers
     radiance[wrong] *= rng.uniform(0.0, 5.0, (wrong.sum(), 1))
-    return samples_of(radiance, diffuse, specular, cell, part), color
-
-
-def samples_of(
-    radiance: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, cell: np.ndarray, part: np.ndarray
-) -> PixelSamples:
-    """Pixels whose views alternate."""
-    rows = np.arange(len(part))
+    rows = np.arange(count)
     arrays = [np.asarray(array, np.float32) for array in (radiance, diffuse, specular)]
-    return PixelSamples(rows, *arrays, LEVELS, cell, part, rows % VIEWS, np.ones(len(rows), np.float32))
-
-
-def materials_of(samples: PixelSamples) -> tuple[np.ndarray, np.ndarray]:
-    """Roughness and metallic of each part."""
-    groups = int(samples.group.max(initial=-1)) + 1
-    roughness, metallic = infer_materials(samples, groups, samples.cell, SETTINGS).mean.T
-    return roughness, metallic
+    return PixelSamples(rows, *arrays, LEVELS, cell, part, rows % VIEWS, np.ones(count, np.float32)), color

@@ -13,11 +13,13 @@ from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
+import pytest
 
 from benchmarks.tracer.forward import LitRoom, RenderSettings, render_view
 from benchmarks.tracer.surfaces import TriangleMaterials
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.estimate import command, training_stages
+from fipt_blender.core.light import source_cells, unseen_light
 from fipt_blender.core.material import training
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import EmitterTable
@@ -116,6 +118,11 @@ def panel_capture() -> SmallCapture:
     return photograph([*BOX, PANEL], [*COLORS, [0.0] * 3], table(PANEL_TRIANGLES, PANEL_RADIANCE), None)
 
 
+def some_views(capture: SmallCapture, count: int = 4) -> SmallCapture:
+    """The first of its views, where all would only take more time."""
+    return replace(capture, images=capture.images[:count], poses=capture.poses[:count])
+
+
 def window_capture(radiance: list[float]) -> SmallCapture:
     """The box without its right wall, lit from outside by constant radiance."""
     quads = [quad for index, quad in enumerate(BOX) if index != 4]
@@ -153,3 +160,30 @@ def run_here(run: RunFolder, train: bool = True) -> list[dict]:
             patches.enter_context(patch.object(module, "PRETRAINING_STEPS", steps))
         command.run(argparse.Namespace(run=run.root, cluster=None), Reporter(stream))
     return [message for line in stream.getvalue().splitlines() if (message := parse_message(line))]
+
+
+def few_sources(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Unseen light of fewer sources, on whose number the time depends most."""
+    monkeypatch.setattr(unseen_light, "MOST_SOURCES", 100)
+    monkeypatch.setattr(source_cells, "MOST_DIVIDED", 100)
+
+
+def stages_of(messages: list[dict]) -> list[str]:
+    """The stages that were done."""
+    return [message["name"] for message in messages if message["type"] == "stage"]
+
+
+def warnings_of(messages: list[dict]) -> list[str]:
+    """The codes of all warnings."""
+    return [message["code"] for message in messages if message["type"] == "warning"]
+
+
+def fixtures_of(run: RunFolder) -> list[dict]:
+    return json.loads(run.emitters_json.read_text())["fixtures"]
+
+
+def outcome(run: RunFolder) -> dict[str, bytes]:
+    """The results, bit for bit."""
+    with np.load(run.fields_npz, allow_pickle=False) as data:
+        found = {name: data[name].tobytes() for name in data.files}
+    return found | {"emitters": run.emitters_json.read_bytes()}
