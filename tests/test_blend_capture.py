@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix
 
-from fipt_blender.blend.capture import importing
+from fipt_blender.blend.capture import cameras, importing
 from fipt_blender.blend.capture.exporting import export_capture
 from fipt_blender.blend.slices import run_through
 from fipt_blender.core import conventions
@@ -56,13 +56,35 @@ def entries(run: RunFolder) -> dict[str, dict]:
 
 def test_unmoved_cameras_keep_their_poses_to_the_bit(run, scene):
     bring_in(run)
-    assert export_capture(scene, run) == 5
+    scene.fipt.capture.views[0].camera_object().name = "Hero"
+    assert scene.fipt.capture.views[0].camera_object().name == "Hero" and export_capture(scene, run) == 5
     before = {entry["name"]: entry for entry in read_document(run.ingest_json, dict)["views"]}
     assert entries(run) == before
     bpy.context.view_layer.update()
     time = run.capture_json.stat().st_mtime_ns
     export_capture(scene, run)
     assert run.capture_json.stat().st_mtime_ns == time  # nothing changed, so that a run can resume
+
+
+def test_blender_renders_what_the_pinhole_sees(run, scene):
+    bring_in(run)
+    for view in read_document(run.ingest_json, dict)["views"]:
+        width, height = view["width"], view["height"]
+        camera = cameras.find_camera(view["name"], scene)
+        cameras.use_view(scene, camera)
+        bpy.context.view_layer.update()
+        render = scene.render
+        assert (render.resolution_x, render.resolution_y) == (width, height)
+        lens = camera.calc_matrix_camera(
+            bpy.context.evaluated_depsgraph_get(), x=width, y=height,
+            scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y,
+        )  # fmt: skip
+        matrix = np.array(lens, np.float64) @ np.linalg.inv(np.array(camera.matrix_world, np.float64))
+        points = points_before(view)
+        clip = np.column_stack([points, np.ones(len(points))]) @ matrix.T
+        found = (clip[:, :2] / clip[:, 3:] * [0.5, -0.5] + 0.5) * [width, height]
+        # Blender keeps single precision: 1e-4 pixels is two parts in a million of the width.
+        assert clip[:, 3].min() > 0.0 and np.abs(found - projections(view, points)).max() < 1e-4
 
 
 @pytest.mark.parametrize("evaluated", [True, False])
@@ -140,13 +162,6 @@ def test_ticks_splits_and_deleted_cameras(run, scene):
     assert error.code == "views-few" and run.capture_json.read_bytes() == before
 
 
-def test_renamed_cameras_are_found(run, scene):
-    bring_in(run)
-    scene.fipt.capture.views[0].camera_object().name = "Hero"
-    assert scene.fipt.capture.views[0].camera_object().name == "Hero"
-    assert export_capture(scene, run) == 5
-
-
 def test_importing_again_keeps_ticks_and_alignment_and_adds_nothing(run, scene):
     bring_in(run)
     settings = scene.fipt.capture
@@ -174,8 +189,8 @@ def test_another_capture_removes_the_cameras_and_hides_the_mesh_of_the_first(run
     data["views"] = [{**view, "name": f"b/{index}"} for index, view in enumerate(data["views"][:3])]
     write_json(run.ingest_json, {**data, "mesh": str(other)})
     bring_in(run, "elsewhere")
-    cameras = sorted(item.name for item in scene.objects if item.type == "CAMERA")
-    assert cameras == ["Artist's", "b/0", "b/1", "b/2"] and len(scene.fipt.capture.views) == 3
+    names = sorted(item.name for item in scene.objects if item.type == "CAMERA")
+    assert names == ["Artist's", "b/0", "b/1", "b/2"] and len(scene.fipt.capture.views) == 3
     (new,) = scene.fipt.capture.room_objects(scene)
     assert new != old and [each.name for each in old.users_collection] == ["Earlier Rooms"]
     assert old.users_collection[0].hide_viewport and old.users_collection[0].hide_render
@@ -244,7 +259,8 @@ def test_masks_of_a_folder(run, scene, tmp_path):
 def test_runs_of_the_command_line_keep_all_views(run, scene):
     """They have no ingest.json: the first export makes it of capture.json."""
     run.ingest_json.rename(run.capture_json)
-    run_through(iter_views(run, scene))
+    cameras.add_cameras(run, scene, photographs=False)
+    importing.fill_views(scene, run)
     scene.fipt.capture.views[1].enabled = False
     assert export_capture(scene, run) == 4
     scene.fipt.capture.views[1].enabled = True
@@ -252,11 +268,3 @@ def test_runs_of_the_command_line_keep_all_views(run, scene):
     run.ingest_json.unlink()
     run.capture_json.unlink()
     assert error_of(export_capture, scene, run).code == "capture-missing"
-
-
-def iter_views(run, scene):
-    from fipt_blender.blend.capture import cameras
-
-    cameras.add_cameras(run, scene, photographs=False)
-    yield
-    importing.fill_views(scene, run)

@@ -1,8 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The guided path: what the tab shows at each stage of the work, and how little of it at first."""
+"""The guided path: what the tab shows at each stage, how little of it at first, and what follows a job."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import bpy
 import pytest
@@ -133,3 +135,22 @@ def test_without_a_mesh_the_next_step_is_to_bring_one():
 def test_no_process_is_started_while_drawing(monkeypatch):
     monkeypatch.setattr(machine, "engine_python", lambda: pytest.fail("a process was started"))
     assert tab_count().sections
+
+
+@pytest.mark.parametrize(
+    ("state", "wanted", "mode", "applied"),
+    [
+        ("finished", True, "OBJECT", True),
+        ("cancelled", True, "OBJECT", False),
+        ("finished", False, "OBJECT", False),
+        ("finished", True, "EDIT", False),
+    ],
+)
+def test_results_of_an_estimation_are_applied_unless_the_artist_minds(scene, state, wanted, mode, applied):
+    scene.fipt.estimate.apply_when_finished = wanted
+    bpy.context.view_layer.objects.active = bpy.data.objects["cube"]
+    bpy.ops.object.mode_set(mode=mode)
+    folder = Path(scene.fipt.run_folder)
+    session.after_job(running.RunningJob("Estimate", "estimate", scene.name, folder, state=state))
+    assert bool(scene.fipt.materials.object_count) is applied
+    bpy.ops.object.mode_set(mode="OBJECT")
