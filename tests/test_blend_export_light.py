@@ -53,10 +53,10 @@ def add_light(scene, name, kind, settings, scale=(1.0, 1.0, 1.0), turn=(0.4, 0.3
 
 
 def points_below(rng):
-    """Twenty points one to three metres in front of the lights of `add_light`, which see them wholly."""
-    places = rng.uniform((-0.8, -0.8, -3.0), (0.8, 0.8, -1.2), (20, 3))
+    """Ten points one to three metres in front of the lights of `add_light`, which see them wholly."""
+    places = rng.uniform((-0.8, -0.8, -3.0), (0.8, 0.8, -1.2), (10, 3))
     turn = np.array(Euler((0.4, 0.3, 0.2)).to_matrix())
-    normals = rng.normal(size=(20, 3)) * 0.3 + turn @ (0.0, 0.0, 1.0)
+    normals = rng.normal(size=(10, 3)) * 0.3 + turn @ (0.0, 0.0, 1.0)
     return places @ turn.T + (3.0, 2.0, 4.0), normals
 
 

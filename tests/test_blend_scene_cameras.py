@@ -56,7 +56,6 @@ def frames(path: Path) -> dict[str, dict]:
 
 
 PHOTOGRAPHS = {"landscape": (400, 300), "portrait": (267, 400), "wide": (410, 111), "square": (150, 150)}
-FRAMES = [(1920, 1080), (1080, 1920), (64, 64), (401, 300)]
 
 
 def scene_projection(scene, item, points) -> np.ndarray:
@@ -106,7 +105,7 @@ def use_scene_cameras(scene, run) -> dict[str, dict]:
 
 @pytest.mark.parametrize(
     ("size", "aspect"),
-    [*zip(FRAMES, [(1.0, 1.0), (1.0, 1.5), (2.0, 1.0), (1.0, 1.0)], strict=True), (FRAMES[0], (2.0, 1.0))],
+    [((1920, 1080), (2.0, 1.0)), ((1080, 1920), (1.0, 1.5)), ((64, 64), (2.0, 1.0)), ((401, 300), (1.0, 1.0))],
     ids=str,
 )
 def test_a_camera_is_the_same_in_blender_and_in_the_engine(scene, tmp_path, size, aspect):
@@ -140,7 +139,7 @@ def test_a_camera_is_the_same_in_blender_and_in_the_engine(scene, tmp_path, size
     first = written(scene, run)
     points, before = {}, {}
     for item, pixels in items:
-        points[item.name] = points_before(first[item.name])
+        points[item.name] = points_before(first[item.name])[::6]
         before[item.name] = scene_projection(scene, item, points[item.name])
         in_photograph = lies_in_photograph(scene, item, before[item.name], pixels)
         assert np.abs(projections(first[item.name], points[item.name]) - in_photograph).max() < 0.01, item.name
