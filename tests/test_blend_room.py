@@ -14,7 +14,7 @@ from fipt_blender.blend.capture import mesh_import
 from fipt_blender.blend.room import arrays, exporting
 from fipt_blender.core import conventions
 from samples.refusals import error_of
-from samples.spots import spot
+from samples.spots import spot, white_world
 
 # A tetrahedron-like shape without symmetry, so that any rotation or mirroring shows.
 POINTS = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)], np.float64)
@@ -118,10 +118,7 @@ def test_faces_of_opposite_winding_render_alike(tmp_path):
     mesh.shade_smooth()
     mesh.normals_split_custom_set([(0.0, 0.0, 1.0)] * 3 + [(0.0, 0.0, -1.0)] * 3)
     mesh_import.mark_turned_edges(mesh)
-    scene = bpy.context.scene
-    scene.world = bpy.data.worlds.new("white")
-    scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs[0].default_value = (1.0, 1.0, 1.0, 1.0)
+    white_world()
     image = spot((0.0, 0.0, 2.0), (0.0, 0.0, 0.0), 16, 16, 1.6)
     assert image[..., 0].min() > 0.5 * image[..., 0].max() > 0.2
 

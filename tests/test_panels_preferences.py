@@ -78,23 +78,10 @@ def make_environment(data: Path, groups: dict[str, list[str]]) -> Path:
 
 
 def check_result(**changes: Any) -> dict[str, Any]:
-    engine = {
-        "python": "3.11.7",
-        "interpreter": "/python",
-        "packages": {"mitsuba": "3.9.1", "torch": None},
-        "llvm": "/usr/lib/libLLVM.so.19.1",
-        "cuda": None,
-        "gpus": GPUS,
-        "device": "llvm",
-        "oidn": True,
-        "cores": 8,
-        "memory_gb": 32.0,
-        "memory_free_gb": 20.0,
-        "ready": True,
-        **changes,
-    }
-    version = PRODUCT_VERSION
-    return {"time": 0.0, "product_version": version, "engine": engine, "warnings": [], "error": None}
+    engine = {"python": "3.11.7", "interpreter": "/python", "packages": {"mitsuba": "3.9.1", "torch": None}}
+    engine |= {"llvm": "/usr/lib/libLLVM.so.19.1", "cuda": None, "gpus": GPUS, "device": "llvm", "oidn": True}
+    engine |= {"cores": 8, "memory_gb": 32.0, "memory_free_gb": 20.0, "ready": True, **changes}
+    return {"time": 0.0, "product_version": PRODUCT_VERSION, "engine": engine, "warnings": [], "error": None}
 
 
 def test_values_and_a_data_folder_of_the_users_own(values: Any, data: Path, tmp_path: Path) -> None:
