@@ -30,7 +30,7 @@ from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.surface.clean import CleanMesh
 from fipt_blender.core.surface.stored import prepare_geometry, store_geometry
 from fipt_blender.core.textures import bake
-from samples.applied_rooms import ConstantFields, fingerprint, panel_and_cube
+from samples.applied_rooms import ConstantFields, emitter, fingerprint, panel_and_cube
 from samples.rendered_rooms import diffuse_floor
 from samples.scans import scanned_box
 from samples.spots import spot, white_world
@@ -50,17 +50,8 @@ def room(tmp_path):
 def prepare(run, objects, **changes):
     arrays = exporting.export_room(objects, run)
     lamp = np.flatnonzero((arrays.triangle_object == 0) & (arrays.triangle_polygon == 2))
-    write_json(
-        run.emitters_json,
-        {
-            "fixtures": [
-                {"name": "Fixture.001", "triangles": lamp.tolist(), "radiance": [8.0, 4.0, 2.0],
-                 "back_radiance": [0.0, 1.0, 0.0],
-                 "area": 1.0, "centroid": [2.5, 0.5, 0.0], "power": [0, 0, 0]}
-            ],
-            "environment": None,
-        },
-    )  # fmt: skip
+    fixture = emitter("Fixture.001", lamp, back=(0.0, 1.0, 0.0))
+    write_json(run.emitters_json, {"fixtures": [fixture], "environment": None})
     settle(run, objects, **changes)
 
 

@@ -97,26 +97,22 @@ def test_without_an_engine_an_error_leads_to_its_set_up(tmp_path):
 @pytest.mark.usefixtures("ready")
 def test_photographs_without_cameras_lead_to_make_capture(tmp_path):
     scene = bpy.context.scene
-    scene.fipt.capture.path = str(tmp_path)
-    info = running.RunningJob("Import Capture", "capture", scene.name, tmp_path)
-    running.refuse(info, FiptError("cameras-missing", "Photographs without cameras.", "Make a capture."))
+    scene.fipt.capture.path, scene.fipt.run_folder = str(tmp_path / "photos"), str(tmp_path / "run")
+    info = running.RunningJob("Import Capture", "capture", scene.name, tmp_path / "run")
+    error = FiptError("cameras-missing", "Photographs without cameras.", "Make a capture.")
+    running.refuse(info, error)
     assert "fipt.photographs_of_capture" in drawn_by(start.FIPT_PT_start)[0]
     assert bpy.ops.fipt.photographs_of_capture() == {"FINISHED"}
-    assert scene.fipt.photographs.path == str(tmp_path) and tab_count().sections == ("Photographs",)
+    assert scene.fipt.photographs.path == str(tmp_path / "photos") and tab_count().sections == ("Photographs",)
     assert bpy.ops.fipt.leave_photographs() == {"FINISHED"}
     assert tab_count().sections == ("Start",)
     assert "Photographs without cameras." not in drawn_by(start.FIPT_PT_start)[0]
-
-
-@pytest.mark.usefixtures("ready")
-def test_chosen_photographs_without_cameras_become_a_capture(tmp_path):
-    scene = bpy.context.scene
-    scene.fipt.capture.path, scene.fipt.run_folder = str(tmp_path / "photos"), str(tmp_path / "run")
-    info = running.RunningJob("Import Capture", "capture", scene.name, tmp_path / "run")
+    # After an import they become a capture unasked, unless it failed for another reason.
+    scene.fipt.capture.path = str(tmp_path / "photos")
     running.refuse(info, FiptError("other", "Another error.", "Another remedy."))
     session.after_job(info)
     assert not scene.fipt.photographs.path
-    running.refuse(info, FiptError("cameras-missing", "Photographs without cameras.", "Make a capture."))
+    running.refuse(info, error)
     session.after_job(info)
     assert scene.fipt.photographs.path == str(tmp_path / "photos") and running.last("capture") is None
     assert tab_count().sections == ("Photographs",)
