@@ -49,6 +49,7 @@ def add_light(scene, name, kind, settings, scale=(1.0, 1.0, 1.0), turn=(0.4, 0.3
     item = bpy.data.objects.new(name, light)
     item.matrix_world = Matrix.LocRotScale((3.0, 2.0, 4.0), Euler(turn), scale)
     scene.collection.objects.link(item)
+    bpy.context.view_layer.update()
     return item
 
 
@@ -78,7 +79,6 @@ def test_the_irradiance_of_every_light_is_in_the_file(scene, tmp_path, rng, kind
         add_light(scene, f"{kind}_{index}", kind, {**own, **common}, scale)
         for index, (own, common, scale) in enumerate(FAMILY[kind])
     ]
-    bpy.context.view_layer.update()
     names = [item.name for item in lights]
     paths = [tmp_path / "room.glb", tmp_path / "room.usda"]
     for path in paths:
@@ -137,7 +137,6 @@ def test_what_files_can_not_hold_of_lights_is_said(scene, tmp_path, suffix):
     for code, light in odd.items():
         add_light(scene, code, *light)
     add_light(scene, "Even", "AREA", {})
-    bpy.context.view_layer.update()
     said = {each["code"]: each["text"] for each in export_room(scene, tmp_path / f"room{suffix}").warnings}
     assert all(said[code].startswith(f"{code}: ") for code in odd)
 
@@ -154,7 +153,6 @@ def test_constant_nodes_of_lights_are_in_their_power_and_others_are_said(scene, 
         else:
             emission.inputs["Strength"].default_value = factor
             emission.inputs["Color"].default_value = (0.5, 1.0, 1.0, 1.0)
-    bpy.context.view_layer.update()
     exported = export_room(scene, tmp_path / "room.glb")
     watts = punctual(gltf_json(exported.path))
     assert np.allclose(watts["Constant"], 20.0 * 3.0 * np.array([0.5, 0.6, 0.3]), rtol=1e-3)
@@ -167,7 +165,6 @@ def test_names_are_the_artists_and_the_same_at_each_export(scene, tmp_path, suff
     for material in [each for each in bpy.data.materials if "fipt_part" in each]:
         bpy.data.materials.new(material["fipt_part_name"])  # as the artist's own material of that surface
     add_light(scene, "Bulb", "POINT", {})
-    bpy.context.view_layer.update()
     parts = {each["fipt_part_name"] for each in bpy.data.materials if "fipt_part" in each}
     exported = [export_room(scene, tmp_path / f"{index}{suffix}").path for index in range(2)]
     found = []

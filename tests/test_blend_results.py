@@ -37,14 +37,17 @@ from samples.spots import spot, white_world
 
 
 @pytest.fixture
-def room(tmp_path):
-    """A run of two objects."""
-    objects = panel_and_cube()
+def objects():
+    made = panel_and_cube()
     bpy.context.view_layer.update()
-    run = RunFolder(tmp_path / "run")
-    run.create(make_settings(changes={"texel_density": 16.0}))
-    prepare(run, objects)
-    return run, objects
+    return made
+
+
+@pytest.fixture
+def run(objects, run_folder):
+    """A run of two objects."""
+    prepare(run_folder, objects)
+    return run_folder
 
 
 def prepare(run, objects, **changes):
@@ -67,8 +70,7 @@ def shown(objects):
     return [found[name] for item in objects for name in (f"objects/{item.name}", f"meshes/{item.data.name}")]
 
 
-def test_restoring_undoes_applying(room):
-    run, objects = room
+def test_restoring_undoes_applying(run, objects):
     before = shown(objects)
     applied = applying.apply_results(run, objects)
     assert applied.fixtures == ["Panel"] and applied.materials == ["Panel FIPT", "Cube FIPT"]
@@ -84,8 +86,7 @@ def test_restoring_undoes_applying(room):
     assert originals.restore_original(bpy.context.scene, objects) == []
 
 
-def test_colour_attributes(room):
-    run, objects = room
+def test_colour_attributes(run, objects):
     prepare(run, objects, atlas_mode="color_attribute")
     applying.apply_results(run, objects)
     mesh = objects[1].data
@@ -98,8 +99,7 @@ def test_colour_attributes(room):
     assert spot(Vector((0, 5, 4)), Vector((0, 5, 0))).mean() < 0.9  # not the default white
 
 
-def test_fixture_emits_its_radiance_on_each_side(room):
-    run, objects = room
+def test_fixture_emits_its_radiance_on_each_side(run, objects):
     applying.apply_results(run, objects)
     world.apply_environment(run)
     fixture = bpy.data.objects["Panel"]
@@ -134,8 +134,7 @@ def test_area_light_has_the_given_radiance():
     assert np.allclose(image.mean(axis=(0, 1)), expected, rtol=0.01)
 
 
-def test_environment_direction(room):
-    run, _ = room
+def test_environment_direction(run):
     directions = conventions.equirect_pixel_directions(64, 32)
     write_exr(run.environment_exr, (directions * 0.5 + 0.5).astype(np.float32))
     data = read_document(run.emitters_json, dict)
@@ -159,8 +158,7 @@ def with_panes(run):
     return vertices
 
 
-def test_panes_become_an_object_of_the_room(room):
-    run, objects = room
+def test_panes_become_an_object_of_the_room(run, objects):
     vertices = with_panes(run)
     frame = bpy.data.objects.new("frame", None)
     bpy.context.scene.collection.objects.link(frame)
@@ -181,9 +179,8 @@ def test_panes_become_an_object_of_the_room(room):
     assert len(bpy.data.objects) == count
 
 
-def test_closed_holes_become_an_object_with_the_cleaned_vertices(room):
+def test_closed_holes_become_an_object_with_the_cleaned_vertices(run, objects):
     """Beside panes: each is an object of its own, and a second application finds both."""
-    run, objects = room
     arrays, _ = read_room_files(run)
     rim = arrays["vertices"][arrays["triangles"][:1]].reshape(3, 3)
     np.savez(
@@ -214,8 +211,7 @@ def test_closed_holes_become_an_object_with_the_cleaned_vertices(room):
     assert applying.apply_results(run, [*objects, closing, panes]) == applied
 
 
-def test_an_interrupted_application_adds_no_panes(room):
-    run, objects = room
+def test_an_interrupted_application_adds_no_panes(run, objects):
     with_panes(run)
     settle(run, objects)
     slices = applying.apply_slices(run, objects, bpy.context.scene)

@@ -32,6 +32,11 @@ def scene():
     return bpy.context.scene
 
 
+@pytest.fixture
+def run(tmp_path):
+    return RunFolder(tmp_path / "run")
+
+
 def photograph(path: Path, width: int, height: int, form: str = "OPEN_EXR") -> bpy.types.Image:
     image = bpy.data.images.new(path.stem, width, height, float_buffer=form == "OPEN_EXR")
     image.filepath_raw, image.file_format = str(path), form
@@ -108,10 +113,9 @@ def use_scene_cameras(scene, run) -> dict[str, dict]:
     [((1920, 1080), (2.0, 1.0)), ((1080, 1920), (1.0, 1.5)), ((64, 64), (2.0, 1.0)), ((401, 300), (1.0, 1.0))],
     ids=str,
 )
-def test_a_camera_is_the_same_in_blender_and_in_the_engine(scene, tmp_path, size, aspect):
+def test_a_camera_is_the_same_in_blender_and_in_the_engine(scene, run, tmp_path, size, aspect):
     """Sensor fit × frame method × shape of photograph × image pixels, in each shape of frame."""
-    run, random = RunFolder(tmp_path / "run"), np.random.default_rng(7)
-    render = scene.render
+    random, render = np.random.default_rng(7), scene.render
 
     def set_frame() -> None:
         render.resolution_x, render.resolution_y = size
@@ -130,7 +134,7 @@ def test_a_camera_is_the_same_in_blender_and_in_the_engine(scene, tmp_path, size
         scene.collection.objects.link(item)
         data, background = item.data, item.data.background_images.new()
         data.sensor_fit, data.lens = fit, random.uniform(15.0, 80.0)
-        data.sensor_width, data.sensor_height = random.uniform(2.0, 40.0, 2)
+        data.sensor_width, data.sensor_height = random.choice([1.2, 22.0, 36.0], 2)  # Blender takes 1 mm at least
         data.shift_x, data.shift_y = random.uniform(-0.2, 0.2, 2)
         background.image, background.frame_method = images[name, shape], method
         item.matrix_world = Matrix.LocRotScale(random.uniform(-1, 1, 3), Euler(random.uniform(-3, 3, 3)), None)
@@ -162,8 +166,7 @@ def test_a_camera_is_the_same_in_blender_and_in_the_engine(scene, tmp_path, size
     assert all(exported[entry["name"]] == entry for entry in first.values())
 
 
-def test_a_lens_that_is_changed_later_is_the_engines_too(scene, tmp_path):
-    run = RunFolder(tmp_path / "run")
+def test_a_lens_that_is_changed_later_is_the_engines_too(scene, run, tmp_path):
     for name in "ab":
         own_camera(scene, tmp_path / f"{name}.exr", (40, 30)).data.background_images[0].frame_method = "FIT"
     first = use_scene_cameras(scene, run)
@@ -179,8 +182,7 @@ def test_a_lens_that_is_changed_later_is_the_engines_too(scene, tmp_path):
     assert np.abs(projections(views["train/a"], points) / (40, 30) - scene_projection(scene, item, points)).max() < 1e-5
 
 
-def test_another_photograph_of_another_shape_is_seen_in_the_scenes_frame(scene, tmp_path):
-    run = RunFolder(tmp_path / "run")
+def test_another_photograph_of_another_shape_is_seen_in_the_scenes_frame(scene, run, tmp_path):
     scene.render.resolution_x, scene.render.resolution_y = 160, 90
     item = own_camera(scene, tmp_path / "a.exr", (40, 30))
     background = item.data.background_images[0]
@@ -213,8 +215,7 @@ def test_a_picture_over_a_view_does_not_become_its_photograph(scene, tmp_path):
     assert scene_cameras.describe_camera(scene, item)["file_path"] == str(tmp_path / "a.exr")
 
 
-def test_unusable_cameras_are_refused(scene, tmp_path):
-    run = RunFolder(tmp_path / "run")
+def test_unusable_cameras_are_refused(scene, run, tmp_path):
 
     def code() -> str:
         return error_of(scene_cameras.write_scene_cameras, scene, run).code
@@ -287,7 +288,7 @@ def through_file(kind: str, path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["abc", "usd", "fbx"])
-def test_cameras_survive_the_files_of_other_programs(scene, tmp_path, kind):
+def test_cameras_survive_the_files_of_other_programs(scene, run, tmp_path, kind):
     width, height = scene.render.resolution_x, scene.render.resolution_y = 96, 64
     lenses = [(24.0, 36.0, 0.0, 0.0), (35.0, 32.0, 0.05, -0.08)]
     truth = []
@@ -307,7 +308,7 @@ def test_cameras_survive_the_files_of_other_programs(scene, tmp_path, kind):
             background = item.data.background_images.new()
             background.image, background.frame_method = photograph(tmp_path / "a.exr", width, height), "STRETCH"
     bpy.context.view_layer.update()
-    found = sorted(written(scene, RunFolder(tmp_path)).values(), key=lambda entry: entry["fx"])
+    found = sorted(written(scene, run).values(), key=lambda entry: entry["fx"])
     for entry, (focal, centre, pose) in zip(found, truth, strict=True):
         np.testing.assert_allclose([entry["fx"], entry["fy"]], focal, rtol=0, atol=1e-4)
         np.testing.assert_allclose([entry["cx"], entry["cy"]], centre, rtol=0, atol=1e-4)
