@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("registered", "applied")
 
 WARM = {"use_temperature": True, "temperature": 3000.0, "exposure": 1.5}
 COMMON = [{"normalize": normalize, **warm} for normalize in (True, False) for warm in ({}, WARM)]
-SHAPES = [{"shape": shape, "size": 0.6, "size_y": 0.3} for shape in ("SQUARE", "RECTANGLE", "DISK", "ELLIPSE")]
+SHAPES = [{"shape": shape, "size": 0.6, "size_y": 1.5} for shape in ("SQUARE", "RECTANGLE", "DISK", "ELLIPSE")]
 ONE, EVEN, UNEVEN = (1.0, 1.0, 1.0), (2.0, 2.0, 2.0), (2.0, 0.5, 1.5)
 FAMILY = {
     "AREA": pairs(SHAPES, COMMON, (ONE, UNEVEN)),
