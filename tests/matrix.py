@@ -32,7 +32,6 @@ PACKAGES = ("numpy", "OpenEXR", "OpenImageIO", "exifread", "pillow", "jinja2", "
 # packages.
 TESTS = (
     "test_blend_atlas.py",
-    "test_blend_cameras.py",
     "test_blend_capture.py",
     "test_blend_export.py",
     "test_blend_export_light.py",

@@ -8,19 +8,12 @@ import pytest
 
 from fipt_blender.blend.room import charts, exporting, islands, packing
 from fipt_blender.blend.room.atlas import make_atlas
+from fipt_blender.blend.room.mesh_arrays import corner_uvs, vertex_positions
 from fipt_blender.blend.slices import run_through
 from fipt_blender.core.run.documents import read_document
-from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures.raster import cover_count
 from samples.refusals import error_of
-
-
-@pytest.fixture
-def run(tmp_path):
-    folder = RunFolder(tmp_path / "run")
-    folder.create(make_settings())
-    return folder
 
 
 def cube(size=1.0, location=(0, 0, 0), keep_uvs=True):
@@ -31,11 +24,11 @@ def cube(size=1.0, location=(0, 0, 0), keep_uvs=True):
     return item
 
 
-def atlas_of(objects, run, **changes):
+def atlas_of(objects, run_folder, **changes):
     settings = make_settings(changes=changes)
-    room = exporting.export_room(objects, run)
-    atlas = make_atlas(objects, run, settings)
-    with np.load(run.atlas_npz, allow_pickle=False) as data:
+    room = exporting.export_room(objects, run_folder)
+    atlas = make_atlas(objects, run_folder, settings)
+    with np.load(run_folder.atlas_npz, allow_pickle=False) as data:
         return room, atlas, data["corner_uv"].astype(np.float64), data["triangle_image"]
 
 
@@ -49,9 +42,9 @@ def check_layout(atlas, corner_uv, triangle_image):
         assert not count[: packing.PAD - 1].any() and not count[:, : packing.PAD - 1].any()
 
 
-def test_good_uvs_are_kept_and_missing_ones_made(run):
+def test_good_uvs_are_kept_and_missing_ones_made(run_folder):
     objects = [cube(), cube(location=(2, 0, 0), keep_uvs=False)]
-    room, atlas, corner_uv, image = atlas_of(objects, run, texel_density=100.0)
+    room, atlas, corner_uv, image = atlas_of(objects, run_folder, texel_density=100.0)
     assert atlas.kept == [objects[0].name] and atlas.unwrapped == [objects[1].name]
     check_layout(atlas, corner_uv, image)
     # 100 texels per metre are 10,000 texels per square metre.
@@ -61,80 +54,74 @@ def test_good_uvs_are_kept_and_missing_ones_made(run):
     assert texels == pytest.approx(area * 100.0**2, rel=0.02)
 
 
-def test_objects_are_not_changed(run):
+def test_objects_are_not_changed(run_folder):
     item = cube()
     item.modifiers.new("Subdivision", "SUBSURF").levels = 2
     mesh = item.data
-    atlas_of([item], run)
+    atlas_of([item], run_folder)
     assert item.data == mesh and len(mesh.uv_layers) == 1 and item.modifiers[0].show_viewport
     assert len(bpy.data.meshes) == 1 and len(bpy.data.scenes) == 1
     assert [key for key in item.keys() if key.startswith("fipt_")] == ["fipt_object_id"]  # of the export
 
 
 @pytest.mark.parametrize("fault", ["overlap", "collapsed", "not finite"])
-def test_bad_uvs_are_replaced(run, fault):
+def test_bad_uvs_are_replaced(run_folder, fault):
     bpy.ops.mesh.primitive_grid_add(x_subdivisions=8, y_subdivisions=8)
     item = bpy.context.object
-    layer = item.data.uv_layers[0].uv
-    uv = np.empty(len(item.data.loops) * 2, np.float32)
-    layer.foreach_get("vector", uv)
-    uv = uv.reshape(-1, 2)
+    uv = corner_uvs(item.data, item.data.uv_layers[0])
     if fault == "overlap":
         uv[:, 0] = np.abs(uv[:, 0] - 0.5)  # folded in the middle: one island overlaps itself
     elif fault == "collapsed":
         uv[:, 1] = 0.5
     else:
         uv[3] = np.nan
-    layer.foreach_set("vector", uv.ravel())
-    _, atlas, corner_uv, image = atlas_of([item], run)
+    item.data.uv_layers[0].uv.foreach_set("vector", uv.ravel())
+    _, atlas, corner_uv, image = atlas_of([item], run_folder)
     assert atlas.unwrapped == [item.name]
     check_layout(atlas, corner_uv, image)
 
 
-def test_islands_that_overlap_each_other_are_packed_apart(run):
+def test_islands_that_overlap_each_other_are_packed_apart(run_folder):
     items = [cube() for _ in range(3)]
     for item in items:  # every face covers the whole image: six islands in one place
         layer = item.data.uv_layers[0].uv
         corners = np.tile([(0, 0), (1, 0), (1, 1), (0, 1)], (6, 1)).astype(np.float32)
         layer.foreach_set("vector", corners.ravel())
-    _, atlas, corner_uv, image = atlas_of(items, run)
+    _, atlas, corner_uv, image = atlas_of(items, run_folder)
     check_layout(atlas, corner_uv, image)
 
 
-def test_many_small_objects_share_an_image(run):
-    random = np.random.default_rng(0)
+def test_many_small_objects_share_an_image(run_folder, rng):
     source = cube(keep_uvs=False)
     objects = []
-    for index in range(100):
+    for index in range(40):
         item = bpy.data.objects.new(f"item {index}", source.data)
-        item.scale = random.uniform(0.05, 0.3, 3)
+        item.scale = rng.uniform(0.05, 0.3, 3)
         bpy.context.scene.collection.objects.link(item)
         objects.append(item)
     bpy.context.view_layer.update()
-    _, atlas, corner_uv, image = atlas_of(objects, run)
+    _, atlas, corner_uv, image = atlas_of(objects, run_folder)
     assert len(atlas.images) == 1
     check_layout(atlas, corner_uv, image)
 
 
-def test_too_much_surface_shrinks_instead_of_making_more_images(run):
+def test_too_much_surface_shrinks_instead_of_making_more_images(run_folder):
     objects = [cube(size=4.0, location=(10 * index, 0, 0)) for index in range(6)]
     settings = make_settings(changes={"texture_size": 256})
-    exporting.export_room(objects, run)
-    atlas = make_atlas(objects, run, settings, max_images=4)
+    exporting.export_room(objects, run_folder)
+    atlas = make_atlas(objects, run_folder, settings, max_images=4)
     assert len(atlas.images) <= 4 and max(max(size) for size in atlas.images) <= 256
     assert atlas.texel_density < 128.0
 
 
-def test_scans_are_unwrapped_by_charts(run, monkeypatch):
+def test_scans_are_unwrapped_by_charts(run_folder, monkeypatch, rng):
     monkeypatch.setattr(charts, "LEAST_TRIANGLES", 1000)
     bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=5)
     item = bpy.context.object
     item.data.uv_layers.remove(item.data.uv_layers[0])
-    position = np.empty(len(item.data.vertices) * 3, np.float32)
-    item.data.vertices.foreach_get("co", position)
-    position += np.random.default_rng(1).normal(0.0, 0.01, position.shape)
-    item.data.vertices.foreach_set("co", position)
-    room, atlas, corner_uv, image = atlas_of([item], run)
+    position = vertex_positions(item.data)
+    item.data.vertices.foreach_set("co", (position + rng.normal(0.0, 0.01, position.shape)).ravel())
+    room, atlas, corner_uv, image = atlas_of([item], run_folder)
     assert atlas.unwrapped == [item.name] and atlas.texel_density == 128.0
     check_layout(atlas, corner_uv, image)
     found = islands.uv_islands(room.triangles, corner_uv)
@@ -146,20 +133,20 @@ def test_scans_are_unwrapped_by_charts(run, monkeypatch):
     assert np.allclose(texels / areas, 128.0**2, rtol=0.05)  # the same density for all
 
 
-def test_colour_attribute_mode_and_changed_rooms(run):
+def test_colour_attribute_mode_and_changed_rooms(run_folder):
     item = cube()
-    _, atlas, _, image = atlas_of([item], run, atlas_mode="color_attribute")
+    _, atlas, _, image = atlas_of([item], run_folder, atlas_mode="color_attribute")
     assert atlas.images == [] and (image == -1).all()
-    assert read_document(run.atlas_json, dict) == {"mode": "color_attribute", "images": []}
+    assert read_document(run_folder.atlas_json, dict) == {"mode": "color_attribute", "images": []}
     # The atlas holds the room as it was exported, whatever the artist has made of it.
-    as_exported = make_atlas([item], run, make_settings())
+    as_exported = make_atlas([item], run_folder, make_settings())
     item.modifiers.new("Bevel", "BEVEL")
     bpy.ops.object.mode_set(mode="EDIT")
     bpy.ops.mesh.subdivide()
     bpy.ops.object.mode_set(mode="OBJECT")
-    assert len(make_atlas([item], run, make_settings()).images) == len(as_exported.images) == 1
+    assert len(make_atlas([item], run_folder, make_settings()).images) == len(as_exported.images) == 1
     item["fipt_object_id"] = item.name = "another"
-    assert error_of(make_atlas, [item], run, make_settings()).code == "room-changed"
+    assert error_of(make_atlas, [item], run_folder, make_settings()).code == "room-changed"
 
 
 def grid(rows, columns, closed=False):
@@ -170,7 +157,7 @@ def grid(rows, columns, closed=False):
     return quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
 
 
-def box(count=50):
+def box(count=30):
     """A welded box of 2 x 1 x 1 m with `count` squares along each edge."""
     steps = np.linspace(-0.5, 0.5, count + 1)
     u, v = np.meshgrid(steps, steps, indexing="ij")
@@ -181,14 +168,14 @@ def box(count=50):
     return weld(points * [2.0, 1.0, 1.0], triangles)
 
 
-def cylinder(rows=120, columns=180, radius=0.5, height=2.0):
+def cylinder(rows=80, columns=120, radius=0.5, height=2.0):
     """The side of an upright cylinder."""
     z, angle = np.meshgrid(np.linspace(0.0, height, rows), np.arange(columns) * (2.0 * np.pi / columns), indexing="ij")
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1).reshape(-1, 3)
     return points, grid(rows, columns, closed=True)
 
 
-def sphere(count=60):
+def sphere(count=40):
     """A welded sphere with a radius of one metre."""
     points, triangles = box(count)
     points = points / [2.0, 1.0, 1.0]
@@ -236,7 +223,7 @@ def test_a_box_has_a_chart_for_each_side():
     assert size.max() < 1.1 * len(triangles) / 6
     assert overlap(result, 0.005) <= 1e-3
     middle = np.abs(points[triangles].mean(axis=1) / [2.0, 1.0, 1.0])
-    inner = np.sort(middle, axis=1)[:, 1] < 0.4  # the smoothing rounds the edges of the box
+    inner = np.sort(middle, axis=1)[:, 1] < 0.33  # the smoothing rounds the edges of the box
     assert np.abs(area_shares(result, points, triangles)[inner] - 1.0).max() < 0.01
 
 
@@ -251,7 +238,7 @@ def test_round_surfaces_are_hardly_stretched(shape):
     assert np.quantile(shares, 0.01) > 0.8 and shares.max() < 1.1
 
 
-@pytest.mark.parametrize("shape", [box, cylinder, sphere])
+@pytest.mark.parametrize("shape", [box, cylinder])
 def test_noise_does_not_tear_a_surface_apart(shape):
     clean, triangles = shape()
     points, _ = noisy(clean, triangles, share=0.2)

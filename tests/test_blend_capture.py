@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix
 
-from fipt_blender.blend.capture import importing
+from fipt_blender.blend.capture import cameras, importing
 from fipt_blender.blend.capture.exporting import export_capture
 from fipt_blender.blend.slices import run_through
 from fipt_blender.core import conventions
@@ -33,7 +33,8 @@ def scene():
 
 
 @pytest.fixture
-def run(tmp_path, scene):
+def ingested(tmp_path, scene):
+    """A run folder whose capture is not yet imported."""
     folder = RunFolder(tmp_path / "run")
     folder.create(make_settings())
     views = random_views()
@@ -50,13 +51,20 @@ def bring_in(run: RunFolder, path: str = "somewhere") -> list:
     return run_through(importing.import_capture(run, path))
 
 
+@pytest.fixture
+def run(ingested):
+    """A run folder with its imported capture."""
+    bring_in(ingested)
+    return ingested
+
+
 def entries(run: RunFolder) -> dict[str, dict]:
     return {entry["name"]: entry for entry in read_document(run.capture_json, dict)["views"]}
 
 
 def test_unmoved_cameras_keep_their_poses_to_the_bit(run, scene):
-    bring_in(run)
-    assert export_capture(scene, run) == 5
+    scene.fipt.capture.views[0].camera_object().name = "Hero"
+    assert scene.fipt.capture.views[0].camera_object().name == "Hero" and export_capture(scene, run) == 5
     before = {entry["name"]: entry for entry in read_document(run.ingest_json, dict)["views"]}
     assert entries(run) == before
     bpy.context.view_layer.update()
@@ -65,10 +73,29 @@ def test_unmoved_cameras_keep_their_poses_to_the_bit(run, scene):
     assert run.capture_json.stat().st_mtime_ns == time  # nothing changed, so that a run can resume
 
 
+def test_blender_renders_what_the_pinhole_sees(run, scene):
+    for view in read_document(run.ingest_json, dict)["views"]:
+        width, height = view["width"], view["height"]
+        camera = cameras.find_camera(view["name"], scene)
+        cameras.use_view(scene, camera)
+        bpy.context.view_layer.update()
+        render = scene.render
+        assert (render.resolution_x, render.resolution_y) == (width, height)
+        lens = camera.calc_matrix_camera(
+            bpy.context.evaluated_depsgraph_get(), x=width, y=height,
+            scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y,
+        )  # fmt: skip
+        matrix = np.array(lens, np.float64) @ np.linalg.inv(np.array(camera.matrix_world, np.float64))
+        points = points_before(view)
+        clip = np.column_stack([points, np.ones(len(points))]) @ matrix.T
+        found = (clip[:, :2] / clip[:, 3:] * [0.5, -0.5] + 0.5) * [width, height]
+        # Blender keeps single precision: 1e-4 pixels is two parts in a million of the width.
+        assert clip[:, 3].min() > 0.0 and np.abs(found - projections(view, points)).max() < 1e-4
+
+
 @pytest.mark.parametrize("evaluated", [True, False])
 def test_round_trip_with_a_moved_rotated_and_scaled_alignment(run, scene, evaluated):
     """Moving the room with its cameras does not change what a view shows at a pixel."""
-    bring_in(run)
     settings = scene.fipt.capture
     settings.alignment.matrix_basis = ALIGNED
     if evaluated:
@@ -88,7 +115,6 @@ def test_round_trip_with_a_moved_rotated_and_scaled_alignment(run, scene, evalua
 
 
 def test_the_mesh_follows_the_alignment_and_the_capture_s_axes(run, scene):
-    bring_in(run)
     (room,) = scene.fipt.capture.room_objects(scene)
     scene.fipt.capture.alignment.matrix_basis = ALIGNED
     bpy.context.view_layer.update()
@@ -99,7 +125,6 @@ def test_the_mesh_follows_the_alignment_and_the_capture_s_axes(run, scene):
 
 
 def test_a_camera_moved_by_hand_is_exported(run, scene):
-    bring_in(run)
     camera = scene.fipt.capture.views[1].camera_object()
     camera.location.x += 0.25
     export_capture(scene, run)
@@ -109,16 +134,14 @@ def test_a_camera_moved_by_hand_is_exported(run, scene):
     assert camera.name in scene.objects and np.allclose(after[:3, :3], before[:3, :3], atol=1e-6)
 
 
-@pytest.mark.parametrize("scale", [(1, 1, 2), (-1, 1, 1), (0, 0, 0)])
-def test_an_uneven_alignment_is_refused(run, scene, scale):
-    bring_in(run)
-    scene.fipt.capture.alignment.scale = scale
-    assert error_of(export_capture, scene, run).code == "alignment-uneven"
-    assert not run.capture_json.exists()
+def test_an_uneven_alignment_is_refused(run, scene):
+    for scale in ((1, 1, 2), (-1, 1, 1), (0, 0, 0)):
+        scene.fipt.capture.alignment.scale = scale
+        assert error_of(export_capture, scene, run).code == "alignment-uneven"
+        assert not run.capture_json.exists()
 
 
 def test_ticks_splits_and_deleted_cameras(run, scene):
-    bring_in(run)
     settings = scene.fipt.capture
     assert (settings.train_count, settings.held_back_count) == (4, 1)
     settings.views["train/portrait"].enabled = False
@@ -127,11 +150,8 @@ def test_ticks_splits_and_deleted_cameras(run, scene):
     assert (settings.train_count, settings.held_back_count) == (3, 1)
     bpy.data.objects.remove(settings.views["train/fx < fy"].camera_object())
     assert export_capture(scene, run) == 3
-    assert {name: entry["split"] for name, entry in entries(run).items()} == {
-        "train/plain": "train",
-        "train/off-centre": "train",
-        "train/fx > fy": "held_back",
-    }
+    splits = {name: entry["split"] for name, entry in entries(run).items()}
+    assert splits == {"train/plain": "train", "train/off-centre": "train", "train/fx > fy": "held_back"}
     settings.views["train/portrait"].enabled = True  # leaving it out lost nothing
     assert export_capture(scene, run) == 4
     settings.views["train/plain"].enabled = settings.views["train/off-centre"].enabled = False
@@ -140,15 +160,7 @@ def test_ticks_splits_and_deleted_cameras(run, scene):
     assert error.code == "views-few" and run.capture_json.read_bytes() == before
 
 
-def test_renamed_cameras_are_found(run, scene):
-    bring_in(run)
-    scene.fipt.capture.views[0].camera_object().name = "Hero"
-    assert scene.fipt.capture.views[0].camera_object().name == "Hero"
-    assert export_capture(scene, run) == 5
-
-
 def test_importing_again_keeps_ticks_and_alignment_and_adds_nothing(run, scene):
-    bring_in(run)
     settings = scene.fipt.capture
     settings.views[2].enabled = False
     settings.alignment.location.x = 3.0
@@ -157,14 +169,11 @@ def test_importing_again_keeps_ticks_and_alignment_and_adds_nothing(run, scene):
     assert len(bpy.data.objects) == count and not settings.views[2].enabled
     assert settings.alignment.location.x == 3.0
     export_capture(scene, run)
-    moved = np.array(entries(run)["train/plain"]["camera_to_world"])[0, 3]
-    assert moved == pytest.approx(
-        read_document(run.ingest_json, dict)["views"][0]["camera_to_world"][0][3] + 3.0, abs=1e-5
-    )
+    before, after = read_document(run.ingest_json, dict)["views"][0], entries(run)["train/plain"]
+    assert after["camera_to_world"][0][3] == pytest.approx(before["camera_to_world"][0][3] + 3.0, abs=1e-5)
 
 
 def test_another_capture_removes_the_cameras_and_hides_the_mesh_of_the_first(run, scene, tmp_path):
-    bring_in(run)
     (old,) = scene.fipt.capture.room_objects(scene)
     own = bpy.data.objects.new("Artist's", bpy.data.cameras.new("Artist's"))
     scene.collection.objects.link(own)
@@ -174,19 +183,19 @@ def test_another_capture_removes_the_cameras_and_hides_the_mesh_of_the_first(run
     data["views"] = [{**view, "name": f"b/{index}"} for index, view in enumerate(data["views"][:3])]
     write_json(run.ingest_json, {**data, "mesh": str(other)})
     bring_in(run, "elsewhere")
-    cameras = sorted(item.name for item in scene.objects if item.type == "CAMERA")
-    assert cameras == ["Artist's", "b/0", "b/1", "b/2"] and len(scene.fipt.capture.views) == 3
+    names = sorted(item.name for item in scene.objects if item.type == "CAMERA")
+    assert names == ["Artist's", "b/0", "b/1", "b/2"] and len(scene.fipt.capture.views) == 3
     (new,) = scene.fipt.capture.room_objects(scene)
     assert new != old and [each.name for each in old.users_collection] == ["Earlier Rooms"]
     assert old.users_collection[0].hide_viewport and old.users_collection[0].hide_render
 
 
-def test_chosen_objects_stay_the_room_and_are_not_changed(run, scene):
+def test_chosen_objects_stay_the_room_and_are_not_changed(ingested, scene):
     bpy.ops.mesh.primitive_cube_add()
     cube = bpy.context.object
     before = (cube.parent, cube.matrix_basis.copy(), [each.name for each in cube.users_collection])
     importing.set_room(scene, [cube])
-    warnings = bring_in(run)
+    warnings = bring_in(ingested)
     assert [message["code"] for message in warnings] == ["mesh-kept"]
     assert scene.fipt.capture.room_objects(scene) == [cube]
     assert (cube.parent, cube.matrix_basis) == before[:2]
@@ -198,7 +207,7 @@ def test_chosen_objects_stay_the_room_and_are_not_changed(run, scene):
     assert cube.name in scene.objects  # only unlinked from the collection
 
 
-def test_start_up_objects_are_hidden_and_shown_again(run, scene):
+def test_start_up_objects_are_hidden_and_shown_again(ingested, scene):
     bpy.ops.mesh.primitive_cube_add()
     light, camera = bpy.data.lights.new("Light", "POINT"), bpy.data.cameras.new("Camera")
     for data, place in ((light, (4.076, 1.005, 5.904)), (camera, (7.359, -6.926, 4.958))):
@@ -206,7 +215,7 @@ def test_start_up_objects_are_hidden_and_shown_again(run, scene):
         item.location = place
         scene.collection.objects.link(item)
     names = ("Cube", "Light", "Camera")
-    assert bring_in(run) == []
+    assert bring_in(ingested) == []
     assert all(scene.objects[name].hide_render and scene.objects[name].hide_viewport for name in names)
     bpy.ops.fipt.hide_startup_objects(hide=False)
     assert not any(scene.objects[name].hide_render for name in names)
@@ -216,7 +225,6 @@ def test_start_up_objects_are_hidden_and_shown_again(run, scene):
 
 
 def test_masks_of_a_folder(run, scene, tmp_path):
-    bring_in(run)
     parts, folder = scene.fipt.parts, tmp_path / "masks"
     parts.source = "folder"
     for problem in ("", str(folder)):
@@ -241,22 +249,15 @@ def test_masks_of_a_folder(run, scene, tmp_path):
     assert not any(entry["parts"] for entry in entries(run).values())
 
 
-def test_runs_of_the_command_line_keep_all_views(run, scene):
+def test_runs_of_the_command_line_keep_all_views(ingested, scene):
     """They have no ingest.json: the first export makes it of capture.json."""
-    run.ingest_json.rename(run.capture_json)
-    run_through(iter_views(run, scene))
+    ingested.ingest_json.rename(ingested.capture_json)
+    cameras.add_cameras(ingested, scene, photographs=False)
+    importing.fill_views(scene, ingested)
     scene.fipt.capture.views[1].enabled = False
-    assert export_capture(scene, run) == 4
+    assert export_capture(scene, ingested) == 4
     scene.fipt.capture.views[1].enabled = True
-    assert export_capture(scene, run) == 5
-    run.ingest_json.unlink()
-    run.capture_json.unlink()
-    assert error_of(export_capture, scene, run).code == "capture-missing"
-
-
-def iter_views(run, scene):
-    from fipt_blender.blend.capture import cameras
-
-    cameras.add_cameras(run, scene, photographs=False)
-    yield
-    importing.fill_views(scene, run)
+    assert export_capture(scene, ingested) == 5
+    ingested.ingest_json.unlink()
+    ingested.capture_json.unlink()
+    assert error_of(export_capture, scene, ingested).code == "capture-missing"

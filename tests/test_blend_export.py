@@ -13,33 +13,15 @@ from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.export.lamps import GAP, lamp_light
 from fipt_blender.blend.lights.color import LUMENS_PER_WATT
 from fipt_blender.blend.lights.fixture_nodes import emission_material
+from fipt_blender.blend.room.mesh_arrays import corner_uvs
 from samples.applied_rooms import RADIANCE, ConstantFields, fingerprint
-from samples.exported_files import gltf_json, opened, principled
+from samples.exported_files import encoded, gltf_json, opened, principled, texel, texture_behind
 from samples.refusals import error_of
 
 ops = bpy.ops.fipt
 
 
 pytestmark = pytest.mark.usefixtures("registered", "applied")
-
-
-def encoded(linear):
-    linear = np.asarray(linear)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
-
-
-def pixels(image):
-    values = np.empty(len(image.pixels), np.float32)
-    image.pixels.foreach_get(values)
-    return values.reshape(-1, 4)[:, :3]
-
-
-def texture_behind(socket):
-    """The image that feeds an input, through other nodes."""
-    node = socket.links[0].from_node
-    while node.bl_idname != "ShaderNodeTexImage":
-        node = node.inputs[0].links[0].from_node
-    return node.image
 
 
 def test_gltf_has_textures_emission_and_names_and_is_valid(scene, tmp_path):
@@ -71,6 +53,11 @@ def test_gltf_has_textures_emission_and_names_and_is_valid(scene, tmp_path):
     assert "TEXCOORD_0" in accessors and "TEXCOORD_1" not in accessors
 
 
+def first_middle(mesh):
+    """The middle of the first polygon in the UVs, (2,)."""
+    return corner_uvs(mesh, mesh.uv_layers[0])[list(mesh.polygons[0].loop_indices)].mean(axis=0)
+
+
 @pytest.mark.parametrize("suffix", [".glb", ".usdc"])
 def test_an_empty_blender_shows_the_estimate_with_its_adjustments(scene, tmp_path, suffix):
     part = scene.fipt.materials.parts["Cube"]
@@ -83,25 +70,15 @@ def test_an_empty_blender_shows_the_estimate_with_its_adjustments(scene, tmp_pat
     shader = principled(material)
     color, rough, metal = (texture_behind(shader.inputs[name]) for name in ("Base Color", "Roughness", "Metallic"))
     wanted = np.array(ConstantFields.base_color)
-    uv = np.empty(len(cube.loops) * 2, np.float32)
-    cube.uv_layers[0].uv.foreach_get("vector", uv)
-    middle = uv.reshape(-1, 2)[list(cube.polygons[0].loop_indices)].mean(axis=0)
-
-    def at(image, place):
-        width, height = image.size
-        return pixels(image)[int(place[1] * height) * width + int(place[0] * width)]
-
-    assert np.allclose(at(color, middle), encoded(0.5 * wanted), atol=0.004)
-    assert at(rough, middle)[1] == pytest.approx(ConstantFields.roughness + 0.2, abs=0.004)
-    assert at(metal, middle)[2] == pytest.approx(ConstantFields.metallic, abs=0.004)
+    middle = first_middle(cube)
+    assert np.allclose(texel(color, middle), encoded(0.5 * wanted), atol=0.004)
+    assert texel(rough, middle)[1] == pytest.approx(ConstantFields.roughness + 0.2, abs=0.004)
+    assert texel(metal, middle)[2] == pytest.approx(ConstantFields.metallic, abs=0.004)
     # USD's names may not differ by case alone.
     named = {item.name.removesuffix("_001"): item for item in objects}
     panel = named["panel"].data
-    panel_uv = np.empty(len(panel.loops) * 2, np.float32)
-    panel.uv_layers[0].uv.foreach_get("vector", panel_uv)
-    other = panel_uv.reshape(-1, 2)[list(panel.polygons[0].loop_indices)].mean(axis=0)
     color = texture_behind(principled(panel.materials[0]).inputs["Base Color"])
-    assert np.allclose(at(color, other), encoded(wanted), atol=0.004)
+    assert np.allclose(texel(color, first_middle(panel)), encoded(wanted), atol=0.004)
     lamp = principled(named["Panel"].data.materials[0])
     emitted = np.array(lamp.inputs["Emission Color"].default_value[:3])
     unit = LUMENS_PER_WATT if suffix == ".glb" else 1.0
@@ -120,27 +97,6 @@ def test_an_empty_blender_shows_the_estimate_with_its_adjustments(scene, tmp_pat
     # The world axes are Blender's again.
     corners = [named["panel"].matrix_world @ vertex.co for vertex in panel.vertices]
     assert max(abs(corner.z) for corner in corners) < 1e-5 and max(corner.x for corner in corners) > 4.0
-
-
-def test_area_lights_of_gltf_are_surfaces_of_the_same_radiance(scene, tmp_path):
-    light = bpy.data.lights.new("Softbox", "AREA")
-    light.shape, light.size, light.size_y, light.energy = "RECTANGLE", 2.0, 0.5, 10.0
-    light.color = (1.0, 0.5, 0.25)
-    item = bpy.data.objects.new("Softbox", light)
-    item.location = (0.0, 0.0, 2.0)
-    scene.collection.objects.link(item)
-    bpy.context.view_layer.update()
-    before = fingerprint(scene)
-    export_room(scene, tmp_path / "room.glb")
-    assert fingerprint(scene) == before
-    objects, _ = opened(tmp_path / "room.glb")
-    shader = principled(objects["Softbox"].data.materials[0])
-    emitted = np.array(shader.inputs["Emission Color"].default_value[:3])
-    emitted *= shader.inputs["Emission Strength"].default_value
-    radiance = 10.0 / (np.pi * 1.0) * np.array([1.0, 0.5, 0.25])
-    assert np.allclose(emitted, LUMENS_PER_WATT * radiance, rtol=1e-3)
-    normal = objects["Softbox"].matrix_world.to_3x3() @ objects["Softbox"].data.polygons[0].normal
-    assert normal.z < -0.99 and objects["Softbox"].matrix_world.translation.z == pytest.approx(2.0)
 
 
 def test_a_ball_has_a_point_light_of_its_power():

@@ -37,7 +37,7 @@ def file(request, tmp_path):
         bpy.ops.wm.obj_export(filepath=str(path), path_mode="COPY")
     else:
         bpy.ops.export_scene.gltf(filepath=str(path))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     return path
 
 
@@ -55,8 +55,8 @@ def saved_size(tmp_path) -> int:
     return (tmp_path / "room.blend").stat().st_size
 
 
-@pytest.mark.parametrize("axes", ["zzzzzzzzzz", "yzyzyzyzyz"])
-def test_importing_ten_times_is_importing_once(file, tmp_path, axes):
+@pytest.mark.parametrize("axes", ["zzzz", "yzyz"])
+def test_importing_many_times_is_importing_once(file, tmp_path, axes):
     again(file)
     before, size = counts(), saved_size(tmp_path)
     for axis in axes:
@@ -81,7 +81,7 @@ def test_objects_that_the_artist_has_changed_stay_in_the_file(file, change):
     CHANGES[change](first)
     bpy.context.view_layer.update()
     kept = artist.faces(first), len(first.modifiers), np.array(first.matrix_world).tolist()
-    for _ in range(3):
+    for _ in range(2):
         new = again(file)
         assert len(new) == 3 and first not in new
         assert (artist.faces(first), len(first.modifiers), np.array(first.matrix_world).tolist()) == kept

@@ -17,7 +17,7 @@ from fipt_blender.blend.room.exporting import export_room
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake
-from samples.applied_rooms import ConstantFields
+from samples.applied_rooms import ConstantFields, emitter
 from samples.combinations import pairs
 
 
@@ -42,7 +42,7 @@ def area(item: bpy.types.Object) -> float:
     return sum(polygon.area for polygon in item.data.polygons)
 
 
-@pytest.mark.parametrize(("mirrored", "seed", "corners"), pairs((False, True), range(4), (4, 9, 24)))
+@pytest.mark.parametrize(("mirrored", "seed", "corners"), pairs((False, True), range(2), (4, 9, 24)))
 def test_no_lamp_of_an_estimate_is_dropped(tmp_path, corners, seed, mirrored):
     """Lamps of random triangles, whatever their share of a polygon; applied twice, and after an estimate
     without lamps.
@@ -61,16 +61,7 @@ def test_no_lamp_of_an_estimate_is_dropped(tmp_path, corners, seed, mirrored):
     wanted = {name: rows for name, rows in chosen.items() if len(rows)}
 
     def estimate(lamps) -> None:
-        fixtures = [
-            {
-                "name": name,
-                "triangles": rows.tolist(),
-                "radiance": [1.0] * 3,
-                "back_radiance": [0.0] * 3,
-                "centroid": sides[rows].mean(axis=(0, 1)).tolist(),
-            }
-            for name, rows in lamps.items()
-        ]
+        fixtures = [emitter(name, rows, sides[rows].mean(axis=(0, 1))) for name, rows in lamps.items()]
         write_json(run.emitters_json, {"fixtures": fixtures, "environment": None})
 
     estimate(wanted)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from fipt_blender.blend.lights.lamp_shapes import LampShape, fit_lamp_shape, shape_mesh
+from fipt_blender.blend.lights.lamp_shapes import fit_lamp_shape, shape_mesh
 from fipt_blender.blend.marks import BASE, FIXTURE, fixtures_of
 from fipt_blender.blend.room.mesh_arrays import corner_vertices, triangle_loops, vertex_positions
 from fipt_blender.core.run.runfolder import RunFolder, write_json
@@ -40,16 +40,12 @@ def ragged(vertices: np.ndarray, triangles: np.ndarray, noise: float) -> tuple[n
     return vertices + rng.normal(0.0, noise, vertices.shape), triangles[kept]
 
 
-def rectangle(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
-    return 0.6 * (u - 0.5), 1.0 * (v - 0.5), 0.0 * u
+def flat(width: float, height: float):
+    return lambda u, v: (width * (u - 0.5), height * (v - 0.5), 0.0 * u)
 
 
-def square(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
-    return 0.8 * (u - 0.5), 0.8 * (v - 0.5), 0.0 * u
-
-
-def disc(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
-    return 0.3 * u * np.cos(2 * np.pi * v), 0.3 * u * np.sin(2 * np.pi * v), 0.0 * u
+def ellipse(width: float, height: float):
+    return lambda u, v: (0.5 * width * u * np.cos(2 * np.pi * v), 0.5 * height * u * np.sin(2 * np.pi * v), 0.0 * u)
 
 
 def tube(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -61,18 +57,27 @@ def ball(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
     return radius * np.cos(2 * np.pi * v), radius * np.sin(2 * np.pi * v), -0.1 * np.cos(np.pi * u)
 
 
+AREAS = {
+    "RECTANGLE": lambda size: size[0] * size[1],
+    "ELLIPSE": lambda size: 0.25 * np.pi * size[0] * size[1],
+    "TUBE": lambda size: np.pi * size[0] * (size[2] + 0.5 * size[0]),
+    "BALL": lambda size: np.pi * size[0] ** 2,
+}
+
+
 @pytest.mark.parametrize(
-    ("mapping", "kind", "size", "noise"),
+    ("mapping", "kind", "size"),
     [
-        (rectangle, "RECTANGLE", [0.6, 1.0, 0.0], 0.003),
-        (square, "RECTANGLE", [0.8, 0.8, 0.0], 0.003),
-        (disc, "ELLIPSE", [0.6, 0.6, 0.0], 0.002),
-        (tube, "TUBE", [0.08, 0.08, 1.2], 0.002),
-        (ball, "BALL", [0.2, 0.2, 0.2], 0.002),
+        (flat(0.6, 1.0), "RECTANGLE", [0.6, 1.0, 0.0]),
+        (flat(0.8, 0.8), "RECTANGLE", [0.8, 0.8, 0.0]),
+        (ellipse(0.6, 0.6), "ELLIPSE", [0.6, 0.6, 0.0]),
+        (ellipse(0.6, 0.4), "ELLIPSE", [0.6, 0.4, 0.0]),
+        (tube, "TUBE", [0.08, 0.08, 1.2]),
+        (ball, "BALL", [0.2, 0.2, 0.2]),
     ],
 )
-def test_ragged_lamps_have_simple_shapes(mapping, kind: str, size: list[float], noise: float) -> None:
-    vertices, triangles = ragged(*grid(mapping), noise)
+def test_ragged_lamps_have_simple_shapes(mapping, kind: str, size: list[float]) -> None:
+    vertices, triangles = ragged(*grid(mapping), 0.002)
     shape = fit_lamp_shape(vertices, triangles)
     assert shape.kind == kind
     assert sorted(shape.size) == pytest.approx(sorted(size), rel=0.06, abs=1e-9)
@@ -84,35 +89,24 @@ def test_ragged_lamps_have_simple_shapes(mapping, kind: str, size: list[float], 
         assert np.sort(along, axis=1)[:, 1] == pytest.approx(1.0, abs=0.005)
     if kind != "BALL":
         assert abs(shape.matrix[:3, 2] @ TURN[:, 2]) == pytest.approx(1.0, abs=0.01)
-
-
-def test_no_shape_fits_two_lamps_apart_or_nothing() -> None:
-    vertices, triangles = grid(square)
-    both = np.concatenate([vertices, vertices + TURN @ [3.0, 0.0, 0.0]])
-    error = error_of(fit_lamp_shape, both, np.concatenate([triangles, triangles + len(vertices)]))
-    assert error.code == "shape-unclear"
-    assert error_of(fit_lamp_shape, np.zeros((3, 3)), np.array([[0, 1, 2]])).code == "fixture-empty"
-
-
-@pytest.mark.parametrize(
-    ("kind", "size", "area"),
-    [
-        ("RECTANGLE", [0.6, 1.0, 0.0], 0.6),
-        ("ELLIPSE", [0.6, 0.4, 0.0], np.pi * 0.06),
-        ("TUBE", [0.1, 0.1, 1.0], np.pi * 0.1 + np.pi * 0.005),
-        ("BALL", [0.2, 0.2, 0.2], np.pi * 0.04),
-    ],
-)
-def test_meshes_of_shapes_have_their_area_and_face_outwards(kind: str, size: list[float], area: float) -> None:
-    mesh = shape_mesh("lamp", LampShape(kind, np.array(size), np.eye(4)))
+    # The mesh has the shape's area and faces outwards.
+    mesh = shape_mesh("lamp", shape)
     loops, _ = triangle_loops(mesh, mirrored=False)
     corners = vertex_positions(mesh)[corner_vertices(mesh)[loops]].astype(float)
     cross = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert np.linalg.norm(cross, axis=1).sum() == pytest.approx(area, rel=0.02)
+    assert np.linalg.norm(cross, axis=1).sum() == pytest.approx(AREAS[kind](shape.size), rel=0.02)
     if size[2]:
         assert ((cross * corners.mean(axis=1)).sum(axis=1) > 0.0).all()
     else:
         assert (cross[:, 2] > 0.0).all()
+
+
+def test_no_shape_fits_two_lamps_apart_or_nothing() -> None:
+    vertices, triangles = grid(flat(0.8, 0.8))
+    both = np.concatenate([vertices, vertices + TURN @ [3.0, 0.0, 0.0]])
+    error = error_of(fit_lamp_shape, both, np.concatenate([triangles, triangles + len(vertices)]))
+    assert error.code == "shape-unclear"
+    assert error_of(fit_lamp_shape, np.zeros((3, 3)), np.array([[0, 1, 2]])).code == "fixture-empty"
 
 
 ops = bpy.ops.fipt

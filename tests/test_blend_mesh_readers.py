@@ -14,6 +14,7 @@ import pytest
 from mathutils import Matrix, Quaternion
 
 from fipt_blender.blend.capture.mesh_import import import_room
+from fipt_blender.blend.room.mesh_arrays import vertex_positions
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from samples import mesh_writers
 from samples.combinations import pairs
@@ -36,21 +37,15 @@ def made(name: str, rng: np.random.Generator) -> Solid:
     return solid.placed(mesh_writers.rotation(rng))
 
 
-def of_engine(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    return read_mesh(path)
-
-
 def of_blender(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and triangles of what Blender imports, in the file's coordinates."""
     vertices, triangles, count = [], [], 0
     for name in import_room(path, np.eye(4)):
         mesh = bpy.data.objects[name].data
         mesh.calc_loop_triangles()
-        points = np.empty(3 * len(mesh.vertices), np.float32)
-        mesh.vertices.foreach_get("co", points)
         corners = np.empty(3 * len(mesh.loop_triangles), np.int32)
         mesh.loop_triangles.foreach_get("vertices", corners)
-        vertices.append(points.reshape(-1, 3).astype(np.float64))
+        vertices.append(vertex_positions(mesh).astype(np.float64))
         triangles.append(corners.reshape(-1, 3) + count)
         count += len(mesh.vertices)
         bpy.data.objects.remove(bpy.data.objects[name])
@@ -59,7 +54,7 @@ def of_blender(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def check_file(path: Path, solid: Solid, exact: float = 2e-5) -> None:
     """Both readers find the solid: its triangles, area, volume and bounds, all within `exact` of its size."""
-    for read in (of_engine, of_blender):
+    for read in (read_mesh, of_blender):
         vertices, triangles = read(path)
         found = Solid(vertices[np.unique(triangles)], np.searchsorted(np.unique(triangles), triangles).tolist())
         assert len(triangles) == solid.triangle_count, (read, len(triangles))
@@ -103,18 +98,16 @@ def test_ply(tmp_path: Path, drawn: np.random.Generator, outlines: tuple, order:
     check_file(tmp_path / "room.ply", solid)
 
 
-@pytest.mark.parametrize("outline", CONVEX)
-@pytest.mark.parametrize("order", ["", "<", ">"])
+@pytest.mark.parametrize(("outline", "order"), [*zip(CONVEX, ["", "<", ">"], strict=True)])
 def test_strips_of_ply(tmp_path: Path, drawn: np.random.Generator, outline: str, order: str) -> None:
     solid = made(outline, drawn)
     mesh_writers.write_ply(tmp_path / "room.ply", solid, PlyStyle(order, count="int", strips=True))
     check_file(tmp_path / "room.ply", solid)
 
 
-@pytest.mark.parametrize("outline", CONVEX)
 @pytest.mark.parametrize("text, end", [(False, ""), (True, "\n"), (True, "\r\n")])
-def test_stl(tmp_path: Path, drawn: np.random.Generator, outline: str, text: bool, end: str) -> None:
-    solid = made(outline, drawn).triangulated()
+def test_stl(tmp_path: Path, drawn: np.random.Generator, text: bool, end: str) -> None:
+    solid = together([made(outline, drawn) for outline in CONVEX]).triangulated()
     mesh_writers.write_stl(tmp_path / "room.stl", solid, text, end)
     check_file(tmp_path / "room.stl", solid)
 
@@ -127,7 +120,6 @@ STYLES = [
 # Of a solid's size: float32, and positions of 8 and 16 bits.
 EXACT = {"<f4": 2e-5, "|i1": 2e-2, "|u1": 2e-2, "<i2": 1e-4, "<u2": 1e-4}
 KINDS = {
-    "plain": (1.0, 1.0, 1.0),
     "scaled": (0.7, 1.6, 1.2),
     "mirrored": (1.0, -1.0, 1.0),
     "mirrored twice": (-1.0, 1.5, -2.0),
@@ -150,8 +142,7 @@ def drawn_node(rng: np.random.Generator, kind: str) -> tuple[dict, np.ndarray]:
     return {"translation": place.tolist(), "rotation": rotation, "scale": list(scale)}, matrix
 
 
-@pytest.mark.parametrize("style", STYLES, ids=str)
-@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+@pytest.mark.parametrize(("style", "suffix"), [*zip(STYLES, [".glb", ".gltf"] * 10, strict=True)], ids=str)
 def test_primitives_of_gltf(tmp_path: Path, drawn: np.random.Generator, style: GltfStyle, suffix: str) -> None:
     file, solids, nodes = Gltf(), [], []
     for name in CONVEX:
@@ -162,7 +153,7 @@ def test_primitives_of_gltf(tmp_path: Path, drawn: np.random.Generator, style: G
     check_file(tmp_path / f"room{suffix}", together(solids), EXACT[style.position])
 
 
-@pytest.mark.parametrize("parent, child", list(itertools.product(KINDS, KINDS)))
+@pytest.mark.parametrize("parent, child", [*itertools.product(KINDS, KINDS)])
 def test_nodes_of_gltf(tmp_path: Path, drawn: np.random.Generator, parent: str, child: str) -> None:
     """A parent, which may have a camera or lines, with a child and a second instance of the child's mesh."""
     file, solid = Gltf(), made(str(drawn.choice(CONVEX)), drawn)
@@ -201,7 +192,7 @@ def test_scenes_of_gltf(tmp_path: Path, drawn: np.random.Generator, scene: int |
     path = tmp_path / "room.glb"
     file.write(path, nodes, **more)
     if scene == 1 or others == "mesh":
-        for read in (of_engine, of_blender):
+        for read in (read_mesh, of_blender):
             error = error_of(read, path)
             assert error.code == "mesh-unreadable" and "several scenes" in error.text
     else:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Colours over the room: of the coverage, with its legend, and of the parts."""
+"""Colours of the coverage over the room."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from fipt_blender.blend.capture.survey import coverage_colors
-
-pytestmark = pytest.mark.usefixtures("registered")
 
 # Linear RGB as people without one kind of cones see it (Machado, Oliveira, Fernandes 2009, severity 1).
 COLOR_BLINDNESS = {

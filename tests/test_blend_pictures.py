@@ -87,32 +87,22 @@ def owners(scene: bpy.types.Scene) -> dict[str, list[bpy.types.bpy_struct]]:
 @pytest.mark.parametrize("variant", range(4))
 @pytest.mark.parametrize("group", ["cycles", "render", "image", "layer"])
 def test_no_setting_of_the_artist_changes_the_picture(tmp_path, group, variant):
-    """All settings of a group have another value at once; the message names those that matter."""
+    """All settings of a group have another value at once."""
     scene = lit_room(tmp_path)
     expected = render(tmp_path)
     assert expected.mean() > 0.01
     changes = []
     for owner in owners(scene)[group]:
         for name, values in other_values(owner).items():
-            before, value = getattr(owner, name), values[variant % len(values)] if values else None
-            if values and changed_to(owner, name, value):
-                changes.append((owner, name, before, getattr(owner, name)))
+            if values and changed_to(owner, name, values[variant % len(values)]):
+                changes.append((owner, name, getattr(owner, name)))
     assert len(changes) > (3 if group == "image" else 10)
     same = np.allclose(render(tmp_path), expected, rtol=1e-4, atol=1e-6)
     assert [getattr(owner, name) for owner, name, *_ in changes] == [value for *_, value in changes]
-    different = []
-    if not same:
-        for owner, name, before, _ in changes:
-            setattr(owner, name, before)
-        for owner, name, before, value in changes:
-            setattr(owner, name, value)
-            if not np.allclose(render(tmp_path), expected, rtol=1e-4, atol=1e-6):
-                different.append((name, value))
-            setattr(owner, name, before)
-    assert same, different
+    assert same, changes
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_many_changed_settings_do_not_change_the_psnr(tmp_path, seed):
     run = make_scene(tmp_path)
     photograph(run, 16)
@@ -165,17 +155,17 @@ def folder_names() -> list[str]:
     """Names with what Blender's paths, its templates, formats of numbers and shells give a meaning."""
     draw = random.Random(7)
     signs = ["{", "}", "{client}", "{{", "#", "####", "%04d", "$HOME", "~", "é", "é", "部屋", " ", ".", "&", ";", "'"]
-    made = ["".join(draw.choices([*signs, "room", "1"], k=5)).strip("/") for _ in range(12)]
+    made = ["".join(draw.choices([*signs, "room", "1"], k=5)).strip("/") for _ in range(4)]
     return ["{client} room", "{blend_name}", "a}b", "shot.####", "100 %", *made]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="two slashes are a server's name there")
-@pytest.mark.parametrize("name", ["run", "a b/{run}", "x//run"])
-def test_two_slashes_are_not_the_folder_of_the_blend_file(tmp_path, name):
-    run = RunFolder(f"/{tmp_path}/{name}")
-    image_files.save_exr(run.renders / "a.exr", np.ones((2, 3, 3), np.float32))
-    assert image_files.read_pixels(run.renders / "a.exr").shape == (2, 3, 3)
-    assert (tmp_path / name / "renders" / "a.exr").exists()
+def test_two_slashes_are_not_the_folder_of_the_blend_file(tmp_path):
+    for name in ("run", "a b/{run}", "x//run"):
+        run = RunFolder(f"/{tmp_path}/{name}")
+        image_files.save_exr(run.renders / "a.exr", np.ones((2, 3, 3), np.float32))
+        assert image_files.read_pixels(run.renders / "a.exr").shape == (2, 3, 3)
+        assert (tmp_path / name / "renders" / "a.exr").exists()
 
 
 @pytest.mark.parametrize("name", folder_names())

@@ -21,6 +21,8 @@ from fipt_blender.blend.room.atlas import make_atlas
 from fipt_blender.blend.room.exporting import collect_room, export_room
 from fipt_blender.blend.room.mesh_arrays import vertex_positions
 from fipt_blender.blend.room.result_meshes import clean_result_mesh, make_mesh
+from fipt_blender.core import conventions
+from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.run_files import CLOSING, PANES, mesh_digest, read_geometry, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
@@ -28,62 +30,48 @@ from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.surface.clean import CleanMesh
 from fipt_blender.core.surface.stored import prepare_geometry, store_geometry
 from fipt_blender.core.textures import bake
-from samples.applied_rooms import ConstantFields, panel_and_cube
+from samples.applied_rooms import ConstantFields, emitter, fingerprint, panel_and_cube
 from samples.rendered_rooms import diffuse_floor
 from samples.scans import scanned_box
-from samples.spots import spot
+from samples.spots import spot, white_world
 
 
 @pytest.fixture
-def room(tmp_path):
-    """A run of two objects."""
-    objects = panel_and_cube()
+def objects():
+    made = panel_and_cube()
     bpy.context.view_layer.update()
-    run = RunFolder(tmp_path / "run")
-    run.create(make_settings(changes={"texel_density": 16.0}))
-    prepare(run, objects)
-    return run, objects
+    return made
+
+
+@pytest.fixture
+def run(objects, run_folder):
+    """A run of two objects."""
+    prepare(run_folder, objects)
+    return run_folder
 
 
 def prepare(run, objects, **changes):
-    settings = make_settings(changes={"texel_density": 16.0, **changes})
     arrays = exporting.export_room(objects, run)
     lamp = np.flatnonzero((arrays.triangle_object == 0) & (arrays.triangle_polygon == 2))
-    write_json(
-        run.emitters_json,
-        {
-            "fixtures": [
-                {"name": "Fixture.001", "triangles": lamp.tolist(), "radiance": [8.0, 4.0, 2.0],
-                 "back_radiance": [0.0, 1.0, 0.0],
-                 "area": 1.0, "centroid": [2.5, 0.5, 0.0], "power": [0, 0, 0]}
-            ],
-            "environment": None,
-        },
-    )  # fmt: skip
-    make_atlas(objects, run, settings)
+    fixture = emitter("Fixture.001", lamp, back=(0.0, 1.0, 0.0))
+    write_json(run.emitters_json, {"fixtures": [fixture], "environment": None})
+    settle(run, objects, **changes)
+
+
+def settle(run, objects, **changes):
+    """Make the atlas of what is in the run folder, and bake."""
+    make_atlas(objects, run, make_settings(changes={"texel_density": 16.0, **changes}))
     bake.bake(run, ConstantFields())
 
 
-def snapshot(item):
-    """Everything that must be restored."""
-    mesh = item.data
-    indices = np.empty(len(mesh.polygons), np.int32)
-    mesh.polygons.foreach_get("material_index", indices)
-    return (
-        mesh.name,
-        indices.tolist(),
-        [(slot.link, slot.material and slot.material.name) for slot in item.material_slots],
-        [material and material.name for material in mesh.materials],
-        [layer.name for layer in mesh.uv_layers],
-        [attribute.name for attribute in mesh.attributes],
-        [(modifier.name, modifier.show_viewport, modifier.show_render) for modifier in item.modifiers],
-        sorted(item.keys()),
-    )
+def shown(objects):
+    """Everything of objects that must be restored."""
+    found = fingerprint(bpy.context.scene)
+    return [found[name] for item in objects for name in (f"objects/{item.name}", f"meshes/{item.data.name}")]
 
 
-def test_restoring_undoes_applying(room):
-    run, objects = room
-    before = [snapshot(item) for item in objects]
+def test_restoring_undoes_applying(run, objects):
+    before = shown(objects)
     applied = applying.apply_results(run, objects)
     assert applied.fixtures == ["Panel"] and applied.materials == ["Panel FIPT", "Cube FIPT"]
     assert [slot.material.name for slot in objects[1].material_slots] == applied.materials[1:]
@@ -93,13 +81,12 @@ def test_restoring_undoes_applying(room):
     again = applying.apply_results(run, objects)
     assert again == applied and len(objects[0].data.polygons) == 2
     assert originals.restore_original(bpy.context.scene, objects) == [item.name for item in objects]
-    assert [snapshot(item) for item in objects] == before
+    assert shown(objects) == before
     assert "Panel" not in bpy.data.objects
     assert originals.restore_original(bpy.context.scene, objects) == []
 
 
-def test_colour_attributes(room):
-    run, objects = room
+def test_colour_attributes(run, objects):
     prepare(run, objects, atlas_mode="color_attribute")
     applying.apply_results(run, objects)
     mesh = objects[1].data
@@ -112,16 +99,7 @@ def test_colour_attributes(room):
     assert spot(Vector((0, 5, 4)), Vector((0, 5, 0))).mean() < 0.9  # not the default white
 
 
-def white_world() -> None:
-    scene = bpy.context.scene
-    scene.world = bpy.data.worlds.new("white")
-    if scene.world.node_tree is None:
-        scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
-
-
-def test_fixture_emits_its_radiance_on_each_side(room):
-    run, objects = room
+def test_fixture_emits_its_radiance_on_each_side(run, objects):
     applying.apply_results(run, objects)
     world.apply_environment(run)
     fixture = bpy.data.objects["Panel"]
@@ -156,17 +134,12 @@ def test_area_light_has_the_given_radiance():
     assert np.allclose(image.mean(axis=(0, 1)), expected, rtol=0.01)
 
 
-def test_environment_direction(room):
-    run, _ = room
-    from fipt_blender.core import conventions
-    from fipt_blender.core.capture.images import write_exr
-
+def test_environment_direction(run):
     directions = conventions.equirect_pixel_directions(64, 32)
     write_exr(run.environment_exr, (directions * 0.5 + 0.5).astype(np.float32))
     data = read_document(run.emitters_json, dict)
     write_json(run.emitters_json, {**data, "environment": {"image": "environment.exr", "observed_share": 1.0}})
-    for item in list(bpy.data.objects):
-        bpy.data.objects.remove(item)
+    bpy.data.batch_remove(list(bpy.data.objects))
     world.apply_environment(run)
     for direction in ((1, 0.2, 0.1), (-0.3, 1, 0.4), (0.2, -0.5, -0.8)):
         unit = Vector(direction).normalized()
@@ -185,16 +158,14 @@ def with_panes(run):
     return vertices
 
 
-def test_panes_become_an_object_of_the_room(room):
-    run, objects = room
+def test_panes_become_an_object_of_the_room(run, objects):
     vertices = with_panes(run)
     frame = bpy.data.objects.new("frame", None)
     bpy.context.scene.collection.objects.link(frame)
     frame.matrix_world = Matrix.Translation((0, 0, 7))
     bpy.context.view_layer.update()
     objects[0].parent, objects[0].matrix_parent_inverse = frame, frame.matrix_world.inverted()
-    make_atlas(objects, run, make_settings(changes={"texel_density": 16.0}))
-    bake.bake(run, ConstantFields())
+    settle(run, objects)
     applied = applying.apply_results(run, objects)
     assert not applied.warnings
     panes = bpy.data.objects[PANES]
@@ -208,9 +179,8 @@ def test_panes_become_an_object_of_the_room(room):
     assert len(bpy.data.objects) == count
 
 
-def test_closed_holes_become_an_object_with_the_cleaned_vertices(room):
+def test_closed_holes_become_an_object_with_the_cleaned_vertices(run, objects):
     """Beside panes: each is an object of its own, and a second application finds both."""
-    run, objects = room
     arrays, _ = read_room_files(run)
     rim = arrays["vertices"][arrays["triangles"][:1]].reshape(3, 3)
     np.savez(
@@ -229,18 +199,9 @@ def test_closed_holes_become_an_object_with_the_cleaned_vertices(room):
     assert names.objects[2:] == (CLOSING, PANES)
     assert found["triangle_material"][-3:].tolist() == [arrays["triangle_material"][0], -1, -1]
     # As if the mesh were a scan whose cleaned copy lies a metre higher.
-    store_geometry(
-        run,
-        found,
-        CleanMesh(
-            found["vertices"] + np.float32([0, 0, 1]),
-            found["corner_normals"],
-            np.full(len(found["triangles"]), -1, np.int32),
-            0.01,
-        ),
-    )
-    make_atlas(objects, run, make_settings(changes={"texel_density": 16.0}))
-    bake.bake(run, ConstantFields())
+    higher, region = found["vertices"] + np.float32([0, 0, 1]), np.full(len(found["triangles"]), -1, np.int32)
+    store_geometry(run, found, CleanMesh(higher, found["corner_normals"], region, 0.01))
+    settle(run, objects)
     applied = applying.apply_results(run, objects)
     assert not applied.warnings
     closing, panes = bpy.data.objects[CLOSING], bpy.data.objects[PANES]
@@ -250,11 +211,9 @@ def test_closed_holes_become_an_object_with_the_cleaned_vertices(room):
     assert applying.apply_results(run, [*objects, closing, panes]) == applied
 
 
-def test_an_interrupted_application_adds_no_panes(room):
-    run, objects = room
+def test_an_interrupted_application_adds_no_panes(run, objects):
     with_panes(run)
-    make_atlas(objects, run, make_settings(changes={"texel_density": 16.0}))
-    bake.bake(run, ConstantFields())
+    settle(run, objects)
     slices = applying.apply_slices(run, objects, bpy.context.scene)
     next(slices)
     slices.close()
@@ -262,7 +221,6 @@ def test_an_interrupted_application_adds_no_panes(room):
 
 
 TRANSFORMS = {
-    "none": Matrix(),
     "turned": Matrix.LocRotScale((1.0, -2.0, 0.5), Euler((0.2, 0.4, 1.1)), (1.0, 1.0, 1.0)),
     "stretched": Matrix.Diagonal((2.0, 0.5, 1.0, 1.0)),
     "mirrored": Matrix.Diagonal((-1.0, 1.0, 1.0, 1.0)),

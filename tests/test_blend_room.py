@@ -13,21 +13,12 @@ from mathutils import Euler, Matrix
 from fipt_blender.blend.capture import mesh_import
 from fipt_blender.blend.room import arrays, exporting
 from fipt_blender.core import conventions
-from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.core.run.settings import make_settings
 from samples.refusals import error_of
-from samples.spots import spot
+from samples.spots import spot, white_world
 
 # A tetrahedron-like shape without symmetry, so that any rotation or mirroring shows.
 POINTS = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)], np.float64)
 FACES = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
-
-
-@pytest.fixture
-def run(tmp_path):
-    folder = RunFolder(tmp_path / "run")
-    folder.create(make_settings())
-    return folder
 
 
 def write_obj(path: Path, faces=FACES) -> Path:
@@ -47,51 +38,41 @@ def canonical(vertices, triangles):
     return sorted(rows)
 
 
-def test_import_applies_world_from_source_and_nothing_else(tmp_path, run):
-    matrix = conventions.world_from_source("y", 0.5)
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_import_applies_world_from_source_and_nothing_else(tmp_path, run_folder, mirrored):
+    matrix = conventions.world_from_source("y", 0.5) @ np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0, 1.0])
     matrix[:3, 3] = (1.0, 2.0, 3.0)
     names = mesh_import.import_room(write_obj(tmp_path / "a.obj"), matrix)
     item = bpy.data.objects[names[0]]
     assert item.matrix_world == Matrix.Identity(4)
     assert [each.name for each in item.users_collection] == ["Parts"]
-    room = exporting.export_room([item], run)
+    room = exporting.export_room([item], run_folder)
     expected = conventions.transform_points(matrix, POINTS)
-    assert canonical(room.vertices, room.triangles) == canonical(expected, FACES)
-
-
-def test_mirroring_transform_keeps_faces_outwards(tmp_path, run):
-    names = mesh_import.import_room(write_obj(tmp_path / "a.obj"), np.diag([-1.0, 1.0, 1.0, 1.0]))
-    room = exporting.export_room([bpy.data.objects[names[0]]], run)
-    corners = room.vertices[room.triangles]
-    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    away = corners.mean(axis=1) - room.vertices.mean(axis=0)
-    assert ((outward * away).sum(axis=1) > 0).all()
+    outwards = [face[::-1] for face in FACES] if mirrored else FACES
+    assert canonical(room.vertices, room.triangles) == canonical(expected, outwards)
 
 
 def test_import_errors(tmp_path):
-    error = error_of(mesh_import.import_room, tmp_path / "nothing.obj", np.eye(4))
-    assert error.code == "mesh-missing"
     (tmp_path / "a.xyz").write_text("")
-    error = error_of(mesh_import.import_room, tmp_path / "a.xyz", np.eye(4))
-    assert error.code == "mesh-format"
-    refusal = error_of(mesh_import.import_room, write_obj(tmp_path / "b.obj", faces=[]), np.eye(4))
-    assert refusal.code == "mesh-empty"
+    write_obj(tmp_path / "b.obj", faces=[])
+    for name, code in (("nothing.obj", "mesh-missing"), ("a.xyz", "mesh-format"), ("b.obj", "mesh-empty")):
+        assert error_of(mesh_import.import_room, tmp_path / name, np.eye(4)).code == code
     assert not bpy.data.objects
 
 
-def test_degenerate_and_inverted_faces_are_kept(tmp_path, run):
+def test_degenerate_and_inverted_faces_are_kept(tmp_path, run_folder):
     mesh = bpy.data.meshes.new("m")
     mesh.from_pydata([(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0)], [], [(0, 1, 2), (0, 3, 1)])
     item = bpy.data.objects.new("m", mesh)
     bpy.context.scene.collection.objects.link(item)
-    room = exporting.export_room([item], run)
+    room = exporting.export_room([item], run_folder)
     assert len(room.triangles) == 2
     assert np.isfinite(room.corner_normals).all()
     assert np.allclose(np.linalg.norm(room.corner_normals, axis=2), 1.0, atol=1e-5)
     assert room.corner_normals[1, 0, 2] == pytest.approx(-1.0)
 
 
-def test_export_of_modifiers_mirrored_scale_and_materials(run):
+def test_export_of_modifiers_mirrored_scale_and_materials(run_folder):
     bpy.ops.mesh.primitive_cube_add(size=2.0)
     item = bpy.context.object
     item.scale, item.rotation_euler, item.location = (-1.0, 2.0, 0.5), Euler((0.3, 0.2, 0.1)), (4.0, 5.0, 6.0)
@@ -100,7 +81,7 @@ def test_export_of_modifiers_mirrored_scale_and_materials(run):
         item.data.materials.append(bpy.data.materials.new(name))
     item.data.polygons[2].material_index = 1
     bpy.context.view_layer.update()
-    room = exporting.export_room([item], run, parts="materials")
+    room = exporting.export_room([item], run_folder, parts="materials")
     assert len(room.triangles) > 12
     corners = room.vertices[room.triangles].astype(np.float64)
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -112,43 +93,32 @@ def test_export_of_modifiers_mirrored_scale_and_materials(run):
     assert np.allclose(np.abs(local).max(axis=0), [1.0, 2.0, 0.5], atol=1e-5)
     assert room.materials == ["first", "second"]
     assert set(np.unique(room.triangle_material)) == {0, 1}
-    again = arrays.read_room(run)
+    again = arrays.read_room(run_folder)
     assert np.array_equal(again.triangles, room.triangles) and list(again.objects) == [item.name]
 
 
-def test_custom_normals_reach_the_export(run):
+def test_custom_normals_reach_the_export(run_folder):
     bpy.ops.mesh.primitive_plane_add()
     item = bpy.context.object
     tilted = np.array([math.sin(0.3), 0.0, math.cos(0.3)])
     item.data.normals_split_custom_set([tilted.tolist()] * 4)
     item.rotation_euler = (0.0, 0.0, math.pi / 2)
     bpy.context.view_layer.update()
-    room = exporting.export_room([item], run)
+    room = exporting.export_room([item], run_folder)
     assert np.allclose(room.corner_normals, [0.0, math.sin(0.3), math.cos(0.3)], atol=1e-3)
 
 
 def test_faces_of_opposite_winding_render_alike(tmp_path):
     # Two halves of a wall share an edge; the second one has the opposite winding and normals.
-    text = "\n".join(
-        [
-            *(f"v {x} {y} 0" for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))),
-            "vn 0 0 1",
-            "vn 0 0 -1",
-            "s 1",
-            "f 1//1 2//1 3//1",
-            "f 1//2 4//2 3//2",
-        ]
-    )
-    (tmp_path / "wall.obj").write_text(text)
+    lines = [f"v {x} {y} 0" for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    lines += ["vn 0 0 1", "vn 0 0 -1", "s 1", "f 1//1 2//1 3//1", "f 1//2 4//2 3//2"]
+    (tmp_path / "wall.obj").write_text("\n".join(lines))
     (name,) = mesh_import.import_room(tmp_path / "wall.obj", np.eye(4))
     mesh = bpy.data.objects[name].data
     mesh.shade_smooth()
     mesh.normals_split_custom_set([(0.0, 0.0, 1.0)] * 3 + [(0.0, 0.0, -1.0)] * 3)
     mesh_import.mark_turned_edges(mesh)
-    scene = bpy.context.scene
-    scene.world = bpy.data.worlds.new("white")
-    scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs[0].default_value = (1.0, 1.0, 1.0, 1.0)
+    white_world()
     image = spot((0.0, 0.0, 2.0), (0.0, 0.0, 0.0), 16, 16, 1.6)
     assert image[..., 0].min() > 0.5 * image[..., 0].max() > 0.2
 

@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import fnmatch
+import webbrowser
 from pathlib import Path
 
 import bpy
@@ -48,9 +48,9 @@ def test_without_a_site_help_opens_the_pages_of_the_extension(monkeypatch, tmp_p
     monkeypatch.setattr(manual, "SITE", "")
     monkeypatch.setattr(manual, "PAGES", pages)
     opened = []
-    with _browser(opened):
-        assert bpy.ops.fipt.help(chapter="lights") == {"FINISHED"}
-        assert bpy.ops.fipt.help() == {"FINISHED"}
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    assert bpy.ops.fipt.help(chapter="lights") == {"FINISHED"}
+    assert bpy.ops.fipt.help() == {"FINISHED"}
     assert opened == [f"{pages.as_uri()}/lights.html", f"{pages.as_uri()}/index.html"]
     assert opened[0].startswith("file:///") and " " not in opened[0]
     assert _found("bpy.ops.fipt.add_light") == f"{pages.as_uri()}/lights.html"
@@ -77,64 +77,21 @@ def _found(name):
     return site + next(page for pattern, page in pages if fnmatch.fnmatchcase(name.lower(), pattern))
 
 
-@contextlib.contextmanager
-def _browser(opened):
-    """Notes what Blender would open in the browser."""
-
-    class Recorder(bpy.types.Operator):
-        """Stands for the browser"""
-
-        bl_idname = "wm.url_open"
-        bl_label = "Open"
-        url: bpy.props.StringProperty()
-
-        def execute(self, context):
-            opened.append(self.url)
-            return {"FINISHED"}
-
-    original = bpy.types.WM_OT_url_open
-    bpy.utils.unregister_class(original)
-    bpy.utils.register_class(Recorder)
-    try:
-        yield
-    finally:
-        bpy.utils.unregister_class(Recorder)
-        bpy.utils.register_class(original)
-
-
-@pytest.fixture
-def folder(tmp_path, monkeypatch) -> Path:
-    """The user's folder of presets."""
-
+def test_estimate_settings_come_back(tmp_path, monkeypatch):
     def user_resource(kind: str, *, path: str = "", create: bool = False) -> str:
-        place = tmp_path / path
-        if create:
-            place.mkdir(parents=True, exist_ok=True)
-        return str(place)
+        (tmp_path / path).mkdir(parents=True, exist_ok=True)
+        return str(tmp_path / path)
 
     monkeypatch.setattr(bpy.utils, "user_resource", user_resource)
-    return tmp_path / "presets"
-
-
-def store(section: str, folder: Path) -> Path:
-    operator = getattr(bpy.ops.fipt, f"add_{section}_preset")
-    assert operator(name="Mine") == {"FINISHED"}
-    return folder / "fipt" / section / "Mine.py"
-
-
-def recall(path: Path, section: str) -> None:
-    menu = f"FIPT_PT_{section}_presets"
-    assert bpy.ops.script.execute_preset(filepath=str(path), menu_idname=menu) == {"FINISHED"}
-
-
-def test_estimate_settings_come_back(folder):
     settings = bpy.context.scene.fipt.estimate
     settings.preset, settings.device = "high", "llvm"
     settings.diffuse_samples, settings.denoise = 77, False
-    path = store("estimate", folder)
+    assert bpy.ops.fipt.add_estimate_preset(name="Mine") == {"FINISHED"}
     settings.preset, settings.device = "draft", "auto"
     settings.reset()
     settings.rounds = 5
-    recall(path, "estimate")
+    path = tmp_path / "presets" / "fipt" / "estimate" / "Mine.py"
+    recalled = bpy.ops.script.execute_preset(filepath=str(path), menu_idname="FIPT_PT_estimate_presets")
+    assert recalled == {"FINISHED"}
     assert (settings.preset, settings.device, settings.diffuse_samples) == ("high", "llvm", 77)
     assert not settings.denoise and not settings.is_changed("rounds")

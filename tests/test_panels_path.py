@@ -1,8 +1,10 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The guided path: what the tab shows at each stage of the work, and how little of it at first."""
+"""The guided path: what the tab shows at each stage, how little of it at first, and what follows a job."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import bpy
 import pytest
@@ -95,32 +97,29 @@ def test_without_an_engine_an_error_leads_to_its_set_up(tmp_path):
 @pytest.mark.usefixtures("ready")
 def test_photographs_without_cameras_lead_to_make_capture(tmp_path):
     scene = bpy.context.scene
-    scene.fipt.capture.path = str(tmp_path)
-    info = running.RunningJob("Import Capture", "capture", scene.name, tmp_path)
-    running.refuse(info, FiptError("cameras-missing", "Photographs without cameras.", "Make a capture."))
+    scene.fipt.capture.path, scene.fipt.run_folder = str(tmp_path / "photos"), str(tmp_path / "run")
+    info = running.RunningJob("Import Capture", "capture", scene.name, tmp_path / "run")
+    error = FiptError("cameras-missing", "Photographs without cameras.", "Make a capture.")
+    running.refuse(info, error)
     assert "fipt.photographs_of_capture" in drawn_by(start.FIPT_PT_start)[0]
     assert bpy.ops.fipt.photographs_of_capture() == {"FINISHED"}
-    assert scene.fipt.photographs.path == str(tmp_path) and tab_count().sections == ("Photographs",)
+    assert scene.fipt.photographs.path == str(tmp_path / "photos") and tab_count().sections == ("Photographs",)
     assert bpy.ops.fipt.leave_photographs() == {"FINISHED"}
     assert tab_count().sections == ("Start",)
     assert "Photographs without cameras." not in drawn_by(start.FIPT_PT_start)[0]
-
-
-@pytest.mark.usefixtures("ready")
-def test_chosen_photographs_without_cameras_become_a_capture(tmp_path):
-    scene = bpy.context.scene
-    scene.fipt.capture.path, scene.fipt.run_folder = str(tmp_path / "photos"), str(tmp_path / "run")
-    info = running.RunningJob("Import Capture", "capture", scene.name, tmp_path / "run")
+    # After an import they become a capture unasked, unless it failed for another reason.
+    scene.fipt.capture.path = str(tmp_path / "photos")
     running.refuse(info, FiptError("other", "Another error.", "Another remedy."))
     session.after_job(info)
     assert not scene.fipt.photographs.path
-    running.refuse(info, FiptError("cameras-missing", "Photographs without cameras.", "Make a capture."))
+    running.refuse(info, error)
     session.after_job(info)
     assert scene.fipt.photographs.path == str(tmp_path / "photos") and running.last("capture") is None
     assert tab_count().sections == ("Photographs",)
 
 
-def test_without_a_mesh_the_next_step_is_to_bring_one():
+def test_without_a_mesh_the_next_step_is_to_bring_one(monkeypatch):
+    monkeypatch.setattr(machine, "engine_python", lambda: pytest.fail("a process was started while drawing"))
     add_capture()
     assert "fipt.estimate" in drawn_by(estimate.FIPT_PT_estimate)[0]
     room = bpy.context.scene.fipt.capture.room_objects(bpy.context.scene)
@@ -130,6 +129,20 @@ def test_without_a_mesh_the_next_step_is_to_bring_one():
     assert "fipt.import_mesh" in drawn and "fipt.estimate" not in drawn
 
 
-def test_no_process_is_started_while_drawing(monkeypatch):
-    monkeypatch.setattr(machine, "engine_python", lambda: pytest.fail("a process was started"))
-    assert tab_count().sections
+@pytest.mark.parametrize(
+    ("state", "wanted", "mode", "applied"),
+    [
+        ("finished", True, "OBJECT", True),
+        ("cancelled", True, "OBJECT", False),
+        ("finished", False, "OBJECT", False),
+        ("finished", True, "EDIT", False),
+    ],
+)
+def test_results_of_an_estimation_are_applied_unless_the_artist_minds(scene, state, wanted, mode, applied):
+    scene.fipt.estimate.apply_when_finished = wanted
+    bpy.context.view_layer.objects.active = bpy.data.objects["cube"]
+    bpy.ops.object.mode_set(mode=mode)
+    folder = Path(scene.fipt.run_folder)
+    session.after_job(running.RunningJob("Estimate", "estimate", scene.name, folder, state=state))
+    assert bool(scene.fipt.materials.object_count) is applied
+    bpy.ops.object.mode_set(mode="OBJECT")

@@ -46,15 +46,25 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "data"
 
 
-@pytest.fixture
-def values(data: Path) -> Iterator[Any]:
-    """The preferences of the package, enabled as an add-on is."""
-    fipt_blender.register()
+def enable() -> Any:
+    """Enable the package as an add-on is."""
     addon = bpy.context.preferences.addons.new()
     addon.module = fipt_blender.__name__
-    yield addon.preferences
-    bpy.context.preferences.addons.remove(addon)
+    fipt_blender.register()
+    return addon
+
+
+def disable(addon: Any) -> None:
     fipt_blender.unregister()
+    bpy.context.preferences.addons.remove(addon)
+
+
+@pytest.fixture
+def values(data: Path) -> Iterator[Any]:
+    """The preferences of the package."""
+    addon = enable()
+    yield addon.preferences
+    disable(addon)
 
 
 def make_run(data: Path, name: str, modified: float = OLD) -> RunFolder:
@@ -78,23 +88,10 @@ def make_environment(data: Path, groups: dict[str, list[str]]) -> Path:
 
 
 def check_result(**changes: Any) -> dict[str, Any]:
-    engine = {
-        "python": "3.11.7",
-        "interpreter": "/python",
-        "packages": {"mitsuba": "3.9.1", "torch": None},
-        "llvm": "/usr/lib/libLLVM.so.19.1",
-        "cuda": None,
-        "gpus": GPUS,
-        "device": "llvm",
-        "oidn": True,
-        "cores": 8,
-        "memory_gb": 32.0,
-        "memory_free_gb": 20.0,
-        "ready": True,
-        **changes,
-    }
-    version = PRODUCT_VERSION
-    return {"time": 0.0, "product_version": version, "engine": engine, "warnings": [], "error": None}
+    engine = {"python": "3.11.7", "interpreter": "/python", "packages": {"mitsuba": "3.9.1", "torch": None}}
+    engine |= {"llvm": "/usr/lib/libLLVM.so.19.1", "cuda": None, "gpus": GPUS, "device": "llvm", "oidn": True}
+    engine |= {"cores": 8, "memory_gb": 32.0, "memory_free_gb": 20.0, "ready": True, **changes}
+    return {"time": 0.0, "product_version": PRODUCT_VERSION, "engine": engine, "warnings": [], "error": None}
 
 
 def test_values_and_a_data_folder_of_the_users_own(values: Any, data: Path, tmp_path: Path) -> None:
@@ -119,16 +116,6 @@ def test_gpu_is_chosen_by_its_identity(values: Any) -> None:
 
 
 def test_kept_values_return_after_a_removal_but_override_none(data: Path) -> None:
-    def enable() -> Any:
-        addon = bpy.context.preferences.addons.new()
-        addon.module = fipt_blender.__name__
-        fipt_blender.register()
-        return addon
-
-    def disable(addon: Any) -> None:
-        fipt_blender.unregister()
-        bpy.context.preferences.addons.remove(addon)
-
     addon = enable()
     addon.preferences.data_folder, addon.preferences.on_close = str(data / "far"), "KEEP"
     machine.store_status(check_result())
@@ -165,7 +152,6 @@ def test_broken_interpreters_are_explained(values: Any, tmp_path: Path) -> None:
         assert "can't be used" in refused(bpy.ops.fipt.check_engine)
         assert machine.status()["error"]["code"] == "engine-missing"
         assert panel.headline(machine.status())[1] == "ERROR"
-    values.engine_python = ""
 
 
 def test_set_up_says_why_it_can_not(values: Any, tmp_path: Path) -> None:
@@ -184,7 +170,6 @@ def test_set_up_says_why_it_can_not(values: Any, tmp_path: Path) -> None:
     (tmp_path / "wheels").mkdir()
     assert "does not contain the wheels" in refused(bpy.ops.fipt.set_up_engine)
     assert machine.status()["error"]["code"] == "wheels-missing"
-    values.wheel_folder = ""
 
 
 def test_set_up_runs_beside_the_users_work_and_is_cancelled(
@@ -208,7 +193,6 @@ def test_set_up_runs_beside_the_users_work_and_is_cancelled(
     assert "set-up cancelled, press Set Up Engine" in " ".join(texts)
     assert "ensurepip" not in " ".join(texts)
     assert not bpy.ops.fipt.cancel_set_up.poll()
-    values.wheel_folder = ""
 
 
 def test_measuring_and_clearing_take_what_is_ours_and_unused(values: Any, data: Path) -> None:

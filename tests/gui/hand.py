@@ -19,7 +19,7 @@ from agent import Blender, Lost
 
 VIEW, SIDEBAR = ("VIEW_3D", "WINDOW"), ("VIEW_3D", "UI")
 MARGIN = 10  # pixels at the left of a region: beside its edge, which is to be dragged, and without buttons
-PREFERENCES = ("PREFERENCES", "WINDOW")
+PREFERENCES, PICTURE = ("PREFERENCES", "WINDOW"), ("IMAGE_EDITOR", "WINDOW")
 UNIT = 20.0  # height of a button at scale 1
 TABS = 20.0  # width of the strip of tabs
 _DOUBLE_CLICK_SECONDS = 0.4  # Blender's own is 0.35

@@ -38,6 +38,11 @@ def counts() -> dict[str, int]:
     }
 
 
+def objects() -> list[str]:
+    """Names of all objects of the scene."""
+    return sorted(item.name for item in bpy.context.scene.objects)
+
+
 def photographs() -> dict[str, Any]:
     """The list of the section Photographs."""
     settings = bpy.context.scene.fipt.photographs
@@ -74,8 +79,6 @@ def job(kind: str) -> dict[str, Any]:
         "fraction": info.fraction,
         "error": info.error,
         "stage": info.stage_text,
-        "memory": info.memory_gb,
-        "pictures": len(info.pictures),
     }
 
 
@@ -186,7 +189,6 @@ def light_rows() -> list[dict[str, Any]]:
             "name": light.object.name if light.object else "",
             "kind": light.object.type if light.object else "",
             "on": light.on,
-            "location": list(light.object.matrix_world.translation) if light.object else [],
         }
         for light in bpy.context.scene.fipt.lights.lights
     ]

@@ -23,12 +23,11 @@ import story_hints
 import story_lights
 import story_materials
 from chapters import Chapter, Options, finish
-from hand import PREFERENCES
+from hand import PICTURE, PREFERENCES
 from window import Window
 
 _ENGINE_SECONDS = 3600.0
 _DRAWS = 25
-_PICTURE = ("IMAGE_EDITOR", "WINDOW")
 _PREFERENCES_PAGES = (("PREFERENCES", "NAVIGATION_BAR"), ("PREFERENCES", "UI"))  # up to 4.5, from 5.0
 # Advanced settings with --fast.
 _FAST = {
@@ -291,12 +290,12 @@ def insert(window: Window, options: Options) -> None:
     """Place a ball with the mouse, and render the relit room with it."""
     window.open_section("Insert")
     window.choose("insert.kind", "GREY_BALL")
-    before = set(window.ask(_names))
+    before = set(window.ask(inside.objects))
     window.click("fipt.insert_object")
     window.point_in_view(0.45, 0.35)
     window.settle()
     window.press()
-    new = window.wait(_names, until=lambda names: len(set(names) - before) > 0)
+    new = window.wait(inside.objects, until=lambda names: len(set(names) - before) > 0)
     selected = window.ask(lambda: [item.name for item in bpy.context.view_layer.objects.selected])
     assert {*selected} & ({*new} - before), new
     window.shot("19_inserted")
@@ -311,15 +310,10 @@ def insert(window: Window, options: Options) -> None:
     assert change > 0.05, change
     window.shot("20_relit_panel")
     window.click("fipt.open_picture")
-    window.wait(agent.is_open, *_PICTURE)
+    window.wait(agent.is_open, *PICTURE)
     window.settle()
     window.shot("21_relit_render")
-    window.ask(agent.close_window, _PICTURE[0])
-
-
-def _names() -> list[str]:
-    """All objects of the scene."""
-    return sorted(item.name for item in bpy.context.scene.objects)
+    window.ask(agent.close_window, PICTURE[0])
 
 
 def draw_requests(window: Window, options: Options) -> None:

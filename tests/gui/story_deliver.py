@@ -12,10 +12,12 @@ from typing import Any
 
 import agent
 import bpy
+import inside
 from chapters import Options, finish
+from hand import PICTURE
 from window import Window
 
-_PICTURE, _FILES = ("IMAGE_EDITOR", "WINDOW"), ("FILE_BROWSER", "EXECUTE")
+_FILES = ("FILE_BROWSER", "EXECUTE")
 _MOST_CLICKS = 14
 _RENDER_SECONDS = 3600.0
 _PREVIEW = 20  # percent of the pictures' size, with --fast
@@ -48,12 +50,12 @@ def deliver(window: Window, options: Options) -> None:
     window.settle(10.0)
     window.shot("40_one_lamp")
     _section(window, "Insert")
-    before = set(window.ask(_objects))
+    before = set(window.ask(inside.objects))
     window.click("fipt.insert_object")
     window.point_in_view(0.41, 0.31)
     window.settle()
     window.press()
-    window.wait(_objects, until=lambda names: len(set(names) - before) > 0)
+    window.wait(inside.objects, until=lambda names: len(set(names) - before) > 0)
     window.settle(10.0)
     window.shot("41_placed")
     _section(window, "Render")
@@ -98,10 +100,6 @@ def _scale(percent: int) -> None:
     bpy.context.scene.render.resolution_percentage = percent
 
 
-def _objects() -> list[str]:
-    return sorted(item.name for item in bpy.context.scene.objects)
-
-
 def _picture(window: Window, name: str) -> float:
     """Press Final Picture, wait for the window with it and close that; seconds waited."""
     started = time.monotonic()
@@ -110,10 +108,10 @@ def _picture(window: Window, name: str) -> float:
     seconds = time.monotonic() - started
     picture = Path(window.ask(_last_picture))
     assert picture.is_file() and picture.with_suffix(".png").is_file(), picture
-    window.wait(agent.is_open, *_PICTURE)
+    window.wait(agent.is_open, *PICTURE)
     window.settle(5.0)
     window.shot(name)
-    window.ask(agent.close_window, _PICTURE[0])
+    window.ask(agent.close_window, PICTURE[0])
     window.settle()
     return round(seconds, 1)
 

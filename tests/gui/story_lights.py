@@ -10,10 +10,8 @@ import agent
 import bpy
 import inside
 from chapters import Options
-from hand import VIEW
+from hand import PICTURE, VIEW
 from window import Window
-
-_PICTURE = ("IMAGE_EDITOR", "WINDOW")
 
 
 def light_states(window: Window, options: Options) -> None:
@@ -66,10 +64,10 @@ def seeing(window: Window, options: Options) -> None:
     window.settle()
     window.shot("32_compare_dragged")
     window.click("fipt.compare", mode="RENDER", window=True)
-    window.wait(agent.is_open, *_PICTURE)
+    window.wait(agent.is_open, *PICTURE)
     window.settle()
     window.shot("32_compare_picture")
-    window.ask(agent.close_window, _PICTURE[0])
+    window.ask(agent.close_window, PICTURE[0])
     window.settle()
     window.click("fipt.compare", mode="OFF")
     window.wait(lambda: _check().compare == "OFF")

@@ -78,6 +78,12 @@ def panel_and_cube() -> list[bpy.types.Object]:
     return [panel, cube]
 
 
+def emitter(name: str, triangles: np.ndarray, centroid=(2.5, 0.5, 0.0), back=(0.0, 0.0, 0.0)) -> dict:
+    """An entry of emitters.json whose front shines with RADIANCE; by default the panel's lamp."""
+    entry = {"name": name, "triangles": triangles.tolist(), "radiance": RADIANCE, "back_radiance": list(back)}
+    return {**entry, "area": 1.0, "centroid": [float(value) for value in centroid], "power": [0, 0, 0]}
+
+
 def make_scene(folder: Path, environment: bool = True) -> bpy.types.Scene:
     """A file with an artist's room (`panel_and_cube`), world and lights, and the run estimated from it."""
     scene = bpy.context.scene
@@ -99,19 +105,10 @@ def make_scene(folder: Path, environment: bool = True) -> bpy.types.Scene:
     run.create(make_settings())
     arrays = exporting.export_room([panel, cube], run)
     lit = np.flatnonzero((arrays.triangle_object == 0) & (arrays.triangle_polygon == 2))
-    fixture = {
-        "name": "Fixture.001", "triangles": lit.tolist(), "radiance": RADIANCE, "back_radiance": [0.0] * 3,
-        "area": 1.0, "centroid": [2.5, 0.5, 0.0], "power": [0, 0, 0],
-    }  # fmt: skip
+    sky = {"image": "environment.exr", "observed_share": 1.0} if environment else None
     if environment:
         write_exr(run.environment_exr, np.full((8, 16, 3), 2.0, np.float32))
-    write_json(
-        run.emitters_json,
-        {
-            "fixtures": [fixture],
-            "environment": {"image": "environment.exr", "observed_share": 1.0} if environment else None,
-        },
-    )
+    write_json(run.emitters_json, {"fixtures": [emitter("Fixture.001", lit)], "environment": sky})
     write_json(run.statistics_json, {"radiance_scale": MEDIAN})
     run.fields_npz.write_bytes(b"estimated")
     scene.fipt.run_folder = str(folder)

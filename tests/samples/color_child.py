@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a room looks like in renders, comparisons and exports, measured in a Blender with its own OCIO.
 
-Run as a module with a folder, and the working space where that is not the default; writes seen.json to the
-folder, whose colours are linear Rec.709.
+As a module, with a folder and the working space where that is not the default, it writes seen.json to the folder.
 """
 
 from __future__ import annotations
@@ -40,10 +39,15 @@ from samples.spots import spot_camera
 CUSTOM = (1.0, 0.25, 0.5)
 
 
-def use_working_space() -> None:
-    """Give the open file the working space that was asked for, from Blender 5.0."""
-    for name in sys.argv[2:]:
-        bpy.ops.wm.set_working_color_space(working_space=name, convert_colors=True)
+def measure(folder: Path, monkeypatch: pytest.MonkeyPatch, working_space: str = "") -> dict:
+    """Colours in linear Rec.709, with the extension registered; working spaces came with Blender 5.0."""
+    seen = {}
+    for part in (applied, compared):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        if working_space:
+            bpy.ops.wm.set_working_color_space(working_space=working_space, convert_colors=True)
+        seen |= part(folder / part.__name__, monkeypatch)
+    return seen
 
 
 def spot(scene: bpy.types.Scene, position: tuple, target: tuple) -> list[float]:
@@ -63,10 +67,10 @@ def imported_texel(path: Path) -> list[float]:
     return list(texel)
 
 
-def applied(folder: Path) -> dict:
+def applied(folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict:
     """Results: renders of lamp, room and sky, the panel's colours and what exports hold."""
     seen = {}
-    scene = applied_rooms.make_applied_scene(folder / "run", pytest.MonkeyPatch())
+    scene = applied_rooms.make_applied_scene(folder / "run", monkeypatch)
     set_up(scene)
     (lamp,) = fixtures_of(scene)
     light_state.refresh(scene)
@@ -100,10 +104,8 @@ def applied(folder: Path) -> dict:
     return seen
 
 
-def compared(folder: Path) -> dict:
+def compared(folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict:
     """The comparison with a photograph, which is itself a render of the room."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    use_working_space()
     run = rendered_rooms.make_scene(folder)
     scene = bpy.context.scene
     floor = bpy.data.objects["Floor"].data.materials[0]
@@ -129,10 +131,7 @@ def compared(folder: Path) -> dict:
 
 
 if __name__ == "__main__":
-    root = Path(sys.argv[1])
     fipt_blender.register()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    use_working_space()
-    found = applied(root / "applied") | compared(root / "compared")
-    (root / "seen.json").write_text(json.dumps(found))
+    root, *space = sys.argv[1:]
+    (Path(root) / "seen.json").write_text(json.dumps(measure(Path(root), pytest.MonkeyPatch(), *space)))
     os.kill(os.getpid(), signal.SIGTERM)  # leaving some modules of Blender fails

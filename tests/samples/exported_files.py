@@ -8,6 +8,7 @@ import json
 import struct
 
 import bpy
+import numpy as np
 
 
 def gltf_json(path):
@@ -31,3 +32,24 @@ def opened(path):
 
 def principled(material):
     return next(node for node in material.node_tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+
+
+def texture_behind(socket):
+    """The image that feeds an input, through other nodes."""
+    node = socket.links[0].from_node
+    while node.bl_idname != "ShaderNodeTexImage":
+        node = node.inputs[0].links[0].from_node
+    return node.image
+
+
+def texel(image, uv):
+    """The texel (3,) of an image at a place (2,)."""
+    width, height = image.size
+    start = image.channels * (int(uv[1] * height) * width + int(uv[0] * width))
+    return np.array(image.pixels[start : start + 3])
+
+
+def encoded(linear):
+    """Linear values as sRGB's codes from 0 to 1."""
+    linear = np.asarray(linear)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)

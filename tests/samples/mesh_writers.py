@@ -106,30 +106,17 @@ def rotation(rng: np.random.Generator) -> np.ndarray:
     return matrix
 
 
-# ---------------------------------------------------------------------------------------------------- OBJ
-
-
 @dataclass(frozen=True)
 class ObjStyle:
-    """How an OBJ file is written.
+    """How an OBJ file is written."""
 
-    Attributes:
-        blank: between words.
-        negative: indices count back from the last vertex.
-        corner: "v", "v/t", "v//n" or "v/t/n".
-        apart: each face follows its own vertices, which it does not share.
-        wrapped: lines end with a backslash and go on.
-        extra: text between the lines, such as groups.
-        end: of lines.
-    """
-
-    blank: str = " "
-    negative: bool = False
-    corner: str = "v"
-    apart: bool = False
-    wrapped: bool = False
-    extra: str = ""
-    end: str = "\n"
+    blank: str = " "  # between words
+    negative: bool = False  # indices count back from the last vertex
+    corner: str = "v"  # or "v/t", "v//n" or "v/t/n"
+    apart: bool = False  # each face follows its own vertices, which it does not share
+    wrapped: bool = False  # lines end with a backslash and go on
+    extra: str = ""  # text between the lines, such as groups
+    end: str = "\n"  # of lines
 
 
 def write_obj(path: Path, solid: Solid, style: ObjStyle) -> None:
@@ -153,32 +140,18 @@ def write_obj(path: Path, solid: Solid, style: ObjStyle) -> None:
     path.write_bytes((style.end.join([*lines, ""])).encode())
 
 
-# ---------------------------------------------------------------------------------------------------- PLY
-
-
 @dataclass(frozen=True)
 class PlyStyle:
-    """How a PLY file is written.
+    """How a PLY file is written."""
 
-    Attributes:
-        order: of bytes, "<" or ">"; "" for ASCII.
-        number: type of coordinates.
-        name: of the list of indices.
-        count: type of its length.
-        index: type of its items.
-        extra: vertices have colours, and faces a quality before and another list behind the indices.
-        strips: the faces are one list of strips.
-        end: of the header's and of ASCII lines.
-    """
-
-    order: str = "<"
-    number: str = "float"
-    name: str = "vertex_indices"
-    count: str = "uchar"
-    index: str = "int"
-    extra: bool = False
-    strips: bool = False
-    end: str = "\n"
+    order: str = "<"  # of bytes, or ">"; "" for ASCII
+    number: str = "float"  # type of coordinates
+    name: str = "vertex_indices"  # of the list of indices
+    count: str = "uchar"  # type of its length
+    index: str = "int"  # type of its items
+    extra: bool = False  # vertices have colours, faces a quality before and another list behind the indices
+    strips: bool = False  # the faces are one list of strips
+    end: str = "\n"  # of the header's and of ASCII lines
 
 
 _CODES = {"uchar": "B", "ushort": "H", "int": "i", "uint": "I", "float": "f", "double": "d"}
@@ -223,9 +196,6 @@ def strip_of(faces: list[list[int]]) -> list[int]:
     return result
 
 
-# ---------------------------------------------------------------------------------------------------- STL
-
-
 def write_stl(path: Path, solid: Solid, text: bool, end: str = "\n") -> None:
     """Write an STL file of a solid of triangles."""
     corners = solid.vertices[np.array(solid.faces)].astype("<f4")
@@ -242,9 +212,6 @@ def write_stl(path: Path, solid: Solid, text: bool, end: str = "\n") -> None:
     path.write_bytes(end.join([*lines, "endsolid test", ""]).encode())
 
 
-# --------------------------------------------------------------------------------------------------- glTF
-
-
 def glb(content: dict, binary: bytes) -> bytes:
     text = json.dumps(content).encode()
     text += b" " * (-len(text) % 4)
@@ -256,23 +223,14 @@ def glb(content: dict, binary: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class GltfStyle:
-    """How the mesh of a glTF file is written.
+    """How the mesh of a glTF file is written."""
 
-    Attributes:
-        mode: 4, 5 or 6: triangles, strips or fans, one primitive for each face.
-        indexed: whether primitives have indices.
-        index: numpy's type of indices.
-        position: numpy's type of positions; integers span the solid, and the node's scale decodes them.
-        normalized: integers stand for -1 to 1, or 0 to 1.
-        stride: bytes from one position to the next; 0 where they are not interleaved.
-    """
-
-    mode: int = 4
-    indexed: bool = True
-    index: str = "<u2"
-    position: str = "<f4"
-    normalized: bool = False
-    stride: int = 0
+    mode: int = 4  # 4, 5 or 6: triangles, strips or fans, one primitive for each face
+    indexed: bool = True  # whether primitives have indices
+    index: str = "<u2"  # numpy's type of indices
+    position: str = "<f4"  # numpy's; integers span the solid, and the node's scale decodes them
+    normalized: bool = False  # integers stand for -1 to 1, or 0 to 1
+    stride: int = 0  # bytes from one position to the next; 0 where they are not interleaved
 
 
 _COMPONENTS = {"|i1": 5120, "|u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
@@ -344,7 +302,7 @@ class Gltf:
         return len(self.content["accessors"]) - 1
 
     def write(self, path: Path, nodes: list[dict], **more: object) -> None:
-        """Write the file; a .gltf has its buffer beside it or, with "data" in its name, within."""
+        """Write the file; a .gltf has its buffer beside it."""
         content = {**self.content, "nodes": nodes, "buffers": [{"byteLength": len(self.binary)}], **more}
         if path.suffix == ".glb":
             path.write_bytes(glb(content, self.binary))

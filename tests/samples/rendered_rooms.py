@@ -14,6 +14,7 @@ from mathutils import Matrix
 from fipt_blender.blend.capture import cameras, importing
 from fipt_blender.blend.lights.fixture_nodes import emission_material
 from fipt_blender.blend.marks import BACK, BASE, FIXTURE, FIXTURE_SOURCES
+from fipt_blender.blend.node_trees import node_tree
 from fipt_blender.blend.outliner import FIXTURES, ROOM, collection
 from fipt_blender.blend.pictures import image_files, renders
 from fipt_blender.blend.pictures.cycles import RenderOptions
@@ -54,9 +55,7 @@ def diffuse_floor(size: float, albedo: float) -> None:
     """A square diffuse plane (`size` metres) at the origin."""
     bpy.ops.mesh.primitive_plane_add(size=size)
     material = bpy.data.materials.new("floor")
-    if material.node_tree is None:
-        material.use_nodes = True
-    nodes = material.node_tree.nodes
+    nodes = node_tree(material).nodes
     nodes.clear()
     diffuse, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
     diffuse.inputs["Color"].default_value = (albedo, albedo, albedo, 1.0)

@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from fipt_blender.blend.node_trees import node_tree
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
 
 
@@ -33,3 +34,9 @@ def spot(position, target, spp: int = 16, size: int = 9, ortho: float = 0.1, see
     scene = bpy.context.scene
     with spot_camera(scene, position, target, size, ortho):
         return render_pixels(scene, RenderOptions(spp, seed=seed, denoise=False))
+
+
+def white_world() -> None:
+    """Give the open scene a white world."""
+    world = bpy.context.scene.world = bpy.data.worlds.new("white")
+    node_tree(world).nodes["Background"].inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)

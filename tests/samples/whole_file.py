@@ -77,8 +77,8 @@ def _value(value: object, depth: int) -> object:
         return None
     if isinstance(value, bpy.types.ID) and not value.is_embedded_data:
         return value.name
-    if depth and isinstance(value, bpy.types.Node | bpy.types.NodeSocket) and depth > 3:
-        return value.name
+    if (depth > 1 and isinstance(value, bpy.types.Node)) or (depth > 2 and isinstance(value, bpy.types.NodeSocket)):
+        return value.name  # it is listed with its tree or node
     return _struct(value, depth + 1)
 
 
