@@ -53,6 +53,14 @@ def write_room(folder: Path, room: Room, **more: np.ndarray) -> None:
     (folder / "room.json").write_text(json.dumps(names))
 
 
+def block(low: Sequence[float], high: Sequence[float]) -> list:
+    """Six quadrilaterals of an upright block between two corners, fronts outwards."""
+    (a, b, c), (d, e, f) = low, high
+    bottom, top = ([[x, y, z] for x, y in ((a, b), (d, b), (d, e), (a, e))] for z in (c, f))
+    sides = [[bottom[i], bottom[i - 3], top[i - 3], top[i]] for i in range(4)]
+    return [bottom[::-1], top, *sides]
+
+
 def bulb(centre: Sequence[float], radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and triangles of an octahedron, fronts outwards."""
     corners = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float32)
