@@ -43,10 +43,10 @@ def mesh_room(vertices: np.ndarray, triangles: np.ndarray, objects: np.ndarray, 
 
 
 def write_room(folder: Path, room: Room, **more: np.ndarray) -> None:
-    """room.npz, with more arrays, and room.json as Blender writes them, of a room of quadrilaterals."""
+    """room.npz, with more or other arrays, and room.json as Blender writes them, of a room of quadrilaterals."""
     arrays = ("vertices", "triangles", "corner_normals", "triangle_object", "triangle_material")
     polygon = np.arange(len(room.triangles)) // 2
-    np.savez(folder / "room.npz", **{n: getattr(room, n) for n in arrays}, triangle_polygon=polygon, **more)
+    np.savez(folder / "room.npz", **{**{n: getattr(room, n) for n in arrays}, "triangle_polygon": polygon, **more})
     objects = [f"object {index}" for index in range(int(room.triangle_object.max(initial=-1)) + 1)]
     materials = [f"material {index}" for index in range(int(room.triangle_material.max(initial=-1)) + 1)]
     names = {"objects": objects, "materials": materials, "parts": room.parts}
