@@ -100,7 +100,7 @@ def test_cameras_come_back_to_the_mesh(tmp_path: Path, room: Room, how: str) -> 
     from_world = similarity([0.3, -0.2, 2.0], 0.3, [1.0, 2.0, 3.0])
     write_solve(
         tmp_path / "solve",
-        transform_points(from_world, points_of(room, 200)),
+        transform_points(from_world, points_of(room, 120)),
         {name: transform_poses(from_world, pose) for name, pose in true.items()},
     )
     far = similarity([0.0, 0.0, 1.9], 0.5, [4.0, 5.0, 6.0])

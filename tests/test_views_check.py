@@ -53,7 +53,7 @@ def capture() -> SmallCapture:
         colors += [color] * len(sides)
     room, materials = make_room(quads, parts="objects"), matt(np.repeat(np.array(colors), 2, axis=0))
     lamps = table([12, 13], PANEL_RADIANCE)
-    return photograph_room(room, materials, lamps, cameras=[*CAMERAS, *EXTRA_CAMERAS], scale=2, spp=128)
+    return photograph_room(room, materials, lamps, cameras=[*CAMERAS, *EXTRA_CAMERAS], scale=2, spp=64)
 
 
 def run_check(
