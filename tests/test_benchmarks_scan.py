@@ -92,6 +92,7 @@ def maps_of(room: Room, view: View) -> metrics.Maps:
 
 def test_what_a_mesh_lacks_and_what_is_off_limits_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(surface_limits, "SAMPLES", 20_000)
+    monkeypatch.setattr(surface_limits, "THIN", 0.025)  # fewer points on the meshes
     room = make_room(BOX)
     views = looking_views(tmp_path, room)[::2]
     maps = [maps_of(room, view) for view in views]
