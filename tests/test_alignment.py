@@ -23,36 +23,30 @@ from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.conventions import transform_points
 from fipt_blender.core.run.documents import read_document
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from samples import metashape_writers, rig_writers
 from samples.camera_poses import drawn_similarity
 from samples.refusals import error_of
+from samples.scans import grid_triangles
+from samples.small_rooms import block, make_room
 
 
-def box(low: tuple, high: tuple) -> tuple[np.ndarray, np.ndarray]:
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
-    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
-    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    return corners * (np.array(high) - low) + low, triangles
+def mesh_of(*blocks: tuple) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of blocks."""
+    room = make_room([quad for corners in blocks for quad in block(*corners)])
+    return room.vertices.astype(np.float64), room.triangles
 
 
 def furnished_room() -> tuple[np.ndarray, np.ndarray]:
     """5 x 4 x 2.6 m with boxes that stand differently along each wall; no turn maps it to itself."""
-    parts = [
-        box((0, 0, 0), (5, 4, 2.6)),
-        box((0, 0, 0), (0.6, 2.2, 1.9)),
-        box((2.0, 1.2, 0.65), (3.6, 2.1, 0.75)),
-        box((4.2, 2.6, 0), (5, 4, 0.8)),
-        box((1.4, 3.4, 0.9), (2.3, 4, 1.3)),
-    ]
-    vertices, triangles, start = [], [], 0
-    for corners, faces in parts:
-        vertices.append(corners)
-        triangles.append(faces + start)
-        start += len(corners)
-    return np.concatenate(vertices), np.concatenate(triangles)
+    return mesh_of(
+        ((0, 0, 0), (5, 4, 2.6)),
+        ((0, 0, 0), (0.6, 2.2, 1.9)),
+        ((2.0, 1.2, 0.65), (3.6, 2.1, 0.75)),
+        ((4.2, 2.6, 0), (5, 4, 0.8)),
+        ((1.4, 3.4, 0.9), (2.3, 4, 1.3)),
+    )
 
 
 def sparse_points(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -67,8 +61,7 @@ def sparse_points(rng: np.random.Generator, count: int) -> np.ndarray:
 # ----------------------------------------------------------------------------------------------------- pairs
 
 
-@pytest.mark.parametrize("scale", [0.0254, 1.0, 1000.0])
-@pytest.mark.parametrize("count", [3, 8])
+@pytest.mark.parametrize("scale, count", [(0.0254, 3), (1000.0, 8)])
 def test_pairs_give_the_similarity(scale: float, count: int) -> None:
     rng = np.random.default_rng(count)
     matrix = drawn_similarity(rng, scale)
@@ -100,9 +93,8 @@ def test_mirrored_mesh_is_said() -> None:
 def test_pairs_that_decide_nothing(source: np.ndarray, text: str) -> None:
     target = np.random.default_rng(2).normal(size=source.shape)
     for pair in ((source, target), (target, source)):
-        with pytest.raises(FiptError, match=text) as caught:
-            fit_pairs(*pair)
-        assert caught.value.code == "alignment-pairs"
+        error = error_of(fit_pairs, *pair)
+        assert error.code == "alignment-pairs" and text in error.text
 
 
 # --------------------------------------------------------------------------------------------------- surface
@@ -121,14 +113,9 @@ def test_closest_points_of_triangles_by_brute_force() -> None:
 
 
 def test_the_nearest_of_many_more_triangles_than_samples_is_found() -> None:
-    steps = np.linspace(0.0, 1.0, 201)
-    x, y = (part.ravel() for part in np.meshgrid(steps, steps))
-    wave = 0.05 * np.sin(6.0 * x) * np.cos(4.0 * y)
-    first = np.add.outer(201 * np.arange(200), np.arange(200)).ravel()
-    quads = first[:, None] + [0, 1, 202, 201]
-    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    rng = np.random.default_rng(12)
-    vertices = np.stack([x, y, wave], axis=1)
+    x, y = (part.ravel() for part in np.meshgrid(*2 * [np.linspace(0.0, 1.0, 201)]))
+    vertices = np.stack([x, y, 0.05 * np.sin(6.0 * x) * np.cos(4.0 * y)], axis=1)
+    triangles, rng = grid_triangles(200, 200), np.random.default_rng(12)
     surface = sample_surface(vertices, triangles, rng, 500)
     chosen = triangles[rng.permutation(len(triangles))[:300]]
     away = 0.002 * rng.choice([-1.0, 1.0], 300)
@@ -142,12 +129,12 @@ def test_the_nearest_of_many_more_triangles_than_samples_is_found() -> None:
 # ---------------------------------------------------------------------------------------------- registration
 
 
-@pytest.mark.parametrize(("scale", "known_up"), [(0.0254, True), (1000.0, True), (1.0, False)])
-def test_known_similarities_are_found_from_500_points(scale: float, known_up: bool) -> None:
+@pytest.mark.parametrize(("scale", "known_up"), [(0.0254, True), (1000.0, False)])
+def test_known_similarities_are_found_from_120_points(scale: float, known_up: bool) -> None:
     rng = np.random.default_rng(int(scale) + 7)
     vertices, triangles = furnished_room()
     from_solve, to_mesh = drawn_similarity(rng, 0.7), drawn_similarity(rng, scale)
-    solve = transform_points(from_solve, sparse_points(rng, 500))
+    solve = transform_points(from_solve, sparse_points(rng, 120))
     up = from_solve[:3, :3] @ np.array([0.1, -0.05, 1.0]) if known_up else None
     surface = sample_surface(transform_points(to_mesh, vertices), triangles, rng, 20_000)
     best, *others = register(solve, surface, rng, up)
@@ -162,8 +149,8 @@ def test_known_similarities_are_found_from_500_points(scale: float, known_up: bo
 
 def test_a_symmetric_room_has_several_candidates() -> None:
     rng = np.random.default_rng(8)
-    surface = sample_surface(*box((0, 0, 0), (5, 4, 2.6)), rng, 20_000)
-    points = surface.points[rng.permutation(20_000)[:300]]
+    surface = sample_surface(*mesh_of(((0, 0, 0), (5, 4, 2.6))), rng, 20_000)
+    points = surface.points[rng.permutation(20_000)[:100]]
     best, second, *_ = register(points, surface, rng, np.array([0.0, 0.0, 1.0]))
     assert second.score < 2.0 * best.score + 1e-3
 
@@ -175,7 +162,7 @@ def test_a_rough_alignment_is_refined() -> None:
     rough = drawn_similarity(np.random.default_rng(1), 1.0)
     rough[:3, :3] = 1.01 * np.array([[1.0, -0.01, 0.0], [0.01, 1.0, 0.0], [0.0, 0.0, 1.0]])
     rough[:3, 3] = (0.02, -0.02, 0.01)
-    refined = refine(sparse_points(rng, 500), surface, rough)
+    refined = refine(sparse_points(rng, 200), surface, rough)
     assert np.linalg.norm(transform_points(refined.similarity, vertices) - vertices, axis=1).max() < 0.005
 
 
@@ -207,7 +194,7 @@ def write_solve(folder: Path, from_solve: np.ndarray, points: np.ndarray) -> lis
 
 def test_cameras_are_aligned_to_a_mesh_in_inches(tmp_path: Path) -> None:
     rng = np.random.default_rng(11)
-    shots = write_solve(tmp_path / "solve", drawn_similarity(rng, 0.4), sparse_points(rng, 500))
+    shots = write_solve(tmp_path / "solve", drawn_similarity(rng, 0.4), sparse_points(rng, 200))
     vertices, triangles = furnished_room()
     mesh = tmp_path / "scan.obj"
     lines = [f"v {x} {y} {z}" for x, y, z in vertices / 0.0254]
@@ -227,7 +214,7 @@ def test_cameras_are_aligned_to_a_mesh_in_inches(tmp_path: Path) -> None:
 
 def test_cameras_of_another_room_are_not_aligned(tmp_path: Path) -> None:
     rng = np.random.default_rng(12)
-    write_solve(tmp_path, np.eye(4), 3.0 * rng.normal(size=(400, 3)))
+    write_solve(tmp_path, np.eye(4), 3.0 * rng.normal(size=(60, 3)))
     (tmp_path / "scan.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     rig = read_rig(tmp_path, "auto", CaptureOptions())
     points = read_points(tmp_path, rig.source)
@@ -278,7 +265,7 @@ def picked(
     return Sights(np.array(pairs), transform_points(to_solve, np.array(origins)), np.array(directions))
 
 
-@pytest.mark.parametrize("scale", [0.0254, 1.0, 1000.0])
+@pytest.mark.parametrize("scale", [0.0254, 1000.0])
 @pytest.mark.parametrize(
     "cameras",
     [
@@ -298,38 +285,29 @@ def test_the_similarity_is_found(scale: float, cameras: list[list[int]]) -> None
     assert fit.error < 1e-6 * scale and fit.residuals.shape == (len(cameras),) and not fit.mirrored
 
 
-def test_errors_of_a_pixel_cost_millimetres_and_the_wrong_pair_is_named() -> None:
+def test_errors_of_a_pixel_cost_millimetres_and_the_wrong_pair_or_a_mirrored_mesh_is_named() -> None:
     points = np.random.default_rng(1).uniform([0, 0, 0], [5, 4, 2.6], (6, 3))
-    cameras = [[index % 4, (index + 1) % 4] for index in range(6)]
-    pixel = 1.0 / 600.0
-    fit = fit_sights(picked(points, cameras, np.eye(4), pixel), points)
-    assert 0.001 < fit.error < 0.02
+    sights = picked(points, [[index % 4, (index + 1) % 4] for index in range(6)], np.eye(4), 1.0 / 600.0)
+    fit = fit_sights(sights, points)
+    assert 0.001 < fit.error < 0.02 and not fit.mirrored
     assert np.linalg.norm(transform_points(fit.similarity, points) - points, axis=1).max() < 0.03
-    sights = picked(points, cameras, np.eye(4), pixel)
+    assert fit_sights(sights, points * [1.0, -1.0, 1.0]).mirrored
     points[4] += (0.0, 0.3, 0.0)  # of the mesh alone
     assert int(fit_sights(sights, points).residuals.argmax()) == 4
 
 
-def test_a_mirrored_mesh_is_said() -> None:
-    points = np.random.default_rng(2).uniform([0, 0, 0], [5, 4, 2.6], (6, 3))
-    cameras = [[index % 4, (index + 1) % 4] for index in range(6)]
-    sights = picked(points, cameras, np.eye(4), 1e-3)
-    assert fit_sights(sights, points * [1.0, -1.0, 1.0]).mirrored
-    assert not fit_sights(sights, points).mirrored
-
-
 @pytest.mark.parametrize(
     ("cameras", "text"),
-    [([[0, 1], [1, 2]], "too few"), ([[0], [1], [2]], "too few"), ([[0], [0], [0], [0], [0]], "scale")],
+    [
+        ([[0, 1], [1, 2]], "too few"),
+        ([[0], [1], [2]], "too few"),
+        ([[0], [0], [0], [0], [0]], "scale"),
+        ([[0, 1]] * 5, "line"),
+    ],
 )
 def test_what_does_not_decide_the_placement_is_refused(cameras: list[list[int]], text: str) -> None:
     points = np.random.default_rng(3).uniform([0, 0, 0], [5, 4, 2.6], (len(cameras), 3))
-    with pytest.raises(FiptError, match=text) as caught:
-        fit_sights(picked(points, cameras, np.eye(4)), points)
-    assert caught.value.code == "alignment-pairs" and caught.value.remedy.startswith("Pick")
-
-
-def test_points_on_a_line_are_refused() -> None:
-    points = np.outer(np.linspace(0.0, 1.0, 5), [4.0, 3.0, 2.0])
-    with pytest.raises(FiptError, match="line"):
-        fit_sights(picked(points, [[0, 1]] * 5, np.eye(4)), points)
+    if text == "line":
+        points = np.outer(np.linspace(0.0, 1.0, 5), [4.0, 3.0, 2.0])
+    error = error_of(fit_sights, picked(points, cameras, np.eye(4)), points)
+    assert error.code == "alignment-pairs" and text in error.text and error.remedy.startswith("Pick")

@@ -132,31 +132,25 @@ def test_what_is_not_read_is_named(tmp_path: Path, owner: str, name: str) -> Non
     assert name in error_of(read_mesh, tmp_path / "scan.glb").text
 
 
-def hostile(kind: str) -> dict:
+def hostile() -> dict[str, dict]:
     """Little files that state, or repeat, far more than they hold."""
-    content = little()
-    if kind == "accessor":
-        content["accessors"][0]["count"] = 1 << 39
-    elif kind == "empty accessor":
-        content["accessors"][0] = {"componentType": 5126, "count": 1 << 39, "type": "VEC3"}
-    elif kind == "unused accessor":
-        content["accessors"] += [{"componentType": 5126, "count": 1 << 39, "type": "MAT4"}]
-    elif kind == "view":
-        content["bufferViews"][0]["byteLength"] = 1 << 39
-    elif kind == "buffers":
-        content["bufferViews"][0]["buffer"] = 1 << 39
-    elif kind == "stride":
-        content["bufferViews"][0]["byteStride"] = 0
-    else:
-        content["nodes"] = [{"children": [index + 1]} for index in range(1000)] + [{"mesh": 0}]
-    return content
+    none = {"componentType": 5126, "count": 1 << 39, "type": "VEC3"}
+    accessors, views = little()["accessors"], little()["bufferViews"]
+    chain = [{"children": [index + 1]} for index in range(1000)] + [{"mesh": 0}]
+    return {
+        "accessor": little(accessors=[{**accessors[0], "count": 1 << 39}, accessors[1]]),
+        "empty accessor": little(accessors=[none, accessors[1]]),
+        "unused accessor": little(accessors=[*accessors, {**none, "type": "MAT4"}]),
+        "view": little(bufferViews=[{**views[0], "byteLength": 1 << 39}, views[1]]),
+        "buffers": little(bufferViews=[{**views[0], "buffer": 1 << 39}, views[1]]),
+        "stride": little(bufferViews=[{**views[0], "byteStride": 0}, views[1]]),
+        "deep": little(nodes=chain),
+    }
 
 
-@pytest.mark.parametrize(
-    "kind", ["accessor", "empty accessor", "unused accessor", "view", "buffers", "stride", "primitives", "deep"]
-)
+@pytest.mark.parametrize("kind", hostile())
 def test_hostile_files_take_no_memory(tmp_path: Path, kind: str) -> None:
-    (tmp_path / "scan.glb").write_bytes(glb(hostile(kind), binary()))
+    (tmp_path / "scan.glb").write_bytes(glb(hostile()[kind], binary()))
     tracemalloc.start()
     try:
         read_mesh(tmp_path / "scan.glb")

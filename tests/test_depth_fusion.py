@@ -45,6 +45,12 @@ def fused(images: list[RangeImage], voxel: float = VOXEL) -> FusedMesh:
     return extract(volume)
 
 
+@pytest.fixture(scope="module")
+def ball() -> FusedMesh:
+    """The sphere, seen from all sides, in one colour."""
+    return fused([sphere_image(origin, np.array([0.2, 0.4, 0.6])) for origin in around()])
+
+
 def directed_edges(mesh: FusedMesh) -> np.ndarray:
     """(3 T, 2) edges in the direction in which triangles walk along them."""
     return np.stack([mesh.triangles, np.roll(mesh.triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
@@ -57,8 +63,8 @@ def is_closed(mesh: FusedMesh) -> bool:
     return np.array_equal(there[0], back[0]) and np.array_equal(there[1], back[1])
 
 
-def test_a_sphere_seen_from_all_sides_is_one_closed_surface_at_its_place() -> None:
-    mesh = fused([sphere_image(origin) for origin in around()])
+def test_a_sphere_seen_from_all_sides_is_one_closed_surface_at_its_place(ball: FusedMesh) -> None:
+    mesh = ball
     radius = np.linalg.norm(mesh.vertices, axis=1)
     # Distances along the rays of slanting views are too long where the surface is curved.
     assert abs(radius.mean() - RADIUS) < 0.2 * VOXEL and np.abs(radius - RADIUS).max() < 0.5 * VOXEL
@@ -106,13 +112,11 @@ def test_colors_are_means_of_the_views() -> None:
 
 
 def test_nothing_measured_gives_no_surface() -> None:
-    image = RangeImage(np.zeros((8, 8), np.float32), 8.0, 8.0, 4.0, 4.0, np.eye(4))
-    mesh = fused([image])
+    mesh = fused([RangeImage(np.zeros((8, 8), np.float32), 8.0, 8.0, 4.0, 4.0, np.eye(4))])
     assert mesh.vertices.shape == (0, 3) and mesh.triangles.shape == (0, 3)
 
 
-def test_specks_are_dropped_and_large_pieces_stay() -> None:
-    ball = fused([sphere_image(origin) for origin in around()])
+def test_specks_are_dropped_and_large_pieces_stay(ball: FusedMesh) -> None:
     speck = FusedMesh(0.02 * ball.vertices + 2.0, ball.triangles)
     both = FusedMesh(
         np.concatenate([ball.vertices, speck.vertices]),
@@ -123,9 +127,7 @@ def test_specks_are_dropped_and_large_pieces_stay() -> None:
     assert without_specks(both, 100.0).triangles.shape == (0, 3)
 
 
-def test_a_mesh_is_simplified_to_its_budget_and_keeps_shape_and_colors() -> None:
-    color = np.array([0.2, 0.4, 0.6])
-    ball = fused([sphere_image(origin, color) for origin in around()])
+def test_a_mesh_is_simplified_to_its_budget_and_keeps_shape_and_colors(ball: FusedMesh) -> None:
     small = simplified(ball, 600)
     assert 300 < len(small.triangles) <= 600 < len(ball.triangles) and is_closed(small)
     radius = np.linalg.norm(ball.vertices, axis=1).mean()
@@ -135,11 +137,7 @@ def test_a_mesh_is_simplified_to_its_budget_and_keeps_shape_and_colors() -> None
     assert (np.einsum("ni,ni->n", facing, corners.mean(axis=1)) > 0.0).all()  # nothing is inside out
     assert small.colors is not None and np.allclose(small.colors, ball.colors.mean(axis=0), atol=0.02)
     assert simplified(ball, len(ball.triangles)) is ball
-
-
-def test_a_mesh_far_from_the_origin_is_simplified_in_its_own_place() -> None:
-    ball = fused([sphere_image(origin) for origin in around()])
+    # Far from the origin, too.
     far = np.array([1000.0, -2000.0, 500.0], np.float32)
     small = simplified(FusedMesh(ball.vertices + far, ball.triangles), 600)
-    radius = np.linalg.norm(ball.vertices, axis=1).mean()
     np.testing.assert_allclose(np.linalg.norm(small.vertices - far, axis=1), radius, rtol=0.05)

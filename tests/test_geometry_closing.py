@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Small holes of a scan: which are closed, and by what triangles."""
+"""Holes of a scan: which small ones are closed, and by what triangles; flat ones, and panes that close them."""
 
 from __future__ import annotations
 
@@ -9,27 +9,26 @@ import pytest
 
 from fipt_blender.core.surface.adjacency import Mesh, face_vectors, make_mesh
 from fipt_blender.core.surface.closing import Closing, close_small_holes, open_loops
+from fipt_blender.core.surface.holes import SET_BACK, FlatHole, flat_holes
 from samples.counted import counted_calls
+from samples.scans import grid_triangles
 
 EDGE = 0.02
 
 
-def plane(count: int, openings=(), noise: float = 0.0) -> Mesh:
+def plane(count: int, openings=(), noise: float = 0.0, bend: float = 0.0) -> Mesh:
     """A wall of count x count quads in the plane y = 0 with its front at y < 0, without some quads.
 
     Args:
         openings: pairs of slices of rows and columns.
     """
     x, z = np.meshgrid(np.arange(count + 1) * EDGE, np.arange(count + 1) * EDGE)
-    depth = noise * np.random.default_rng(1).normal(size=x.shape)
-    vertices = np.stack([x, depth, z], axis=2).reshape(-1, 3)
+    depth = noise * np.random.default_rng(1).normal(size=x.shape) + bend * np.sin(12.0 * x)
     kept = np.ones((count, count), bool)
     for opening in openings:
         kept[opening] = False
-    row, column = np.nonzero(kept)
-    first = row * (count + 1) + column
-    quads = np.stack([first, first + 1, first + count + 2, first + count + 1], axis=1)
-    return Mesh(vertices, quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3))
+    triangles = grid_triangles(count, count)[:, ::-1][np.repeat(kept.ravel(), 2)]
+    return Mesh(np.stack([x, depth, z], axis=2).reshape(-1, 3), triangles)
 
 
 def closed(mesh: Mesh, most_edges: int = 120) -> Closing:
@@ -84,15 +83,11 @@ def test_holes_of_more_edges_and_what_may_be_a_window_stay_open() -> None:
 
 def box(cells: int, door: bool) -> Mesh:
     """A box whose wall y = 1 has a hole around its upper edge, and may have a door."""
-    grid = np.linspace(0.0, 1.0, cells + 1)
-    u, v = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
-    corner = np.arange((cells + 1) ** 2).reshape(cells + 1, cells + 1)
-    quads = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1)
-    quads = quads.reshape(-1, 4)
+    u, v = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(0.0, 1.0, cells + 1)], indexing="ij"))
     low, high = np.zeros_like(u), np.ones_like(u)
     sides = [(u, v, low), (v, u, high), (v, low, u), (u, high, v), (low, u, v), (high, v, u)]
     vertices = np.concatenate([np.stack(side, axis=1) for side in sides])
-    triangles = np.concatenate([quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3) + len(u) * n for n in range(6)])
+    triangles = np.concatenate([grid_triangles(cells, cells) + len(u) * n for n in range(6)])
     mesh, _ = make_mesh(vertices, triangles)
     x, y, z = mesh.vertices[mesh.triangles].mean(axis=1).T
     gone = (np.abs(x - 0.5) < 0.15) & ((y > 0.9) & (z > 0.9))
@@ -171,3 +166,57 @@ def test_the_work_grows_with_the_holes_not_with_their_square() -> None:
         calls.append(counted.calls)
     assert holes[1] > 3.5 * holes[0] and calls[1] < 5 * calls[0], (holes, calls)
     assert closed(plane(550, openings)).closed > 33_000
+
+
+# ------------------------------------------------------------------------------------- flat holes and panes
+
+WINDOW = np.s_[10:40, 20:45]
+
+
+def only_hole(given: Mesh) -> FlatHole:
+    mesh, _ = make_mesh(given.vertices, given.triangles)
+    holes = [hole for hole in flat_holes(mesh, EDGE) if hole.axes[2][1] < 0.0]
+    assert len(holes) == 1
+    return holes[0]
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_window_is_found_with_its_area_and_front(turned: bool) -> None:
+    mesh = plane(60, [WINDOW], noise=0.003)
+    if turned:  # the front is told by the winding of the surface, not by axes
+        mesh = make_mesh(mesh.vertices * [-1.0, -1.0, 1.0], mesh.triangles)[0]
+        holes = [hole for hole in flat_holes(mesh, EDGE) if hole.axes[2][1] > 0.0]
+    else:
+        holes = [only_hole(mesh)]
+    assert [hole.area for hole in holes] == pytest.approx([30 * 25 * EDGE**2], rel=0.1)
+    assert abs(holes[0].axes[2][1]) > 0.99
+    assert np.linalg.det(holes[0].axes) == pytest.approx(1.0)
+
+
+def test_small_and_bent_holes_are_none() -> None:
+    """The border of the wall itself is no hole of the side from which the wall is seen."""
+    front = [0.0, -1.0, 0.0]
+    for mesh in (plane(60), plane(60, [at(10, 20, 5, 5)]), plane(60, [WINDOW], bend=0.1)):
+        assert not [hole for hole in flat_holes(mesh, EDGE) if hole.axes[2] @ front > 0.5]
+
+
+def test_rays_enter_from_the_front_within_the_rim() -> None:
+    hole = only_hole(plane(60, [WINDOW]))
+    eye = np.array([0.6, -2.0, 0.5])
+    targets = np.array([[0.6, 0.0, 0.5], [0.42, 0.0, 0.22], [0.2, 0.0, 0.5], [0.6, 0.0, 1.0]])
+    directions = (targets - eye) / np.linalg.norm(targets - eye, axis=1, keepdims=True)
+    enters, distance = hole.crossed(eye, directions)
+    assert enters.tolist() == [True, True, False, False]
+    assert distance[:2] == pytest.approx(np.linalg.norm(targets - eye, axis=1)[:2])
+    assert not hole.crossed(eye, -directions)[0].any()
+    assert not hole.crossed(eye * [1.0, -1.0, 1.0], directions * [1.0, -1.0, 1.0])[0].any()
+
+
+def test_a_pane_lies_behind_the_rim_and_reaches_under_it() -> None:
+    hole = only_hole(plane(60, [WINDOW]))
+    vertices, triangles = hole.pane()
+    assert vertices[:, 1] == pytest.approx(SET_BACK * EDGE, abs=1e-6)
+    assert vertices[:, 0].min() < 0.4 - EDGE and vertices[:, 0].max() > 0.9 + EDGE
+    corners = vertices[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normals @ hole.axes[2] > 0.0).all()

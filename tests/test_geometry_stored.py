@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,9 +24,10 @@ from samples.small_rooms import BOX, make_room, mesh_room
 PINHOLES = 40
 
 
-def with_pinholes(rng: np.random.Generator) -> Room:
+@pytest.fixture
+def scan(rng: np.random.Generator) -> Room:
     """A scanned room whose ceiling lacks single triangles, and whose wall y = 2 lacks a window."""
-    room, side = scanned_box(cells=40, noise=0.003)
+    room, side = scanned_box(cells=30, noise=0.003)
     middle = room.vertices[room.triangles].mean(axis=1)
     high, low = room.vertices.max(axis=0), room.vertices.min(axis=0)
     ceiling = np.flatnonzero(
@@ -44,9 +44,9 @@ def files(run: RunFolder) -> list[bytes]:
     return [path.read_bytes() for path in (run.closing_npz, run.geometry_npz)]
 
 
-def test_a_scan_is_closed_before_it_is_cleaned(tmp_path: Path, rng: np.random.Generator) -> None:
-    scan = with_pinholes(rng)
+def test_a_scan_is_closed_before_it_is_cleaned(tmp_path: Path, scan: Room) -> None:
     run = write_run(tmp_path, scan, "none")
+    plain = run.geometry_npz.read_bytes()
     prepare_geometry(run, most_edges=120)
     holes = read_scan_holes(run)
     assert holes is not None and 20 < holes.closed <= PINHOLES and holes.left == 1
@@ -62,28 +62,19 @@ def test_a_scan_is_closed_before_it_is_cleaned(tmp_path: Path, rng: np.random.Ge
     before = files(run)
     prepare_geometry(run, most_edges=120)
     assert files(run) == before
-
-
-def test_the_setting_turns_it_off_and_on_again(tmp_path: Path, rng: np.random.Generator) -> None:
-    scan = with_pinholes(rng)
-    run = write_run(tmp_path, scan, "none")
-    prepare_geometry(run)
-    plain = run.geometry_npz.read_bytes()
-    assert not run.closing_npz.exists() and read_scan_holes(run) is None
-    prepare_geometry(run, most_edges=120)
-    closed = files(run)
+    # The setting turns it off and on again.
     prepare_geometry(run, most_edges=0)
-    assert not run.closing_npz.exists() and run.geometry_npz.read_bytes() == plain
+    assert not run.closing_npz.exists() and read_scan_holes(run) is None and run.geometry_npz.read_bytes() == plain
     assert len(load_room(run).triangles) == len(scan.triangles)
     prepare_geometry(run, most_edges=120)
-    assert files(run) == closed
+    assert files(run) == before
     prepare_geometry(run, clean=False, most_edges=120)
     assert not run.closing_npz.exists() and not run.geometry_npz.exists()
 
 
-def test_a_room_that_holds_an_earlier_closing_gets_no_second_one(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_a_room_that_holds_an_earlier_closing_gets_no_second_one(tmp_path: Path, scan: Room) -> None:
     """As when the scene is estimated again after its results were applied."""
-    run = write_run(tmp_path, with_pinholes(rng), "none")
+    run = write_run(tmp_path, scan, "none")
     write_json(run.room_json, {"objects": ["scan"], "object_ids": [CLOSING], "materials": ["scan"]})
     prepare_geometry(run, most_edges=120)
     holes = read_scan_holes(run)
@@ -95,39 +86,33 @@ def test_a_room_that_holds_an_earlier_closing_gets_no_second_one(tmp_path: Path,
 
 
 def test_a_modelled_room_keeps_its_openings(tmp_path: Path) -> None:
-    room = make_room(BOX[:2] + BOX[3:])
-    none = np.zeros(len(room.triangles), np.int32)
-    run = write_run(tmp_path, replace(room, triangle_object=none, triangle_material=none), "none")
+    run = write_run(tmp_path, make_room(BOX[:2] + BOX[3:], objects=np.zeros(5, int)), "none")
     prepare_geometry(run, most_edges=120)
     assert not run.closing_npz.exists() and len(load_room(run).triangles) == 10
 
 
-@pytest.mark.parametrize("fault", ["cut", "index", "beside", "other mesh"])
-def test_a_closing_that_does_not_fit_is_left_out(tmp_path: Path, rng: np.random.Generator, fault: str) -> None:
-    scan = with_pinholes(rng)
+def test_a_closing_that_does_not_fit_is_left_out(tmp_path: Path, scan: Room) -> None:
     run = write_run(tmp_path, scan, "none")
     prepare_geometry(run, most_edges=120)
     whole = files(run)
     with np.load(run.closing_npz) as archive:
         arrays = dict(archive)
-    if fault == "cut":
-        run.closing_npz.write_bytes(whole[0][:500])
-    else:
-        if fault == "index":
-            arrays["triangles"][0, 0] = len(arrays["vertices"])
-        elif fault == "beside":
-            arrays["beside"][0] = len(scan.triangles)
-        else:
-            arrays["source"] = arrays["source"][::-1].copy()
-        np.savez(run.closing_npz, **arrays)
-    found, names = read_room_files(run)
-    assert len(found["triangles"]) == len(scan.triangles) and CLOSING not in names.objects
-    prepare_geometry(run, most_edges=120)
-    assert files(run) == whole
+    for fault in ("index", "beside", "other mesh", "cut"):
+        changed = {name: array.copy() for name, array in arrays.items()}
+        changed["triangles"][0, 0] += len(arrays["vertices"]) * (fault == "index")
+        changed["beside"][0] += len(scan.triangles) * (fault == "beside")
+        changed["source"] = changed["source"][:: -1 if fault == "other mesh" else 1]
+        np.savez(run.closing_npz, **changed)
+        if fault == "cut":
+            run.closing_npz.write_bytes(whole[0][:500])
+        found, names = read_room_files(run)
+        assert len(found["triangles"]) == len(scan.triangles) and CLOSING not in names.objects, fault
+        prepare_geometry(run, most_edges=120)
+        assert files(run) == whole, fault
 
 
-def test_what_closes_a_hole_has_the_part_around_it_and_is_no_lamp(tmp_path: Path, rng: np.random.Generator) -> None:
-    run = write_run(tmp_path, with_pinholes(rng), "objects")
+def test_what_closes_a_hole_has_the_part_around_it_and_is_no_lamp(tmp_path: Path, scan: Room) -> None:
+    run = write_run(tmp_path, scan, "objects")
     prepare_geometry(run, most_edges=120)
     room = load_room(run)
     parts = label_parts(room, "objects", [], [])

@@ -3,6 +3,7 @@
 """Emissive triangles: drawn in proportion to power, uniform by area, and right as estimators."""
 
 from dataclasses import replace
+from math import erfc, sqrt
 
 import mitsuba as mi
 import numpy as np
@@ -27,14 +28,6 @@ TABLE = EmitterTable(
 )
 
 
-def test_look_ups_without_emitters_have_a_value_for_each_triangle() -> None:
-    lights = AreaLights(VERTICES, TRIANGLES, EmitterTable.empty())
-    triangle, cosine = mi.UInt32([0, 1, 4]), mi.Float([1.0, -1.0, 0.5])
-    assert np.array(lights.radiance(triangle, cosine)).tolist() == [[0.0] * 3] * 3
-    assert np.array(lights.pdf_area(triangle)).tolist() == [0.0] * 3
-    assert np.array(lights.is_emitter(triangle)).tolist() == [False] * 3
-
-
 def draw(count: int, seed: int) -> mi.Float:
     sampler = mi.PCG32(size=count, initstate=seed)
     return [sampler.next_float32() for _ in range(3)]
@@ -42,8 +35,6 @@ def draw(count: int, seed: int) -> mi.Float:
 
 def chi2_upper(statistic: float, freedom: int) -> float:
     """Probability of a larger chi-square, by Wilson and Hilferty's cube-root approximation."""
-    from math import erfc, sqrt
-
     spread = 2.0 / (9.0 * freedom)
     z = ((statistic / freedom) ** (1.0 / 3.0) - (1.0 - spread)) / sqrt(spread)
     return 0.5 * erfc(z / sqrt(2.0))
@@ -54,11 +45,12 @@ def areas() -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
 
 
-def test_triangles_are_chosen_by_power() -> None:
+def test_triangles_are_chosen_by_power_with_their_density() -> None:
     lights = AreaLights(VERTICES, TRIANGLES, TABLE)
     assert lights.count == 3
     count = 100_000
-    chosen = np.array(lights.sample(*draw(count, 1)).triangle)
+    sample = lights.sample(*draw(count, 1))
+    chosen = np.array(sample.triangle)
     luminance = np.array([0.2126, 0.7152, 0.0722])
     power = np.zeros(5)
     power[TABLE.triangles] = (TABLE.radiance + TABLE.back_radiance) @ luminance * areas()[TABLE.triangles]
@@ -68,6 +60,10 @@ def test_triangles_are_chosen_by_power() -> None:
     used = expected > 0
     statistic = float(((observed - expected)[used] ** 2 / expected[used]).sum())
     assert chi2_upper(statistic, used.sum() - 1) > 1e-3
+    # The mean of 1/pdf over the samples is the area that can be sampled.
+    values = 1.0 / np.array(sample.pdf_area)
+    assert abs(values.mean() - areas()[[1, 2, 4]].sum()) < 4 * values.std() / np.sqrt(count)
+    assert np.allclose(np.array(lights.pdf_area(sample.triangle)), np.array(sample.pdf_area))
 
 
 def test_points_are_uniform_by_area() -> None:
@@ -90,17 +86,7 @@ def test_points_are_uniform_by_area() -> None:
     assert chi2_upper(statistic, used.sum() - 1) > 1e-3
 
 
-def test_area_integral_of_the_estimator() -> None:
-    """The mean of 1/pdf over the samples is the area that can be sampled."""
-    lights = AreaLights(VERTICES, TRIANGLES, TABLE)
-    sample = lights.sample(*draw(100_000, 3))
-    values = 1.0 / np.array(sample.pdf_area)
-    error = values.std() / np.sqrt(len(values))
-    assert abs(values.mean() - areas()[[1, 2, 4]].sum()) < 4 * error
-    assert np.allclose(np.array(lights.pdf_area(sample.triangle)), np.array(sample.pdf_area))
-
-
-def test_lookup_by_side() -> None:
+def test_lookup_by_side_also_without_emitters() -> None:
     lights = AreaLights(VERTICES, TRIANGLES, TABLE)
     triangle = mi.UInt32([0, 1, 1, 2, 2, 4, 4])
     side = mi.Float([1, 1, -1, 1, -1, 1, -1])
@@ -112,6 +98,9 @@ def test_lookup_by_side() -> None:
     lights = AreaLights(VERTICES, TRIANGLES, replace(TABLE, reflective=TABLE.triangles == 4))
     assert np.array_equal(np.array(lights.radiance(triangle, side)).T, expected)
     assert np.array(lights.is_emitter(triangle)).tolist() == [False] + [True] * 4 + [False] * 2
+    none = AreaLights(VERTICES, TRIANGLES, EmitterTable.empty())
+    assert not np.array(none.radiance(triangle, side)).any() and not np.array(none.is_emitter(triangle)).any()
+    assert np.array(none.pdf_area(triangle)).tolist() == [0.0] * 7
 
 
 def test_irradiance_of_a_triangle_is_lamberts_formula() -> None:

@@ -27,7 +27,7 @@ from fipt_blender.core.surface.room import Room
 from samples import rig_writers
 from samples.camera_poses import look_at
 from samples.refusals import error_of
-from samples.small_rooms import BOX, make_room, write_room
+from samples.small_rooms import BOX, block, make_room, write_room
 
 
 def similarity(vector: list[float], scale: float, shift: list[float]) -> np.ndarray:
@@ -37,32 +37,19 @@ def similarity(vector: list[float], scale: float, shift: list[float]) -> np.ndar
     return matrix
 
 
-def cuboid(low: tuple, high: tuple) -> list:
-    (a, b, c), (d, e, f) = low, high
-    x, y, z = (a, d), (b, e), (c, f)
-    quads = []
-    for side in (0, 1):
-        quads.append([[x[side], y[i], z[j]] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))])
-        quads.append([[x[i], y[side], z[j]] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))])
-        quads.append([[x[i], y[j], z[side]] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))])
-    return quads
-
-
 @pytest.fixture(scope="module")
 def room() -> Room:
     """A box with furniture that makes all its sides different."""
     parts = [((-2.0, 0.5, 0.0), (-1.2, 2.0, 1.4)), ((0.2, 0.2, 0.0), (1.2, 0.9, 0.7))]
     parts += [((0.5, 1.4, 1.5), (1.8, 2.0, 1.7)), ((-1.0, -2.0, 0.8), (0.4, -1.5, 1.3))]
-    return make_room([*BOX, *(quad for part in parts for quad in cuboid(*part))])
+    return make_room([*BOX, *(quad for part in parts for quad in block(*part))])
 
 
-def points_of(room: Room, count: int, seed: int = 0) -> np.ndarray:
+def points_of(room: Room, count: int) -> np.ndarray:
     """Points spread over the mesh by area, off by 3 mm."""
-    rng = np.random.default_rng(seed)
-    corners = room.vertices[room.triangles].astype(np.float64)
-    chosen = rng.choice(len(corners), count, p=room.areas / room.areas.sum())
-    weights = rng.dirichlet(np.ones(3), count)
-    return np.einsum("nk,nkc->nc", weights, corners[chosen]) + 0.003 * rng.normal(size=(count, 3))
+    rng = np.random.default_rng(0)
+    chosen = rng.choice(len(room.areas), count, p=room.areas / room.areas.sum())
+    return room.points_on(chosen, *rng.random((2, count))) + 0.003 * rng.normal(size=(count, 3))
 
 
 def write_input(folder: Path, room: Room, poses: dict[str, np.ndarray]) -> None:
@@ -113,7 +100,7 @@ def test_cameras_come_back_to_the_mesh(tmp_path: Path, room: Room, how: str) -> 
     from_world = similarity([0.3, -0.2, 2.0], 0.3, [1.0, 2.0, 3.0])
     write_solve(
         tmp_path / "solve",
-        transform_points(from_world, points_of(room, 500)),
+        transform_points(from_world, points_of(room, 120)),
         {name: transform_poses(from_world, pose) for name, pose in true.items()},
     )
     far = similarity([0.0, 0.0, 1.9], 0.5, [4.0, 5.0, 6.0])
@@ -129,13 +116,13 @@ def test_cameras_come_back_to_the_mesh(tmp_path: Path, room: Room, how: str) -> 
 
 def test_a_mirrored_mesh_and_another_room_are_named(tmp_path: Path, room: Room) -> None:
     true = level_poses()
-    points = points_of(room, 500) * [-1.0, 1.0, 1.0]
+    points = points_of(room, 150) * [-1.0, 1.0, 1.0]
     write_solve(tmp_path / "solve", points, true)
     write_input(tmp_path / "align", room, true)
     with pytest.raises(FiptError, match="mirrored") as caught:
         run_align(tmp_path / "align", "points", tmp_path / "solve")
     assert caught.value.code == "mesh-mirrored" and "-1" in caught.value.remedy
-    write_solve(tmp_path / "other", 3.0 * np.random.default_rng(0).normal(size=(500, 3)), true)
+    write_solve(tmp_path / "other", 3.0 * np.random.default_rng(0).normal(size=(110, 3)), true)
     caught = error_of(run_align, tmp_path / "align", "near", tmp_path / "other")
     assert caught.code == "alignment-failed" and "pairs" in caught.remedy
     assert not (tmp_path / "align" / "align.json").exists()

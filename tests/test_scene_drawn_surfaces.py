@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,17 +16,18 @@ from fipt_blender.core.checks.agreement import surface_disagreement, survey_pixe
 from fipt_blender.core.completion.panes import close_holes
 from fipt_blender.core.parts.labels import label_parts
 from fipt_blender.core.parts.outlines import outlined_vertices
-from fipt_blender.core.run.run_files import PANES, read_room_files
+from fipt_blender.core.run.run_files import read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.surface.room import Room, load_room
 from fipt_blender.core.surface.stored import prepare_geometry
 from samples.lost_things import HIGH, photographed, with_box
 from samples.part_views import looking_views, write_run
 from samples.refusals import error_of
-from samples.scans import scanned_box
-from samples.small_rooms import mesh_room, write_room
+from samples.scans import joined, scanned_box
+from samples.small_rooms import write_room
 
-CLOSED_EDGES = 120
+SCAN = scanned_box(cells=60, noise=0.003)[0]
+BOTH = with_box(SCAN)
 
 
 def written(root: Path, room: Room, exact: np.ndarray | None, **names) -> RunFolder:
@@ -37,7 +37,7 @@ def written(root: Path, room: Room, exact: np.ndarray | None, **names) -> RunFol
     write_room(root, room, **({} if exact is None else {"triangle_exact": exact}))
     objects = [f"object {index}" for index in range(int(room.triangle_object.max()) + 1)]
     write_json(run.room_json, {"objects": objects, "materials": objects, "parts": "none", **names})
-    prepare_geometry(run, most_edges=CLOSED_EDGES)
+    prepare_geometry(run, most_edges=120)
     return run
 
 
@@ -46,21 +46,19 @@ def drawn(room: Room) -> np.ndarray:
 
 
 def test_a_drawn_box_stays_as_it_is_and_the_scan_keeps_its_bits(tmp_path: Path) -> None:
-    scan, _ = scanned_box(cells=60, noise=0.003)
-    both = with_box(scan)
-    alone = load_room(written(tmp_path / "alone", scan, None))
-    room = load_room(written(tmp_path / "both", both, drawn(both)))
+    alone = load_room(written(tmp_path / "alone", SCAN, None))
+    room = load_room(written(tmp_path / "both", BOTH, drawn(BOTH)))
     box = room.exact
     assert box is not None and box.sum() == 12 and alone.exact is None
     assert room.noise == alone.noise > 0.0
     for name in ("triangles", "corner_normals", "plane"):
         assert np.array_equal(getattr(room, name)[~box], getattr(alone, name)), name
-    assert np.array_equal(room.vertices[: len(scan.vertices)], alone.vertices)
-    assert np.array_equal(room.vertices[len(scan.vertices) :], both.vertices[len(scan.vertices) :])
-    assert np.array_equal(room.corner_normals[box], both.corner_normals[box]) and (room.plane[box] < 0).all()
+    assert np.array_equal(room.vertices[: len(SCAN.vertices)], alone.vertices)
+    assert np.array_equal(room.vertices[len(SCAN.vertices) :], BOTH.vertices[len(SCAN.vertices) :])
+    assert np.array_equal(room.corner_normals[box], BOTH.corner_normals[box]) and (room.plane[box] < 0).all()
     # As a part of the scan it would have been moved and rounded.
-    rounded = load_room(written(tmp_path / "rounded", both, None))
-    assert not np.array_equal(rounded.corner_normals[box], both.corner_normals[box])
+    rounded = load_room(written(tmp_path / "rounded", BOTH, None))
+    assert not np.array_equal(rounded.corner_normals[box], BOTH.corner_normals[box])
 
     down = mi.Ray3f(mi.Point3f([0.1, 1.5], [0.1, 1.5], [2.0, 2.0]), mi.Vector3f(0.0, 0.0, -1.0))
     hit = room.intersect(down)
@@ -74,15 +72,10 @@ def test_a_drawn_box_stays_as_it_is_and_the_scan_keeps_its_bits(tmp_path: Path) 
 
 @pytest.mark.parametrize("cleaned", [True, False])
 def test_large_drawn_surfaces_do_not_make_a_scan_a_modelled_room(tmp_path: Path, cleaned: bool) -> None:
-    scan, _ = scanned_box(cells=60, noise=0.003)
     vertices = np.tile(np.array([[-1.9, -1.9], [1.9, -1.9], [1.9, 1.9], [-1.9, 1.9]]), (5, 1))
     vertices = np.column_stack([vertices, np.repeat(np.linspace(0.5, 2.5, 5), 4)])
-    triangles = np.arange(20).reshape(-1, 4)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3) + len(scan.vertices)
-    panels = mesh_room(
-        np.concatenate([scan.vertices, vertices]),
-        np.concatenate([scan.triangles, triangles]),
-        np.repeat([0, 1], [len(scan.triangles), len(triangles)]),
-    )
+    triangles = np.arange(20).reshape(-1, 4)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    panels = joined(SCAN, vertices, triangles, 1)
     run = written(tmp_path / "a", panels, drawn(panels))
     if not cleaned:
         prepare_geometry(run, clean=False)
@@ -92,74 +85,40 @@ def test_large_drawn_surfaces_do_not_make_a_scan_a_modelled_room(tmp_path: Path,
 
 
 def test_outlines_leave_a_drawn_box_alone(tmp_path: Path) -> None:
-    scan, _ = scanned_box(cells=60, noise=0.003)
-    both = with_box(scan)
-    views = looking_views(tmp_path, both)  # masks of the box as it is; what is drawn is too large
-    larger = both.vertices.copy()
-    larger[len(scan.vertices) :] = 1.02 * (larger[len(scan.vertices) :] - [0, 0, 0.3]) + [0, 0, 0.3]
-    both = replace(both, vertices=larger, parts="masks")
-    room = load_room(written(tmp_path / "a", both, drawn(both), parts="masks"))
-    parts = label_parts(room, "objects", [], [])
-    parts = replace(parts, ids=np.array([1, 7]))
+    views = looking_views(tmp_path, BOTH)  # masks of the box as it is; what is drawn is too large
+    larger = BOTH.vertices.copy()
+    larger[len(SCAN.vertices) :] = 1.02 * (larger[len(SCAN.vertices) :] - [0, 0, 0.3]) + [0, 0, 0.3]
+    given = replace(BOTH, vertices=larger, parts="masks")
+    room = load_room(written(tmp_path / "a", given, drawn(given), parts="masks"))
+    parts = replace(label_parts(room, "objects", [], []), ids=np.array([1, 7]))
     moved = outlined_vertices(room, views, parts)
     free = outlined_vertices(replace(room, exact=None), views, parts)
-    box = slice(len(scan.vertices), None)
+    box = slice(len(SCAN.vertices), None)
     assert np.array_equal(moved[box], room.vertices[box])
     assert np.abs(free[box] - room.vertices[box]).max() > 1e-4
 
 
-def test_nothing_is_added_to_a_completed_room_until_it_is_no_longer_one(
+def test_photographs_disagree_where_a_thing_is_missing_and_find_nothing_where_it_is_drawn(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:
-    scan, _ = scanned_box(cells=60, noise=0.003)
-    kept = np.ones(len(scan.triangles), bool)
-    kept[rng.choice(np.flatnonzero(scan.normals[:, 2] < -0.9), 20, replace=False)] = False
-    holed = mesh_room(scan.vertices, scan.triangles[kept], np.zeros(kept.sum()))
-    run = written(tmp_path / "a", holed, None, completed=True)
-    views = photographed(tmp_path, with_box(scan), rng)
-    assert run.geometry_npz.exists() and not run.closing_npz.exists()
-    assert not close_holes(run, views) and load_room(run).objects == ("object 0",)
-    names = json.loads(run.room_json.read_text())
-    write_json(run.room_json, {**names, "completed": False})
-    prepare_geometry(run, most_edges=CLOSED_EDGES)
-    assert run.closing_npz.exists() and close_holes(run, views)
-    assert load_room(run).objects[-1] == PANES
-    # What was added before the room was completed is not there any more.
-    write_json(run.room_json, names)
-    assert len(read_room_files(run)[0]["triangles"]) == len(holed.triangles)
-    prepare_geometry(run, most_edges=CLOSED_EDGES)
-    assert not close_holes(run, views) and not run.closing_npz.exists() and not run.panes_npz.exists()
-
-
-def test_what_is_drawn_is_not_found_again(tmp_path: Path, rng: np.random.Generator) -> None:
-    scan, _ = scanned_box(cells=60, noise=0.003)
-    both = with_box(scan)
-    run = written(tmp_path / "a", both, drawn(both))
-    assert not close_holes(run, photographed(tmp_path, both, rng))
-
-
-def test_photographs_disagree_where_a_thing_is_missing(tmp_path: Path, rng: np.random.Generator) -> None:
-    scan, _ = scanned_box(cells=60, noise=0.003)
-    both = with_box(scan)
-    views = photographed(tmp_path, both, rng)
-    middle = scan.vertices[scan.triangles].mean(axis=1)
+    views = photographed(tmp_path, BOTH, rng)
+    middle = SCAN.vertices[SCAN.triangles].mean(axis=1)
     below = (middle[:, 2] < 0.05) & (np.abs(middle[:, :2]) < HIGH[:2] - 0.1).all(axis=1)
     beside = (middle[:, 2] < 0.05) & (np.abs(middle[:, :2]) > 1.6).any(axis=1)
-    lacking = surface_disagreement(scan, survey_pixels(scan, views))
-    assert lacking.shape == (len(scan.triangles),)
+    lacking = surface_disagreement(SCAN, survey_pixels(SCAN, views))
+    assert lacking.shape == (len(SCAN.triangles),)
     assert np.nanmedian(lacking[below]) > 0.5 > 0.25 > np.nanmedian(lacking[beside])
-    complete = surface_disagreement(both, survey_pixels(both, views))
-    top = drawn(both) & (both.normals[:, 2] > 0.9)
+    complete = surface_disagreement(BOTH, survey_pixels(BOTH, views))
+    top = drawn(BOTH) & (BOTH.normals[:, 2] > 0.9)
     assert (complete[top] < 0.05).all()  # large triangles have the mean of their own pixels
     assert np.nanmean(complete[: len(below)][below] > 0.25) < 0.1  # hardly seen now
-    assert survey_pixels(scan, views[:2]) is None
+    assert survey_pixels(SCAN, views[:2]) is None
+    assert not close_holes(written(tmp_path / "a", BOTH, drawn(BOTH)), views)
 
 
 def test_a_damaged_mark_of_exact_triangles_is_told(tmp_path: Path) -> None:
     scan, _ = scanned_box(cells=10)
     run = write_run(tmp_path, scan, "none")
-    with np.load(run.room_npz) as archive:
-        arrays = dict(archive)
-    np.savez(run.room_npz, **arrays, triangle_exact=np.zeros(3, bool))
+    write_room(tmp_path, scan, triangle_exact=np.zeros(3, bool))
     error = error_of(read_room_files, run)
     assert error.code == "file-damaged" and "triangle_exact" in error.text

@@ -78,16 +78,10 @@ def test_numbers_follow_the_order_of_the_combinations(rng: np.random.Generator, 
 
 def test_components_are_numbered_by_their_lowest_nodes():
     pairs = np.array([[6, 5], [4, 1], [1, 4], [2, 2], [3, 6]])
+    none = np.zeros((0, 2), int)
     assert graph_components(pairs, 8).tolist() == [0, 1, 2, 3, 1, 3, 3, 4]
-    assert graph_components(np.zeros((0, 2), int), 3).tolist() == [0, 1, 2]
-    assert graph_components(np.zeros((0, 2), int), 0).tolist() == []
-
-
-def test_an_edge_given_often_still_counts():
-    assert graph_components(np.tile([[0, 1]], (512, 1)), 2).tolist() == [0, 0]
-
-
-def test_triangles_are_connected_through_shared_vertices():
-    corners = np.array([[7, 8, 9], [1, 2, 3], [3, 4, 5], [11, 9, 12]])
+    assert graph_components(none, 3).tolist() == [0, 1, 2] and graph_components(none, 0).tolist() == []
+    assert graph_components(np.tile([[0, 1]], (512, 1)), 2).tolist() == [0, 0]  # an edge given often still counts
+    corners = np.array([[7, 8, 9], [1, 2, 3], [3, 4, 5], [11, 9, 12]])  # of triangles
     assert mesh_components(corners).tolist() == [1, 0, 0, 1]
     assert mesh_components(np.zeros((0, 3), int)).tolist() == []

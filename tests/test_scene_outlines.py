@@ -23,9 +23,9 @@ from fipt_blender.core.surface.room import Room, load_room
 from fipt_blender.core.surface.stored import prepare_geometry
 from samples import small_captures
 from samples.camera_poses import look_at
-from samples.scans import scanned_box
+from samples.scans import grid_triangles, joined, scanned_box
 from samples.small_captures import PANEL, panel_capture, pinhole, run_here
-from samples.small_rooms import BOX, make_room, mesh_room, write_room
+from samples.small_rooms import BOX, make_room, write_room
 
 WIDTH, HEIGHT, FOCAL = 96, 64, 60.0
 WALLS, RUG, BOARD = 1, 2, 3
@@ -33,23 +33,20 @@ RUG_SIZE, BOARD_SIZE = (0.76, 0.57), 0.5
 EYES = ([-1.2, -1.5, 1.9], [1.3, -1.6, 1.7], [0.2, -1.8, 2.2], [-0.6, -0.9, 2.4])
 
 
-def looking(name: str, folder: Path, eye: list[float], target: tuple[float, float, float]) -> View:
-    image, mask = folder / f"{name}.exr", folder / f"{name}_mask.exr"
-    middle, pose = (0.5 * WIDTH, 0.5 * HEIGHT), look_at(eye, target)
-    return View(name, "train", image, WIDTH, HEIGHT, FOCAL, FOCAL, *middle, pose, parts=mask)
-
-
-def masked_views(folder: Path, exact: Room, target: tuple[float, float, float]) -> list[View]:
+def masked_views(folder: Path, exact: Room, target: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> list[View]:
     """Views whose masks show the exact room: a rug on the floor, and the object with index 6 as a board."""
-    views = [looking(str(number), folder, eye, target) for number, eye in enumerate(EYES)]
-    for view in views:
+    views = []
+    for number, eye in enumerate(EYES):
+        lens = (WIDTH, HEIGHT, FOCAL, FOCAL, 0.5 * WIDTH, 0.5 * HEIGHT)
+        mask = folder / f"{number}_mask.exr"
+        view = View(str(number), "train", folder / f"{number}.exr", *lens, look_at(eye, target), parts=mask)
         surface = trace_pixels(exact, view)
         x, y, z = np.array(surface.position)
         ids = np.full(WIDTH * HEIGHT, WALLS)
         ids[(np.abs(z) < 1e-3) & (np.abs(x) < RUG_SIZE[0]) & (np.abs(y) < RUG_SIZE[1])] = RUG
         ids[exact.triangle_object[np.array(surface.triangle)] == 6] = BOARD
-        assert view.parts is not None
-        write_exr(view.parts, np.repeat(ids.reshape(HEIGHT, WIDTH, 1), 3, axis=2).astype(np.float32))
+        write_exr(mask, ids.reshape(HEIGHT, WIDTH).astype(np.float32))
+        views.append(view)
     return views
 
 
@@ -78,7 +75,7 @@ def rug_border(room: Room, label: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def test_borders_of_parts_become_those_of_the_masks(tmp_path: Path) -> None:
     scan, side = scanned_box(cells=60, noise=0.002)
     room = cleaned(scan)
-    views = masked_views(tmp_path, make_room(BOX), (0.0, 0.0, 0.0))
+    views = masked_views(tmp_path, make_room(BOX))
     label = labels_of(room, side)
     parts = Parts(label, "part", np.array([WALLS, RUG]))
     moved = replace(room, vertices=outlined_vertices(room, views, parts))
@@ -98,16 +95,12 @@ def test_a_board_that_the_scanner_made_smaller_grows(tmp_path: Path) -> None:
     cells, size = 14, BOARD_SIZE - 0.04
     u, v = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(-size, size, cells + 1)], indexing="ij"))
     points = np.stack([u, np.full_like(u, 0.5), v + 1.2], axis=1)
-    grid = np.arange((cells + 1) ** 2).reshape(cells + 1, -1)
-    quads = np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]], axis=-1).reshape(-1, 4)
-    board = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3) + len(scan.vertices)
-    vertices = np.concatenate([scan.vertices, points])
-    room = mesh_room(vertices, np.concatenate([scan.triangles, board]), np.zeros(len(side) + len(board)))
+    room = joined(scan, points, grid_triangles(cells, cells), 0)
     true = [[x, 0.5, z + 1.2] for x, z in np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * BOARD_SIZE]
     views = masked_views(tmp_path, make_room([*BOX, true]), (0.0, 0.5, 1.2))
-    label = np.concatenate([labels_of(room, np.append(side, np.ones(len(board)))), np.full(0, 2)])
+    label = labels_of(room, np.append(side, np.ones(2 * cells**2)))
     label[len(side) :] = 2
-    parts = Parts(label.astype(np.int32), "part", np.array([WALLS, RUG, BOARD]))
+    parts = Parts(label, "part", np.array([WALLS, RUG, BOARD]))
     moved = outlined_vertices(room, views, parts)[len(scan.vertices) :]
     middle = np.abs(v) < 0.7 * size  # of the left and right rims
     for rim, sign in ((u < -size + 1e-6, -1.0), (u > size - 1e-6, 1.0)):
@@ -117,9 +110,7 @@ def test_a_board_that_the_scanner_made_smaller_grows(tmp_path: Path) -> None:
 
 def test_moves_never_fold_triangles() -> None:
     x, y = (axis.ravel() for axis in np.meshgrid(*2 * [np.arange(12.0)]))
-    grid = np.arange(144).reshape(12, 12)
-    quads = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=-1).reshape(-1, 4)
-    mesh = Mesh(np.stack([x, y, 0.0 * x], axis=1), quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3))
+    mesh = Mesh(np.stack([x, y, 0.0 * x], axis=1), grid_triangles(11, 11)[:, ::-1])
     moves = np.random.default_rng(0).normal(0.0, 0.6, (144, 3)) * (1.0, 1.0, 0.0)
     up = face_vectors(mesh.vertices + moves, mesh.triangles)[0][:, 2]
     assert (up < 0.0).any()
@@ -139,7 +130,7 @@ def write_run(root: Path, room: Room) -> RunFolder:
 def test_a_run_keeps_its_outlines_until_the_masks_change(tmp_path: Path) -> None:
     scan, _ = scanned_box(cells=30, noise=0.003)
     run = write_run(tmp_path, scan)
-    views = masked_views(tmp_path, make_room(BOX), (0.0, 0.0, 0.0))
+    views = masked_views(tmp_path, make_room(BOX))
     clean = load_room(run).vertices
     outline_parts(run, views)
     moved = load_room(run).vertices
@@ -158,36 +149,27 @@ def test_a_run_keeps_its_outlines_until_the_masks_change(tmp_path: Path) -> None
     assert not run.outlines_npz.exists()
 
 
-def masked_capture(root: Path, own_ids: bool) -> RunFolder:
-    """A scanned box with a panel below its ceiling, photographed in the exact one, with its masks.
-
-    Args:
-        root: of the run.
-        own_ids: whether the ids of a view mean nothing in others.
-    """
+def masked_capture(root: Path) -> RunFolder:
+    """A scanned box with a panel, photographed in the exact one; the masks' ids mean nothing in other views."""
     exact = panel_capture()
     scan, _ = scanned_box(cells=30, noise=0.003)
-    corners = np.arange(4) + len(scan.vertices)
-    vertices = np.concatenate([scan.vertices, np.array(PANEL, np.float32)])
-    triangles = np.concatenate([scan.triangles, corners[[[0, 1, 2], [0, 2, 3]]]])
-    room = mesh_room(vertices, triangles, np.zeros(len(triangles)), parts="masks")
+    room = joined(scan, np.array(PANEL, np.float32), np.array([[0, 1, 2], [0, 2, 3]]), 0)
     run = small_captures.write_run(root, replace(exact, room=room), rounds=0, **small_captures.UNTRAINED)
     head = read_document(run.capture_json, dict)
     for number, (view, pose) in enumerate(zip(head["views"], exact.poses, strict=True)):
         surface = trace_pixels(exact.room, pinhole(pose))
-        ids = exact.room.triangle_object[np.array(surface.triangle)] + 1 + 100 * number * own_ids
+        ids = exact.room.triangle_object[np.array(surface.triangle)] + 1 + 100 * number
         view["parts"] = view["image"].replace(".exr", "_parts.exr")
         write_exr(run.root / view["parts"], ids.reshape(view["height"], view["width"]).astype(np.float32))
     write_json(run.capture_json, head)
     return run
 
 
-@pytest.mark.parametrize("own_ids", [False, True])
-def test_a_resumed_estimation_keeps_outlines_and_stages(tmp_path: Path, own_ids: bool) -> None:
-    run = masked_capture(tmp_path, own_ids)
+def test_a_resumed_estimation_keeps_outlines_and_stages(tmp_path: Path) -> None:
+    run = masked_capture(tmp_path)
     first = [message["name"] for message in run_here(run, train=False) if message["type"] == "stage"]
     written = run.outlines_npz.read_bytes()
-    assert first[:2] == ["scan", "pixels"] and run.fields_npz.exists() and run.linked.exists() == own_ids
+    assert first[:2] == ["scan", "pixels"] and run.fields_npz.exists() and run.linked.exists()
     again = [message["name"] for message in run_here(run, train=False) if message["type"] == "stage"]
     assert again == ["scan"] and run.outlines_npz.read_bytes() == written
 
@@ -195,5 +177,5 @@ def test_a_resumed_estimation_keeps_outlines_and_stages(tmp_path: Path, own_ids:
 def test_a_modelled_room_has_no_outlines(tmp_path: Path) -> None:
     run = write_run(tmp_path, make_room(BOX))
     run.outlines_npz.write_bytes(b"of another mesh")
-    outline_parts(run, masked_views(tmp_path, make_room(BOX), (0.0, 0.0, 0.0)))
+    outline_parts(run, masked_views(tmp_path, make_room(BOX)))
     assert not run.outlines_npz.exists()

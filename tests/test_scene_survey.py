@@ -17,7 +17,8 @@ from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at
 from samples.refusals import error_of
-from samples.small_rooms import BOX, bulb, make_room, mesh_room, write_room
+from samples.scans import joined
+from samples.small_rooms import BOX, bulb, make_room, write_room
 
 WIDTH, HEIGHT = 48, 32
 FLOOR, CEILING, BACK, FRONT = (0, 1), (2, 3), (4, 5), (10, 11)
@@ -75,17 +76,11 @@ def test_seen_triangles_and_shares_of_the_room(tmp_path):
 
 def test_triangles_between_the_rays_are_seen_and_hidden_ones_not(tmp_path):
     """A bulb of 2 mm falls between the coarse rays; another stands behind the wall."""
-    quads = np.array(BOX, np.float32).reshape(-1, 3)
-    corners = np.arange(len(quads)).reshape(-1, 4)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    bulbs = [bulb([0.3, 1.0, 1.4], 0.002), bulb([0.3, 2.5, 1.4], 0.002)]
-    vertices, triangles = [quads], [corners]
-    for points, faces in bulbs:
-        triangles.append(faces + sum(len(each) for each in vertices))
-        vertices.append(points)
-    faces = np.concatenate(triangles)
-    room = mesh_room(np.concatenate(vertices), faces, np.zeros(len(faces), int))
+    room = make_room(BOX, objects=np.zeros(6, int))
+    for y in (1.0, 2.5):
+        room = joined(room, *bulb([0.3, y, 1.4], 0.002), 0)
     write_survey_input(tmp_path / "in", room, {"a": look_at([0.0, -1.5, 1.5], [0.0, 2.0, 1.5])})
-    _, seen, labels = run_survey(tmp_path / "in", len(faces))
+    _, seen, labels = run_survey(tmp_path / "in", len(room.triangles))
     toward = seen[0, 12:20]
     assert 3 <= toward.sum() <= 5  # the half that faces the camera
     assert not seen[0, 20:].any()
@@ -118,30 +113,21 @@ def test_missing_unusable_and_clipped_photographs_are_named(tmp_path):
     assert (seen[:1] == seen).all()  # what a camera sees does not depend on its file
 
 
-def test_regions_of_single_photographs_are_linked_before_they_are_counted(tmp_path):
-    folder, names = tmp_path / "in", ("a", "b", "c")
-    room = make_room(BOX, objects=np.zeros(6, int))
-    poses = {name: look_at([x, -1.0, 1.5], [0.0, 2.0, 1.5]) for x, name in zip((-0.3, 0, 0.3), names, strict=True)}
-    write_survey_input(folder, room, poses, **{name: {"parts": f"ids_{name}.exr"} for name in names})
-    halves = np.repeat([0, 1], HEIGHT // 2)[:, None].repeat(WIDTH, axis=1)
-    for number, name in enumerate(names):
-        write_exr(folder / f"ids_{name}.exr", np.array([[1, 2], [2, 1], [5, 9]])[number][halves].astype(float))
-    data, _, labels = run_survey(folder, len(room.triangles))
-    assert data["parts"]["counts"]["masks"] == 2
-    assert len(set(labels["masks"][list(CEILING)])) == 1 and len(set(labels["masks"][list(FLOOR)])) == 1
-
-
-def test_masks_of_ticked_views_become_parts(tmp_path):
-    pose = look_at([0.0, -1.0, 1.5], [0.0, 2.0, 1.5])
-    folder = tmp_path / "in"
-    room = make_room(BOX, objects=np.zeros(6, int))
-    write_survey_input(folder, room, {"a": pose, "b": pose}, a={"parts": "ids.exr"})
-    ids = np.zeros((HEIGHT, WIDTH), np.float32)
-    ids[: HEIGHT // 2], ids[HEIGHT // 2 :] = 7, 9  # halves: ceiling and floor
-    write_exr(folder / "ids.exr", ids)
-    data, _, labels = run_survey(folder, len(room.triangles))
-    assert data["parts"]["auto"] == "masks" and data["parts"]["counts"]["masks"] == 2
-    assert labels["masks"][list(CEILING)].tolist() == [0, 0] and labels["masks"][list(FLOOR)].tolist() == [1, 1]
-    write_exr(folder / "ids.exr", ids[:4])
+def test_masks_of_ticked_views_become_parts_with_own_ids_too(tmp_path):
+    """Three photographs whose regions have ids of their own, and two of which one has a mask."""
+    room, halves = make_room(BOX, objects=np.zeros(6, int)), np.repeat([0, 1], HEIGHT // 2)[:, None].repeat(WIDTH, 1)
+    for case, ids in (("own", [[1, 2], [2, 1], [5, 9]]), ("shared", [[7, 9], None])):
+        folder, masks = tmp_path / case, {f"view{number}": each for number, each in enumerate(ids)}
+        parts = {name: {"parts": f"ids_{name}.exr"} for name, each in masks.items() if each}
+        poses = {name: look_at([0.3 * n - 0.3, -1.0, 1.5], [0.0, 2.0, 1.5]) for n, name in enumerate(masks)}
+        write_survey_input(folder, room, poses, **parts)
+        for name in parts:
+            write_exr(folder / f"ids_{name}.exr", np.array(masks[name])[halves].astype(np.float32))
+        data, _, labels = run_survey(folder, len(room.triangles))
+        assert data["parts"]["auto"] == "masks" and data["parts"]["counts"]["masks"] == 2
+        ceiling, floor = (set(labels["masks"][list(side)]) for side in (CEILING, FLOOR))
+        assert len(ceiling) == len(floor) == 1 and ceiling != floor
+    assert (ceiling, floor) == ({0}, {1})
+    write_exr(folder / "ids_view0.exr", np.zeros((4, WIDTH), np.float32))
     error = error_of(run_survey, folder, len(room.triangles))
-    assert error.code == "mask-size" and "ids.exr" in error.text
+    assert error.code == "mask-size" and "ids_view0.exr" in error.text

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mixed pixels are divided into fragments, and their radiance among the surfaces that they see."""
+"""Mixed pixels are found, divided into fragments, and their radiance among the surfaces that they see."""
 
 import itertools
 from collections.abc import Iterable, Iterator
@@ -13,9 +13,10 @@ import pytest
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
+from fipt_blender.core.light.environment import outside_pixels
 from fipt_blender.core.pixels.fragments import OUTSIDE, SUBPIXELS, Fragments, group_samples
-from fipt_blender.core.pixels.mixed_pixels import mark_pure
-from fipt_blender.core.pixels.store import PixelStore, fill_pixels, open_pixels
+from fipt_blender.core.pixels.mixed_pixels import find_donors, mark_pure
+from fipt_blender.core.pixels.store import LEFT_OUT, NO_TRIANGLE, PixelStore, fill_pixels, open_pixels
 from fipt_blender.core.pixels.unmixing import at_centres, fit_unknown, posterior, standard_error, unmix_pixels, weights
 from fipt_blender.core.surface.room import Room
 from samples.small_rooms import make_room
@@ -53,6 +54,48 @@ def unmixed(room: Room, views: list[View], folder: Path, labels: np.ndarray, wor
     mark_pure(store, room, labels, lambda done: None)
     unmix_pixels(store, room, labels, lambda done: None, workers)
     return store
+
+
+def test_a_mixed_pixel_takes_a_donor_of_its_own_part(tmp_path: Path) -> None:
+    """A floor of two coplanar halves that meet at x = 0.03: inside a column of pixels."""
+    write_exr(tmp_path / "image.exr", np.full((HEIGHT, WIDTH, 3), 0.5, np.float32))
+    room = make_room([strip(-3, 0.03), strip(0.03, 3)])
+    store = open_pixels(tmp_path / "pixels", [floor_camera(tmp_path / "image.exr")], create=True)
+    assert fill_pixels(store, room, lambda done: None) == pytest.approx(0.5)
+    labels = np.array([0, 0, 1, 1])
+    mark_pure(store, room, labels, lambda done: None)
+    pure, part = np.asarray(store.pure).reshape(HEIGHT, WIDTH), labels[store.triangle]
+    assert not pure[:, 8].any()  # the column over x = 0 to 0.1 m
+    assert pure[:, :8].all() and pure[:, 9:].all()
+    donors = find_donors(store, 0, part, 2).reshape(HEIGHT, WIDTH)
+    own = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
+    assert (part.reshape(HEIGHT, WIDTH)[:, 8] == 1).all()  # its centre lies on the right half
+    assert (donors[:, 8] == own[:, 9]).all()
+    assert (np.delete(donors, 8, axis=1) == np.delete(own, 8, axis=1)).all()
+    # No pixel of another part, beyond the image's border or out of reach is a donor.
+    alone = np.where(np.arange(WIDTH * HEIGHT) % WIDTH == 8, 7, 0)
+    assert (find_donors(store, 0, alone, 4).reshape(HEIGHT, WIDTH)[:, 8] == -1).all()
+    assert (find_donors(store, 0, part, 0).reshape(HEIGHT, WIDTH)[:, 8] == -1).all()
+
+
+def test_masked_pixels_are_neither_room_nor_outside(tmp_path: Path) -> None:
+    """The left half is masked; its glare must not affect the scale, the pixels or the environment."""
+    image, mask = tmp_path / "image.exr", tmp_path / "mask.exr"
+    pixels = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
+    pixels[:, :8] = 1000.0
+    write_exr(image, pixels)
+    ids = np.ones((HEIGHT, WIDTH), np.float32)
+    ids[:, :8] = 0.0
+    write_exr(mask, ids)
+    room = make_room([[[-3, -3, 0], [3, -3, 0], [3, 0.3, 0], [-3, 0.3, 0]]])  # the upper rows look outside
+    store = open_pixels(tmp_path / "pixels", [replace(floor_camera(image), mask=mask)], create=True)
+    assert fill_pixels(store, room, lambda done: None) == pytest.approx(0.5)
+    mark_pure(store, room, np.zeros(2, int), lambda done: None)
+    triangle = np.asarray(store.triangle).reshape(HEIGHT, WIDTH)
+    assert (triangle[:, :8] == LEFT_OUT).all() and not np.asarray(store.pure).reshape(HEIGHT, WIDTH)[:, :8].any()
+    assert (triangle[:2, 8:] == NO_TRIANGLE).all() and (triangle[4:, 8:] >= 0).all()
+    ((_, radiance),) = outside_pixels(store)
+    assert len(radiance) and np.allclose(radiance, 1.0)
 
 
 def test_two_halves_of_known_colours_are_recovered(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake, padding, raster
 from samples.refusals import error_of
+from samples.small_rooms import mesh_room, write_room
 
 TEXELS = 40  # a metre
 
@@ -36,16 +37,7 @@ def run(tmp_path):
     folder.create(make_settings())
     vertices = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0.5), (2, 1, 0.5)], np.float32)
     triangles = np.array([(0, 1, 2), (0, 2, 3), (1, 4, 5), (1, 5, 2)], np.int32)
-    np.savez(
-        folder.room_npz,
-        vertices=vertices,
-        triangles=triangles,
-        corner_normals=np.tile(np.float32([0, 0, 1]), (4, 3, 1)),
-        triangle_object=np.array([0, 0, 1, 1], np.int32),
-        triangle_material=np.full(4, -1, np.int32),
-        triangle_polygon=np.array([0, 0, 0, 0], np.int32),
-    )
-    write_json(folder.room_json, {"objects": ["a", "b"], "materials": [], "parts": "none"})
+    write_room(folder.root, mesh_room(vertices, triangles, np.array([0, 0, 1, 1])))
     width, height = 112, 64
     a = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * TEXELS + 8.3
     b = np.array([(0, 0), (0, 1), (-1, 1), (-1, 0)]) * TEXELS + (100.6, 10.1)  # turned by a quarter
@@ -78,8 +70,9 @@ def look_up(image, uv):
     y = (1.0 - uv[:, 1]) * height - 0.5
     x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
     fx, fy = (x - x0)[:, None], (y - y0)[:, None]
-    pixel = lambda dy, dx: image[np.clip(y0 + dy, 0, height - 1), np.clip(x0 + dx, 0, width - 1)]  # noqa: E731
-    return (pixel(0, 0) * (1 - fx) + pixel(0, 1) * fx) * (1 - fy) + (pixel(1, 0) * (1 - fx) + pixel(1, 1) * fx) * fy
+    pixels = [image[np.clip(y0 + dy, 0, height - 1), np.clip(x0 + dx, 0, width - 1)] for dy in (0, 1) for dx in (0, 1)]
+    upper, lower = (left * (1 - fx) + right * fx for left, right in (pixels[:2], pixels[2:]))
+    return upper * (1 - fy) + lower * fy
 
 
 def read_map(folder, name):

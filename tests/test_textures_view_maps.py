@@ -10,6 +10,7 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.textures.view_maps import shrunk, write_view_maps
+from samples.small_rooms import mesh_room, write_room
 
 VIEWS = [
     View(f"{split}/{i}", split, None, 24, 12, 12.0, 12.0, 12.0, 6.0, np.eye(4))
@@ -22,6 +23,7 @@ class Fields:
 
     def query(self, positions, triangles):
         count = len(positions)
+        assert count == 12 * 12 * 4 and np.isfinite(positions).all()  # of the wall: rays past it end at infinity
         color = np.repeat(positions[:, 1:2] / 4.0 + 0.5, 3, axis=1).astype(np.float32)
         return color, np.full(count, 0.25, np.float32), np.full(count, 0.75, np.float32)
 
@@ -35,11 +37,7 @@ def run(tmp_path) -> RunFolder:
     run = RunFolder(tmp_path)
     vertices = np.array([[-4, -2, 2], [0, -2, 2], [0, 2, 2], [-4, 2, 2]], np.float32)
     triangles = np.array([[0, 2, 1], [0, 3, 2]], np.int32)  # fronts towards the camera at the origin
-    none = np.zeros(2, np.int32)
-    normals = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (2, 3, 1))
-    arrays = {"vertices": vertices, "triangles": triangles, "corner_normals": normals}
-    np.savez(run.room_npz, **arrays, triangle_object=none, triangle_material=none, triangle_polygon=none)
-    write_json(run.room_json, {"objects": ["wall"], "materials": ["paint"], "parts": "auto"})
+    write_room(tmp_path, mesh_room(vertices, triangles, np.zeros(2)))
     fixture = {"name": "a", "triangles": [0], "radiance": [8.0, 4.0, 2.0], "back_radiance": [1.0, 1.0, 1.0]}
     write_json(run.emitters_json, {"fixtures": [fixture], "environment": None})
     return run
@@ -70,14 +68,3 @@ def test_large_views_get_fewer_pixels_of_the_same_sight():
     small = shrunk(VIEWS[0], 6)
     assert (small.width, small.height, small.fx, small.fy, small.cx, small.cy) == (6, 3, 3.0, 3.0, 3.0, 1.5)
     assert shrunk(VIEWS[0], 24) is VIEWS[0]
-
-
-def test_the_fields_are_asked_at_surface_points_alone(run):
-    """Rays past the mesh end at infinity."""
-
-    class Finite(Fields):
-        def query(self, positions, triangles):
-            assert np.isfinite(positions).all() and len(positions) == 12 * 12 * 4
-            return super().query(positions, triangles)
-
-    write_view_maps(run, Finite(), VIEWS)

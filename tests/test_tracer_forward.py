@@ -15,10 +15,10 @@ from benchmarks.tracer.forward import LitRoom, RenderSettings, denoise, render_v
 from benchmarks.tracer.surfaces import LatticeMaterials, TriangleMaterials
 from fipt_blender.core.optics import brdf
 from fipt_blender.core.optics.environment import EnvironmentLight
-from fipt_blender.core.optics.lights import AreaLights, EmitterTable
+from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.surface.room import Room
 from samples.small_rooms import BOX as WALLS
-from samples.small_rooms import make_room, mesh_room
+from samples.small_rooms import area_lights, make_room, mesh_room, table
 
 bsdf.register()
 
@@ -39,14 +39,6 @@ def uniform(room: Room, color: float, sigma: float, metallic: float) -> Triangle
     return TriangleMaterials(np.full((count, 3), color), np.full(count, sigma), np.full(count, metallic))
 
 
-def emitters(ids: list[int], radiance: list[float], back: list[float] = (0.0, 0.0, 0.0)) -> EmitterTable:
-    return EmitterTable(
-        np.array(ids, np.int32),
-        np.tile(np.array(radiance, np.float32), (len(ids), 1)),
-        np.tile(np.array(back, np.float32), (len(ids), 1)),
-    )
-
-
 def look(lit: LitRoom, toward: np.ndarray, count: int, depth: int, seed: int = 0) -> np.ndarray:
     """(count, 3) radiance of paths that start at the floor's origin, seen from `toward`."""
     direction = mi.Vector3f((-toward).tolist()) + dr.zeros(mi.Vector3f, count)
@@ -59,7 +51,7 @@ def look(lit: LitRoom, toward: np.ndarray, count: int, depth: int, seed: int = 0
 def test_direct_light_of_a_lamp_is_its_integral(sigma: float, metallic: float) -> None:
     """Light and BRDF samples together equal quadrature over the lamp (z-test)."""
     room = make_room([WALLS[0], LAMP])
-    lights = AreaLights(room.vertices, room.triangles, emitters([2, 3], [3.0, 2.0, 1.0], [9.0, 9.0, 9.0]))
+    lights = area_lights(room, table([2, 3], [3.0, 2.0, 1.0], (9.0, 9.0, 9.0)))
     lit = LitRoom(room, uniform(room, 0.6, sigma, metallic), lights)
     toward = np.array([0.5, -0.6, 0.8])
     toward /= np.linalg.norm(toward)
@@ -84,7 +76,7 @@ def test_light_of_an_environment_is_its_integral(sigma: float) -> None:
     image[3, 5] = [40.0, 30.0, 20.0]
     environment = EnvironmentLight(image)
     room = make_room([WALLS[0]])
-    lights = AreaLights(room.vertices, room.triangles, EmitterTable.empty())
+    lights = area_lights(room, EmitterTable.empty())
     lit = LitRoom(room, uniform(room, 0.6, sigma, 0.0), lights, environment)
     toward = np.array([0.3, 0.4, 0.866])
     side = 1600
@@ -107,7 +99,7 @@ def test_box_agrees_with_mitsubas_path_integrator() -> None:
     sigmas = np.repeat(np.array([0.5, 1.0, 0.3, 1.0, 0.7, 0.25, 1.0], np.float32), 2)
     metals = np.repeat(np.array([0.0, 0.0, 0.5, 0.0, 0.0, 1.0, 0.0], np.float32), 2)
     radiance = [10.0, 8.0, 6.0]
-    lights = AreaLights(room.vertices, room.triangles, emitters([12, 13], radiance))
+    lights = area_lights(room, table([12, 13], radiance))
     lit = LitRoom(room, TriangleMaterials(colors, sigmas, metals), lights)
     depth, seeds = 4, 12
     scene = _mitsuba_scene(room, colors, sigmas, metals, radiance, depth)
@@ -172,9 +164,8 @@ def test_walls_that_emit_and_reflect_are_a_furnace() -> None:
     """
     room = make_room([*BOX, WALLS[5]])
     count = len(room.triangles)
-    table = emitters(list(range(count)), [2.0, 1.0, 0.5], [2.0, 1.0, 0.5])
-    table = replace(table, reflective=np.ones(count, bool))
-    lit = LitRoom(room, uniform(room, 0.6, 1.0, 0.0), AreaLights(room.vertices, room.triangles, table))
+    lamps = replace(table(list(range(count)), [2.0, 1.0, 0.5], (2.0, 1.0, 0.5)), reflective=np.ones(count, bool))
+    lit = LitRoom(room, uniform(room, 0.6, 1.0, 0.0), area_lights(room, lamps))
     toward = np.array([0.3, 0.2, 0.9]) / np.linalg.norm([0.3, 0.2, 0.9])
     emitted = np.array([2.0, 1.0, 0.5])
     once = look(lit, toward, 40_000, depth=1).mean(axis=0)

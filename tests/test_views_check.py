@@ -1,57 +1,87 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photographs that do not agree with the others: misaligned ones are left out, exposures are corrected."""
+"""Photographs that do not agree with the others are left out or corrected, and lamps without mesh are named."""
 
+import io
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.tracer.surfaces import TriangleMaterials
+from fipt_blender.core.alignment.turns import turn_by
+from fipt_blender.core.capture.images import read_radiance
+from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.checks.misaligned import CLEARLY_BETTER
 from fipt_blender.core.checks.registration import Fit, register
-from fipt_blender.core.checks.view_check import ViewCheck
-from fipt_blender.core.pixels.store import LEFT_OUT, NO_TRIANGLE, PixelStore
-from samples.checked_views import run_check
-from samples.small_captures import CAMERAS, COLORS, PANEL, PANEL_RADIANCE, SmallCapture, matt, photograph_room
-from samples.small_rooms import BOX, make_room, table
+from fipt_blender.core.checks.view_check import ViewCheck, check_views
+from fipt_blender.core.pixels.mixed_pixels import mark_pure
+from fipt_blender.core.pixels.store import LEFT_OUT, NO_TRIANGLE, PixelStore, fill_pixels, open_pixels
+from fipt_blender.core.run.messages import Reporter, parse_message
+from fipt_blender.core.run.settings import make_settings
+from samples.scans import scanned_box
+from samples.small_captures import (
+    CAMERAS,
+    COLORS,
+    PANEL,
+    PANEL_RADIANCE,
+    SmallCapture,
+    matt,
+    photograph_room,
+    write_run,
+)
+from samples.small_rooms import BOX, block, make_room, room_with_bulb, table
 
 EXTRA_CAMERAS = [[[1.5, 0.2, 1.8], [-1.2, -0.4, 0.6]], [[-0.3, 1.7, 1.5], [0.1, -1.5, 0.8]]]
-
-
-def block(x: float, y: float, width: float, height: float) -> list:
-    """Four sides and the top of a block on the floor, fronts outwards."""
-    a, b, c, d = ([x + i * width, y + j * width] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
-    sides = [[[*p, 0.0], [*q, 0.0], [*q, height], [*p, height]] for p, q in ((a, b), (b, c), (c, d), (d, a))]
-    return [*sides, [[*p, height] for p in (a, b, c, d)]]
+WIDTH, HEIGHT = 96, 64
 
 
 @pytest.fixture(scope="module")
 def capture() -> SmallCapture:
-    """Boxes of several colours in a box, eight views of 144 x 96 pixels."""
+    """Boxes of several colours in a box, eight views of 96 x 64 pixels."""
     quads, colors = [*BOX, PANEL], [*COLORS, [0.0] * 3]
-    for x, y, width, height, color in (
-        (-0.6, 1.1, 0.6, 1.2, [0.7, 0.5, 0.1]),
-        (0.9, 1.0, 0.7, 0.8, [0.1, 0.2, 0.6]),
-        (0.8, -1.2, 0.5, 1.5, [0.75, 0.75, 0.7]),
-        (-1.3, -1.0, 0.5, 0.6, [0.15, 0.1, 0.1]),
+    for low, high, color in (
+        ((-0.6, 1.1, 0.0), (0.0, 1.7, 1.2), [0.7, 0.5, 0.1]),
+        ((0.9, 1.0, 0.0), (1.6, 1.7, 0.8), [0.1, 0.2, 0.6]),
+        ((0.8, -1.2, 0.0), (1.3, -0.7, 1.5), [0.75, 0.75, 0.7]),
+        ((-1.3, -1.0, 0.0), (-0.8, -0.5, 0.6), [0.15, 0.1, 0.1]),
     ):
-        quads += block(x, y, width, height)
-        colors += [color] * 5
-    room = make_room(quads, parts="objects")
+        sides = block(low, high)[1:]  # without the bottom
+        quads += sides
+        colors += [color] * len(sides)
+    room, materials = make_room(quads, parts="objects"), matt(np.repeat(np.array(colors), 2, axis=0))
     lamps = table([12, 13], PANEL_RADIANCE)
-    materials = matt(np.repeat(np.array(colors), 2, axis=0))
-    return photograph_room(room, materials, lamps, cameras=[*CAMERAS, *EXTRA_CAMERAS], scale=3, spp=24, denoise=True)
+    return photograph_room(room, materials, lamps, cameras=[*CAMERAS, *EXTRA_CAMERAS], scale=2, spp=64)
+
+
+def run_check(
+    root: Path,
+    capture: SmallCapture,
+    change_pixels: Callable[[PixelStore], None] = lambda pixels: None,
+    **settings: bool,
+) -> tuple[PixelStore, ViewCheck, list[dict]]:
+    """The pixels after the check of a capture's views, its result, and its messages; the objects are the parts.
+
+    Args:
+        change_pixels: is called on the pixels before the check.
+        settings: changes of the draft preset.
+    """
+    pixels = open_pixels(root / "pixels", load_capture(write_run(root / "run", capture)).train, create=True)
+    fill_pixels(pixels, capture.room, lambda _: None)
+    part = capture.room.triangle_object
+    mark_pure(pixels, capture.room, part, lambda _: None)
+    change_pixels(pixels)
+    stream = io.StringIO()
+    check = check_views(pixels, capture.room, part, make_settings("draft", settings), Reporter(stream))
+    return pixels, check, [m for line in stream.getvalue().splitlines() if (m := parse_message(line))]
 
 
 def turned(capture: SmallCapture, index: int, degrees: float, axis: int = 1) -> SmallCapture:
     """The capture with one camera rotated about one of its own axes."""
-    angle = np.radians(degrees)
-    turn = np.eye(4)
-    i, j = [k for k in range(3) if k != axis]
-    turn[i, i] = turn[j, j] = np.cos(angle)
-    turn[i, j], turn[j, i] = -np.sin(angle), np.sin(angle)
-    poses = list(capture.poses)
+    turn, poses = np.eye(4), list(capture.poses)
+    turn[:3, :3] = turn_by(np.radians(degrees) * np.eye(3)[axis])
     poses[index] = poses[index] @ turn
     return replace(capture, poses=poses)
 
@@ -62,44 +92,35 @@ def exposed(capture: SmallCapture, index: int, factor: float) -> SmallCapture:
     return replace(capture, images=images)
 
 
-def test_good_photographs_are_left_as_they_are(capture: SmallCapture, tmp_path: Path) -> None:
-    pixels, check, messages = run_check(tmp_path, capture)
-    assert check == ViewCheck() and messages == []
-    assert (pixels.triangle != LEFT_OUT).all()
-
-
-def test_photographs_without_anything_bright_agree(capture: SmallCapture, tmp_path: Path) -> None:
+def test_good_photographs_are_left_as_they_are_dark_ones_too(capture: SmallCapture, tmp_path: Path) -> None:
     """A capture without any lamp is valid."""
-    plain = [np.ones_like(image) for image in capture.images]
-    assert run_check(tmp_path, replace(capture, images=plain))[1] == ViewCheck()
+    plain = replace(capture, images=[np.ones_like(image) for image in capture.images])
+    for name, given in (("good", capture), ("plain", plain)):
+        pixels, check, messages = run_check(tmp_path / name, given)
+        assert check == ViewCheck() and messages == []
+        assert (pixels.triangle != LEFT_OUT).all()
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_view_turned_by_two_degrees_is_left_out_by_name(capture: SmallCapture, tmp_path: Path, axis: int) -> None:
-    degrees = 2.0 if axis < 2 else 5.0  # a roll displaces the centre of the image little
-    pixels, check, (message,) = run_check(tmp_path, turned(capture, 3, degrees, axis))
-    assert list(check.left_out) == ["train/003"] and check.exposure == {}
-    if axis < 2:
-        assert 2.0 < check.left_out["train/003"] < 6.0  # 2.7 in the centre, more towards the border
-    assert message["code"] == "view-misaligned" and "train/003" in message["text"] and message["remedy"]
+def test_turned_views_are_left_out_by_name_and_do_not_take_good_ones_with_them(
+    capture: SmallCapture, tmp_path: Path
+) -> None:
+    spoilt = turned(turned(capture, 1, 2.0), 6, -2.0, 0)
+    pixels, check, (message,) = run_check(tmp_path, spoilt)
+    assert set(check.left_out) == {"train/001", "train/006"} and check.exposure == {}
+    assert all(1.3 < shift < 4.0 for shift in check.left_out.values())  # 1.8 in the centre, more towards the border
+    assert message["code"] == "view-misaligned" and message["text"].startswith("2 of 8") and message["remedy"]
+    assert "train/001" in message["text"] and "train/006" in message["text"]
     gone = np.asarray(pixels.triangle) == LEFT_OUT
-    assert (pixels.view_of(np.flatnonzero(gone)) == 3).all() and gone.sum() == 144 * 96
+    assert set(pixels.view_of(np.flatnonzero(gone))) == {1, 6} and gone.sum() == 2 * WIDTH * HEIGHT
     assert not pixels.pure[gone].any()
 
 
-def test_a_photograph_of_somewhere_else(capture: SmallCapture, tmp_path: Path) -> None:
-    """No small rotation aligns it."""
+def test_a_rolled_view_and_a_photograph_of_somewhere_else_are_left_out(capture: SmallCapture, tmp_path: Path) -> None:
+    """A roll displaces the centre of the image little, and no small rotation aligns the other one."""
     images = list(capture.images)
     images[4] = images[4][::-1, ::-1]
-    _, check, (message,) = run_check(tmp_path, replace(capture, images=images))
-    assert list(check.left_out) == ["train/004"] and "train/004" in message["text"]
-
-
-def test_two_misaligned_views_do_not_take_good_ones_with_them(capture: SmallCapture, tmp_path: Path) -> None:
-    spoilt = turned(turned(capture, 1, 2.5), 6, -2.0, 0)
-    _, check, (message,) = run_check(tmp_path, spoilt)
-    assert set(check.left_out) == {"train/001", "train/006"}
-    assert message["text"].startswith("2 of 8")
+    _, check, _ = run_check(tmp_path, replace(turned(capture, 3, 5.0, 2), images=images))
+    assert set(check.left_out) == {"train/003", "train/004"}
 
 
 def test_where_most_views_are_misaligned_none_is_left_out(capture: SmallCapture, tmp_path: Path) -> None:
@@ -111,23 +132,18 @@ def test_where_most_views_are_misaligned_none_is_left_out(capture: SmallCapture,
     assert check.left_out == {}
 
 
-def test_an_exposure_of_one_and_a_half_is_corrected(capture: SmallCapture, tmp_path: Path) -> None:
+def test_exposures_are_corrected_but_of_views_that_are_left_out(capture: SmallCapture, tmp_path: Path) -> None:
     plain, _, _ = run_check(tmp_path / "plain", capture)
-    pixels, check, (message,) = run_check(tmp_path, exposed(capture, 2, 1.5))
-    assert check.left_out == {} and list(check.exposure) == ["train/002"]
+    spoilt = exposed(exposed(exposed(turned(capture, 3, 2.0), 3, 1.5), 5, 0.7), 2, 1.5)
+    pixels, check, messages = run_check(tmp_path, spoilt)
+    assert list(check.left_out) == ["train/003"] and set(check.exposure) == {"train/002", "train/005"}
     assert check.exposure["train/002"] == pytest.approx(1.5, rel=0.02)
-    assert message["code"] == "view-exposure" and "train/002 (× 1.5" in message["text"]
-    ratio = np.asarray(pixels.radiance) / np.maximum(np.asarray(plain.radiance), 1e-6)
-    by_view = [np.median(ratio[pixels.ranges[i] : pixels.ranges[i + 1]]) for i in range(8)]
-    assert np.ptp(by_view) < 0.02 * np.mean(by_view)
-
-
-def test_a_view_that_is_both_is_left_out_and_a_darker_one_corrected(capture: SmallCapture, tmp_path: Path) -> None:
-    spoilt = exposed(exposed(turned(capture, 3, 2.0), 3, 1.5), 5, 0.7)
-    _, check, messages = run_check(tmp_path, spoilt)
-    assert list(check.left_out) == ["train/003"] and list(check.exposure) == ["train/005"]
     assert check.exposure["train/005"] == pytest.approx(0.7, rel=0.03)
     assert [message["code"] for message in messages] == ["view-misaligned", "view-exposure"]
+    assert "train/002 (× 1.5" in messages[1]["text"]
+    ratio = np.asarray(pixels.radiance) / np.maximum(np.asarray(plain.radiance), 1e-6)
+    by_view = [np.median(ratio[pixels.rows(index)]) for index in range(8) if index != 3]
+    assert np.ptp(by_view) < 0.02 * np.mean(by_view)
 
 
 def test_both_can_be_switched_off(capture: SmallCapture, tmp_path: Path) -> None:
@@ -138,23 +154,25 @@ def test_both_can_be_switched_off(capture: SmallCapture, tmp_path: Path) -> None
     assert check.left_out == {} and list(check.exposure) == ["train/005"]
 
 
+INTRINSICS = np.array([[100.0, 0.0, 60.0], [0.0, 100.0, 40.0], [0.0, 0.0, 1.0]])
+
+
 def test_registration_finds_a_shift_and_stays_on_a_plain_wall(rng: np.random.Generator) -> None:
-    intrinsics = np.array([[100.0, 0.0, 60.0], [0.0, 100.0, 40.0], [0.0, 0.0, 1.0]])
     y, x = np.mgrid[:80, :120]
 
     def picture(shift: float) -> np.ndarray:
         return np.where(((x - shift) // 23 + y // 19) % 2 == 0, -0.5, 0.5) + 0.3 * np.sin((x - shift) / 9.0)
 
     known = np.ones((80, 120), bool)
-    fit = register(picture(4.0), picture(0.0), known, intrinsics)
+    fit = register(picture(4.0), picture(0.0), known, INTRINSICS)
     assert fit.shift == pytest.approx(4.0, rel=0.25) and fit.improvement < 0.5
-    fit = register(picture(0.0), picture(0.0), known, intrinsics)
+    fit = register(picture(0.0), picture(0.0), known, INTRINSICS)
     assert fit.shift < 0.1 and fit.difference < 1e-3
     noise = 0.02 * rng.normal(size=(2, 80, 120))
     # Noise alone displaces it a little, but never lowers the residual clearly.
-    fit = register(noise[0], noise[1], known, intrinsics)
+    fit = register(noise[0], noise[1], known, INTRINSICS)
     assert fit.shift < 3.0 and fit.improvement > CLEARLY_BETTER
-    assert register(noise[0], noise[1], known & (x < 2), intrinsics).improvement == 1.0
+    assert register(noise[0], noise[1], known & (x < 2), INTRINSICS).improvement == 1.0
 
 
 @pytest.mark.parametrize("strip", [np.s_[:, 40:42], np.s_[30:32, :], np.s_[::2, ::2]])
@@ -162,21 +180,90 @@ def test_an_overlap_too_narrow_to_compare_speaks_against_no_view(
     strip: tuple[slice, ...], rng: np.random.Generator
 ) -> None:
     """Over 200 pixels are known, but hardly any of them has neighbours to interpolate between."""
-    intrinsics = np.array([[100.0, 0.0, 60.0], [0.0, 100.0, 40.0], [0.0, 0.0, 1.0]])
     known = np.zeros((160, 130), bool)
     known[strip] = True
     photograph, predicted = rng.normal(size=(2, *known.shape))
     assert known.sum() >= 200
-    assert register(photograph, predicted, known, intrinsics) == Fit(0.0, 1.0, 0.0, 0.0)
+    assert register(photograph, predicted, known, INTRINSICS) == Fit(0.0, 1.0, 0.0, 0.0)
 
 
 def test_a_good_view_that_shares_a_strip_with_the_others_is_kept(capture: SmallCapture, tmp_path: Path) -> None:
-
     def keep_strip(pixels: PixelStore) -> None:
-        outside = np.ones((96, 144), bool)
-        outside[40:43] = False
+        outside = np.ones((HEIGHT, WIDTH), bool)
+        outside[26:30] = False
         pixels.triangle[pixels.rows(3)][outside.reshape(-1)] = NO_TRIANGLE
 
     pixels, check, messages = run_check(tmp_path, capture, keep_strip)
     assert np.count_nonzero(pixels.pure[pixels.rows(3)] & (pixels.triangle[pixels.rows(3)] >= 0)) > 200
     assert check.left_out == {} and messages == []
+
+
+# ---------------------------------------------------------------------------------------- lamps without mesh
+
+PLACE = [0.3, 0.2, 1.6]
+LAMP = [30.0, 25.0, 20.0]
+
+
+@pytest.fixture(scope="module")
+def with_bulb() -> SmallCapture:
+    """A hanging bulb of 12 cm in a coloured box."""
+    room = room_with_bulb(0.06, PLACE, parts="objects")
+    materials = matt(np.concatenate([np.repeat(np.array(COLORS), 2, axis=0), np.zeros((8, 3))]))
+    lamps = table(list(range(12, 20)), [80.0, 70.0, 60.0])
+    views = [*CAMERAS, [[1.5, 0.2, 1.8], [-1.2, -0.4, 1.4]], [[-0.3, 1.7, 1.5], [0.1, -1.5, 1.6]]]
+    return photograph_room(room, materials, lamps, cameras=views, scale=2, spp=32)
+
+
+def test_a_lamp_without_mesh_is_named_and_left_out(with_bulb: SmallCapture, tmp_path: Path) -> None:
+    pixels, check, messages = run_check(tmp_path, replace(with_bulb, room=make_room(BOX, parts="objects")))
+    (message,) = messages
+    assert message["code"] == "lamp-without-mesh" and message["remedy"]
+    (lamp,) = check.lamps
+    assert lamp["position"] == pytest.approx(PLACE, abs=0.06)
+    # An octahedron's mean shadow is a quarter of its surface.
+    shadow = np.sqrt(3.0) * 0.06**2
+    assert np.pi * lamp["radius"] ** 2 == pytest.approx(shadow, rel=0.35)
+    first = pixels.rows(0)
+    scale = float(read_radiance(pixels.views[0].image).sum() / np.asarray(pixels.radiance[first]).sum())
+    power = np.pi * lamp["radius"] ** 2 * np.array(lamp["radiance"]) * scale
+    assert power == pytest.approx(shadow * np.array([80.0, 70.0, 60.0]), rel=0.2)
+    left = np.asarray(pixels.triangle) != LEFT_OUT
+    # No remaining pixel is as bright as the lamp, and few are left out.
+    assert np.asarray(pixels.radiance)[left].max() < 0.2 * np.asarray(pixels.radiance).max()
+    assert (~left).mean() < 0.02
+
+
+def test_a_lamp_with_mesh_and_one_in_a_mirror_are_no_such_lamps(with_bulb: SmallCapture, tmp_path: Path) -> None:
+    _, check, messages = run_check(tmp_path / "bulb", with_bulb)
+    assert check == ViewCheck() and messages == []
+    mirror = [[-1.98, -0.9, 0.6], [-1.98, 0.9, 0.6], [-1.98, 0.9, 2.4], [-1.98, -0.9, 2.4]]
+    colors = np.repeat(np.array([*COLORS, [0.0] * 3, [0.95] * 3]), 2, axis=0)
+    smooth = np.arange(16) >= 14
+    materials = TriangleMaterials(colors, np.where(smooth, 0.02, 1.0), smooth * 1.0)
+    toward = [[[1.5, -1.5, 1.4], [-2.0, 0.2, 1.6]], [[1.5, 1.5, 1.2], [-2.0, -0.2, 1.7]]]
+    toward += [[[0.6, -0.9, 1.5], [-2.0, 0.1, 1.9]], [[0.3, 0.2, 0.6], [-2.0, 0.0, 1.6]]]
+    room, cameras = make_room([*BOX, PANEL, mirror], parts="objects"), [*CAMERAS[:4], *toward]
+    capture = photograph_room(room, materials, table([12, 13], LAMP), cameras=cameras, scale=2, spp=32)
+    _, check, _ = run_check(tmp_path / "mirror", capture)
+    assert check.lamps == []
+
+
+def test_a_lamp_that_a_scan_lacks_is_named_too(with_bulb: SmallCapture, tmp_path: Path) -> None:
+    scan, _ = scanned_box(noise=0.003)
+    assert scan.scan is not None
+    _, check, _ = run_check(tmp_path, replace(with_bulb, room=scan))
+    (lamp,) = check.lamps
+    assert lamp["position"] == pytest.approx(PLACE, abs=0.06)
+
+
+def test_a_white_table_without_mesh_is_left_out_but_no_lamp(tmp_path: Path) -> None:
+    """Below a lamp it is the brightest thing beside it: less bright than white, which a lamp exceeds."""
+    top = [[-0.2, -0.2, 0.9], [0.2, -0.2, 0.9], [0.2, 0.2, 0.9], [-0.2, 0.2, 0.9]]
+    whole, lacking = (make_room([*BOX, PANEL, *more], parts="objects") for more in ([top], []))
+    materials = matt(np.repeat(np.array([*([[0.04] * 3] * 6), [0.0] * 3, [0.85] * 3]), 2, axis=0))
+    corners = [(1.7, 0.3), (-1.6, 0.8), (0.4, 1.7), (0.2, -1.7), (-1.5, -1.4), (1.5, 1.4)]
+    cameras = [*([[x, y, 2.6], [-0.2 * x, -0.2 * y, 0.4]] for x, y in corners), *CAMERAS[1:6:2]]
+    capture = photograph_room(whole, materials, table([12, 13], LAMP), cameras=cameras, scale=2, spp=32)
+    pixels, check, messages = run_check(tmp_path, replace(capture, room=lacking))
+    assert check.lamps == [] and messages == []
+    assert 0.0 < (np.asarray(pixels.triangle) == LEFT_OUT).mean() < 0.1

@@ -36,7 +36,7 @@ def capture() -> SmallCapture:
     lamps = table([2 * lamp, 2 * lamp + 1], [6.0, 5.0, 4.0])
     others = [[[-x, y, z], [-a, b, 3.0 - c]] for (x, y, z), (a, b, c) in CAMERAS]
     materials = matt(np.repeat(colors, 2, axis=0))
-    made = photograph_room(room, materials, lamps, cameras=[*CAMERAS, *others], scale=2, spp=16, denoise=True)
+    made = photograph_room(room, materials, lamps, cameras=[*CAMERAS, *others], scale=2, spp=64)
     return made.scaled(1.0, 1.0, (1.5, 1.0, 0.3))  # a box is its own mirror image about its middle
 
 
@@ -68,7 +68,7 @@ def refused(code: str, capture: SmallCapture, views: list[View], vertices: np.nd
     return f"{error.text} {error.remedy}"
 
 
-@pytest.mark.parametrize("count", [2, 3, 5, 12])
+@pytest.mark.parametrize("count", [2, 12])
 def test_good_input_passes_with_few_views(capture: SmallCapture, views: list[View], count: int) -> None:
     assert check_input(capture.room, views[:count], SETTINGS) == {}
 
@@ -78,7 +78,7 @@ def test_a_plain_room_passes(tmp_path: Path) -> None:
     assert check_input(plain.room, load_capture(write_run(tmp_path, plain)).train, SETTINGS) == {}
 
 
-@pytest.mark.parametrize("chosen", [[4], [1, 5, 8], [0, 2, 5, 7, 9, 11]])
+@pytest.mark.parametrize("chosen", [[4], [0, 2, 5, 7, 9, 11]])
 def test_wrong_poses_are_found_up_to_half(capture: SmallCapture, views: list[View], chosen: list[int]) -> None:
     assert sorted(check_input(capture.room, disturbed(views, chosen), SETTINGS)) == chosen
 
@@ -132,25 +132,12 @@ def test_a_mesh_that_these_cameras_measured_is_not_told_to_move(capture: SmallCa
 
 def test_input_that_tells_nothing(capture: SmallCapture, views: list[View], tmp_path: Path) -> None:
     assert "one photograph" in refused("input-insufficient", capture, views[:1])
-    blind = []
-    for index, view in enumerate(views):
-        pose = view.camera_to_world.copy()
-        pose[:3, 3] += 100.0 * (index % 2) * np.array([1.0, 1.0, 3.0])
-        blind.append(replace(view, camera_to_world=pose))
-    outside = [view if i % 2 == 0 else _away(view) for i, view in enumerate(blind)]
+    away = np.eye(4)  # far above the room, and looking upwards
+    away[:3, 3] = 100.0, 100.0, 300.0
+    outside = [view if i % 2 == 0 else replace(view, camera_to_world=away) for i, view in enumerate(views)]
     assert "6 of 12 cameras" in refused("input-insufficient", capture, outside)
     white = tmp_path / "white.exr"
     write_exr(white, np.ones((64, 96, 3), np.float32))
     assert "alike" in refused("input-insufficient", capture, [replace(view, image=white) for view in views])
-    one = replace(capture, room=replace(capture.room, triangles=capture.room.triangles[:1],
-                                        corner_normals=capture.room.corner_normals[:1],
-                                        triangle_object=capture.room.triangle_object[:1],
-                                        triangle_material=capture.room.triangle_material[:1]))  # fmt: skip
-    refused("input-insufficient", one, views)
-
-
-def _away(view: View) -> View:
-    """The view with its camera turned upwards, away from the room below."""
-    pose = view.camera_to_world.copy()
-    pose[:3, :3] = np.diag([1.0, 1.0, 1.0])
-    return replace(view, camera_to_world=pose)
+    one = make_room([BOX[0]])
+    refused("input-insufficient", replace(capture, room=replace(one, triangles=one.triangles[:1])), views)

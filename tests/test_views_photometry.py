@@ -41,7 +41,7 @@ def store(tmp_path_factory) -> tuple[PixelStore, object]:
     room = make_room([*BOX, PANEL], parts="objects")
     materials = matt(np.repeat(np.array([*COLORS, [0.0] * 3]), 2, axis=0))
     capture = photograph_room(
-        room, materials, table([12, 13], PANEL_RADIANCE), cameras=[*CAMERAS, *MORE], scale=3, spp=24, denoise=True
+        room, materials, table([12, 13], PANEL_RADIANCE), cameras=[*CAMERAS, *MORE], scale=2, spp=128
     )
     folder = tmp_path_factory.mktemp("photometry")
     pixels = open_pixels(folder / "pixels", load_capture(write_run(folder / "run", capture)).train, create=True)
@@ -68,7 +68,7 @@ def photographed(pixels: PixelStore, encoded: list[int]) -> tuple[PixelStore, fl
 def adjusted(pixels: PixelStore, room, scale: float, folder: Path) -> tuple[Photometry, list[dict]]:
     stream = io.StringIO()
     part = room.triangle_object
-    found = adjust_photographs(pixels, room, part, scale, make_settings("draft"), folder)
+    found = adjust_photographs(pixels, room, part, scale, make_settings("draft", {"voxel_resolution": 64}), folder)
     warn_of_photographs(found.facts, Reporter(stream))
     return found, [parse_message(line) for line in stream.getvalue().splitlines()]
 

@@ -13,7 +13,7 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.pixels.camera_rays import first_hits, trace_pixels
 from fipt_blender.core.surface.room import Room
 from samples.part_views import looking_views
-from samples.small_rooms import mesh_room
+from samples.scans import joined
 
 LOW, HIGH = np.array([-0.6, -0.4, 0.3]), np.array([0.6, 0.4, 0.7])
 
@@ -22,12 +22,7 @@ def with_box(room: Room) -> Room:
     """A room with the thing that is lost as one more object."""
     vertices = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * (HIGH - LOW) + LOW
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
-    triangles = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3) + len(room.vertices)
-    return mesh_room(
-        np.concatenate([room.vertices, vertices]),
-        np.concatenate([room.triangles, triangles]),
-        np.repeat([0, 1], [len(room.triangles), len(triangles)]),
-    )
+    return joined(room, vertices, quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), 1)
 
 
 def photographed(folder: Path, room: Room, rng: np.random.Generator, glossy: float = 0.0) -> list[View]:

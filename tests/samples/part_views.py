@@ -17,7 +17,7 @@ from fipt_blender.core.surface.room import Room
 from fipt_blender.core.surface.stored import prepare_geometry
 from samples.small_rooms import write_room
 
-SIZE, FOCAL = 96, 60.0
+SIZE, FOCAL = 64, 40.0
 THING_PART, ROOM_PART = 7, 1
 
 

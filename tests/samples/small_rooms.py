@@ -43,14 +43,22 @@ def mesh_room(vertices: np.ndarray, triangles: np.ndarray, objects: np.ndarray, 
 
 
 def write_room(folder: Path, room: Room, **more: np.ndarray) -> None:
-    """room.npz, with more arrays, and room.json as Blender writes them, of a room of quadrilaterals."""
+    """room.npz, with more or other arrays, and room.json as Blender writes them, of a room of quadrilaterals."""
     arrays = ("vertices", "triangles", "corner_normals", "triangle_object", "triangle_material")
     polygon = np.arange(len(room.triangles)) // 2
-    np.savez(folder / "room.npz", **{n: getattr(room, n) for n in arrays}, triangle_polygon=polygon, **more)
+    np.savez(folder / "room.npz", **{**{n: getattr(room, n) for n in arrays}, "triangle_polygon": polygon, **more})
     objects = [f"object {index}" for index in range(int(room.triangle_object.max(initial=-1)) + 1)]
     materials = [f"material {index}" for index in range(int(room.triangle_material.max(initial=-1)) + 1)]
     names = {"objects": objects, "materials": materials, "parts": room.parts}
     (folder / "room.json").write_text(json.dumps(names))
+
+
+def block(low: Sequence[float], high: Sequence[float]) -> list:
+    """Six quadrilaterals of an upright block between two corners, fronts outwards."""
+    (a, b, c), (d, e, f) = low, high
+    bottom, top = ([[x, y, z] for x, y in ((a, b), (d, b), (d, e), (a, e))] for z in (c, f))
+    sides = [[bottom[i], bottom[i - 3], top[i - 3], top[i]] for i in range(4)]
+    return [bottom[::-1], top, *sides]
 
 
 def bulb(centre: Sequence[float], radius: float) -> tuple[np.ndarray, np.ndarray]:
