@@ -30,7 +30,6 @@ from fipt_blender.jobs.main_job import estimate_step
 from samples.child_processes import PATIENCE_SECONDS
 from samples.refusals import error_of
 from samples.small_captures import (
-    CAMERAS,
     COLORS,
     PANEL,
     PANEL_RADIANCE,
@@ -51,9 +50,9 @@ LITTLE = {
 
 
 @pytest.fixture(scope="module")
-def three() -> Iterator[LocalCluster]:
-    """A cluster of three processes."""
-    with LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=":0") as found:
+def two() -> Iterator[LocalCluster]:
+    """A cluster of two processes."""
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as found:
         yield found
 
 
@@ -69,11 +68,12 @@ def capture() -> SmallCapture:
     room = make_room([*BOX, PANEL], parts="objects", objects=np.arange(7))
     colors = np.repeat(np.array([*COLORS, [0.0] * 3]), 2, axis=0)
     lamps = table(PANEL_TRIANGLES, PANEL_RADIANCE)
-    return photograph_room(room, matt(colors), lamps, cameras=[*CAMERAS, *CAMERAS], spp=16)
+    return photograph_room(room, matt(colors), lamps, spp=16)
 
 
 def views(capture: SmallCapture) -> list[View]:
-    return [View(str(i), "train", Path("none.exr"), **vars(pinhole(pose))) for i, pose in enumerate(capture.poses)]
+    poses = 2 * capture.poses
+    return [View(str(i), "train", Path("none.exr"), **vars(pinhole(pose))) for i, pose in enumerate(poses)]
 
 
 class Watch(Reporter):
@@ -127,17 +127,17 @@ def connection_error(address: str) -> FiptError:
 
 
 def test_a_cluster_finds_the_same_bits_though_a_worker_is_killed(
-    three: LocalCluster, capture: SmallCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    two: LocalCluster, capture: SmallCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in (training_stages, training):
         monkeypatch.setattr(module, "PRETRAINING_STEPS", 2)
     here = files(estimated(tmp_path / "here", capture, None, Reporter()))
-    watch = Watch("refinement-1", lambda: kill_a_busy_worker(three.scheduler_address))
-    there = files(estimated(tmp_path / "there", capture, three.scheduler_address, watch))
+    watch = Watch("refinement-1", lambda: kill_a_busy_worker(two.scheduler_address))
+    there = files(estimated(tmp_path / "there", capture, two.scheduler_address, watch))
     assert watch.acted
     assert here.keys() == there.keys() and len(here) > 15
     assert [name for name in here if here[name] != there[name]] == []
-    with Client(three.scheduler_address, set_as_default=False) as client:
+    with Client(two.scheduler_address, set_as_default=False) as client:
         assert client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)) == 0  # all released
 
 
@@ -146,10 +146,10 @@ def test_a_cluster_finds_the_same_bits_though_a_worker_is_killed(
     [("PRODUCT_VERSION", "99.0", "99.0"), ("method_digest", lambda: "another source", "another source")],
 )
 def test_a_worker_of_another_version_or_method_is_named(
-    three: LocalCluster, capture: SmallCapture, monkeypatch: pytest.MonkeyPatch, name: str, value: object, text: str
+    two: LocalCluster, capture: SmallCapture, monkeypatch: pytest.MonkeyPatch, name: str, value: object, text: str
 ) -> None:
     monkeypatch.setattr(cluster, name, value)
-    caught = work_error(three, capture, views(capture))
+    caught = work_error(two, capture, views(capture))
     assert caught.code == "cluster-worker-unfit" and text in caught.text and "mitsuba" in caught.text
 
 

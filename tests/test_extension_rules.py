@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -67,12 +67,6 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[zipfile.ZipFil
         yield opened
 
 
-@pytest.fixture(scope="module")
-def trees(archive: zipfile.ZipFile) -> dict[str, ast.Module]:
-    names = [name for name in archive.namelist() if name.endswith(".py")]
-    return {name: ast.parse(archive.read(name)) for name in names}
-
-
 def test_the_manifest_keeps_the_rules(archive: zipfile.ZipFile) -> None:
     manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
     assert manifest["schema_version"] == "1.0.0" and manifest["type"] == "add-on"
@@ -97,20 +91,16 @@ def test_everything_in_the_zip_can_be_read_by_a_reviewer(archive: zipfile.ZipFil
         assert not archive.read(name).startswith((b"\x7fELF", b"MZ", b"PK", b"\xcf\xfa\xed\xfe")), name
 
 
-def test_blenders_python_stays_as_it_is(trees: dict[str, ast.Module]) -> None:
+def test_blenders_python_stays_as_it_is(archive: zipfile.ZipFile) -> None:
     """No changed search path, no own package by an absolute name, no code made of text, no bl_info."""
-    for name, tree in trees.items():
-        for node in ast.walk(tree):
-            if isinstance(node, ast.ImportFrom | ast.Import) and name not in STARTED_ALONE:
-                module = getattr(node, "module", None) or ""
-                modules = [module] if getattr(node, "level", 0) == 0 else []
-                modules += [each.name for each in node.names] if isinstance(node, ast.Import) else []
-                assert not any(each.startswith("fipt_blender") for each in modules), (name, node.lineno)
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                assert node.func.id not in ("exec", "eval"), (name, node.lineno)
-            text = ast.unparse(node) if isinstance(node, ast.Call | ast.Assign | ast.AugAssign) else ""
-            if name not in STARTED_ALONE:
-                assert not text.startswith(("sys.path.", "sys.path =", "sys.path[:] =", "sys.path +=", "bl_info"))
+    modules = sorted(name for name in archive.namelist() if name.endswith(".py"))
+    for name in modules:
+        source = archive.read(name).decode()
+        assert not re.search(r"(?<![\w.])(exec|eval)\(", source), name
+        if name not in STARTED_ALONE:
+            assert not re.search(r"\bsys\.path(\.\w+\(|\[.*\] = | \+?= )|^bl_info\b", source, re.MULTILINE), name
+            assert not re.search(r"^\s*(from|import) fipt_blender\b", source, re.MULTILINE), name
+    assert len(modules) > 100
 
 
 def test_it_writes_into_the_users_folder_alone_and_is_offline(archive: zipfile.ZipFile, tmp_path: Path) -> None:

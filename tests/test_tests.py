@@ -19,6 +19,10 @@ def is_private(name: str) -> bool:
     return last.startswith("_") and not last.startswith("__")
 
 
+def name_of(node: ast.AST) -> str:
+    return getattr(node, "attr", getattr(node, "id", ""))
+
+
 def imported_test_modules(tree: ast.Module) -> set[str]:
     modules = set()
     for node in ast.walk(tree):
@@ -38,7 +42,7 @@ def private_names(tree: ast.Module) -> Iterator[str]:
             if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")):
                 if ast.unparse(node) != "os._exit":  # Python documents it
                     yield ast.unparse(node)
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("setattr", "getattr")):
+        elif isinstance(node, ast.Call) and name_of(node.func) in ("setattr", "getattr"):
             names = [argument.value for argument in node.args[:2] if isinstance(argument, ast.Constant)]
             yield from (name for name in names if isinstance(name, str) and is_private(name))
 
@@ -49,7 +53,7 @@ def measured_times(tree: ast.Module) -> Iterator[str]:
         if isinstance(node, ast.Attribute) and node.attr in _CLOCKS:
             yield ast.unparse(node)
         elif isinstance(node, ast.Assert):
-            names = {getattr(each, "attr", getattr(each, "id", "")) for each in ast.walk(node.test)}
+            names = {name_of(each) for each in ast.walk(node.test)}
             if names & {"monotonic", "elapsed"}:
                 yield ast.unparse(node.test)
 
