@@ -37,10 +37,13 @@ def write(folder, units, entries, **changes):
     write_json(folder.parts_json, document | changes)
 
 
+def names(found: parts.RoomParts) -> list[str]:
+    return [found.parts[index].name for index in found.triangle]
+
+
 def test_units_and_the_rest_of_objects_are_parts(run):
     found = parts.read_parts(run, OF_OBJECT, OBJECTS)
-    names = [found.parts[index].name for index in found.triangle]
-    assert names == ["Top", "Top", "Side table", "Floor", "Floor 2"]  # names are unique
+    assert names(found) == ["Top", "Top", "Side table", "Floor", "Floor 2"]  # names are unique
     assert found.source == "masks"
     top, rest = found.parts[found.triangle[0]], found.parts[found.triangle[2]]
     assert (top.triangles, top.pixels, top.roughness, top.key) == (2, 10, 0.5, "mask:1")
@@ -50,31 +53,25 @@ def test_units_and_the_rest_of_objects_are_parts(run):
 def test_units_of_few_pixels_join_the_rest_of_their_object(run, monkeypatch):
     monkeypatch.setattr(parts, "MOST_PARTS", 1)
     write(run, [0, 0, -1, 1, -1], [entry(0, "Top", 5), entry(1, "Floor", 9)])
-    found = parts.read_parts(run, OF_OBJECT, OBJECTS)
-    assert [found.parts[index].name for index in found.triangle] == [*["Side table"] * 3, "Floor", "Floor 2"]
+    assert names(parts.read_parts(run, OF_OBJECT, OBJECTS)) == [*["Side table"] * 3, "Floor", "Floor 2"]
 
 
 def test_a_run_without_description_has_its_objects_as_parts(run):
     run.parts_json.unlink()
-    found = parts.read_parts(run, OF_OBJECT, OBJECTS)
-    assert [found.parts[index].name for index in found.triangle] == ["Side table"] * 3 + ["Floor"] * 2
+    assert names(parts.read_parts(run, OF_OBJECT, OBJECTS)) == ["Side table"] * 3 + ["Floor"] * 2
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("units", "change"),
     [
-        {"version": 2},
-        {"parts": [entry(0, "Top")]},
-        {"parts": [entry(1, "Top"), entry(0, "Floor")]},
-        {"parts": [entry(0, "Top"), entry(1, "Floor") | {"roughness": 2.0}]},
+        ([0, 0, -1, 1, -1], {"version": 2}),
+        ([0, 0, -1, 1, -1], {"parts": [entry(0, "Top")]}),
+        ([0, 0, -1, 1, -1], {"parts": [entry(1, "Top"), entry(0, "Floor")]}),
+        ([0, 0, -1, 1, -1], {"parts": [entry(0, "Top"), entry(1, "Floor") | {"roughness": 2.0}]}),
+        ([0, 0, 1], {}),
+        ([0, 0, 2, 1, 1], {}),
     ],
 )
-def test_damaged_descriptions_are_refused(run, change):
-    write(run, [0, 0, -1, 1, -1], [entry(0, "Top"), entry(1, "Floor")], **change)
+def test_damaged_descriptions_and_units_of_another_room_are_refused(run, units, change):
+    write(run, units, [entry(0, "Top"), entry(1, "Floor")], **change)
     assert error_of(parts.read_parts, run, OF_OBJECT, OBJECTS).code == "file-damaged"
-
-
-def test_units_of_another_room_are_refused(run):
-    for units in ([0, 0, 1], [0, 0, 2, 1, 1]):
-        write(run, units, [entry(0, "Top"), entry(1, "Floor")])
-        assert error_of(parts.read_parts, run, OF_OBJECT, OBJECTS).code == "file-damaged"

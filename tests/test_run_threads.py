@@ -7,7 +7,6 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -16,35 +15,19 @@ from fipt_blender.core.run.threads import MOST_THREADS, cached_property, in_thre
 
 
 @pytest.mark.parametrize("cores", [None, 1, 2, 500])
-def test_results_are_in_the_order_of_the_items(monkeypatch: pytest.MonkeyPatch, cores: int | None) -> None:
+def test_results_and_errors_come_in_the_order_of_the_items_and_few_are_read_ahead(
+    monkeypatch: pytest.MonkeyPatch, cores: int | None
+) -> None:
     monkeypatch.setattr(os, "cpu_count", lambda: cores)
     assert list(in_threads(lambda item: item * item, range(50))) == [item * item for item in range(50)]
     assert list(in_threads(str, [])) == []
-
-
-@pytest.mark.parametrize("cores", [1, 2, 500])
-def test_only_a_few_items_are_read_ahead(monkeypatch: pytest.MonkeyPatch, cores: int) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: cores)
-    read: list[int] = []
-
-    def items() -> Iterator[int]:
-        for item in range(100):
-            read.append(item)
-            yield item
-
-    results = in_threads(str, items())
-    assert next(results) == "0"
-    assert len(read) <= MOST_THREADS + 1
-
-
-@pytest.mark.parametrize("cores", [1, 2])
-def test_an_error_reaches_the_caller(monkeypatch: pytest.MonkeyPatch, cores: int) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    items = iter(range(100))
+    assert next(in_threads(str, items)) == "0" and next(items) <= MOST_THREADS + 1
     with pytest.raises(ZeroDivisionError):
         list(in_threads(lambda item: 1 / item, [1, 0, 2]))
 
 
-def test_a_property_is_computed_once_by_all_threads_together():
+def test_a_property_is_computed_once_by_all_threads_together() -> None:
     class Thing:
         computed = 0
 

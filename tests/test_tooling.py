@@ -27,30 +27,32 @@ def dev() -> ModuleType:
     return load_dev()
 
 
-def test_versions_agree(dev: ModuleType) -> None:
-    versions = dev.read_versions()
-    assert len(set(versions.values())) == 1, versions
-    assert re.fullmatch(r"\d+\.\d+\.\d+", versions["pyproject.toml"])
-
-
-def test_zip_is_the_extension_and_reproducible(dev: ModuleType, tmp_path: Path) -> None:
-    first, second = dev.build_extension(tmp_path / "a"), dev.build_extension(tmp_path / "b")
-    assert first.read_bytes() == second.read_bytes()
-    with zipfile.ZipFile(first) as archive:
+def test_a_release_has_the_zip_of_the_extension_its_checksum_and_notes(dev: ModuleType, tmp_path: Path) -> None:
+    version = dev.read_versions()["CHANGELOG.md"]
+    with pytest.raises(dev.SetupError, match=version):
+        dev.release(f"{version}", tmp_path)
+    assert dev.release(f"v{version}", tmp_path) == 0
+    checksum, name = (tmp_path / "SHA256SUMS").read_text(encoding="utf-8").split()
+    assert checksum == hashlib.sha256((tmp_path / name).read_bytes()).hexdigest()
+    notes = (tmp_path / "NOTES.md").read_text(encoding="utf-8")
+    assert notes.startswith("### ") and "\n## " not in notes
+    assert notes.strip() in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    with zipfile.ZipFile(tmp_path / name) as archive:
         names = archive.namelist()
         assert archive.testzip() is None
         manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
         written = json.loads(archive.read(pins.PINS_NAME))
     groups = pins.read_pins()
     assert written == {name: groups[name] for name in pins.ENGINE_GROUPS}
-    assert first.stat().st_size < 4.5e6, "the heavy packages live in the engine's environment"
-    assert first.name == f"fipt_blender-{manifest['version']}.zip"
+    assert (tmp_path / name).stat().st_size < 4.5e6, "the heavy packages live in the engine's environment"
+    assert name == f"fipt_blender-{manifest['version']}.zip"
     assert {"__init__.py", "__main__.py", "LICENSE", "core/__main__.py", "cli/__init__.py"} <= set(names)
     assert names == sorted(names)
     foreign = ("tests", "examples", "benchmarks", "fipt_blender", "dist", "out")
-    for name in names:
-        assert "__pycache__" not in name and not name.endswith(".pyc") and not name.startswith(".")
-        assert name.split("/")[0] not in foreign
+    for each in names:
+        assert "__pycache__" not in each and not each.endswith(".pyc") and not each.startswith(".")
+        assert each.split("/")[0] not in foreign
+    assert dev.build_extension(tmp_path / "again").read_bytes() == (tmp_path / name).read_bytes()
 
 
 def test_the_index_offers_the_zip_to_blender(dev: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,19 +68,8 @@ def test_the_index_offers_the_zip_to_blender(dev: ModuleType, tmp_path: Path, mo
     assert (tmp_path / "index.html").is_file()
 
 
-def test_a_release_has_the_zip_its_checksum_and_notes(dev: ModuleType, tmp_path: Path) -> None:
-    version = dev.read_versions()["CHANGELOG.md"]
-    with pytest.raises(dev.SetupError, match=version):
-        dev.release(f"{version}", tmp_path)
-    assert dev.release(f"v{version}", tmp_path) == 0
-    checksum, name = (tmp_path / "SHA256SUMS").read_text(encoding="utf-8").split()
-    assert checksum == hashlib.sha256((tmp_path / name).read_bytes()).hexdigest()
-    notes = (tmp_path / "NOTES.md").read_text(encoding="utf-8")
-    assert notes.startswith("### ") and "\n## " not in notes
-    assert notes.strip() in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-
-
 def test_build_refuses_versions_that_disagree(dev: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert re.fullmatch(r"\d+\.\d+\.\d+", dev.read_versions()["pyproject.toml"])
     versions = {"blender_manifest.toml": "0.1.0", "pyproject.toml": "0.2.0"}
     monkeypatch.setattr(dev, "read_versions", lambda: versions)
     with pytest.raises(dev.SetupError, match=r"0\.2\.0"):
@@ -96,11 +87,11 @@ def test_every_pin_is_exact() -> None:
 def test_the_lock_has_every_pin_of_the_engine_and_hashes_of_all() -> None:
     """After a change of a pin: python3 dev.py lock."""
     groups = pins.read_pins()
-    names = {re.split("[=; ]", line)[0].lower(): [] for line in groups["lock"]}
     for line in (*groups["lock"], *groups["pip"], *groups["llvm"]):
         assert re.search(r" --hash=sha256:[0-9a-f]{64}( |$)", line), line
+    names: dict[str, list[str]] = {}
     for line in groups["lock"]:
-        names[re.split("[=; ]", line)[0].lower()].append(re.search(r"==([^ ;]+)", line).group(1))
+        names.setdefault(re.split("[=; ]", line)[0].lower(), []).append(re.search(r"==([^ ;]+)", line).group(1))
     for pin in groups["engine"]:
         name, _, version = pin.partition(";")[0].strip().partition("==")
         if name != "torch":
@@ -122,14 +113,12 @@ def test_set_up_is_done_once_and_again_when_something_changed(dev: ModuleType, t
     for file in (python, library):
         file.touch()
     whole = {"key": key, "installed": True, "complete": True, "llvm": str(library)}
-    stamp.write_text(json.dumps({**whole, "complete": False}))
-    assert not pins.is_set_up(tmp_path, key)
+    for content in (json.dumps({**whole, "complete": False}), "{"):
+        stamp.write_text(content)
+        assert not pins.is_set_up(tmp_path, key)
     stamp.write_text(json.dumps(whole))
-    assert pins.is_set_up(tmp_path, key)
-    assert not pins.is_set_up(tmp_path, "other")
+    assert pins.is_set_up(tmp_path, key) and not pins.is_set_up(tmp_path, "other")
     library.unlink()
-    assert not pins.is_set_up(tmp_path, key)
-    stamp.write_text("{")
     assert not pins.is_set_up(tmp_path, key)
 
 
