@@ -26,34 +26,16 @@ from fipt_blender.core.run.lock import hold, holder
 from fipt_blender.core.run.process_identity import PARENT_VARIABLE
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import run_job
-from samples.child_processes import SLEEPER, frozen_clock, is_alive, posix, wait_for
+from samples.child_processes import ENGINE, SLEEPER, frozen_clock, is_alive, posix, wait_for
 from samples.refusals import error_of
 
 ROOT = Path(__file__).resolve().parent.parent
-
-# Holds the lock as the engine does, says so, and goes on until the file "stop" appears.
-HOLDER = """
-import json, sys, time
-from pathlib import Path
-sys.path.insert(0, sys.argv[1])
-from fipt_blender.core.run.lock import hold
-from fipt_blender.core.run.messages import Reporter, claim_stdout
-from fipt_blender.core.run.runfolder import RunFolder
-run, reporter = RunFolder(sys.argv[2]), Reporter(claim_stdout())
-with hold(run, ["estimate", str(run.root)]):
-    reporter.stage("shadings", "Baking")
-    reporter.warning("odd", "Odd.", "Even it.")
-    while not (run.root / "stop").exists():
-        time.sleep(0.02)
-    print("a stray line")
-    reporter.done(["a"], {})
-"""
 
 
 @pytest.fixture
 def engine(run_folder: RunFolder) -> Iterator[EngineProcess]:
     """An engine that works in `run_folder` as if another Blender had started it."""
-    command = [sys.executable, "-c", HOLDER, str(ROOT), str(run_folder.root)]
+    command = [sys.executable, "-c", ENGINE, str(ROOT), str(run_folder.root)]
     process = EngineProcess(command, run_folder.log, messages=run_folder.messages("estimate"))
     wait_for(lambda: find_engine(run_folder))
     yield process
@@ -65,22 +47,8 @@ def test_the_lock_keeps_others_out_and_names_its_holder(run_folder, engine):
     assert found is not None
     assert (found.pid, found.command) == (engine.pid, ("estimate", str(run_folder.root)))
     # The holder goes on until it is told to stop: who waited for the lock would never come back.
-    with pytest.raises(FiptError) as caught, hold(run_folder, ["report"]):
-        pass
-    assert caught.value.code == "run-busy" and is_alive(engine.pid)
+    assert error_of(hold(run_folder, ["report"]).__enter__).code == "run-busy" and is_alive(engine.pid)
     assert error_of(run_job.open_job, run_folder, []).code == "run-busy"
-
-
-@posix
-def test_the_lock_goes_with_the_process_however_it_ends(run_folder, engine):
-    os.kill(engine.pid, signal.SIGKILL)
-    wait_for(lambda: holder(run_folder) is None)
-    with hold(run_folder, ["report"]):
-        assert holder(run_folder).command == ("report",)
-    assert holder(run_folder) is None
-
-
-def test_an_engine_command_in_a_busy_folder_says_so(run_folder, engine):
     command = [sys.executable, "-m", "fipt_blender.core", "report", str(run_folder.root)]
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 1
@@ -88,13 +56,26 @@ def test_an_engine_command_in_a_busy_folder_says_so(run_folder, engine):
     assert (message["type"], message["code"]) == ("error", "run-busy") and message["remedy"]
 
 
+@posix
+def test_the_lock_goes_with_a_killed_engine_whose_death_is_explained(run_folder, engine):
+    engine.leave()
+    attached = AttachedEngine(run_folder, find_engine(run_folder))
+    os.kill(engine.pid, signal.SIGKILL)
+    messages: list[dict] = []
+    wait_for(lambda: messages.extend(attached.poll()) or not attached.running)
+    assert messages[-1]["code"] == "engine-crashed" and "Resume" in messages[-1]["remedy"]
+    with hold(run_folder, ["report"]):
+        assert holder(run_folder).command == ("report",)
+    assert holder(run_folder) is None
+
+
 def test_an_engine_that_was_left_is_watched_to_its_end(run_folder, engine):
     engine.leave()
     assert engine.poll() == [] and is_alive(engine.pid)
     attached = AttachedEngine(run_folder, find_engine(run_folder))
     messages: list[dict] = []
-    wait_for(lambda: messages.extend(attached.poll()) or len(messages) == 3)
-    assert [message["type"] for message in messages] == ["stage", "progress", "warning"]
+    wait_for(lambda: messages.extend(attached.poll()) or len(messages) == 4)
+    assert [message["type"] for message in messages] == ["stage", "progress", "progress", "warning"]
     assert attached.running
     (run_folder.root / "stop").touch()
     wait_for(lambda: messages.extend(attached.poll()) or not attached.running)
@@ -103,26 +84,17 @@ def test_an_engine_that_was_left_is_watched_to_its_end(run_folder, engine):
 
 
 @posix
-def test_the_death_of_an_attached_engine_is_explained(run_folder, engine):
-    engine.leave()
-    attached = AttachedEngine(run_folder, find_engine(run_folder))
-    os.kill(engine.pid, signal.SIGKILL)
-    messages: list[dict] = []
-    wait_for(lambda: messages.extend(attached.poll()) or not attached.running)
-    assert messages[-1]["code"] == "engine-crashed" and "Resume" in messages[-1]["remedy"]
-
-
-@posix
 def test_a_process_with_the_id_of_a_dead_engine_is_left_alone(run_folder):
     other = subprocess.Popen([sys.executable, "-c", SLEEPER], start_new_session=True)
     try:
+        dead = json.dumps({"pid": other.pid, "command": ["estimate"]})
         run_folder.messages("estimate").parent.mkdir()
         run_folder.messages("estimate").touch()
-        run_folder.engine_lock.write_text(json.dumps({"pid": other.pid, "command": ["estimate"]}))
+        run_folder.engine_lock.write_text(dead)
         assert find_engine(run_folder) is None
         with hold(run_folder, ["estimate"]):
             attached = AttachedEngine(run_folder, find_engine(run_folder))
-        run_folder.engine_lock.write_text(json.dumps({"pid": other.pid, "command": ["estimate"]}))
+        run_folder.engine_lock.write_text(dead)
         attached.cancel()
         assert other.poll() is None
     finally:
@@ -156,17 +128,14 @@ def test_a_process_is_left_alone_where_the_engine_runs_on_another_machine(run_fo
     assert is_alive(engine.pid) and not attached.running
 
 
-def test_the_command_of_a_lock_names_no_other_file(run_folder):
+def test_the_command_of_a_lock_names_no_other_file_and_nonsense_is_nobodys(run_folder):
     (run_folder.root.parent / "evil.jsonl").touch()
     run_folder.messages("estimate").parent.mkdir()
     with hold(run_folder, ["../../evil"]):
         assert holder(run_folder) is not None and find_engine(run_folder) is None
-
-
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"pid": "x", "command": []}', '{"pid": 1}'])
-def test_a_lock_file_of_nonsense_is_nobodys(run_folder, text):
-    run_folder.engine_lock.write_text(text)
-    assert holder(run_folder) is None and find_engine(run_folder) is None
+        for text in ("", "{", "[]", '{"pid": "x", "command": []}', '{"pid": 1}'):  # still locked
+            run_folder.engine_lock.write_text(text)
+            assert holder(run_folder) is None and find_engine(run_folder) is None
 
 
 def test_a_job_attaches_and_notes_that_its_step_is_finished(run_folder, engine):
@@ -189,23 +158,13 @@ def test_a_job_attaches_and_notes_that_its_step_is_finished(run_folder, engine):
 
 @posix
 def test_a_request_to_cancel_never_waits(run_folder, monkeypatch):
-    script = (
-        "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('{}', flush=True); time.sleep(3600)"
-    )
-    log = run_folder.log
-
-    started_engines = []
-
-    def start(arguments):
-        engine = EngineProcess([sys.executable, "-c", script], log, messages=run_folder.messages("a"))
-        started_engines.append(engine)
-        return engine
-
+    stubborn = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('{}', flush=True)\n"
+    command, log = [sys.executable, "-c", stubborn + SLEEPER], run_folder.log
+    engine = EngineProcess(command, log, messages=run_folder.messages("a"))
     step = Step("a", "A", 1.0, command=["a"])
-    job = Job([step], StepRecord(run_folder.root / "s.json"), start, log, lambda: ([], {}))
+    job = Job([step], StepRecord(run_folder.root / "s.json"), lambda _: engine, log, lambda: ([], {}))
     for _ in range(3):
         job.advance()
-    (engine,) = started_engines
     wait_for(lambda: run_folder.messages("a").stat().st_size)
     monkeypatch.setattr(engine_process, "time", frozen_clock())
     job.request_cancel()
