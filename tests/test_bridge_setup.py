@@ -16,7 +16,6 @@ import pytest
 from fipt_blender.bridge import interpreter, pins, places, setup
 from fipt_blender.bridge.torch_build import TORCH_INDEX, choose_torch_build, torch_index, torch_requirement
 from fipt_blender.core.device.cuda import Gpu
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.lock import hold
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import RunFolder
@@ -41,14 +40,12 @@ def test_plans_prefer_what_stands_and_name_a_python_that_is_missing(
     version = next(pin for pin in pins.read_pins()["engine"] if pin.startswith("mitsuba")).partition("==")[2]
     other = next(each for each in pins.ENGINE_PYTHONS if each != HERE)
     (wheels / f"mitsuba-{version}-cp{other[0]}{other[1]}-cp{other[0]}{other[1]}-any.whl").touch()
-    with pytest.raises(FiptError, match=rf"Python {other[0]}\.{other[1]}") as caught:
-        setup.make_plans(tmp_path, "auto", wheels)
-    assert caught.value.code == "python-unfit"
+    caught = error_of(setup.make_plans, tmp_path, "auto", wheels)
+    assert caught.code == "python-unfit" and f"Python {other[0]}.{other[1]}" in caught.text
 
 
-@pytest.fixture
-def installed(tmp_path: Path) -> list[str]:
-    """The command line of set-up of an installed extension, with one tiny pinned package."""
+def test_child_process_tells_in_messages_and_says_what_is_missing(tmp_path: Path) -> None:
+    """Set-up of an installed extension, with one tiny pinned package."""
     package = tmp_path / "extension"
     shutil.copytree(places.PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))
     # named as the engine's main package, by which the wheels' Python is recognised
@@ -58,10 +55,7 @@ def installed(tmp_path: Path) -> list[str]:
     wheel = make_wheel(tmp_path / "wheels", "mitsuba", "0.0.1")
     tag = f"cp{HERE[0]}{HERE[1]}"
     wheel.rename(wheel.with_name(f"mitsuba-0.0.1-{tag}-none-any.whl"))
-    return [part.replace(str(places.PACKAGE_FOLDER), str(package)) for part in command]
-
-
-def test_child_process_tells_in_messages_and_says_what_is_missing(installed: list[str], tmp_path: Path) -> None:
+    installed = [part.replace(str(places.PACKAGE_FOLDER), str(package)) for part in command]
     result = subprocess.run(installed, capture_output=True, text=True, cwd=tmp_path)
     messages = [parse_message(line) for line in result.stdout.splitlines()]
     assert None not in messages, "nothing but messages on stdout"
@@ -75,12 +69,8 @@ def test_child_process_tells_in_messages_and_says_what_is_missing(installed: lis
     (folder,) = pins.environments(tmp_path / "data")
     stamp = pins.read_stamp(folder)
     assert stamp.installed and not stamp.complete
-
-
-def test_second_set_up_in_one_data_folder_waits_its_turn(installed: list[str], tmp_path: Path) -> None:
-    data = tmp_path / "data"
-    data.mkdir()
-    with hold(RunFolder(data), ["set-up"]):
+    # a second set-up in one data folder waits its turn
+    with hold(RunFolder(tmp_path / "data"), ["set-up"]):
         result = subprocess.run(installed, capture_output=True, text=True)
     error = parse_message(result.stdout.splitlines()[-1])
     assert result.returncode == 1 and error["code"] == "run-busy"
@@ -88,12 +78,10 @@ def test_second_set_up_in_one_data_folder_waits_its_turn(installed: list[str], t
 
 def test_data_folder_is_the_platforms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(places.DATA_VARIABLE, raising=False)
-    monkeypatch.setattr(sys, "platform", "linux")
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
-    assert places.default_data_folder() == tmp_path / "fipt_blender"
-    monkeypatch.setattr(sys, "platform", "win32")
-    monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
-    assert places.default_data_folder() == tmp_path / "local" / "fipt_blender"
+    for platform, variable in (("linux", "XDG_DATA_HOME"), ("win32", "LOCALAPPDATA")):
+        monkeypatch.setattr(sys, "platform", platform)
+        monkeypatch.setenv(variable, str(tmp_path / platform))
+        assert places.default_data_folder() == tmp_path / platform / "fipt_blender"
     monkeypatch.setenv(places.DATA_VARIABLE, str(tmp_path / "named"))
     assert places.default_data_folder() == tmp_path / "named"
 

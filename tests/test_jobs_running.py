@@ -51,6 +51,9 @@ def test_what_the_panel_shows_follows_the_engine(run):
     ended = []
     info = start(make_job(run), run, on_end=ended.append)
     assert running.current() is info and info.state == "running" and running.last("test") is None
+    caught = error_of(start, make_job(run), run)
+    assert caught.code == "job-running" and "Test" in caught.text
+    assert running.current() is info and not bpy.ops.fipt.estimate.poll()
     tick_until(lambda: at_work(info))
     assert info.stage_text == "Baking" and 0.3 < info.fraction < 0.5 and info.memory_gb > 0.0
     assert info.pictures == [run.root / "stage" / "picture.png"]
@@ -59,15 +62,6 @@ def test_what_the_panel_shows_follows_the_engine(run):
     assert info.state == "finished" and info.fraction == 1.0 and ended == [info]
     assert running.current() is None and running.last("test") is info is running.last()
     assert running.tick() is None
-
-
-def test_only_one_job_runs(run):
-    info = start(make_job(run), run)
-    caught = error_of(start, make_job(run), run)
-    assert caught.code == "job-running" and "Test" in caught.text
-    assert running.current() is info and not bpy.ops.fipt.estimate.poll()
-    running.cancel()
-    tick_until(lambda: info.state == "cancelled")
 
 
 def test_a_function_gets_its_scene_whichever_is_shown(run):
@@ -80,34 +74,21 @@ def test_a_function_gets_its_scene_whichever_is_shown(run):
     assert info.state == "finished" and seen == ["Renamed"]
 
 
-def test_an_undo_during_a_run_does_not_disturb_it(run):
-    scene = bpy.context.scene
-    scene.fipt.run_folder = ""
-    bpy.ops.ed.undo_push(message="before")
-    scene.fipt.run_folder = str(run.root)
-    names = []
-    info = start(make_job(run, lambda: names.append(bpy.context.scene.fipt.run_folder)), run)
-    tick_until(lambda: at_work(info))
-    bpy.ops.mesh.primitive_cube_add()
-    # Without a window there is no undo: what it does to the state is done by hand.
+@pytest.mark.parametrize("reload", [True, False])
+def test_a_reload_or_an_undo_that_forgets_the_run_folder_is_told_it_again(run, tmp_path, reload):
     bpy.context.scene.fipt.run_folder = ""
-    bpy.data.objects.remove(bpy.data.objects["Cube"])
-    finish(run, info)
-    assert info.state == "finished" and names == [str(run.root)]
-
-
-def test_a_reload_that_forgets_the_run_folder_is_told_it_again(run, tmp_path):
-    scene = bpy.context.scene
-    scene.fipt.run_folder = ""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
     bpy.context.scene.fipt.run_folder = str(run.root)
     names = []
-    info = start(make_job(run, lambda: names.append(bpy.context.scene.name)), run)
+    info = start(make_job(run, lambda: names.append(bpy.context.scene.fipt.run_folder)), run)
     tick_until(lambda: at_work(info))
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
-    assert not bpy.context.scene.fipt.run_folder
+    if reload:
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
+        assert not bpy.context.scene.fipt.run_folder
+    else:  # without a window there is no undo: what it does to the state is done by hand
+        bpy.context.scene.fipt.run_folder = ""
     finish(run, info)
-    assert info.state == "finished" and bpy.context.scene.fipt.run_folder == str(run.root) and names
+    assert info.state == "finished" and names == [bpy.context.scene.fipt.run_folder] == [str(run.root)]
 
 
 def test_in_another_file_the_engine_goes_on_but_functions_touch_nothing(run, tmp_path):
@@ -126,22 +107,19 @@ def test_in_another_file_the_engine_goes_on_but_functions_touch_nothing(run, tmp
     assert job_scene.find_scene("Scene", run.root) is not None
 
 
-def test_disabling_stops_the_engine_by_default(run):
+def test_disabling_stops_the_engine_or_leaves_it_and_later_attaches_to_it(run, monkeypatch):
     info = start(make_job(run), run)
     tick_until(lambda: at_work(info))
     fipt_blender.unregister()  # the engine would never end by itself
     assert info.state == "cancelled" and running.current() is None
     wait_for(lambda: find_engine(run) is None)  # killed, but the system may not have got to it
     fipt_blender.register()
-
-
-def test_disabling_can_leave_the_engine_and_later_attach_to_it(run, monkeypatch):
+    bpy.context.scene.fipt.run_folder = str(run.root)
     monkeypatch.setattr(machine.DEFAULTS, "on_close", "KEEP")
     info = start(make_job(run), run)
     tick_until(lambda: at_work(info))
     fipt_blender.unregister()
-    found = find_engine(run)
-    assert running.current() is None and found is not None
+    assert running.current() is None and find_engine(run) is not None
     fipt_blender.register()
     bpy.context.scene.fipt.run_folder = str(run.root)
     assert runstate.known(str(run.root)).engine == "estimate"
@@ -159,8 +137,7 @@ def test_disabling_can_leave_the_engine_and_later_attach_to_it(run, monkeypatch)
 
 
 def test_a_bug_in_a_timer_ends_the_job_with_words(run, monkeypatch, capsys):
-    job = make_job(run)
-    info = start(job, run)
+    info = start(make_job(run), run)
     tick_until(lambda: at_work(info))
     poll = EngineProcess.poll
 
@@ -212,12 +189,10 @@ class FIPT_OT_try_job(JobOperator, bpy.types.Operator):
     bl_label = "Try"
     title = "Trying"
     kind = "try"
-    made: list[str] = []
     ended: list[str] = []
     mode: bpy.props.StringProperty()
 
     def make_job(self, context):
-        self.made.append(context.scene.name)
         if self.mode == "refuse":
             raise FiptError("no", "It can't be.", "Let it be.")
         run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
@@ -239,7 +214,6 @@ class FIPT_OT_try_job(JobOperator, bpy.types.Operator):
 @pytest.fixture
 def operator():
     bpy.utils.register_class(FIPT_OT_try_job)
-    FIPT_OT_try_job.made.clear()
     FIPT_OT_try_job.ended.clear()
     yield bpy.ops.fipt.try_job
     bpy.utils.unregister_class(FIPT_OT_try_job)
