@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -52,21 +51,14 @@ def refused(run: RunFolder) -> str:
 
 
 @pytest.mark.parametrize("name", ["room.npz", "atlas.npz"])
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda data: data[: len(data) // 2],
-        lambda data: data[:30] + bytes(100) + data[130:],
-        lambda data: b"",
-        lambda data: data.replace(b"PK\x01\x02-\x03-\x00\x00", b"PK\x01\x02-\x03-\x00\x01"),  # encrypted
-        lambda data: b"PK\x05\x06" + bytes(18),
-        lambda data: b"\x80\x04N.",
-    ],
-)
-def test_damaged_archives_are_refused(run: RunFolder, name: str, damage: Callable[[bytes], bytes]) -> None:
+def test_damaged_archives_are_refused(run: RunFolder, name: str) -> None:
     path = run.root / name
-    path.write_bytes(damage(path.read_bytes()))
-    assert name in refused(run)
+    data = path.read_bytes()
+    encrypted = data.replace(b"PK\x01\x02-\x03-\x00\x00", b"PK\x01\x02-\x03-\x00\x01")
+    damaged = (data[: len(data) // 2], data[:30] + bytes(100) + data[130:], encrypted)
+    for content in (*damaged, b"", b"PK\x05\x06" + bytes(18), b"\x80\x04N."):
+        path.write_bytes(content)
+        assert content != data and name in refused(run)
 
 
 @pytest.mark.parametrize(
@@ -86,22 +78,17 @@ def test_a_room_that_does_not_fit_itself_is_refused(run: RunFolder, change: dict
     assert text in refused(run)
 
 
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [
-        ({"triangle_image": np.array([1, 0], np.int32)}, "does not fit"),
-        ({"corner_uv": np.zeros((3, 3, 2)), "triangle_image": np.zeros(3, int)}, "does not fit"),
-    ],
-)
-def test_an_atlas_of_another_room_is_refused(run: RunFolder, change: dict, text: str) -> None:
-    np.savez(run.atlas_npz, **{**ATLAS, **change})
-    assert text in refused(run)
+def test_an_atlas_of_another_room_is_refused(run: RunFolder) -> None:
+    longer = {"corner_uv": np.zeros((3, 3, 2)), "triangle_image": np.zeros(3, int)}
+    for change in ({"triangle_image": np.array([1, 0], np.int32)}, longer):
+        np.savez(run.atlas_npz, **{**ATLAS, **change})
+        assert "does not fit" in refused(run)
 
 
-@pytest.mark.parametrize("name", ["../../EVIL", "..", "", "a/b", "a\\b", "C:x", "a\0b", "x" * 300, ".hidden", "a\n", 5])
-def test_names_of_images_are_file_names(run: RunFolder, name: object) -> None:
-    run.atlas_json.write_text(json.dumps({"mode": "uv", "images": [{**IMAGE, "name": name}]}))
-    assert "images[0].name should be a file name" in refused(run)
+def test_names_of_images_are_file_names(run: RunFolder) -> None:
+    for name in ("../../EVIL", "..", "", "a/b", "a\\b", "C:x", "a\0b", "x" * 300, ".hidden", "a\n", 5):
+        run.atlas_json.write_text(json.dumps({"mode": "uv", "images": [{**IMAGE, "name": name}]}))
+        assert "images[0].name should be a file name" in refused(run), name
 
 
 def test_fixtures_of_another_room_are_refused(run: RunFolder) -> None:
