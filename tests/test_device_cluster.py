@@ -27,19 +27,10 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs.main_job import estimate_step
+from samples import small_captures as samples
 from samples.child_processes import PATIENCE_SECONDS
 from samples.refusals import error_of
-from samples.small_captures import (
-    COLORS,
-    PANEL,
-    PANEL_RADIANCE,
-    PANEL_TRIANGLES,
-    SmallCapture,
-    matt,
-    photograph_room,
-    pinhole,
-    write_run,
-)
+from samples.small_captures import SmallCapture, pinhole, write_run
 from samples.small_rooms import BOX, make_room, table
 
 # Every stage, and next to no training: that is not shared.
@@ -65,10 +56,11 @@ def empty() -> Iterator[LocalCluster]:
 
 @pytest.fixture(scope="module")
 def capture() -> SmallCapture:
-    room = make_room([*BOX, PANEL], parts="objects", objects=np.arange(7))
-    colors = np.repeat(np.array([*COLORS, [0.0] * 3]), 2, axis=0)
-    lamps = table(PANEL_TRIANGLES, PANEL_RADIANCE)
-    return photograph_room(room, matt(colors), lamps, spp=16)
+    """The box with a panel, photographed quickly."""
+    room = make_room([*BOX, samples.PANEL], parts="objects", objects=np.arange(7))
+    materials = samples.matt(np.repeat(np.array([*samples.COLORS, [0.0] * 3]), 2, axis=0))
+    lamps = table(samples.PANEL_TRIANGLES, samples.PANEL_RADIANCE)
+    return samples.photograph_room(room, materials, lamps, spp=16)
 
 
 def views(capture: SmallCapture) -> list[View]:
@@ -121,11 +113,6 @@ def work_error(cluster_: LocalCluster, capture: SmallCapture, items: Iterable[Vi
         return error_of(lambda: list(workers.map(Tracing(capture.room), items)))
 
 
-def connection_error(address: str) -> FiptError:
-    """With what connecting ends."""
-    return error_of(cluster.workers_at(address).__enter__)
-
-
 def test_a_cluster_finds_the_same_bits_though_a_worker_is_killed(
     two: LocalCluster, capture: SmallCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -141,16 +128,14 @@ def test_a_cluster_finds_the_same_bits_though_a_worker_is_killed(
         assert client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)) == 0  # all released
 
 
-@pytest.mark.parametrize(
-    "name, value, text",
-    [("PRODUCT_VERSION", "99.0", "99.0"), ("method_digest", lambda: "another source", "another source")],
-)
 def test_a_worker_of_another_version_or_method_is_named(
-    two: LocalCluster, capture: SmallCapture, monkeypatch: pytest.MonkeyPatch, name: str, value: object, text: str
+    two: LocalCluster, capture: SmallCapture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, name, value)
-    caught = work_error(two, capture, views(capture))
-    assert caught.code == "cluster-worker-unfit" and text in caught.text and "mitsuba" in caught.text
+    for name, value, text in (("PRODUCT_VERSION", "99.0", "99.0"), ("method_digest", lambda: "another", "another")):
+        with monkeypatch.context() as patch:
+            patch.setattr(cluster, name, value)
+            caught = work_error(two, capture, views(capture))
+        assert caught.code == "cluster-worker-unfit" and text in caught.text and "mitsuba" in caught.text
 
 
 def test_a_worker_without_the_engine_is_named_at_once(
@@ -202,7 +187,7 @@ def test_an_address_where_nothing_answers(address: str, monkeypatch: pytest.Monk
     monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
     made = []  # the __del__ of a client that never connected may block any thread forever
     monkeypatch.setattr(Client, "__init__", lambda self, *arguments, **options: made.append(arguments))
-    caught = connection_error(address)
+    caught = error_of(cluster.workers_at(address).__enter__)
     assert caught.code == "cluster-unreachable" and repr(address) in caught.text and not made
 
 
@@ -219,16 +204,12 @@ def test_the_address_reaches_the_engine_and_makes_no_result_stale(tmp_path: Path
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    caught = connection_error("tcp://127.0.0.1:9")
+    caught = error_of(cluster.workers_at("tcp://127.0.0.1:9").__enter__)
     assert caught.code == "package-optional" and "extra_cluster.txt" in caught.remedy
 
 
-@pytest.mark.parametrize(
-    ("address", "warned"),
-    [(None, False), ("tls://far:8786", False), ("tcp://127.0.0.1:1", False), ("tcp://[::1]:1", False),
-     ("tcp://far:8786", True), ("far:8786", True), ("ws://far:1", True), ("tcp://10.0.0.2:8786", True)],
-)  # fmt: skip
-def test_a_cluster_on_another_machine_without_tls_is_warned_of(address, warned):
-    warning = cluster.unprotected(address)
-    assert (warning is not None) == warned
-    assert warning is None or f"--cluster tls://{address.partition('://')[2] or address}" in warning[2]
+def test_a_cluster_on_another_machine_without_tls_is_warned_of() -> None:
+    for address in (None, "tls://far:8786", "tcp://127.0.0.1:1", "tcp://[::1]:1"):
+        assert cluster.unprotected(address) is None, address
+    for address in ("tcp://far:8786", "far:8786", "ws://far:1", "tcp://10.0.0.2:8786"):
+        assert f"--cluster tls://{address.partition('://')[2] or address}" in cluster.unprotected(address)[2]

@@ -20,9 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "fipt_blender"
 CORE = PACKAGE / "core"
 PREPARE = PACKAGE / "prepare"  # of the engine, too
-HEAVY = """
-    mitsuba drjit torch OpenEXR OpenImageIO pycolmap pyoidn rawpy exifread lensfunpy trimesh
-""".split()
+HEAVY = "mitsuba drjit torch OpenEXR OpenImageIO pycolmap pyoidn rawpy exifread lensfunpy trimesh".split()
 # What Blender's side may import of the engine: the standard library and numpy are enough for these.
 SHARED = """
     alignment.gltf_document alignment.obj_file alignment.pairs alignment.ply_file alignment.polygons
@@ -66,7 +64,7 @@ def imported_modules(file: Path) -> set[str]:
     for node in imports(file):
         if isinstance(node, ast.Import):
             names |= {alias.name.partition(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+        elif node.level == 0 and node.module:
             names.add(node.module.partition(".")[0])
     return names
 
