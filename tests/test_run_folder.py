@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run folder writes nothing outside itself, and a damaged run.json is an error with a remedy."""
+"""A run folder writes nothing outside itself; damaged files, and files that do not fit each other, are refused."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import json
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.lock import hold, holder, open_lockable
 from fipt_blender.core.run.replacing import atomic_folder
-from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room_files
+from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import run_job
 from samples.child_processes import posix
 from samples.refusals import error_of
-
-pytestmark = posix  # elsewhere links need rights
 
 
 @pytest.fixture
@@ -34,6 +34,7 @@ FOLDERS = (*("results", "report", "textures", "renders", "stage", "survey", "mes
 INNER = ("stage/pixels", "renders/rerender", "results/maps", "report/images")
 
 
+@posix  # elsewhere links need rights
 @pytest.mark.parametrize("name", [*FOLDERS, *INNER, "engine.lock", "log.txt", "messages/estimate.jsonl"])
 def test_links_that_lead_outside_are_refused(run_folder: RunFolder, outside: Path, name: str) -> None:
     path = run_folder.root / name
@@ -52,6 +53,7 @@ def test_links_that_lead_outside_are_refused(run_folder: RunFolder, outside: Pat
     assert (outside / "precious").read_text() == "precious"
 
 
+@posix
 def test_links_within_the_folder_and_to_it_are_followed(run_folder: RunFolder, tmp_path: Path) -> None:
     (run_folder.stage / "a").mkdir()
     (run_folder.stage / "b").symlink_to(run_folder.stage / "a")
@@ -61,6 +63,7 @@ def test_links_within_the_folder_and_to_it_are_followed(run_folder: RunFolder, t
         pass
 
 
+@posix
 def test_a_pipe_in_place_of_a_file_stops_nothing(run_folder: RunFolder) -> None:
     for path in (run_folder.engine_lock, run_folder.statistics_json):
         os.mkfifo(path)
@@ -68,6 +71,7 @@ def test_a_pipe_in_place_of_a_file_stops_nothing(run_folder: RunFolder) -> None:
     assert "no regular file" in str(error_of(read_document, run_folder.statistics_json, dict))
 
 
+@posix
 def test_a_lock_is_no_link_and_no_other_special_file(tmp_path: Path, outside: Path) -> None:
     (tmp_path / "lock").symlink_to(outside / "precious")
     for path in (tmp_path / "lock", Path("/dev/null"), outside):
@@ -116,3 +120,87 @@ def test_a_folder_is_replaced_when_the_new_one_is_complete_never_before(run_fold
     (run_folder.root / "results.new").mkdir()
     run_folder.create(make_settings())
     assert names(results) == ["new"]
+
+
+ROOM = {
+    "vertices": np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32),
+    "triangles": np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+    "corner_normals": np.tile(np.float32([0, 0, 1]), (2, 3, 1)),
+    "triangle_object": np.zeros(2, np.int32),
+    "triangle_material": np.array([-1, 0], np.int32),
+    "triangle_polygon": np.zeros(2, np.int32),
+}
+ATLAS = {"corner_uv": np.zeros((2, 3, 2), np.float32), "triangle_image": np.array([0, -1], np.int32)}
+IMAGE = {"name": "Room.001", "width": 8, "height": 8}
+FIXTURE = {"name": "a", "triangles": [0, 1], "radiance": [1, 1, 1], "back_radiance": [0, 0, 0]}
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> RunFolder:
+    folder = RunFolder(tmp_path)
+    np.savez(folder.room_npz, **ROOM)
+    write_json(folder.room_json, {"objects": ["a"], "materials": ["b"]})
+    np.savez(folder.atlas_npz, **ATLAS)
+    write_json(folder.atlas_json, {"mode": "uv", "images": [IMAGE]})
+    write_json(folder.emitters_json, {"fixtures": [FIXTURE], "environment": None})
+    return folder
+
+
+def read_all(run: RunFolder) -> None:
+    room, _ = read_room_files(run)
+    read_atlas(run, len(room["triangles"]))
+    read_emitters(run, len(room["triangles"]))
+
+
+def refused(run: RunFolder) -> str:
+    caught = error_of(read_all, run)
+    assert caught.code == "file-damaged" and caught.remedy
+    return caught.text
+
+
+@pytest.mark.parametrize("name", ["room.npz", "atlas.npz"])
+def test_damaged_archives_are_refused(run: RunFolder, name: str) -> None:
+    path = run.root / name
+    data = path.read_bytes()
+    encrypted = data.replace(b"PK\x01\x02-\x03-\x00\x00", b"PK\x01\x02-\x03-\x00\x01")
+    damaged = (data[: len(data) // 2], data[:30] + bytes(100) + data[130:], encrypted)
+    for content in (*damaged, b"", b"PK\x05\x06" + bytes(18), b"\x80\x04N."):
+        path.write_bytes(content)
+        assert content != data and name in refused(run)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"triangles": ROOM["triangles"] + 5}, "missing vertices"),
+        ({"triangle_object": ROOM["triangle_object"] + 1}, "missing objects"),
+        ({"triangle_material": ROOM["triangle_material"] + 1}, "missing materials"),
+        ({"triangles": ROOM["triangles"].astype(np.float32)}, "whole numbers"),
+        ({"vertices": ROOM["vertices"][:, :2]}, "vertices"),
+        ({"corner_normals": ROOM["corner_normals"][:1]}, "corner_normals"),
+        ({"triangle_polygon": np.array(["x", "y"])}, "triangle_polygon"),
+    ],
+)
+def test_a_room_that_does_not_fit_itself_is_refused(run: RunFolder, change: dict, text: str) -> None:
+    np.savez(run.room_npz, **{**ROOM, **change})
+    assert text in refused(run)
+
+
+def test_an_atlas_of_another_room_is_refused(run: RunFolder) -> None:
+    longer = {"corner_uv": np.zeros((3, 3, 2)), "triangle_image": np.zeros(3, int)}
+    for change in ({"triangle_image": np.array([1, 0], np.int32)}, longer):
+        np.savez(run.atlas_npz, **{**ATLAS, **change})
+        assert "does not fit" in refused(run)
+
+
+def test_names_of_images_are_file_names(run: RunFolder) -> None:
+    for name in ("../../EVIL", "..", "", "a/b", "a\\b", "C:x", "a\0b", "x" * 300, ".hidden", "a\n", 5):
+        run.atlas_json.write_text(json.dumps({"mode": "uv", "images": [{**IMAGE, "name": name}]}))
+        assert "images[0].name should be a file name" in refused(run), name
+
+
+def test_fixtures_of_another_room_are_refused(run: RunFolder) -> None:
+    write_json(run.emitters_json, {"fixtures": [{**FIXTURE, "triangles": [2]}], "environment": None})
+    assert "triangles that the room lacks" in refused(run)
+    write_json(run.emitters_json, {"fixtures": [], "environment": {"image": "../../x.exr"}})
+    assert "environment.exr" in refused(run)
