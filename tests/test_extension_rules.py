@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What reviewers of Blender's extension platform ask for, as far as a program sees it (CONTRIBUTING.md)."""
+"""What reviewers of Blender's extension platform ask for (CONTRIBUTING.md), the guide in the zip, and the site."""
 
 from __future__ import annotations
 
@@ -14,10 +14,14 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
+import bpy
 import pytest
 
+from fipt_blender import operators
+from fipt_blender.panels import manual
 from samples.child_processes import PATIENCE_SECONDS
 from samples.development import load_dev
+from samples.pages import Page
 
 ROOT = Path(__file__).resolve().parent.parent
 # Blender's fixed list of tags for add-ons
@@ -119,3 +123,41 @@ def test_it_writes_into_the_users_folder_alone_and_is_offline(archive: zipfile.Z
     allowed = (str(data), os.devnull)
     assert any(path.startswith(str(data)) for path in answer["written"])
     assert [path for path in answer["written"] if not path.startswith(allowed)] == []
+
+
+def test_the_site_is_complete(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
+    built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_SECONDS)
+    assert built.returncode == 0, built.stderr
+    pages = {path.relative_to(tmp_path).with_suffix("") for path in tmp_path.rglob("*.html")}
+    docs = ROOT / "docs"
+    assert {path.relative_to(docs).with_suffix("") for path in docs.rglob("*.md")} <= pages
+    page = Page(tmp_path / "operators.html")
+    for each in operators.CLASSES:
+        if issubclass(each, bpy.types.Operator):
+            internal = "INTERNAL" in getattr(each, "bl_options", ())
+            assert (f"bpy.ops.{each.bl_idname}\n" in page.text) != internal, each.bl_idname
+    assert not list(tmp_path.rglob("*.py")), "hooks are no pages"
+
+
+def test_the_guide_in_the_zip_is_complete(archive: zipfile.ZipFile) -> None:
+    names = {name.removeprefix("guide/") for name in archive.namelist() if name.startswith("guide/")}
+    pages = {name: Page(archive.read(f"guide/{name}")) for name in names if name.endswith(".html")}
+    for name, page in pages.items():
+        assert page.in_order and not page.open
+        for target in page.values("href", "src"):
+            if not target.startswith("https://"):
+                file, _, place = target.partition("#")
+                assert (file or name) in names, (name, target)
+                assert not place or place in pages[file or name].values("id"), (name, target)
+    assert {f"{manual.chapter_of(panel)}.html" for panel in ("FIPT_PT_lights", "FIPT_PT_check")} <= names
+    assert "install.html" in names
+    for path in (ROOT / "docs" / "guide").glob("*.md"):
+        shown = " ".join(pages[f"{path.stem}.html"].text.split())
+        guide = path.read_text(encoding="utf-8").partition("```")[0]
+        guide = re.sub(r"!\[[^]]*\]\([^)]*\)|^\|[-|]+\|$", "", guide, flags=re.MULTILINE)
+        guide = re.sub(r"^#+ |^ *(-|\d\.) |[*`]", "", guide, flags=re.MULTILINE)
+        guide = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", guide)
+        for words in re.split(r"[|\n]", guide):
+            assert " ".join(words.split()) in shown
+        assert "**" not in shown and "](" not in shown and "|" not in shown

@@ -12,6 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from mathutils.bvhtree import BVHTree
 
 import fipt_blender
 from fipt_blender.blend.capture.view_geometry import ViewGeometry
@@ -60,12 +61,18 @@ print(json.dumps({"type": "done", "files": [], "data": {}}))
 """
 
 
+# Of a box; the first is the top.
+FACES = [(4, 5, 7, 6), (0, 2, 3, 1), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+
+
+def corners_of(low, high) -> list[list[float]]:
+    return [[(low, high)[(i >> axis) & 1][axis] for axis in range(3)] for i in range(8)]
+
+
 def box(low, high, name: str, offset: int) -> str:
-    """A box as an OBJ object; its first face is the top."""
-    corners = [[(low, high)[(i >> axis) & 1][axis] for axis in range(3)] for i in range(8)]
-    faces = [(4, 5, 7, 6), (0, 2, 3, 1), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-    lines = [f"o {name}"] + ["v {} {} {}".format(*corner) for corner in corners]
-    lines += ["f " + " ".join(str(i + 1 + offset) for i in face) for face in faces]
+    """A box as an OBJ object."""
+    lines = [f"o {name}"] + ["v {} {} {}".format(*corner) for corner in corners_of(low, high)]
+    lines += ["f " + " ".join(str(i + 1 + offset) for i in face) for face in FACES]
     return "\n".join(lines) + "\n"
 
 
@@ -247,21 +254,13 @@ def test_a_capture_without_a_mesh_says_where_a_room_can_come_from(capture, engin
 
 def boxes(*bounds):
     """Ray casting against axis-aligned boxes, from inside or outside."""
+    corners = [corner for low, high in bounds for corner in corners_of(low, high)]
+    faces = [[i + 8 * box for i in face] for box in range(len(bounds)) for face in FACES]
+    tree = BVHTree.FromPolygons(corners, faces)
 
     def cast(origin, direction):
-        best = None
-        for low, high in bounds:
-            for axis in range(3):
-                for value in (low[axis], high[axis]):
-                    if abs(direction[axis]) < 1e-12:
-                        continue
-                    t = (value - origin[axis]) / direction[axis]
-                    point = origin + t * direction
-                    others = [i for i in range(3) if i != axis]
-                    inside = all(low[i] - 1e-9 <= point[i] <= high[i] + 1e-9 for i in others)
-                    if t > 1e-6 and inside and (best is None or t < best[0]):
-                        best = (t, point, np.eye(3)[axis])
-        return None if best is None else best[1:]
+        point, normal = tree.ray_cast(origin + 1e-6 * direction, direction)[:2]
+        return None if point is None else (np.array(point), np.array(normal))
 
     return cast
 
