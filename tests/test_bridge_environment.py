@@ -20,6 +20,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from pytest import MonkeyPatch
 
 from fipt_blender.bridge import environment, interpreter, native, pins, places, provision, setup
 from fipt_blender.bridge.pip import PipProgress, pip_error
@@ -101,7 +102,7 @@ def made(bare: Path, tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def quick_venv(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def quick_venv(bare: Path, monkeypatch: MonkeyPatch) -> None:
     """Python's venv copies the environment of `bare` instead of making one."""
     run = environment.run_quietly
 
@@ -114,8 +115,8 @@ def quick_venv(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(environment, "run_quietly", copied)
 
 
-@pytest.fixture
-def device_works(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True)
+def device_works(monkeypatch: MonkeyPatch) -> None:
     """Replace the engine's check by one that finds an LLVM, as these environments contain no engine."""
     found = {"device": "llvm", "llvm": None}
     monkeypatch.setattr(native, "check_engine", lambda python: (found, FiptError("", "", "")))
@@ -139,9 +140,7 @@ def test_pips_failures_have_words(lines: list[str], wheels: Path | None, code: s
     assert error.code == code and error.text and error.remedy
 
 
-def test_set_up_from_wheels_is_complete_resumed_and_remade(
-    tmp_path: Path, device_works: None, quick_venv: None
-) -> None:
+def test_set_up_from_wheels_is_complete_resumed_and_remade(tmp_path: Path, quick_venv: None) -> None:
     make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
     plan = make_plan(tmp_path)
     (tmp_path / "env").mkdir()
@@ -165,9 +164,7 @@ def test_set_up_from_wheels_is_complete_resumed_and_remade(
     assert not marker.exists() and plan.python.exists()
 
 
-def test_set_up_names_what_the_wheels_lack_and_a_package_that_breaks(
-    tmp_path: Path, device_works: None, quick_venv: None
-) -> None:
+def test_set_up_names_what_the_wheels_lack_and_a_package_that_breaks(tmp_path: Path, quick_venv: None) -> None:
     make_wheel(tmp_path / "wheels", "fipttiny", "0.9")
     caught = error_of(environment.set_up, make_plan(tmp_path), Listener())
     assert caught.code == "wheels-missing" and "fipttiny==1.0" in caught.text
@@ -183,7 +180,7 @@ def test_set_up_names_what_the_wheels_lack_and_a_package_that_breaks(
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell script stands for Python")
 @pytest.mark.parametrize("has_package", [True, False])
 def test_python_without_pip_and_wheels_takes_the_systems_package(
-    has_package: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    has_package: bool, tmp_path: Path, monkeypatch: MonkeyPatch
 ) -> None:
     install = "import sys, sysconfig, zipfile\nzipfile.ZipFile(sys.argv[-1]).extractall(sysconfig.get_path('purelib'))"
     make_wheel(tmp_path / "root" / "python-wheels", "pip", "1.0", install, "pip/__main__.py")
@@ -224,9 +221,7 @@ def make_pip(tmp_path: Path, version: str) -> Path:
     return make_wheel(tmp_path / "wheels", "pip", version, code, "pip/__main__.py")
 
 
-def test_locked_packages_are_installed_only_with_the_hashes_of_the_lock(
-    tmp_path: Path, device_works: None, made: None
-) -> None:
+def test_locked_packages_are_installed_only_with_the_hashes_of_the_lock(tmp_path: Path, made: None) -> None:
     tiny = make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
     other = make_wheel(tmp_path / "wheels", "fiptother", "2.0")
     lock = (locked(tiny), locked(other, "0" * 64))
@@ -241,9 +236,7 @@ def test_locked_packages_are_installed_only_with_the_hashes_of_the_lock(
 
 
 @pytest.mark.parametrize("forged", [True, False], ids=["forged", "genuine"])
-def test_pip_is_replaced_only_by_a_file_with_the_hash_of_the_lock(
-    forged: bool, tmp_path: Path, device_works: None, made: None
-) -> None:
+def test_pip_is_replaced_only_by_a_file_with_the_hash_of_the_lock(forged: bool, tmp_path: Path, made: None) -> None:
     """A pip of another's making would vouch for whatever it installs."""
     tiny, other = make_wheel(tmp_path / "wheels", "fipttiny", "1.0"), make_pip(tmp_path, "99.0")
     plan = make_plan(tmp_path, lock=(locked(tiny),), pip=(locked(other, "0" * 64 if forged else ""),))
@@ -251,9 +244,7 @@ def test_pip_is_replaced_only_by_a_file_with_the_hash_of_the_lock(
     assert (tmp_path / "ran").exists() != forged, "only with its hash in the lock its code runs"
 
 
-def test_llvm_is_unpacked_only_with_the_hash_of_the_lock(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: None
-) -> None:
+def test_llvm_is_unpacked_only_with_the_hash_of_the_lock(tmp_path: Path, monkeypatch: MonkeyPatch, made: None) -> None:
     missing = FiptError("llvm-missing", "No LLVM.", "Install one.")
     library = tmp_path / "env" / "llvm" / "libLLVM.so.19"
     found = {"device": "llvm", "llvm": str(library)}
@@ -277,7 +268,7 @@ def test_a_source_archive_is_never_built(tmp_path: Path, made: None) -> None:
 
 
 def test_a_large_build_is_asked_for_before_it_is_downloaded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device_works: None, made: None
+    tmp_path: Path, monkeypatch: MonkeyPatch, made: None
 ) -> None:
     """PyTorch's own site can't be reached, and the package index has the build with CUDA alone."""
     wheels = tmp_path / "wheels"
@@ -297,7 +288,7 @@ def test_a_large_build_is_asked_for_before_it_is_downloaded(
     assert (packages / "torch.py").exists() and (packages / "fipttiny.py").exists()
 
 
-def test_little_space_is_seen_beforehand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_little_space_is_seen_beforehand(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
     usage = namedtuple("usage", "total used free")
 
     def check(free: int, wheels: Path | None, build: str) -> Listener:
@@ -328,9 +319,7 @@ def test_little_space_is_seen_beforehand(tmp_path: Path, monkeypatch: pytest.Mon
 HERE = sys.version_info[:2]
 
 
-def test_plans_prefer_what_stands_and_name_a_python_that_is_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_plans_prefer_what_stands_and_name_a_python_that_is_missing(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
     monkeypatch.setattr(setup, "other_pythons", lambda: iter([]))
     plans = setup.make_plans(tmp_path, "auto", None)
     assert [plan.base for plan in plans] == [PYTHON] and plans[0].folder.parent == tmp_path
@@ -378,7 +367,7 @@ def test_child_process_tells_in_messages_and_says_what_is_missing(tmp_path: Path
     assert result.returncode == 1 and error["code"] == "run-busy"
 
 
-def test_data_folder_is_the_platforms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_data_folder_is_the_platforms(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
     monkeypatch.delenv(places.DATA_VARIABLE, raising=False)
     for platform, variable in (("linux", "XDG_DATA_HOME"), ("win32", "LOCALAPPDATA")):
         monkeypatch.setattr(sys, "platform", platform)
@@ -388,7 +377,7 @@ def test_data_folder_is_the_platforms(tmp_path: Path, monkeypatch: pytest.Monkey
     assert places.default_data_folder() == tmp_path / "named"
 
 
-def test_run_folders_are_fresh_and_safely_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_folders_are_fresh_and_safely_named(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
     first, second = (places.new_run_folder(tmp_path, "../Living room: 2?") for _ in range(2))
     assert first != second and first.parent == second.parent == tmp_path / "runs"
     assert first.name.startswith("Living-room-2-") and not list(first.iterdir())
@@ -464,7 +453,7 @@ def gpu(*capability: int) -> Gpu:
     ],
 )
 def test_torch_build_fits_driver_and_card(
-    device: str, driver: int | None, gpus: list[Gpu], linux: str, windows: str, monkeypatch: pytest.MonkeyPatch
+    device: str, driver: int | None, gpus: list[Gpu], linux: str, windows: str, monkeypatch: MonkeyPatch
 ) -> None:
     for platform, expected in (("linux", linux), ("win32", windows)):
         monkeypatch.setattr(sys, "platform", platform)

@@ -136,26 +136,6 @@ def test_every_file_imports_only_what_its_side_and_floor_may(faults_of: Callable
     assert len(found) > 100 and not faults, faults
 
 
-def test_the_checks_find_what_they_forbid(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(globals(), "PACKAGE", tmp_path)
-    monkeypatch.setitem(globals(), "CORE", tmp_path / "core")
-    for folder in ("core/pixels", "core/checks", "blend/room", "panels"):
-        (tmp_path / folder).mkdir(parents=True)
-
-    def written(place: str, text: str) -> Path:
-        (tmp_path / place).write_text(text)
-        return tmp_path / place
-
-    engine = written("core/pixels/a.py", "def f():\n    import bpy\nfrom ...panels import b\nfrom ..checks import c\n")
-    assert forbidden(engine) == {"bpy", "panels"} and from_above(engine) == {"panels", "core.checks"}
-    side = written(
-        "blend/room/b.py", "import torch.nn\nfrom ...core.pixels import a\nfrom ...core import conventions\n"
-    )
-    assert forbidden(side) == {"torch", "core.pixels.a", "core"} and from_above(side) == set()
-    good = written("core/checks/c.py", "import numpy\nfrom ..pixels.a import f\n")
-    assert forbidden(good) == from_above(good) == set()
-
-
 def test_dev_py_needs_the_standard_library_only() -> None:
     assert imported_modules(ROOT / "dev.py") - set(sys.stdlib_module_names) == {"fipt_blender"}
     for file in (*sorted((PACKAGE / "bridge").glob("*.py")), CORE / "device" / "llvm.py"):
