@@ -19,10 +19,9 @@ import pytest
 from fipt_blender.bridge import process as engine_process
 from fipt_blender.bridge.attached import AttachedEngine, find_engine
 from fipt_blender.bridge.death import explain_death
-from fipt_blender.bridge.process import EngineProcess
+from fipt_blender.bridge.process import Engine, EngineProcess
 from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.lock import hold, holder
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.process_identity import PARENT_VARIABLE
@@ -231,6 +230,12 @@ def test_an_engine_that_was_left_is_watched_to_its_end(run_folder, engine):
     assert "a stray line" in run_folder.log.read_text()
 
 
+def job_of(engine: Engine, run: RunFolder) -> Job:
+    """A job of one step, whose engine this is."""
+    step, record = Step("estimate", "Estimate", 1.0, command=["estimate"]), StepRecord(run.root / "steps.json")
+    return Job([step], record, lambda arguments: engine, run.log, lambda: ([], {}), resume=False)
+
+
 @posix
 def test_a_process_with_the_id_of_a_dead_engine_is_left_alone(run_folder):
     other = subprocess.Popen([sys.executable, "-c", SLEEPER], start_new_session=True)
@@ -251,29 +256,24 @@ def test_a_process_with_the_id_of_a_dead_engine_is_left_alone(run_folder):
 
 
 @posix
-@pytest.mark.parametrize(
-    "other_content", [{"host": "another-machine"}, {"started": "another boot 5"}, {"host": "", "started": ""}]
-)
-def test_a_process_is_left_alone_where_the_engine_runs_on_another_machine(run_folder, engine, other_content):
+def test_a_process_is_left_alone_where_the_engine_runs_on_another_machine(run_folder, engine):
     """On storage that machines share, the lock's id may be that of an innocent process here."""
     content = json.loads(run_folder.engine_lock.read_text())
-    run_folder.engine_lock.write_text(json.dumps({**content, **other_content}))  # still locked
-    found = find_engine(run_folder)
-    assert found is not None and not found.is_here
-    attached = AttachedEngine(run_folder, found)
-    step = Step("estimate", "Estimate", 1.0, command=["estimate"])
-    record = StepRecord(run_folder.root / "steps.json")
-    job = Job([step], record, lambda arguments: attached, run_folder.log, lambda: ([], {}), resume=False)
-    wait_for(lambda: job.advance() is None or job.waits)
-    caught = error_of(job.request_cancel)
-    assert caught.code == "engine-elsewhere" and str(engine.pid) in caught.text
-    assert not job.cancelled
-    with pytest.raises(FiptError, match=other_content.get("host") or str(engine.pid)):
-        run_job.refuse_busy(run_folder)
-    attached.request_cancel()
-    attached.poll()
-    job.cancel()
-    assert is_alive(engine.pid) and not attached.running
+    for other in ({"host": "another-machine"}, {"started": "another boot 5"}, {"host": "", "started": ""}):
+        run_folder.engine_lock.write_text(json.dumps({**content, **other}))  # still locked
+        found = find_engine(run_folder)
+        assert found is not None and not found.is_here
+        attached = AttachedEngine(run_folder, found)
+        job = job_of(attached, run_folder)
+        while not job.waits:
+            job.advance()
+        caught = error_of(job.request_cancel)
+        assert caught.code == "engine-elsewhere" and str(engine.pid) in caught.text and not job.cancelled
+        assert (other.get("host") or str(engine.pid)) in error_of(run_job.refuse_busy, run_folder).text
+        attached.request_cancel()
+        attached.poll()
+        job.cancel()
+        assert is_alive(engine.pid) and not attached.running
 
 
 def test_the_command_of_a_lock_names_no_other_file_and_nonsense_is_nobodys(run_folder):
@@ -309,8 +309,7 @@ def test_a_request_to_cancel_never_waits(run_folder, monkeypatch):
     stubborn = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('{}', flush=True)\n"
     command, log = [sys.executable, "-c", stubborn + SLEEPER], run_folder.log
     engine = EngineProcess(command, log, messages=run_folder.messages("a"))
-    step = Step("a", "A", 1.0, command=["a"])
-    job = Job([step], StepRecord(run_folder.root / "s.json"), lambda _: engine, log, lambda: ([], {}))
+    job = job_of(engine, run_folder)
     for _ in range(3):
         job.advance()
     wait_for(lambda: run_folder.messages("a").stat().st_size)
@@ -326,18 +325,11 @@ def test_a_request_to_cancel_never_waits(run_folder, monkeypatch):
 @posix
 def test_in_background_the_engine_ends_with_who_started_it(tmp_path):
     # The child starts the engine's watch in a grandchild and is then killed, as a batch run may be.
-    watch = (
-        f"import os, sys, time; sys.path.insert(0, {str(ROOT)!r})\n"
-        "from fipt_blender.core.run.process_identity import end_with_parent\n"
-        "end_with_parent(); print(os.getpid(), flush=True); time.sleep(3600)"
-    )
-    script = (
-        "import os, subprocess, sys, time\n"
-        f"environment = {{**os.environ, {PARENT_VARIABLE!r}: str(os.getpid())}}\n"
-        f"subprocess.Popen([sys.executable, '-c', {watch!r}], env=environment).wait()"
-    )
-    parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
-    assert parent.stdout is not None
+    watch = "import os\nfrom fipt_blender.core.run.process_identity import end_with_parent\nend_with_parent()\n"
+    watch += f"print(os.getpid(), flush=True)\n{SLEEPER}"
+    script = f"import os, subprocess, sys\nos.environ[{PARENT_VARIABLE!r}] = str(os.getpid())\n"
+    script += f"subprocess.run([sys.executable, '-c', {watch!r}])"
+    parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=ROOT)
     engine = int(parent.stdout.readline())
     time.sleep(1.5)  # the watch has looked at its parent at least once
     assert is_alive(engine)
