@@ -1,12 +1,16 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A chain of stages: what is kept, resumed, dropped and done again; outputs as files."""
+"""A chain of stages: what is kept, resumed, dropped and done again; outputs as files; work in threads."""
 
 from __future__ import annotations
 
 import io
 import json
+import os
+import threading
+import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import make_dataclass, replace
 from pathlib import Path
 
@@ -20,6 +24,7 @@ from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.settings import Settings
 from fipt_blender.core.run.stage_files import loaded, saved
 from fipt_blender.core.run.stage_settings import NoSettings, Seeded, TrainingSettings
+from fipt_blender.core.run.threads import MOST_THREADS, cached_property, in_threads
 from samples.refusals import error_of
 
 
@@ -257,3 +262,37 @@ def test_a_plan_is_continued_by_the_next_one_and_skipped_stages_tell_nothing_of_
     assert shares == [0.0, 0.1, 0.4, 0.7]
     # The clock has told 40 seconds since the first plan, in which 0.4 were done and not skipped.
     assert told[-1]["remaining_seconds"] == pytest.approx(30.0)
+
+
+@pytest.mark.parametrize("cores", [None, 1, 2, 500])
+def test_results_and_errors_come_in_the_order_of_the_items_and_few_are_read_ahead(
+    monkeypatch: pytest.MonkeyPatch, cores: int | None
+) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    assert list(in_threads(lambda item: item * item, range(50))) == [item * item for item in range(50)]
+    assert list(in_threads(str, [])) == []
+    items = iter(range(100))
+    assert next(in_threads(str, items)) == "0" and next(items) <= MOST_THREADS + 1
+    with pytest.raises(ZeroDivisionError):
+        list(in_threads(lambda item: 1 / item, [1, 0, 2]))
+
+
+def test_a_property_is_computed_once_by_all_threads_together() -> None:
+    class Thing:
+        computed = 0
+
+        @cached_property
+        def number(self) -> int:
+            self.computed += 1
+            time.sleep(0.05)  # long enough for all threads to ask
+            return 7
+
+    thing, ready = Thing(), threading.Barrier(4)
+
+    def ask(_: int) -> int:
+        ready.wait()
+        return thing.number
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(ask, range(4))) == [7] * 4
+    assert thing.computed == 1

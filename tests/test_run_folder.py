@@ -1,14 +1,16 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run folder writes nothing outside itself; damaged files, files that do not fit each other, and a full disk."""
+"""A run folder: its settings, links that lead outside, damaged files, files that do not fit each other, a full disk."""
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import json
 import os
 import pickle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,13 +24,14 @@ from fipt_blender.core.material.reliability import PlaceColors, part_detail
 from fipt_blender.core.material.seen import Box, seen_cells
 from fipt_blender.core.material.training import load_tensors, save_tensors
 from fipt_blender.core.pixels.store import open_array
+from fipt_blender.core.run import parts
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.lock import hold, holder, open_lockable
 from fipt_blender.core.run.replacing import atomic_folder
 from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, explained_write_errors, write_json
-from fipt_blender.core.run.settings import Settings, make_settings
+from fipt_blender.core.run.settings import PRESETS, Settings, make_settings
 from fipt_blender.jobs import run_job
 from samples.child_processes import posix
 from samples.refusals import error_of
@@ -309,3 +312,111 @@ def test_the_detail_of_parts_is_kept_with_the_fields(tmp_path: Path) -> None:
     for name, wrong in (("detail_median", np.zeros((2, 3))), ("detail_sums", arrays["detail_sums"][1:])):
         np.savez(run.fields_npz, **arrays | {name: wrong})
         assert error_of(RoomFields.load, run).code == "results-damaged"
+
+
+OBJECTS = ["Side_table", "floor"]
+OF_OBJECT = np.array([0, 0, 0, 1, 1], np.int32)
+
+
+def entry(index, name, pixels=10):
+    return {
+        "id": index, "key": f"mask:{index + 1}", "name": name, "single": True, "class": None, "triangles": 1,
+        "pixels": pixels, "area": 1.0, "base_color": [0.1, 0.2, 0.3], "roughness": 0.5, "metallic": 0.0,
+        "confidence": [1.0, 0.5, 0.0],
+    }  # fmt: skip
+
+
+@pytest.fixture
+def described(tmp_path):
+    folder = RunFolder(tmp_path)
+    folder.results.mkdir()
+    describe(folder, [0, 0, -1, 1, -1], [entry(0, "Top"), entry(1, "Floor")])
+    return folder
+
+
+def describe(folder, units, entries, **changes):
+    np.savez(folder.parts_npz, triangle_part=np.array(units, np.int32), single=np.ones(len(entries), bool))
+    document = {"format": "fipt-parts", "version": 1, "source": "masks", "parts": entries}
+    write_json(folder.parts_json, document | changes)
+
+
+def part_names(found: parts.RoomParts) -> list[str]:
+    return [found.parts[index].name for index in found.triangle]
+
+
+def test_units_and_the_rest_of_objects_are_parts(described):
+    found = parts.read_parts(described, OF_OBJECT, OBJECTS)
+    assert part_names(found) == ["Top", "Top", "Side table", "Floor", "Floor 2"]  # names are unique
+    assert found.source == "masks"
+    top, rest = found.parts[found.triangle[0]], found.parts[found.triangle[2]]
+    assert (top.triangles, top.pixels, top.roughness, top.key) == (2, 10, 0.5, "mask:1")
+    assert (rest.unit, rest.key, rest.roughness) == (parts.NO_UNIT, "rest:Side_table", None)
+
+
+def test_units_of_few_pixels_join_the_rest_of_their_object(described, monkeypatch):
+    monkeypatch.setattr(parts, "MOST_PARTS", 1)
+    describe(described, [0, 0, -1, 1, -1], [entry(0, "Top", 5), entry(1, "Floor", 9)])
+    assert part_names(parts.read_parts(described, OF_OBJECT, OBJECTS)) == [*["Side table"] * 3, "Floor", "Floor 2"]
+
+
+def test_a_run_without_description_has_its_objects_as_parts(described):
+    described.parts_json.unlink()
+    assert part_names(parts.read_parts(described, OF_OBJECT, OBJECTS)) == ["Side table"] * 3 + ["Floor"] * 2
+
+
+@pytest.mark.parametrize(
+    ("units", "change"),
+    [
+        ([0, 0, -1, 1, -1], {"version": 2}),
+        ([0, 0, -1, 1, -1], {"parts": [entry(0, "Top")]}),
+        ([0, 0, -1, 1, -1], {"parts": [entry(1, "Top"), entry(0, "Floor")]}),
+        ([0, 0, -1, 1, -1], {"parts": [entry(0, "Top"), entry(1, "Floor") | {"roughness": 2.0}]}),
+        ([0, 0, 1], {}),
+        ([0, 0, 2, 1, 1], {}),
+    ],
+)
+def test_damaged_descriptions_and_units_of_another_room_are_refused(described, units, change):
+    describe(described, units, [entry(0, "Top"), entry(1, "Floor")], **change)
+    assert error_of(parts.read_parts, described, OF_OBJECT, OBJECTS).code == "file-damaged"
+
+
+def test_presets_and_changes() -> None:
+    assert make_settings() == Settings()
+    for preset, values in PRESETS.items():
+        settings = dataclasses.asdict(make_settings(preset))
+        assert settings["preset"] == preset and values.items() <= settings.items()
+    changed = make_settings("draft", {"seed": "7", "denoise": "false", "lambda_part": "0", "batch_size": 64.0})
+    assert (changed.seed, changed.denoise, changed.lambda_part, changed.batch_size) == (7, False, 0.0, 64)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("batch_size", ["many", 1.5, 0, float("inf"), "1" * 30]),
+        ("learning_rate", [float("nan"), float("inf"), "inf", 10**400, True]),
+        ("denoise", ["perhaps", 2, "yes", ["false"], None]),
+        ("device", ["abacus", ["llvm"]]),
+        *[("lambda_part", [-1.0]), ("roughness_levels", [2]), ("voxel_resolution", [2]), ("rounds", [True])],
+        ("seed", [1e30]),
+    ],
+)
+def test_values_that_make_no_sense(name: str, values: list[Any]) -> None:
+    for value in values:
+        caught = error_of(make_settings, "medium", {name: value})
+        assert caught.code == "setting-invalid" and name in caught.text, value
+    assert error_of(make_settings, "medium", {"no_such": 1}).code == "setting-unknown"
+
+
+def test_every_setting_explains_itself() -> None:
+    for item in dataclasses.fields(Settings):
+        assert item.metadata["help"]
+
+
+def test_presets_that_do_not_exist() -> None:
+    for preset in ("ultra", ["draft"], None):
+        assert "no preset" in str(error_of(make_settings, preset))
+
+
+@pytest.mark.parametrize(("values", "expected"), [((True, 1, "TRUE"), True), ((False, 0, "0"), False)])
+def test_switches_take_true_false_one_and_zero(values: tuple, expected: bool) -> None:
+    assert all(make_settings("draft", {"denoise": value}).denoise is expected for value in values)
