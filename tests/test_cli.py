@@ -50,13 +50,9 @@ def fake_job(monkeypatch, script: str) -> list:
         log = options.output / "log.txt"
         result = options.output / "result.bin"
         result.write_bytes(b"x" * 1500)
-
-        def start(arguments):
-            return EngineProcess([sys.executable, "-c", script], log)
-
         step = Step("estimate", "Estimating", 1.0, command=["estimate"])
-        record = StepRecord(options.output / "steps.json")
-        return Job([step], record, start, log, lambda: ([str(result)], {}))
+        record, command = StepRecord(options.output / "steps.json"), [sys.executable, "-c", script]
+        return Job([step], record, lambda _: EngineProcess(command, log), log, lambda: ([str(result)], {}))
 
     monkeypatch.setattr(cli, "make_main_job", make)
     return seen

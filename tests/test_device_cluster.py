@@ -9,7 +9,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -68,23 +68,19 @@ def views(capture: SmallCapture) -> list[View]:
     return [View(str(i), "train", Path("none.exr"), **vars(pinhole(pose))) for i, pose in enumerate(poses)]
 
 
-class Watch(Reporter):
-    """Calls a function once during a stage."""
+class Killer(Reporter):
+    """Kills a worker of a cluster once, amid the refinement."""
 
-    def __init__(self, stage: str, action: Callable[[], None]) -> None:
-        super().__init__()
-        self._name, self._action, self._current = stage, action, ""
-        self.acted = False
+    address = current = killed = ""
 
     def stage(self, name: str, text: str) -> None:
-        self._current = name
+        self.current = name
         super().stage(name, text)
 
     def progress(self, stage_fraction: float, *arguments, **options) -> None:
         super().progress(stage_fraction, *arguments, **options)
-        if self._current == self._name and 0.0 < stage_fraction < 1.0 and not self.acted:
-            self.acted = True
-            self._action()
+        if self.current == "refinement-1" and 0.0 < stage_fraction < 1.0 and not self.killed:
+            self.killed = kill_a_busy_worker(self.address)
 
 
 def estimated(root: Path, capture: SmallCapture, address: str | None, reporter: Reporter) -> RunFolder:
@@ -99,12 +95,13 @@ def files(run: RunFolder) -> dict[str, bytes]:
     return {path.relative_to(run.root).as_posix(): path.read_bytes() for path in found}
 
 
-def kill_a_busy_worker(address: str) -> None:
-    """Like a machine that is switched off while it works on views."""
+def kill_a_busy_worker(address: str) -> str:
+    """Like a machine that is switched off while it works on views; returns the worker's address."""
     with Client(address, set_as_default=False) as client:
         busy = [worker for worker, keys in client.processing().items() if keys]
         pids = client.run(os.getpid)
     os.kill(pids[busy[0]], signal.SIGKILL)
+    return busy[0]
 
 
 def work_error(cluster_: LocalCluster, capture: SmallCapture, items: Iterable[View]) -> FiptError:
@@ -119,9 +116,10 @@ def test_a_cluster_finds_the_same_bits_though_a_worker_is_killed(
     for module in (training_stages, training):
         monkeypatch.setattr(module, "PRETRAINING_STEPS", 2)
     here = files(estimated(tmp_path / "here", capture, None, Reporter()))
-    watch = Watch("refinement-1", lambda: kill_a_busy_worker(two.scheduler_address))
-    there = files(estimated(tmp_path / "there", capture, two.scheduler_address, watch))
-    assert watch.acted
+    killer = Killer()
+    killer.address = two.scheduler_address
+    there = files(estimated(tmp_path / "there", capture, two.scheduler_address, killer))
+    assert killer.killed
     assert here.keys() == there.keys() and len(here) > 15
     assert [name for name in here if here[name] != there[name]] == []
     with Client(two.scheduler_address, set_as_default=False) as client:
