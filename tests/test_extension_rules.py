@@ -318,18 +318,15 @@ def test_install_update_remove_and_install_again_lose_nothing(home: Home, archiv
 
 
 @in_blender
-def test_disabling_leaves_nothing_and_enabling_loads_little(home: Home, archive: zipfile.ZipFile) -> None:
+def test_disabling_leaves_nothing_and_the_command_line_has_its_exit_status(
+    home: Home, archive: zipfile.ZipFile
+) -> None:
     home.extension("install-file", "-r", "user_default", "-e", str(archive.filename))
     answer = home.script(ENABLED)
     nothing = {"classes": [], "operators": [], "scene": False, "handlers": {}, "keys": []}
     assert answer["first"] == answer["off"] == nothing and answer["lost"] is False
     assert answer["on"] == answer["again"] and "FIPT_OT_set_up_engine" in answer["on"]["classes"]
-    assert needless(answer["loaded"], MODULE) == []
-
-
-@in_blender
-def test_command_line_and_its_exit_status(home: Home, archive: zipfile.ZipFile) -> None:
-    home.extension("install-file", "-r", "user_default", "-e", str(archive.filename))
+    assert needless(answer["loaded"], MODULE) == [], "enabling loads little"
     helped = home.run("--command", "fipt", "--help")
     assert helped.returncode == 0 and "estimate" in helped.stdout
     home.environment["FIPT_ENGINE_PYTHON"] = str(home.folder / "no-python")
