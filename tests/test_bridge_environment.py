@@ -1,10 +1,12 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine's environment: pip's output, and a real set-up from a folder of wheels."""
+"""The engine's environment: pip's output, a real set-up from a folder of wheels, and set-up as a child process."""
 
 from __future__ import annotations
 
 import dataclasses
+import ensurepip
+import errno
 import hashlib
 import io
 import json
@@ -13,45 +15,42 @@ import subprocess
 import sys
 import tarfile
 from collections import namedtuple
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from pytest import MonkeyPatch
 
-from fipt_blender.bridge import environment, native, pins, places, provision
+from fipt_blender.bridge import environment, interpreter, native, pins, places, provision, setup
 from fipt_blender.bridge.pip import PipProgress, pip_error
 from fipt_blender.bridge.plan import Plan
-from fipt_blender.bridge.torch_build import Size
+from fipt_blender.bridge.torch_build import TORCH_INDEX, Size, choose_torch_build, torch_index, torch_requirement
+from fipt_blender.core.device.cuda import Gpu
 from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.lock import hold
+from fipt_blender.core.run.messages import parse_message
+from fipt_blender.core.run.runfolder import RunFolder
 from samples.refusals import error_of
 from samples.wheels import make_wheel
 
 PYTHON = Path(sys.executable)
+NO_MATCH = "ERROR: No matching distribution found for torch"
 
 
 class Listener:
     """Records the progress of set-up."""
 
     def __init__(self) -> None:
-        self.stages: list[str] = []
-        self.texts: list[str] = []
-        self.fractions: list[float] = []
-        self.warnings: list[str] = []
-        self.lines: list[str] = []
+        self.stages, self.fractions, self.warnings = [], [], []
+        self.progress = self.fractions.append
+        self.detail = self.log = lambda text: None
 
     def stage(self, name: str, text: str) -> None:
         self.stages.append(name)
 
-    def detail(self, text: str) -> None:
-        self.texts.append(text)
-
-    def progress(self, stage_fraction: float) -> None:
-        self.fractions.append(stage_fraction)
-
     def warning(self, code: str, text: str, remedy: str) -> None:
         self.warnings.append(code)
-
-    def log(self, line: str) -> None:
-        self.lines.append(line)
 
 
 def make_plan(tmp_path: Path, **changes: object) -> Plan:
@@ -66,11 +65,32 @@ def make_plan(tmp_path: Path, **changes: object) -> Plan:
     return Plan(**{**values, **changes})
 
 
+def locked(wheel: Path, digest: str = "") -> str:
+    """The line of a lock for a wheel, with its own hash by default."""
+    name, version = wheel.name.split("-")[:2]
+    return f"{name}=={version} --hash=sha256:{digest or hashlib.sha256(wheel.read_bytes()).hexdigest()}"
+
+
+def without_pip(folder: Path) -> Path:
+    """A Python as Debian's without python3-venv: venv works only without pip."""
+    if sys.platform == "win32":  # a shell script stands for Python
+        return PYTHON
+    path = folder / "bare" / "python3"
+    path.parent.mkdir()
+    refuse = 'case "$*" in *"-m venv --without-pip"*) ;; *"-m venv"*) exit 1;; esac'
+    path.write_text(f'#!/bin/sh\n{refuse}\nexec {PYTHON} "$@"\n')
+    path.chmod(0o755)
+    return path
+
+
 @pytest.fixture(scope="module")
 def bare(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A virtual environment with pip alone, which takes seconds to make."""
+    """An environment with pip alone, installed from a folder of wheels that has Python's own; it takes seconds."""
     folder = tmp_path_factory.mktemp("bare")
-    environment.make_environment(make_plan(folder))
+    (folder / "wheels").mkdir()
+    bundled = next((Path(ensurepip.__file__).parent / "_bundled").glob("pip-*.whl"))
+    wheel = Path(shutil.copy(bundled, folder / "wheels"))
+    environment.make_environment(make_plan(folder, base=without_pip(folder), pip=(locked(wheel),)))
     return folder / "env"
 
 
@@ -82,7 +102,7 @@ def made(bare: Path, tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def quick_venv(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def quick_venv(bare: Path, monkeypatch: MonkeyPatch) -> None:
     """Python's venv copies the environment of `bare` instead of making one."""
     run = environment.run_quietly
 
@@ -95,8 +115,8 @@ def quick_venv(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(environment, "run_quietly", copied)
 
 
-@pytest.fixture
-def device_works(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True)
+def device_works(monkeypatch: MonkeyPatch) -> None:
     """Replace the engine's check by one that finds an LLVM, as these environments contain no engine."""
     found = {"device": "llvm", "llvm": None}
     monkeypatch.setattr(native, "check_engine", lambda python: (found, FiptError("", "", "")))
@@ -106,17 +126,9 @@ def device_works(monkeypatch: pytest.MonkeyPatch) -> None:
     ("lines", "wheels", "code"),
     [
         (["ERROR: Could not install packages due to an OSError: [Errno 28] No space left"], None, "disk-full"),
-        (
-            [
-                "WARNING: Retrying after connection broken by 'NewConnectionError(...)'",
-                "ERROR: Could not find a version that satisfies the requirement torch (from versions: none)",
-                "ERROR: No matching distribution found for torch",
-            ],
-            None,
-            "network-missing",
-        ),
-        (["ERROR: No matching distribution found for torch"], None, "packages-failed"),
-        (["ERROR: No matching distribution found for torch"], Path("/wheels"), "wheels-missing"),
+        (["WARNING: Retrying after 'NewConnectionError(...)'", NO_MATCH], None, "network-missing"),
+        ([NO_MATCH], None, "packages-failed"),
+        ([NO_MATCH], Path("/wheels"), "wheels-missing"),
         ([], None, "packages-failed"),
     ],
 )
@@ -128,9 +140,7 @@ def test_pips_failures_have_words(lines: list[str], wheels: Path | None, code: s
     assert error.code == code and error.text and error.remedy
 
 
-def test_set_up_from_wheels_is_complete_resumed_and_remade(
-    tmp_path: Path, device_works: None, quick_venv: None
-) -> None:
+def test_set_up_from_wheels_is_complete_resumed_and_remade(tmp_path: Path, quick_venv: None) -> None:
     make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
     plan = make_plan(tmp_path)
     (tmp_path / "env").mkdir()
@@ -150,69 +160,37 @@ def test_set_up_from_wheels_is_complete_resumed_and_remade(
     assert marker.exists()
     # an interpreter that is gone (Blender was updated) has it made anew
     plan.python.unlink()
-    environment.set_up(plan, Listener())
+    environment.make_environment(plan)
     assert not marker.exists() and plan.python.exists()
 
 
-def test_set_up_names_what_the_wheels_lack_and_a_package_that_breaks(
-    tmp_path: Path, device_works: None, quick_venv: None
-) -> None:
+def test_set_up_names_what_the_wheels_lack_and_a_package_that_breaks(tmp_path: Path, quick_venv: None) -> None:
     make_wheel(tmp_path / "wheels", "fipttiny", "0.9")
-    with pytest.raises(FiptError, match=r"fipttiny==1\.0") as caught:
-        environment.set_up(make_plan(tmp_path), Listener())
-    assert caught.value.code == "wheels-missing"
+    caught = error_of(environment.set_up, make_plan(tmp_path), Listener())
+    assert caught.code == "wheels-missing" and "fipttiny==1.0" in caught.text
     assert not pins.read_stamp(tmp_path / "env").installed
     (tmp_path / "env" / pins.STAMP_NAME).write_text(json.dumps({"installed": True}))  # spares making it anew
     make_wheel(tmp_path / "wheels", "fipttiny", "1.0", "raise ImportError('no libfoo')")
-    with pytest.raises(FiptError, match="no libfoo") as caught:
-        environment.set_up(make_plan(tmp_path), Listener())
-    assert caught.value.code == "package-broken"
+    caught = error_of(environment.set_up, make_plan(tmp_path), Listener())
+    assert caught.code == "package-broken" and "no libfoo" in caught.text
     stamp = pins.read_stamp(tmp_path / "env")
     assert stamp.installed and not stamp.complete, "mended, it is completed and not made anew"
 
 
-@pytest.fixture
-def base(tmp_path: Path) -> Path:
-    """A Python as Debian's without python3-venv: venv works only without pip."""
-    if sys.platform == "win32":
-        pytest.skip("a shell script stands for Python")
-    path = tmp_path / "bare" / "python3"
-    path.parent.mkdir()
-    refuse = 'case "$*" in *"-m venv --without-pip"*) ;; *"-m venv"*) exit 1;; esac'
-    path.write_text(f'#!/bin/sh\n{refuse}\nexec {PYTHON} "$@"\n')
-    path.chmod(0o755)
-    return path
-
-
-@pytest.fixture
-def bundled() -> Path:
-    """The wheel of pip that Python contains."""
-    import ensurepip
-
-    return next((Path(ensurepip.__file__).parent / "_bundled").glob("pip-*.whl"))
-
-
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell script stands for Python")
 @pytest.mark.parametrize("has_package", [True, False])
 def test_python_without_pip_and_wheels_takes_the_systems_package(
-    has_package: bool, base: Path, bundled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    has_package: bool, tmp_path: Path, monkeypatch: MonkeyPatch
 ) -> None:
-    class Packages:
-        available = True
+    install = "import sys, sysconfig, zipfile\nzipfile.ZipFile(sys.argv[-1]).extractall(sysconfig.get_path('purelib'))"
+    make_wheel(tmp_path / "root" / "python-wheels", "pip", "1.0", install, "pip/__main__.py")
 
-        def __enter__(self) -> Packages:
-            return self
+    def unpack(names: list[str]) -> Path | None:
+        return tmp_path / "root" if has_package and names == ["python3-pip-whl"] else None
 
-        def __exit__(self, *exception: object) -> None:
-            pass
-
-        def unpack(self, names: list[str]) -> Path | None:
-            folder = tmp_path / "root" / "usr" / "share" / "python-wheels"
-            folder.mkdir(parents=True)
-            shutil.copy(bundled, folder)
-            return tmp_path / "root" if has_package and names == ["python3-pip-whl"] else None
-
-    monkeypatch.setattr(provision, "DebianPackages", Packages)
-    plan = make_plan(tmp_path, base=base, wheels=None)
+    packages = SimpleNamespace(available=True, unpack=unpack)
+    monkeypatch.setattr(provision, "DebianPackages", lambda: nullcontext(packages))
+    plan = make_plan(tmp_path, base=without_pip(tmp_path), wheels=None)
     if not has_package:
         assert error_of(environment.make_environment, plan).code == "python-unfit"
         return
@@ -220,28 +198,21 @@ def test_python_without_pip_and_wheels_takes_the_systems_package(
     assert (places.site_packages(plan.folder) / "pip").is_dir()
 
 
-def test_python_without_pip_takes_one_from_the_wheels_or_says_how_to_mend_it(
-    base: Path, bundled: Path, tmp_path: Path, device_works: None
-) -> None:
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell script stands for Python")
+def test_python_without_pip_takes_one_from_the_wheels_or_says_how_to_mend_it(bare: Path, tmp_path: Path) -> None:
     make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
-    with pytest.raises(FiptError, match="neither pip nor ensurepip") as caught:
-        environment.set_up(make_plan(tmp_path, base=base), Listener())
-    assert caught.value.code == "python-unfit" and not (tmp_path / "env").exists()
-    shutil.copy(bundled, tmp_path / "wheels")
+    plan = make_plan(tmp_path, base=without_pip(tmp_path))
+    caught = error_of(environment.make_environment, plan)
+    assert caught.code == "python-unfit" and "neither pip nor ensurepip" in caught.text and not plan.folder.exists()
+    assert (places.site_packages(bare) / "pip").is_dir()
     # a forged pip never runs: refused if it has the pinned version, and passed over if it has another one
     forged = make_pip(tmp_path, "0.1")
-    with pytest.raises(FiptError, match=r"pip-0\.1") as caught:
-        environment.set_up(make_plan(tmp_path, base=base, pip=(locked(forged, "0" * 64),)), Listener())
-    assert caught.value.code == "package-hash" and caught.value.remedy and not (tmp_path / "ran").exists()
-    environment.set_up(make_plan(tmp_path, base=base, pip=(locked(bundled),)), Listener())
-    assert pins.is_set_up(tmp_path / "env", "k")
+    plan = dataclasses.replace(plan, pip=(locked(forged, "0" * 64),))
+    caught = error_of(environment.make_environment, plan)
+    assert caught.code == "package-hash" and "pip-0.1" in caught.text and caught.remedy
+    plan = dataclasses.replace(plan, pip=(f"pip==0.2 --hash=sha256:{'0' * 64}",))
+    assert error_of(environment.make_environment, plan).code == "python-unfit"
     assert not (tmp_path / "ran").exists()
-
-
-def locked(wheel: Path, digest: str = "") -> str:
-    """The line of a lock for a wheel, with its own hash by default."""
-    name, version = wheel.name.split("-")[:2]
-    return f"{name}=={version} --hash=sha256:{digest or hashlib.sha256(wheel.read_bytes()).hexdigest()}"
 
 
 def make_pip(tmp_path: Path, version: str) -> Path:
@@ -250,25 +221,22 @@ def make_pip(tmp_path: Path, version: str) -> Path:
     return make_wheel(tmp_path / "wheels", "pip", version, code, "pip/__main__.py")
 
 
-def test_locked_packages_are_installed_only_with_the_hashes_of_the_lock(
-    tmp_path: Path, device_works: None, made: None
-) -> None:
+def test_locked_packages_are_installed_only_with_the_hashes_of_the_lock(tmp_path: Path, made: None) -> None:
     tiny = make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
     other = make_wheel(tmp_path / "wheels", "fiptother", "2.0")
     lock = (locked(tiny), locked(other, "0" * 64))
     caught = error_of(environment.set_up, make_plan(tmp_path, lock=lock), Listener())
     assert caught.code == "package-hash" and "fiptother" in caught.text
+    make_pip(tmp_path, "99.0")  # is left out, since the lock has no hash of it
     listener = Listener()
-    environment.set_up(make_plan(tmp_path, lock=(locked(tiny), locked(other))), listener)
+    environment.set_up(make_plan(tmp_path, lock=(locked(tiny), locked(other)), pip=("pip==99.0",)), listener)
     packages = places.site_packages(tmp_path / "env")
     assert (packages / "fipttiny.py").exists() and (packages / "fiptother.py").exists()
-    assert listener.fractions == sorted(listener.fractions)
+    assert listener.fractions == sorted(listener.fractions) and not (tmp_path / "ran").exists()
 
 
 @pytest.mark.parametrize("forged", [True, False], ids=["forged", "genuine"])
-def test_pip_is_replaced_only_by_a_file_with_the_hash_of_the_lock(
-    forged: bool, tmp_path: Path, device_works: None, made: None
-) -> None:
+def test_pip_is_replaced_only_by_a_file_with_the_hash_of_the_lock(forged: bool, tmp_path: Path, made: None) -> None:
     """A pip of another's making would vouch for whatever it installs."""
     tiny, other = make_wheel(tmp_path / "wheels", "fipttiny", "1.0"), make_pip(tmp_path, "99.0")
     plan = make_plan(tmp_path, lock=(locked(tiny),), pip=(locked(other, "0" * 64 if forged else ""),))
@@ -276,16 +244,7 @@ def test_pip_is_replaced_only_by_a_file_with_the_hash_of_the_lock(
     assert (tmp_path / "ran").exists() != forged, "only with its hash in the lock its code runs"
 
 
-def test_a_pip_without_hash_in_the_lock_is_left_out(tmp_path: Path, device_works: None, made: None) -> None:
-    make_wheel(tmp_path / "wheels", "fipttiny", "1.0")
-    make_pip(tmp_path, "99.0")
-    environment.set_up(make_plan(tmp_path, pip=("pip==99.0",)), Listener())
-    assert not (tmp_path / "ran").exists() and pins.is_set_up(tmp_path / "env", "k")
-
-
-def test_llvm_is_unpacked_only_with_the_hash_of_the_lock(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: None
-) -> None:
+def test_llvm_is_unpacked_only_with_the_hash_of_the_lock(tmp_path: Path, monkeypatch: MonkeyPatch, made: None) -> None:
     missing = FiptError("llvm-missing", "No LLVM.", "Install one.")
     library = tmp_path / "env" / "llvm" / "libLLVM.so.19"
     found = {"device": "llvm", "llvm": str(library)}
@@ -309,7 +268,7 @@ def test_a_source_archive_is_never_built(tmp_path: Path, made: None) -> None:
 
 
 def test_a_large_build_is_asked_for_before_it_is_downloaded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device_works: None, made: None
+    tmp_path: Path, monkeypatch: MonkeyPatch, made: None
 ) -> None:
     """PyTorch's own site can't be reached, and the package index has the build with CUDA alone."""
     wheels = tmp_path / "wheels"
@@ -329,7 +288,7 @@ def test_a_large_build_is_asked_for_before_it_is_downloaded(
     assert (packages / "torch.py").exists() and (packages / "fipttiny.py").exists()
 
 
-def test_little_space_is_seen_beforehand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_little_space_is_seen_beforehand(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
     usage = namedtuple("usage", "total used free")
 
     def check(free: int, wheels: Path | None, build: str) -> Listener:
@@ -340,9 +299,9 @@ def test_little_space_is_seen_beforehand(tmp_path: Path, monkeypatch: pytest.Mon
 
     for free, build in ((1_000_000_000, ""), (1_000_000_000, "cpu"), (7_000_000_000, "cu130")):
         monkeypatch.setattr(shutil, "disk_usage", lambda path, free=free: usage(free, 0, free))
-        with pytest.raises(FiptError, match=rf"{free // 10**9}\.0 GB are free") as caught:
-            environment.set_up(make_plan(tmp_path, wheels=None, torch=build), Listener())
-        assert caught.value.code == "disk-full" and not (tmp_path / "env").exists()
+        caught = error_of(environment.set_up, make_plan(tmp_path, wheels=None, torch=build), Listener())
+        assert caught.code == "disk-full" and f"{free // 10**9}.0 GB are free" in caught.text
+        assert not (tmp_path / "env").exists()
     # the package index's own build may be the small one
     monkeypatch.setitem(environment.SIZES, "", Size(3.0, 9.0))
     assert check(7_000_000_000, None, "").warnings == ["disk-full"]
@@ -355,3 +314,154 @@ def test_little_space_is_seen_beforehand(tmp_path: Path, monkeypatch: pytest.Mon
     (wheels / "broken-1.0-py3-none-any.whl").write_bytes(b"0" * 500_000)
     assert check(2_502_000, wheels, "").warnings == []
     assert error_of(check, 2_500_000, wheels, "").code == "disk-full"
+
+
+HERE = sys.version_info[:2]
+
+
+def test_plans_prefer_what_stands_and_name_a_python_that_is_missing(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
+    monkeypatch.setattr(setup, "other_pythons", lambda: iter([]))
+    plans = setup.make_plans(tmp_path, "auto", None)
+    assert [plan.base for plan in plans] == [PYTHON] and plans[0].folder.parent == tmp_path
+    assert plans[0].requirements == pins.read_pins()["engine"]
+    wheels = tmp_path / "wheels"
+    wheels.mkdir()
+    caught = error_of(setup.make_plans, tmp_path, "auto", wheels)
+    assert caught.code == "wheels-missing"
+    version = next(pin for pin in pins.read_pins()["engine"] if pin.startswith("mitsuba")).partition("==")[2]
+    other = next(each for each in pins.ENGINE_PYTHONS if each != HERE)
+    (wheels / f"mitsuba-{version}-cp{other[0]}{other[1]}-cp{other[0]}{other[1]}-any.whl").touch()
+    caught = error_of(setup.make_plans, tmp_path, "auto", wheels)
+    assert caught.code == "python-unfit" and f"Python {other[0]}.{other[1]}" in caught.text
+
+
+def test_child_process_tells_in_messages_and_says_what_is_missing(tmp_path: Path) -> None:
+    """Set-up of an installed extension, with one tiny pinned package."""
+    package = tmp_path / "extension"
+    shutil.copytree(places.PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))
+    # named as the engine's main package, by which the wheels' Python is recognised
+    groups = {"engine": ["mitsuba==0.0.1"], "llvm": [], "pip": []}
+    (package / pins.PINS_NAME).write_text(json.dumps(groups))
+    command = interpreter.setup_command(PYTHON, tmp_path / "data", "auto", tmp_path / "wheels")
+    wheel = make_wheel(tmp_path / "wheels", "mitsuba", "0.0.1")
+    tag = f"cp{HERE[0]}{HERE[1]}"
+    wheel.rename(wheel.with_name(f"mitsuba-0.0.1-{tag}-none-any.whl"))
+    installed = [part.replace(str(places.PACKAGE_FOLDER), str(package)) for part in command]
+    result = subprocess.run(installed, capture_output=True, text=True, cwd=tmp_path)
+    messages = [parse_message(line) for line in result.stdout.splitlines()]
+    assert None not in messages, "nothing but messages on stdout"
+    names = [message["name"] for message in messages if message["type"] == "stage"]
+    assert list(dict.fromkeys(names)) == ["environment", "packages", "libraries"]
+    fractions = [message["fraction"] for message in messages if message["type"] == "progress"]
+    assert fractions == sorted(fractions)
+    # the only pinned package is installed; the engine's others are missed
+    assert result.returncode == 1 and messages[-1]["code"] == "package-broken"
+    assert "torch" in messages[-1]["text"] and "pip install" in result.stderr
+    (folder,) = pins.environments(tmp_path / "data")
+    stamp = pins.read_stamp(folder)
+    assert stamp.installed and not stamp.complete
+    # a second set-up in one data folder waits its turn
+    with hold(RunFolder(tmp_path / "data"), ["set-up"]):
+        result = subprocess.run(installed, capture_output=True, text=True)
+    error = parse_message(result.stdout.splitlines()[-1])
+    assert result.returncode == 1 and error["code"] == "run-busy"
+
+
+def test_data_folder_is_the_platforms(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
+    monkeypatch.delenv(places.DATA_VARIABLE, raising=False)
+    for platform, variable in (("linux", "XDG_DATA_HOME"), ("win32", "LOCALAPPDATA")):
+        monkeypatch.setattr(sys, "platform", platform)
+        monkeypatch.setenv(variable, str(tmp_path / platform))
+        assert places.default_data_folder() == tmp_path / platform / "fipt_blender"
+    monkeypatch.setenv(places.DATA_VARIABLE, str(tmp_path / "named"))
+    assert places.default_data_folder() == tmp_path / "named"
+
+
+def test_run_folders_are_fresh_and_safely_named(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
+    first, second = (places.new_run_folder(tmp_path, "../Living room: 2?") for _ in range(2))
+    assert first != second and first.parent == second.parent == tmp_path / "runs"
+    assert first.name.startswith("Living-room-2-") and not list(first.iterdir())
+    assert places.new_run_folder(tmp_path, "").name.startswith("run-")
+    (tmp_path / "file").touch()
+    caught = error_of(places.new_run_folder, tmp_path / "file", "room")
+    assert caught.code == "run-unwritable"
+
+    def full(*arguments: object, **options: object) -> None:
+        raise OSError(errno.ENOSPC, "no space")
+
+    monkeypatch.setattr(Path, "mkdir", full)
+    assert error_of(places.new_run_folder, tmp_path, "room").code == "disk-full"
+
+
+def test_environments_belong_to_pins_and_a_python(tmp_path: Path) -> None:
+    groups = pins.read_pins()
+    name = pins.environment_name(groups, HERE)
+    assert name.startswith(f"engine-{HERE[0]}.{HERE[1]}-")
+    assert name != pins.environment_name({**groups, "engine": ["torch==1"]}, HERE)
+    other = next(version for version in pins.ENGINE_PYTHONS if version != HERE)
+    names = [pins.environment_name(groups, other), name, f"engine-{HERE[0]}.{HERE[1]}-00000000"]
+    for each in (*names, "engine-old", "runs"):
+        (tmp_path / each).mkdir()
+    assert {path.name for path in pins.environments(tmp_path)} == set(names)
+    assert pins.managed_environments(tmp_path) == []
+    for each in names:
+        (tmp_path / each / pins.STAMP_NAME).write_text(json.dumps({"complete": True}))
+    found = [path.name for path in pins.managed_environments(tmp_path)]
+    assert found == [name, names[0]], "the running Python's leads, other pins do not count"
+    (tmp_path / name / pins.STAMP_NAME).write_text(json.dumps({"installed": True, "complete": False}))
+    assert [path.name for path in pins.managed_environments(tmp_path)] == [names[0]]
+
+
+def test_folder_of_wheels_tells_its_pythons_and_the_command_names_every_pin(tmp_path: Path) -> None:
+    groups = pins.read_pins()
+    version = next(pin for pin in groups["engine"] if pin.startswith("mitsuba")).partition("==")[2]
+    for tag in ("cp313", "cp311", "cp38"):
+        (tmp_path / f"mitsuba-{version}-{tag}-{tag}-manylinux_2_28_x86_64.whl").touch()
+    (tmp_path / "mitsuba-0.1-cp314-cp314-manylinux_2_28_x86_64.whl").touch()
+    assert pins.wheel_pythons(tmp_path, groups) == [(3, 11), (3, 13)]
+    command = pins.wheel_command(groups, (3, 13))
+    assert command.startswith("python3.13 -m pip download")
+    torch = next(pin for pin in groups["engine"] if pin.startswith("torch=="))
+    locked = [pins.without_hashes(line) for line in groups["lock"]]
+    tools = [pins.without_hashes(pin) for pin in (*groups["llvm"], *groups["pip"])]
+    assert all(pin in command for pin in (torch, *locked, *tools))
+    assert "--hash" not in command
+
+
+def test_versions_that_are_not_the_pinned_ones_are_named() -> None:
+    groups = {"engine": ["OpenEXR==3.5.3", "numpy==1.26.4; python_version < '3.13'", "numpy==2.5.5", "torch==2.13.0"]}
+    good = {"openexr": "3.5.3", "numpy": "2.5.5", "torch": "2.13.0+cpu", "psutil": "1", "mitsuba": None}
+    assert pins.other_versions(groups, good) == []
+    named = pins.other_versions(groups, {**good, "torch": "2.1.0", "numpy": "1.0"})
+    assert named == ["numpy 1.0 (1.26.4 or 2.5.5)", "torch 2.1.0 (2.13.0)"]
+
+
+def gpu(*capability: int) -> Gpu:
+    return Gpu("Card", "GPU-1", 8.0, (capability[0], capability[1]))
+
+
+@pytest.mark.parametrize(
+    ("device", "driver", "gpus", "linux", "windows"),
+    [
+        ("auto", None, [], "cpu", ""),
+        ("llvm", 13000, [gpu(8, 6)], "cpu", ""),
+        ("auto", 13010, [gpu(8, 6)], "", "cu130"),
+        ("cuda", 12040, [gpu(8, 6)], "cu126", "cu126"),
+        ("auto", 13000, [gpu(6, 1)], "cu126", "cu126"),  # CUDA 13 left the older cards behind
+        ("auto", 13000, [gpu(6, 1), gpu(12, 0)], "", "cu130"),  # none serves both
+        ("auto", 11080, [gpu(8, 6)], "cpu", ""),  # a driver too old for any
+    ],
+)
+def test_torch_build_fits_driver_and_card(
+    device: str, driver: int | None, gpus: list[Gpu], linux: str, windows: str, monkeypatch: MonkeyPatch
+) -> None:
+    for platform, expected in (("linux", linux), ("win32", windows)):
+        monkeypatch.setattr(sys, "platform", platform)
+        assert choose_torch_build(device, driver, gpus) == expected
+
+
+def test_torch_requirement_names_the_build() -> None:
+    requirements = ["a==1", "torch==2.13.0; python_version > '3'"]
+    assert torch_requirement(requirements, "cu126") == "torch==2.13.0+cu126; python_version > '3'"
+    assert torch_requirement(requirements, "") == torch_requirement(["a==1"], "cpu") == ""
+    assert torch_index("cu126") == f"{TORCH_INDEX}/cu126" and torch_index("") == ""

@@ -1,23 +1,48 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine's process, tested with small child processes that each misbehave in one way."""
+"""The engine's process, watched or not: misbehaving children, its lock, finding it, a full disk, stopping it."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
 import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 from fipt_blender.bridge import process as engine_process
+from fipt_blender.bridge.attached import AttachedEngine, find_engine
 from fipt_blender.bridge.death import explain_death
-from fipt_blender.bridge.process import EngineProcess
-from fipt_blender.core.run.errors import FiptError
+from fipt_blender.bridge.process import Engine, EngineProcess
+from fipt_blender.bridge.sequence import Job
+from fipt_blender.bridge.step import Step, StepRecord
+from fipt_blender.core.run.lock import hold, holder
 from fipt_blender.core.run.messages import parse_message
-from samples.child_processes import SLEEPER, frozen_clock, is_alive, posix, wait_for
+from fipt_blender.core.run.process_identity import PARENT_VARIABLE
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.jobs import run_job
+from samples.child_processes import ENGINE, SLEEPER, frozen_clock, is_alive, posix, wait_for
 from samples.refusals import error_of
+
+ROOT = Path(__file__).resolve().parent.parent
+DONE = {"type": "done", "files": ["a"], "data": {}}
+HALF = {"type": "progress", "fraction": 0.5}
+
+
+def said(message: dict) -> str:
+    """A line of a script that writes a message."""
+    return f"print({json.dumps(message)!r}, flush=True)\n"
+
+
+def waiting_for(path: Path) -> str:
+    """Lines of a script that wait for a file."""
+    return f"import pathlib, time\nwhile not pathlib.Path({str(path)!r}).exists(): time.sleep(0.01)\n"
 
 
 def child(tmp_path: Path, script: str) -> EngineProcess:
@@ -30,22 +55,16 @@ def collect(process: EngineProcess) -> list[dict]:
     return messages
 
 
-DONE = 'print(json.dumps({"type": "done", "files": ["a"], "data": {}}), flush=True)\n'
-
-
 def test_messages_arrive_and_stray_output_goes_to_the_log(tmp_path):
     script = (
-        "import json, os, sys\n"
-        'print("hello from a library")\n'
-        'print("{not json}")\n'
-        'print(json.dumps({"type": "unheard-of", "x": 1}))\n'
-        'print(json.dumps({"type": "progress", "fraction": 0.5}), flush=True)\n'
-        'os.write(1, b"\\xff\\xfe broken utf-8\\n")\n'
-        'os.write(2, b"on stderr\\n")\n' + DONE
+        'import os\nprint("hello from a library")\nprint("{not json}")\n'
+        + said({"type": "unheard-of", "x": 1})
+        + said(HALF)
+        + 'os.write(1, b"\\xff\\xfe broken utf-8\\n")\nos.write(2, b"on stderr\\n")\n'
+        + said(DONE)
     )
     process = child(tmp_path, script)
-    messages = collect(process)
-    assert [message["type"] for message in messages] == ["progress", "done"]
+    assert collect(process) == [HALF, DONE]
     assert process.error is None and process.done["files"] == ["a"] and process.returncode == 0
     log = (tmp_path / "log.txt").read_bytes()
     for text in (b"hello from a library", b"{not json}", b"unheard-of", b"broken utf-8", b"on stderr"):
@@ -53,65 +72,42 @@ def test_messages_arrive_and_stray_output_goes_to_the_log(tmp_path):
 
 
 def test_poll_never_waits_and_much_output_is_read_whole(tmp_path):
-    script = (
-        "import json, pathlib, sys, time\n"
-        'for i in range(20000): print(json.dumps({"type": "progress", "fraction": i / 20000}))\n'
-        "sys.stdout.flush()\n"
-        f"while not pathlib.Path({str(tmp_path / 'go')!r}).exists(): time.sleep(0.01)\n" + DONE
-    )
-    process = child(tmp_path, script)
+    script = f"for _ in range(20000): print({json.dumps(HALF)!r})\nprint(end='', flush=True)\n"
+    process = child(tmp_path, script + waiting_for(tmp_path / "go") + said(DONE))
     messages = process.poll()  # would it wait for the end, that would never come
     assert process.running
     (tmp_path / "go").touch()
-    assert len(messages) + len(collect(process)) >= 20000
+    assert len(messages) + len(collect(process)) == 20001
 
 
 @posix
-def test_a_crash_by_signal_is_named(tmp_path):
-    process = child(
-        tmp_path, "import os, signal; print('deep trouble', flush=True); os.kill(os.getpid(), signal.SIGSEGV)"
-    )
-    messages = collect(process)
-    assert messages[-1]["type"] == "error" and messages[-1]["code"] == "engine-crashed"
-    assert "SIGSEGV" in messages[-1]["text"] and "deep trouble" in messages[-1]["text"]
-    assert messages[-1]["remedy"] and process.error == messages[-1]
+@pytest.mark.parametrize(
+    ("end", "code", "words"),
+    [
+        ("os.kill(os.getpid(), signal.SIGSEGV)", "engine-crashed", ("SIGSEGV", "deep trouble")),
+        ("os.kill(os.getpid(), signal.SIGKILL)", "out-of-memory", ()),  # a kill from outside is taken for that
+        ("pass", "engine-crashed", ()),  # no message, though status zero
+        ("sys.exit(3)", "engine-crashed", ("exit status 3",)),
+    ],
+)
+def test_an_end_without_a_message_is_explained(tmp_path, end, code, words):
+    process = child(tmp_path, f"import os, signal, sys\nprint('deep trouble', flush=True)\n{end}")
+    last = collect(process)[-1]
+    assert (last["type"], last["code"]) == ("error", code) and last["remedy"] and process.error == last
+    assert all(word in last["text"] for word in words)
 
 
-@posix
-def test_a_kill_from_outside_is_taken_for_lack_of_memory(tmp_path):
-    process = child(tmp_path, "import os, signal; os.kill(os.getpid(), signal.SIGKILL)")
-    assert collect(process)[-1]["code"] == "out-of-memory"
-    assert explain_death(137)["code"] == "out-of-memory"
-    assert "SIGABRT" in explain_death(134)["text"]
-
-
-def test_an_end_without_a_message_is_an_error_even_with_status_zero(tmp_path):
-    assert collect(child(tmp_path, "pass"))[-1]["code"] == "engine-crashed"
-    assert "exit status 3" in collect(child(tmp_path, "import sys; sys.exit(3)"))[-1]["text"]
-
-
-def test_the_childs_own_error_is_not_covered_by_another(tmp_path):
-    script = (
-        "import json, sys\n"
-        'print(json.dumps({"type": "error", "code": "mesh-empty", "text": "t", "remedy": "r"}))\n'
-        "sys.exit(1)"
-    )
-    messages = collect(child(tmp_path, script))
-    assert [message["code"] for message in messages] == ["mesh-empty"]
+def test_statuses_of_a_shell_are_explained_and_the_childs_own_error_is_not_covered_by_another(tmp_path):
+    assert explain_death(137)["code"] == "out-of-memory" and "SIGABRT" in explain_death(134)["text"]
+    script = said({"type": "error", "code": "mesh-empty", "text": "t", "remedy": "r"}) + "raise SystemExit(1)"
+    assert [message["code"] for message in collect(child(tmp_path, script))] == ["mesh-empty"]
 
 
 @posix
 def test_cancel_ends_a_stubborn_child_and_its_children_by_force(tmp_path):
-    script = (
-        "import json, signal, subprocess, sys, time\n"
-        "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
-        "inner = 'import json, os, signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)\\n'\n"
-        'inner += \'m = {"type": "stage", "name": str(os.getpid()), "text": ""}\\n\'\n'
-        "inner += 'print(json.dumps(m), flush=True)\\n'\n"
-        "grandchild = subprocess.Popen([sys.executable, '-c', inner + 'time.sleep(3600)'])\n"
-        "time.sleep(3600)\n"
-    )
-    process = child(tmp_path, script)
+    stubborn = "import os, signal, subprocess, sys, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+    inner = stubborn + """print('{"type": "stage", "name": "%d", "text": ""}' % os.getpid(), flush=True)\n"""
+    process = child(tmp_path, f"{stubborn}subprocess.Popen([sys.executable, '-c', {inner + SLEEPER!r}])\n{SLEEPER}")
     messages: list[dict] = []
     while not messages:
         messages = process.poll()
@@ -125,17 +121,9 @@ def test_cancel_ends_a_stubborn_child_and_its_children_by_force(tmp_path):
 
 @posix
 def test_an_exception_in_the_receiver_leaves_no_orphan(tmp_path):
-    process = child(
-        tmp_path,
-        "import json, time\n"
-        'print(json.dumps({"type": "stage", "name": "a", "text": "A"}), flush=True); time.sleep(3600)',
-    )
-
-    def stop(message):
-        raise KeyboardInterrupt
-
+    process = child(tmp_path, said(HALF) + SLEEPER)
     with pytest.raises(KeyboardInterrupt):
-        process.run_blocking(stop)
+        process.run_blocking(Mock(side_effect=KeyboardInterrupt))
     wait_for(lambda: not is_alive(process.pid))
 
 
@@ -154,25 +142,19 @@ def test_the_child_runs_in_a_group_of_its_own_and_nicely(tmp_path):
     assert data["nice"] == expected
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        *("", "[]", "{", '{"type": 3}', '{"type": ["done"]}', '"done"', "{}", "{" * 100_000),
-        '{"type": "stage", "name": "a"}',
-        '{"type": "stage", "name": "a", "text": null}',
-        '{"type": "progress"}',
-        '{"type": "progress", "fraction": "0.5"}',
-        '{"type": "progress", "fraction": NaN}',
-        '{"type": "progress", "fraction": 0.5, "files": "abc"}',
-        '{"type": "warning", "code": "a", "text": "b"}',
-        '{"type": "error", "code": "a", "text": "b", "remedy": 5}',
-        '{"type": "done"}',
-        '{"type": "done", "files": [1], "data": {}}',
-        '{"type": "done", "files": [], "data": []}',
-    ],
-)
-def test_lines_that_are_no_message(line):
-    assert parse_message(line) is None
+def test_lines_that_are_no_message():
+    damaged = [
+        *({"type": 3}, {"type": ["done"]}, {}, [], "done", {"type": "progress"}, {"type": "done"}),
+        *({"type": "stage", "name": "a"}, {"type": "stage", "name": "a", "text": None}),
+        *({"type": "progress", "fraction": fraction} for fraction in ("0.5", float("nan"))),
+        {**HALF, "files": "abc"},
+        {"type": "warning", "code": "a", "text": "b"},
+        {"type": "error", "code": "a", "text": "b", "remedy": 5},
+        *({**DONE, "files": [1]}, {**DONE, "data": []}),
+    ]
+    for line in ("", "{", "{" * 100_000, *map(json.dumps, damaged)):
+        assert parse_message(line) is None, line
+    assert parse_message(json.dumps(DONE)) == DONE
 
 
 @posix
@@ -186,28 +168,187 @@ def test_sigterm_is_enough_for_a_child_that_listens(tmp_path, monkeypatch):
 
 def test_a_second_start_on_the_same_messages_is_refused_and_harms_no_first(tmp_path):
     messages, log = tmp_path / "messages" / "a.jsonl", tmp_path / "log.txt"
-    script = (
-        "import json, pathlib, time\n"
-        'print(json.dumps({"type": "progress", "fraction": 0.5}), flush=True)\n'
-        f"while not pathlib.Path({str(tmp_path / 'go')!r}).exists(): time.sleep(0.01)\n" + DONE
-    )
-    command = [sys.executable, "-c", script]
+    command = [sys.executable, "-c", said(HALF) + waiting_for(tmp_path / "go") + said(DONE)]
     first = EngineProcess(command, log, messages=messages)
     wait_for(lambda: messages.read_bytes())
     for _ in range(2):
         assert error_of(EngineProcess, command, log, messages=messages).code == "run-busy"
     (tmp_path / "go").touch()
-    assert [message["type"] for message in collect(first)] == ["progress", "done"]
-    assert [message["type"] for message in collect(EngineProcess(command, log, messages=messages))]
+    assert collect(first) == [HALF, DONE] == collect(EngineProcess(command, log, messages=messages))
+
+
+@pytest.fixture
+def engine(run_folder: RunFolder) -> Iterator[EngineProcess]:
+    """An engine that works in `run_folder` as if another Blender had started it."""
+    command = [sys.executable, "-c", ENGINE, str(ROOT), str(run_folder.root)]
+    process = EngineProcess(command, run_folder.log, messages=run_folder.messages("estimate"))
+    wait_for(lambda: find_engine(run_folder))
+    yield process
+    process.cancel()
+
+
+def test_the_lock_keeps_others_out_and_names_its_holder(run_folder, engine):
+    found = holder(run_folder)
+    assert found is not None
+    assert (found.pid, found.command) == (engine.pid, ("estimate", str(run_folder.root)))
+    # The holder goes on until it is told to stop: who waited for the lock would never come back.
+    assert error_of(hold(run_folder, ["report"]).__enter__).code == "run-busy" and is_alive(engine.pid)
+    assert error_of(run_job.open_job, run_folder, []).code == "run-busy"
+    command = [sys.executable, "-m", "fipt_blender.core", "report", str(run_folder.root)]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    message = json.loads(result.stdout.splitlines()[-1])
+    assert (message["type"], message["code"]) == ("error", "run-busy") and message["remedy"]
 
 
 @posix
-def test_an_engine_that_was_left_keeps_its_messages(tmp_path):
-    messages, log = tmp_path / "a.jsonl", tmp_path / "log.txt"
-    first = EngineProcess([sys.executable, "-c", SLEEPER], log, messages=messages)
-    first.leave()
+def test_the_lock_goes_with_a_killed_engine_whose_death_is_explained(run_folder, engine):
+    engine.leave()
+    attached = AttachedEngine(run_folder, find_engine(run_folder))
+    os.kill(engine.pid, signal.SIGKILL)
+    messages: list[dict] = []
+    wait_for(lambda: messages.extend(attached.poll()) or not attached.running)
+    assert messages[-1]["code"] == "engine-crashed" and "Resume" in messages[-1]["remedy"]
+    with hold(run_folder, ["report"]):
+        assert holder(run_folder).command == ("report",)
+    assert holder(run_folder) is None
+
+
+def test_an_engine_that_was_left_is_watched_to_its_end(run_folder, engine):
+    engine.leave()
+    assert engine.poll() == [] and is_alive(engine.pid)
+    command, messages_file = [sys.executable, "-c", "pass"], run_folder.messages("estimate")
+    assert error_of(EngineProcess, command, run_folder.log, messages=messages_file).code == "run-busy"
+    attached = AttachedEngine(run_folder, find_engine(run_folder))
+    messages: list[dict] = []
+    wait_for(lambda: messages.extend(attached.poll()) or len(messages) == 4)
+    assert [message["type"] for message in messages] == ["stage", "progress", "progress", "warning"]
+    assert attached.running
+    (run_folder.root / "stop").touch()
+    wait_for(lambda: messages.extend(attached.poll()) or not attached.running)
+    assert messages[-1]["type"] == "done" and attached.error is None
+    assert "a stray line" in run_folder.log.read_text()
+
+
+def job_of(engine: Engine, run: RunFolder) -> Job:
+    """A job of one step, whose engine this is."""
+    step, record = Step("estimate", "Estimate", 1.0, command=["estimate"]), StepRecord(run.root / "steps.json")
+    return Job([step], record, lambda arguments: engine, run.log, lambda: ([], {}), resume=False)
+
+
+@posix
+def test_a_process_with_the_id_of_a_dead_engine_is_left_alone(run_folder):
+    other = subprocess.Popen([sys.executable, "-c", SLEEPER], start_new_session=True)
     try:
-        with pytest.raises(FiptError):
-            EngineProcess([sys.executable, "-c", "pass"], log, messages=messages)
+        dead = json.dumps({"pid": other.pid, "command": ["estimate"]})
+        run_folder.messages("estimate").parent.mkdir()
+        run_folder.messages("estimate").touch()
+        run_folder.engine_lock.write_text(dead)
+        assert find_engine(run_folder) is None
+        with hold(run_folder, ["estimate"]):
+            attached = AttachedEngine(run_folder, find_engine(run_folder))
+        run_folder.engine_lock.write_text(dead)
+        attached.cancel()
+        assert other.poll() is None
     finally:
-        os.kill(first.pid, signal.SIGKILL)
+        other.kill()
+        other.wait()
+
+
+@posix
+def test_a_process_is_left_alone_where_the_engine_runs_on_another_machine(run_folder, engine):
+    """On storage that machines share, the lock's id may be that of an innocent process here."""
+    content = json.loads(run_folder.engine_lock.read_text())
+    for other in ({"host": "another-machine"}, {"started": "another boot 5"}, {"host": "", "started": ""}):
+        run_folder.engine_lock.write_text(json.dumps({**content, **other}))  # still locked
+        found = find_engine(run_folder)
+        assert found is not None and not found.is_here
+        attached = AttachedEngine(run_folder, found)
+        job = job_of(attached, run_folder)
+        while not job.waits:
+            job.advance()
+        caught = error_of(job.request_cancel)
+        assert caught.code == "engine-elsewhere" and str(engine.pid) in caught.text and not job.cancelled
+        assert (other.get("host") or str(engine.pid)) in error_of(run_job.refuse_busy, run_folder).text
+        attached.request_cancel()
+        attached.poll()
+        job.cancel()
+        assert is_alive(engine.pid) and not attached.running
+
+
+def test_the_command_of_a_lock_names_no_other_file_and_nonsense_is_nobodys(run_folder):
+    (run_folder.root.parent / "evil.jsonl").touch()
+    run_folder.messages("estimate").parent.mkdir()
+    with hold(run_folder, ["../../evil"]):
+        assert holder(run_folder) is not None and find_engine(run_folder) is None
+        for text in ("", "{", "[]", '{"pid": "x", "command": []}', '{"pid": 1}'):  # still locked
+            run_folder.engine_lock.write_text(text)
+            assert holder(run_folder) is None and find_engine(run_folder) is None
+
+
+def test_a_job_attaches_and_notes_that_its_step_is_finished(run_folder, engine):
+    record = StepRecord(run_folder.root / "steps.json")
+    record.store("estimate", "the key of then", finished=False)
+    steps = [Step("estimate", "Estimating", 1.0, command=["estimate"], reset=lambda: pytest.fail("kept"))]
+    job = run_job.attach_job(run_folder, steps)
+    assert job is not None
+    messages: list[dict] = []
+    for _ in range(5):
+        messages += job.advance()
+    assert "estimate/shadings" in [message.get("name") for message in messages]
+    (run_folder.root / "stop").touch()
+    assert job.run(messages.append) and messages[-1]["type"] == "done"
+    step = json.loads((run_folder.root / "steps.json").read_text())["steps"]["estimate"]
+    assert step["finished"] and step["key"] == "the key of then"
+    assert [warning["code"] for warning in step["warnings"]] == ["odd"]
+    assert run_job.attach_job(run_folder, steps) is None
+
+
+@posix
+def test_a_request_to_cancel_never_waits(run_folder, monkeypatch):
+    stubborn = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('{}', flush=True)\n"
+    command, log = [sys.executable, "-c", stubborn + SLEEPER], run_folder.log
+    engine = EngineProcess(command, log, messages=run_folder.messages("a"))
+    job = job_of(engine, run_folder)
+    for _ in range(3):
+        job.advance()
+    wait_for(lambda: run_folder.messages("a").stat().st_size)
+    monkeypatch.setattr(engine_process, "time", frozen_clock())
+    job.request_cancel()
+    for _ in range(10):  # the child does not listen, and is given time to
+        assert job.advance() == [] and not job.finished and is_alive(engine.pid)
+    monkeypatch.setattr(engine_process, "time", frozen_clock(2.0))
+    wait_for(lambda: job.advance() == [] and job.finished)
+    assert job.cancelled and job.error is None and not is_alive(engine.pid)
+
+
+@posix
+def test_in_background_the_engine_ends_with_who_started_it(tmp_path):
+    # The child starts the engine's watch in a grandchild and is then killed, as a batch run may be.
+    watch = "import os\nfrom fipt_blender.core.run.process_identity import end_with_parent\nend_with_parent()\n"
+    watch += f"print(os.getpid(), flush=True)\n{SLEEPER}"
+    script = f"import os, subprocess, sys\nos.environ[{PARENT_VARIABLE!r}] = str(os.getpid())\n"
+    script += f"subprocess.run([sys.executable, '-c', {watch!r}])"
+    parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    engine = int(parent.stdout.readline())
+    time.sleep(1.5)  # the watch has looked at its parent at least once
+    assert is_alive(engine)
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+    wait_for(lambda: not is_alive(engine))
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is always full")
+def test_an_engine_whose_last_words_do_not_fit_on_the_disk_is_understood(run_folder):
+    command = [sys.executable, "-m", "fipt_blender.core", "report", str(run_folder.root)]
+    with open("/dev/full", "w") as full:
+        result = subprocess.run(command, cwd=ROOT, stdout=full, stderr=subprocess.DEVNULL, check=False)
+    assert explain_death(result.returncode)["code"] == "disk-full"
+
+
+def test_running_out_of_memory_is_told_from_a_crash():
+    for line in ("torch.OutOfMemoryError: CUDA out of memory.", "terminate called: std::bad_alloc"):
+        assert explain_death(-6, line)["code"] == "out-of-memory"
+    assert explain_death(-6, "assertion failed")["code"] == "engine-crashed"
+    assert "exit status" not in explain_death(None)["text"]

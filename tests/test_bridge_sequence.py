@@ -23,36 +23,30 @@ DONE = 'print(json.dumps({"type": "done", "files": ["a"], "data": {}}), flush=Tr
 class Steps:
     """A job with engine commands and functions; records which of them ran."""
 
-    def __init__(self, folder: Path, **inputs) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.ran: list[str] = []
         self.engine = "import json, pathlib, sys; pathlib.Path(sys.argv[1]).touch()\n" + DONE
-        self.inputs = inputs
 
     def start(self, arguments):
         self.ran.append(Path(arguments[0]).name)
         return EngineProcess([sys.executable, "-c", self.engine, *arguments], self.folder / "log.txt")
 
     def note(self, name):
-        def call():
-            self.ran.append(name)
+        return lambda: self.ran.append(name)
 
-        return call
-
-    def job(self, resume: bool = True, own_file: bool = True, **changed) -> Job:
-        inputs = {**self.inputs, **changed}
+    def job(self, own_file: bool = True, **inputs) -> Job:
         a, b, d = (self.folder / name for name in ("a", "b", "d"))
+        of_a, of_b, of_d = ({"x": inputs.get(name)} for name in ("a", "b", "d"))
         steps = [
-            Step("a", "A", 1.0, inputs={"x": inputs.get("a")}, command=[str(a)], outputs=[a]),
+            Step("a", "A", 1.0, inputs=of_a, command=[str(a)], outputs=[a]),
             Step("scene", "Scene", 1.0, function=self.note("scene"), repeat=True),
-            Step(
-                "b", "B", 1.0, inputs={"x": inputs.get("b")}, command=[str(b)], outputs=[b], reset=self.note("reset b")
-            ),
+            Step("b", "B", 1.0, inputs=of_b, command=[str(b)], outputs=[b], reset=self.note("reset b")),
             Step("save", "Save", 1.0, function=self.note("save"), restore=self.note("restore") if own_file else None),
-            Step("d", "D", 4.0, inputs={"x": inputs.get("d")}, command=[str(d)], outputs=[d]),
+            Step("d", "D", 4.0, inputs=of_d, command=[str(d)], outputs=[d]),
         ]
         record = StepRecord(self.folder / "steps.json")
-        return Job(steps, record, self.start, self.folder / "log.txt", lambda: (["result"], {}), resume)
+        return Job(steps, record, self.start, self.folder / "log.txt", lambda: (["result"], {}))
 
     def run(self, **changed) -> list[dict]:
         self.ran.clear()
@@ -61,7 +55,7 @@ class Steps:
         return messages
 
 
-def test_steps_run_in_order_and_progress_only_grows(tmp_path):
+def test_steps_run_in_order_and_again_from_the_first_with_changed_inputs_or_lost_outputs(tmp_path):
     steps = Steps(tmp_path)
     messages = steps.run()
     assert steps.ran == ["a", "scene", "reset b", "b", "save", "d"]
@@ -69,32 +63,17 @@ def test_steps_run_in_order_and_progress_only_grows(tmp_path):
     assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] == 1.0
     assert messages[-1] == {"type": "done", "files": ["result"], "data": {}}
     assert [m["name"] for m in messages if m["type"] == "stage"] == ["a", "scene", "b", "save", "d"]
-
-
-def test_changed_inputs_invalidate_from_their_step_on(tmp_path):
-    steps = Steps(tmp_path)
-    steps.run()
     steps.run(b=1)
     assert steps.ran == ["scene", "reset b", "b", "save", "d"]
     steps.run(b=1, d=1)
     assert steps.ran == ["restore", "d"]
-    steps.run(a=1)
-    assert steps.ran == ["a", "scene", "reset b", "b", "save", "d"]
-
-
-def test_a_scene_that_may_not_be_replaced_is_built_again_instead(tmp_path):
-    steps = Steps(tmp_path)
-    steps.run(own_file=False)
-    steps.run(own_file=False, d=1)
+    steps.run(b=1, own_file=False)  # a scene that may not be replaced is built again instead
     assert steps.ran == ["scene", "d"]
-
-
-def test_a_lost_output_is_made_again_with_all_that_follows(tmp_path):
-    steps = Steps(tmp_path)
-    steps.run()
     (tmp_path / "b").unlink()
-    steps.run()
+    steps.run(b=1)
     assert steps.ran == ["scene", "b", "save", "d"]
+    steps.run(a=1, b=1)
+    assert steps.ran == ["a", "scene", "reset b", "b", "save", "d"]
 
 
 def test_a_step_that_was_interrupted_keeps_its_checkpoints(tmp_path):
@@ -103,23 +82,21 @@ def test_a_step_that_was_interrupted_keeps_its_checkpoints(tmp_path):
     steps.engine = "import pathlib, sys; sys.exit(0 if pathlib.Path(sys.argv[1]).touch() else 9)"
     messages = steps.run()
     assert messages[-1]["code"] == "engine-crashed" and steps.ran == ["a"]
+    steps.engine = f"import sys; sys.argv[1].endswith('b') and sys.exit(7)\n{good}"
+    assert steps.run()[-1]["type"] == "error" and steps.ran == ["a", "scene", "reset b", "b"]
     steps.engine = good
     steps.run()
-    assert steps.ran[0] == "a"
-    (tmp_path / "b").unlink()
-    steps.engine = steps.engine.replace(
-        "import json", "import json, sys; 'b' in sys.argv[1][-1] and sys.exit(7)\nimport json"
-    )
-    assert steps.run()[-1]["type"] == "error"
-    steps.engine = good
-    steps.run()
-    assert "reset b" not in steps.ran and "b" in steps.ran
+    assert steps.ran == ["scene", "b", "save", "d"]
 
 
-def slice_job(tmp_path, function) -> Job:
-    step = Step("x", "Doing x", 1.0, function=function)
-    record = StepRecord(tmp_path / "steps.json")
-    return Job([step], record, lambda arguments: None, tmp_path / "log.txt", lambda: ([], {}), resume=False)
+def make_job(folder: Path, *steps: Step, resume: bool = True) -> Job:
+    """Of functions alone."""
+    record = StepRecord(folder / "steps.json")
+    return Job(steps, record, lambda arguments: None, folder / "log.txt", lambda: ([], {}), resume)
+
+
+def slice_job(tmp_path: Path, function) -> Job:
+    return make_job(tmp_path, Step("x", "Doing x", 1.0, function=function), resume=False)
 
 
 def test_a_function_may_work_in_slices(tmp_path):
@@ -145,7 +122,6 @@ def test_a_function_may_work_in_slices(tmp_path):
     fractions = [message["stage_fraction"] for message in messages if message["type"] == "progress"]
     assert fractions == sorted(fractions) and len(fractions) >= 5
     assert warning in messages and messages[-1]["type"] == "done"
-
     ran.clear()
     assert slice_job(tmp_path, function).run(lambda message: None) and len(ran) == 30
 
@@ -216,9 +192,8 @@ def test_a_resumed_job_repeats_the_warnings_of_finished_steps(tmp_path):
             Step("saved", "S", 1.0, function=lambda: [warn("saved")], restore=lambda: None),
             Step("b", "B", 1.0, inputs={"x": last}, function=lambda: [warn("b")]),
         ]
-        record = StepRecord(tmp_path / "steps.json")
         messages = []
-        Job(steps, record, lambda arguments: None, tmp_path / "log.txt", lambda: ([], {})).run(messages.append)
+        make_job(tmp_path, *steps).run(messages.append)
         codes = [message["code"] for message in messages if message["type"] == "warning"]
         data = json.loads((tmp_path / "steps.json").read_text())["steps"]
         return codes, [warning["code"] for step in data.values() for warning in step["warnings"]]
@@ -241,27 +216,22 @@ def test_a_damaged_record_of_steps_is_discarded_with_a_warning(tmp_path, content
     path = tmp_path / "steps.json"
     path.write_text(content)
     step = Step("a", "A", 1.0, function=lambda: None)
-    job = Job([step], StepRecord(path), lambda arguments: None, tmp_path / "log.txt", lambda: ([], {}))
     messages = []
-    assert job.run(messages.append)
+    assert make_job(tmp_path, step).run(messages.append)
     assert [message.get("code") for message in messages if message["type"] == "warning"] == ["steps-damaged"]
     assert StepRecord(path).problem == "" and StepRecord(path).finished(step, chain_keys([step])[0])
 
 
 def test_what_steps_find_changes_the_time_that_later_ones_are_expected_to_take(tmp_path):
     found: list[float] = []
-
-    def find():
-        found.append(970.0)
-
     steps = [
-        Step("a", "A", 10.0, function=find),
+        Step("a", "A", 10.0, function=lambda: found.append(970.0)),
         Step("b", "B", 1.0, function=lambda: None, expected=lambda: found[0] if found else None),
         Step("c", "C", 20.0, function=lambda: None),
     ]
-    job = Job(steps, StepRecord(tmp_path / "steps.json"), lambda _: None, tmp_path / "log", lambda: ([], {}))
-    told = []
-    job.run(lambda message: told.append(message) if message["type"] == "progress" else None)
+    messages: list[dict] = []
+    make_job(tmp_path, *steps).run(messages.append)
+    told = [message for message in messages if message["type"] == "progress"]
     assert told[0]["remaining_seconds"] == pytest.approx(31.0, abs=1.0)
     begins = [message for message in told if message["stage_fraction"] == 0.0]
     assert begins[1]["remaining_seconds"] == pytest.approx(990.0, abs=1.0)

@@ -17,20 +17,18 @@ from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
-from samples.child_processes import PATIENCE_SECONDS, is_alive, wait_for
+from samples.child_processes import PATIENCE_SECONDS, SLEEPER, is_alive, posix, wait_for
 
 PACKAGE = Path(cli.__file__).parent.parent
-GOOD = (
-    "import json, time\n"
-    'for i in range(3): print(json.dumps({"type": "progress", "fraction": i / 2, "remaining_seconds": 70}))\n'
-    'print(json.dumps({"type": "warning", "code": "w", "text": "Odd.", "remedy": "Even it."}))\n'
-    'print(json.dumps({"type": "done", "files": [], "data": {}}))\n'
-)
-BAD = (
-    "import json, sys\n"
-    'print(json.dumps({"type": "error", "code": "mesh-empty", "text": "No mesh.", "remedy": "Give one."}))\n'
-    "sys.exit(1)"
-)
+GOOD = """
+for fraction in (0.0, 0.5, 1.0): print('{"type": "progress", "fraction": %.1f, "remaining_seconds": 70}' % fraction)
+print('{"type": "warning", "code": "w", "text": "Odd.", "remedy": "Even it."}')
+print('{"type": "done", "files": [], "data": {}}')
+"""
+BAD = """
+print('{"type": "error", "code": "mesh-empty", "text": "No mesh.", "remedy": "Give one."}')
+raise SystemExit(1)
+"""
 
 
 @pytest.fixture
@@ -52,39 +50,21 @@ def fake_job(monkeypatch, script: str) -> list:
         log = options.output / "log.txt"
         result = options.output / "result.bin"
         result.write_bytes(b"x" * 1500)
-
-        def start(arguments):
-            return EngineProcess([sys.executable, "-c", script], log)
-
         step = Step("estimate", "Estimating", 1.0, command=["estimate"])
-        record = StepRecord(options.output / "steps.json")
-        return Job([step], record, start, log, lambda: ([str(result)], {}))
+        record, command = StepRecord(options.output / "steps.json"), [sys.executable, "-c", script]
+        return Job([step], record, lambda _: EngineProcess(command, log), log, lambda: ([str(result)], {}))
 
     monkeypatch.setattr(cli, "make_main_job", make)
     return seen
 
 
-@pytest.mark.parametrize(
-    "argv",
-    [
-        [],
-        ["dance"],
-        ["estimate"],
-        ["estimate", "room", "--preset", "best"],
-        ["estimate", "room", "--seed", "x"],
-        ["estimate", "room", "--set", "rounds"],
-        ["estimate", "room", "--set", "no_such_setting=1"],
-        ["estimate", "room", "--set", "rounds=many"],
-        ["estimate", "room", "--rounds", "-1"],
-        ["estimate", "room", "--scale", "0"],
-        ["estimate", "room", "--scale", "nan"],
-        ["estimate", "room", "--hold-back", "1"],
-        ["estimate", "room", "--render-spp", "0"],
-        ["estimate", "room", "--parts", "guess"],
-    ],
-)
-def test_wrong_usage_is_status_2_with_text_on_stderr(argv, capsys):
-    assert cli.main(argv) == 2
+WRONG = "--preset best|--seed x|--set rounds|--set no_such_setting=1|--set rounds=many|--rounds -1|--scale 0"
+WRONG += "|--scale nan|--hold-back 1|--render-spp 0|--parts guess"
+
+
+@pytest.mark.parametrize("line", ["", "dance", "estimate", *(f"estimate room {option}" for option in WRONG.split("|"))])
+def test_wrong_usage_is_status_2_with_text_on_stderr(line, capsys):
+    assert cli.main(line.split()) == 2
     output = capsys.readouterr()
     assert "error: " in output.err and output.out == ""
 
@@ -104,9 +84,8 @@ def test_captures_whose_names_differ_have_different_output_folders(capture, monk
 
 def test_options_reach_the_job(capture, monkeypatch, capsys):
     seen = fake_job(monkeypatch, GOOD)
-    arguments = "estimate room --preset draft --seed 7 --device llvm --rounds 0 --set texel_density=64"
+    arguments = "estimate room --preset draft --seed 7 --device llvm --rounds 0 --set texel_density=64 --resume"
     arguments += " --no-renders --up-axis=-y --scale 0.01 --hold-back 5 --parts none --mesh m.obj"
-    arguments += " --resume"
     assert cli.main(arguments.split()) == 0
     options = seen[0]
     settings = options.settings
@@ -117,7 +96,7 @@ def test_options_reach_the_job(capture, monkeypatch, capsys):
     assert options.output == capture.parent / "room-fipt"
 
 
-def test_a_good_run_shows_progress_and_ends_with_the_files(capture, monkeypatch, capfd):
+def test_a_good_run_shows_progress_and_ends_with_the_files_and_a_bad_one_with_status_1(capture, monkeypatch, capfd):
     fake_job(monkeypatch, GOOD)
     assert cli.main(["estimate", "room"]) == 0
     output = capfd.readouterr()
@@ -125,11 +104,8 @@ def test_a_good_run_shows_progress_and_ends_with_the_files(capture, monkeypatch,
     assert lines[0].strip().startswith("0 %") and "Estimating" in lines[0]
     assert lines[-1].split() == ["1.5", "kB", str(capture.parent / "room-fipt" / "result.bin")]
     assert output.err == "warning: Odd. Even it.\n"
-
-
-def test_a_failed_job_is_status_1_with_text_and_remedy(capture, monkeypatch, capfd):
     fake_job(monkeypatch, BAD)
-    assert cli.main(["estimate", "room"]) == 1
+    assert cli.main(["estimate", "room", "--output", "bad"]) == 1
     assert "error: No mesh. Give one.\n" in capfd.readouterr().err
 
 
@@ -149,32 +125,29 @@ def test_what_blender_prints_meanwhile_goes_to_the_log(capture, monkeypatch, cap
     assert "Fra:1 Mem:20M\n" in Path("out/log.txt").read_text()
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+TELL_ID = """import os; print('{"type": "stage", "name": "%d", "text": ""}' % os.getpid(), flush=True)"""
+INTERRUPTED = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from fipt_blender import cli
+from fipt_blender.bridge.process import EngineProcess
+from fipt_blender.bridge.sequence import Job
+from fipt_blender.bridge.step import Step, StepRecord
+def make(options):
+    options.output.mkdir()
+    log = options.output / "log.txt"
+    start = lambda arguments: EngineProcess([sys.executable, "-c", sys.argv[2]], log)
+    record = StepRecord(options.output / "steps.json")
+    return Job([Step("a", "A", 1.0, command=["a"])], record, start, log, lambda: ([], {}))
+cli.make_main_job = make
+sys.exit(cli.main(["estimate", "room", "--json"]))
+"""
+
+
+@posix
 def test_ctrl_c_ends_the_engine_and_says_how_to_go_on(capture):
-    script = (
-        "import sys\n"
-        "from pathlib import Path\n"
-        f"sys.path.insert(0, {str(PACKAGE.parent)!r})\n"
-        "from fipt_blender import cli\n"
-        "from fipt_blender.bridge.process import EngineProcess\n"
-        "from fipt_blender.bridge.sequence import Job\n"
-        "from fipt_blender.bridge.step import Step, StepRecord\n"
-        "inner = 'import json, os, time\\n'\n"
-        'inner += \'message = {"type": "stage", "name": str(os.getpid()), "text": ""}\\n\'\n'
-        "inner += 'print(json.dumps(message), flush=True)\\n'\n"
-        "inner += 'time.sleep(3600)'\n"
-        "def make(options):\n"
-        "    options.output.mkdir()\n"
-        "    log = options.output / 'log.txt'\n"
-        "    start = lambda arguments: EngineProcess([sys.executable, '-c', inner], log)\n"
-        "    record = StepRecord(options.output / 'steps.json')\n"
-        "    return Job([Step('a', 'A', 1.0, command=['a'])], record, start, log, lambda: ([], {}))\n"
-        "cli.make_main_job = make\n"
-        "sys.exit(cli.main(['estimate', 'room', '--json']))\n"
-    )
-    process = subprocess.Popen(
-        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    command = [sys.executable, "-c", INTERRUPTED, str(PACKAGE.parent), f"{TELL_ID}\n{SLEEPER}"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     engine = None
     while engine is None:
         message = json.loads(process.stdout.readline())
@@ -189,14 +162,10 @@ def test_ctrl_c_ends_the_engine_and_says_how_to_go_on(capture):
 
 @pytest.mark.parametrize("command", [[str(PACKAGE / "__main__.py")], ["-m", PACKAGE.name], [str(PACKAGE)]])
 def test_the_package_runs_as_a_file_and_as_a_module(command, tmp_path):
-    for arguments, status in ((["--version"], 0), (["dance"], 2), (["estimate", "no such folder"], 1)):
-        result = subprocess.run(
-            [sys.executable, *command, *arguments],
-            cwd=PACKAGE.parent if command[0] == "-m" else tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+    for arguments, status in ((["dance"], 2), (["estimate", "no such folder"], 1)):
+        folder = PACKAGE.parent if command[0] == "-m" else tmp_path
+        line = [sys.executable, *command, *arguments]
+        result = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False)
         assert result.returncode == status, result.stderr
         assert "Traceback" not in result.stderr
     assert "error: The capture no such folder does not exist." in result.stderr

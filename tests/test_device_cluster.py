@@ -9,7 +9,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -27,20 +27,10 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs.main_job import estimate_step
+from samples import small_captures as samples
 from samples.child_processes import PATIENCE_SECONDS
 from samples.refusals import error_of
-from samples.small_captures import (
-    CAMERAS,
-    COLORS,
-    PANEL,
-    PANEL_RADIANCE,
-    PANEL_TRIANGLES,
-    SmallCapture,
-    matt,
-    photograph_room,
-    pinhole,
-    write_run,
-)
+from samples.small_captures import SmallCapture, pinhole, write_run
 from samples.small_rooms import BOX, make_room, table
 
 # Every stage, and next to no training: that is not shared.
@@ -51,9 +41,9 @@ LITTLE = {
 
 
 @pytest.fixture(scope="module")
-def three() -> Iterator[LocalCluster]:
-    """A cluster of three processes."""
-    with LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=":0") as found:
+def two() -> Iterator[LocalCluster]:
+    """A cluster of two processes."""
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as found:
         yield found
 
 
@@ -66,33 +56,31 @@ def empty() -> Iterator[LocalCluster]:
 
 @pytest.fixture(scope="module")
 def capture() -> SmallCapture:
-    room = make_room([*BOX, PANEL], parts="objects", objects=np.arange(7))
-    colors = np.repeat(np.array([*COLORS, [0.0] * 3]), 2, axis=0)
-    lamps = table(PANEL_TRIANGLES, PANEL_RADIANCE)
-    return photograph_room(room, matt(colors), lamps, cameras=[*CAMERAS, *CAMERAS], spp=16)
+    """The box with a panel, photographed quickly."""
+    room = make_room([*BOX, samples.PANEL], parts="objects", objects=np.arange(7))
+    materials = samples.matt(np.repeat(np.array([*samples.COLORS, [0.0] * 3]), 2, axis=0))
+    lamps = table(samples.PANEL_TRIANGLES, samples.PANEL_RADIANCE)
+    return samples.photograph_room(room, materials, lamps, spp=16)
 
 
 def views(capture: SmallCapture) -> list[View]:
-    return [View(str(i), "train", Path("none.exr"), **vars(pinhole(pose))) for i, pose in enumerate(capture.poses)]
+    poses = 2 * capture.poses
+    return [View(str(i), "train", Path("none.exr"), **vars(pinhole(pose))) for i, pose in enumerate(poses)]
 
 
-class Watch(Reporter):
-    """Calls a function once during a stage."""
+class Killer(Reporter):
+    """Kills a worker of a cluster once, amid the refinement."""
 
-    def __init__(self, stage: str, action: Callable[[], None]) -> None:
-        super().__init__()
-        self._name, self._action, self._current = stage, action, ""
-        self.acted = False
+    address = current = killed = ""
 
     def stage(self, name: str, text: str) -> None:
-        self._current = name
+        self.current = name
         super().stage(name, text)
 
     def progress(self, stage_fraction: float, *arguments, **options) -> None:
         super().progress(stage_fraction, *arguments, **options)
-        if self._current == self._name and 0.0 < stage_fraction < 1.0 and not self.acted:
-            self.acted = True
-            self._action()
+        if self.current == "refinement-1" and 0.0 < stage_fraction < 1.0 and not self.killed:
+            self.killed = kill_a_busy_worker(self.address)
 
 
 def estimated(root: Path, capture: SmallCapture, address: str | None, reporter: Reporter) -> RunFolder:
@@ -107,12 +95,13 @@ def files(run: RunFolder) -> dict[str, bytes]:
     return {path.relative_to(run.root).as_posix(): path.read_bytes() for path in found}
 
 
-def kill_a_busy_worker(address: str) -> None:
-    """Like a machine that is switched off while it works on views."""
+def kill_a_busy_worker(address: str) -> str:
+    """Like a machine that is switched off while it works on views; returns the worker's address."""
     with Client(address, set_as_default=False) as client:
         busy = [worker for worker, keys in client.processing().items() if keys]
         pids = client.run(os.getpid)
     os.kill(pids[busy[0]], signal.SIGKILL)
+    return busy[0]
 
 
 def work_error(cluster_: LocalCluster, capture: SmallCapture, items: Iterable[View]) -> FiptError:
@@ -121,36 +110,30 @@ def work_error(cluster_: LocalCluster, capture: SmallCapture, items: Iterable[Vi
         return error_of(lambda: list(workers.map(Tracing(capture.room), items)))
 
 
-def connection_error(address: str) -> FiptError:
-    """With what connecting ends."""
-    return error_of(cluster.workers_at(address).__enter__)
-
-
 def test_a_cluster_finds_the_same_bits_though_a_worker_is_killed(
-    three: LocalCluster, capture: SmallCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    two: LocalCluster, capture: SmallCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in (training_stages, training):
         monkeypatch.setattr(module, "PRETRAINING_STEPS", 2)
     here = files(estimated(tmp_path / "here", capture, None, Reporter()))
-    watch = Watch("refinement-1", lambda: kill_a_busy_worker(three.scheduler_address))
-    there = files(estimated(tmp_path / "there", capture, three.scheduler_address, watch))
-    assert watch.acted
+    killer = Killer()
+    killer.address = two.scheduler_address
+    there = files(estimated(tmp_path / "there", capture, two.scheduler_address, killer))
+    assert killer.killed
     assert here.keys() == there.keys() and len(here) > 15
     assert [name for name in here if here[name] != there[name]] == []
-    with Client(three.scheduler_address, set_as_default=False) as client:
+    with Client(two.scheduler_address, set_as_default=False) as client:
         assert client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)) == 0  # all released
 
 
-@pytest.mark.parametrize(
-    "name, value, text",
-    [("PRODUCT_VERSION", "99.0", "99.0"), ("method_digest", lambda: "another source", "another source")],
-)
 def test_a_worker_of_another_version_or_method_is_named(
-    three: LocalCluster, capture: SmallCapture, monkeypatch: pytest.MonkeyPatch, name: str, value: object, text: str
+    two: LocalCluster, capture: SmallCapture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, name, value)
-    caught = work_error(three, capture, views(capture))
-    assert caught.code == "cluster-worker-unfit" and text in caught.text and "mitsuba" in caught.text
+    for name, value, text in (("PRODUCT_VERSION", "99.0", "99.0"), ("method_digest", lambda: "another", "another")):
+        with monkeypatch.context() as patch:
+            patch.setattr(cluster, name, value)
+            caught = work_error(two, capture, views(capture))
+        assert caught.code == "cluster-worker-unfit" and text in caught.text and "mitsuba" in caught.text
 
 
 def test_a_worker_without_the_engine_is_named_at_once(
@@ -202,7 +185,7 @@ def test_an_address_where_nothing_answers(address: str, monkeypatch: pytest.Monk
     monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
     made = []  # the __del__ of a client that never connected may block any thread forever
     monkeypatch.setattr(Client, "__init__", lambda self, *arguments, **options: made.append(arguments))
-    caught = connection_error(address)
+    caught = error_of(cluster.workers_at(address).__enter__)
     assert caught.code == "cluster-unreachable" and repr(address) in caught.text and not made
 
 
@@ -219,16 +202,12 @@ def test_the_address_reaches_the_engine_and_makes_no_result_stale(tmp_path: Path
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    caught = connection_error("tcp://127.0.0.1:9")
+    caught = error_of(cluster.workers_at("tcp://127.0.0.1:9").__enter__)
     assert caught.code == "package-optional" and "extra_cluster.txt" in caught.remedy
 
 
-@pytest.mark.parametrize(
-    ("address", "warned"),
-    [(None, False), ("tls://far:8786", False), ("tcp://127.0.0.1:1", False), ("tcp://[::1]:1", False),
-     ("tcp://far:8786", True), ("far:8786", True), ("ws://far:1", True), ("tcp://10.0.0.2:8786", True)],
-)  # fmt: skip
-def test_a_cluster_on_another_machine_without_tls_is_warned_of(address, warned):
-    warning = cluster.unprotected(address)
-    assert (warning is not None) == warned
-    assert warning is None or f"--cluster tls://{address.partition('://')[2] or address}" in warning[2]
+def test_a_cluster_on_another_machine_without_tls_is_warned_of() -> None:
+    for address in (None, "tls://far:8786", "tcp://127.0.0.1:1", "tcp://[::1]:1"):
+        assert cluster.unprotected(address) is None, address
+    for address in ("tcp://far:8786", "far:8786", "ws://far:1", "tcp://10.0.0.2:8786"):
+        assert f"--cluster tls://{address.partition('://')[2] or address}" in cluster.unprotected(address)[2]

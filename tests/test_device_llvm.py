@@ -42,23 +42,24 @@ def starts(python: Path) -> list[str]:
     return file.read_text().split() if file.exists() else []
 
 
-@pytest.mark.parametrize(
-    ("path", "version"),
-    [
-        ("/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1", 19),
-        ("/usr/lib/x86_64-linux-gnu/libLLVM-14.0.6.so.1", 14),
-        ("/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1", 15),
-        ("/usr/lib/llvm-17/lib/libLLVM.so", 17),
-        ("/opt/homebrew/Cellar/llvm@20/20.1.8/lib/libLLVM.dylib", 20),
-        ("/opt/homebrew/Cellar/llvm/21.1.0/lib/libLLVM.dylib", 21),
-        ("/somewhere/libLLVM.so", 0),
-    ],
-)
-def test_version_from_name(path: str, version: int) -> None:
-    assert llvm.library_version(Path(path)) == version
+@pytest.fixture
+def no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither the system nor a variable names a library."""
+    monkeypatch.delenv(llvm.LLVM_VARIABLE, raising=False)
+    monkeypatch.setattr(llvm, "system_patterns", lambda: iter([]))
 
 
-def test_order_prefers_good_versions_and_counts_links_once(tmp_path: Path) -> None:
+def test_version_from_name_prefers_good_ones_and_counts_links_once(tmp_path: Path) -> None:
+    versions = {
+        "/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1": 19,
+        "/usr/lib/x86_64-linux-gnu/libLLVM-14.0.6.so.1": 14,
+        "/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1": 15,
+        "/usr/lib/llvm-17/lib/libLLVM.so": 17,
+        "/opt/homebrew/Cellar/llvm@20/20.1.8/lib/libLLVM.dylib": 20,
+        "/opt/homebrew/Cellar/llvm/21.1.0/lib/libLLVM.dylib": 21,
+        "/somewhere/libLLVM.so": 0,
+    }
+    assert {path: llvm.library_version(Path(path)) for path in versions} == versions
     names = [f"libLLVM{end}" for end in ("-14.so.1", "-99.so.1", ".so.17.0", ".so.20.1", ".so", "-15.so")]
     libraries = [make_library(tmp_path, name) for name in names]
     link = tmp_path / "libLLVM-20.so"
@@ -80,13 +81,12 @@ def test_named_library_and_own_folder_lead(tmp_path: Path, monkeypatch: pytest.M
 
 
 @linux
-def test_aborting_library_is_survived_and_the_next_one_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("no_other")
+def test_aborting_library_is_survived_and_the_next_one_taken(tmp_path: Path) -> None:
     bad = make_library(tmp_path / "lib", "libLLVM.so.20.1")
     good = make_library(tmp_path / "lib", "libLLVM.so.19.1")
     abort = 'case "$DRJIT_LIBLLVM_PATH" in *20.1) kill -ABRT $$;; esac'
     python = fake_python(tmp_path / "bin", f"echo {probe.IMPORTED}; {abort}; echo {probe.PASSED}")
-    monkeypatch.delenv(llvm.LLVM_VARIABLE, raising=False)
-    monkeypatch.setattr(llvm, "system_patterns", lambda: iter([]))
     assert llvm.find_llvm(python, tmp_path / "cache") == good
     assert starts(python) == [str(bad), str(good)]
     assert llvm.find_llvm(python, tmp_path / "cache") == good
@@ -97,29 +97,21 @@ def test_aborting_library_is_survived_and_the_next_one_taken(tmp_path: Path, mon
 
 
 @linux
+@pytest.mark.usefixtures("no_other")
 def test_no_working_library_names_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bad = make_library(tmp_path / "lib", "libLLVM.so.18.1")
     python = fake_python(tmp_path / "bin", f"echo {probe.IMPORTED}; kill -ABRT $$")
-    monkeypatch.delenv(llvm.LLVM_VARIABLE, raising=False)
-    monkeypatch.setattr(llvm, "system_patterns", lambda: iter([]))
     monkeypatch.setattr(llvm.platform, "freedesktop_os_release", lambda: {"ID": "debian"})
     caught = error_of(llvm.find_llvm, python, tmp_path / "cache")
     assert caught.code == "llvm-missing"
     assert str(bad) in caught.text and "signal 6" in caught.text
     assert "apt-get install libllvm19" in caught.remedy
-
-
-@linux
-def test_kills_and_missing_packages_are_no_verdict_on_the_library(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    make_library(tmp_path / "lib", "libLLVM.so.19.1")
-    monkeypatch.delenv(llvm.LLVM_VARIABLE, raising=False)
-    monkeypatch.setattr(llvm, "system_patterns", lambda: iter([]))
+    # Kills and missing packages are no verdict on the library.
+    bad.write_bytes(b"another")
     python = fake_python(tmp_path / "bin", f"echo {probe.IMPORTED}; kill -KILL $$")
-    for _ in range(2):
+    for count in (2, 3):
         assert "signal 9" in str(error_of(llvm.find_llvm, python, tmp_path / "cache"))
-    assert len(starts(python)) == 2
+        assert len(starts(python)) == count
     python = fake_python(tmp_path / "bin", 'echo "ModuleNotFoundError: No module named mitsuba"; exit 1')
     assert error_of(llvm.find_llvm, python, tmp_path / "cache").code == "package-missing"
 
@@ -140,15 +132,12 @@ def test_real_library_is_found_and_wrong_ones_refused(tmp_path: Path) -> None:
     assert not verdict.works and verdict.reason
 
 
-def test_variant_is_set_once_and_bad_devices_are_refused() -> None:
+def test_variant_is_set_once_and_bad_devices_are_explained(monkeypatch: pytest.MonkeyPatch) -> None:
     current = variant.set_variant("llvm")
     assert current == "llvm_ad_rgb"
     assert variant.set_variant("auto") == variant.set_variant("llvm") == current
     assert variant.torch_device() == "cpu"
     assert error_of(variant.set_variant, "tpu").code == "setting-invalid"
-
-
-def test_cuda_without_a_driver_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(variant, "cuda_driver_version", lambda: None)
     caught = error_of(variant.set_variant, "cuda")
     assert caught.code == "cuda-missing" and "driver" in caught.text
@@ -162,6 +151,7 @@ def test_engine_starts_isolated_from_any_folder(tmp_path: Path) -> None:
     assert result.returncode == 0 and result.stdout == "" and "estimate" in result.stderr
 
 
+@linux
 def test_engine_python_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(interpreter.PYTHON_VARIABLE, raising=False)
     monkeypatch.setattr(interpreter, "PACKAGE_FOLDER", tmp_path / "no" / "checkout")
@@ -173,15 +163,10 @@ def test_engine_python_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     caught = error_of(interpreter.find_engine_python)
     assert caught.code == "engine-missing" and interpreter.PYTHON_VARIABLE in caught.text
     assert interpreter.find_engine_python(str(PYTHON)) == PYTHON, "an argument comes first"
-
-
-@linux
-def test_engine_python_without_packages_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(interpreter.PYTHON_VARIABLE, raising=False)
+    # One without packages is refused.
+    monkeypatch.delenv(interpreter.PYTHON_VARIABLE)
     bare = fake_python(tmp_path / "bin", 'echo "3.11.0 lacks mitsuba"; exit 1')
-    monkeypatch.setenv(places.DATA_VARIABLE, str(tmp_path / "data"))
     assert "lacks mitsuba" in str(error_of(interpreter.find_engine_python, str(bare)))
-    monkeypatch.setattr(interpreter, "PACKAGE_FOLDER", tmp_path / "no" / "checkout")
     monkeypatch.setattr(interpreter.sys, "executable", str(bare))
     caught = error_of(interpreter.find_engine_python)
     assert caught.code == "engine-missing" and interpreter.PYTHON_VARIABLE in caught.remedy
@@ -199,16 +184,10 @@ def test_engine_environment_is_clean(tmp_path: Path, monkeypatch: pytest.MonkeyP
         assert environment["LD_LIBRARY_PATH"].split(":")[0] == str(tmp_path / "system")
 
 
-def test_mitsuba_before_the_variant_is_an_error(tmp_path):
+def test_mitsuba_before_the_variant_is_an_error() -> None:
     # Dr.Jit looks for LLVM at Mitsuba's import: one that is not the tried one aborts processes later.
-    script = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
-        "import mitsuba\n"
-        "from fipt_blender.core.device.variant import set_variant\n"
-        "set_variant('llvm')\n"
-    )
+    script = "import mitsuba\nfrom fipt_blender.core.device.variant import set_variant\nset_variant('llvm')\n"
     environment = {key: value for key, value in os.environ.items() if key != llvm.LLVM_VARIABLE}
-    result = subprocess.run(
-        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-c", script]
+    result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert result.returncode == 1 and "imported before set_variant" in result.stderr

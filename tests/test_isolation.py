@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Who may import whom: the engine no bpy, Blender's side no engine package, each floor only those below."""
+"""Who may import whom: the engine no bpy, Blender's side no engine package, each floor only those below; and tests."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import functools
 import graphlib
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+import matrix
 from fipt_blender.core.run.method import ROOMS
 
-ROOT = Path(__file__).resolve().parent.parent
+TESTS = Path(__file__).resolve().parent
+ROOT = TESTS.parent
 PACKAGE = ROOT / "fipt_blender"
 CORE = PACKAGE / "core"
 PREPARE = PACKAGE / "prepare"  # of the engine, too
-HEAVY = """
-    mitsuba drjit torch OpenEXR OpenImageIO pycolmap pyoidn rawpy exifread lensfunpy trimesh
-""".split()
+HEAVY = "mitsuba drjit torch OpenEXR OpenImageIO pycolmap pyoidn rawpy exifread lensfunpy trimesh".split()
 # What Blender's side may import of the engine: the standard library and numpy are enough for these.
 SHARED = """
     alignment.gltf_document alignment.obj_file alignment.pairs alignment.ply_file alignment.polygons
@@ -56,8 +56,16 @@ for name in sys.argv[3].split(","):
 @functools.cache
 def imports(file: Path) -> list[ast.Import | ast.ImportFrom]:
     """All import statements of a file, functions included; several tests need them."""
-    nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+    nodes = statements(ast.parse(file.read_text(encoding="utf-8")))
     return [node for node in nodes if isinstance(node, (ast.Import, ast.ImportFrom))]
+
+
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """All statements of a module or statement: quicker than `ast.walk`, which also visits expressions."""
+    for name in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for each in getattr(node, name, ()):
+            yield each
+            yield from statements(each)
 
 
 def imported_modules(file: Path) -> set[str]:
@@ -66,7 +74,7 @@ def imported_modules(file: Path) -> set[str]:
     for node in imports(file):
         if isinstance(node, ast.Import):
             names |= {alias.name.partition(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+        elif node.level == 0 and node.module:
             names.add(node.module.partition(".")[0])
     return names
 
@@ -102,35 +110,14 @@ def room_of(module: str) -> str:
     return max(rooms, key=len)
 
 
-def import_blocked(blocked: tuple[str, ...], modules: list[str]) -> subprocess.CompletedProcess[str]:
-    arguments = [str(ROOT), ",".join(blocked), ",".join(modules)]
-    return subprocess.run([sys.executable, "-I", "-c", BLOCK, *arguments], capture_output=True, text=True)
-
-
-def module_names(folder: Path) -> list[str]:
-    names = []
-    for file in sorted(folder.rglob("*.py")):
-        parts = file.relative_to(ROOT).with_suffix("").parts
-        names.append(".".join(parts[:-1] if parts[-1] == "__init__" else parts))
-    return [name for name in names if not name.endswith("__main__")]
-
-
-def test_the_block_blocks() -> None:
-    result = import_blocked(("json",), ["json"])
-    assert result.returncode != 0 and "json" in result.stderr
-
-
-def test_engine_imports_without_bpy() -> None:
-    modules = [*module_names(CORE), *module_names(PREPARE), "fipt_blender.core.__main__"]
-    code_first = "fipt_blender.core.device.variant"  # LLVM must be chosen before Mitsuba is imported
-    result = import_blocked(("bpy", "bmesh", "mathutils"), [code_first, *modules])
-    assert result.returncode == 0, result.stderr
-
-
 def test_light_modules_import_without_the_engines_packages() -> None:
-    modules = [f"fipt_blender.{name}" for name in LIGHT_MODULES]
-    result = import_blocked((*HEAVY, "bpy"), modules)
+    """And the engine's command line without bpy; no other module of the engine may name it (below)."""
+    modules = [f"fipt_blender.{name}" for name in (*LIGHT_MODULES, "core.__main__")]
+    arguments = [str(ROOT), ",".join([*HEAVY, "bpy"]), ",".join(modules)]
+    result = subprocess.run([sys.executable, "-I", "-c", BLOCK, *arguments], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
+    blocked = subprocess.run([sys.executable, "-I", "-c", BLOCK, ".", "json", "json"], capture_output=True, text=True)
+    assert blocked.returncode != 0 and "json" in blocked.stderr
 
 
 def forbidden(file: Path) -> set[str]:
@@ -155,26 +142,6 @@ def test_every_file_imports_only_what_its_side_and_floor_may(faults_of: Callable
     found = {module_of(file): sorted(faults_of(file)) for file in sorted(PACKAGE.rglob("*.py"))}
     faults = {module: names for module, names in found.items() if names}
     assert len(found) > 100 and not faults, faults
-
-
-def test_the_checks_find_what_they_forbid(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(globals(), "PACKAGE", tmp_path)
-    monkeypatch.setitem(globals(), "CORE", tmp_path / "core")
-    for folder in ("core/pixels", "core/checks", "blend/room", "panels"):
-        (tmp_path / folder).mkdir(parents=True)
-
-    def written(place: str, text: str) -> Path:
-        (tmp_path / place).write_text(text)
-        return tmp_path / place
-
-    engine = written("core/pixels/a.py", "def f():\n    import bpy\nfrom ...panels import b\nfrom ..checks import c\n")
-    assert forbidden(engine) == {"bpy", "panels"} and from_above(engine) == {"panels", "core.checks"}
-    side = written(
-        "blend/room/b.py", "import torch.nn\nfrom ...core.pixels import a\nfrom ...core import conventions\n"
-    )
-    assert forbidden(side) == {"torch", "core.pixels.a", "core"} and from_above(side) == set()
-    good = written("core/checks/c.py", "import numpy\nfrom ..pixels.a import f\n")
-    assert forbidden(good) == from_above(good) == set()
 
 
 def test_dev_py_needs_the_standard_library_only() -> None:
@@ -202,3 +169,85 @@ def test_the_digest_of_the_method_covers_all_rooms_that_an_estimation_uses() -> 
 def test_every_floor_exists() -> None:
     rooms = {room_of(module_of(file)) for file in PACKAGE.rglob("*.py")}
     assert rooms == set(FLOORS)
+
+
+_TIMES = ("monotonic", "elapsed")
+_CLOCKS = ("process_time", "thread_time", "perf_counter", "process_time_ns", "perf_counter_ns")
+
+
+def is_private(name: str) -> bool:
+    last = name.rpartition(".")[2]
+    return last.startswith("_") and not last.startswith("__")
+
+
+def name_of(node: ast.AST) -> str:
+    return getattr(node, "attr", getattr(node, "id", ""))
+
+
+def imported_test_modules(tree: ast.Module) -> set[str]:
+    modules = set()
+    for node in statements(tree):
+        if isinstance(node, ast.Import):
+            modules |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            modules |= {node.module or "", *(alias.name for alias in node.names)}
+    return {name for name in modules if name.startswith("test_") or name == "conftest"}
+
+
+def private_names(tree: ast.Module) -> Iterator[str]:
+    """Private names of other modules and objects: imported, read as attributes, or set by monkeypatch."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            yield from (alias.name for alias in node.names if is_private(alias.name))
+        elif isinstance(node, ast.Attribute) and is_private(node.attr):
+            if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")):
+                if ast.unparse(node) != "os._exit":  # Python documents it
+                    yield ast.unparse(node)
+        elif isinstance(node, ast.Call) and name_of(node.func) in ("setattr", "getattr"):
+            names = [argument.value for argument in node.args[:2] if isinstance(argument, ast.Constant)]
+            yield from (name for name in names if isinstance(name, str) and is_private(name))
+
+
+def measured_times(tree: ast.Module) -> Iterator[str]:
+    """Assertions on seconds, which fail on a busy machine: count what the time is for. And processor time."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and node.attr in _CLOCKS:
+            yield ast.unparse(node)
+        elif isinstance(node, ast.Assert):
+            names = {name_of(each) for each in ast.walk(node.test)}
+            if names & {*_TIMES}:
+                yield ast.unparse(node.test)
+
+
+def test_tests_stand_alone_use_public_names_and_assert_no_times() -> None:
+    faults = {}
+    for file in sorted(TESTS.rglob("*.py")):
+        text = file.read_text(encoding="utf-8")
+        tree = ast.parse(text)
+        # Move what is shared to tests/samples; test the public function, or make the name public.
+        found = [*imported_test_modules(tree), *private_names(tree)]
+        if any(word in text for word in (*_CLOCKS, *_TIMES)):
+            found += measured_times(tree)
+        if found:
+            faults[str(file.relative_to(TESTS))] = found
+    assert not faults, faults
+
+
+def test_the_check_finds_what_it_forbids() -> None:
+    statement, clock = "time.monotonic() - k < 5.0", "time.process_time"
+    tree = ast.parse(
+        "from test_a import b\n"
+        "from fipt_blender.cli import _c\n"
+        "d._e(self._f, g.__name__)\n"
+        "monkeypatch.setattr(h, '_i', 1)\n"
+        "monkeypatch.setattr('fipt_blender.cli._j', 1)\n"
+        f"assert {statement}\n"
+        f"began = {clock}()\n"
+    )
+    assert imported_test_modules(tree) == {"test_a"}
+    assert set(private_names(tree)) == {"_c", "d._e", "_i", "fipt_blender.cli._j"}
+    assert list(measured_times(tree)) == [statement, clock]
+
+
+def test_the_tests_of_the_matrix_are_there() -> None:
+    assert [name for name in matrix.TESTS if not (TESTS / name).is_file()] == []

@@ -12,6 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from mathutils.bvhtree import BVHTree
 
 import fipt_blender
 from fipt_blender.blend.capture.view_geometry import ViewGeometry
@@ -60,12 +61,18 @@ print(json.dumps({"type": "done", "files": [], "data": {}}))
 """
 
 
+# Of a box; the first is the top.
+FACES = [(4, 5, 7, 6), (0, 2, 3, 1), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+
+
+def corners_of(low, high) -> list[list[float]]:
+    return [[(low, high)[(i >> axis) & 1][axis] for axis in range(3)] for i in range(8)]
+
+
 def box(low, high, name: str, offset: int) -> str:
-    """A box as an OBJ object; its first face is the top."""
-    corners = [[(low, high)[(i >> axis) & 1][axis] for axis in range(3)] for i in range(8)]
-    faces = [(4, 5, 7, 6), (0, 2, 3, 1), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-    lines = [f"o {name}"] + ["v {} {} {}".format(*corner) for corner in corners]
-    lines += ["f " + " ".join(str(i + 1 + offset) for i in face) for face in faces]
+    """A box as an OBJ object."""
+    lines = [f"o {name}"] + ["v {} {} {}".format(*corner) for corner in corners_of(low, high)]
+    lines += ["f " + " ".join(str(i + 1 + offset) for i in face) for face in FACES]
     return "\n".join(lines) + "\n"
 
 
@@ -87,14 +94,22 @@ def capture(tmp_path) -> Path:
     return folder
 
 
+class Ran(list):
+    """The engine commands that were run; `failing` crashes."""
+
+    failing = ""
+
+
 @pytest.fixture
-def engine(monkeypatch) -> list[str]:
-    """The engine with a stand-in for its long commands; lists the commands that were run."""
-    ran: list[str] = []
+def engine(monkeypatch) -> Ran:
+    """The engine with a stand-in for its long commands."""
+    ran = Ran()
     real = run_job.engine_command
 
     def command(python, *arguments):
         ran.append(arguments[0])
+        if arguments[0] == ran.failing:
+            return [str(python), "-c", "import os; os.abort()"]
         if arguments[0] in ("estimate", "textures"):
             return [str(python), "-c", STAND_IN, str(ROOT), *arguments]
         return real(python, *arguments)
@@ -121,7 +136,6 @@ def options(capture, tmp_path) -> MainJobOptions:
 
 def panel_is_ready(options: MainJobOptions, blend: Path) -> None:
     """The file, opened with the add-on, shows views, lights and settings in the panel."""
-
     fipt_blender.register()
     try:
         bpy.ops.wm.open_mainfile(filepath=str(blend))
@@ -144,14 +158,12 @@ def panel_is_ready(options: MainJobOptions, blend: Path) -> None:
 
 
 def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
-
     messages = run_main_job(options)
     assert messages[-1]["type"] == "done", messages[-1]
     assert engine == ["ingest", "estimate", "textures", "report"]
     files = [Path(name) for name in messages[-1]["data"] and messages[-1]["files"]]
     assert [path.name for path in files[:2]] == ["room.blend", "index.html"]
     assert all(path.is_file() for path in files)
-
     panel_is_ready(options, files[0])
     bpy.ops.wm.open_mainfile(filepath=str(files[0]))
     assert {"walls", "crate"} <= set(bpy.data.objects.keys())
@@ -161,53 +173,36 @@ def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
         if image.source == "FILE" and image.packed_file is None:
             assert image.filepath.startswith("//") and Path(bpy.path.abspath(image.filepath)).exists()
 
-    engine.clear()
+    def ran(again: MainJobOptions) -> list[str]:
+        engine.clear()
+        messages[:] = run_main_job(again)
+        return engine
+
     again = dataclasses.replace(options, resume=True)
-    assert run_main_job(again)[-1]["type"] == "done" and engine == []
+    assert ran(again) == [] and messages[-1]["type"] == "done"
+    finer = dataclasses.replace(again, settings=dataclasses.replace(options.settings, texel_density=64.0))
+    assert ran(finer) == ["textures", "report"] and messages[-1]["type"] == "done"
 
-    finer = dataclasses.replace(options.settings, texel_density=64.0)
-    assert run_main_job(dataclasses.replace(again, settings=finer))[-1]["type"] == "done"
-    assert engine == ["textures", "report"]
-
-    engine.clear()
-    (options.capture / "2.exr").touch()
+    # An estimate that fails, resumed or begun anew, leaves the one before complete.
     run = RunFolder(options.output)
     checkpoint = run.stage / "checkpoint"
     checkpoint.touch()
-    assert run_main_job(dataclasses.replace(again, settings=finer))[-1]["type"] == "done"
-    assert engine == ["ingest", "estimate", "textures", "report"]
-    assert checkpoint.exists(), "the engine knows itself which checkpoints still hold"
-    engine.clear()
-    run_main_job(options)  # anew
-    assert engine == ["ingest", "estimate", "textures", "report"] and not checkpoint.exists()
-
-
-@pytest.mark.parametrize("resume", [False, True])
-def test_an_estimate_that_fails_leaves_the_one_before_complete(options, engine, monkeypatch, resume):
-    assert run_main_job(options)[-1]["type"] == "done"
-    run = RunFolder(options.output)
     folders = run.results, run.textures, run.renders, run.report, run.root / "room.blend"
-    files = [path for folder in folders for path in (folder, *folder.rglob("*")) if path.is_file()]
-    before = {path: path.read_bytes() for path in files}
-    assert before
-    failing = []
-    stand_in = run_job.engine_command
-
-    def command(python, *arguments):
-        if arguments[0] in failing:
-            return [str(python), "-c", "import os; os.abort()"]
-        return stand_in(python, *arguments)
-
-    settings = dataclasses.replace(options.settings, seed=5)
-    again = dataclasses.replace(options, settings=settings, resume=resume)
-    monkeypatch.setattr(run_job, "engine_command", command)
-    for step in ("estimate", "ingest") if resume else ("ingest", "estimate"):
-        failing[:] = [step]
+    paths = [path for folder in folders for path in (folder, *folder.rglob("*")) if path.is_file()]
+    before = {path: path.read_bytes() for path in paths}
+    assert {"room.blend", "fields.npz", "index.html"} <= {path.name for path in before}
+    other = dataclasses.replace(finer, settings=dataclasses.replace(finer.settings, seed=5))
+    for resume, failing in ((True, "estimate"), (True, "ingest"), (False, "ingest"), (False, "estimate")):
         (options.capture / "2.exr").touch()
-        assert run_main_job(again)[-1]["code"] == "engine-crashed"
+        engine.failing = failing
+        assert ran(dataclasses.replace(other, resume=resume))[-1] == failing
+        assert messages[-1]["code"] == "engine-crashed"
         assert {path: path.read_bytes() for path in before} == before
-    monkeypatch.setattr(run_job, "engine_command", stand_in)
-    assert run_main_job(dataclasses.replace(again, resume=True))[-1]["type"] == "done"
+        # Of a resumed run the engine knows itself which checkpoints still hold.
+        assert checkpoint.exists() or (resume, failing) == (False, "estimate")
+    assert not checkpoint.exists()
+    engine.failing = ""
+    assert ran(other) == ["estimate", "textures", "report"] and messages[-1]["type"] == "done"
 
 
 def code_of(options: MainJobOptions) -> str:
@@ -257,26 +252,15 @@ def test_a_capture_without_a_mesh_says_where_a_room_can_come_from(capture, engin
         assert remedy in last["remedy"]
 
 
-# ------------------------------------------------------------------------------------------ placement
-
-
 def boxes(*bounds):
     """Ray casting against axis-aligned boxes, from inside or outside."""
+    corners = [corner for low, high in bounds for corner in corners_of(low, high)]
+    faces = [[i + 8 * box for i in face] for box in range(len(bounds)) for face in FACES]
+    tree = BVHTree.FromPolygons(corners, faces)
 
     def cast(origin, direction):
-        best = None
-        for low, high in bounds:
-            for axis in range(3):
-                for value in (low[axis], high[axis]):
-                    if abs(direction[axis]) < 1e-12:
-                        continue
-                    t = (value - origin[axis]) / direction[axis]
-                    point = origin + t * direction
-                    others = [i for i in range(3) if i != axis]
-                    inside = all(low[i] - 1e-9 <= point[i] <= high[i] + 1e-9 for i in others)
-                    if t > 1e-6 and inside and (best is None or t < best[0]):
-                        best = (t, point, np.eye(3)[axis])
-        return None if best is None else best[1:]
+        point, normal = tree.ray_cast(origin + 1e-6 * direction, direction)[:2]
+        return None if point is None else (np.array(point), np.array(normal))
 
     return cast
 
@@ -287,25 +271,20 @@ VIEW = ViewGeometry(
 )
 
 
-@pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])
-def test_the_light_hangs_below_the_ceiling_in_the_middle(scale):
-    low, high = ROOM[0] * scale, ROOM[1] * scale
-    place = find_light_place(boxes((low, high)), low, high, 1.5 * scale)
-    np.testing.assert_allclose(place.center[:2], 0.0, atol=1e-6 * scale)
-    assert 2.3 * scale < place.center[2] < 2.5 * scale
-    assert place.size == pytest.approx(0.6 * scale)
-
-
-def test_the_light_avoids_a_lamp_that_hangs_in_the_middle():
+def test_the_light_hangs_below_the_ceiling_in_the_middle_or_beside_a_lamp_that_hangs_there():
+    for scale in (0.01, 1.0):
+        low, high = ROOM[0] * scale, ROOM[1] * scale
+        place = find_light_place(boxes((low, high)), low, high, 1.5 * scale)
+        np.testing.assert_allclose(place.center[:2], 0.0, atol=1e-6 * scale)
+        assert 2.3 * scale < place.center[2] < 2.5 * scale
+        assert place.size == pytest.approx(0.6 * scale)
     lamp = (np.array([-0.2, -0.2, 1.7]), np.array([0.2, 0.2, 2.0]))
     place = find_light_place(boxes(ROOM, lamp), *ROOM, 1.5)
-    half = 0.5 * place.size
     assert place.center[2] > 2.3
-    assert np.max(np.abs(place.center[:2])) > 0.2 + half - 1e-6
-    assert np.max(np.abs(place.center[:2])) < 1.5 - half
+    assert 0.2 - 1e-6 < np.max(np.abs(place.center[:2])) - 0.5 * place.size < 1.5 - place.size
 
 
-@pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])
+@pytest.mark.parametrize("scale", [0.01, 1.0])
 def test_the_object_stands_on_free_floor_in_view(scale):
     crate = (np.array([-0.3, -0.3, 0.0]) * scale, np.array([0.3, 0.3, 0.6]) * scale)
     cast = boxes((ROOM[0] * scale, ROOM[1] * scale), crate)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The running job beside the artist: undo, other files, unregistering, cancelling, with stand-in engines.
+"""The running job beside the artist, with stand-in engines, and runs that a crashed Blender has left behind.
 
 Timers never fire without a window: here `running.tick` is called by hand.
 """
@@ -9,22 +9,29 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import time
+from pathlib import Path
 
 import bpy
 import pytest
 
 import fipt_blender
 from fipt_blender import machine
+from fipt_blender.bridge import unsaved
 from fipt_blender.bridge.attached import find_engine
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.step import Step
+from fipt_blender.core import conventions
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.jobs import job_scene, run_job, running, runstate, session
+from fipt_blender.jobs import job_scene, recovery, run_job, running, runstate, session
 from fipt_blender.operators.job_operator import JobOperator
+from fipt_blender.panels.start import FIPT_PT_start
+from samples.camera_views import random_views
 from samples.child_processes import wait_for
+from samples.layouts import drawn_by
 from samples.refusals import error_of
 from samples.stand_in_jobs import at_work, finish, make_job, start, tick_until
 
@@ -51,6 +58,9 @@ def test_what_the_panel_shows_follows_the_engine(run):
     ended = []
     info = start(make_job(run), run, on_end=ended.append)
     assert running.current() is info and info.state == "running" and running.last("test") is None
+    caught = error_of(start, make_job(run), run)
+    assert caught.code == "job-running" and "Test" in caught.text
+    assert running.current() is info and not bpy.ops.fipt.estimate.poll()
     tick_until(lambda: at_work(info))
     assert info.stage_text == "Baking" and 0.3 < info.fraction < 0.5 and info.memory_gb > 0.0
     assert info.pictures == [run.root / "stage" / "picture.png"]
@@ -59,15 +69,6 @@ def test_what_the_panel_shows_follows_the_engine(run):
     assert info.state == "finished" and info.fraction == 1.0 and ended == [info]
     assert running.current() is None and running.last("test") is info is running.last()
     assert running.tick() is None
-
-
-def test_only_one_job_runs(run):
-    info = start(make_job(run), run)
-    caught = error_of(start, make_job(run), run)
-    assert caught.code == "job-running" and "Test" in caught.text
-    assert running.current() is info and not bpy.ops.fipt.estimate.poll()
-    running.cancel()
-    tick_until(lambda: info.state == "cancelled")
 
 
 def test_a_function_gets_its_scene_whichever_is_shown(run):
@@ -80,34 +81,21 @@ def test_a_function_gets_its_scene_whichever_is_shown(run):
     assert info.state == "finished" and seen == ["Renamed"]
 
 
-def test_an_undo_during_a_run_does_not_disturb_it(run):
-    scene = bpy.context.scene
-    scene.fipt.run_folder = ""
-    bpy.ops.ed.undo_push(message="before")
-    scene.fipt.run_folder = str(run.root)
-    names = []
-    info = start(make_job(run, lambda: names.append(bpy.context.scene.fipt.run_folder)), run)
-    tick_until(lambda: at_work(info))
-    bpy.ops.mesh.primitive_cube_add()
-    # Without a window there is no undo: what it does to the state is done by hand.
+@pytest.mark.parametrize("reload", [True, False])
+def test_a_reload_or_an_undo_that_forgets_the_run_folder_is_told_it_again(run, tmp_path, reload):
     bpy.context.scene.fipt.run_folder = ""
-    bpy.data.objects.remove(bpy.data.objects["Cube"])
-    finish(run, info)
-    assert info.state == "finished" and names == [str(run.root)]
-
-
-def test_a_reload_that_forgets_the_run_folder_is_told_it_again(run, tmp_path):
-    scene = bpy.context.scene
-    scene.fipt.run_folder = ""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
     bpy.context.scene.fipt.run_folder = str(run.root)
     names = []
-    info = start(make_job(run, lambda: names.append(bpy.context.scene.name)), run)
+    info = start(make_job(run, lambda: names.append(bpy.context.scene.fipt.run_folder)), run)
     tick_until(lambda: at_work(info))
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
-    assert not bpy.context.scene.fipt.run_folder
+    if reload:
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
+        assert not bpy.context.scene.fipt.run_folder
+    else:  # without a window there is no undo: what it does to the state is done by hand
+        bpy.context.scene.fipt.run_folder = ""
     finish(run, info)
-    assert info.state == "finished" and bpy.context.scene.fipt.run_folder == str(run.root) and names
+    assert info.state == "finished" and names == [bpy.context.scene.fipt.run_folder] == [str(run.root)]
 
 
 def test_in_another_file_the_engine_goes_on_but_functions_touch_nothing(run, tmp_path):
@@ -126,22 +114,19 @@ def test_in_another_file_the_engine_goes_on_but_functions_touch_nothing(run, tmp
     assert job_scene.find_scene("Scene", run.root) is not None
 
 
-def test_disabling_stops_the_engine_by_default(run):
+def test_disabling_stops_the_engine_or_leaves_it_and_later_attaches_to_it(run, monkeypatch):
     info = start(make_job(run), run)
     tick_until(lambda: at_work(info))
     fipt_blender.unregister()  # the engine would never end by itself
     assert info.state == "cancelled" and running.current() is None
     wait_for(lambda: find_engine(run) is None)  # killed, but the system may not have got to it
     fipt_blender.register()
-
-
-def test_disabling_can_leave_the_engine_and_later_attach_to_it(run, monkeypatch):
+    bpy.context.scene.fipt.run_folder = str(run.root)
     monkeypatch.setattr(machine.DEFAULTS, "on_close", "KEEP")
     info = start(make_job(run), run)
     tick_until(lambda: at_work(info))
     fipt_blender.unregister()
-    found = find_engine(run)
-    assert running.current() is None and found is not None
+    assert running.current() is None and find_engine(run) is not None
     fipt_blender.register()
     bpy.context.scene.fipt.run_folder = str(run.root)
     assert runstate.known(str(run.root)).engine == "estimate"
@@ -159,8 +144,7 @@ def test_disabling_can_leave_the_engine_and_later_attach_to_it(run, monkeypatch)
 
 
 def test_a_bug_in_a_timer_ends_the_job_with_words(run, monkeypatch, capsys):
-    job = make_job(run)
-    info = start(job, run)
+    info = start(make_job(run), run)
     tick_until(lambda: at_work(info))
     poll = EngineProcess.poll
 
@@ -206,29 +190,25 @@ def test_the_state_of_a_run_folder(run):
 
 
 class FIPT_OT_try_job(JobOperator, bpy.types.Operator):
-    """For the tests below"""
+    """For the test below"""
 
     bl_idname = "fipt.try_job"
     bl_label = "Try"
-    title = "Trying"
-    kind = "try"
-    made: list[str] = []
+    title, kind = "Trying", "try"
     ended: list[str] = []
     mode: bpy.props.StringProperty()
 
     def make_job(self, context):
-        self.made.append(context.scene.name)
-        if self.mode == "refuse":
-            raise FiptError("no", "It can't be.", "Let it be.")
-        run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
-        warning = {"type": "warning", "code": "w", "text": "Careful.", "remedy": "Care."}
+        error = FiptError("bad", "It went wrong.", "Try again.")
 
         def work():
             yield
             if self.mode == "fail":
-                raise FiptError("bad", "It went wrong.", "Try again.")
-            return [warning]
+                raise error
 
+        if self.mode == "refuse":
+            raise error
+        run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
         return run_job.open_job(run, [Step("work", "Working", 1.0, function=work)])
 
     @staticmethod
@@ -236,30 +216,24 @@ class FIPT_OT_try_job(JobOperator, bpy.types.Operator):
         FIPT_OT_try_job.ended.append(f"{scene.name} {run.root.name}")
 
 
-@pytest.fixture
-def operator():
+def test_an_operators_job_runs_to_its_end_for_scripts_and_its_failure_is_an_error(run):
     bpy.utils.register_class(FIPT_OT_try_job)
-    FIPT_OT_try_job.made.clear()
-    FIPT_OT_try_job.ended.clear()
-    yield bpy.ops.fipt.try_job
-    bpy.utils.unregister_class(FIPT_OT_try_job)
-
-
-def test_an_operators_job_runs_to_its_end_for_scripts(run, operator):
-    assert operator() == {"FINISHED"} == operator("INVOKE_DEFAULT")
-    assert FIPT_OT_try_job.ended == ["Scene run"] * 2 and running.last("try").state == "finished"
-
-
-@pytest.mark.parametrize(("mode", "words"), [("refuse", "Let it be"), ("fail", "went wrong. Try again")])
-def test_an_operators_failure_is_an_error_for_scripts(run, operator, mode, words):
-    with pytest.raises(RuntimeError, match=words):
-        operator(mode=mode)
-    assert FIPT_OT_try_job.ended == [] and running.current() is None
-    job = running.last("try")
-    assert job.state == "failed" and words in f"{job.error['text']} {job.error['remedy']}"
-    assert running.belongs_to(job, bpy.context.scene)
-    bpy.context.scene.fipt.run_folder = "elsewhere"
-    assert not running.belongs_to(job, bpy.context.scene)
+    try:
+        operator = bpy.ops.fipt.try_job
+        assert operator() == {"FINISHED"} == operator("INVOKE_DEFAULT")
+        assert FIPT_OT_try_job.ended == ["Scene run"] * 2 and running.last("try").state == "finished"
+        for mode in ("refuse", "fail"):
+            bpy.context.scene.fipt.run_folder = str(run.root)
+            with pytest.raises(RuntimeError, match=r"It went wrong\. Try again"):
+                operator(mode=mode)
+            assert len(FIPT_OT_try_job.ended) == 2 and running.current() is None
+            job = running.last("try")
+            assert (job.state, job.error["text"], job.error["remedy"]) == ("failed", "It went wrong.", "Try again.")
+            assert running.belongs_to(job, bpy.context.scene)
+            bpy.context.scene.fipt.run_folder = "elsewhere"
+            assert not running.belongs_to(job, bpy.context.scene)
+    finally:
+        bpy.utils.unregister_class(FIPT_OT_try_job)
 
 
 def test_a_job_that_starts_at_the_end_of_another_is_advanced_by_the_same_timer(run):
@@ -277,3 +251,53 @@ def test_a_job_that_starts_at_the_end_of_another_is_advanced_by_the_same_timer(r
     assert info.state == "finished" and running.current() is following[0] and None not in delays
     tick_until(lambda: following[0].state == "finished")
     assert running.tick() is None
+
+
+@pytest.fixture
+def data(tmp_path, monkeypatch) -> Path:
+    monkeypatch.setattr(machine.DEFAULTS, "data_folder", str(tmp_path))
+    recovery.forget()
+    return tmp_path
+
+
+def make_run(data: Path, name: str, hours: float) -> RunFolder:
+    """A run with a capture, last changed so many hours ago, by a Blender that has ended since."""
+    run = RunFolder(data / "runs" / name)
+    run.create(make_settings())
+    world = conventions.world_from_source("z", 1.0).tolist()
+    rig = {"format": "fipt-capture", "version": 1, "source": "transforms", "mesh": None}
+    write_json(run.ingest_json, {**rig, "views": random_views(), "world_from_source": world})
+    unsaved.mark(run.root)
+    path = unsaved.mark_of(run.root)
+    path.write_text(json.dumps({**json.loads(path.read_text()), "started": "earlier"}))
+    for file in (*run.root.rglob("*"), run.root):
+        os.utime(file, (time.time() - 3600.0 * hours,) * 2)
+    return run
+
+
+def test_the_newest_run_without_a_file_or_a_blender_is_offered(data):
+    make_run(data, "old", 9.0)
+    saved, left, alive = (make_run(data, name, hours) for name, hours in (("a", 1.0), ("b", 2.0), ("c", 3.0)))
+    unsaved.unmark(saved.root)
+    unsaved.mark(alive.root)
+    found = unsaved.newest(data, [])
+    assert found is not None and found.folder == left.root and found.size > 0
+    assert unsaved.newest(data, [left.root]).folder.name == "old"
+    shutil.rmtree(left.root)
+    assert unsaved.newest(data, []).folder.name == "old" and not unsaved.mark_of(left.root).exists()
+
+
+def test_saving_the_file_makes_its_run_known(data):
+    run = make_run(data, "a", 1.0)
+    bpy.context.scene.fipt.run_folder = str(run.root)
+    bpy.ops.wm.save_as_mainfile(filepath=str(data / "room.blend"))
+    assert unsaved.newest(data, []) is None
+
+
+def test_a_run_that_was_left_behind_is_opened_again(data):
+    run = make_run(data, "a", 1.0)
+    recovery.look_for_unsaved()
+    assert "fipt.recover_run" in drawn_by(FIPT_PT_start)[0]
+    assert bpy.ops.fipt.recover_run(folder=str(run.root)) == {"FINISHED"}
+    fipt = bpy.context.scene.fipt
+    assert len(fipt.capture.views) == len(random_views()) and fipt.run_folder == str(run.root)

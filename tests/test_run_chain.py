@@ -1,13 +1,17 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A chain of stages: what is kept, resumed, dropped and done again; outputs as files."""
+"""A chain of stages: what is kept, resumed, dropped and done again; outputs as files; work in threads."""
 
 from __future__ import annotations
 
 import io
 import json
+import os
+import threading
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import make_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,57 +20,27 @@ import pytest
 from fipt_blender.core.run import chain as chain_module
 from fipt_blender.core.run import finished_views, messages
 from fipt_blender.core.run.chain import Chain, Given, Stage, Tools, Watch
-from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.settings import Settings
 from fipt_blender.core.run.stage_files import loaded, saved
 from fipt_blender.core.run.stage_settings import NoSettings, Seeded, TrainingSettings
+from fipt_blender.core.run.threads import MOST_THREADS, cached_property, in_threads
+from samples.refusals import error_of
 
 
-@dataclass(frozen=True)
-class Start:
-    number: int
+def record(name: str, **fields: type) -> type:
+    """A frozen dataclass: inputs or outputs of a stage."""
+    return make_dataclass(name, fields.items(), frozen=True)
 
 
-@dataclass(frozen=True)
-class Table:
-    table: np.ndarray
-    source: list[str]
-
-
-@dataclass(frozen=True)
-class TableInputs:
-    table: np.ndarray
-
-
-@dataclass(frozen=True)
-class Total:
-    total: float
-
-
-@dataclass(frozen=True)
-class Target:
-    total: float
-    doubled: np.ndarray
-
-
-@dataclass(frozen=True)
-class Doubled:
-    doubled: np.ndarray
-
-
-@dataclass(frozen=True)
-class DoubledInputs:
-    doubled: np.ndarray
-
-
+Start = record("Start", number=int)
+StartInputs = record("StartInputs", number=int, source=list[str])
+Table = record("Table", table=np.ndarray, source=list[str])
+TableInputs = record("TableInputs", table=np.ndarray)
+Total = record("Total", total=float)
+Target = record("Target", total=float, doubled=np.ndarray)
+Doubled = record("Doubled", doubled=np.ndarray)
 SOURCE = ["photograph"]  # given, and passed on
-
-
-@dataclass(frozen=True)
-class StartInputs:
-    number: int
-    source: list[str]
 
 
 def make_table(inputs: StartInputs, settings: Seeded, tools: Tools) -> Table:
@@ -85,7 +59,7 @@ def double(inputs: TableInputs, settings: NoSettings, tools: Tools) -> Doubled:
     return Doubled(2.0 * inputs.table)
 
 
-def train(inputs: DoubledInputs, settings: TrainingSettings, tools: Tools) -> Total:
+def train(inputs: Doubled, settings: TrainingSettings, tools: Tools) -> Total:
     return Total(float(inputs.doubled.mean()) + settings.learning_rate)
 
 
@@ -124,7 +98,7 @@ def work(folder: Path, **options) -> tuple[Target, list[str], Reporter]:
     return target, heard.done, reporter
 
 
-def test_a_resumed_chain_does_what_has_changed_and_no_more(tmp_path: Path) -> None:
+def test_a_resumed_chain_does_what_has_changed_and_no_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     target, done, _ = work(tmp_path)
     assert done == ["table", "sum", "train"]
     assert target.total == pytest.approx(6.0 + Settings().learning_rate) and (target.doubled == 6.0).all()
@@ -135,12 +109,9 @@ def test_a_resumed_chain_does_what_has_changed_and_no_more(tmp_path: Path) -> No
     assert work(tmp_path, settings=Settings(learning_rate=1.0, checkpoint_steps=7))[1] == []
     assert work(tmp_path, settings=Settings(seed=1))[1] == ["table", "sum", "train"]
     assert work(tmp_path, number=4)[1] == ["table", "sum", "train"]
-
-
-def test_the_method_is_part_of_the_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    work(tmp_path)
+    assert work(tmp_path, number=4)[1] == []
     monkeypatch.setattr(chain_module, "method_digest", lambda: "other")
-    assert work(tmp_path)[1] == ["table", "sum", "train"]
+    assert work(tmp_path, number=4)[1] == ["table", "sum", "train"]
 
 
 @pytest.mark.parametrize("name", ["table/outputs.json", "table/table.npy", "sum/outputs.json", "train/outputs.json"])
@@ -160,13 +131,13 @@ def test_outputs_that_cannot_be_read_are_made_again(name: str, content: bytes | 
     assert work(tmp_path)[1] == []
 
 
-@pytest.mark.parametrize("text", ["", "[]", '{"keys": {}}', "{"])
-def test_a_list_of_stages_that_cannot_be_read_begins_anew(text: str, tmp_path: Path) -> None:
+def test_a_list_of_stages_that_cannot_be_read_begins_anew(tmp_path: Path) -> None:
     first = work(tmp_path)[0]
-    (tmp_path / "stages.json").write_text(text)
-    target, done, reporter = work(tmp_path)
-    assert done == ["table", "sum", "train"] and target.total == first.total
-    assert "checkpoint-damaged" in [warning["code"] for warning in reporter.warnings]
+    for text in ("", "[]", '{"keys": {}}', "{"):
+        (tmp_path / "stages.json").write_text(text)
+        target, done, reporter = work(tmp_path)
+        assert done == ["table", "sum", "train"] and target.total == first.total
+        assert "checkpoint-damaged" in [warning["code"] for warning in reporter.warnings]
 
 
 def test_a_stage_that_replaces_another_removes_its_files_and_they_are_made_again_when_needed(tmp_path: Path) -> None:
@@ -209,42 +180,22 @@ def test_a_kill_amid_a_stage_keeps_its_finished_views(tmp_path: Path, monkeypatc
     assert seen[-1] == {0} and not (tmp_path / "table" / "finished.json").exists()
 
 
-def test_a_stage_cannot_change_what_an_earlier_one_made(tmp_path: Path) -> None:
+def test_a_stage_cannot_change_what_an_earlier_one_made_or_take_what_nothing_makes(tmp_path: Path) -> None:
     def spoil(inputs: TableInputs, settings: NoSettings, tools: Tools) -> Total:
         inputs.table[:] = 0.0
         return Total(0.0)
 
     with pytest.raises(ValueError, match="read-only"):
         work(tmp_path, stages=[STAGES[0], Stage("spoil", spoil, "Spoiling"), *STAGES[2:]])
-
-
-def test_inputs_that_nothing_makes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(TypeError, match="nothing before"):
         chain_on(tmp_path, stages=STAGES[1:])
 
 
-@dataclass(frozen=True)
-class Inner:
-    """Nested outputs."""
-
-    numbers: np.ndarray
-    names: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Everything:
-    """One of each kind of field."""
-
-    inner: Inner
-    maybe: Inner | None
-    either: np.ndarray | float
-    empty: np.ndarray
-    tables: dict[str, np.ndarray]
-    several: list[Inner]
-    number: float
-    count: int
-    flag: bool
-    source: list[str]
+Inner = record("Inner", numbers=np.ndarray, names=tuple[str, ...])
+# One of each kind of field
+KINDS = {"inner": Inner, "maybe": Inner | None, "either": np.ndarray | float, "empty": np.ndarray}
+KINDS |= {"tables": dict[str, np.ndarray], "several": list[Inner], "number": float, "count": int, "flag": bool}
+Everything = record("Everything", **KINDS, source=list[str])
 
 
 def everything() -> Everything:
@@ -268,15 +219,10 @@ def test_outputs_come_back_as_they_were(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"count": "2"},
-        {"number": None},
-        {"flag": 1},
-        {"inner": {"numbers": 3}},
-        {"inner": None},
+        *({"count": "2"}, {"number": None}, {"flag": 1}, {"inner": {"numbers": 3}}, {"inner": None}),
         {"tables": {"x": {"array": "../x.npy", "shape": [1], "type": "<f4"}}},
         {"empty": {"array": "one/inner/numbers.npy", "shape": [0, 3], "type": "<f4"}},
-        {"source": {"given": "unknown"}},
-        {"surplus": 1},
+        *({"source": {"given": "unknown"}}, {"surplus": 1}),
     ],
 )
 def test_documents_of_another_form_are_refused(change: dict, tmp_path: Path) -> None:
@@ -294,9 +240,8 @@ def test_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     def plain(inputs: StartInputs, settings: Seeded, tools: Tools) -> Table:
         return Table(np.zeros((4, 2)), inputs.source)
 
-    with pytest.raises(FiptError) as caught:
-        work(tmp_path, stages=[Stage("table", plain, "Making"), *STAGES[1:]])
-    assert caught.value.code == "disk-full"
+    stages = [Stage("table", plain, "Making"), *STAGES[1:]]
+    assert error_of(work, tmp_path, stages=stages).code == "disk-full"
 
 
 def test_a_plan_is_continued_by_the_next_one_and_skipped_stages_tell_nothing_of_the_pace(
@@ -317,3 +262,37 @@ def test_a_plan_is_continued_by_the_next_one_and_skipped_stages_tell_nothing_of_
     assert shares == [0.0, 0.1, 0.4, 0.7]
     # The clock has told 40 seconds since the first plan, in which 0.4 were done and not skipped.
     assert told[-1]["remaining_seconds"] == pytest.approx(30.0)
+
+
+@pytest.mark.parametrize("cores", [None, 1, 2, 500])
+def test_results_and_errors_come_in_the_order_of_the_items_and_few_are_read_ahead(
+    monkeypatch: pytest.MonkeyPatch, cores: int | None
+) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    assert list(in_threads(lambda item: item * item, range(50))) == [item * item for item in range(50)]
+    assert list(in_threads(str, [])) == []
+    items = iter(range(100))
+    assert next(in_threads(str, items)) == "0" and next(items) <= MOST_THREADS + 1
+    with pytest.raises(ZeroDivisionError):
+        list(in_threads(lambda item: 1 / item, [1, 0, 2]))
+
+
+def test_a_property_is_computed_once_by_all_threads_together() -> None:
+    class Thing:
+        computed = 0
+
+        @cached_property
+        def number(self) -> int:
+            self.computed += 1
+            time.sleep(0.05)  # long enough for all threads to ask
+            return 7
+
+    thing, ready = Thing(), threading.Barrier(4)
+
+    def ask(_: int) -> int:
+        ready.wait()
+        return thing.number
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(ask, range(4))) == [7] * 4
+    assert thing.computed == 1

@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
 import signal
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -69,6 +71,9 @@ def test_versions_are_listed_with_what_they_differ_in(run_folder: RunFolder) -> 
     assert versions.total_size(run_folder) == sizes - run_folder.room_npz.stat().st_size
     versions.rename_version(run_folder, first, "  with  the lamp ")
     assert versions.list_versions(run_folder)[1].title == "with the lamp"
+    versions.rename_version(run_folder, second, "kept")
+    assert estimate(run_folder, "second", hints=2, rounds=2) == second, "the same again is no other version"
+    assert [each.name for each in versions.list_versions(run_folder)] == ["kept", "with the lamp"]
 
 
 def test_a_switch_brings_results_inputs_and_textures_back(run_folder: RunFolder) -> None:
@@ -90,24 +95,11 @@ def test_a_switch_brings_results_inputs_and_textures_back(run_folder: RunFolder)
     assert versions.list_versions(run_folder)[0].name == "one"
     left = {path.name for path in run_folder.root.iterdir()}
     assert not {name for name in left if name.endswith((".new", ".old")) or name.startswith(".")}
-
-
-def test_textures_of_unapplied_results_are_baked_again(run_folder: RunFolder) -> None:
-    first = estimate(run_folder, "first")
-    second = estimate(run_folder, "second")
-    apply(run_folder)
-    versions.use_version(run_folder, first)
-    assert not run_folder.apply_json.exists()
+    third = estimate(run_folder, "third")  # is not applied: its textures are baked again
     versions.use_version(run_folder, second)
     assert run_folder.textures_json.read_text() == "of second"
-
-
-def test_the_same_estimate_again_is_no_other_version(run_folder: RunFolder) -> None:
-    first = estimate(run_folder, "first")
-    versions.rename_version(run_folder, first, "kept")
-    assert estimate(run_folder, "first") == first
-    (only,) = versions.list_versions(run_folder)
-    assert only.name == "kept"
+    versions.use_version(run_folder, third)
+    assert not run_folder.apply_json.exists()
 
 
 def test_the_oldest_versions_without_a_name_go(run_folder: RunFolder) -> None:
@@ -141,10 +133,6 @@ def test_results_of_earlier_releases_are_versions_too(run_folder: RunFolder) -> 
     assert run_folder.fields_npz.read_text() == "old" and run_folder.estimated() is run_folder
 
 
-def calls_that_change_the_disk() -> list[tuple[object, str]]:
-    return [(os, "rename"), (os, "replace"), (os, "link"), (shutil, "rmtree"), (Path, "unlink")]
-
-
 def killed_at(work: Callable[[], object], number: int) -> bool:
     """Do work in a process that is killed before its `number`-th change of the disk; whether it was."""
     child = os.fork()
@@ -154,20 +142,19 @@ def killed_at(work: Callable[[], object], number: int) -> bool:
         return ended_by == signal.SIGKILL
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGABRT, signal.SIG_DFL)
-    count = 0
+    numbers = itertools.count(1)
 
     def counted(function: Callable[..., object]) -> Callable[..., object]:
         def call(*arguments: object, **options: object) -> object:
-            nonlocal count
-            count += 1
-            if count == number:
+            if next(numbers) == number:
                 os.kill(os.getpid(), signal.SIGKILL)
             return function(*arguments, **options)
 
         return call
 
     try:
-        for owner, name in calls_that_change_the_disk():
+        changes = [(os, "rename"), (os, "replace"), (os, "link"), (shutil, "rmtree"), (Path, "unlink")]
+        for owner, name in changes:
             setattr(owner, name, counted(getattr(owner, name)))
         work()
         os.kill(os.getpid(), signal.SIGTERM)  # rather than pytest's end
@@ -185,8 +172,8 @@ def test_a_kill_at_any_moment_loses_no_version(tmp_path: Path, what: str) -> Non
     apply(start)
     for number in range(1, 100):
         run = RunFolder(shutil.copytree(start.root, tmp_path / str(number)))
-        work = (lambda r=run: versions.use_version(r, first)) if what == "use" else None
-        if not killed_at(work or (lambda r=run: estimate(r, "third")), number):
+        work = partial(versions.use_version, run, first) if what == "use" else partial(estimate, run, "third")
+        if not killed_at(work, number):
             break
         versions.settle(run)
         found = contents(run)

@@ -1,20 +1,24 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""dev.py: the extension's zip, a release, pins, set-up that runs only once."""
+"""dev.py and the files around the code: zip, release, pins; commands and files that pages name exist; results."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import sys
 import tomllib
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+import yaml
 
+from benchmarks import results
 from fipt_blender.bridge import pins, provision
 from fipt_blender.bridge.places import environment_python
 from samples.development import load_dev
@@ -27,46 +31,7 @@ def dev() -> ModuleType:
     return load_dev()
 
 
-def test_versions_agree(dev: ModuleType) -> None:
-    versions = dev.read_versions()
-    assert len(set(versions.values())) == 1, versions
-    assert re.fullmatch(r"\d+\.\d+\.\d+", versions["pyproject.toml"])
-
-
-def test_zip_is_the_extension_and_reproducible(dev: ModuleType, tmp_path: Path) -> None:
-    first, second = dev.build_extension(tmp_path / "a"), dev.build_extension(tmp_path / "b")
-    assert first.read_bytes() == second.read_bytes()
-    with zipfile.ZipFile(first) as archive:
-        names = archive.namelist()
-        assert archive.testzip() is None
-        manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
-        written = json.loads(archive.read(pins.PINS_NAME))
-    groups = pins.read_pins()
-    assert written == {name: groups[name] for name in pins.ENGINE_GROUPS}
-    assert first.stat().st_size < 4.5e6, "the heavy packages live in the engine's environment"
-    assert first.name == f"fipt_blender-{manifest['version']}.zip"
-    assert {"__init__.py", "__main__.py", "LICENSE", "core/__main__.py", "cli/__init__.py"} <= set(names)
-    assert names == sorted(names)
-    foreign = ("tests", "examples", "benchmarks", "fipt_blender", "dist", "out")
-    for name in names:
-        assert "__pycache__" not in name and not name.endswith(".pyc") and not name.startswith(".")
-        assert name.split("/")[0] not in foreign
-
-
-def test_the_index_offers_the_zip_to_blender(dev: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import bpy
-
-    monkeypatch.setattr(dev, "VENV", Path(bpy.utils.resource_path("LOCAL")))
-    monkeypatch.setattr(dev, "VENV_PYTHON", Path(sys.executable))
-    assert dev.index_extensions(tmp_path) == 0
-    (entry,) = json.loads((tmp_path / "index.json").read_text(encoding="utf-8"))["data"]
-    archive = tmp_path / entry["archive_url"]
-    assert entry["id"] == "fipt_blender" and entry["version"] in archive.name
-    assert entry["archive_hash"] == "sha256:" + hashlib.sha256(archive.read_bytes()).hexdigest()
-    assert (tmp_path / "index.html").is_file()
-
-
-def test_a_release_has_the_zip_its_checksum_and_notes(dev: ModuleType, tmp_path: Path) -> None:
+def test_a_release_has_the_zip_of_the_extension_its_checksum_and_notes(dev: ModuleType, tmp_path: Path) -> None:
     version = dev.read_versions()["CHANGELOG.md"]
     with pytest.raises(dev.SetupError, match=version):
         dev.release(f"{version}", tmp_path)
@@ -76,9 +41,31 @@ def test_a_release_has_the_zip_its_checksum_and_notes(dev: ModuleType, tmp_path:
     notes = (tmp_path / "NOTES.md").read_text(encoding="utf-8")
     assert notes.startswith("### ") and "\n## " not in notes
     assert notes.strip() in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    with zipfile.ZipFile(tmp_path / name) as archive:
+        names = archive.namelist()
+        assert archive.testzip() is None
+        manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
+        written = json.loads(archive.read(pins.PINS_NAME))
+    groups = pins.read_pins()
+    assert written == {name: groups[name] for name in pins.ENGINE_GROUPS}
+    assert (tmp_path / name).stat().st_size < 4.5e6, "the heavy packages live in the engine's environment"
+    assert name == f"fipt_blender-{manifest['version']}.zip"
+    assert {"__init__.py", "__main__.py", "LICENSE", "core/__main__.py", "cli/__init__.py"} <= set(names)
+    assert names == sorted(names)
+    foreign = ("tests", "examples", "benchmarks", "fipt_blender", "dist", "out")
+    for each in names:
+        assert "__pycache__" not in each and not each.endswith(".pyc") and not each.startswith(".")
+        assert each.split("/")[0] not in foreign
+    # The index offers Blender the same zip, byte by byte.
+    index = tmp_path / "index"
+    assert dev.index_extensions(index) == 0 and (index / "index.html").is_file()
+    (entry,) = json.loads((index / "index.json").read_text(encoding="utf-8"))["data"]
+    assert entry["id"] == "fipt_blender" and entry["version"] in name and entry["archive_hash"] == f"sha256:{checksum}"
+    assert (index / entry["archive_url"]).read_bytes() == (tmp_path / name).read_bytes()
 
 
 def test_build_refuses_versions_that_disagree(dev: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert re.fullmatch(r"\d+\.\d+\.\d+", dev.read_versions()["pyproject.toml"])
     versions = {"blender_manifest.toml": "0.1.0", "pyproject.toml": "0.2.0"}
     monkeypatch.setattr(dev, "read_versions", lambda: versions)
     with pytest.raises(dev.SetupError, match=r"0\.2\.0"):
@@ -96,11 +83,11 @@ def test_every_pin_is_exact() -> None:
 def test_the_lock_has_every_pin_of_the_engine_and_hashes_of_all() -> None:
     """After a change of a pin: python3 dev.py lock."""
     groups = pins.read_pins()
-    names = {re.split("[=; ]", line)[0].lower(): [] for line in groups["lock"]}
     for line in (*groups["lock"], *groups["pip"], *groups["llvm"]):
         assert re.search(r" --hash=sha256:[0-9a-f]{64}( |$)", line), line
+    names: dict[str, list[str]] = {}
     for line in groups["lock"]:
-        names[re.split("[=; ]", line)[0].lower()].append(re.search(r"==([^ ;]+)", line).group(1))
+        names.setdefault(re.split("[=; ]", line)[0].lower(), []).append(re.search(r"==([^ ;]+)", line).group(1))
     for pin in groups["engine"]:
         name, _, version = pin.partition(";")[0].strip().partition("==")
         if name != "torch":
@@ -122,14 +109,12 @@ def test_set_up_is_done_once_and_again_when_something_changed(dev: ModuleType, t
     for file in (python, library):
         file.touch()
     whole = {"key": key, "installed": True, "complete": True, "llvm": str(library)}
-    stamp.write_text(json.dumps({**whole, "complete": False}))
-    assert not pins.is_set_up(tmp_path, key)
+    for content in (json.dumps({**whole, "complete": False}), "{"):
+        stamp.write_text(content)
+        assert not pins.is_set_up(tmp_path, key)
     stamp.write_text(json.dumps(whole))
-    assert pins.is_set_up(tmp_path, key)
-    assert not pins.is_set_up(tmp_path, "other")
+    assert pins.is_set_up(tmp_path, key) and not pins.is_set_up(tmp_path, "other")
     library.unlink()
-    assert not pins.is_set_up(tmp_path, key)
-    stamp.write_text("{")
     assert not pins.is_set_up(tmp_path, key)
 
 
@@ -174,3 +159,106 @@ def test_copy_libraries_keeps_each_name_and_stays_inside_the_tree(tmp_path: Path
     contents = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
     llvm = {"libLLVM.so.1": b"a", "libLLVM.so.19.1": b"a"}
     assert contents == {**llvm, "libz3.so.4": b"z", "libz3.so.4.8": b"z"}
+
+
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "tests").rglob("*.md")]
+ENTRIES = sorted((ROOT / ".ci").iterdir())
+TEXTS = [*PAGES, *WORKFLOWS, *(ROOT / ".github" / "ISSUE_TEMPLATE").iterdir(), *ENTRIES]
+TEXTS += [ROOT / ".pre-commit-config.yaml"]
+# A workflow may use nothing of the service but this, after the project's own commands.
+PUBLISHING = "gh release create"
+
+
+def steps(workflow: Path) -> Iterator[str]:
+    document = yaml.safe_load(workflow.read_text(encoding="utf-8"))
+    for job in document["jobs"].values():
+        assert job["timeout-minutes"] <= 60
+        yield from (step["run"] for step in job["steps"] if "run" in step)
+
+
+@pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda path: path.stem)
+def test_workflows_run_the_projects_own_commands(workflow: Path) -> None:
+    commands = list(steps(workflow))
+    assert ".ci/run" in commands and all(os.access(entry, os.X_OK) for entry in ENTRIES)
+    for command in commands:
+        program, *words = command.split()
+        if program in ("python", "python3"):
+            assert words[0] == "dev.py" and words[1] in load_dev().COMMANDS
+            for pattern in words[2:]:
+                assert pattern == '"$GITHUB_REF_NAME"' or list(ROOT.glob(pattern)), pattern
+        else:
+            assert ROOT / command in ENTRIES or command.startswith(PUBLISHING)
+
+
+def test_every_command_of_dev_py_that_is_named_exists_and_is_described() -> None:
+    dev = load_dev()
+    for text in TEXTS:
+        named = set(re.findall(r"python3? dev\.py ([a-z]+)", text.read_text(encoding="utf-8")))
+        assert named <= set(dev.COMMANDS), text
+    described = re.findall(r"^  ([a-z]+) ", dev.__doc__, flags=re.MULTILINE)
+    assert sorted(described) == sorted(dev.COMMANDS)
+
+
+def test_links_lead_to_files_and_headings() -> None:
+    links = ((page, re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8"))) for page in PAGES)
+    for page, target in ((page, target) for page, targets in links for target in targets):
+        if target.startswith(("http://", "https://")):
+            continue
+        name, _, place = target.partition("#")
+        file = (page.parent / name).resolve() if name else page
+        assert file.exists(), (page, target)
+        if place and file.suffix == ".md":
+            text = file.read_text(encoding="utf-8")
+            headings = re.findall(r"^#+ (.*)$", text, flags=re.MULTILINE)
+            slugs = {re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", each.lower())) for each in headings}
+            assert place in slugs or f'<a id="{place}">' in text, (page, target)
+
+
+def test_documents_are_as_short_as_a_reader_has_patience_for() -> None:
+    limits = {"results": 25_000, "decisions": 15_000, "method": 35_000, "architecture": 20_480}
+    for name, most in limits.items():
+        assert (ROOT / "docs" / f"{name}.md").stat().st_size <= most, name
+
+
+def test_issue_templates_and_citation_can_be_read() -> None:
+    for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("[!c]*.yml"):
+        form = yaml.safe_load(path.read_text(encoding="utf-8"))
+        assert form["name"] and form["description"] and form["body"]
+        assert "check" in str(form["body"]), "every report contains what Check has found"
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == load_dev().read_versions()["CHANGELOG.md"]
+    assert len(citation["references"][0]["authors"]) == 10
+
+
+def test_results_are_what_the_command_writes_from_measurements_and_no_figure_is_typed() -> None:
+    text = results.PAGE.read_text(encoding="utf-8")
+    assert results.with_tables(text) == text, "run python3 dev.py results"
+    text = re.sub(r"```.*?```", "", results.TABLE.sub("", text), flags=re.DOTALL)
+    assert not re.findall(r"\d[\d.,]* ?(?:dB|s|min|GB|%)(?![\w-])", text)
+
+
+@pytest.mark.parametrize("path", sorted(results.MEASUREMENTS.glob("*.json")), ids=lambda path: path.stem)
+def test_every_measurement_says_where_it_comes_from(path: Path) -> None:
+    table = results.read_table(path)
+    for row in table["rows"]:
+        assert row["label"] and row["figures"]
+        if not row.get("source"):  # a figure of somebody else names its source instead
+            assert all(row.get(name) not in (None, "") for name in results.PROVENANCE), row["label"]
+            assert re.fullmatch(r"[0-9a-f]{7,40}", row["commit"]), row["label"]
+
+
+def test_a_new_measurement_takes_the_place_of_the_old_one(tmp_path: Path) -> None:
+    path = tmp_path / "rooms.json"
+    columns = [["kd", "{kd_psnr:.2f}"], ["edge / inside", "{edge_kd_psnr:.1f} / {inside_kd_psnr:.1f}"]]
+    columns += [["log L2", "{emission_log_l2:sci}"]]
+    old = [{"label": name, "figures": {"kd_psnr": -1.0}} for name in ("a", "b")]
+    path.write_text(results.written({"columns": columns, "common": {"seed": 0}, "rows": old}))
+    measured = {"held_back": {"kd_psnr": 30.125, "emission_log_l2": 1.1e-4, "confidence": []}}
+    measured["held_back"] |= {"strict": {}, "edge": {"kd_psnr": 20.0}, "inside": {"kd_psnr": 33.0}}
+    for label in ("a", "c"):
+        results.add(path, label, {**measured, "measured": {"commit": "0123456", "seed": 3}})
+    table = results.read_table(path)
+    assert [(row["label"], row["seed"]) for row in table["rows"]] == [("a", 3), ("b", 0), ("c", 3)]
+    lines = results.markdown(table).splitlines()
+    assert lines[2:4] == ["| a | 30.12 | 20.0 / 33.0 | 1.1e-4 |", "| b | −1.00 | | |"]

@@ -16,6 +16,24 @@ import pytest
 PATIENCE_SECONDS = 300.0  # no bound on speed: after it a test counts as one that hangs
 # A program that ends only when it is told to, long after all patience.
 SLEEPER = "import time; time.sleep(3600)"
+# Works in a run folder until the file "stop" appears; holds the lock as the engine does.
+ENGINE = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from fipt_blender.core.run.lock import hold
+from fipt_blender.core.run.messages import Reporter, claim_stdout
+from fipt_blender.core.run.runfolder import RunFolder
+run, reporter = RunFolder(sys.argv[2]), Reporter(claim_stdout())
+with hold(run, ["estimate", str(run.root)]):
+    reporter.stage("shadings", "Baking")
+    reporter.progress(0.4, force=True, pictures=["stage/picture.png"])
+    reporter.warning("odd", "Odd.", "Even it.")
+    while not (run.root / "stop").exists():
+        time.sleep(0.02)
+    print("a stray line")
+    reporter.done([], {})
+"""
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and process groups")
 

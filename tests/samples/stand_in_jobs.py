@@ -15,26 +15,9 @@ from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step, StepRecord
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
-from samples.child_processes import wait_for
+from samples.child_processes import ENGINE, wait_for
 
 ROOT = Path(fipt_blender.__file__).resolve().parent.parent
-# Works until the file "stop" appears; holds the lock as the engine does.
-ENGINE = """
-import sys, time
-from pathlib import Path
-sys.path.insert(0, sys.argv[1])
-from fipt_blender.core.run.lock import hold
-from fipt_blender.core.run.messages import Reporter, claim_stdout
-from fipt_blender.core.run.runfolder import RunFolder
-run, reporter = RunFolder(sys.argv[2]), Reporter(claim_stdout())
-with hold(run, ["estimate", str(run.root)]):
-    reporter.stage("shadings", "Baking")
-    reporter.progress(0.4, force=True, pictures=["stage/picture.png"])
-    reporter.warning("odd", "Odd.", "Even it.")
-    while not (run.root / "stop").exists():
-        time.sleep(0.02)
-    reporter.done([], {})
-"""
 
 
 def make_job(run: RunFolder, *functions, engine: bool = True, script: str = ENGINE) -> Job:
