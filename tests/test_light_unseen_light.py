@@ -102,7 +102,8 @@ def test_a_lamp_that_no_view_shows_is_found_at_its_place(
 ) -> None:
     few_sources(monkeypatch)
     room = make_room(quads)
-    found = found_light(observations(tmp_path, room), room).environment
+    observed = observations(tmp_path, room)
+    found = found_light(observed, room).environment
     assert found is not None and found.unseen is not None and found.hull is not None
     floor = np.array([[x, y, 0.01] for x in (-1.5, 0.0, 1.5) for y in (-1.5, 0.0, 1.5)])
     up = np.tile([0.0, 0.0, 1.0], (len(floor), 1))
@@ -122,6 +123,10 @@ def test_a_lamp_that_no_view_shows_is_found_at_its_place(
         assert disc["facing"] == [0.0, 0.0, -1.0] and 0.3 < disc["radius"] < 0.9
         power = disc["radius"] ** 2 * np.array(disc["radiance"])
         assert np.all(np.abs(np.log(power / (LAMP / np.pi))) < 0.5), power
+        seen = np.flatnonzero(np.asarray(observed.pixels.triangle) >= 0)[::53]
+        normal = triangle_normals(room.vertices, room.triangles)[observed.pixels.triangle[seen]]
+        of_lamp = 1.0 - INDIRECT / light(room, observed.pixels.position[seen], normal).mean(axis=1)
+        assert sum(lamp["share"] for lamp in found.lamps) == pytest.approx(of_lamp.mean(), abs=0.1)
 
 
 def test_light_that_the_photographs_explain_stays_to_the_bit(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend.lights.color import blackbody, luminance, temperature_of
+from fipt_blender.blend.marks import INFERRED
 from samples.applied_rooms import RADIANCE, front, make_applied_scene, make_scene, use_fake_engine, world_strength
 from samples.operator_calls import refused
 from samples.spots import spot
@@ -251,7 +252,8 @@ def test_light_that_nothing_shows_is_there_with_the_results(tmp_path, monkeypatc
     use_fake_engine(monkeypatch)
     scene = make_scene(tmp_path / "run")
     path = tmp_path / "run" / "results" / "emitters.json"
-    table, ball = (json.loads(path.read_text()), {"position": [0.5, 0.25, 2.0], "radius": 0.1, "inferred": True})
+    table, ball = (json.loads(path.read_text()), {"position": [0.5, 0.25, 2.0], "radius": 0.1}
+    ball |= {"inferred": True, "share": 0.25})
 
     def applied(radiance: list[float]) -> bpy.types.Object:
         path.write_text(json.dumps({**table, "missing": [{**ball, "radiance": radiance}]}))
@@ -260,7 +262,7 @@ def test_light_that_nothing_shows_is_there_with_the_results(tmp_path, monkeypatc
         return item
 
     item = applied([30.0, 20.0, 10.0])
-    assert item.name == "Unseen Light" and "lacks no lamp" in refused(ops.add_missing_lamps)
+    assert item.name == "Unseen Light" and item[INFERRED] == 0.25 and "lacks no lamp" in refused(ops.add_missing_lamps)
     power = item.data.energy * np.array(item.data.color)
     assert power == pytest.approx(4.0 * math.pi**2 * 0.01 * np.array([30.0, 20.0, 10.0]), rel=1e-4)
     assert applied([30.0, 20.0, 10.0]) == item
