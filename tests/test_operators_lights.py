@@ -252,8 +252,8 @@ def test_light_that_nothing_shows_is_there_with_the_results(tmp_path, monkeypatc
     use_fake_engine(monkeypatch)
     scene = make_scene(tmp_path / "run")
     path = tmp_path / "run" / "results" / "emitters.json"
-    table, ball = (json.loads(path.read_text()), {"position": [0.5, 0.25, 2.0], "radius": 0.1}
-    ball |= {"inferred": True, "share": 0.25})
+    table = json.loads(path.read_text())
+    ball = {"position": [0.5, 0.25, 2.0], "radius": 0.1, "inferred": True, "share": 0.25}
 
     def applied(radiance: list[float]) -> bpy.types.Object:
         path.write_text(json.dumps({**table, "missing": [{**ball, "radiance": radiance}]}))
