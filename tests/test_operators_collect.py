@@ -44,7 +44,8 @@ def state() -> dict[str, tuple[object, ...]]:
 
 
 @pytest.mark.parametrize(
-    ("pack", "keep", "tiled"), [(False, "BESIDE", True), (False, "IN_RUN", False), (True, "IN_RUN", True)]
+    ("pack", "keep", "tiled"),
+    [(False, "BESIDE", True), (False, "IN_RUN", False), (True, "PACKED", False), (True, "IN_RUN", True)],
 )
 def test_a_collected_room_opens_elsewhere(scene, tmp_path, pack, keep, tiled):
     first, target = tmp_path / "first", tmp_path / "second" / "room"

@@ -250,7 +250,7 @@ def test_a_file_saved_elsewhere_collects_its_pictures(scene, tmp_path, pack, suf
     bpy.ops.wm.save_as_mainfile(filepath=str(second))
     assert pictures_elsewhere() == 5 and not missing_pictures()
     assert ops.collect_pictures(pack=pack) == {"FINISHED"}
-    assert not pictures_elsewhere()
+    assert not pictures_elsewhere() and second.with_name("shot_textures").exists() != pack
     bpy.ops.wm.save_mainfile()
     before = [image_values(image) for image in textures(scene) if image.source != "TILED"]
     shutil.rmtree(scene.fipt.run_folder)
