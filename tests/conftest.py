@@ -27,6 +27,7 @@ _STATUS = pytest.StashKey[int]()
 def pytest_configure(config: pytest.Config) -> None:
     """Choose LLVM and Mitsuba's variant before any test module is imported, where Mitsuba is installed."""
     atexit.register(leave, config)  # the first one: it comes after all others
+    os.fsync = lambda descriptor: None  # no test outlives a power failure, and waiting for the disk is slow
     if importlib.util.find_spec("mitsuba") is None:  # tests/matrix.py: Blender's side alone
         return
     # As in the engine: torch's threads must not spin while those of Dr.Jit or another process work.

@@ -60,11 +60,11 @@ def capture() -> SmallCapture:
     room = make_room([*BOX, samples.PANEL], parts="objects", objects=np.arange(7))
     materials = samples.matt(np.repeat(np.array([*samples.COLORS, [0.0] * 3]), 2, axis=0))
     lamps = table(samples.PANEL_TRIANGLES, samples.PANEL_RADIANCE)
-    return samples.photograph_room(room, materials, lamps, spp=16)
+    return samples.photograph_room(room, materials, lamps, cameras=samples.CAMERAS[:4], spp=16)
 
 
 def views(capture: SmallCapture) -> list[View]:
-    poses = 2 * capture.poses
+    poses = 3 * capture.poses
     return [View(str(i), "train", Path("none.exr"), **vars(pinhole(pose))) for i, pose in enumerate(poses)]
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
@@ -28,6 +29,7 @@ from fipt_blender.jobs import main_job, run_job
 from fipt_blender.jobs.main_job import make_main_job
 from fipt_blender.jobs.options import MainJobOptions
 from samples.camera_poses import look_at
+from samples.engine_here import engine_here
 from samples.refusals import error_of
 
 ROOT = Path(main_job.__file__).resolve().parent.parent
@@ -101,7 +103,7 @@ class Ran(list):
 
 
 @pytest.fixture
-def engine(monkeypatch) -> Ran:
+def engine(monkeypatch) -> Iterator[Ran]:
     """The engine with a stand-in for its long commands."""
     ran = Ran()
     real = run_job.engine_command
@@ -117,7 +119,8 @@ def engine(monkeypatch) -> Ran:
     launch = run_job.Launch(Path(sys.executable), engine_environment())
     monkeypatch.setattr(main_job, "find_launch", lambda explicit=None: launch)
     monkeypatch.setattr(run_job, "engine_command", command)
-    return ran
+    with engine_here():
+        yield ran
 
 
 def run_main_job(options: MainJobOptions) -> list[dict]:

@@ -54,7 +54,6 @@ def sets(folder: Path) -> set[str]:
 @pytest.mark.parametrize(
     ("keep", "kind", "place"),
     [
-        ("BESIDE", "plain", "beside"),
         ("IN_RUN", "zstd", "beside"),
         ("BESIDE", "gzip", "backup"),
         ("IN_RUN", "plain", "run"),

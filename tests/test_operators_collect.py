@@ -6,14 +6,13 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 
+import fipt_blender
 from fipt_blender.blend.image_datablocks import image_values
 from samples.operator_calls import refused
 
@@ -21,18 +20,11 @@ ops = bpy.ops.fipt
 
 pytestmark = pytest.mark.usefixtures("registered")
 
-# What a Blender without the add-on sees of a file: each image's means, or null where it is missing.
-_OPENED = """
-import json, sys, bpy
-import numpy as np
-bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
-found = {}
-for image in bpy.data.images:
-    if image.source in ("FILE", "TILED"):
-        pixels = np.array(image.pixels[:]) if image.size[0] else None
-        found[image.name] = [None if pixels is None else float(pixels.mean()), image.filepath]
-print("FOUND" + json.dumps(found))
-"""
+
+def means() -> dict[str, float | None]:
+    """The mean of each image of the open file, or None where it is missing."""
+    images = [image for image in bpy.data.images if image.source in ("FILE", "TILED")]
+    return {image.name: float(np.mean(image.pixels[:])) if image.size[0] else None for image in images}
 
 
 def own_image(path: Path, color: float) -> bpy.types.Image:
@@ -74,12 +66,8 @@ def test_a_collected_room_opens_elsewhere(scene, tmp_path, pack, keep, tiled):
     (tmp_path / "secret.png").write_bytes(b"data")
     bpy.ops.wm.save_mainfile()
     before, saved = state(), (first / "shot.blend").read_bytes()
-    means = {
-        image.name: float(np.array(image.pixels[:]).mean())
-        for image in bpy.data.images
-        if image.source in ("FILE", "TILED")
-    }
-    assert len(means) > 5 and {f"oak {index}" for index in range(3)} <= set(means)
+    shown = means()
+    assert len(shown) > 5 and {f"oak {index}" for index in range(3)} <= set(shown)
     assert ops.collect_room(directory=str(target), pack=pack) == {"FINISHED"}
     assert state() == before and (first / "shot.blend").read_bytes() == saved
     assert ops.collect_room(directory=str(target), pack=pack) == {"FINISHED"}  # in a folder of its own
@@ -94,12 +82,14 @@ def test_a_collected_room_opens_elsewhere(scene, tmp_path, pack, keep, tiled):
     for folder in (first, tmp_path / "a", tmp_path / "b"):
         shutil.rmtree(folder)
     shutil.move(target, tmp_path / "third")
-    command = [sys.executable, "-c", _OPENED, str(tmp_path / "third" / "shot.blend")]
-    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    found = json.loads(output.partition("FOUND")[2].splitlines()[0])
-    assert {name: value for name, (value, _) in found.items()} == pytest.approx(means)
-    paths = {path for _, path in found.values() if path}  # images that are only packed have none
-    assert pack or keep == "PACKED" or all(path.startswith("//shot_textures/") for path in paths)
+    fipt_blender.unregister()
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "third" / "shot.blend"))
+        assert means() == pytest.approx(shown)
+    finally:
+        fipt_blender.register()
+    paths = {image.filepath for image in bpy.data.images} - {""}  # images that are only packed have none
+    assert pack or all(path.startswith("//shot_textures/") for path in paths)
 
 
 def test_what_was_painted_comes_along(applied, tmp_path):

@@ -127,10 +127,10 @@ def test_estimate_works_on_the_scene_as_it_is_and_starts_anew_unless_stages_are_
         assert run.emitters_json.stat().st_mtime_ns > before
 
 
-def stop(run: RunFolder, stage: str, killed: bool, resume: bool) -> None:
-    """Start an estimate, and kill or cancel it when it has begun a stage."""
+def stop(run: RunFolder, stage: str, killed: bool) -> None:
+    """Start an estimate in a process, or resume the one that is to be killed; stop it when it has begun a stage."""
     run.messages("estimate").unlink()
-    info = start(resume)
+    info = start(resume=killed)
     tick_until(lambda: stage in worked(run) or running.current() is None)
     if killed:
         os.kill(find_engine(run).pid, signal.SIGKILL)
@@ -149,21 +149,22 @@ def stop(run: RunFolder, stage: str, killed: bool, resume: bool) -> None:
 
 @posix
 def test_an_estimate_that_is_killed_or_cancelled_resumes_and_leaves_the_first_one_usable(scene, run, quick):
-    """In processes of their own, but for the first one."""
     with engine_here(), hardly_training():
         assert ops.estimate() == {"FINISHED"} and ops.apply_results() == {"FINISHED"}
     before = {path: path.read_bytes() for path in (*run.results.rglob("*"), *run.textures.rglob("*")) if path.is_file()}
     bpy.data.objects["wall 0"].location.x += 5.0  # the next estimate has another room and other settings
-    quick |= {"diffuse_spp": 2048, "hash_levels": 4, "training_steps": 5000}  # long enough to be met
-    for stage, killed in (("shadings", False), ("training", True)):
-        stop(run, stage, killed, resume=killed)
+    quick |= {"hash_levels": 4, "training_steps": 5000}
+    for stage, killed, samples in (("shadings", False, 2048), ("training", True, 4)):
+        quick["diffuse_spp"] = samples  # long enough to be met
+        stop(run, stage, killed)
         assert {path: path.read_bytes() for path in before} == before
         state = runstate.look(run)
         assert state.results and not state.finished and state.stages == STAGES.index(stage)
         assert not ops.reestimate.poll()  # its stages are those of the new one
     scene.fipt.materials.texel_density = 20.0  # so that the textures are baked again, from the first results
     bpy.data.objects["wall 0"].location.x -= 5.0
-    assert ops.apply_results() == {"FINISHED"}
+    with engine_here():
+        assert ops.apply_results() == {"FINISHED"}
     kept = [path for path in before if path.is_relative_to(run.results) and "maps" not in path.parts]
     assert read_document(run.room_json, dict)["objects"]
     assert [path.read_bytes() for path in kept] == [before[path] for path in kept]
@@ -171,7 +172,8 @@ def test_an_estimate_that_is_killed_or_cancelled_resumes_and_leaves_the_first_on
 
     bpy.data.objects["wall 0"].location.x += 5.0
     quick["training_steps"] = 20
-    assert ops.resume() == {"FINISHED"} and worked(run) == ["training"]
+    with engine_here():
+        assert ops.resume() == {"FINISHED"} and worked(run) == ["training"]
     assert done(run) == STAGES and run.read_estimated().hash_levels == 4
 
 

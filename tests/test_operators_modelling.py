@@ -38,8 +38,20 @@ MODELLING = {
     "live subdivision": lambda: artist.add_modifier("panel", "SUBSURF"),
     "vertex group": lambda: bpy.data.objects["cube"].vertex_groups.new().add([0, 1], 0.5, "ADD"),
     "shape key": lambda: bpy.data.objects["cube"].shape_key_add(),
-    "uv layer": lambda: bpy.data.objects["cube"].data.uv_layers.new(name="mine"),
+    "uv layer": lambda: bpy.data.objects["panel"].data.uv_layers.new(name="mine"),
 }
+# Of the cube and of the panel, which do not depend on one another; and of both.
+TOGETHER = [
+    ("delete", "subdivide"),
+    ("separate", "live bevel without effect"),
+    ("extrude", "live solidify"),
+    ("applied subdivision", "applied solidify"),
+    ("live bevel", "live subdivision"),
+    ("vertex group", "uv layer"),
+    ("shape key",),
+    ("join",),
+    ("join the other",),
+]
 
 
 def meshes(scene) -> list[bpy.types.Object]:
@@ -63,13 +75,14 @@ def state(scene) -> dict[str, tuple]:
     }
 
 
-@pytest.mark.parametrize(("modelling", "mode"), list(zip(MODELLING, itertools.cycle(["uv", "color_attribute"]))))
+@pytest.mark.parametrize(("modelling", "mode"), list(zip(TOGETHER, itertools.cycle(["uv", "color_attribute"]))))
 def test_applying_again_keeps_what_the_artist_has_modelled(scene, modelling, mode):
     """With the same textures, and with others after the room was moved, too."""
     scene.fipt.materials.atlas_mode = mode
     ops.apply_results()
     assert all("" not in artist.shown(item) for item in meshes(scene))
-    MODELLING[modelling]()
+    for each in modelling:
+        MODELLING[each]()
     for density in (16.0, 32.0):
         if density == 32.0:
             for item in meshes(scene):

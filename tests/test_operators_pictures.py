@@ -33,6 +33,7 @@ from fipt_blender.jobs import running
 from fipt_blender.jobs.room_steps import RoomSteps
 from samples.applied_rooms import front
 from samples.child_processes import PATIENCE_SECONDS
+from samples.engine_here import engine_here
 from samples.operator_calls import refused
 from samples.rendered_rooms import SIZE, VIEW, exr_layers, make_scene, photograph
 
@@ -366,12 +367,12 @@ def test_a_photograph_that_is_not_hdr_has_no_radiance_of_its_own(run):
 
 
 def test_the_report_is_written_and_opened_on_demand(run, monkeypatch):
-    monkeypatch.setenv("FIPT_ENGINE_PYTHON", sys.executable)
     opened = []
     monkeypatch.setattr(webbrowser, "open", lambda url, *_, **__: opened.append(url) or True)
     photograph(run, 4)
     into_photograph(run, 1)
-    assert bpy.ops.fipt.write_report() == {"FINISHED"}
+    with engine_here():
+        assert bpy.ops.fipt.write_report() == {"FINISHED"}
     page = run.report / "index.html"
     assert "An inserted object in the photograph" in page.read_text(encoding="utf-8") and not opened
     assert bpy.ops.fipt.open_report() == {"FINISHED"}

@@ -7,10 +7,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from fipt_blender.bridge.process import Engine
+from fipt_blender.bridge.process import Engine, EngineProcess
 from fipt_blender.core import __main__ as engine
 from fipt_blender.core.device import variant
 from fipt_blender.core.run.messages import Reporter
@@ -35,6 +36,11 @@ class EngineHere(Engine):
         pass
 
 
+def start_here(command: Sequence[str], *arguments: Any) -> Engine:
+    """Commands of the engine run here; stand-ins for them are processes."""
+    return (EngineHere if engine.__package__ in command else EngineProcess)(command, *arguments)
+
+
 @contextmanager
 def engine_here() -> Iterator[None]:
     """Jobs on run folders call the engine instead of starting a process, which takes a second or more.
@@ -44,7 +50,7 @@ def engine_here() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patches:
         for device in variant.VARIANTS:
             patches.setitem(variant.VARIANTS, device, variant.set_variant())
-        patches.setattr(run_job, "EngineProcess", EngineHere)
+        patches.setattr(run_job, "EngineProcess", start_here)
         yield
 
 
