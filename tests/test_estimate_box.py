@@ -264,7 +264,7 @@ def test_nothing_depends_on_unit_exposure_or_place(
 
 def test_paths_without_a_cache_still_find_materials(capture: SmallCapture, tmp_path: Path) -> None:
     """One of the paper's ablations."""
-    run = write_run(tmp_path / "run", capture, refine_cache=False, **UNTRAINED)
+    run = write_run(tmp_path / "run", some_views(capture), refine_cache=False, **UNTRAINED, **FEW)
     run_here(run, train=False)
     assert [lamp["triangles"] for lamp in fixtures_of(run)] == [PANEL_TRIANGLES]
     assert color_errors(run, capture.room, COLORS).mean() < 0.1
