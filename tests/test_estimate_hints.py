@@ -40,6 +40,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 FLOOR, BACK, LEFT = (0.3, 0.2, 0.0), (0.0, 2.0, 1.5), (-2.0, 0.0, 1.5)
 AGAIN = ["hinted-estimate", "hinted-training"]
+FEW = {**UNTRAINED, "batch_size": 128, "diffuse_spp": 8, "refine_diffuse_spp": 8, "voxel_resolution": 32}
 LIGHT = ["hinted-lamps", "hinted-reflection", "hinted-refinement"]
 
 
@@ -50,7 +51,7 @@ def capture() -> SmallCapture:
 
 @pytest.fixture(scope="module")
 def finished(capture: SmallCapture, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    run = write_run(tmp_path_factory.mktemp("finished") / "run", capture, **UNTRAINED)
+    run = write_run(tmp_path_factory.mktemp("finished") / "run", capture, **FEW)
     run_here(run, train=False)
     return run
 
@@ -135,7 +136,7 @@ def test_the_light_changes_with_the_lamps(finished: RunFolder, capture: SmallCap
     messages = again(run, panel, light=True)
     assert stages_of(messages) == LIGHT + AGAIN and "hints-lamps" not in warnings_of(messages)
     assert fixtures_of(run) == []
-    whole = write_run(tmp_path / "whole", capture, **UNTRAINED)
+    whole = write_run(tmp_path / "whole", capture, **FEW)
     write_hints(whole.hints_json, [panel])
     run_here(whole, train=False)
     folders = [run.stage / "refinement-1", run.stage / "hinted-refinement", whole.stage / "refinement-1"]
@@ -168,7 +169,7 @@ def test_an_area_becomes_a_part_of_its_own(finished: RunFolder, capture: SmallCa
 
 def test_a_run_with_hints_without_parts(capture: SmallCapture, tmp_path: Path) -> None:
     """The piece of the mesh at a hint becomes a part of its own; an empty file of later hints lifts them."""
-    run = write_run(tmp_path / "run", capture, **UNTRAINED)
+    run = write_run(tmp_path / "run", capture, **FEW)
     names = json.loads(run.room_json.read_text())
     run.room_json.write_text(json.dumps({**names, "parts": "none"}))
     write_hints(run.hints_json, [Hint(((0.0, 0.0, 2.9),), "Panel", emits=False, material="metal")])

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Base colours of surfaces: fallbacks where nothing was seen, and patterns that stay as they are seen."""
 
-import itertools
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -165,7 +164,6 @@ TINT = np.array([1.0, 0.9, 0.75])
 # Relative errors of base colour: noise of the pixels, errors of a view that are alike over 3 and over 15
 # pixels, errors of light that all views have in common, alike over 12 pixels.
 NOISE, NEAR, FAR, LIGHT = 0.03, 0.015, 0.02, 0.01
-CONTRASTS = (0.05, 0.1, 0.3)
 KINDS = ("lines", "dots", "print", "grain")
 
 
@@ -244,7 +242,7 @@ def correlation(values: np.ndarray, true: np.ndarray) -> float:
 @pytest.mark.parametrize(("kind", "width"), [("lines", 1), ("dots", 2), ("dots", 5), ("print", 3), ("grain", 1)])
 def test_patterns_stay_and_paint_beside_them_is_one_colour(kind: str, width: int) -> None:
     rng = np.random.default_rng([width, KINDS.index(kind)])
-    cases = list(itertools.product((0.08, 0.7), (0.0, *CONTRASTS)))
+    cases = [(0.08, 0.0), (0.7, 0.0), (0.7, 0.05), (0.08, 0.1), (0.7, 0.3)]
     made = [
         seen(bright * TINT * (1.0 - contrast * pattern(kind, width, rng)[..., None]), rng) for bright, contrast in cases
     ]
@@ -262,7 +260,7 @@ def test_patterns_stay_and_paint_beside_them_is_one_colour(kind: str, width: int
             assert correlation(result, true) > 0.95 * correlation(places.color, true)
 
 
-@pytest.mark.parametrize(("views", "light"), [(4, 1.0), (8, 1.0), (24, 0.0)])
+@pytest.mark.parametrize(("views", "light"), [(4, 1.0), (24, 0.0)])
 def test_errors_of_paint_are_gone(views: int, light: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(f"{__name__}.VIEWS", views)
     rng = np.random.default_rng(views)
