@@ -13,7 +13,7 @@ import pytest
 from fipt_blender.core.alignment.edges import corrected_pose
 from fipt_blender.core.capture.color_camera import find_color_camera, with_color_camera
 from fipt_blender.core.capture.photograph_poses import find_motions, with_photograph_poses
-from fipt_blender.core.capture.rig import Lens, Rig, RigView
+from fipt_blender.core.capture.rig import Rig, RigView
 from samples.rgbd_wall import FOCAL, FRAMES, SIZE, facing, pose, write_frames
 
 SIZES = np.array([0.01, 0.01, 0.01, 0.015, 0.015, 0.015])  # of motions: radians and metres
@@ -41,9 +41,8 @@ def pixels_off(found: list[RigView], truth: Rig) -> float:
     return float(np.median(off))
 
 
-def test_motions_are_found_in_any_unit(tmp_path: Path) -> None:
+def test_motions_are_found_in_any_unit(rig: Rig) -> None:
     """In a capture in millimetres; that of the next test is in metres."""
-    rig = write_frames(tmp_path, 1.0, np.zeros(3), centre=(0.0, 0.0))
     larger = np.array([[1.0, 1.0, 1.0, 1000.0]] * 3 + [[1.0] * 4])
     views = tuple(replace(view, camera_to_world=view.camera_to_world * larger) for view in rig.views)
     depths = tuple(replace(depth, camera_to_world=depth.camera_to_world * larger) for depth in rig.depths)
@@ -53,13 +52,19 @@ def test_motions_are_found_in_any_unit(tmp_path: Path) -> None:
     shaken_rig = shaken(truth, motions * ([1.0] * 3 + [1000.0] * 3))
     found, note = with_photograph_poses(shaken_rig, shaken_rig.views, 0.001)
     assert note is not None and note.code == "photograph-poses"
-    assert pixels_off(list(shaken_rig.views), truth) > 2.5
-    assert pixels_off(found, truth) < 0.7
+    assert pixels_off(list(shaken_rig.views), truth) > 1.8
+    assert pixels_off(found, truth) < 0.5
     assert [view.name for view in found] == [view.name for view in rig.views]
 
 
-def test_right_poses_stay_and_two_photographs_tell_nothing(tmp_path: Path) -> None:
-    rig = write_frames(tmp_path, 1.0, np.zeros(3), centre=(0.0, 0.0))
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
+    """Photographs that fit the poses and cameras of their depth images."""
+    return write_frames(tmp_path_factory.mktemp("frames"), 1.0, np.zeros(3), centre=(0.0, 0.0))
+
+
+def test_right_poses_and_cameras_stay_and_two_photographs_tell_nothing(rig: Rig) -> None:
+    assert with_color_camera(rig, 1.0) is rig
     assert find_motions(rig.depths[:2], 1.0) is None
     for count in (FRAMES, 2):
         views = rig.views[:count]
@@ -74,7 +79,7 @@ def test_focal_length_centre_and_place_of_the_color_camera_are_found(tmp_path: P
     assert fx == pytest.approx(0.9 * 2 * FOCAL, rel=0.01) and fy == pytest.approx(fx)
     assert (cx, cy) == pytest.approx((SIZE[0] + 3.0, SIZE[1] - 4.0), abs=1.5)
     place = pose(3)[:3, :3].T @ (found.views[3].camera_to_world[:3, 3] - pose(3)[:3, 3])
-    assert place == pytest.approx([0.025, 0.004, 0.0], abs=0.008)
+    assert place == pytest.approx([0.025, 0.004, 0.0], abs=0.01)
     assert [note.code for note in found.notes] == ["color-camera"]
     moved = found.depths[3].photograph
     assert moved is not None and moved.lens == found.views[3].lens
@@ -89,11 +94,3 @@ def test_what_a_flat_scene_leaves_open_stays_as_cameras_are_built(tmp_path: Path
     assert found is not None and np.exp(found.log_focal) == pytest.approx(0.9, abs=0.02)
     assert found.unsettled == ("image centre", "place")
     assert max(abs(found.shift_x), abs(found.shift_y)) < 5.0 and max(abs(found.x), abs(found.y)) < 0.03
-
-
-def test_photographs_that_fit_keep_their_cameras(tmp_path: Path) -> None:
-    rig = write_frames(tmp_path, 1.0, np.zeros(3))
-    right = [replace(view, lens=Lens("PINHOLE", (280.0, 280.0, 163.0, 116.0))) for view in rig.views]
-    depths = [replace(depth, photograph=view) for depth, view in zip(rig.depths, right, strict=True)]
-    rig = replace(rig, views=tuple(right), depths=tuple(depths))
-    assert with_color_camera(rig, 1.0) is rig

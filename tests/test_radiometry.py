@@ -13,7 +13,7 @@ from fipt_blender.core.radiometry.contrast import EXIF_DEVIATION, Source, combin
 from fipt_blender.core.radiometry.inversion import BOUND_WEIGHT, Radiometry, reliability
 from fipt_blender.core.radiometry.response import HIGH_ANCHOR, LOW_ANCHOR, interpolated, response_basis, slope
 
-VIEWS, POINTS = 12, 1500
+VIEWS, POINTS = 12, 1000
 CAMERAS = [Camera(1.8, 0.0, 0.0, 0.0), Camera(2.2, 0.3, 0.1, 0.25), Camera(2.6, 0.1, 0.35, 0.1)]
 
 

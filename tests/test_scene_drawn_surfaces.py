@@ -26,7 +26,7 @@ from samples.refusals import error_of
 from samples.scans import joined, scanned_box
 from samples.small_rooms import write_room
 
-SCAN = scanned_box(cells=60, noise=0.003)[0]
+SCAN = scanned_box(cells=45, noise=0.003)[0]
 BOTH = with_box(SCAN)
 
 

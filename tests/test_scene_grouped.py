@@ -19,9 +19,10 @@ from fipt_blender.core.pixels.grouped import (
 )
 
 
-@pytest.mark.parametrize("dtype", (np.float32, np.float64))
-def test_medians_are_those_of_each_group_alone(rng: np.random.Generator, dtype) -> None:
+@pytest.mark.parametrize("dtype, large", [(np.float32, 0), (np.float64, 0), (np.float32, 150)])
+def test_medians_are_those_of_each_group_alone(rng: np.random.Generator, dtype, large: int) -> None:
     values, group = rng.random((300, 3)).round(1).astype(dtype), rng.integers(0, 40, 300)
+    group[:large] = 7
     medians = grouped_median(values, group, 42)
     assert medians.dtype == dtype and not medians[40:].any()
     low, high = (grouped_median(values[:, 0], group, 42, middle) for middle in ("low", "high"))

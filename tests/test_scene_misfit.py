@@ -13,7 +13,7 @@ import pytest
 from fipt_blender.core.alignment.edges import corrected_pose, edge_flow
 from fipt_blender.core.alignment.turns import turn_by
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.checks.misfit import view_edges, view_misfit
+from fipt_blender.core.checks.misfit import edge_image, image_misfit, view_edges
 from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at
@@ -71,24 +71,24 @@ def test_known_displacements_are_found_within_a_third(
 ) -> None:
     for index, (view, image) in enumerate(zip(views, images, strict=True)):
         off = displaced(room, view, pixels, index + 5)
-        found = view_misfit(room, off, image)
+        found = image_misfit(room, off, edge_image(off, image))
         assert found is not None and found[1] == 1
         assert found[0].misfit == pytest.approx(pixels, rel=1.0 / 3.0)
         # The motion that it finds corrects the camera, and a camera that is right is not blamed.
         corrected = replace(off, camera_to_world=corrected_pose(off.camera_to_world, found[0].motion))
         for right, most in ((corrected, max(0.2, 0.1 * pixels)), (view, 0.2)):
-            again = view_misfit(room, right, image)
+            again = image_misfit(room, right, edge_image(right, image))
             assert again is not None and again[0].misfit < most
 
 
 def test_without_edges_there_is_no_verdict(room: Room, views: list[View]) -> None:
     rng = np.random.default_rng(0)
-    assert view_misfit(room, views[0], np.zeros((HEIGHT, WIDTH, 3))) is None
+    assert image_misfit(room, views[0], edge_image(views[0], np.zeros((HEIGHT, WIDTH, 3)))) is None
     wall = replace(views[0], camera_to_world=look_at([1.0, -1.0, 1.5], [2.0, -1.0, 1.5]))
-    plain = 1.0 + 0.02 * rng.random((HEIGHT, WIDTH, 3))
-    assert view_misfit(room, wall, plain) is None
+    plain = edge_image(wall, 1.0 + 0.02 * rng.random((HEIGHT, WIDTH, 3)))
+    assert image_misfit(room, wall, plain) is None
     away = replace(views[0], camera_to_world=look_at([0.0, -9.0, 1.5], [0.0, -20.0, 1.5]))
-    assert view_misfit(room, away, plain) is None
+    assert image_misfit(room, away, plain) is None
 
 
 def test_large_photographs_are_compared_smaller_in_their_own_pixels(
@@ -96,7 +96,7 @@ def test_large_photographs_are_compared_smaller_in_their_own_pixels(
 ) -> None:
     view = displaced(room, views[0], 2.0, 3)
     image = images[0].repeat(6, axis=0).repeat(6, axis=1)
-    lens = {name: 6 * getattr(view, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
-    found = view_misfit(room, replace(view, **lens), image)
+    large = replace(view, **{name: 6 * getattr(view, name) for name in ("width", "height", "fx", "fy", "cx", "cy")})
+    found = image_misfit(room, large, edge_image(large, image))
     assert found is not None and found[1] == 2
     assert found[0].misfit * found[1] == pytest.approx(12.0, rel=1.0 / 3.0)

@@ -91,7 +91,7 @@ def test_borders_of_parts_become_those_of_the_masks(tmp_path: Path) -> None:
 
 def test_a_board_that_the_scanner_made_smaller_grows(tmp_path: Path) -> None:
     """Its rim is a silhouette: what the masks have their border with is more than a metre behind."""
-    scan, side = scanned_box(cells=60, noise=0.002)
+    scan, side = scanned_box(cells=40, noise=0.002)
     cells, size = 14, BOARD_SIZE - 0.04
     u, v = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(-size, size, cells + 1)], indexing="ij"))
     points = np.stack([u, np.full_like(u, 0.5), v + 1.2], axis=1)

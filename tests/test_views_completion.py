@@ -34,7 +34,7 @@ from samples.small_rooms import BOX, make_room, mesh_room
 SIZE = 48  # pixels, of the view of the opening
 STEP, NOISE = 0.06, 0.003  # metres: edges of a torn thing, and what scans are off by
 EDGE = 0.05  # metres between vertices of the scan
-SCAN = scanned_box(cells=60, noise=NOISE)[0]
+SCAN = scanned_box(cells=45, noise=NOISE)[0]
 
 
 # ----------------------------------------------------------------------------------------------------- panes

@@ -36,7 +36,7 @@ def capture() -> SmallCapture:
     lamps = table([2 * lamp, 2 * lamp + 1], [6.0, 5.0, 4.0])
     others = [[[-x, y, z], [-a, b, 3.0 - c]] for (x, y, z), (a, b, c) in CAMERAS]
     materials = matt(np.repeat(colors, 2, axis=0))
-    made = photograph_room(room, materials, lamps, cameras=[*CAMERAS, *others], scale=2, spp=64)
+    made = photograph_room(room, materials, lamps, cameras=[*CAMERAS, *others], scale=2, spp=32)
     return made.scaled(1.0, 1.0, (1.5, 1.0, 0.3))  # a box is its own mirror image about its middle
 
 
@@ -96,10 +96,6 @@ def test_noise_is_no_wrong_pose(capture: SmallCapture, tmp_path: Path) -> None:
     images = [*capture.images[:2], *(image.astype(np.float32) for image in noisy[2:])]
     views = load_capture(write_run(tmp_path, replace(capture, images=images))).train
     assert check_input(capture.room, views, SETTINGS) == {}
-
-
-def test_poses_that_are_all_wrong(capture: SmallCapture, views: list[View]) -> None:
-    assert "wrong" in refused("views-disagree", capture, disturbed(views, list(range(12))))
 
 
 def test_a_mirrored_mesh_and_a_wrong_unit_are_named(capture: SmallCapture, views: list[View]) -> None:

@@ -41,7 +41,7 @@ def store(tmp_path_factory) -> tuple[PixelStore, object]:
     room = make_room([*BOX, PANEL], parts="objects")
     materials = matt(np.repeat(np.array([*COLORS, [0.0] * 3]), 2, axis=0))
     capture = photograph_room(
-        room, materials, table([12, 13], PANEL_RADIANCE), cameras=[*CAMERAS, *MORE], scale=2, spp=128
+        room, materials, table([12, 13], PANEL_RADIANCE), cameras=[*CAMERAS, *MORE], scale=2, spp=32
     )
     folder = tmp_path_factory.mktemp("photometry")
     pixels = open_pixels(folder / "pixels", load_capture(write_run(folder / "run", capture)).train, create=True)

@@ -12,9 +12,9 @@ from PIL import Image
 
 from fipt_blender.core.capture.rig import DepthView, Lens, Rig, RigView
 
-SIZE, FOCAL = (160, 120), 140.0  # of the depth images; photographs are twice as large
+SIZE, FOCAL = (120, 90), 105.0  # of the depth images; photographs are twice as large
 NORMAL, DISTANCE = np.array([0.3, -0.2, 1.0]), 1.8  # the wall: NORMAL @ point = DISTANCE
-FRAMES = 6
+FRAMES = 5
 
 
 def pose(index: int) -> np.ndarray:

@@ -38,8 +38,8 @@ class Surface:
 
     @cached_property
     def tree(self) -> cKDTree:
-        """Of the points."""
-        return cKDTree(self.points)
+        """Of the points; shaped for positions far from the surface, as an alignment starts with many."""
+        return cKDTree(self.points, leafsize=32, compact_nodes=False)
 
     @cached_property
     def triangle_tree(self) -> cKDTree:

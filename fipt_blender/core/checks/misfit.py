@@ -18,15 +18,6 @@ COMPARED = 1280  # most pixels along the longer side of the photograph that is c
 _SEED = 0  # of the edges that are drawn
 
 
-def view_misfit(room: Room, view: View, pixels: np.ndarray) -> tuple[EdgeFit, int] | None:
-    """Compare the mesh's edges with those of a photograph; see `image_misfit`.
-
-    Args:
-        pixels: (H, W, 3) radiance of its photograph.
-    """
-    return image_misfit(room, view, edge_image(view, pixels))
-
-
 def edge_image(view: View, pixels: np.ndarray) -> np.ndarray | None:
     """(h, w) logarithm of a photograph (H, W, 3), reduced by an integer factor; None where it is black."""
     factor = _factor(view)

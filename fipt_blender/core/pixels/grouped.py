@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 MOST_KEYS = 1 << 62  # so that keys fit into 64 bits
+MOST_PADDED = 4  # times the values, of rows as long as the largest group
 
 # Keys (n,) int64, and a value (n, ...) for each.
 Keyed = tuple[np.ndarray, np.ndarray]
@@ -141,15 +142,21 @@ def grouped_median(
     """
     size = np.bincount(group, minlength=count)
     known = size > 0
-    first = (np.cumsum(size) - size)[known]
-    low, high = first + (size[known] - 1) // 2, first + size[known] // 2
+    size = size[known]
+    longest = int(size.max(initial=0))
+    padded = longest * len(size) <= MOST_PADDED * len(group)
+    first = np.arange(len(size)) * longest if padded else np.cumsum(size) - size
+    order = np.argsort(group, kind="stable") if padded else None
     medians = np.zeros((count, *values.shape[1:]), values.dtype)
     for column, median in zip(np.atleast_2d(values.T), np.atleast_2d(medians.T), strict=True):
-        ordered = column[np.lexsort((column, group))]
-        if middle == "mean":
-            median[known] = (ordered[low] + ordered[high]) / 2
-        else:
-            median[known] = ordered[low if middle == "low" else high]
+        if order is None:
+            ordered = column[np.lexsort((column, group))]
+        else:  # sorting many short rows is several times as fast
+            rows = np.full((len(size), longest), np.nan, values.dtype)
+            rows[np.arange(longest) < size[:, None]] = column[order]
+            ordered = np.sort(rows, axis=1, kind="stable").reshape(-1)  # NaN to the end
+        low, high = ordered[first + (size - 1) // 2], ordered[first + size // 2]
+        median[known] = (low + high) / 2 if middle == "mean" else low if middle == "low" else high
     return medians
 
 
