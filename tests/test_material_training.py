@@ -373,7 +373,7 @@ def test_emission_and_diffuse_terms() -> None:
     assert float(losses.emission_loss(torch.tensor([1.0, -2.0, 0.0, 0.0]))) == pytest.approx(0.75)
     values = prediction(3)
     expected = ((1 - values[1]) + values[2]).mean()
-    assert float(losses.diffuse_loss(Prediction(*values))) == pytest.approx(float(expected.detach()))
+    assert float(losses.diffuse_loss(Prediction(*values)).detach()) == pytest.approx(float(expected.detach()))
     assert torch.autograd.gradcheck(lambda *v: losses.diffuse_loss(Prediction(*v)), values)
 
 
