@@ -222,7 +222,7 @@ CHANGE = """
 values = bpy.context.preferences.addons[sys.argv[-1]].preferences
 values.data_folder, values.on_close = sys.argv[-2], "KEEP"
 bpy.ops.wm.save_userpref()
-package = sys.modules[sys.argv[-1] + ".preferences"]
+package = sys.modules[sys.argv[-1] + ".machine"]
 say(run=str(package.new_run_folder("room")))
 """
 
