@@ -287,8 +287,7 @@ def lock() -> int:
 
 # A file's tests share what its fixtures make, therefore they run in one process. The files come in the order
 # of their names: by default those of few tests come last, which take the longest, and one process waits.
-TEST_PROCESSES = ("--numprocesses", "logical", "--maxprocesses", "4", "--dist", "loadfile")
-TEST_PROCESSES += ("--no-loadscope-reorder",)
+TEST_PROCESSES = ("--numprocesses=logical", "--maxprocesses=4", "--dist=loadfile", "--no-loadscope-reorder")
 COMMANDS = {
     "demo": lambda extra: call(str(PRODUCT), *DEMO, *extra),
     "test": lambda extra: call("-m", "pytest", "-q", *TEST_PROCESSES, *extra),

@@ -136,6 +136,11 @@ class Sources:
         )
 
     @cached_property
+    def shares(self) -> np.ndarray:
+        """(K,) mean share of the light on the points that each source casts."""
+        return np.asarray(self.light.shares(self.points).mean(axis=0))
+
+    @cached_property
     def lamp(self) -> np.ndarray:
         """(K,) int64 lamp or window that each source belongs to; -1 for dim ones and wide openings."""
         level = LAMP * float(np.median(self.points.seen))
@@ -151,7 +156,7 @@ class Sources:
         lamp = graph_components(np.stack([one, other], axis=1)[near], len(members))
         own = np.bincount(lamp, width**2) <= MOST_OF_LAMP * self.cells.size**2
         own |= np.bincount(lamp, self.expected.outside[members]) == 0.0  # the world can't shine from a mesh
-        own &= np.bincount(lamp, self.light.shares(self.points).mean(axis=0)[members]) > LEAST_LAMP
+        own &= np.bincount(lamp, self.shares[members]) > LEAST_LAMP
         result[members] = np.where(own, np.cumsum(own) - 1, -1)[lamp]
         return result
 
@@ -208,7 +213,7 @@ class Sources:
             "radius": radius,
             "radiance": fitted.tolist(),
             "inferred": True,
-            "share": float(self.light.shares(self.points)[:, own].sum(axis=1).mean()),
+            "share": float(self.shares[own].sum()),
             "facing": None if facing is None else facing.tolist(),
         }
 

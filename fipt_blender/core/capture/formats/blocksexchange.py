@@ -109,10 +109,8 @@ def _rotation(file: Path, photo: Element) -> np.ndarray:
 
 def _lens(file: Path, group: Element, size: tuple[int, int]) -> Lens:
     """The lens of a photogroup. SensorSize is that of the photographs' longer side."""
-    model, skew = (
-        group.findtext("CameraModelType", "Perspective").strip(),
-        number(group.findtext("Skew", "0")),
-    )
+    model = group.findtext("CameraModelType", "Perspective").strip()
+    skew = number(group.findtext("Skew", "0"))
     if model != "Perspective" or skew != 0.0 or group.find("PrincipalPoint/xmm") is not None:
         text = f"{file} has a camera of the type {model[:40]!r}, a skew or a principal point in millimetres."
         raise FiptError("camera-model", text, "Export undistorted photographs with their cameras in pixels.")
