@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import fuzz_samples, fuzz_targets
 from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.capture.depth_images import DepthView, read_depth
 from fipt_blender.core.capture.formats.registry import read_points, read_rig
@@ -21,6 +20,7 @@ from fipt_blender.core.capture.formats.rig_files import stored_rotation
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.run.runfolder import RunFolder
+from samples import fuzz_samples, fuzz_targets
 from samples.counted import counted_calls
 from samples.ingesting import edited_json, run_ingest, warnings
 from samples.refusals import error_of

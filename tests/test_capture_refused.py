@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import fuzz_samples
 from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
@@ -21,6 +20,7 @@ from fipt_blender.core.run.paths import foreign_fault, is_network, leads_outside
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.prepare.preparation import PreparationFolder, read_preparation
+from samples import fuzz_samples
 from samples.capture_files import make_samples, write_transforms
 from samples.child_processes import posix
 from samples.ingesting import edited_json, put, run_ingest, set_pixels

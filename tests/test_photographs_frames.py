@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from PIL import Image, ImageOps
 
-from benchmarks.dng import Shot, mosaic_of, write_dng
 from fipt_blender.prepare import frames, merge_step, merging
 from fipt_blender.prepare.frames import (
     NEAR_TOP,
@@ -24,6 +23,7 @@ from fipt_blender.prepare.frames import (
     upright,
 )
 from fipt_blender.prepare.merging import in_rec709
+from samples.dng import Shot, mosaic_of, write_dng
 from samples.prepared_captures import prepare
 
 

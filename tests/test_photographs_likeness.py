@@ -11,7 +11,6 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
-from benchmarks.dng import Shot, mosaic_of, write_dng
 from fipt_blender.prepare.brackets import find_groups
 from fipt_blender.prepare.exif import describe
 from fipt_blender.prepare.likeness import SIDE, Likeness, small_picture
@@ -19,6 +18,7 @@ from fipt_blender.prepare.merging import moved_regions
 from fipt_blender.prepare.motion import Motion, after, measure, warped
 from fipt_blender.prepare.preparation import Group, Photograph
 from fipt_blender.prepare.reading import list_photographs
+from samples.dng import Shot, mosaic_of, write_dng
 from samples.photographs import exif, smooth_radiance, write_jpeg
 
 HEIGHT, WIDTH = 160, 240

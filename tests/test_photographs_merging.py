@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.dng import Shot, mosaic_of, write_dng
 from fipt_blender.core.capture.encoded import srgb_encoded
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.run.messages import Reporter
@@ -26,6 +25,7 @@ from fipt_blender.prepare.motion import Motion
 from fipt_blender.prepare.preparation import Photograph, PreparationFolder, read_preparation, write_preparation
 from fipt_blender.prepare.response import LEVELS, recover_response, srgb_curve
 from samples import prepared_captures, refusals
+from samples.dng import Shot, mosaic_of, write_dng
 from samples.image_files import icc_profile, in_primaries, write_exr_layers
 from samples.photographs import exif, smooth_radiance, write_jpeg
 from samples.prepared_captures import facts as facts_of

@@ -1,18 +1,14 @@
-#!/usr/bin/env python3
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Damaged and hostile inputs for every reader: none may hang, take much memory, crash, or touch other files.
 
-    .venv/bin/python benchmarks/fuzz.py --inputs 250 [--only colmap-binary transforms]
-
 Each input is a valid sample with a few mutations, chosen by Hypothesis and read by a child process of its
 own. A reader passes where it accepts the input or ends with an error that has a code and a remedy. Inputs
-that fail are made as small as possible, saved, and tried first the next time.
+that fail are made as small as possible.
 """
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import json
 import os
@@ -20,22 +16,18 @@ import resource
 import shutil
 import signal
 import struct
-import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import hypothesis
 from hypothesis import strategies as st
-from hypothesis.database import DirectoryBasedExampleDatabase
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
-from benchmarks.fuzz_targets import TARGETS, Target
 from fipt_blender.core.run.errors import FiptError
+from samples.fuzz_targets import Target
 
 Draw = Callable[[st.SearchStrategy[Any]], Any]  # `draw` of Hypothesis
 
@@ -139,9 +131,7 @@ def _mutate_json(path: Path, draw: Draw) -> str:
     places: list[tuple[Any, Any]] = []
 
     def collect(value: Any) -> None:
-        keys = (
-            list(value) if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
-        )
+        keys = list(value) if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
         for key in keys:
             places.append((value, key))
             collect(value[key])
@@ -241,13 +231,12 @@ def _snapshot(base: Path) -> set[tuple[str, int]]:
     return {(str(path.relative_to(base)), path.stat().st_size if path.is_file() else -1) for path in paths}
 
 
-def try_target(target: Target, inputs: int, *, seed: int | None = None, saved: Path | None = None) -> None:
+def try_target(target: Target, inputs: int, seed: int) -> None:
     """Try mutated samples of a reader.
 
     Args:
         inputs: how many samples at most.
-        seed: of the mutations; None: others each time.
-        saved: folder of inputs that failed, made as small as possible, which come first; without a seed.
+        seed: of the mutations.
 
     Raises:
         AssertionError: what was done to the smallest sample that failed, and how it failed.
@@ -259,12 +248,9 @@ def try_target(target: Target, inputs: int, *, seed: int | None = None, saved: P
         sample.mkdir()
         target.write(sample)
 
-        @hypothesis.seed(seed) if seed is not None else lambda test: test
+        @hypothesis.seed(seed)
         @hypothesis.settings(
-            max_examples=inputs,
-            database=None if saved is None else DirectoryBasedExampleDatabase(saved / target.name),
-            deadline=None,
-            suppress_health_check=list(hypothesis.HealthCheck),
+            max_examples=inputs, database=None, deadline=None, suppress_health_check=list(hypothesis.HealthCheck)
         )
         @hypothesis.given(st.data())
         def each_passes(data: st.DataObject) -> None:
@@ -276,29 +262,3 @@ def try_target(target: Target, inputs: int, *, seed: int | None = None, saved: P
             assert outcome in ("accepted", "refused"), f"{target.name}: {outcome}   ({what})"
 
         each_passes()
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Try the readers and print their failures; how many readers failed."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--inputs", type=int, default=250, help="for each reader")
-    parser.add_argument("--seed", type=int, help="always the same inputs, of which none is saved")
-    parser.add_argument("--only", nargs="*", default=[target.name for target in TARGETS])
-    parser.add_argument("--saved", type=Path, default=Path("out/fuzz"), help="keep inputs that failed here")
-    options = parser.parse_args(argv)
-    failed = 0
-    for target in TARGETS:
-        if target.name in options.only:
-            try:
-                try_target(target, options.inputs, seed=options.seed, saved=options.saved)
-            except AssertionError as error:
-                failed += 1
-                print(error, flush=True)
-    print(f"{failed} readers failed")
-    return failed
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -18,17 +18,7 @@ import numpy as np
 BYTE, ASCII, SHORT, LONG, RATIONAL, SIGNED_RATIONAL = 1, 2, 3, 4, 5, 10
 _FORMATS = {BYTE: "B", SHORT: "H", LONG: "I"}
 # XYZ to linear Rec.709: the channels of this camera are those of Rec.709.
-XYZ_TO_REC709 = (
-    3.2404542,
-    -1.5371385,
-    -0.4985314,
-    -0.969266,
-    1.8760108,
-    0.041556,
-    0.0556434,
-    -0.2040259,
-    1.0572252,
-)
+XYZ_TO_REC709 = (3.2404542, -1.5371385, -0.4985314, -0.969266, 1.8760108, 0.041556, 0.0556434, -0.2040259, 1.0572252)
 
 Tag = tuple[int, Sequence[float] | str]
 
@@ -95,9 +85,7 @@ def write_dng(path: Path, mosaic: np.ndarray, shot: Shot, black: int, white: int
     inner_start = start + len(_directory(outer, start))
     pixel_start = inner_start + len(_directory(inner, inner_start))
     outer[34665], outer[273] = (LONG, [inner_start]), (LONG, [pixel_start])
-    content = (
-        struct.pack("<2sHI", b"II", 42, start) + _directory(outer, start) + _directory(inner, inner_start)
-    )
+    content = struct.pack("<2sHI", b"II", 42, start) + _directory(outer, start) + _directory(inner, inner_start)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(content + pixels)
 

@@ -1,23 +1,18 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What fuzz.py mutates: every reader of files of others, with a sample of fuzz_samples.py."""
+"""What fuzz.py damages: every reader of files of others, with a sample of fuzz_samples.py."""
 
 from __future__ import annotations
 
 import json
 import os
 import shutil
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
-
-from benchmarks import fuzz_samples
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.documents import read_document
@@ -26,7 +21,7 @@ from fipt_blender.core.run.hints import read_hints
 from fipt_blender.core.run.result_contents import Stages
 from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder
-from samples import capture_files, metashape_writers, rgbd_frames, rig_writers
+from samples import capture_files, fuzz_samples, metashape_writers, rgbd_frames, rig_writers
 
 
 @dataclass(frozen=True)
@@ -174,12 +169,7 @@ def _image_files(sample: Path, out: Path) -> None:
 
     refused = None
     for path in sorted(sample.iterdir()):
-        for read in (
-            images.read_ids,
-            images.read_radiance,
-            images.is_plain,
-            lambda file: describe(file, "a"),
-        ):
+        for read in (images.read_ids, images.read_radiance, images.is_plain, lambda file: describe(file, "a")):
             try:
                 read(path)
             except FiptError as error:
@@ -214,14 +204,8 @@ PROGRAMS: dict[str, Callable[[Path, list[rig_writers.Shot]], None]] = {
 
 
 TARGETS = (
-    Target(
-        "colmap-binary",
-        lambda folder: fuzz_samples.write_colmap(folder, text=False),
-        fuzz_samples.import_sample,
-    ),
-    Target(
-        "colmap-text", lambda folder: fuzz_samples.write_colmap(folder, text=True), fuzz_samples.import_sample
-    ),
+    Target("colmap-binary", lambda folder: fuzz_samples.write_colmap(folder, text=False), fuzz_samples.import_sample),
+    Target("colmap-text", lambda folder: fuzz_samples.write_colmap(folder, text=True), fuzz_samples.import_sample),
     Target("transforms", fuzz_samples.write_transforms, fuzz_samples.import_sample),
     Target("fipt-real", fuzz_samples.write_fipt_real, fuzz_samples.import_sample),
     Target("fipt-synthetic", fuzz_samples.write_fipt_synthetic, fuzz_samples.import_sample),
@@ -235,13 +219,6 @@ TARGETS = (
     Target("run-files", fuzz_samples.write_run_files, _read_run_files),
     Target("report", fuzz_samples.write_finished_run, _report, ("fipt_blender.core.report.page",)),
     Target("options", fuzz_samples.write_options, _ingest_with_options),
-    Target(
-        "preparation",
-        fuzz_samples.write_preparation,
-        _preparation,
-        ("fipt_blender.prepare.preparation",),
-    ),
-    Target(
-        "named-meshes", fuzz_samples.write_named_meshes, _named_meshes, ("fipt_blender.jobs.fingerprints",)
-    ),
+    Target("preparation", fuzz_samples.write_preparation, _preparation, ("fipt_blender.prepare.preparation",)),
+    Target("named-meshes", fuzz_samples.write_named_meshes, _named_meshes, ("fipt_blender.jobs.fingerprints",)),
 )

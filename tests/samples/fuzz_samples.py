@@ -6,14 +6,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.rig import Lens
@@ -73,9 +69,7 @@ def write_colmap(folder: Path, text: bool) -> None:
 
     model = pycolmap.Reconstruction()
     for index, pose in enumerate(_poses(3), start=1):
-        camera = pycolmap.Camera(
-            camera_id=index, model="OPENCV", width=12, height=8, params=[9, 9, 6, 4, 0, 0, 0, 0]
-        )
+        camera = pycolmap.Camera(camera_id=index, model="OPENCV", width=12, height=8, params=[9, 9, 6, 4, 0, 0, 0, 0])
         model.add_camera_with_trivial_rig(camera)
         points = pycolmap.Point2DList([pycolmap.Point2D(np.array([1.0, 2.0]))] * 2)
         image = pycolmap.Image(name=f"{index - 1:03d}.jpg", camera_id=index, image_id=index, points2D=points)
@@ -114,9 +108,7 @@ def _write_ids(folder: Path, count: int) -> None:
 def write_fipt_real(folder: Path) -> None:
     """cam.txt and K_list.txt."""
     names = (f"{index:03d}_0001" for index in range(3))
-    shots = [
-        capture_files.Sample(name, 12, 8, PINHOLE, pose) for name, pose in zip(names, _poses(3), strict=True)
-    ]
+    shots = [capture_files.Sample(name, 12, 8, PINHOLE, pose) for name, pose in zip(names, _poses(3), strict=True)]
     capture_files.write_fipt_real(folder, shots)
     capture_files.write_mesh(folder / "scene.obj")
 
