@@ -7,7 +7,7 @@
   test      run the tests
   run       run the command line, e.g. run estimate CAPTURE --output FOLDER
   accuracy  run the engine on a capture with ground truth and print its accuracy
-  speed     time the engine against the paper's algorithm, stage by stage
+  speed     seconds and memory of the main job, stage by stage
   lock      write engine.lock from the pins in pyproject.toml
   lint      run ruff, its formatter as a check, and mypy
   build     make the extension's zip in dist/, and validate it with Blender's own tool

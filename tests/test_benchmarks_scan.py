@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The benchmark's scanner has the noise that it states; what a mesh allows an estimate to reach."""
+"""The benchmark's scanner has the noise that it states."""
 
 from __future__ import annotations
 
@@ -10,15 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import metrics, surface_limits
 from benchmarks.scan import Scanner, believed_pose, disturbed, read_truth, smoothed
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.depth.extraction import FusedMesh
-from fipt_blender.core.pixels.camera_rays import trace_pixels
-from fipt_blender.core.surface.room import Room
-from samples.part_views import looking_views
 from samples.scans import grid_triangles
-from samples.small_rooms import BOX, make_room
 
 
 def test_ranges_of_a_wall_have_the_noise_that_the_scanner_states() -> None:
@@ -80,30 +75,3 @@ def test_materials_are_found_by_either_numbering(tmp_path: Path, first_id: int) 
     truth = read_truth(tmp_path / "room")
     assert truth.reflectance.tolist() == [0.02, 1.0] and truth.roughness.tolist() == [1.0, 0.1]
     assert truth.emits.tolist() == [False, True]
-
-
-def maps_of(room: Room, view: View) -> metrics.Maps:
-    """Maps that are smooth functions of the place."""
-    place = np.array(trace_pixels(room, view).position).T.reshape(view.height, view.width, 3)
-    values = 0.5 + 0.4 * np.sin(2.0 * place)
-    black, hit = np.zeros_like(values), np.ones(values.shape[:2], bool)
-    return metrics.Maps(values, values, black, np.ones(hit.shape), values[..., 0], black, hit)
-
-
-def test_what_a_mesh_lacks_and_what_is_off_limits_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(surface_limits, "SAMPLES", 20_000)
-    monkeypatch.setattr(surface_limits, "THIN", 0.025)  # fewer points on the meshes
-    room = make_room(BOX)
-    views = looking_views(tmp_path, room)[::2]
-    maps = [maps_of(room, view) for view in views]
-    reference = surface_limits.Reference(
-        room, views, views[::3], maps, maps[::3]
-    )  # held-back views see what others see
-    whole = reference.limits(room)
-    assert whole.within == (1.0, 1.0, 1.0) and whole.missing == whole.extra == 0.0
-    assert whole.turned < 0.1 and whole.kept > 0.99 and whole.maps["kd_psnr"] > 30.0
-    opened = reference.limits(make_room([*BOX[:2], *BOX[3:]]))
-    assert opened.missing > 0.01 and opened.kept < 0.99 and opened.within[2] < 1.0
-    assert opened.maps["kd_psnr"] < whole.maps["kd_psnr"]
-    moved = reference.limits(surface_limits.bare_room(room.vertices + np.float32([0.0, 0.0, 0.03]), room.triangles))
-    assert moved.within[0] < moved.within[2] and moved.kept < 0.99

@@ -187,7 +187,7 @@ def test_applying_again_keeps_what_the_artist_has_made_of_lamps(applied, change,
         assert sorted(row.name for row in applied.fipt.lights.lights) == sorted(before)
 
 
-# `benchmarks`-like runs: FIPT_SEQUENCES=200 tries more of them.
+# FIPT_SEQUENCES=200 tries more of them.
 @pytest.mark.parametrize("seed", range(int(os.environ.get("FIPT_SEQUENCES", "4"))))
 def test_nothing_is_lost_in_random_sequences_of_actions(applied, tmp_path, seed):
     sequence = artist_sequences.Sequence(seed, tmp_path)

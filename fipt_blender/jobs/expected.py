@@ -23,7 +23,7 @@ from ..core.run.settings import Settings
 # Seconds for each triangle that is unwrapped; before them one (scans of 0.9 million triangles).
 UNWRAPPED = 2.5e-5
 # Seconds for each texel, and for each million pixels of photographs that are larger than light is solved at;
-# before them a few (the example room; the captures of benchmarks/real_rooms.py).
+# before them a few (the example room and two real rooms).
 TEXTURES, TEXEL, DETAIL = 6.0, 1.2e-6, 1.1
 # Seconds for each picture, and for each million samples of Cycles.
 PICTURE, SAMPLES = 8.0, 0.8

@@ -162,9 +162,3 @@ def spread_views(views: Sequence[View], share: float) -> list[View]:
     """A share of the views (0 to 1, one of any at least), spread evenly over their order."""
     count = min(max(1, round(share * len(views))), len(views))
     return [views[i * len(views) // count] for i in range(count)]
-
-
-def estimation_views(folder: RunFolder, settings: Settings) -> list[View]:
-    """The views of an estimation that was done in a folder, at the resolution of its pixels."""
-    photographs = spread_views(load_capture(folder).train, settings.view_share)
-    return light_views(folder, photographs, settings.light_pixels)

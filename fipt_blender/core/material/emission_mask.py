@@ -4,12 +4,9 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 
-from .inference import CHUNK
 from .networks import linear
-from .seen import Box
 
 
 class EmissionNetwork(torch.nn.Module):
@@ -54,14 +51,3 @@ def positional_encoding(positions: torch.Tensor, bands: int) -> torch.Tensor:
     octaves = torch.pi * 2.0 ** torch.arange(bands, device=positions.device, dtype=positions.dtype)
     angles = (positions[:, :, None] * octaves).reshape(len(positions), -1)
     return torch.cat([positions, torch.sin(angles), torch.cos(angles)], dim=1)
-
-
-@torch.no_grad()
-def mask_at(network: EmissionNetwork, box: Box, positions: np.ndarray) -> np.ndarray:
-    """(N,) float32 emission mask alpha at world positions (N, 3)."""
-    device = next(network.parameters()).device
-    values = []
-    for start in range(0, max(len(positions), 1), CHUNK):
-        inputs = torch.from_numpy(box.normalise(positions[start : start + CHUNK])).to(device)
-        values.append(emission_mask(network(inputs)).cpu().numpy())
-    return np.concatenate(values)

@@ -132,7 +132,8 @@ def light_plan(sizes: Sequence[tuple[int, int]], settings: Settings) -> LightPla
     rays = settings.diffuse_spp + settings.light_spp + settings.specular_spp * levels
     refined = settings.refine_diffuse_spp + settings.refine_light_spp + settings.refine_specular_spp * levels
     samples = settings.training_steps * settings.batch_size / 1e6
-    # Processor seconds, measured by benchmarks/real_cost.py on two cores; stages keep 70 % of the cores busy.
+    # Processor seconds, measured on two cores with photographs of 2 and 12 megapixels; stages keep 70 % of the
+    # cores busy.
     seconds = (
         30.0 + 0.05 * megapixels + light * (30.0 + 0.4 * (rays + settings.rounds * refined)) + 10.0 * samples
     )
@@ -141,7 +142,7 @@ def light_plan(sizes: Sequence[tuple[int, int]], settings: Settings) -> LightPla
     # what is seen and photographed, and shadings of each level.
     disk = 270_000_000 + int(light * 1e6 * (125 + 12 * levels))
     # Packages, networks and Mitsuba; what is mapped from the run folder; a pixel of light that is worked on;
-    # a photograph's pixel while it is decoded (benchmarks/scaling.py, benchmarks/real_cost.py).
+    # a photograph's pixel while it is decoded.
     largest = max(width * height for width, height in sizes)
     memory = 1_700_000_000 + disk + int(36 * light * 1e6) + 45 * largest
     return LightPlan(
