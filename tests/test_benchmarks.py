@@ -1,12 +1,14 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Benchmarks and the examples' scripts follow the names of the engine."""
+"""Benchmarks and the examples' scripts follow the names of the engine; figures of speed."""
 
 from __future__ import annotations
 
 import ast
 import importlib
 from pathlib import Path
+
+from benchmarks import speed
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -38,3 +40,17 @@ def test_scripts_import_only_what_there_is() -> None:
         if missing := sorted(name for name in imported(file) if not exists(name)):
             faults[file.name] = missing
     assert len(files) > 20 and not faults, faults
+
+
+def test_speed_tells_medians_of_runs_beside_earlier_ones() -> None:
+    runs = []
+    for seconds, stages in ((9.0, ["pixels"]), (5.0, ["pixels", "training"]), (6.0, ["pixels"])):
+        listed = [{"name": name, "seconds": seconds / 2.0} for name in stages]
+        costs = {"step_seconds": {"ingest": 1.0}, "statistics": {"stages": listed}, "seconds": seconds}
+        runs.append(speed.figures_of({**costs, "peak_memory_gb": 1.5}))
+    found = speed.medians(runs)
+    assert found == {
+        "step ingest": 1.0, "stage pixels": 3.0, "stage training": 2.5, "seconds": 6.0, "memory (GB)": 1.5
+    }  # fmt: skip
+    lines = speed.format_table(found, {"stage gone": 7.0, "seconds": 8.0}).splitlines()
+    assert lines[0].split() == ["stage", "gone", "7.0", "-"] and lines[1].split() == ["seconds", "8.0", "6.0"]

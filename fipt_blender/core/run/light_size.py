@@ -132,8 +132,8 @@ def light_plan(sizes: Sequence[tuple[int, int]], settings: Settings) -> LightPla
     rays = settings.diffuse_spp + settings.light_spp + settings.specular_spp * levels
     refined = settings.refine_diffuse_spp + settings.refine_light_spp + settings.refine_specular_spp * levels
     samples = settings.training_steps * settings.batch_size / 1e6
-    # Processor seconds, measured on two cores with photographs of 2 and 12 megapixels; stages keep 70 % of the
-    # cores busy.
+    # Processor seconds, measured on two cores with photographs of 2 and 12 megapixels; stages keep 70 % of
+    # the cores busy.
     seconds = (
         30.0 + 0.05 * megapixels + light * (30.0 + 0.4 * (rays + settings.rounds * refined)) + 10.0 * samples
     )
