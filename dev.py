@@ -7,6 +7,7 @@
   test      run the tests
   run       run the command line, e.g. run estimate CAPTURE --output FOLDER
   accuracy  run the engine on a capture with ground truth and print its accuracy
+  scoreboard  whole jobs on modelled and real rooms, compared with the commit measured before
   speed     seconds and memory of the main job, stage by stage
   lock      write engine.lock from the pins in pyproject.toml
   lint      run ruff, its formatter as a check, and mypy
@@ -293,6 +294,7 @@ COMMANDS = {
     "test": lambda extra: call("-m", "pytest", "-q", *TEST_PROCESSES, *extra),
     "run": lambda extra: call(str(PRODUCT), *extra),
     "accuracy": lambda extra: call(str(ROOT / "benchmarks" / "accuracy.py"), *extra),
+    "scoreboard": lambda extra: call(str(ROOT / "benchmarks" / "scoreboard.py"), *extra),
     "speed": lambda extra: call(str(ROOT / "benchmarks" / "speed.py"), *extra),
     "lint": lambda extra: lint(),
     "lock": lambda extra: lock(),

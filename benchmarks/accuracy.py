@@ -161,7 +161,10 @@ def scan_capture(capture: Path, mesh: Path, options: Sequence[str]) -> None:
 
 
 def run_main_job(capture: Path, output: Path, preset: str, options: Sequence[str]) -> dict[str, Any]:
-    """Run the product's own command line; returns wall seconds and peak memory of its engine.
+    """Run the product's own command line.
+
+    Returns:
+        Wall seconds, those that it announced first, and peak memory of its engine.
 
     Args:
         options: more of them.
@@ -171,7 +174,7 @@ def run_main_job(capture: Path, output: Path, preset: str, options: Sequence[str
     """
     command = [sys.executable, str(ROOT / "fipt_blender" / "__main__.py"), "estimate", str(capture)]
     command += ["--output", str(output), "--preset", preset, "--no-renders", "--json", *options]
-    started, memory, shown = time.monotonic(), 0.0, -1
+    started, memory, shown, announced = time.monotonic(), 0.0, -1, None
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         for line in process.stdout or ():
             message = parse_message(line)
@@ -181,12 +184,15 @@ def run_main_job(capture: Path, output: Path, preset: str, options: Sequence[str
                 print(f"{time.monotonic() - started:6.0f} s  {message['text']}", file=sys.stderr, flush=True)
             if message["type"] == "progress":
                 memory = max(memory, float(message["memory_gb"]))
+                if announced is None and message.get("remaining_seconds") is not None:
+                    announced = time.monotonic() - started + float(message["remaining_seconds"])
                 if int(message["fraction"] * 20) > shown:
                     shown = int(message["fraction"] * 20)
                     print(f"{100 * message['fraction']:3.0f} %", file=sys.stderr, flush=True)
     if process.returncode:
         raise FiptError("run-failed", "The main job failed.", "Mend what it reports above.")
-    return {"seconds": round(time.monotonic() - started, 1), "peak_memory_gb": memory}
+    seconds = round(time.monotonic() - started, 1)
+    return {"seconds": seconds, "announced": announced, "peak_memory_gb": memory}
 
 
 def recorded_costs(run: RunFolder) -> dict[str, Any]:
@@ -315,23 +321,15 @@ def score_cycles(run: RunFolder, spp: int, scored: Scored) -> None:
         FiptError: ``run-failed`` where Blender fails.
     """
     result, rendered, relight = scored.figures, scored.rendered, scored.relight
-    wanted: dict[str, Any] = {"rerender": [view.name for split in SPLITS for view in rendered[split]]}
-    wanted["relight"] = None
+    names = [view.name for split in SPLITS for view in rendered[split]]
+    wanted: dict[str, Any] = {"rerender": dict.fromkeys(names), "relight": None}
     if relight is not None and len(relight.vertices) == 4:
         wanted["relight"] = {
             "views": [view.name for view in relight.views],
             "vertices": relight.vertices.tolist(),
             "radiance": relight.radiance.tolist(),
         }
-    command = [sys.executable, str(ROOT / "benchmarks" / "cycles_views.py"), str(run.root), str(spp)]
-    print("rendering in Cycles", file=sys.stderr, flush=True)
-    with open(run.log, "ab") as log:  # Blender tells a lot
-        text = json.dumps(wanted).encode()
-        ended = subprocess.run(command, input=text, stdout=log, stderr=log, check=False)
-    if ended.returncode:
-        raise FiptError("run-failed", "The renders in Cycles failed.", f"Mend what {run.log} reports.")
-    listed = read_document(cycles_views.apart(RunFolder(run.root)).renders_json, dict)["renders"]
-    images = {(entry["kind"], entry["view"]): run.resolve(entry["image"]) for entry in listed}
+    images = cycles_renders(run, wanted, spp)
     for split in SPLITS:
         found = [read_radiance(images["rerender", view.name]) for view in rendered[split]]
         truths = [view.radiance() for view in rendered[split]]
@@ -341,6 +339,26 @@ def score_cycles(run: RunFolder, spp: int, scored: Scored) -> None:
         truths = [read_radiance(view.image) for view in relight.views]
         figures = result["held_back"]
         enter(figures, figures["strict"], "relight_cycles_psnr", found, truths)
+
+
+def cycles_renders(run: RunFolder, wanted: dict[str, Any], spp: int) -> dict[tuple[str, str], Path]:
+    """Render views of a run's .blend in Cycles, in a process of its own; the images by kind and view.
+
+    Args:
+        wanted: what `cycles_views` reads.
+
+    Raises:
+        FiptError: ``run-failed`` where Blender fails.
+    """
+    command = [sys.executable, str(ROOT / "benchmarks" / "cycles_views.py"), str(run.root), str(spp)]
+    print("rendering in Cycles", file=sys.stderr, flush=True)
+    with open(run.log, "ab") as log:  # Blender tells a lot
+        text = json.dumps(wanted).encode()
+        ended = subprocess.run(command, input=text, stdout=log, stderr=log, check=False)
+    if ended.returncode:
+        raise FiptError("run-failed", "The renders in Cycles failed.", f"Mend what {run.log} reports.")
+    listed = read_document(cycles_views.apart(RunFolder(run.root)).renders_json, dict)["renders"]
+    return {(entry["kind"], entry["view"]): run.resolve(entry["image"]) for entry in listed}
 
 
 def format_table(result: dict[str, Any]) -> str:

@@ -2,15 +2,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Render views of a finished run in Cycles, in a separate process: python cycles_views.py RUN SPP < JSON.
 
-The JSON on stdin is {"rerender": [names], "relight": null or {"views": [names], "vertices": four corners,
-"radiance": rgb}}.
+The JSON on stdin is {"rerender": {name: most columns, or null}, "relight": null or {"views": [names],
+"vertices": four corners, "radiance": rgb}}.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,7 @@ def apart(run: RunFolder) -> RunFolder:
 def render_views(
     run: RunFolder,
     blend_file: Path,
-    views: Sequence[str],
+    views: Mapping[str, int | None],
     options: RenderOptions,
     relight: Mapping[str, Any] | None = None,
 ) -> list[Path]:
@@ -43,7 +43,7 @@ def render_views(
     Args:
         run: the run folder.
         blend_file: the file with the results.
-        views: names of the views.
+        views: names of the views, and the most columns that each has.
         options: how to render them.
         relight: {"vertices": four corners in Blender's world, counter-clockwise seen from its front,
             "radiance": rgb}; the estimated lights are then off.
@@ -52,7 +52,7 @@ def render_views(
 
     from fipt_blender.blend.lights.area_lights import Rectangle, add_area_light
     from fipt_blender.blend.lights.light_state import switch_all
-    from fipt_blender.blend.pictures.renders import render_listed, render_path
+    from fipt_blender.blend.pictures.renders import list_render, render_path, render_view
 
     bpy.ops.wm.open_mainfile(filepath=str(blend_file), load_ui=False, use_scripts=False)
     scene = bpy.context.scene
@@ -61,8 +61,10 @@ def render_views(
         switch_all(False)
         rectangle = Rectangle.of_corners(relight["vertices"])
         add_area_light("FIPT Relight", relight["radiance"], rectangle, scene)
-    for view in views:
-        render_listed(run, scene, kind, view, options)
+    for view, columns in views.items():
+        path = render_path(run, kind, view)
+        render_view(scene, view, path, options, columns)
+        list_render(run, kind, view, path)
     return [render_path(run, kind, view) for view in views]
 
 
@@ -75,7 +77,7 @@ def main() -> None:
     blend = run.root / "room.blend"
     render_views(run, blend, wanted["rerender"], RenderOptions(spp))
     if wanted["relight"]:
-        views = wanted["relight"].pop("views")
+        views = dict.fromkeys(wanted["relight"].pop("views"))
         render_views(run, blend, views, RenderOptions(spp), wanted["relight"])
 
 

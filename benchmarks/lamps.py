@@ -105,8 +105,8 @@ def count_lamps(
     )
 
 
-def lamps_of_run(run: RunFolder, capture: Path) -> LampCounts:
-    """The lamps of a finished run against `emitters.json` of its capture.
+def lamps_of_run(run: RunFolder, capture: Path, least: float = 0.0) -> LampCounts:
+    """A run's lamps of a probability of at least `least`, against `emitters.json` of its capture.
 
     Raises:
         FiptError: ``truth-missing`` where the capture does not tell its lamps.
@@ -119,7 +119,9 @@ def lamps_of_run(run: RunFolder, capture: Path) -> LampCounts:
     true = [corners[slice(*lamp["triangles"])] for lamp in table]
     shining = float(sum(np.pi * lamp["area"] * np.mean(lamp["radiance"]) for lamp in table))
     room = load_room(run)
-    fixtures = read_document(run.emitters_json, Emitters).fixtures
+    fixtures = [
+        each for each in read_document(run.emitters_json, Emitters).fixtures if each.probability >= least
+    ]
     found = [room.vertices[room.triangles[list(each.triangles)]].astype(float) for each in fixtures]
     likely = [each.probability for each in fixtures]
     power = [float(np.mean(each.power or 0.0)) for each in fixtures]

@@ -69,6 +69,12 @@ def read_table(path: Path) -> dict[str, Any]:
     return table
 
 
+def stored_table(name: str) -> dict[str, Any]:
+    """The table of a name; of a folder with a file for each commit, the newest."""
+    files = list((MEASUREMENTS / name).glob("*.json")) or [MEASUREMENTS / f"{name}.json"]
+    return max((read_table(path) for path in files), key=lambda table: table.get("date", ""))
+
+
 def add(path: Path, label: str, result: dict[str, Any]) -> None:
     """Put a measurement into a table's file, in place of the row with its label or at the end."""
     table = json.loads(path.read_text(encoding="utf-8"))
@@ -123,7 +129,7 @@ def with_tables(text: str) -> str:
     """A page whose tables, between their markers, are those of the measurements."""
 
     def made(found: re.Match[str]) -> str:
-        return found[1] + markdown(read_table(MEASUREMENTS / f"{found[2]}.json")) + found[3]
+        return found[1] + markdown(stored_table(found[2])) + found[3]
 
     return TABLE.sub(made, text)
 

@@ -205,8 +205,8 @@ def judge(
     Raises:
         FiptError: a photograph can't be read.
     """
-    count = min(MOST_VIEWS, len(held_back))
-    chosen = [held_back[i * len(held_back) // count] for i in range(count)]
+    chosen = judged_views(held_back)
+    count = len(chosen)
     if not chosen or not pixels.views:
         return None
     renderer, place = Renderer(estimate, seed), estimate.room.place
@@ -214,7 +214,7 @@ def judge(
     area = float(np.median([view.width * view.height for view in pixels.views]))
     views, errors, causes = [], [], []
     for number, full in enumerate(chosen):
-        view, photograph, used = _photograph(full, area, scale)
+        view, photograph, used = judged_photograph(full, area, scale)
         display = Display.of(view, photometry)
         from_others = projected(pixels, place, view, trace_view(estimate.room, view))
         pictures = [photograph]
@@ -234,7 +234,13 @@ def judge(
     return Quality(rendered, plain, tuple(sorted(named, key=lambda cause: -cause.share)), tuple(views))
 
 
-def _photograph(full: View, area: float, scale: float) -> tuple[View, np.ndarray, np.ndarray]:
+def judged_views(held_back: Sequence[View]) -> list[View]:
+    """The photographs that are judged."""
+    count = min(MOST_VIEWS, len(held_back))
+    return [held_back[i * len(held_back) // count] for i in range(count)]
+
+
+def judged_photograph(full: View, area: float, scale: float) -> tuple[View, np.ndarray, np.ndarray]:
     """A view with about `area` pixels, its display values (H, W, 3), and (H, W) bool, pixels that count."""
     shrink = min(1.0, np.sqrt(area / (full.width * full.height)))
     width, height = max(1, round(full.width * shrink)), max(1, round(full.height * shrink))

@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The table of whole jobs: differences between commits, and the files that hold it."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks import results, scoreboard
+
+ROOM, OFFICE = scoreboard.ROWS["room"].label, scoreboard.ROWS["office"].label
+
+
+def table(date: str, *rows: tuple[str, int, dict[str, float]]) -> dict[str, Any]:
+    return {"date": date, "rows": [{"label": name, "seed": seed, "figures": figures} for name, seed, figures in rows]}
+
+
+def test_a_figure_is_compared_with_the_last_commit_that_has_its_row() -> None:
+    known = [
+        table("1", (ROOM, 0, {"kd_psnr": 30.0})),
+        table("2", (ROOM, 0, {"kd_psnr": 35.0, "false_50": 0})),
+        table("3", (OFFICE, 0, {"cycles_db": 17.0})),
+    ]
+    told = scoreboard.changes(known, ROOM, {"kd_psnr": 33.0, "false_50": 2, "relight_psnr": 20.0})
+    assert told == {"kd_psnr": (-2.0, True), "false_50": (2, True)}  # more false lamps are worse
+    assert scoreboard.changes(known, ROOM, {"kd_psnr": 36.0}) == {"kd_psnr": (1.0, False)}
+    assert scoreboard.changes(known, "another room", {"kd_psnr": 36.0}) == {}
+
+
+def test_what_another_seed_changes_is_no_loss() -> None:
+    known = [table("1", (ROOM, 0, {"kd_psnr": 36.0}), (ROOM, 1, {"kd_psnr": 34.0}))]
+    assert scoreboard.scatter(known, ROOM, "kd_psnr") == 2.0
+    assert scoreboard.changes(known, ROOM, {"kd_psnr": 33.5}) == {"kd_psnr": (-1.5, False)}
+    assert scoreboard.changes(known, ROOM, {"kd_psnr": 32.5}) == {"kd_psnr": (-2.5, True)}
+    once = [table("1", (ROOM, 0, {"kd_psnr": 35.0}))]
+    assert scoreboard.changes(once, ROOM, {"kd_psnr": 33.5}) == {"kd_psnr": (-1.5, True)}
+
+
+def test_rows_are_stored_for_clean_trees_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scoreboard, "STORED", tmp_path)
+    clean = {"commit": "0123456789", "machine": "2 cores", "capture": "", "seed": 0, "command": "scoreboard"}
+    monkeypatch.setattr(results, "provenance", lambda *given: {**clean, "commit": "0123456789+"})
+    row = {"label": ROOM, "seed": 0, "figures": {"kd_psnr": 35.0}}
+    scoreboard.store([row], [], "draft")
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(results, "provenance", lambda *given: dict(clean))
+    before = [{**table("1", (ROOM, 0, {"kd_psnr": 34.0})), "common": {"commit": "older"}}]
+    scoreboard.store([{"label": OFFICE, "seed": 0, "figures": {"cycles_db": 18.0}}], before, "draft")
+    scoreboard.store([row], before, "draft")  # a row that is measured later joins the others of its commit
+    stored = results.read_table(tmp_path / "0123456789.json")
+    assert [each["label"] for each in stored["rows"]] == [ROOM, OFFICE]
+    assert "35.0 (+1.0)" in results.markdown(stored)
+    assert scoreboard.history(tmp_path) == [stored]
+
+
+def test_a_row_that_is_unknown_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert scoreboard.main(["no-such-room"]) == 2
+    assert "no-such-room" in capsys.readouterr().err
