@@ -21,6 +21,7 @@ import OpenEXR
 import OpenImageIO as oiio
 from PIL import Image, PngImagePlugin, WebPImagePlugin
 
+from ..run.arrays import refuse_infinite
 from ..run.errors import FiptError
 from ..run.extras import optional
 from ..run.runfolder import atomic_path
@@ -235,9 +236,10 @@ def write_exr(path: Path, array: np.ndarray, half: bool = False, lossy: bool = F
         lossy: compressed to a quarter, for pictures that are only looked at.
 
     Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
+        FiptError: ``not-finite``, ``disk-full`` or ``run-unwritable``.
     """
     values = np.asarray(array)
+    refuse_infinite(path.name, values)
     if half:
         values = np.clip(values, -HALF_MAX, HALF_MAX).astype(np.float16)
     else:

@@ -24,10 +24,10 @@ from ..parts.linked_masks import link_masks
 from ..parts.masked_views import masked_views
 from ..pixels.camera_rays import first_hits, trace_pixels
 from ..robust import LEAST_VIEWS
-from ..run.arrays import read_arrays
+from ..run.arrays import read_arrays, write_arrays
 from ..run.errors import FiptError
 from ..run.run_files import PANES, has_searched_panes, mesh_digest, read_room_files
-from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
+from ..run.runfolder import RunFolder, explained_write_errors
 from ..run.shapes import PANES_ARRAYS
 from ..run.stage_settings import RoomSettings
 from ..surface.adjacency import NONE, Surface, make_mesh
@@ -103,16 +103,16 @@ def close_holes(
     nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3, 3)), np.zeros(0, np.int32)
     vertices, triangles, normals, plane = nothing if added is None else added
     with explained_write_errors(run.root):
-        with atomic_path(run.panes_npz) as temporary:
-            np.savez(
-                temporary,
-                vertices=vertices,
-                triangles=triangles,
-                corner_normals=normals,
-                source=mesh_digest(arrays),
-                masks=masks,
-                **({} if all(kinds) else {"kinds": kinds}),
-            )
+        write_arrays(
+            run.panes_npz,
+            PANES_ARRAYS,
+            vertices=vertices,
+            triangles=triangles,
+            corner_normals=normals,
+            source=mesh_digest(arrays),
+            masks=masks,
+            **({} if all(kinds) else {"kinds": kinds}),
+        )
         if added is None:
             return changed
         plane = np.where(plane == NONE, NONE, int(cleaned.plane.max(initial=-1)) + 1 + plane)
