@@ -7,24 +7,29 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import make_dataclass, replace
+from dataclasses import field, make_dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run import chain as chain_module
 from fipt_blender.core.run import finished_views, messages
+from fipt_blender.core.run.arrays import write_arrays
 from fipt_blender.core.run.chain import Chain, Given, Stage, Tools, Watch
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.settings import Settings
-from fipt_blender.core.run.stage_files import loaded, saved
+from fipt_blender.core.run.shapes import Layout
+from fipt_blender.core.run.stage_files import UNKNOWN, loaded, saved
 from fipt_blender.core.run.stage_settings import NoSettings, Seeded, TrainingSettings
 from fipt_blender.core.run.threads import MOST_THREADS, cached_property, in_threads
+from samples.combinations import pairs
 from samples.refusals import error_of
 
 
@@ -229,6 +234,58 @@ def test_documents_of_another_form_are_refused(change: dict, tmp_path: Path) -> 
     document = saved(everything(), tmp_path / "one", tmp_path, {"source": SOURCE})
     with pytest.raises(ValueError):
         loaded({**document, **change}, Everything, tmp_path, {"source": SOURCE})
+
+
+def not_finite(unknown: bool, value: float) -> Callable[[Path], object]:
+    """Writes an array with a value that is no number as output of a stage."""
+    metadata = UNKNOWN if unknown else {}
+    kind = make_dataclass("Gaps", [("rows", list[np.ndarray], field(metadata=metadata))], frozen=True)
+    return lambda root: saved(kind([np.array([1.0, value])]), root / "stage" / "outputs", root, {})
+
+
+def mapped(folder: Path, values: np.ndarray) -> np.ndarray:
+    """An array in a file of a stage's folder."""
+    folder.mkdir()
+    array = np.lib.format.open_memmap(folder / "made.npy", mode="w+", dtype=values.dtype, shape=values.shape)
+    array[:] = values
+    return array
+
+
+@pytest.mark.parametrize(("unknown", "value"), pairs((False, True), (np.nan, np.inf)))
+def test_no_array_with_nan_or_infinity_is_stored_unless_nan_stands_for_unknown(
+    tmp_path: Path, unknown: bool, value: float
+) -> None:
+    array = np.array([0.5, value], np.float32)
+    layouts: dict[str, Layout] = {"a": ("u" if unknown else "f", ("N",))}
+    writers: list[Callable[[Path], object]] = [
+        not_finite(unknown, value),
+        lambda root: write_arrays(root / "a.npz", layouts, a=array),
+    ]
+    if not unknown:
+        writers += [
+            lambda root: write_arrays(root / "a.npz", {}, a=array),
+            lambda root: write_exr(root / "a.exr", np.tile(array, (2, 1)), half=True),
+            lambda root: saved(mapped(root / "stage", array), root / "stage" / "outputs", root, {}),
+        ]
+    allowed = unknown and np.isnan(value)
+    for number, write in enumerate(writers):
+        root = tmp_path / str(number)
+        root.mkdir()
+        if allowed:
+            write(root)
+        else:
+            assert error_of(write, root).code == "not-finite"
+            assert {path.name for path in root.rglob("*.*")} <= {"made.npy"}
+
+
+def test_arrays_of_the_engine_are_written_where_they_are_checked() -> None:
+    core = Path(chain_module.__file__).parents[1]
+    written = {
+        path.relative_to(core).as_posix()
+        for path in core.rglob("*.py")
+        if re.search(r"np\.save(z|z_compressed)?\b", path.read_text("utf-8"))
+    }
+    assert written == {"run/arrays.py", "run/stage_files.py"}
 
 
 def test_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,8 +16,8 @@ FARTHEST_UNITS = FARTHEST / SCALES[0]  # the same in a capture's own units
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 UP_SOURCES = ("option", "format", "planes", "cameras")  # what tells which axis of a capture is up
 
-# Array files: the kind of an array's numbers ("f" float, "u" float, NaN where unknown, "i" whole, "b" bool), and
-# its sizes: a number, or a letter for any size, which is the same for all arrays of a file that have this
+# Array files: the kind of an array's numbers ("f" float, "u" float or NaN for unknown, "i" whole, "b" bool),
+# and its sizes: a number, or a letter for any size, which is the same for all arrays of a file that have this
 # letter.
 Layout = tuple[str, tuple[int | str, ...]]
 ROOM_ARRAYS: dict[str, Layout] = {
