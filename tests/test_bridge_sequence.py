@@ -232,6 +232,6 @@ def test_what_steps_find_changes_the_time_that_later_ones_are_expected_to_take(t
     messages: list[dict] = []
     make_job(tmp_path, *steps).run(messages.append)
     told = [message for message in messages if message["type"] == "progress"]
-    assert told[0]["remaining_seconds"] == pytest.approx(31.0, abs=1.0)
+    assert told[0]["remaining_seconds"] is None  # nothing is announced that is not known
     begins = [message for message in told if message["stage_fraction"] == 0.0]
     assert begins[1]["remaining_seconds"] == pytest.approx(990.0, abs=1.0)

@@ -301,24 +301,56 @@ def test_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert error_of(work, tmp_path, stages=stages).code == "disk-full"
 
 
+class Clocked:
+    """A reporter whose clock is set, and what it has told."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.seconds, self._stream = 0.0, io.StringIO()
+        monkeypatch.setattr(messages.time, "monotonic", lambda: self.seconds)
+        self.reporter = Reporter(self._stream)
+
+    def told(self) -> list[dict]:
+        """The messages of progress."""
+        every = [json.loads(line) for line in self._stream.getvalue().splitlines()]
+        return [each for each in every if each["type"] == "progress"]
+
+    def left(self, seconds: float, share: float) -> float | None:
+        """What is left, as told when so many seconds have passed since the start."""
+        self.seconds = seconds
+        self.reporter.progress(share, force=True)
+        left: float | None = self.told()[-1]["remaining_seconds"]
+        return left
+
+
 def test_a_plan_is_continued_by_the_next_one_and_skipped_stages_tell_nothing_of_the_pace(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    stream, clock = io.StringIO(), iter(range(1000))
-    monkeypatch.setattr(messages.time, "monotonic", lambda: 10.0 * next(clock))
-    reporter = Reporter(stream)
-    reporter.plan([1.0, 9.0])
-    reporter.stage("first", "First")
-    reporter.progress(1.0)
-    reporter.plan([1.0, 1.0, 1.0])
-    reporter.skip()
-    reporter.stage("second", "Second")
-    reporter.progress(1.0)
-    told = [json.loads(line) for line in stream.getvalue().splitlines()]
-    shares = [each["fraction"] for each in told if each["type"] == "progress"]
-    assert shares == [0.0, 0.1, 0.4, 0.7]
-    # The clock has told 40 seconds since the first plan, in which 0.4 were done and not skipped.
-    assert told[-1]["remaining_seconds"] == pytest.approx(30.0)
+    clock = Clocked(monkeypatch)
+    clock.reporter.plan([1.0, 9.0])
+    clock.reporter.stage("first", "First")
+    clock.left(10.0, 1.0)
+    clock.reporter.plan([1.0, 1.0, 1.0])
+    clock.reporter.skip()
+    clock.reporter.stage("second", "Second")
+    # In 40 seconds 0.4 were done and not skipped.
+    assert clock.left(40.0, 1.0) == pytest.approx(30.0)
+    assert [each["fraction"] for each in clock.told()] == [0.0, 0.1, 0.4, 0.7]
+
+
+def test_what_is_left_follows_from_what_is_expected_and_from_the_rate_of_the_stage(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = Clocked(monkeypatch)
+    clock.reporter.plan([0.05, 0.95], 100.0)
+    clock.reporter.stage("short", "Expected to take five seconds")
+    assert clock.left(0.0, 0.0) == pytest.approx(100.0)  # at once
+    # It takes 200: after half of that the stage itself is known well, and all others are not 20 times as long.
+    left = clock.left(100.0, 0.5)
+    assert left is not None and 150.0 < left < 700.0
+    clock.seconds = 200.0
+    clock.reporter.stage("long", "Expected to take the rest")
+    left = clock.left(300.0, 0.95)
+    assert left is not None and 4.0 < left < 8.0  # a twentieth, at this stage's rate
 
 
 @pytest.mark.parametrize("cores", [None, 1, 2, 500])

@@ -39,7 +39,8 @@ class Step:
         name: stable identifier, the key in steps.json.
         text: shown to the user while the step runs.
         weight: expected time in seconds, on a small machine, before anything is known of the capture.
-        expected: the same from what the steps before have found; None while that is unknown.
+        expected: the same from what the steps before have found; None while that is unknown, and with it the
+            time that the job will take.
         inputs: JSON-serialisable values on which the result depends besides the steps before.
         command: arguments of an engine command, or None.
         process: instead of `command`, starts another process that writes messages like the engine's.
@@ -179,6 +180,7 @@ class JobProgress:
         self._weights = [step.seconds() for step in steps]  # expected seconds, on a small machine
         self._skipped = list(skipped)
         known = [step.expected is not None for step in steps]
+        self._unknown = self._unread(0)
         self._telling = known if any(known) else [True] * len(known)
         self._worked = self._taken = 0.0  # expected and real seconds of finished steps that tell the pace
         self._started = time.monotonic()  # of the current step
@@ -201,7 +203,15 @@ class JobProgress:
             self._weights[index] = max(self._weights[index], seconds)
         for later in range(index + 1, len(self._steps)):
             self._weights[later] = self._steps[later].seconds()
+        self._unknown = self._unread(index + 1)
         return seconds
+
+    def _unread(self, begin: int) -> bool:
+        """Whether the time of a step from `begin` on follows from what no step has read yet."""
+        rest = zip(self._steps[begin:], self._skipped[begin:], strict=True)
+        return any(
+            step.expected is not None and step.expected() is None for step, skipped in rest if not skipped
+        )
 
     def message(self, index: int, step_fraction: float, step_remaining: float | None) -> dict[str, Any]:
         """The message `progress` of the job; its fraction never falls.
@@ -225,6 +235,6 @@ class JobProgress:
             "type": "progress",
             "fraction": round(self._shown, 4),
             "stage_fraction": round(step_fraction, 4),
-            "remaining_seconds": round(current + after * pace, 1),
+            "remaining_seconds": None if self._unknown else round(current + after * pace, 1),
             "memory_gb": self._memory_gb,
         }

@@ -22,6 +22,12 @@ from .contents import Problem
 from .documents import parse_document
 from .kinds import as_json, as_kind
 
+# Share of a plan whose time counts as known before anything is done, where seconds are expected; and without
+# these the share from which on the time that is left is told.
+PRIOR, LEAST_DONE = 0.2, 0.05
+# Share of a stage at which its own rate and that of the whole plan count alike.
+OWN_RATE = 0.1
+
 # The fields of each type of message that its readers rely on.
 
 
@@ -113,8 +119,9 @@ class Reporter:
         self._stream = stream
         self._weights: list[float] = [1.0]
         self._stage = 0
-        self._started = time.monotonic()
+        self._started = self._stage_started = time.monotonic()
         self._done_before = self._skipped = 0.0
+        self._expected: float | None = None
         self._last_progress = 0.0
 
     def _write(self, message: Mapping[str, Any]) -> None:
@@ -130,14 +137,19 @@ class Reporter:
                 raise
             self.lost = True
 
-    def plan(self, weights: Sequence[float]) -> None:
+    def plan(self, weights: Sequence[float], seconds: float | None = None) -> None:
         """Set the expected time of each of the following stages, in any unit.
 
         An earlier plan, of which not all stages have begun, is continued: these divide what it has left.
+
+        Args:
+            weights: of the stages.
+            seconds: expected of all together, if known.
         """
         begin = self._done_before + sum(self._weights[: self._stage + 1])
         if begin > 1.0 - 1e-6:
-            begin, self._skipped, self._started = 0.0, 0.0, time.monotonic()
+            begin, self._skipped, self._started, self._expected = 0.0, 0.0, time.monotonic(), None
+        self._expected = self._expected if seconds is None else seconds
         total = sum(weights) or 1.0
         self._weights = [(1.0 - begin) * weight / total for weight in weights]
         self._stage, self._done_before = -1, begin
@@ -145,6 +157,7 @@ class Reporter:
     def stage(self, name: str, text: str) -> None:
         """Begin the next planned stage."""
         self._stage = min(self._stage + 1, len(self._weights) - 1)
+        self._stage_started = time.monotonic()
         self._write(
             {"type": "stage", "name": name, "index": self._stage, "count": len(self._weights), "text": text}
         )
@@ -170,12 +183,10 @@ class Reporter:
         if not force and now - self._last_progress < 0.25:
             return
         self._last_progress = now
-        stage = max(self._stage, 0)
+        stage, share = max(self._stage, 0), min(max(stage_fraction, 0.0), 1.0)
         before = self._done_before + sum(self._weights[:stage])
-        fraction = before + self._weights[stage] * min(max(stage_fraction, 0.0), 1.0)
-        done = fraction - self._skipped
-        elapsed = now - self._started
-        remaining = elapsed * (1.0 - fraction) / done if done > 0.05 else None
+        fraction = before + self._weights[stage] * share
+        remaining = self._remaining(now, self._weights[stage], share, fraction)
         self._write(
             {
                 "type": "progress",
@@ -186,6 +197,25 @@ class Reporter:
                 **({"files": list(pictures)} if pictures else {}),
             }
         )
+
+    def _remaining(self, now: float, weight: float, share: float, fraction: float) -> float | None:
+        """Seconds that are left: of the stage by its own rate, of others by all that is done; None if unknown.
+
+        Args:
+            now: as of `time.monotonic`.
+            weight: of the stage. share: of it that is done.
+            fraction: of the plan that is done.
+        """
+        done, elapsed = fraction - self._skipped, now - self._stage_started
+        if self._expected is None and done <= LEAST_DONE:
+            return None
+        prior = 0.0 if self._expected is None else PRIOR
+        rate = (prior * (self._expected or 0.0) + now - self._started) / (prior + done)
+        later = rate * (1.0 - fraction - weight * (1.0 - share))
+        if share <= 0.0:
+            return later + max(weight * rate - elapsed, 0.0)
+        trust = share / (share + OWN_RATE)
+        return later + (1.0 - share) * (elapsed / share) ** trust * (weight * rate) ** (1.0 - trust)
 
     def note(self, text: str) -> None:
         """Report a fact that is no problem, such as the expected cost."""
