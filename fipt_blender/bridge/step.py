@@ -185,6 +185,11 @@ class JobProgress:
         self._worked = self._taken = 0.0  # expected and real seconds of finished steps that tell the pace
         self._started = time.monotonic()  # of the current step
         self._shown = self._memory_gb = 0.0
+        self._last: tuple[float, float | None, float] = (
+            0.0,
+            None,
+            self._started,
+        )  # told by `message`, and when
 
     def note_memory(self, memory_gb: float) -> None:
         """Take an engine's peak memory in GB into account."""
@@ -193,6 +198,7 @@ class JobProgress:
     def begin(self) -> None:
         """A step begins."""
         self._started = time.monotonic()
+        self._last = 0.0, None, self._started
 
     def complete(self, index: int) -> float:
         """A step is finished: returns its seconds; later ones are expected by what it has found."""
@@ -213,6 +219,12 @@ class JobProgress:
             step.expected is not None and step.expected() is None for step, skipped in rest if not skipped
         )
 
+    def quiet_message(self, index: int) -> dict[str, Any]:
+        """The last message again while the step works on: less is left."""
+        fraction, remaining, told = self._last
+        passed = time.monotonic() - told
+        return self.message(index, fraction, None if remaining is None else max(remaining - passed, 0.0))
+
     def message(self, index: int, step_fraction: float, step_remaining: float | None) -> dict[str, Any]:
         """The message `progress` of the job; its fraction never falls.
 
@@ -221,6 +233,7 @@ class JobProgress:
             step_fraction: share of the step that is done.
             step_remaining: remaining seconds of the step if known.
         """
+        self._last = step_fraction, step_remaining, time.monotonic()
         weight, share = self._weights[index], min(max(step_fraction, 0.0), 1.0)
         work = [0.0 if skipped else each for each, skipped in zip(self._weights, self._skipped, strict=True)]
         worked, taken = self._worked + _PRIOR_SECONDS, self._taken + _PRIOR_SECONDS

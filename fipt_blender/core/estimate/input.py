@@ -153,7 +153,7 @@ def completed_room(
     if folder.geometry_npz.exists():
         text = "Looking for what the scan lacks"  # takes minutes
         reporter.stage("scan", text if holes is None else f"{holes.text} {text}")
-    if close_holes(folder, views, settings, room):
+    if close_holes(folder, views, settings, room, reporter.progress):
         room = load_room(folder, outlined=False)
     return views, room, far_off, holes
 

@@ -13,7 +13,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -67,6 +67,18 @@ _KINDS: dict[str, type] = {
     "error": Problem,
     "done": _Done,
 }
+
+
+Progress = Callable[[float], None]  # is called with the share of a work that is done, 0 to 1
+
+
+def unwatched(share: float) -> None:
+    """Progress that nobody asks for."""
+
+
+def within(progress: Progress, begin: float, end: float) -> Progress:
+    """Progress of a piece of the work, which takes it from the share `begin` to `end`."""
+    return lambda share: progress(begin + (end - begin) * share)
 
 
 def parse_message(line: str) -> dict[str, Any] | None:
@@ -199,7 +211,7 @@ class Reporter:
         )
 
     def _remaining(self, now: float, weight: float, share: float, fraction: float) -> float | None:
-        """Seconds that are left: of the stage by its own rate, of others by all that is done; None if unknown.
+        """Seconds left, of the stage by its own rate, of others by all that is done; None while unknown.
 
         Args:
             now: as of `time.monotonic`.
