@@ -20,7 +20,7 @@ from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.surface.smoothing import SmoothingGrid
 from fipt_blender.core.textures import detail
-from fipt_blender.core.textures.texel_views import Texels
+from fipt_blender.core.textures.texel_views import Seen, Texels
 from samples.combinations import pairs
 from samples.small_captures import write_views
 from samples.small_rooms import mesh_room
@@ -236,6 +236,19 @@ def test_what_one_large_photograph_shows_among_small_ones_stays_finite(tmp_path)
     assert mixed.larger() == [0]
     texels, color = improved(mixed)
     assert np.array_equal(color, texels.base_color)
+
+
+def test_weights_whose_squares_vanish_stay_finite():
+    """Where the light's error is huge, in the dark, a view has next to no weight."""
+    texels, room = wall_texels(), make_room()
+    cells = SmoothingGrid.around(texels.position, np.array([0, 0]), texels.triangle, 0.2)
+    totals, every = detail.Totals.of(len(texels)), np.arange(len(texels))
+    for shift in (-0.1, 0.1):
+        weight = np.where(texels.position[:, 0] < 1.0, 1e-25, 1.0).astype(np.float32)
+        seen = Seen(every, texels.base_color + np.float32(shift), weight, np.zeros(len(texels), np.float32))
+        totals.add(seen, seen.color, texels.base_color)
+    color = totals.result(texels, cells, np.zeros(len(room.triangles), np.int32))
+    assert np.isfinite(color).all() and np.array_equal(color[weight < 1.0], texels.base_color[weight < 1.0])
 
 
 def test_two_large_photographs_among_small_ones_show_their_detail(tmp_path):

@@ -356,7 +356,7 @@ class Totals:
     def result(self, texels: Texels, cells: SmoothingGrid, part: np.ndarray) -> np.ndarray:
         """(N, 3) the estimate with as much of the mean change as the views agree on."""
         result = np.array(texels.base_color)
-        rows = np.flatnonzero(self.weight > 0.0)
+        rows = np.flatnonzero(self.squares > np.finfo(np.float32).tiny)  # else no number of views follows
         if not len(rows):
             return result
         weight = self.weight[rows]
