@@ -116,7 +116,6 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     write_arrays(
         folder.root / "survey.npz",
         SURVEY_ARRAYS,
-        compress=True,
         seen=np.packbits(seen, axis=1),
         # Surfaces hidden from all camera positions, such as the outer sides of walls, are not gaps.
         areas=np.where(in_sight, room.areas, 0.0).astype(np.float32),

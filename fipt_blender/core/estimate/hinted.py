@@ -49,4 +49,4 @@ def write_left_alone(folder: RunFolder, left_alone: np.ndarray | None) -> None:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     if left_alone is not None:
-        write_arrays(folder.left_alone_npz, LEFT_ALONE_ARRAYS, compress=True, left_alone=left_alone)
+        write_arrays(folder.left_alone_npz, LEFT_ALONE_ARRAYS, left_alone=left_alone)

@@ -67,15 +67,13 @@ def read_arrays(
     return arrays
 
 
-def write_arrays(
-    path: Path, layouts: Mapping[str, Layout], compress: bool = False, **arrays: ArrayLike
-) -> None:
+def write_arrays(path: Path, layouts: Mapping[str, Layout], **arrays: ArrayLike) -> None:
     """Write an .npz file, completely or not at all.
 
     Args:
         path: of the file.
         layouts: of its arrays; those that have none are finite, like those of kind "f".
-        compress: whether the file is packed.
+        arrays: by their names.
 
     Raises:
         FiptError: ``not-finite``, ``disk-full`` or ``run-unwritable``.
@@ -83,7 +81,7 @@ def write_arrays(
     for name, array in arrays.items():
         refuse_infinite(f"{path.name}/{name}", np.asarray(array), name in layouts and layouts[name][0] == "u")
     with atomic_path(path) as temporary:
-        (np.savez_compressed if compress else np.savez)(temporary, **arrays)
+        np.savez(temporary, **arrays)
 
 
 def refuse_infinite(name: str, array: np.ndarray, unknown: bool = False) -> None:
