@@ -257,7 +257,7 @@ def test_a_hole_in_a_part_is_filled(tmp_path: Path, rng: np.random.Generator, th
     views = photographed(tmp_path, true, rng) if parts == "none" else looking_views(tmp_path, true)
     told: list[float] = []
     close_holes(run, with_own_ids(views, rng) if evidence == "own ids" else views, progress=told.append)
-    assert len(told) > 2 and told == sorted(told) and 0.0 <= told[0] < told[-1] <= 1.0
+    assert told and told == sorted(told) and told[0] >= 0.0 and 0.0 < told[-1] <= 1.0
     room = load_room(run)
     added = room.triangle_object == 1
     assert room.objects == ("scan", PANES) and added.any()
