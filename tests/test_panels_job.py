@@ -14,7 +14,7 @@ from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running, runstate
-from fipt_blender.panels import capture, estimate
+from fipt_blender.panels import capture, estimate, parts
 from samples.layouts import drawn_by
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -115,3 +115,12 @@ def test_what_is_up_is_told_with_a_choice_of_the_others(source, told):
     settings.imported_up, settings.up_source, settings.up_angle = "-y", source, 10.3
     texts, properties = drawn_by(capture.FIPT_PT_capture)[:2]
     assert told in " ".join(texts) and "up" in properties
+
+
+def test_what_is_not_known_of_another_version_is_left_out():
+    settings = bpy.context.scene.fipt
+    settings.capture.imported_up, settings.capture.up_source = "z", "gravity"
+    texts, properties = drawn_by(capture.FIPT_PT_capture)[:2]
+    assert "up" in properties and not any("is up" in text for text in texts)
+    settings.parts.auto_source = "colors"
+    assert "Automatic uses: colors" in drawn_by(parts.FIPT_PT_parts)[0]

@@ -83,14 +83,16 @@ class FIPT_PT_capture(Section, bpy.types.Panel):
 def _draw_up(layout: UILayout, context: Context, settings: PropertyGroup) -> None:
     """Which axis of the capture points up, and what told the import."""
     layout.prop(settings, "up")
-    text = {
+    texts = {
         "option": "{axis} is up by the import settings",
         "format": "{axis} is up by the format",
         "planes": "{angle:.1f}\u00b0 from {axis} is up by the planes of the room",
         "cameras": "{angle:.1f}\u00b0 from {axis} is up by the cameras",
-    }[settings.up_source]
-    text = iface_(text).format(axis=settings.imported_up.upper(), angle=settings.up_angle)
-    draw_text(layout, context, text, icon="INFO")
+    }
+    if settings.up_source in texts:  # of a .blend of another version it may be something else
+        text = iface_(texts[settings.up_source])
+        text = text.format(axis=settings.imported_up.upper(), angle=settings.up_angle)
+        draw_text(layout, context, text, icon="INFO")
 
 
 class FIPT_PT_capture_import(SubSection, bpy.types.Panel):

@@ -45,9 +45,9 @@ from .images import (
     read_radiance,
     read_size,
     threads_for,
+    write_codes,
     write_exr,
     write_ids,
-    write_jpeg,
 )
 from .options import CaptureOptions, add_options, options_of
 from .photograph_mesh import Photograph
@@ -57,10 +57,9 @@ from .rig import Pinhole, RigView
 from .source import mesh_fusion, mesh_of_photographs, read_source, size_note, write_mesh
 from .upright import Upright, doubts, find_upright
 
-# Photographs with more pixels than these are rewritten with 8 bits (JPEG) or 16 (HDR) instead of 32: of 12
-# megapixels 144 MB would be written. Smaller ones keep all bits.
+# Photographs with more pixels than these are rewritten with the bits that they have, 8 (PNG) or 16 (EXR),
+# instead of 32: of 12 megapixels 144 MB would be written. Smaller ones keep all bits.
 EXACT_PIXELS = 1_000_000
-LOSSY = ("jpeg", "webp", "heif", "jpegxl")  # formats of photographs that are rewritten as JPEG
 # The smallest value with all digits of a half float; a photograph's median must be so many times that.
 LEAST_HALF, DARKER = 2.0**-14, 100.0
 # Longer side of the copies that Blender's windows show of larger photographs, and their usual size: what a
@@ -372,8 +371,8 @@ def _read_view(
     if resampling is not None:
         pixels = resampling.image(pixels)
     if resampling is not None or negative or not is_plain(view.image, view.layer):
-        if pixels[..., 0].size > EXACT_PIXELS and open_picture(view.image).kind in LOSSY:
-            write_jpeg(target("image", ".jpg"), srgb_encoded(pixels))
+        if pixels[..., 0].size > EXACT_PIXELS and open_picture(view.image).type == "uint8":
+            write_codes(target("image", ".png"), srgb_encoded(pixels))
         else:
             write_exr(target("image"), pixels, half=_fits_half(pixels))
     for kind in ID_IMAGES:
@@ -397,7 +396,7 @@ def _write_preview(view: RigView, target: Callable[[str, str], Path], pixels: np
     height, width = (max(1, round(shrink * side)) for side in pixels.shape[:2])
     smaller = means(pixels, width, height)
     if is_encoded(view.image):
-        write_jpeg(target("preview", ".jpg"), srgb_encoded(smaller))
+        write_codes(target("preview", ".jpg"), srgb_encoded(smaller))
     else:
         write_exr(target("preview", EXR_SUFFIX), smaller, half=True, lossy=True)
 
@@ -410,7 +409,7 @@ def _rewritten_bytes(view: RigView) -> int:
         return preview
     if pixels <= EXACT_PIXELS:
         return 12 * pixels
-    return preview + (1 if open_picture(view.image).kind in LOSSY else 6) * pixels
+    return preview + (2 if open_picture(view.image).type == "uint8" else 6) * pixels
 
 
 def _fits_half(pixels: np.ndarray) -> bool:
