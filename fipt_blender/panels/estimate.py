@@ -110,8 +110,8 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
 
 
 def _draw_done(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
-    """How good a finished estimate is, in one line; opened, its pictures and how to estimate again."""
-    _draw_quality(layout, state)
+    """How good a finished estimate is; opened, its pictures and how to estimate again."""
+    _draw_quality(layout, context, state)
     header, body = layout.panel("fipt_estimate_again", default_closed=True)
     header.label(text="Estimate Again", icon="CHECKMARK")
     if body is not None:
@@ -160,7 +160,7 @@ def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
         text = iface_("Stopped. {} stages are finished").format(state.stages)
         layout.label(text=text, icon="PAUSE", translate=False)
     if state.results:
-        _draw_quality(layout, state)
+        _draw_quality(layout, context, state)
     _draw_pictures(layout, state.pictures)
     if state.results:
         if not state.finished and not state.earlier:
@@ -169,12 +169,12 @@ def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
         draw_job(layout, context, "materials")
 
 
-def _draw_quality(layout: bpy.types.UILayout, state: runstate.RunState) -> None:
+def _draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
     """How well the results show photographs that were held back."""
     if state.quality is None:
         return
-    text = iface_("Held-back photographs: {:.1f} dB (projection {:.1f})").format(*state.quality)
-    layout.label(text=text, icon="IMAGE_REFERENCE", translate=False)
+    text = iface_("Held back: {:.1f} dB (projection: {:.1f} dB)").format(*state.quality)
+    draw_text(layout, context, text, icon="IMAGE_REFERENCE")
 
 
 def _draw_waiting(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:
