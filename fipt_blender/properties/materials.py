@@ -240,7 +240,7 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
         description="Number of images or attribute materials of the applied results"
     )
     applied_mode: bpy.props.StringProperty(description="atlas_mode of the applied results")
-    applied_version: bpy.props.StringProperty(description="Id of the version whose results were applied")
+    applied_version: bpy.props.StringProperty(description="Id of the results that were applied")
     kept_view: bpy.props.StringProperty(
         description="The scene's view settings from before a map was shown, as JSON"
     )

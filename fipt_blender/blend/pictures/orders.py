@@ -93,7 +93,7 @@ def make_order(scene: bpy.types.Scene, run: RunFolder, views: Sequence[str], spp
         FiptError: ``room-missing``, ``view-missing``, ``file-missing`` or ``file-damaged``.
     """
     room = _room(scene)
-    capture = read_capture(run.estimated().capture_json)
+    capture = read_capture(run.capture_json)
     for view in views:
         capture.view(view)
         find_camera(view, scene)
@@ -108,7 +108,7 @@ def order_picture(scene: bpy.types.Scene, run: RunFolder, camera: bpy.types.Obje
     """
     room, kind = _room(scene), COMPOSITE if plate else INSERT
     if plate:
-        read_capture(run.estimated().capture_json).view(view_of(camera))
+        read_capture(run.capture_json).view(view_of(camera))
     path = picture_path(run, kind, camera.get(VIEW, camera.name) + ("_photograph" if plate else ""))
     return Order(kind, str(run.root), scene.name, [camera.name], room, str(path), 0, *_device(scene))
 
@@ -166,7 +166,7 @@ def carry_out(order: Order, progress: Progress = lambda low, high: None) -> list
     scene = bpy.data.scenes.get(order.scene)
     if scene is None:
         raise FiptError("scene-gone", f"There is no scene '{order.scene}'.", "Start the render again.")
-    capture = read_capture(run.estimated().capture_json)
+    capture = read_capture(run.capture_json)
     if order.kind == CHECK:
         warnings = _check_views(order, run, scene, capture, progress)
     elif order.kind == STATES:

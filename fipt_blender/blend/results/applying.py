@@ -16,7 +16,7 @@ import numpy as np
 from ...bridge.process import Message
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
-from ...core.run.versions import present_version
+from ...core.run.versions import results_id
 from ..lights import fixtures
 from ..lights.kept_states import keep_states, states_of
 from ..lights.merging import members_of
@@ -303,7 +303,7 @@ def _deleted_lamps(
     run: RunFolder, results: Results, targets: Sequence[Target], scene: bpy.types.Scene
 ) -> set[str]:
     """Names in emitters.json of lamps of these same results that the artist has deleted."""
-    if not hasattr(scene, "fipt") or scene.fipt.materials.applied_version != present_version(run):
+    if not hasattr(scene, "fipt") or scene.fipt.materials.applied_version != results_id(run):
         return set()
     placed = set[int]()
     for target in targets:
