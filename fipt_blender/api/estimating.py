@@ -75,6 +75,7 @@ def run_for(scene: bpy.types.Scene, keep_stages: bool) -> RunFolder:
         if keep_stages or not has_results(before):
             return before
         run = RunFolder(machine.new_run_folder(before.root.name, before.root.parent))
+        run.create(before.read())
         copy_capture(before, run)
     else:
         run = RunFolder(machine.new_run_folder(Path(bpy.data.filepath).stem or scene.name))

@@ -35,10 +35,9 @@ from .renders import (
     render_path,
     render_view,
 )
-from .state_pictures import render_lights
 from .view_check import check_view, forget_check
 
-CHECK, INSERT, COMPOSITE, STATES = "rerender", "insert", "composite", "states"
+CHECK, INSERT, COMPOSITE = "rerender", "insert", "composite"
 _NOT_DENOISED: Message = {
     "type": "warning",
     "code": "denoise-missing",
@@ -53,7 +52,7 @@ class Order:
 
     Attributes:
         kind: CHECK (views beside their photographs); pictures, by the scene's render settings: INSERT (of the
-            rendered room) or COMPOSITE (into the photograph); STATES, each light alone for thumbnails.
+            rendered room) or COMPOSITE (into the photograph).
         run: path of the run folder.
         scene: name of the scene.
         views: names of the views; of pictures, the name of one camera.
@@ -82,7 +81,6 @@ class Order:
             CHECK: "Rendering the view" if count == 1 else f"Rendering {count} views",
             INSERT: "Rendering the picture",
             COMPOSITE: "Compositing into the photograph",
-            STATES: "Rendering each light",
         }[self.kind]
 
 
@@ -111,15 +109,6 @@ def order_picture(scene: bpy.types.Scene, run: RunFolder, camera: bpy.types.Obje
         read_capture(run.capture_json).view(view_of(camera))
     path = picture_path(run, kind, camera.get(VIEW, camera.name) + ("_photograph" if plate else ""))
     return Order(kind, str(run.root), scene.name, [camera.name], room, str(path), 0, *_device(scene))
-
-
-def order_lights(scene: bpy.types.Scene, run: RunFolder) -> Order:
-    """An order of what the scene's camera sees by each light alone.
-
-    Raises:
-        FiptError: ``room-missing``.
-    """
-    return Order(STATES, str(run.root), scene.name, [], _room(scene), "", 0, *_device(scene))
 
 
 def view_of(camera: bpy.types.Object | None) -> str:
@@ -169,10 +158,6 @@ def carry_out(order: Order, progress: Progress = lambda low, high: None) -> list
     capture = read_capture(run.capture_json)
     if order.kind == CHECK:
         warnings = _check_views(order, run, scene, capture, progress)
-    elif order.kind == STATES:
-        warnings = []
-        with not_catching(scene, order.room):
-            render_lights(scene, run, order.device, progress)
     else:
         warnings = _render_picture(order, run, scene, capture, progress)
     return warnings if can_denoise() else [*warnings, _NOT_DENOISED]
