@@ -162,12 +162,7 @@ def new_run_folder(name: str, parent: Path | None = None) -> Path:
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    folder = places.new_run_folder(parent or places.runs_folder(data_folder()), name)
-    if not bpy.app.background:
-        from .bridge.unsaved import mark
-
-        mark(folder)
-    return folder
+    return places.new_run_folder(parent or places.runs_folder(data_folder()), name)
 
 
 def is_unused_run(folder: Path) -> bool:
