@@ -40,8 +40,8 @@ def emitted(item):
 
 
 def join(scene):
-    for item in fixtures_of(scene):
-        item.select_set(True)
+    for item in scene.objects:
+        item.select_set(item in fixtures_of(scene))
     bpy.context.view_layer.objects.active = scene.fipt.lights.lights[0].object
     assert bpy.ops.object.join() == {"FINISHED"} and ops.list_lights() == {"FINISHED"}
     (row,) = scene.fipt.lights.lights
