@@ -10,10 +10,8 @@ import bpy
 import numpy as np
 import pytest
 
-from fipt_blender.blend.capture import compare, version_views
+from fipt_blender.blend.capture import compare
 from fipt_blender.blend.pictures import image_files
-from fipt_blender.core.run import versions
-from fipt_blender.core.run.runfolder import RunFolder, write_json
 from samples.operator_calls import refused
 from samples.rendered_rooms import SIZE, VIEW, make_scene
 
@@ -85,35 +83,6 @@ def test_files_are_saved_without_the_comparison(scene, tmp_path):
     scene = bpy.context.scene
     assert scene.fipt.check.compare == "OFF" and compare.compared_camera(scene) == ""
     assert bpy.ops.fipt.compare(mode="VIEWPORT") == {"FINISHED"}
-
-
-def test_two_versions_are_wiped_over_a_view(scene):
-    """The base colour of the one on the left, of the present results on the right, whatever the exposure."""
-    run = RunFolder(scene.fipt.run_folder)
-    made = []
-    for gray in (0.2, 0.6):
-        run.results.mkdir(exist_ok=True)
-        with versions.new_results(run) as new:
-            new.fields_npz.write_text(str(gray))
-            maps = new.results / "maps"
-            image_files.save_exr(maps / "000_base_color.exr", np.full((HEIGHT, WIDTH, 3), gray, np.float32))
-            names = dict.fromkeys(("base_color", "roughness", "metallic", "emission"))
-            paths = {name: f"results/maps/000_{name}.exr" for name in names}
-            write_json(maps / "maps.json", {"views": [{"view": VIEW, **paths}]})
-        made.append(versions.present_version(run))
-    scene.view_settings.exposure = 1.0
-    scene.camera = None
-    assert version_views.show(scene, run, made[0])
-    picture, half = shown(scene), WIDTH // 2
-    assert np.allclose(picture[:, :half, :3], 0.1) and np.allclose(picture[:, half:, :3], 0.3)
-    assert scene.fipt.check.compare == "VERSIONS"
-    bpy.ops.fipt.look_through(step=1)
-    assert scene.fipt.check.compare == "OFF"
-    versions.use_version(run, made[0])
-    assert version_views.show(scene, run, made[1])  # none of the pictures is an old one
-    assert np.allclose(shown(scene)[:, :half, :3], 0.3)
-    (run.results / "maps" / "maps.json").unlink()
-    assert not version_views.show(scene, run, made[1])
 
 
 def test_codes_are_compared_as_radiance(tmp_path):

@@ -239,14 +239,9 @@ def _blocks(path: str, size: int = 8) -> Any:
 
 
 def states() -> dict[str, Any]:
-    """The saved states of the lights, the first light's power, and how many keyframes all lights have."""
+    """The saved states of the lights, and the first light's power."""
     lights = bpy.context.scene.fipt.lights
-    actions = [row.object.animation_data for row in lights.lights if row.object.animation_data]
-    return {
-        "names": [state.name for state in lights.states],
-        "stops": lights.lights[0].stops,
-        "keyframes": sum(data.action is not None for data in actions),
-    }
+    return {"names": [state.name for state in lights.states], "stops": lights.lights[0].stops}
 
 
 def divider_pixel() -> list[float]:

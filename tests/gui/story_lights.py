@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The story's chapters on lights and seeing: states, keyframes, aiming, EEVEE, the comparison, menus."""
+"""The story's chapters on lights and seeing: states, aiming, EEVEE, the comparison, menus."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from window import Window
 
 
 def light_states(window: Window, options: Options) -> None:
-    """Select a lamp, save states, recall and keyframe them."""
+    """Select a lamp, save states and recall them."""
     window.open_section("Capture", "Views")
     window.click_row("capture.active_view", 1)
     window.open_section("Lights")
@@ -39,9 +39,6 @@ def light_states(window: Window, options: Options) -> None:
     window.shot("31_states_saved")
     window.click("fipt.recall_light_state", state=states["names"][0])
     window.wait(inside.states, until=lambda now: now["stops"] == 0.0)
-    window.click("fipt.keyframe_lights", everything=True)
-    window.wait(inside.states, until=lambda now: now["keyframes"] > 0)
-    window.shot("31_states_keyframes")
 
 
 def seeing(window: Window, options: Options) -> None:

@@ -25,7 +25,6 @@ from fipt_blender.blend.color_spaces import to_scene_linear
 from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.insert.sample_objects import insert_object
 from fipt_blender.blend.lights import light_state
-from fipt_blender.blend.lights.light_drivers import keyframe
 from fipt_blender.blend.marks import fixtures_of
 from fipt_blender.blend.pictures import check_pictures, orders, view_check
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
@@ -92,9 +91,6 @@ def applied(folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict:
     row.color = to_scene_linear(CUSTOM)  # as in the panel's field
     np.testing.assert_allclose(row.color, to_scene_linear(CUSTOM), rtol=1e-3)
     seen["custom"] = spot(scene, (2.5, 0.5, 2.0), (2.5, 0.5, 0.0))
-    keyframe(lamp, 1)
-    bpy.context.view_layer.update()
-    seen["keyed"] = spot(scene, (2.5, 0.5, 2.0), (2.5, 0.5, 0.0))
     for name, *_ in SHOWN:
         maps.show(scene, name)
     maps.show(scene, "ESTIMATED")

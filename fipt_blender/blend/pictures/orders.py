@@ -35,10 +35,9 @@ from .renders import (
     render_path,
     render_view,
 )
-from .state_pictures import render_lights
 from .view_check import check_view, forget_check
 
-CHECK, INSERT, COMPOSITE, STATES = "rerender", "insert", "composite", "states"
+CHECK, INSERT, COMPOSITE = "rerender", "insert", "composite"
 _NOT_DENOISED: Message = {
     "type": "warning",
     "code": "denoise-missing",
@@ -53,7 +52,7 @@ class Order:
 
     Attributes:
         kind: CHECK (views beside their photographs); pictures, by the scene's render settings: INSERT (of the
-            rendered room) or COMPOSITE (into the photograph); STATES, each light alone for thumbnails.
+            rendered room) or COMPOSITE (into the photograph).
         run: path of the run folder.
         scene: name of the scene.
         views: names of the views; of pictures, the name of one camera.
@@ -82,7 +81,6 @@ class Order:
             CHECK: "Rendering the view" if count == 1 else f"Rendering {count} views",
             INSERT: "Rendering the picture",
             COMPOSITE: "Compositing into the photograph",
-            STATES: "Rendering each light",
         }[self.kind]
 
 
@@ -93,7 +91,7 @@ def make_order(scene: bpy.types.Scene, run: RunFolder, views: Sequence[str], spp
         FiptError: ``room-missing``, ``view-missing``, ``file-missing`` or ``file-damaged``.
     """
     room = _room(scene)
-    capture = read_capture(run.estimated().capture_json)
+    capture = read_capture(run.capture_json)
     for view in views:
         capture.view(view)
         find_camera(view, scene)
@@ -108,18 +106,9 @@ def order_picture(scene: bpy.types.Scene, run: RunFolder, camera: bpy.types.Obje
     """
     room, kind = _room(scene), COMPOSITE if plate else INSERT
     if plate:
-        read_capture(run.estimated().capture_json).view(view_of(camera))
+        read_capture(run.capture_json).view(view_of(camera))
     path = picture_path(run, kind, camera.get(VIEW, camera.name) + ("_photograph" if plate else ""))
     return Order(kind, str(run.root), scene.name, [camera.name], room, str(path), 0, *_device(scene))
-
-
-def order_lights(scene: bpy.types.Scene, run: RunFolder) -> Order:
-    """An order of what the scene's camera sees by each light alone.
-
-    Raises:
-        FiptError: ``room-missing``.
-    """
-    return Order(STATES, str(run.root), scene.name, [], _room(scene), "", 0, *_device(scene))
 
 
 def view_of(camera: bpy.types.Object | None) -> str:
@@ -166,13 +155,9 @@ def carry_out(order: Order, progress: Progress = lambda low, high: None) -> list
     scene = bpy.data.scenes.get(order.scene)
     if scene is None:
         raise FiptError("scene-gone", f"There is no scene '{order.scene}'.", "Start the render again.")
-    capture = read_capture(run.estimated().capture_json)
+    capture = read_capture(run.capture_json)
     if order.kind == CHECK:
         warnings = _check_views(order, run, scene, capture, progress)
-    elif order.kind == STATES:
-        warnings = []
-        with not_catching(scene, order.room):
-            render_lights(scene, run, order.device, progress)
     else:
         warnings = _render_picture(order, run, scene, capture, progress)
     return warnings if can_denoise() else [*warnings, _NOT_DENOISED]

@@ -105,7 +105,7 @@ def atlas_slices(
     objects: Iterable[bpy.types.Object], run: RunFolder, settings: Settings, max_images: int = MAX_IMAGES
 ) -> Slices[Atlas]:
     """`make_atlas`, a few objects per slice."""
-    room = read_room(run.estimated())
+    room = read_room(run)
     count = len(room.triangles)
     if settings.atlas_mode == "color_attribute":
         _write(run, np.zeros((count, 3, 2)), np.full(count, -1), "color_attribute", [], None)

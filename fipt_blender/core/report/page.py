@@ -113,7 +113,6 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
             ``run-unwritable``.
     """
     settings = run.read_estimated()
-    run = run.estimated()
     capture = load_capture(run) if run.capture_json.exists() else None
     album = _Album(run)
     listed = _optional(run.renders_json, Renders)

@@ -9,20 +9,11 @@ absolute.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar
 
 from .contents import Problem
 from .kinds import Choice, Count, FileName, Key, NotNegative, Number, Pixels, Row, Share, Vector
-
-
-@dataclass(frozen=True)
-class VersionNote:
-    """version.json: the name that the user gave to results, and the seconds since 1970 of their end."""
-
-    document: ClassVar[str] = "version"
-    name: str
-    time: NotNegative
 
 
 @dataclass(frozen=True)
@@ -232,6 +223,7 @@ class Statistics:
     open_holes_m2: float | None = None
     hints: tuple[HintFigures, ...] = ()
     photometry: PhotometryFigures | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

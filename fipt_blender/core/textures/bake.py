@@ -113,9 +113,8 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         FiptError: ``file-missing`` or ``file-damaged`` if an earlier step has not finished; ``disk-full`` or
             ``run-unwritable``.
     """
-    run = RunFolder(arguments.run)
-    set_variant(run.read().device)
-    folder = run.estimated()
+    folder = RunFolder(arguments.run)
+    set_variant(folder.read().device)
     # Imported here because these modules import Mitsuba, for which the variant must be chosen first.
     from ..material.fields import RoomFields
     from .detail import load_input
