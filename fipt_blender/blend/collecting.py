@@ -23,13 +23,13 @@ def missing_pictures() -> list[str]:
 
 
 def pictures_in_runs(folder: Path) -> list[bpy.types.Image]:
-    """The pictures of results that lie in a run folder, and not in the folder of a .blend file."""
+    """The pictures of results that lie in run folders other than `folder`, where a .blend file is saved."""
     found = []
     for image in _outside():
         files = image_files(image)
         store = files[0].parent
         in_run = store.parent.name == IN_RUN and SET_NAME.fullmatch(store.name)
-        if in_run and not store.is_relative_to(folder) and all(path.is_file() for path in files):
+        if in_run and store.parent.parent != folder and all(path.is_file() for path in files):
             found.append(image)
     return found
 
