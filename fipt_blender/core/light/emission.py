@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.special import expit, gamma, logit, stdtr  # scipy.stats takes half a second to import
+from scipy.special import gamma, logit, stdtr  # scipy.stats takes half a second to import
 
 from ..optics.lights import LUMINANCE
 from ..parts.components import component_means, graph_components
@@ -238,7 +238,7 @@ class _Lamps:
             of_lamp = np.zeros(count)
             of_lamp[lamp[units]] = of_part[units]
             total += of_lamp
-        return lamp, expit(np.clip(total + logit(PRIOR), -50.0, 50.0))
+        return lamp, 1.0 / (1.0 + np.exp(-np.clip(total + logit(PRIOR), -50.0, 50.0)))
 
     def _connected(self, units: np.ndarray) -> np.ndarray:
         """(n,) int64 from 0: connected surface of each of the units (n,).
