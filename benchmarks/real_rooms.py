@@ -50,7 +50,6 @@ COLUMNS = (
     "lamps, p",
     "said",
     "taken",
-    "causes",
 )
 
 
@@ -103,15 +102,14 @@ def row(name: str, run: RunFolder, job: Job | None) -> list[str]:
     if job is not None:
         times = ["-" if job.said is None else f"{job.said:.0f} s", f"{job.taken:.0f} s"]
         if job.error is not None:
-            return [name, *["-"] * 5, *times, f"{job.error['code']}: {job.error['text']}"]
+            return [f"{name}: {job.error['code']}: {job.error['text']}", *["-"] * 5, *times]
     quality = read_document(run.quality_json, QualityFigures)
     errors = np.array([view.errors for view in quality.views])  # (views, 2, channels)
     eag = (-10.0 * np.log10(np.maximum(errors, 1e-10))).mean(axis=(0, 2))
     lamps = [f"{lamp.probability:.2f}" for lamp in read_document(run.emitters_json, Emitters).fixtures]
-    causes = ", ".join(f"{cause.name} {100.0 * cause.share:.0f} %" for cause in quality.causes)
     pooled = [f"{value:.2f}" for value in (quality.held_back_db, quality.projection_db)]
     shown = [pooled[0], f"{eag[0]:.2f}", pooled[1], f"{eag[1]:.2f}", " ".join(lamps) or "none"]
-    return [name, *shown, *times, causes]
+    return [name, *shown, *times]
 
 
 def main(argv: Sequence[str]) -> int:
