@@ -53,7 +53,9 @@ def test_results_of_the_estimate_before_can_be_applied_while_a_new_one_is_stoppe
 
 
 def test_a_result_says_how_good_it_is(monkeypatch, tmp_path):
-    figures = {"held_back_db": 27.14, "projection_db": 29.4, "causes": [], "views": []}
+    # As an earlier version has written them.
+    cause = {"name": "lamps", "share": 0.6, "remedy": "Look at them."}
+    figures = {"held_back_db": 27.14, "projection_db": 29.4, "causes": [cause], "views": []}
     write_json(tmp_path / "results" / "quality.json", figures)
     state = runstate.RunState(results=True, finished=True, quality=runstate.look(RunFolder(tmp_path)).quality)
     bpy.context.scene.fipt.run_folder = str(tmp_path)

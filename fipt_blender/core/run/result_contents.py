@@ -128,15 +128,6 @@ class Doubts:
 
 
 @dataclass(frozen=True)
-class CauseShare:
-    """A share of the error of a result, what it is due to, and what helps."""
-
-    name: str
-    share: Share
-    remedy: str
-
-
-@dataclass(frozen=True)
 class JudgedPictures:
     """A photograph that was held back: mean squared errors of render and projection, and pictures of all."""
 
@@ -149,12 +140,17 @@ class JudgedPictures:
 
 @dataclass(frozen=True)
 class QualityFigures:
-    """quality.json: PSNR in dB of photographs that were held back, rendered and projected."""
+    """quality.json: PSNR in dB of photographs that were held back, rendered and projected.
+
+    Figures of the pixels that see the mesh are None where there are none, or in results of earlier versions.
+    """
 
     held_back_db: float
     projection_db: float
-    causes: tuple[CauseShare, ...]
     views: tuple[JudgedPictures, ...]
+    on_mesh_db: float | None = None
+    projection_on_mesh_db: float | None = None
+    on_mesh_share: float | None = None
 
 
 @dataclass(frozen=True)
