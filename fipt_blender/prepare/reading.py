@@ -22,11 +22,12 @@ from .preparation import Group, Photograph, Preparation, PreparationFolder, writ
 
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
-    """The files with their sizes and times, and the way of grouping."""
+    """The files with their sizes and times, the way of grouping, and whether panoramas are used."""
     names = list_photographs(preparation.source)
     facts = [(preparation.source / name).stat() for name in names]
     files = [[name, fact.st_size, fact.st_mtime_ns] for name, fact in zip(names, facts, strict=True)]
-    return [str(preparation.source), preparation.settings.grouping, files]
+    settings = preparation.settings
+    return [str(preparation.source), settings.grouping, bool(settings.cameras), files]
 
 
 def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> ReadFacts:

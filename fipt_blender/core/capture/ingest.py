@@ -184,12 +184,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         world_from_source=as_matrix(world_from_source),
         mesh=None if mesh is None else str(mesh),
         views=tuple(
-            _captured(
-                run_folder,
-                *(view, pinhole, exposures[index], written_files),
-                world_from_source if index < solved else in_metres,
-            )
-            for view, pinhole, written_files, index in zip(views, pinholes, files, number, strict=True)
+            _captured(run_folder, *one, exposures[index], world_from_source if index < solved else in_metres)
+            for *one, index in zip(views, pinholes, files, number, strict=True)
         ),
     )
     up = UpAxis(upright.axis, upright.source, upright.angle)
@@ -483,16 +479,16 @@ def _captured(
     run_folder: RunFolder,
     view: RigView,
     pinhole: Pinhole,
-    exposure: float | None,
     written: dict[str, Path],
+    exposure: float | None,
     world_from_source: np.ndarray,
 ) -> CapturedView:
     """The view's entry in capture.json.
 
     Args:
         pinhole: of its image, undistorted where necessary.
-        exposure: from its file's EXIF.
         written: images that were written of it, by kind.
+        exposure: from its file's EXIF.
     """
     files = {"image": view.image, **{kind: getattr(view, kind) for kind in ID_IMAGES}, **written}
     names: dict[str, Any] = {kind: _stored_path(run_folder, path) for kind, path in files.items()}
