@@ -61,7 +61,7 @@ _CHOICES = {"format": ("auto", *FORMATS), "up_axis": ("auto", *UP_AXES)}
 _TYPES: dict[str, tuple[Callable[[str], Any], str | None]] = {
     "Path | None": (Path, "PATH"),
     "int": (int, "N"),
-    "float": (float, "M"),
+    "float": (float, "N"),
     "str": (str, None),
     "tuple[float, ...]": (lambda text: tuple(map(float, text.split(","))), "X,Y,Z"),
 }
