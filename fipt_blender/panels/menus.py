@@ -23,6 +23,7 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("set_room", ""),
         ("simplify_room", ""),
         ("use_scene_cameras", ""),
+        ("place_panorama", ""),
         ("look_through", "Look Through View"),
         ("pick_pair", "Pick Points for Alignment"),
         ("align_by_pairs", ""),
