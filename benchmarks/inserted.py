@@ -67,19 +67,19 @@ def place(scene, run: Path, view: str, surface: tuple[float, float, float]):
     from mathutils import Vector
 
     from fipt_blender.blend.capture.view_geometry import view_geometry
-    from fipt_blender.blend.insert.sample_objects import insert_object
+    from fipt_blender.blend.insert.balls import add_ball
     from fipt_blender.blend.insert.support import choose_view
-    from fipt_blender.blend.marks import inserted_objects
+    from fipt_blender.blend.outliner import INSERTED, collection
     from fipt_blender.blend.room.arrays import read_room
     from fipt_blender.blend.room.rays import make_cast
     from fipt_blender.core.run.run_files import read_capture
     from fipt_blender.core.run.runfolder import RunFolder
 
-    bpy.data.batch_remove(inserted_objects(scene))
+    bpy.data.batch_remove(collection(scene, INSERTED).objects)
     folder = RunFolder(run)
     entry = read_capture(folder.capture_json).view(view)
     _, support = choose_view(make_cast(read_room(folder)), [(view, view_geometry(entry))])
-    ball = insert_object(scene, Vector(support.point), kind="gray_ball", size=2.0 * support.radius)
+    ball = add_ball(scene, Vector(support.point), "gray_ball", 2.0 * support.radius)
     shader = next(node for node in ball.active_material.node_tree.nodes if "Base Color" in node.inputs)
     color, roughness, metallic = surface
     shader.inputs["Base Color"].default_value = (color, color, color, 1.0)

@@ -48,8 +48,9 @@ def run(tmp_path):
     return make_scene(tmp_path)
 
 
-def ball(x=0.0, y=0.6, kind="GREY_BALL"):
-    assert bpy.ops.fipt.insert_object(kind=kind, location=(x, y, 0.0), scale=1.5) == {"FINISHED"}
+def ball(x=0.0, y=0.6, kind="GRAY_BALL"):
+    bpy.context.scene.cursor.location = (x, y, 0.0)
+    assert bpy.ops.fipt.add_ball(kind=kind, size=0.28) == {"FINISHED"}
 
 
 def into_photograph(run, samples) -> dict[str, np.ndarray]:

@@ -39,7 +39,7 @@ class FIPT_PT_check(Section, bpy.types.Panel):
     """Render the current view, and compare renders with photographs"""
 
     bl_label = "Render"
-    bl_order = 7
+    bl_order = 6
     bl_options = {"DEFAULT_CLOSED"}
     presets = FIPT_PT_check_presets
 
@@ -88,6 +88,9 @@ def _draw_picture(
 ) -> None:
     """The picture of the current view: with the rendered room, or over the photograph."""
     insert = context.scene.fipt.insert
+    row = layout.row(align=True)
+    row.operator("fipt.add_ball", text="Gray Ball", icon="SPHERE").kind = "GRAY_BALL"
+    row.operator("fipt.add_ball", text="Mirror Ball", icon="SHADING_RENDERED").kind = "MIRROR_BALL"
     row = layout.row(align=True)
     for mode, text, icon in (("ROOM", "Rendered Room", "HOME"), ("PHOTOGRAPH", "Photograph", "IMAGE_DATA")):
         row.operator("fipt.set_backdrop", text=text, icon=icon, depress=insert.backdrop == mode).mode = mode

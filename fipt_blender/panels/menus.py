@@ -73,8 +73,8 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("bake_probe", ""),
         ("use_cycles", ""),
     ),
-    "Insert": (("insert_object", "Insert Object into Room"),),
     "Check": (
+        ("add_ball", "Add Ball to Room"),
         ("final_picture", "Final Picture of Room"),
         ("plate_nodes", ""),
         ("set_rendering", ""),

@@ -139,6 +139,5 @@ PLACES = {
     "FIPT_PT_lights": Place(
         lambda context: has_results(context) or bool(context.scene.fipt.lights.lights), _lights_state
     ),
-    "FIPT_PT_insert": Place(has_results),
     "FIPT_PT_check": Place(has_results, _check_state),
 }

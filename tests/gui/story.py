@@ -287,19 +287,16 @@ def lights(window: Window, options: Options) -> None:
 
 
 def insert(window: Window, options: Options) -> None:
-    """Place a ball with the mouse, and render the relit room with it."""
-    window.open_section("Insert")
-    window.choose("insert.kind", "GREY_BALL")
+    """Add a ball at the 3D cursor, and render the relit room with it."""
+    window.open_section("Render")
     before = set(window.ask(inside.objects))
-    window.click("fipt.insert_object")
     window.point_in_view(0.45, 0.35)
-    window.settle()
-    window.press()
+    window.key("shift+RIGHTMOUSE")  # the 3D cursor
+    window.click("fipt.add_ball", kind="GRAY_BALL")
     new = window.wait(inside.objects, until=lambda names: len(set(names) - before) > 0)
     selected = window.ask(lambda: [item.name for item in bpy.context.view_layer.objects.selected])
     assert {*selected} & ({*new} - before), new
     window.shot("19_inserted")
-    window.open_section("Render")
     window.choose("check.size", "PHOTOGRAPH")  # as the check that it is compared with
     window.click("fipt.final_picture")
     finish(window, "insert")

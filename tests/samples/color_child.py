@@ -23,7 +23,7 @@ import fipt_blender
 from fipt_blender.blend.capture import compare
 from fipt_blender.blend.color_spaces import to_scene_linear
 from fipt_blender.blend.export.exporting import export_room
-from fipt_blender.blend.insert.sample_objects import insert_object
+from fipt_blender.blend.insert.balls import add_ball
 from fipt_blender.blend.lights import light_state
 from fipt_blender.blend.lights.light_drivers import keyframe
 from fipt_blender.blend.marks import fixtures_of
@@ -98,8 +98,8 @@ def applied(folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict:
     for name, *_ in SHOWN:
         maps.show(scene, name)
     maps.show(scene, "ESTIMATED")
-    sample = insert_object(scene, Vector((0.0, -5.0, 0.0)), kind="monkey", size=4.0)
-    seen["monkey"] = spot(scene, (0.0, -9.0, 1.0), (0.0, -5.0, 1.0))
+    sample = add_ball(scene, Vector((0.0, -5.0, 0.0)), "gray_ball", 4.0)
+    seen["ball"] = spot(scene, (0.0, -9.0, 1.0), (0.0, -5.0, 1.0))
     bpy.data.objects.remove(sample)
     return seen
 
