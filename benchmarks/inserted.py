@@ -98,10 +98,16 @@ def composite(scene, ball, path: Path) -> None:
     from dataclasses import replace
 
     from fipt_blender.blend.pictures import orders
+    from fipt_blender.blend.pictures.image_files import photograph
+    from fipt_blender.core.run.run_files import read_capture
     from fipt_blender.core.run.runfolder import RunFolder
 
-    order = orders.order_picture(scene, RunFolder(scene.fipt.run_folder), scene.camera, plate=True)
+    run, view = RunFolder(scene.fipt.run_folder), scene.camera["fipt_view"]
+    order = orders.order_picture(scene, run, scene.camera, plate=True)
     orders.carry_out(replace(order, path=str(path)))
+    np.save(
+        path.with_name(f"{path.stem}_plate.npy"), photograph(run, read_capture(run.capture_json).view(view))
+    )
     path.with_suffix(".json").write_text(json.dumps(ball["truth"].to_dict()), encoding="utf-8")
 
 
@@ -144,7 +150,8 @@ def compare(out: Path, name: str, truth: np.ndarray, exposure: float) -> dict[st
     def layer(prefix: str, letters: str = "RGB") -> np.ndarray:
         return np.stack([channels[prefix + letter].pixels.astype(np.float32) for letter in letters], axis=-1)
 
-    picture, plate, alpha = layer(""), layer("plate."), layer("object.", "A")[..., 0]
+    plate = np.load(out / f"{name}_plate.npy")
+    picture, alpha = layer("Composite.Combined."), layer("ViewLayer.Combined.", "A")[..., 0]
     shown = [tone_mapped(image, exposure) for image in (plate, picture, truth)]
     Image.fromarray((np.concatenate(shown, axis=1) * 255).round().astype(np.uint8)).save(out / f"{name}.png")
     changed = np.abs(shown[2] - shown[0]).max(axis=-1) > CHANGED

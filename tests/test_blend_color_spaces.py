@@ -103,6 +103,7 @@ def usual(tmp_path_factory, registered) -> dict:
     """What is seen with Blender's own configuration and default working space."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         found = color_child.measure(tmp_path_factory.mktemp("usual"), monkeypatch)
+    assert found["composite"]
     np.testing.assert_allclose(found["lamp"], [8.0, 4.0, 2.0], rtol=1e-4)
     return found
 

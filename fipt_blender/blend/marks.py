@@ -76,7 +76,6 @@ RESULT_WORLD = "fipt_own_world"  # on a scene: our world, while the original one
 ORIGINAL_WORLD = "fipt_original_world"  # on a scene
 KEPT_FILM = "fipt_kept_film_transparent"  # on a scene
 KEPT_RENDER = "fipt_kept_render"  # on a scene: settings that we made, what they were and what we made (JSON)
-COMPOSITING = "fipt_compositing"  # on a scene that we made to composite a picture
 LIGHT_GROUPS = "fipt_light_groups"  # on a view layer: names of the groups that we added (JSON)
 
 # --- materials, node groups and images ---------------------------------------------------------------------
@@ -89,7 +88,6 @@ ADJUSTMENT = "fipt_adjustment"  # on the node group of the artist's adjustments:
 SURFACE = "fipt_surface"  # what fed the output before a map was shown: node and socket, a line each
 TABLE = "fipt_table"  # on the node group that corrects Principled: digest of its table
 TEXTURE = "fipt_texture"  # marks an image of applied results, or their environment
-PLATE_NODES = "fipt_plate_nodes"  # on the node group of that scene
 PICTURE = "fipt_picture"  # marks an image that we showed in an editor
 
 # --- hints ------------------------------------------------------------------------------------------------

@@ -117,8 +117,7 @@ class FIPT_OT_compare_versions(bpy.types.Operator):
     bl_idname = "fipt.compare_versions"
     bl_label = "Compare Versions"
     bl_description = (
-        "Compare this estimate with the one in use: figures, and the parts whose material differs most. A"
-        " view shows the base color of this one left of the divider, of the one in use right of it"
+        "Compare this estimate with the one in use: figures, and the parts whose material differs most"
     )
     bl_options = {"REGISTER"}
 
@@ -152,15 +151,9 @@ class FIPT_OT_compare_versions(bpy.types.Operator):
 
     def _compare(self, context: bpy.types.Context) -> list[tuple[str, str, str]]:
         """What differs: a name, and the values of this version and of the present one."""
-        from ..blend.capture import version_views
         from ..core.run.version_figures import comparison
         from ..core.run.versions import list_versions
 
         run = applying.run_of(context.scene)
         present = next(iter(list_versions(run)), None)
-        rows = [] if present is None else comparison(run, self.version, present.id, _MOST_PARTS)
-        if not bpy.app.background and version_views.show(context.scene, run, self.version):
-            from ..blend.capture.look import enter_camera
-
-            enter_camera(context, context.scene)
-        return rows
+        return [] if present is None else comparison(run, self.version, present.id, _MOST_PARTS)

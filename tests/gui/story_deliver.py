@@ -106,7 +106,7 @@ def _picture(window: Window, name: str) -> float:
     finish(window, "insert", _RENDER_SECONDS)
     seconds = time.monotonic() - started
     picture = Path(window.ask(_last_picture))
-    assert picture.is_file() and picture.with_suffix(".png").is_file(), picture
+    assert picture.is_file() and picture.with_suffix(".exr").is_file(), picture
     window.wait(agent.is_open, *PICTURE)
     window.settle(5.0)
     window.shot(name)
