@@ -34,7 +34,7 @@ OBJECT_SLOT = "fipt_original_slot_{}"  # material of a slot that is linked to th
 ADDED = "fipt_added"  # on a mesh that the scan lacks: `FOUND`, `CLOSED` or `DRAWN`
 FOUND, CLOSED, DRAWN = "found", "closed", "drawn"  # by the engine; what closes small holes; by the artist
 RESULT_MESH = "fipt_own_mesh"  # the result mesh, while the original is shown
-MADE = "fipt_made"  # on a result mesh: digest of its geometry and layers as we made it
+MADE = "fipt_inserted"  # on a result mesh: digest of its geometry and layers as we made it
 LAID_OUT = "fipt_laid_out"  # on a result mesh: digest of the atlas of its UVs
 SPLIT_OFF = (
     "fipt_split_off"  # on a result mesh: those of the object's exported triangles that became fixtures
@@ -74,12 +74,7 @@ RESULT_WORLD = "fipt_own_world"  # on a scene: our world, while the original one
 ORIGINAL_WORLD = "fipt_original_world"  # on a scene
 KEPT_FILM = "fipt_kept_film_transparent"  # on a scene
 KEPT_RENDER = "fipt_kept_render"  # on a scene: settings that we made, what they were and what we made (JSON)
-COMPOSITING = "fipt_compositing"  # on a scene that we made to composite a picture
 LIGHT_GROUPS = "fipt_light_groups"  # on a view layer: names of the groups that we added (JSON)
-
-# --- inserted objects, each with its matrix before it was first placed -------------------------------------
-MADE = "fipt_inserted"  # made by us: "Remove Inserted" removes it
-MOVED = "fipt_inserted_from"  # the artist's own: "Remove Inserted" moves it back
 
 # --- materials, node groups and images ---------------------------------------------------------------------
 MATERIAL = "fipt_material"  # marks a material as ours; its value is the name of the atlas image
@@ -91,7 +86,6 @@ ADJUSTMENT = "fipt_adjustment"  # on the node group of the artist's adjustments:
 SURFACE = "fipt_surface"  # what fed the output before a map was shown: node and socket, a line each
 TABLE = "fipt_table"  # on the node group that corrects Principled: digest of its table
 TEXTURE = "fipt_texture"  # marks an image of applied results, or their environment
-PLATE_NODES = "fipt_plate_nodes"  # on the node group of that scene
 PICTURE = "fipt_picture"  # marks an image that we showed in an editor
 
 # --- hints ------------------------------------------------------------------------------------------------
@@ -232,11 +226,6 @@ def result_world(scene: bpy.types.Scene) -> bpy.types.World | None:
         if world is not None and WORLD in world:
             return world
     return None
-
-
-def inserted_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The objects inserted into a scene: made by us, or the artist's own and placed by us."""
-    return [item for item in scene.objects if MADE in item or MOVED in item]
 
 
 def has_light_groups(layer: bpy.types.ViewLayer) -> bool:

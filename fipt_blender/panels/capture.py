@@ -212,7 +212,7 @@ class FIPT_PT_capture_views(SubSection, bpy.types.Panel):
         column.operator("fipt.look_through", text="", icon="TRIA_DOWN").step = 1
         column.separator()
         column.menu("FIPT_MT_tick_views", text="", icon="DOWNARROW_HLT")
-        _draw_photograph(layout, settings)
+        draw_photograph(layout, settings)
         _draw_active(layout, context, settings)
         counts = iface_("{} for estimation, {} held back").format(
             settings.train_count, settings.held_back_count
@@ -230,7 +230,7 @@ def draw_thumbnail(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup
     layout.template_icon_view(settings, "picture", show_labels=True, scale=5.0, scale_popup=5.0)
 
 
-def _draw_photograph(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
+def draw_photograph(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
     """Whether and how strongly the photograph lies over the room."""
     row = layout.row(align=True)
     switch = settings.photograph_switch()

@@ -14,7 +14,6 @@ from ...core.run.errors import FiptError
 from ..marks import VIEW, room_with_results
 from .backdrop import show_photograph
 from .cameras import use_view
-from .compare import follow
 from .other_cameras import watch
 
 # Furniture faces a point inside with half of its area, walls with all of it if their normals point inwards.
@@ -32,7 +31,6 @@ def look_through(
     if before is not None and before != camera and VIEW in before:
         _free_photograph(before)
     show_photograph(scene, camera)
-    follow(scene)
     enter_camera(context, scene)
     return camera
 
@@ -179,7 +177,5 @@ def redraw_views() -> None:
 def refresh_photograph(scene: bpy.types.Scene) -> None:
     """Show the photograph with the panel's opacity, if the scene's camera belongs to a view."""
     camera = scene.camera
-    if scene.fipt.check.compare != "OFF":
-        return
     if camera is not None and any(view.camera == camera.name for view in scene.fipt.capture.views):
         show_photograph(scene, camera)

@@ -183,8 +183,15 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         world_from_source=as_matrix(world_from_source),
         mesh=None if mesh is None else str(mesh),
         views=tuple(
-            _captured(run_folder, *one, exposures[index], world_from_source if index < solved else in_metres)
-            for *one, index in zip(views, pinholes, files, number, strict=True)
+            _captured(
+                run_folder,
+                view,
+                pinhole,
+                of_view,
+                exposures[index],
+                world_from_source if index < solved else in_metres,
+            )
+            for view, pinhole, of_view, index in zip(views, pinholes, files, number, strict=True)
         ),
     )
     up = UpAxis(upright.axis, upright.source, upright.angle)
