@@ -115,7 +115,7 @@ def test_a_lamp_that_no_view_shows_is_found_at_its_place(
     room = make_room(quads)
     observed = observations(tmp_path, room)
     found = found_light(observed, room).environment
-    assert found is not None and found.hull is not None
+    assert found is not None and found.unseen is not None and found.hull is not None
     floor = np.array([[x, y, 0.01] for x in (-1.5, 0.0, 1.5) for y in (-1.5, 0.0, 1.5)])
     up = np.tile([0.0, 0.0, 1.0], (len(floor), 1))
     true = light(room, floor, up)
