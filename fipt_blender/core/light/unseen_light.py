@@ -179,8 +179,7 @@ class Sources:
         """Discs and balls that cast the light of bright sources, as lamps that the mesh lacks.
 
         What shines to one side is a disc as wide as its sources are spread, or several; others are balls.
-        They are as small as what photographs looked through demands; where it leaves them no room, the light
-        stays that of the surfaces alone.
+        They are as small as what photographs looked through demands, down to LEAST_RADIUS.
         """
         clusters = [np.flatnonzero(self.lamp == index) for index in range(int(self.lamp.max(initial=-1)) + 1)]
         while clusters:
@@ -192,7 +191,7 @@ class Sources:
             if of_side.max() <= FLAT * of_side.sum():
                 way, radius = np.average(self.toward[own], axis=0, weights=weight), BALL * self.cells.size
                 center = place - inwards * radius * way / max(float(np.linalg.norm(way)), 1e-9)
-                yield from self._fitted(own, center, radius, None)
+                yield self._fitted(own, center, radius, None)
                 continue
             facing = np.eye(3)[of_side.argmax() // 2] * (1.0 - 2.0 * (of_side.argmax() % 2))
             radius, beyond = self._spread(own, place, facing)
@@ -200,7 +199,7 @@ class Sources:
                 clusters += [own[beyond], own[~beyond]]
             else:
                 center = place + inwards * CLEARANCE * self.cells.size * facing
-                yield from self._fitted(own, center, radius, facing)
+                yield self._fitted(own, center, radius, facing)
 
     def _spread(self, own: np.ndarray, place: np.ndarray, facing: np.ndarray) -> tuple[float, np.ndarray]:
         """Radius of a disc around a place (3,) that is as wide as sources (n,), metres, and which of these
@@ -215,11 +214,10 @@ class Sources:
 
     def _fitted(
         self, own: np.ndarray, center: np.ndarray, radius: float, facing: np.ndarray | None
-    ) -> Iterator[dict[str, Any]]:
+    ) -> dict[str, Any]:
         """The lamp of a place and at most a radius, metres, that casts about the light of sources (n,)."""
-        radius = min(radius, free_radius(center, facing, *self.looks))
-        if radius < LEAST_RADIUS * self.cells.size:
-            return
+        free = max(free_radius(center, facing, *self.looks), LEAST_RADIUS * self.cells.size)
+        radius = min(radius, free)
         cast = self.points.unseen[:, own] @ self.light.radiance[own]
         lit = cast.sum(axis=1) > 0.0
         toward = center - self.position[lit]
@@ -230,7 +228,7 @@ class Sources:
         if facing is not None:
             unit *= np.maximum(-toward @ facing, 0.0) * np.sqrt(squared) / (squared + radius**2)
         fitted = unit @ cast[lit] / max(float(unit @ unit), 1e-12)
-        yield {
+        return {
             "position": center.tolist(),
             "radius": radius,
             "radiance": fitted.tolist(),
