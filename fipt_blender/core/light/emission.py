@@ -44,6 +44,9 @@ ALIKE_PIXELS, ALIKE_SAMPLES, ALIKE_SPREAD, ALIKE, MOST_OFF = 10.0, 30.0, 0.03, 0
 # Positions of a lamp and of what it lights are known to an edge of a scan: the relative error of the light is
 # so many edges over their distance, at most 1. A lamp lights what is less bright than itself by this factor.
 PLACE_ERROR, LIT = 3.0, 2.0
+# Where lamps may be close that nothing shows, one is likelier than the surface that it lights by HIDDEN, in
+# full from this share of the directions on.
+MUCH_UNSEEN, HIDDEN = 0.1, 2.0
 ROUNDS = 4  # of lamps and what they light; more change nothing
 POSSIBLE = 0.05  # least probability of lamps that are extended to adjacent units, and that light others
 CHUNK = 256  # lit units at a time
@@ -157,6 +160,8 @@ class _Lamps:
         self.luminance = seen.own @ LUMINANCE
         count = np.maximum(np.bincount(seen.unit, minlength=self.units), 1)
         self.radiance = np.bincount(seen.unit, self.luminance, self.units) / count
+        unseen = 0.0 if surfaces.unseen is None else surfaces.unseen
+        self.unseen = np.bincount(surfaces.unit, unseen * room.areas, self.units)
         self.corners = None if self.scan is not None else weld(room.vertices)[room.triangles]
         self.most = MOST_SAMPLES if self.scan is None else MOST_SAMPLES_SCAN
         self.sums = self._sums(np.arange(len(seen.unit)), np.zeros(self.units))
@@ -231,14 +236,18 @@ class _Lamps:
         samples, evidence = (
             np.bincount(lamp[units], each[units], count) for each in (self.samples, self.sums.evidence)
         )
-        total = evidence / (1.0 + samples / self.most)
+        constant = np.zeros(count)
         if of_part is None:
-            total += self._constancy(lamp, count)
+            constant = self._constancy(lamp, count)
         else:
-            of_lamp = np.zeros(count)
-            of_lamp[lamp[units]] = of_part[units]
-            total += of_lamp
-        return lamp, 1.0 / (1.0 + np.exp(-np.clip(total + logit(PRIOR), -50.0, 50.0)))
+            constant[lamp[units]] = of_part[units]
+        total = evidence / (1.0 + samples / self.most) + constant
+        odds = np.exp(-np.clip(total + logit(PRIOR), -50.0, 50.0))
+        if self.surfaces.unseen is not None:  # what a hidden lamp lights is not of one radiance, either
+            area, close = (np.bincount(lamp[units], a[units], count) for a in (self.area, self.unseen))
+            share = close / np.maximum(area, 1e-12)
+            odds += HIDDEN * np.minimum(share / MUCH_UNSEEN, 1.0) * np.exp(-np.clip(constant, 0.0, 50.0))
+        return lamp, 1.0 / (1.0 + odds)
 
     def _connected(self, units: np.ndarray) -> np.ndarray:
         """(n,) int64 from 0: connected surface of each of the units (n,).

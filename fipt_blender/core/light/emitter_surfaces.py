@@ -33,6 +33,8 @@ class EmitterSurfaces:
         part: (T,) int part of each triangle, negative for none; None where parts are unknown.
         reach: largest distance in pixels between the surface that a pixel shows and the one that it hits.
         gap: metres between the centers of units of one lamp at most, on a scan.
+        unseen: (T,) share of the directions in which lamps may be that nothing shows, too close for
+            :mod:`.unseen_light`; None for none.
         light_error: standard deviation of the logarithm of the light, because some of it is inferred.
     """
 
@@ -41,6 +43,7 @@ class EmitterSurfaces:
     part: np.ndarray | None
     reach: int = 0
     gap: float = 0.0
+    unseen: np.ndarray | None = None
     light_error: float = 0.0
 
 
@@ -55,18 +58,18 @@ def emitter_surfaces(
     """
     pieces = room_pieces(room)
     part = parts.triangle_part if parts.kind == "part" else None
-    error = 0.0 if environment is None else environment.unseen_error
+    doubt = (None, 0.0) if environment is None else (environment.unseen, environment.unseen_error)
     if room.scan is None:
         # Photographs see most of a lamp shade's outside and little of its inside, which may be one piece.
         component = pieces if part is None else numbered([pieces, part])
-        return EmitterSurfaces(np.arange(len(room.triangles)), component, part, light_error=error)
+        return EmitterSurfaces(np.arange(len(room.triangles)), component, part, 0, 0.0, *doubt)
     # Detail finer than an edge is lost: rims of thin things face sideways, but pixels show their tops.
     reach = round(room.scan.edge / max(footprint, 1e-9))
     patch, gap = surface_patches(room.scan, pieces, PATCH * footprint), GAP * PATCH * footprint
     if part is None:
-        return EmitterSurfaces(patch, pieces, None, reach, gap, error)
+        return EmitterSurfaces(patch, pieces, None, reach, gap, *doubt)
     patch = numbered([part >= 0, np.where(part >= 0, part, patch)])
-    return EmitterSurfaces(patch, patch, part, reach, gap, error)
+    return EmitterSurfaces(patch, patch, part, reach, gap, *doubt)
 
 
 def surface_patches(scan: Scan, pieces: np.ndarray, edge: float) -> np.ndarray:

@@ -211,16 +211,7 @@ def observe(
 
 def median_footprint(pixels: PixelStore) -> float:
     """Median width in metres of a pixel on the surfaces that it sees."""
-    views = range(len(pixels.views))
-    total = sum(len(pixels.hits(index)) for index in views)
-    step = max(1, total // FOOTPRINT_PIXELS)
-    footprints = []
-    before = 0
-    for index, view in enumerate(pixels.views):
-        hit = pixels.hits(index)
-        sample = hit[-before % step :: step]  # every step-th hit, counted across views
-        before += len(hit)
-        camera = np.asarray(view.camera_to_world)[:3, 3].astype(np.float32)
-        distance = np.linalg.norm(pixels.position[sample] - camera, axis=1)
-        footprints.append(distance.astype(np.float64) / min(view.fx, view.fy))
-    return float(np.median(np.concatenate(footprints)))
+    rows = pixels.some_hits(FOOTPRINT_PIXELS)
+    view, focal = pixels.view_of(rows), np.array([min(view.fx, view.fy) for view in pixels.views])
+    distance = np.linalg.norm(pixels.position[rows] - pixels.camera_positions()[view], axis=1)
+    return float(np.median(distance.astype(np.float64) / focal[view]))

@@ -56,6 +56,7 @@ def traced(
     lamps: np.ndarray,
     lit: tuple[np.ndarray, np.ndarray],
     seed: int,
+    count: int = RAYS,
 ) -> Rays:
     """Rays from points.
 
@@ -67,7 +68,7 @@ def traced(
     for number, first in enumerate(range(0, len(lit[0]), CHUNK)):
         position, normal = (array[first : first + CHUNK] for array in lit)
         stream = seed * 1009 + number
-        entry, direction = hemisphere_rays(room, observed.grid, position, normal, known, stream, RAYS)
+        entry, direction = hemisphere_rays(room, observed.grid, position, normal, known, stream, count)
         cell, outside = cells.of_entry[np.maximum(entry, 0)], entry == OUTSIDE
         cell[entry == ON_LAMP] = -1
         start = np.broadcast_to(position[:, None], direction.shape)
@@ -195,13 +196,6 @@ class Landed:
         """(K, 9) means of what the cells have sums of."""
         number = self._by_source(self.number[:, None])
         return np.asarray(self._by_source(self.sums) / np.maximum(number, 1.0))
-
-    def sides(self, cells: Cells) -> np.ndarray:
-        """(K,) int side to which each source shines."""
-        result = np.zeros(int(self.source.max()) + 1, np.int64)
-        own = self.source >= 0
-        result[self.source[own]] = cells.side[own]
-        return result
 
     def transport(self, logs: np.ndarray, group: np.ndarray) -> Transport:
         """The points with the light of the sources; `logs`: (N, 3) logarithms of their radiance."""

@@ -127,8 +127,7 @@ def held_back_gain(points: Transport, expected: Expectation, rng: np.random.Gene
     found, known = solve_sources(kept, expected), np.exp(expected.log_radiance)
     total = 0.0
     for radiance, sign in ((found.radiance, 1.0), (known, -1.0)):
-        channels = zip(range(3), _channels(kept, radiance.T, found.spread), strict=True)
-        for channel, rows in channels:
+        for channel, rows in enumerate(_channels(kept, radiance.T, found.spread)):
             spread = deviation(rows.residual[: len(kept.group)], _LEAST_SPREAD)
             light = points.seen[held, channel] + points.unseen[held] @ radiance[:, channel]
             residual = points.log_radiance[held, channel] - np.log(np.maximum(light, DARKEST))

@@ -27,12 +27,12 @@ from ..run.stage_settings import LightSettings
 from ..run.threads import cached_property
 from ..surface.room import Room
 from .cache import SIDES, SurfaceLookup, VoxelGrid
-from .clipped import MOST_POINTS
+from .clipped import MOST_POINTS, OUTSIDE
 from .environment import Environment, diffused
 from .observations import Observations
 from .radiance import CachedRadiance
 from .shadings import SampleCounts, ShadingPoints, bake
-from .source_cells import DARK_OUTSIDE, FINER, Cells, Landed, traced
+from .source_cells import DARK_OUTSIDE, FINER, Cells, Landed, middles, traced
 from .sources import (
     DARKEST,
     LEAST_GROUP,
@@ -52,6 +52,10 @@ LAMP_SAMPLES = SampleCounts(16, 0, 64)  # of the light of presumed lamps at each
 # Relative error of the inferred part of the light beside its covariance: root mean square of five rooms.
 MODEL_ERROR = 0.3
 GAIN = 3.0  # least logarithm of the likelihood of points held back
+CLOSE_RAYS, MOST_CLOSE = (
+    64,
+    20_000,
+)  # to unseen places closer than a source is wide, and pixels that send them
 # A source is a lamp or a window if it is brighter than the room's median light by this factor.
 LAMP = 4.0
 # Sources of one side are one lamp if they are closer than so many of their widths; others, of a whole one.
@@ -79,7 +83,9 @@ def with_unseen_light(
     found = find_sources(observed, room, label, lamps, settings.seed)
     if found is None:
         return observed
-    return replace(observed, environment=found.environment(observed.environment, settings.environment_width))
+    environment = found.environment(observed.environment, settings.environment_width)
+    unseen = close_share(observed, room, found, lamps, settings.seed)
+    return replace(observed, environment=replace(environment, unseen=unseen))
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,8 +179,7 @@ class Sources:
         """Discs and balls that cast the light of bright sources, as lamps that the mesh lacks.
 
         What shines to one side is a disc as wide as its sources are spread, or several; others are balls.
-        They are as small as what photographs looked through demands; where it leaves them no room, the light
-        stays that of the surfaces alone.
+        They are as small as what photographs looked through demands, down to LEAST_RADIUS.
         """
         clusters = [np.flatnonzero(self.lamp == index) for index in range(int(self.lamp.max(initial=-1)) + 1)]
         while clusters:
@@ -186,7 +191,7 @@ class Sources:
             if of_side.max() <= FLAT * of_side.sum():
                 way, radius = np.average(self.toward[own], axis=0, weights=weight), BALL * self.cells.size
                 center = place - inwards * radius * way / max(float(np.linalg.norm(way)), 1e-9)
-                yield from self._fitted(own, center, radius, None)
+                yield self._fitted(own, center, radius, None)
                 continue
             facing = np.eye(3)[of_side.argmax() // 2] * (1.0 - 2.0 * (of_side.argmax() % 2))
             radius, beyond = self._spread(own, place, facing)
@@ -194,7 +199,7 @@ class Sources:
                 clusters += [own[beyond], own[~beyond]]
             else:
                 center = place + inwards * CLEARANCE * self.cells.size * facing
-                yield from self._fitted(own, center, radius, facing)
+                yield self._fitted(own, center, radius, facing)
 
     def _spread(self, own: np.ndarray, place: np.ndarray, facing: np.ndarray) -> tuple[float, np.ndarray]:
         """Radius of a disc around a place (3,) that is as wide as sources (n,), metres, and which of these
@@ -209,11 +214,10 @@ class Sources:
 
     def _fitted(
         self, own: np.ndarray, center: np.ndarray, radius: float, facing: np.ndarray | None
-    ) -> Iterator[dict[str, Any]]:
+    ) -> dict[str, Any]:
         """The lamp of a place and at most a radius, metres, that casts about the light of sources (n,)."""
-        radius = min(radius, free_radius(center, facing, *self.looks))
-        if radius < LEAST_RADIUS * self.cells.size:
-            return
+        free = max(free_radius(center, facing, *self.looks), LEAST_RADIUS * self.cells.size)
+        radius = min(radius, free)
         cast = self.points.unseen[:, own] @ self.light.radiance[own]
         lit = cast.sum(axis=1) > 0.0
         toward = center - self.position[lit]
@@ -224,7 +228,7 @@ class Sources:
         if facing is not None:
             unit *= np.maximum(-toward @ facing, 0.0) * np.sqrt(squared) / (squared + radius**2)
         fitted = unit @ cast[lit] / max(float(unit @ unit), 1e-12)
-        yield {
+        return {
             "position": center.tolist(),
             "radius": radius,
             "radiance": fitted.tolist(),
@@ -267,8 +271,9 @@ def find_sources(
         light = solve_sources(points, expected)
     of_entry = np.append(landed.source, -1)[cells.of_entry]
     entries = np.flatnonzero(of_entry >= 0)
-    means, shown = landed.means(), np.concatenate(list(observed.hits()))
-    shown = shown[:: max(1, len(shown) // MOST_LOOKS)]
+    means, shown = landed.means(), pixels.some_hits(MOST_LOOKS)
+    own, side = np.flatnonzero(landed.source >= 0), np.zeros(len(width), np.int64)
+    side[landed.source[own]] = cells.side[own]
     return Sources(
         points=points,
         pixel=where,
@@ -283,7 +288,7 @@ def find_sources(
         place=means[:, 3:6],
         toward=means[:, 6:] / np.maximum(np.linalg.norm(means[:, 6:], axis=1, keepdims=True), 1e-9),
         width=width * cells.size / FINER,
-        side=landed.sides(cells),
+        side=side,
         looks=(pixels.camera_positions()[pixels.view_of(shown)], np.asarray(pixels.position[shown])),
     )
 
@@ -316,6 +321,23 @@ def lamp_light(
     position, normal = (np.asarray(array, np.float32) for array in lit)
     points, source = ShadingPoints(position, normal, normal, normal), CachedRadiance(room, dark, None, lights)
     return bake(points, source, lights, np.zeros(0, np.float32), LAMP_SAMPLES, seed * 31 + 26).diffuse
+
+
+def close_share(
+    observed: Observations, room: Room, found: Sources, lamps: EmitterTable, seed: int
+) -> np.ndarray:
+    """(T,) float32 share of the directions around each triangle, or the nearest that pixels see, in which
+    unseen places are closer than a source is wide."""
+    rows = observed.pixels.some_hits(MOST_CLOSE)
+    known = np.isin(np.arange(len(room.triangles)), lamps.triangles)
+    lit = observed.pixels.surface(room, rows)
+    rays = traced(observed, room, found.cells, known, lit, seed, CLOSE_RAYS)
+    place = found.cells.hull.centers(np.where(rays.entry == OUTSIDE, np.maximum(rays.cell, 0), 0))
+    place = np.where((rays.entry >= 0)[..., None], middles(observed.grid, rays.entry), place)
+    close = (rays.cell >= 0) & (np.linalg.norm(place - lit[0][:, None], axis=2) < found.cells.size)
+    centers = room.vertices[room.triangles].mean(axis=1)
+    nearest = cKDTree(centers[np.asarray(observed.pixels.triangle[rows])]).query(centers)[1]
+    return close.mean(axis=1, dtype=np.float32)[nearest]
 
 
 def _comparable(

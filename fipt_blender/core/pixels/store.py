@@ -93,6 +93,16 @@ class PixelStore:
         rows = self.rows(view)
         return np.flatnonzero(self.triangle[rows] >= 0) + rows.start
 
+    def some_hits(self, most: int) -> np.ndarray:
+        """(n,) int64 about `most` pixels that see the mesh, evenly spread over those of all views."""
+        views = range(len(self.views))
+        step, before, found = max(1, sum(len(self.hits(view)) for view in views) // most), 0, []
+        for view in views:
+            hit = self.hits(view)
+            found.append(hit[-before % step :: step])
+            before += len(hit)
+        return np.concatenate(found)
+
     def surface(self, room: Room, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions (n, 3) that pixels (n,) see, and float32 geometric normals (n, 3) on the seen sides."""
         side = np.where(self.front[rows], np.float32(1.0), np.float32(-1.0))[:, None]
