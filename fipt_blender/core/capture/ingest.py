@@ -178,20 +178,16 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     world_from_source = upright.world_from_source(options.scale)
     if (note := size_note(capture, source, mesh, world_from_source)) is not None:
         reporter.warning(note.code, note.text, note.remedy)
+    worlds = [world_from_source if index < solved else in_metres for index in number]
     captured = CapturedViews(
         source=rig.source,
         world_from_source=as_matrix(world_from_source),
         mesh=None if mesh is None else str(mesh),
         views=tuple(
-            _captured(
-                run_folder,
-                view,
-                pinhole,
-                of_view,
-                exposures[index],
-                world_from_source if index < solved else in_metres,
+            _captured(run_folder, *one)
+            for one in zip(
+                views, pinholes, files, (exposures[index] for index in number), worlds, strict=True
             )
-            for view, pinhole, of_view, index in zip(views, pinholes, files, number, strict=True)
         ),
     )
     up = UpAxis(upright.axis, upright.source, upright.angle)
