@@ -67,7 +67,6 @@ CORNER_FIELDS_ARRAYS: dict[str, Layout] = {
 SURVEY_ARRAYS: dict[str, Layout] = {
     "seen": ("i", ("V", "B")),
     "areas": ("f", ("T",)),
-    "disagreement": ("f", ("T",)),
 }
 FIELDS_ARRAYS: dict[str, Layout] = {
     "hash_levels": ("i", ()),
