@@ -68,7 +68,6 @@ _TABLE = (
     ),
     ("outlines", "outlines of parts", ["parts/outlines", "parts/outline_misses"], {}, (SCAN, MASKS)),
     ("unmix", "mixed pixels are used", ["pixels/unmixing", "pixels/fragments"], {}, ()),
-    ("unmeshed_lamps", "lamps without a mesh are left out", ["checks/unmeshed"], {}, ()),
     ("reject_views", "misaligned views are left out", ["checks/misaligned", "checks/registration"], {}, ()),
     ("correct_exposure", "unlike exposures are corrected", ["checks/exposure"], {}, ()),
     (

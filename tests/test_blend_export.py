@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from fipt_blender.blend.export.lamps import GAP, lamp_light
 from fipt_blender.blend.lights.color import LUMENS_PER_WATT
 from fipt_blender.blend.lights.fixture_nodes import emission_material
 from fipt_blender.blend.room.mesh_arrays import corner_uvs
+from fipt_blender.core.run.errors import FiptError
 from samples.applied_rooms import RADIANCE, ConstantFields, fingerprint
 from samples.exported_files import encoded, gltf_json, opened, principled, texel, texture_behind
 from samples.refusals import error_of
@@ -51,6 +54,48 @@ def test_gltf_has_textures_emission_and_names_and_is_valid(scene, tmp_path):
     assert {image["name"] for image in document["images"]} == images
     accessors = {key for mesh in document["meshes"] for each in mesh["primitives"] for key in each["attributes"]}
     assert "TEXCOORD_0" in accessors and "TEXCOORD_1" not in accessors
+
+
+@pytest.mark.parametrize("suffix", [".gltf", ".usda"])
+def test_two_exports_into_a_folder_share_no_picture(scene, tmp_path, suffix):
+    """The first one stays what it was, whatever the second shows."""
+    export_room(scene, tmp_path / f"a{suffix}")
+    first = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    scene.fipt.materials.parts["Cube"].value = 0.5
+    export_room(scene, tmp_path / f"b{suffix}")
+    assert sum(path.suffix == ".png" for path in first) == 4
+    assert {path: path.read_bytes() for path in first} == first
+    assert len([path for path in tmp_path.rglob("*.png")]) == 8
+
+
+def test_inserted_objects_are_in_the_file_with_their_materials(scene, tmp_path):
+    bpy.ops.fipt.add_ball(kind="MIRROR_BALL", size=0.5)
+    curve = bpy.data.objects.new("Cable", bpy.data.curves.new("Cable", "CURVE"))
+    curve.data.splines.new("POLY").points.add(1)
+    curve.data.splines[0].points[1].co = (1.0, 0.0, 0.0, 1.0)
+    curve.data.bevel_depth, curve.data.dimensions = 0.05, "3D"
+    group = bpy.data.collections.new("Set")
+    group.objects.link(bpy.data.objects.new("Leg", bpy.data.objects["cube"].data.copy()))
+    instance = bpy.data.objects.new("Chair", None)
+    instance.instance_type, instance.instance_collection = "COLLECTION", group
+    for item in (curve, instance):
+        scene.collection.objects.link(item)
+    exported = export_room(scene, tmp_path / "room.glb")
+    document = gltf_json(exported.path)
+    nodes = {node["name"]: node for node in document["nodes"]}
+    assert {"FIPT Mirror Ball", "Cable", "Chair", "Leg"} <= set(nodes)
+    mesh = document["meshes"][nodes["FIPT Mirror Ball"]["mesh"]]
+    material = document["materials"][mesh["primitives"][0]["material"]]
+    assert material["name"] == "FIPT Mirror Ball" and material["pbrMetallicRoughness"].get("metallicFactor", 1.0) == 1.0
+    assert [warning["code"] for warning in exported.warnings] == ["export-environment"]
+    assert len(bpy.data.scenes) == 1
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="a folder that nobody can write to")
+def test_a_folder_that_cannot_be_written_is_explained(scene):
+    with pytest.raises(FiptError) as caught:
+        export_room(scene, Path("/proc/self/room.glb"))
+    assert "Traceback" not in str(caught.value) and "/proc/self" in str(caught.value)
 
 
 def first_middle(mesh):

@@ -154,11 +154,11 @@ def test_a_drawn_surface_stands_at_the_cursor_before_the_views_are_checked(impor
 
 
 def test_a_drawn_surface_stands_where_the_photographs_disagree(imported):
-    assert "Use Check Views first" in refused(ops.show_disagreement)
+    assert "Use Check Views first" in refused(ops.show_coverage)
     with engine_here():
         assert ops.check_views() == {"FINISHED"}
-    assert ops.show_disagreement() == {"FINISHED"} and overlay.shown(imported) == "disagreement"
-    assert ops.show_disagreement(show=False) == {"FINISHED"} and overlay.shown(imported) == ""
+    assert ops.show_coverage() == {"FINISHED"} and overlay.shown(imported) == "coverage"
+    assert ops.show_coverage(show=False) == {"FINISHED"} and overlay.shown(imported) == ""
     assert ops.add_surface(shape="BOX") == {"FINISHED"}
     (item,) = added_surfaces(imported)
     bpy.context.view_layer.update()

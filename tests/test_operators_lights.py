@@ -229,23 +229,14 @@ def test_deleted_lights_stay_deleted_and_others_are_made_anew(scene):
     assert len(scene.fipt.lights.lights[0].object.children) == 1
 
 
-def test_a_lamp_that_the_mesh_lacks_is_added_once(tmp_path, monkeypatch):
+def test_a_lamp_that_the_mesh_lacks_in_an_earlier_run_is_left_out(tmp_path, monkeypatch):
     use_fake_engine(monkeypatch)
     scene = make_scene(tmp_path / "run")
     path = tmp_path / "run" / "results" / "emitters.json"
     ball = {"position": [0.5, 0.25, 2.0], "radius": 0.1, "radiance": [30.0, 20.0, 10.0]}
-    dark = {**ball, "radiance": [0.0, 0.0, 0.0]}
-    path.write_text(json.dumps({**json.loads(path.read_text()), "missing": [ball, dark]}))
+    path.write_text(json.dumps({**json.loads(path.read_text()), "missing": [ball]}))
     assert ops.apply_results() == {"FINISHED"}
-    assert ops.add_missing_lamps() == {"FINISHED"}
-    (item,) = [row.object for row in scene.fipt.lights.lights if row.object.type == "LIGHT"]
-    assert tuple(item.location) == (0.5, 0.25, 2.0)
-    assert item.data.type == "POINT" and item.data.shadow_soft_size == pytest.approx(0.1)
-    power = item.data.energy * np.array(item.data.color)
-    assert power == pytest.approx(4.0 * math.pi**2 * 0.01 * np.array([30.0, 20.0, 10.0]), rel=1e-4)
-    assert "lacks no lamp" in refused(ops.add_missing_lamps)
-    assert ops.apply_results() == {"FINISHED"}  # the light stays, and is not offered again
-    assert "lacks no lamp" in refused(ops.add_missing_lamps)
+    assert not [row for row in scene.fipt.lights.lights if row.object.type == "LIGHT"]
 
 
 def test_light_that_nothing_shows_is_there_with_the_results(tmp_path, monkeypatch):
@@ -262,7 +253,7 @@ def test_light_that_nothing_shows_is_there_with_the_results(tmp_path, monkeypatc
         return item
 
     item = applied([30.0, 20.0, 10.0])
-    assert item.name == "Unseen Light" and item[INFERRED] == 0.25 and "lacks no lamp" in refused(ops.add_missing_lamps)
+    assert item.name == "Unseen Light" and item[INFERRED] == 0.25
     power = item.data.energy * np.array(item.data.color)
     assert power == pytest.approx(4.0 * math.pi**2 * 0.01 * np.array([30.0, 20.0, 10.0]), rel=1e-4)
     assert applied([30.0, 20.0, 10.0]) == item

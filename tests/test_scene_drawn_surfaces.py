@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from fipt_blender.core.checks.agreement import surface_disagreement, survey_pixels
+from fipt_blender.core.checks.agreement import survey_pixels
 from fipt_blender.core.completion.panes import close_holes
 from fipt_blender.core.parts.labels import label_parts
 from fipt_blender.core.parts.outlines import outlined_vertices
@@ -98,20 +98,10 @@ def test_outlines_leave_a_drawn_box_alone(tmp_path: Path) -> None:
     assert np.abs(free[box] - room.vertices[box]).max() > 1e-4
 
 
-def test_photographs_disagree_where_a_thing_is_missing_and_find_nothing_where_it_is_drawn(
+def test_what_is_drawn_has_no_holes_and_two_views_are_too_few_to_compare(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:
     views = photographed(tmp_path, BOTH, rng)
-    middle = SCAN.vertices[SCAN.triangles].mean(axis=1)
-    below = (middle[:, 2] < 0.05) & (np.abs(middle[:, :2]) < HIGH[:2] - 0.1).all(axis=1)
-    beside = (middle[:, 2] < 0.05) & (np.abs(middle[:, :2]) > 1.6).any(axis=1)
-    lacking = surface_disagreement(SCAN, survey_pixels(SCAN, views))
-    assert lacking.shape == (len(SCAN.triangles),)
-    assert np.nanmedian(lacking[below]) > 0.5 > 0.25 > np.nanmedian(lacking[beside])
-    complete = surface_disagreement(BOTH, survey_pixels(BOTH, views))
-    top = drawn(BOTH) & (BOTH.normals[:, 2] > 0.9)
-    assert (complete[top] < 0.05).all()  # large triangles have the mean of their own pixels
-    assert np.nanmean(complete[: len(below)][below] > 0.25) < 0.1  # hardly seen now
     assert survey_pixels(SCAN, views[:2]) is None
     assert not close_holes(written(tmp_path / "a", BOTH, drawn(BOTH)), views)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photographs that do not agree with the others are left out or corrected, and lamps without mesh are named."""
+"""Photographs that do not agree with the others are left out or corrected."""
 
 import io
 from collections.abc import Callable, Sequence
@@ -10,9 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.tracer.surfaces import TriangleMaterials
 from fipt_blender.core.alignment.turns import turn_by
-from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.checks.misaligned import CLEARLY_BETTER
 from fipt_blender.core.checks.registration import Fit, register
@@ -22,7 +20,6 @@ from fipt_blender.core.pixels.store import LEFT_OUT, NO_TRIANGLE, PixelStore, fi
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.settings import make_settings
 from samples.ingesting import edited_json
-from samples.scans import scanned_box
 from samples.small_captures import (
     CAMERAS,
     COLORS,
@@ -33,7 +30,7 @@ from samples.small_captures import (
     photograph_room,
     write_run,
 )
-from samples.small_rooms import BOX, block, make_room, room_with_bulb, table
+from samples.small_rooms import BOX, block, make_room, table
 
 EXTRA_CAMERAS = [[[1.5, 0.2, 1.8], [-1.2, -0.4, 0.6]], [[-0.3, 1.7, 1.5], [0.1, -1.5, 0.8]]]
 WIDTH, HEIGHT = 96, 64
@@ -220,74 +217,3 @@ def test_a_good_view_that_shares_a_strip_with_the_others_is_kept(capture: SmallC
     pixels, check, messages = run_check(tmp_path, capture, keep_strip)
     assert np.count_nonzero(pixels.pure[pixels.rows(3)] & (pixels.triangle[pixels.rows(3)] >= 0)) > 200
     assert check.left_out == {} and messages == []
-
-
-# ---------------------------------------------------------------------------------------- lamps without mesh
-
-PLACE = [0.3, 0.2, 1.6]
-LAMP = [30.0, 25.0, 20.0]
-
-
-@pytest.fixture(scope="module")
-def with_bulb() -> SmallCapture:
-    """A hanging bulb of 12 cm in a coloured box."""
-    room = room_with_bulb(0.06, PLACE, parts="objects")
-    materials = matt(np.concatenate([np.repeat(np.array(COLORS), 2, axis=0), np.zeros((8, 3))]))
-    lamps = table(list(range(12, 20)), [80.0, 70.0, 60.0])
-    views = [*CAMERAS, [[1.5, 0.2, 1.8], [-1.2, -0.4, 1.4]], [[-0.3, 1.7, 1.5], [0.1, -1.5, 1.6]]]
-    return photograph_room(room, materials, lamps, cameras=views, scale=2, spp=16)
-
-
-def test_a_lamp_without_mesh_is_named_and_left_out(with_bulb: SmallCapture, tmp_path: Path) -> None:
-    pixels, check, messages = run_check(tmp_path, replace(with_bulb, room=make_room(BOX, parts="objects")))
-    (message,) = messages
-    assert message["code"] == "lamp-without-mesh" and message["remedy"]
-    (lamp,) = check.lamps
-    assert lamp["position"] == pytest.approx(PLACE, abs=0.06)
-    # An octahedron's mean shadow is a quarter of its surface.
-    shadow = np.sqrt(3.0) * 0.06**2
-    assert np.pi * lamp["radius"] ** 2 == pytest.approx(shadow, rel=0.35)
-    first = pixels.rows(0)
-    scale = float(read_radiance(pixels.views[0].image).sum() / np.asarray(pixels.radiance[first]).sum())
-    power = np.pi * lamp["radius"] ** 2 * np.array(lamp["radiance"]) * scale
-    assert power == pytest.approx(shadow * np.array([80.0, 70.0, 60.0]), rel=0.2)
-    left = np.asarray(pixels.triangle) != LEFT_OUT
-    # No remaining pixel is as bright as the lamp, and few are left out.
-    assert np.asarray(pixels.radiance)[left].max() < 0.2 * np.asarray(pixels.radiance).max()
-    assert (~left).mean() < 0.02
-
-
-def test_a_lamp_with_mesh_and_one_in_a_mirror_are_no_such_lamps(with_bulb: SmallCapture, tmp_path: Path) -> None:
-    _, check, messages = run_check(tmp_path / "bulb", with_bulb)
-    assert check == ViewCheck() and messages == []
-    mirror = [[-1.98, -0.9, 0.6], [-1.98, 0.9, 0.6], [-1.98, 0.9, 2.4], [-1.98, -0.9, 2.4]]
-    colors = np.repeat(np.array([*COLORS, [0.0] * 3, [0.95] * 3]), 2, axis=0)
-    smooth = np.arange(16) >= 14
-    materials = TriangleMaterials(colors, np.where(smooth, 0.02, 1.0), smooth * 1.0)
-    toward = [[[1.5, -1.5, 1.4], [-2.0, 0.2, 1.6]], [[1.5, 1.5, 1.2], [-2.0, -0.2, 1.7]]]
-    toward += [[[0.6, -0.9, 1.5], [-2.0, 0.1, 1.9]], [[0.3, 0.2, 0.6], [-2.0, 0.0, 1.6]]]
-    room, cameras = make_room([*BOX, PANEL, mirror], parts="objects"), [*CAMERAS[:4], *toward]
-    capture = photograph_room(room, materials, table([12, 13], LAMP), cameras=cameras, scale=2, spp=16)
-    _, check, _ = run_check(tmp_path / "mirror", capture)
-    assert check.lamps == []
-
-
-def test_a_lamp_that_a_scan_lacks_is_named_too(with_bulb: SmallCapture, tmp_path: Path) -> None:
-    scan, _ = scanned_box(noise=0.003)
-    assert scan.scan is not None
-    _, check, _ = run_check(tmp_path, replace(with_bulb, room=scan))
-    (lamp,) = check.lamps
-    assert lamp["position"] == pytest.approx(PLACE, abs=0.06)
-
-
-def test_a_white_table_without_mesh_is_left_out_but_no_lamp(tmp_path: Path) -> None:
-    """Below a lamp it is the brightest thing beside it: less bright than white, which a lamp exceeds."""
-    top = [[-0.2, -0.2, 0.9], [0.2, -0.2, 0.9], [0.2, 0.2, 0.9], [-0.2, 0.2, 0.9]]
-    whole, lacking = (make_room([*BOX, PANEL, *more], parts="objects") for more in ([top], []))
-    materials = matt(np.repeat(np.array([*([[0.04] * 3] * 6), [0.0] * 3, [0.85] * 3]), 2, axis=0))
-    corners = [(1.7, 0.3), (-1.6, 0.8), (0.4, 1.7), (0.2, -1.7), (-1.5, -1.4), (1.5, 1.4)]
-    cameras = [*([[x, y, 2.6], [-0.2 * x, -0.2 * y, 0.4]] for x, y in corners), *CAMERAS[1:6:2]]
-    capture = photograph_room(whole, materials, table([12, 13], LAMP), cameras=cameras, scale=2, spp=16)
-    pixels, check, messages = run_check(tmp_path, replace(capture, room=lacking))
-    assert check.lamps == [] and messages == []
-    assert 0.0 < (np.asarray(pixels.triangle) == LEFT_OUT).mean() < 0.1

@@ -10,8 +10,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.runfolder import RunFolder
-from .overlay import ShowsColors
-from .polls import all_of, has_meshes, in_object_mode, needs, views_checked
+from .polls import all_of, has_meshes, in_object_mode, needs
 from .reporting import reports_errors
 from .views import SurveyJob, survey_steps
 
@@ -139,19 +138,3 @@ class FIPT_OT_add_surface(bpy.types.Operator):
         select_only(context.view_layer, additions.draw_surface(scene, self.shape, place))
         self.report({"INFO"}, text)
         return {"FINISHED"}
-
-
-class FIPT_OT_show_disagreement(ShowsColors, bpy.types.Operator):
-    """Color the room by how much photographs disagree on each surface: where it is shiny, and where something
-    in front of it is missing"""
-
-    bl_idname = "fipt.show_disagreement"
-    bl_label = "Show Disagreement"
-
-    poll = all_of(views_checked)
-
-    @staticmethod
-    def color(scene: bpy.types.Scene) -> None:
-        from ..blend.capture.survey import show_disagreement
-
-        show_disagreement(scene)

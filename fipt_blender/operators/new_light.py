@@ -7,11 +7,10 @@ the mesh lacks.
 from __future__ import annotations
 
 import bpy
-from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Vector
 
 from .pointer import PicksInViewport, surface_under_pointer
-from .polls import all_of, in_object_mode, needs
+from .polls import all_of, in_object_mode
 from .reporting import reports_errors
 
 _PICK_TEXT = "Click: Point the new light at this surface   Esc, Right Click: Cancel"
@@ -103,29 +102,3 @@ class FIPT_OT_add_light(PicksInViewport, bpy.types.Operator):
             suggest(context.scene).distance,
         )
         return True
-
-
-class FIPT_OT_add_missing_lamps(bpy.types.Operator):
-    bl_idname = "fipt.add_missing_lamps"
-    bl_label = "Add Missing Lamps"
-    bl_description = (
-        "Add a light for each lamp that the photographs show and the mesh lacks, with its position, size and"
-        " radiance. The estimated materials stay as they are"
-    )
-    bl_options = {"REGISTER", "UNDO"}
-
-    poll = all_of(
-        needs(
-            lambda context: context.scene.fipt.lights.missing_lamps,
-            "The mesh lacks no lamp, or the lamps have been added",
-        ),
-        in_object_mode,
-    )
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.missing_lamps import add_missing
-
-        added = add_missing(context.scene)
-        self.report({"INFO"}, iface_("{} lamps added").format(len(added)))
-        return {"FINISHED"}

@@ -281,26 +281,21 @@ def _draw_survey(
         100.0 * settings.unseen_share
     )
     draw_text(layout, context, text, icon="INFO")
-    column = layout.column(align=True)
-    for kind, name in (("coverage", "Coverage"), ("disagreement", "Disagreement")):
-        hides = shown == kind
-        text = iface_("Hide {}" if hides else "Show {}").format(iface_(name))
-        button = column.operator(
-            f"fipt.show_{kind}", text=text, icon="OVERLAY", depress=hides, translate=False
-        )
-        button.show = not hides
-    if shown in ("coverage", "disagreement"):
-        draw_legend(layout, shown)
+    hides = shown == "coverage"
+    text = "Hide Coverage" if hides else "Show Coverage"
+    layout.operator("fipt.show_coverage", text=text, icon="OVERLAY", depress=hides).show = not hides
+    if hides:
+        draw_legend(layout)
 
 
-def draw_legend(layout: bpy.types.UILayout, kind: str) -> None:
-    """The colours of an overlay; to be drawn where they are shown, so that their module is loaded."""
-    from ..blend.capture.survey import COVERAGE, DISAGREEMENT
+def draw_legend(layout: bpy.types.UILayout) -> None:
+    """The colours of the coverage; to be drawn where they are shown, so that their module is loaded."""
+    from ..blend.capture.survey import COVERAGE
 
     column = layout.column(align=True)
-    column.label(text="Number of Views" if kind == "coverage" else "Disagreement of the Photographs")
+    column.label(text="Number of Views")
     row = column.row(align=True)
-    for level in COVERAGE if kind == "coverage" else DISAGREEMENT:
+    for level in COVERAGE:
         row.label(text=level.label, icon_value=swatches.icon(level.color), translate=False)
 
 

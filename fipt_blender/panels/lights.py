@@ -99,10 +99,6 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             layout.operator(
                 "fipt.bake_probe" if prepared else "fipt.prepare_eevee", icon="OUTLINER_OB_LIGHTPROBE"
             )
-        if settings.missing_lamps:
-            text = "The photographs show bright spots where the mesh has nothing. If these are lamps:"
-            draw_text(layout, context, text, icon="ERROR")
-            layout.operator("fipt.add_missing_lamps", icon="LIGHT_POINT")
         if len(settings.lights):
             _draw_calibration(layout, context.scene)
         column = layout.column(align=True)

@@ -29,7 +29,6 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("align_by_pairs", ""),
         ("check_views", ""),
         ("show_coverage", ""),
-        ("show_disagreement", ""),
         ("find_missing_surfaces", ""),
         ("add_surface", ""),
         ("select_added", ""),
@@ -56,7 +55,6 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
     "Lights": (
         ("add_light", "Add Light to Room"),
         ("aim_light", ""),
-        ("add_missing_lamps", ""),
         ("select_light", "Select Light of the List"),
         ("reset_light", ""),
         ("save_light_state", ""),

@@ -288,10 +288,6 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
     show_outline: bpy.props.BoolProperty(
         name="Outline", description="Outline the active light of the list in 3D viewports", default=True
     )
-    missing_lamps: bpy.props.StringProperty(
-        description="Lamps that the photographs show and the mesh lacks, not yet added (JSON)",
-        options={"HIDDEN"},
-    )
     median_radiance: bpy.props.FloatProperty(
         description="Median radiance of the photographs, in their unit; 0 if unknown", min=0.0
     )

@@ -169,10 +169,7 @@ def capture(window: Window, options: Options) -> None:
     window.click("fipt.show_coverage")
     window.settle()
     window.shot("06_capture_coverage")
-    window.click("fipt.show_disagreement")
-    window.settle()
-    window.shot("06_capture_disagreement")
-    window.click("fipt.show_disagreement", show=False)
+    window.click("fipt.show_coverage", show=False)
 
 
 def parts(window: Window, options: Options) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Colours over the room in the 3D views, one per triangle: coverage, disagreement, parts.
+"""Colours over the room in the 3D views, one per triangle: coverage, parts.
 
 They are drawn after Blender's own drawing, and no mesh, material or shading of the artist's is changed. An
 overlay belongs to a scene by name; opening another file or disabling the add-on removes it.
@@ -63,7 +63,7 @@ def show(scene: bpy.types.Scene, kind: str, parts: list[Part]) -> None:
 
     Args:
         scene: the overlay's scene.
-        kind: "coverage", "disagreement" or "parts".
+        kind: "coverage" or "parts".
         parts: result of `object_parts`.
     """
     global _shown

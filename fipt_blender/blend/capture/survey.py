@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -33,7 +32,7 @@ class Level(NamedTuple):
     """A colour of a scale.
 
     Attributes:
-        least: the least value of a triangle of this colour: number of views that see it, or disagreement.
+        least: the least value of a triangle of this colour: number of views that see it.
         label: the value as text, of two characters at most: the panel is narrow.
         color: display RGB, 0 to 1.
     """
@@ -51,15 +50,7 @@ COVERAGE = (
     Level(3, "3+", (0.15, 0.70, 0.58)),
     Level(5, "5+", (0.99, 0.91, 0.15)),
 )
-# How much photographs disagree on a surface; grey where too few see it.
-DISAGREEMENT = (
-    Level(-1.0, "?", (0.25, 0.25, 0.25)),
-    Level(0.0, "0", COVERAGE[1].color),
-    Level(0.1, ".1", COVERAGE[2].color),
-    Level(0.25, ".25", COVERAGE[3].color),
-    Level(0.5, ".5", COVERAGE[4].color),
-)
-_NO_PART = np.array(DISAGREEMENT[0].color)
+_NO_PART = np.array((0.25, 0.25, 0.25))
 
 
 @dataclass(frozen=True)
@@ -71,14 +62,12 @@ class Survey:
         seen: (V, ceil(T / 8)) u8, one bit per triangle: whether the view sees it.
         areas: (T,) f32 square metres, 0 for triangles hidden from everywhere the cameras stood.
         labels: by source, the part of each triangle (T,) i32, -1 without a part.
-        disagreement: (T,) f32 of the photographs, 0 to 1, NaN where too few see a triangle.
     """
 
     views: list[str]
     seen: np.ndarray
     areas: np.ndarray
     labels: dict[str, np.ndarray]
-    disagreement: np.ndarray
 
     def counts(self, names: set[str]) -> np.ndarray:
         """How many of the named views see each triangle, (T,) u16."""
@@ -198,17 +187,6 @@ def show_coverage(scene: bpy.types.Scene) -> None:
     _show(scene, run, "coverage", coverage_colors(counts))
 
 
-def show_disagreement(scene: bpy.types.Scene) -> None:
-    """Colour the room by how much the photographs disagree on each triangle.
-
-    Raises:
-        FiptError: ``survey-missing``.
-    """
-    run, survey = survey_of(scene)
-    colors = level_colors(DISAGREEMENT, np.nan_to_num(survey.disagreement, nan=-1.0))
-    _show(scene, run, "disagreement", colors)
-
-
 def show_parts(scene: bpy.types.Scene) -> None:
     """Colour the room by its parts from the chosen source.
 
@@ -253,13 +231,8 @@ def surveyed_folder_fits(scene: bpy.types.Scene) -> bool:
 
 def coverage_colors(counts: np.ndarray) -> np.ndarray:
     """(T, 3) rgb of `COVERAGE`."""
-    return level_colors(COVERAGE, counts)
-
-
-def level_colors(levels: Sequence[Level], values: np.ndarray) -> np.ndarray:
-    """(T, 3) rgb of values (T,) on a scale, none below its first level."""
-    colors = np.array([level.color for level in levels])
-    return colors[np.searchsorted([level.least for level in levels], values, side="right") - 1]
+    colors = np.array([level.color for level in COVERAGE])
+    return colors[np.searchsorted([level.least for level in COVERAGE], counts, side="right") - 1]
 
 
 def part_colors(labels: np.ndarray) -> np.ndarray:
@@ -285,7 +258,7 @@ def read_survey(run: RunFolder) -> Survey | None:
             names = [view.name for view in read_document(run.survey_json, SurveyNote).views]
             if seen.dtype != np.uint8 or seen.shape != (len(names), -(-len(areas) // 8)):
                 raise ValueError(f"{run.survey_npz} does not fit {run.survey_json}")
-            _cached = str(run.survey_npz), time, Survey(names, seen, areas, labels, arrays["disagreement"])
+            _cached = str(run.survey_npz), time, Survey(names, seen, areas, labels)
     except (OSError, ValueError, FiptError):
         return None
     return _cached[2]

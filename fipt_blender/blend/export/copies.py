@@ -48,7 +48,7 @@ class Copies:
             block.name = name
 
     def add(
-        self, source: bpy.types.Object, data: bpy.types.Mesh | bpy.types.Light, matrix: Matrix
+        self, source: bpy.types.Object, data: bpy.types.Mesh | bpy.types.Light | None, matrix: Matrix
     ) -> bpy.types.Object:
         """An object of another's name in the scene, without parent, modifiers and custom properties.
 
@@ -57,6 +57,7 @@ class Copies:
         name = self.name(source)
         made: bpy.types.Object = self.keep(bpy.data.objects.new(name, data), name)
         made.matrix_world = matrix
+        made.instance_type = source.instance_type if data is None else "NONE"
         self.scene.collection.objects.link(made)
         return made
 
@@ -95,7 +96,8 @@ class Copies:
     def mesh(self, item: bpy.types.Object) -> bpy.types.Mesh:
         """A mesh as renders show an object, with the object's name and the materials of its slots."""
         slots = [slot.material for slot in item.material_slots]
-        if item.data.shape_keys is None and not any(each.show_render for each in item.modifiers):
+        plain = item.type == "MESH" and item.data.shape_keys is None
+        if plain and not any(each.show_render for each in item.modifiers):
             mesh = item.data.copy()
         else:
             mesh = self._evaluated(item)

@@ -93,15 +93,15 @@ def _lookup(socket: bpy.types.NodeSocket) -> tuple[Matrix, bool]:
     return turn @ before, whole
 
 
-def plain_world(environment: Environment, folder: Path) -> tuple[bpy.types.World, list[bpy.types.Image]]:
+def plain_world(environment: Environment, path: Path) -> tuple[bpy.types.World, bpy.types.Image]:
     """A new world of the same light, of strength 1 and turned by a Mapping node of type Point.
 
     Args:
         environment: of a world whose nodes do no more.
-        folder: for the image, where its values are not those of the world's.
+        path: of the picture that is made for it, which ends in .exr.
 
     Returns:
-        The world, and the images made for it.
+        The world, and the picture.
     """
     world = bpy.data.worlds.new("World")
     tree = node_tree(world)
@@ -120,14 +120,11 @@ def plain_world(environment: Environment, folder: Path) -> tuple[bpy.types.World
     mapping.vector_type = "POINT"
     mapping.inputs["Rotation"].default_value = environment.lookup.to_euler("XYZ")
     background.inputs["Strength"].default_value = 1.0
-    texture.image = environment.image
-    if environment.image is not None and np.allclose(environment.factor, 1.0):
-        return world, []
-    texture.image = _image(environment, folder)
-    return world, [texture.image]
+    texture.image = _image(environment, path)
+    return world, texture.image
 
 
-def _image(environment: Environment, folder: Path) -> bpy.types.Image:
+def _image(environment: Environment, path: Path) -> bpy.types.Image:
     """The radiance of an environment as a new EXR image, which readers take for linear Rec.709."""
     source = environment.image
     width, height = (4, 2) if source is None else tuple(source.size)
@@ -136,11 +133,10 @@ def _image(environment: Environment, folder: Path) -> bpy.types.Image:
     if source is not None:
         pixels[..., :3] *= linear_values(source)[..., :3]
     pixels[..., :3] = from_scene_linear(pixels[..., :3])
-    name = "environment" if source is None else Path(source.name).stem
     # As data, since Blender 4.5 saves other new images of floats with sRGB's transfer function.
-    image = bpy.data.images.new(name, width, height, float_buffer=True, is_data=True)
+    image = bpy.data.images.new(path.stem, width, height, float_buffer=True, is_data=True)
     image.pixels.foreach_set(pixels.ravel())
-    image.filepath_raw, image.file_format = str(folder / f"{name}.exr"), "OPEN_EXR"
+    image.filepath_raw, image.file_format = str(path), "OPEN_EXR"
     image.save()
     bpy.data.images.remove(image)
-    return bpy.data.images.load(str(folder / f"{name}.exr"))
+    return bpy.data.images.load(str(path))

@@ -55,6 +55,8 @@ from .part_textures import TEXTURE_SIZE, make_part_textures
 
 GLTF, USD = (".glb", ".gltf"), (".usdc", ".usda", ".usd", ".usdz")
 SUFFIXES = GLTF + USD
+_ONE_FILE = (".glb", ".usdz")  # pictures of others lie beside them, where each needs its own name
+_SURFACES = ("MESH", "CURVE", "SURFACE", "META", "FONT")
 
 
 @dataclass
@@ -116,6 +118,8 @@ def export_room(scene: bpy.types.Scene, path: Path, options: ExportOptions = Exp
         )
     with explained_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path.parent):  # Blender's exporters end in a traceback
+            pass
     exported = Exported(path)
     gltf, shown = path.suffix.lower() in GLTF, rendered_objects(scene)
     if not set(room) & set(shown):
@@ -124,10 +128,11 @@ def export_room(scene: bpy.types.Scene, path: Path, options: ExportOptions = Exp
         with_lights = gltf and options.lamp_lights
         unit = LUMENS_PER_WATT if gltf else 1.0  # glTF has nits and candelas
         room_copies, lamps = _copied_surfaces(copies, shown, exported.warnings)
-        taken = _add_room(copies, room_copies, Path(folder), options.texture_size)
+        prefix = "" if path.suffix.lower() in _ONE_FILE else f"{path.name.replace('.', '_')}_"
+        taken = _add_room(copies, room_copies, Path(folder), prefix, options.texture_size)
         _add_lamps(copies, scene, shown, lamps, taken, unit, with_lights, exported.warnings)
         _add_lights(copies, scene, shown, gltf, with_lights, exported.warnings)
-        _add_world(copies, scene, Path(folder), gltf, exported.warnings)
+        _add_world(copies, scene, Path(folder) / f"{prefix}environment.exr", gltf, exported.warnings)
         exported.objects = len(copies.scene.objects)
         with _shown_in_window(copies.scene), colors_in_rec709(copies.scene, path.suffix.lower() in USD):
             _write(path)
@@ -140,28 +145,35 @@ _Copied = list[tuple[bpy.types.Object, bpy.types.Mesh]]  # objects and copies of
 def _copied_surfaces(
     copies: Copies, shown: list[bpy.types.Object], warnings: list[Message]
 ) -> tuple[_Copied, _Copied]:
-    """The room's objects and the lamps; the artist's own materials on them are exported as they are."""
-    room, lamps, others = [], [], []
+    """The room's objects and the lamps; inserted objects, and the artist's own materials, as they are."""
+    room, lamps, inserted, others = [], [], [], []
     for item in shown:
         is_lamp = item.type == "MESH" and is_our_light(item)
         if has_results(item) and len(item.data.polygons):  # without polygons all of it is a lamp
             room.append((item, copies.mesh(item)))
         elif is_lamp:
             lamps.append((item, copies.mesh(item)))
-        elif not has_results(item) and item.type not in ("LIGHT", "CAMERA", "LIGHT_PROBE", "SPEAKER"):
-            if item.type != "EMPTY" or item.is_instancer:
-                others.append(item.name)
+        elif not has_results(item) and item.type in _SURFACES:
+            inserted.append((item, copies.mesh(item)))
+        elif item.type == "EMPTY" and item.instance_collection is not None:
+            copies.add(item, None, item.matrix_world).instance_collection = item.instance_collection
+        elif item.type in ("CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL") or item.is_instancer:
+            others.append(item.name)
+    for item, mesh in inserted:
+        copies.add(item, mesh, item.matrix_world)
     if others:
-        text = f"{', '.join(others)}: objects that are not of the room are not in the file."
-        warnings.append(warning("export-others", text, "Export them with Blender's own exporters."))
-    for material in {each for _, mesh in room + lamps for each in mesh.materials if each is not None}:
+        text = f"{', '.join(others)}: objects of these kinds are not in the file."
+        warnings.append(
+            warning("export-others", text, "Convert them to meshes, or make their instances real.")
+        )
+    for material in {each for _, mesh in room + lamps + inserted for each in mesh.materials if each}:
         if not has_maps(material) and not is_emission_material(material):
             copies.keep_name(material)
     return room, lamps
 
 
-def _add_room(copies: Copies, room: _Copied, folder: Path, texture_size: int) -> set[str]:
-    """The room with plain materials; returns their names."""
+def _add_room(copies: Copies, room: _Copied, folder: Path, prefix: str, texture_size: int) -> set[str]:
+    """The room with plain materials, of pictures named by `prefix`; returns the names of the materials."""
     for item, mesh in room:
         if UV_LAYER not in mesh.uv_layers:
             raise FiptError(
@@ -177,7 +189,7 @@ def _add_room(copies: Copies, room: _Copied, folder: Path, texture_size: int) ->
     }
     meshes = [mesh for _, mesh in room]
     with_maps = {each: name for each, name in names.items() if not is_uniform(each)}
-    textures = make_part_textures(meshes, with_maps, folder, texture_size)
+    textures = make_part_textures(meshes, with_maps, folder, texture_size, prefix)
     for image in (image for each in set(textures.values()) for image in (each.base_color, each.orm)):
         copies.keep(image, Path(image.filepath_raw).stem)
     made: dict[tuple[str, str], bpy.types.Material] = {}
@@ -271,9 +283,9 @@ def _add_lights(
 
 
 def _add_world(
-    copies: Copies, scene: bpy.types.Scene, folder: Path, gltf: bool, warnings: list[Message]
+    copies: Copies, scene: bpy.types.Scene, path: Path, gltf: bool, warnings: list[Message]
 ) -> None:
-    """The environment that lights renders."""
+    """The environment that lights renders; `path` is that of its picture."""
     environment = read_environment(scene.world)
     if environment is None:
         return
@@ -284,10 +296,9 @@ def _add_world(
         text = "The world's nodes do more than show and turn a picture: it is not in the file."
         warnings.append(warning("export-world", text, "Use one environment picture and one Mapping node."))
     else:
-        world, images = plain_world(environment, folder)
+        world, image = plain_world(environment, path)
         copies.scene.world = copies.keep(world, copies.name(scene.world))
-        for image in images:
-            copies.keep(image, Path(image.filepath_raw).stem)
+        copies.keep(image, path.stem)
 
 
 @contextmanager
@@ -321,7 +332,8 @@ def _write(path: Path) -> None:
     try:
         operator(filepath=str(path), **arguments)
     except RuntimeError as error:
-        text = f"Blender's exporter has failed ({str(error).strip()})."
+        reason = str(error).strip().splitlines()[-1]  # of a traceback, the error
+        text = f"Blender's exporter has failed ({reason})."
         raise FiptError("export-failed", text, "Choose another folder or format.") from None
     if not path.is_file():
         raise FiptError("export-failed", f"{path} was not written.", "Choose another folder or format.")

@@ -68,7 +68,11 @@ class _Faces:
 
 
 def make_part_textures(
-    meshes: list[bpy.types.Mesh], names: Mapping[bpy.types.Material, str], folder: Path, size: int
+    meshes: list[bpy.types.Mesh],
+    names: Mapping[bpy.types.Material, str],
+    folder: Path,
+    size: int,
+    prefix: str = "",
 ) -> dict[bpy.types.Material, PartTextures]:
     """Write the textures of parts, and give meshes the UVs of these in place of those of the atlas.
 
@@ -77,6 +81,7 @@ def make_part_textures(
         names: of the estimated materials with images; those of one part and name share textures.
         folder: for the files.
         size: the most texels of a texture's side; parts that need more are scaled down.
+        prefix: of the files' names.
 
     Raises:
         FiptError: ``file-missing``.
@@ -112,7 +117,7 @@ def make_part_textures(
     sizes = np.array(packing.sizes, np.float64).reshape(-1, 2)[packing.image[box]]
     _write_uvs(meshes, faces.loops, (placed + packing.offset[box][:, None]) / sizes[:, None])
     used = [owners[index] for index in np.unique(boxes[:, 0])]  # others have no face
-    files = file_names([name for _, name in used])
+    files = [prefix + name for name in file_names([name for _, name in used])]
     made = {owner: _write(each, folder, file) for owner, each, file in zip(used, texels, files, strict=True)}
     return {each: made[each[PART], name] for each, name in names.items() if (each[PART], name) in made}
 

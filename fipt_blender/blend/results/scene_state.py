@@ -18,7 +18,7 @@ from ..capture.backdrop import set_backdrop
 from ..capture.look import cull_outside, enter_room
 from ..lights import light_state
 from ..lights.calibration import scene_unit
-from ..lights.missing_lamps import note_missing
+from ..lights.missing_lamps import add_inferred
 from ..marks import MUTED, other_lights, remove_marks, room_with_results
 from ..outliner import mark_collections
 from ..render_settings import set_once, set_up
@@ -60,7 +60,7 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
     settings.shown = "ESTIMATED"  # its update function shows them
     scene.fipt.lights.median_radiance = median_radiance(run)
     scene.fipt.lights.median_shown = median_shown(run)
-    note_missing(scene, run)
+    add_inferred(scene, run)
     note_parts(scene, run)
     light_state.list_lights(scene)
 

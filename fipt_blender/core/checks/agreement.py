@@ -35,8 +35,6 @@ FLOOR = 0.05
 MOST_PIXELS = 4_000_000
 # Largest edge of a mesh, metres, that determines the size of cells: modelled rooms have few triangles.
 MOST_EDGE = 0.05
-# Width of the cells whose mean is shown to the artist, in cells of the comparison.
-SHOWN_CELLS = 2
 # A point of a lost thing reduces the disagreement by at least this much, mean over the views.
 LEAST_GAIN = 0.1
 # A view is on the side of a point's normal if it sees the point at this cosine at least.
@@ -202,27 +200,6 @@ def survey_pixels(room: Room, views: Sequence[View]) -> ComparedPixels | None:
     corners = room.vertices[room.triangles]
     edge = float(np.median(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)))
     return compared_pixels(room, views, min(edge, MOST_EDGE))
-
-
-def surface_disagreement(room: Room, pixels: ComparedPixels) -> np.ndarray:
-    """(T,) float32, 0 where photographs of a triangle agree, 1 where they disagree; NaN where too few see it.
-
-    A triangle that is smaller than a cell has the mean of the cell at its middle.
-    """
-    count, corners = len(room.triangles), room.vertices[room.triangles]
-    known = np.flatnonzero(np.isfinite(pixels.doubt))
-    if not len(known):
-        return np.full(count, np.nan, np.float32)
-    view, direction, doubt = pixels.view[known], pixels.direction[known], pixels.doubt[known]
-    triangle, distance = hits_of(room, pixels.views, view, direction)
-    points = pixels.places[view] + direction * distance[:, None]
-    size = SHOWN_CELLS * CELL_PIXELS * pixels.size
-    places = np.concatenate([points, corners.mean(axis=1)])
-    cell = numbered([*np.floor(places / size).astype(np.int64).T])
-    of_cell = grouped_means(doubt, cell[: len(known)], int(cell.max(initial=-1)) + 1)[cell[len(known) :]]
-    own = grouped_means(doubt, triangle, count)
-    use_own = np.isnan(of_cell) | ((room.areas > size**2) & np.isfinite(own))
-    return np.where(use_own, own, of_cell).astype(np.float32)
 
 
 def on_lattice(view: View, step: int) -> tuple[View, np.ndarray, np.ndarray]:

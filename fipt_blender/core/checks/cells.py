@@ -70,10 +70,6 @@ class CellGrid:
         key = key * 12 + self.side[triangle] * 2 + np.asarray(pixels.front[rows])
         return key * self._parts + self.part[triangle] + 1
 
-    def axes(self, keys: np.ndarray) -> np.ndarray:
-        """(M,) int64 dominant axis, 0 to 2, of the normals in the cells of these keys (M,)."""
-        return np.asarray(keys // self._parts % 12 // 4)
-
     @property
     def _parts(self) -> int:
         """Number of parts with none."""

@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     from ..parts.labels import automatic_source, label_parts, usable_sources
     from ..parts.linked_masks import link_masks
     from ..surface.room import load_room
-    from .agreement import surface_disagreement, survey_pixels
+    from .agreement import survey_pixels
 
     folder = RunFolder(arguments.folder)
     capture = load_capture(folder)
@@ -103,10 +103,8 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         labels[source] = label_parts(room, source, images, triangles).triangle_part
         reporter.progress((index + 1) / (len(sources) + 1))
     pixels = survey_pixels(room, [view for view in train if view.image.is_file()])
-    disagreement = np.full(len(room.triangles), np.nan, np.float32)
     missing: list[Box] = []
     if pixels is not None:
-        disagreement = surface_disagreement(room, pixels)
         boxes = pixels.boxes(room.bounds, AIR_POINTS)
         shown = itertools.takewhile(
             lambda disagreeing: disagreeing[2] >= LEAST_MISSING, itertools.islice(boxes, MOST_MISSING)
@@ -119,7 +117,6 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         seen=np.packbits(seen, axis=1),
         # Surfaces hidden from all camera positions, such as the outer sides of walls, are not gaps.
         areas=np.where(in_sight, room.areas, 0.0).astype(np.float32),
-        disagreement=disagreement,
         **{f"parts_{source}": part for source, part in labels.items()},
     )
     counts = {source: len(np.unique(part[part >= 0])) for source, part in labels.items()}

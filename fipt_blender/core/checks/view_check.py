@@ -6,7 +6,6 @@ warnings that name them.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -19,10 +18,9 @@ from ..pixels.store import LEFT_OUT, PixelStore
 from ..run.messages import Reporter
 from ..run.stage_settings import CheckSettings
 from ..surface.room import Room
-from .cells import SurfaceCells, surface_cells
+from .cells import surface_cells
 from .exposure import exposure_gains, unlike_exposures
 from .misaligned import FAR_OFF, misaligned_views
-from .unmeshed import measure, most_reflected_at, shown_by, unmeshed_lights
 
 
 @dataclass(frozen=True)
@@ -32,13 +30,10 @@ class ViewCheck:
     Attributes:
         left_out: name of each misaligned view, and its displacement in pixels, -1 if too large to measure.
         exposure: name of each view of another exposure, and the factor by which it was brighter.
-        lamps: lamps that the mesh lacks, each with ``position`` and ``radius`` in metres, ``radiance`` in
-            units of the capture's median, and the number of ``views`` that show it.
     """
 
     left_out: dict[str, float] = field(default_factory=dict)
     exposure: dict[str, float] = field(default_factory=dict)
-    lamps: list[dict[str, Any]] = field(default_factory=list)
 
     def facts(self) -> dict[str, Any]:
         """For statistics.json."""
@@ -59,7 +54,7 @@ def check_views(
         pixels: changed in place: pixels of misaligned views become LEFT_OUT, radiance is divided by gains.
         part: (T,) int part of each triangle, negative without.
         far_off: indices of views whose poses are far off (:func:`.check_input`).
-        reporter: gets the warnings ``view-misaligned``, ``view-exposure`` and ``lamp-without-mesh``.
+        reporter: gets the warnings ``view-misaligned`` and ``view-exposure``.
 
     Raises:
         FiptError: ``views-disagree`` where most would be left out.
@@ -98,53 +93,12 @@ def check_views(
         )
         for index in unlike:
             pixels.radiance[pixels.rows(index)] /= np.float32(gains[index])
-    if settings.unmeshed_lamps:
-        check.lamps.extend(_leave_out_unmeshed(cells, settings, reporter, scan=room.scan is not None))
     return check
 
 
 def _leave_out(pixels: PixelStore, rows: np.ndarray | slice) -> None:
     pixels.triangle[rows] = LEFT_OUT
     pixels.pure[rows] = False
-
-
-def _leave_out_unmeshed(
-    cells: SurfaceCells, settings: CheckSettings, reporter: Reporter, scan: bool
-) -> list[dict[str, Any]]:
-    """Leave out the pixels that show a lamp which the mesh lacks; return these lamps (:class:`ViewCheck`).
-
-    Otherwise the lamp would appear on the walls behind it, as bright albedo or as emitters that do not exist.
-    So would a white table that a scanner lost: its pixels are left out, too, but it is no lamp.
-    """
-    pixels = cells.pixels
-    footprint = median_footprint(pixels)
-    lamps = unmeshed_lights(cells, footprint, np.random.default_rng([settings.seed, 4]), scan)
-    if not lamps:
-        return []
-    margin = 1.5 * footprint
-    balls = [measure(pixels, lamp, margin) for lamp in lamps]
-    reflected = most_reflected_at(cells, np.array([lamp.position for lamp in lamps]))
-    for lamp in lamps:
-        _leave_out(pixels, shown_by(pixels, lamp, margin))
-    shine = [ball.radiance.mean() > most for ball, most in zip(balls, reflected, strict=True)]
-    lamps, balls = list(itertools.compress(lamps, shine)), list(itertools.compress(balls, shine))
-    positions = [[round(float(x), 3) for x in lamp.position] for lamp in lamps]
-    if lamps:
-        places = "; ".join(
-            f"({x:.2f}, {y:.2f}, {z:.2f}) m, in {lamp.views} photographs"
-            for (x, y, z), lamp in zip(positions, lamps, strict=True)
-        )
-        reporter.warning(
-            "lamp-without-mesh",
-            f"The photographs show {len(lamps)} bright spots where the mesh has nothing: {places}. These"
-            " pixels are left out. If these are lamps, their light is missing from the estimate.",
-            "Model each lamp there (a simple shape of its size is enough) and run again, or use Add Missing"
-            " Lamps in the section Lights. Other things that the scan has lost need nothing.",
-        )
-    return [
-        {"position": place, "radius": ball.radius, "radiance": ball.radiance.tolist(), "views": lamp.views}
-        for place, ball, lamp in zip(positions, balls, lamps, strict=True)
-    ]
 
 
 def _describe(views: Sequence[View], values: dict[int, str], most: int = 8) -> str:

@@ -85,12 +85,10 @@ class RoomLight:
     Attributes:
         fixtures: lamps on the mesh.
         environment: light from outside the mesh, if any.
-        missing: lamps that the mesh lacks (:class:`.checks.view_check.ViewCheck`).
     """
 
     fixtures: Sequence[Fixture]
     environment: Environment | None
-    missing: Sequence[Mapping[str, Any]] = ()
 
 
 def write_solution(run: RunFolder, solution: Solution, facts: RunFacts, reporter: Reporter) -> dict[str, Any]:
@@ -104,7 +102,7 @@ def write_solution(run: RunFolder, solution: Solution, facts: RunFacts, reporter
     fields = solution.room_fields
     if solution.quality is not None:
         fields = fields.with_errors(no_better_than(fields.errors, solution.quality.deviation))
-    light = RoomLight(solution.fixtures, observations.environment, solution.view_check.lamps)
+    light = RoomLight(solution.fixtures, observations.environment)
     areas = area_names(solution.surface_hints, solution.units)
     statistics = summary(solution, facts)
     with atomic_folder(run.results) as new:
@@ -163,7 +161,7 @@ def write_results(
             lamp.get("facing"),
             lamp.get("share", 0.0),
         )
-        for lamp in [*light.missing, *(environment.lamps if environment is not None else ())]
+        for lamp in (environment.lamps if environment is not None else ())
     )
     write_json(folder.emitters_json, Emitters(fixtures, described, missing))
 

@@ -33,7 +33,15 @@ from .stage_settings import (
 Value = str | int | float | bool
 
 # Settings of earlier versions, which their runs name; what they stood for is gone.
-_REMOVED = ("doubt_pixels", "lamp_outlines", "emission", "lambda_joint", "joint_threshold", "kept_versions")
+_REMOVED = (
+    "doubt_pixels",
+    "lamp_outlines",
+    "emission",
+    "lambda_joint",
+    "joint_threshold",
+    "kept_versions",
+    "unmeshed_lamps",
+)
 
 # The settings of Apply Results; no stage of an estimation reads them.
 TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_images", "atlas_mode", "write_back", "clean_mesh")

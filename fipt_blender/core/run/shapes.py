@@ -68,7 +68,6 @@ CORNER_FIELDS_ARRAYS: dict[str, Layout] = {
 SURVEY_ARRAYS: dict[str, Layout] = {
     "seen": ("i", ("V", "B")),
     "areas": ("f", ("T",)),
-    "disagreement": ("u", ("T",)),
 }
 FIELDS_ARRAYS: dict[str, Layout] = {
     "hash_levels": ("i", ()),

@@ -124,7 +124,6 @@ class CheckSettings(Seeded, Forced):
     correct_exposure: bool = setting(
         True, "correct photographs whose exposure differs from the others' (not in the paper)"
     )
-    unmeshed_lamps: bool = switch("leave out pixels of lamps that the mesh lacks")
 
 
 @dataclass(frozen=True)
