@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,11 +17,13 @@ from ..light.observations import Observations, observe
 from ..light.presumed import presume_lamps
 from ..light.shadings import SampleCounts, roughness_levels
 from ..light.unseen_light import with_unseen_light
+from ..material.hints import known_colors
 from ..optics.lights import EmitterTable
-from ..parts.labels import Parts, surface_labels
+from ..parts.labels import Parts, room_pieces, surface_labels
 from ..pixels.store import PixelStore
 from ..run.chain import Tools
 from ..run.errors import FiptError
+from ..run.hints import Hint
 from ..run.stage_settings import (
     LightSettings,
     RefinementSettings,
@@ -55,12 +58,13 @@ def observe_pixels(inputs: ObserveInputs, settings: LightSettings, tools: Tools)
 
 @dataclass(frozen=True)
 class OutsideInputs:
-    """Observations of a room that may be open."""
+    """Observations of a room that may be open, and the hints that know a base colour."""
 
     observed: Observations
     pixels: PixelStore
     room: Room
     parts: Parts
+    references: Sequence[Hint]
 
 
 @dataclass(frozen=True)
@@ -74,7 +78,10 @@ def infer_outside(inputs: OutsideInputs, settings: LightSettings, tools: Tools) 
     """Infer the light that enters an open mesh from directions that no photograph shows."""
     observed, room = inputs.observed, inputs.room
     if settings.unseen_light:
-        observed = with_unseen_light(observed, room, surface_labels(room, inputs.parts), settings)
+        pieces = None if inputs.parts.kind == "part" else room_pieces(room)
+        known = known_colors(inputs.references, room.vertices, room.triangles, inputs.parts, pieces)
+        labels = surface_labels(room, inputs.parts)
+        observed = with_unseen_light(observed, room, labels, settings, known)
     light = observed.environment
     if light is not None and light.unseen_light > MUCH_INFERRED:
         tools.reporter.warning(
