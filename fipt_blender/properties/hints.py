@@ -84,7 +84,13 @@ class FIPT_Hint(bpy.types.PropertyGroup):
         items=COLORS,
     )
     color: bpy.props.FloatVectorProperty(
-        name="Color", description="The base color", subtype="COLOR", size=3, default=(0.5,) * 3, min=0.01, max=1.0
+        name="Color",
+        description="The base color",
+        subtype="COLOR",
+        size=3,
+        default=(0.5,) * 3,
+        min=0.01,
+        max=1.0,
     )
     emission: bpy.props.EnumProperty(name="Light", description="Whether the part emits light", items=EMISSION)
     leave_alone: bpy.props.BoolProperty(

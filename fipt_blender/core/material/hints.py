@@ -135,7 +135,11 @@ class SurfaceHints:
 
 
 def known_colors(
-    hints: Sequence[Hint], vertices: np.ndarray, triangles: np.ndarray, parts: Parts, pieces: np.ndarray | None
+    hints: Sequence[Hint],
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    parts: Parts,
+    pieces: np.ndarray | None,
 ) -> np.ndarray:
     """(T, 3) base colour of each triangle that hints know, else NaN; arguments as of :func:`place_hints`."""
     if not hints:

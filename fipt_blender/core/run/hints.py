@@ -38,11 +38,11 @@ class Hint:
         area: whether the points are an area.
         material: one of `MATERIALS`.
         roughness: lowest and highest sigma; equal where it is known; None for unknown.
-        base_color: scene-linear Rec.709, in (0, 1]; None for unknown. It tells the level and the colour of
-            light that no photograph shows.
         emits: whether it is a lamp; None for unknown.
         same_as: a point on another part that is of the same material, or None.
         leave_alone: not to be estimated: its pixels are left out, its own material stays.
+        base_color: scene-linear Rec.709, in (0, 1]; None for unknown. It tells the level and the colour of
+            light that no photograph shows.
     """
 
     points: tuple[Vector, ...]
@@ -50,10 +50,10 @@ class Hint:
     area: bool = False
     material: Annotated[str, Choice(*MATERIALS)] = UNKNOWN
     roughness: tuple[float, float] | None = None
-    base_color: Vector | None = None
     emits: bool | None = None
     same_as: Vector | None = None
     leave_alone: bool = False
+    base_color: Vector | None = None
 
 
 @dataclass(frozen=True)
