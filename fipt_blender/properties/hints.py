@@ -78,8 +78,8 @@ class FIPT_Hint(bpy.types.PropertyGroup):
     color_known: bpy.props.EnumProperty(
         name="Base Color",
         description=(
-            "What is known of the part's base color. It tells how bright and of which color the light is that no"
-            " photograph shows. Estimate again to use it"
+            "What is known of the part's base color. It tells how bright and of which color the light is that"
+            " no photograph shows. Estimate again to use it"
         ),
         items=COLORS,
     )
