@@ -58,8 +58,7 @@ def _run_command_line(arguments: Sequence[str]) -> int:
 
 
 def _hide_overlay() -> None:
-    """Hide the colours drawn over the room and the comparison, if these modules were ever imported."""
-    for name, function in (("overlay", "hide"), ("compare", "forget")):
-        module = sys.modules.get(f"{__package__}.blend.capture.{name}")
-        if module is not None:
-            getattr(module, function)()
+    """Hide the colours drawn over the room, if the module was ever imported."""
+    module = sys.modules.get(f"{__package__}.blend.capture.overlay")
+    if module is not None:
+        module.hide()

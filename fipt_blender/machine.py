@@ -152,21 +152,17 @@ def device_setting() -> str:
     return str(get_preferences().device)
 
 
-def new_run_folder(name: str) -> Path:
-    """Create a new, empty run folder in the data folder's runs/.
+def new_run_folder(name: str, parent: Path | None = None) -> Path:
+    """Create a new, empty run folder.
 
     Args:
         name: readable part of the folder's name; characters that file names can't have are replaced.
+        parent: the folder in which it is made; by default the data folder's runs/.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    folder = places.new_run_folder(data_folder(), name)
-    if not bpy.app.background:
-        from .bridge.unsaved import mark
-
-        mark(folder)
-    return folder
+    return places.new_run_folder(parent or places.runs_folder(data_folder()), name)
 
 
 def is_unused_run(folder: Path) -> bool:

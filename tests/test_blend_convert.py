@@ -5,19 +5,17 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 from mathutils import Matrix, Vector
 
-from fipt_blender.blend.lights import convert, fixtures, ies, light_state
+from fipt_blender.blend.lights import convert, fixtures, light_state
 from fipt_blender.blend.lights.fixture_nodes import emission_material
 from fipt_blender.blend.node_trees import node_tree
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
 from fipt_blender.core.run.result_contents import EmitterFixture
-from samples.refusals import error_of
 from samples.rendered_rooms import diffuse_floor
 from samples.small_rooms import agree
 from samples.spots import spot
@@ -156,54 +154,3 @@ def test_cycles_renders_the_radiance_of_both_sides(front, back):
     bpy.context.object.data.materials.append(emission_material("lamp", front, back))
     for height, radiance in ((1.0, front), (-1.0, back)):
         assert np.allclose(spot((0, 0, height), (0, 0, 0)), radiance, atol=1e-4)
-
-
-def profile_file(folder: Path, candela: list[float], vertical: list[float]) -> Path:
-    """A file with one horizontal angle."""
-    lines = ["IESNA:LM-63-2002", "[TEST] made", "TILT=NONE"]
-    lines += [f"1 1000 1.0 {len(vertical)} 1 1 2 0 0 0", "1.0 1.0 60"]
-    lines += [" ".join(map(str, values)) for values in (vertical, [0.0], candela)]
-    path = folder / "lamp.ies"
-    path.write_text("\r\n".join(lines) + "\r\n", encoding="utf-8")
-    return path
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["",
-     "IESNA:LM-63-2002\nTILT=lamp.txt\n1", "IESNA\nTILT=NONE\n1 1 1 3 1 2 1 0 0 0 1 1 1",
-     "IESNA\nTILT=NONE\n1 1 1 3",
-     "IESNA\nTILT=NONE\n1 1 1 3 1 1 1 0 0 0 1 1 1 0 90 180 0 1 2",
-     "IESNA\nTILT=NONE\n1 1 1 -3 1 1 1 0 0 0 1 1 1",
-     "IESNA\nTILT=NONE\n1 1 1 2 1 1 1 0 0 0 1 1 1 90 0 0 1 1"],
-)  # fmt: skip
-def test_other_files_are_refused(tmp_path, text):
-    path = tmp_path / "lamp.ies"
-    path.write_text(text, encoding="utf-8")
-    assert error_of(ies.read_profile, path).code == "ies-unreadable"
-
-
-def lit_floor() -> float:
-    """Radiance of the floor below a light."""
-    return float(spot((0, 0, 0.5), (0, 0, 0), 64, ortho=0.05).mean())
-
-
-def test_an_even_profile_changes_nothing_and_a_half_one_doubles(tmp_path):
-    scene = bpy.context.scene
-    diffuse_floor(4.0, 0.5)
-    data = bpy.data.lights.new("lamp", "AREA")
-    data.energy = 10.0
-    light = bpy.data.objects.new("lamp", data)
-    light.location.z = 2.0
-    scene.collection.objects.link(light)
-    ies.set_profile(light, ies.read_profile(profile_file(tmp_path, [3.0] * 3, [0.0, 90.0, 180.0])))
-    assert light.data.type == "POINT" and len(bpy.data.texts) == 1
-    even = lit_floor()
-    light.data.use_nodes = False
-    assert even == pytest.approx(lit_floor(), rel=0.01)
-    below = profile_file(tmp_path, [700.0] * 10, np.linspace(0.0, 90.0, 10).tolist())
-    ies.set_profile(light, ies.read_profile(below))
-    assert lit_floor() == pytest.approx(2.0 * even, rel=0.03)
-    assert len(bpy.data.texts) == 1
-    ies.remove_profile(light)
-    assert light.data.type == "AREA" and not bpy.data.texts

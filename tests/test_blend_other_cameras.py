@@ -10,7 +10,7 @@ import bpy
 import pytest
 
 from fipt_blender.blend.capture import other_cameras
-from fipt_blender.blend.capture.look import enter_camera
+from fipt_blender.blend.capture.look import enter_camera, enter_room, stand_in_photograph
 from fipt_blender.blend.marks import LOOKED_PAST, VIEW
 from samples.rendered_rooms import make_scene
 
@@ -110,3 +110,19 @@ def test_undo_brings_the_cameras_back(scene):
     bpy.ops.ed.redo()  # to the state with hidden cameras
     other_cameras.tick()
     assert hidden() == {"hidden"}
+
+
+def test_the_room_is_entered_through_a_held_back_view_unless_the_artist_has_chosen_another(scene):
+    views = scene.fipt.capture.views
+    views.move(list(views.keys()).index(OTHER), 0)
+    stand_in_photograph(scene, bpy.context)
+    assert scene.camera.name == OTHER
+    enter_room(bpy.context, scene)
+    assert scene.camera.name == HELD_BACK
+    views.move(list(views.keys()).index(HELD_BACK), 0)
+    look(OTHER)  # which is not the first view now
+    enter_room(bpy.context, scene)
+    assert scene.camera.name == OTHER
+    orbit()
+    enter_room(bpy.context, scene)
+    assert scene.camera.name == HELD_BACK

@@ -16,9 +16,8 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Euler, Matrix, Vector
 
 from fipt_blender.blend.capture import cameras, scene_cameras
-from fipt_blender.blend.capture.backdrop import show_picture
 from fipt_blender.blend.capture.exporting import camera_pose, export_capture
-from fipt_blender.blend.marks import LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION
+from fipt_blender.blend.marks import KEPT_PHOTOGRAPH, LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION
 from fipt_blender.core import conventions
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from samples.camera_views import points_before, projections
@@ -209,9 +208,11 @@ def test_a_lens_that_cannot_be_adapted_is_refused(scene, tmp_path):
     assert scene_cameras.describe_camera(scene, item)["fl_x"] == pytest.approx(40 * 50 / 36)
 
 
-def test_a_picture_over_a_view_does_not_become_its_photograph(scene, tmp_path):
+def test_a_picture_over_a_view_in_an_old_file_does_not_become_its_photograph(scene, tmp_path):
     item = own_camera(scene, tmp_path / "a.exr", (40, 30))
-    show_picture(item, photograph(tmp_path / "render.exr", 40, 30))
+    (background,) = item.data.background_images
+    item.data[KEPT_PHOTOGRAPH] = background.image
+    background.image = photograph(tmp_path / "render.exr", 40, 30)
     assert scene_cameras.describe_camera(scene, item)["file_path"] == str(tmp_path / "a.exr")
 
 

@@ -378,7 +378,7 @@ def test_data_folder_is_the_platforms(tmp_path: Path, monkeypatch: MonkeyPatch) 
 
 
 def test_run_folders_are_fresh_and_safely_named(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
-    first, second = (places.new_run_folder(tmp_path, "../Living room: 2?") for _ in range(2))
+    first, second = (places.new_run_folder(tmp_path / "runs", "../Living room: 2?") for _ in range(2))
     assert first != second and first.parent == second.parent == tmp_path / "runs"
     assert first.name.startswith("Living-room-2-") and not list(first.iterdir())
     assert places.new_run_folder(tmp_path, "").name.startswith("run-")

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
@@ -164,6 +165,27 @@ def test_sigterm_is_enough_for_a_child_that_listens(tmp_path, monkeypatch):
     engine.request_cancel()
     wait_for(lambda: engine.poll() == [] and not engine.running)
     assert engine.returncode == -signal.SIGTERM
+
+
+@posix
+@pytest.mark.parametrize("fault", [None, OSError(), subprocess.TimeoutExpired("taskkill", 1.0)])
+def test_on_windows_the_whole_tree_ends(tmp_path, monkeypatch, fault):
+    """Windows leaves the children of an ended process running: pip's, for example."""
+    engine = child(tmp_path, said(HALF) + SLEEPER)
+    asked = []
+
+    def taskkill(command, **options):
+        asked.append(command)
+        if fault is not None:
+            raise fault
+        os.kill(engine.pid, signal.SIGKILL)
+
+    monkeypatch.setattr(engine_process, "sys", SimpleNamespace(platform="win32"))
+    monkeypatch.setattr(engine_process.subprocess, "run", taskkill)
+    engine.cancel()
+    assert asked[0][0].endswith("taskkill.exe") and asked[0][1:] == ["/T", "/F", "/PID", str(engine.pid)]
+    wait_for(lambda: not is_alive(engine.pid))
+    assert engine.cancelled and not engine.running
 
 
 def test_a_second_start_on_the_same_messages_is_refused_and_harms_no_first(tmp_path):

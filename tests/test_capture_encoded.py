@@ -183,7 +183,7 @@ def test_ids_from_png(tmp_path):
 
 def test_images_that_are_no_ids(tmp_path):
     write_exr(tmp_path / "a.exr", PIXELS)
-    write_exr(tmp_path / "n.exr", np.full((2, 2), np.nan))
+    write_channels(tmp_path / "n.exr", {"Y": np.full((2, 2), np.nan, np.float32)})
     Image.fromarray(IDS.astype(np.uint8)).save(tmp_path / "a.jpg")
     (tmp_path / "t.png").write_text("no image")
     for name, code in {"t.png": "image-unreadable", "m.png": "image-missing"}.items():

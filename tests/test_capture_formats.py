@@ -142,7 +142,7 @@ def test_transforms_take_the_size_from_the_image_and_need_a_field_of_view(tmp_pa
         ({"k1": 0.1, "p2": 0.01}, "OPENCV", (0.1, 0.0, 0.0, 0.01)),
         ({"k1": 0.1, "k3": 0.01}, "FULL_OPENCV", (0.1, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0)),
         ({"camera_model": "OPENCV", "k1": 0.0}, "PINHOLE", ()),
-        ({"camera_model": "EQUIRECTANGULAR"}, None, ()),
+        ({"camera_model": "CYLINDRICAL"}, None, ()),
         ({"camera_model": "OPENCV", "k4": 0.1}, None, ()),
     ],
 )

@@ -116,13 +116,13 @@ def test_openmvg(tmp_path: Path, kind: str, key: str, style: write.Style) -> Non
 def test_models_without_a_pinhole_are_refused(tmp_path: Path, kind: str) -> None:
     shots = write.make_shots(write.Style(off_centre=CENTRED), 2)
     write.write_openmvg(tmp_path / "openmvg", shots, kind, "")
-    write.write_opensfm(tmp_path / "opensfm", [shots], kind)
+    write.write_opensfm(tmp_path / "opensfm", [shots], "dual")
     write.write_meshroom(tmp_path / "meshroom", shots, (1, 2, 8))
     path = tmp_path / "meshroom" / "cameras.sfm"
     path.write_text(path.read_text().replace('"pinhole"', f'"{kind}"'))
-    for name in ("openmvg", "opensfm", "meshroom"):
+    for name, shown in (("openmvg", kind), ("opensfm", "dual"), ("meshroom", kind)):
         error = error_of(read, tmp_path / name)
-        assert error.code == "camera-model" and kind in error.text
+        assert error.code == "camera-model" and shown in error.text
 
 
 # ---------------------------------------------------------------------------------------------- Bundler, NVM

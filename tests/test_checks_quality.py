@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A result is judged by photographs that it was not made of, and its faults are named."""
+"""A result is judged by photographs that it was not made of."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.ndimage import affine_transform, gaussian_filter, shift
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.checks.projection import Projection, projected
-from fipt_blender.core.checks.quality import POOR, Cause, JudgedView, Quality, judge, shares
+from fipt_blender.core.checks.projection import projected
+from fipt_blender.core.checks.quality import judge
 from fipt_blender.core.checks.rerender import Estimate, Renderer
 from fipt_blender.core.pixels.store import LEFT_OUT, PixelStore, fill_pixels, open_pixels, trace_view
 from samples.small_captures import COLORS, PANEL_RADIANCE, PANEL_TRIANGLES, SmallCapture, panel_capture, pinhole
@@ -57,7 +56,7 @@ def test_a_true_estimate_renders_the_photograph(capture: SmallCapture, tmp_path:
     inner = inner.reshape(true.shape[:2])
     assert np.median(np.abs(np.log(image[inner] / true[inner]))) < 0.03
     quality = judge(pixels, [view], true_estimate(capture, scale), {}, scale, 0)
-    assert quality is not None and quality.held_back_db > 30.0 and quality.warning() is None
+    assert quality is not None and quality.held_back_db > 30.0
     assert quality.projection_db > 15.0  # five photographs do not show all
     wrong = replace(true_estimate(capture, scale), query=lambda p, t: (np.full((len(t), 3), 0.5), t * 0.0 + 1, t * 0.0))
     worse = judge(pixels, [view], wrong, {}, scale, 0)
@@ -72,64 +71,6 @@ def test_the_projection_is_what_others_show(capture: SmallCapture, tmp_path: Pat
     traced = trace_view(capture.room, view)
     found = projected(pixels, 0.0, view, traced)
     expected = np.where(traced.triangle >= 6, 3.0, 1.0).reshape(view.height, view.width)
-    assert (np.abs(found.radiance[..., 0] - expected) < 0.1).mean() > 0.9
-    assert found.seen.max() >= 2 and found.spread[found.seen > 0].mean() < 0.1
+    assert (np.abs(found[..., 0] - expected) < 0.1).mean() > 0.9
     pixels.triangle[:] = LEFT_OUT
-    assert not projected(pixels, 0.0, view, traced).seen.any()
-
-
-SIZE = (60, 80)
-
-
-def picture() -> np.ndarray:
-    rng = np.random.default_rng(2)
-    grey = gaussian_filter(rng.normal(size=SIZE), 2.0)
-    return np.clip(0.5 + 0.6 * np.stack([grey, grey, 0.8 * grey], axis=2), 0.02, 0.98)
-
-
-def first_cause(
-    photograph: np.ndarray,
-    render: np.ndarray,
-    plain: np.ndarray,
-    off: np.ndarray | None = None,
-    missed: np.ndarray | None = None,
-) -> str:
-    spread = np.zeros(SIZE, np.float32) if off is None else off.astype(np.float32)
-    missed = np.zeros(SIZE, bool) if missed is None else missed
-    projection = Projection(plain, np.full(SIZE, 4, np.int16), spread, missed)
-    view = View("0", "held_back", Path(), SIZE[1], SIZE[0], 70.0, 70.0, 40.0, 30.0, np.eye(4))
-    judged = JudgedView("0", np.array([photograph, render, plain], np.float32), np.zeros((2, 3)))
-    found = shares(judged, projection, np.ones(SIZE, bool), view, 0.8 if off is None else 0.0, 0.0)
-    assert sum(found.values()) == pytest.approx(1.0) and min(found.values()) >= 0.0
-    return max(found, key=lambda name: found[name])
-
-
-def test_the_cause_that_was_built_in_is_named_first() -> None:
-    true, rng = picture(), np.random.default_rng(5)
-    noise = 0.01 * rng.normal(size=true.shape)
-    gradient = np.linspace(0.6, 1.4, SIZE[1])[None, :, None]
-    assert first_cause(true, np.clip(true * gradient, 0, 1), true + noise) == "light that nothing shows"
-    assert first_cause(true, np.clip(true * gradient, 0, 1), true + noise, np.zeros(SIZE)) == "lamps"
-    assert first_cause(true, true + 0.1 * rng.normal(size=true.shape), true + noise) == "materials"
-    moved = shift(true, (0.0, 2.5, 0.0), mode="nearest")
-    assert first_cause(true, moved, moved) == "poses"
-    wider = affine_transform(true, np.diag([0.95, 0.95, 1.0]), [1.5, 2.0, 0.0], order=1)
-    assert first_cause(true, wider, wider) == "poses"
-    block = np.zeros(SIZE, bool)
-    block[20:40, 20:50] = True
-    torn = np.where(block[..., None], true[::-1], true)
-    assert first_cause(true, torn, torn + noise, block) == "surfaces"
-    assert first_cause(true, torn, torn + noise, missed=block) == "surfaces"
-    blurred = gaussian_filter(true, (1.5, 1.5, 0.0))
-    assert first_cause(blurred, true, true) == "photographs"
-    assert first_cause(true, true * [1.0, 0.8, 0.7], true * [1.0, 0.8, 0.7]) == "photographs"
-
-
-def test_a_poor_result_says_what_helps() -> None:
-    causes = (Cause("lamps", 0.7, "Look at the lamps."), Cause("poses", 0.2, "Solve them."))
-    poor = Quality(POOR - 5.0, 27.0, causes, ())
-    code, text, remedy = poor.warning() or ("", "", "")
-    assert code == "result-poor" and "lamps (70 %), poses (20 %)" in text and remedy == "Look at the lamps."
-    assert replace(poor, held_back_db=POOR).warning() is None
-    assert poor.document()["causes"][0] == {"name": "lamps", "share": 0.7, "remedy": "Look at the lamps."}
-    assert poor.deviation == pytest.approx(0.1)
+    assert len(np.unique(projected(pixels, 0.0, view, traced))) == 1, "nothing is shown"

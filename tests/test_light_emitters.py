@@ -23,7 +23,7 @@ from fipt_blender.core.light.emitters import (
     emitter_table,
     group_fixtures,
 )
-from fipt_blender.core.light.evidence import log_ratio
+from fipt_blender.core.light.evidence import brighter_than_white, log_ratio
 from fipt_blender.core.light.presumed import presume_lamps
 from fipt_blender.core.light.radiance import CachedRadiance, new_path
 from fipt_blender.core.light.scan_fixtures import scan_groups, seen_sides
@@ -134,7 +134,7 @@ def seen(triangles: np.ndarray, grey: np.ndarray | float, front: bool = True) ->
 def test_a_modelled_room_emits_triangle_by_triangle_and_unjudged_ones_follow_their_part() -> None:
     room = make_room(BOX)
     surfaces = emitter_surfaces(room, Parts(np.full(12, NO_PART, np.int32), "none"), 0.01)
-    assert np.array_equal(surfaces.unit, np.arange(12)) and surfaces.unseen == 0.0
+    assert np.array_equal(surfaces.unit, np.arange(12)) and surfaces.light_error == 0.0
     assert len(np.unique(surfaces.component)) == 6
     part = np.arange(12, dtype=np.int32) % 2  # the two triangles of a side
     assert len(np.unique(emitter_surfaces(room, Parts(part, "part"), 0.01).component)) == 12
@@ -328,9 +328,16 @@ def test_a_lamp_much_brighter_than_white_emits(tmp_path: Path) -> None:
     assert 0.02 < less < found[LAMP] and probability(store(tmp_path / "dim", [dim] * 4))[LAMP] < found[LAMP]
 
 
+def test_what_lies_outside_is_not_brighter_than_white_surfaces(tmp_path: Path) -> None:
+    pixels = store(tmp_path, [(["..LL??"], [[0.8, 0.8, 5.0, 5.0, 9.0, 9.0]])])
+    light = np.ones((len(pixels), 3), np.float16)
+    shadings = ShadingStore(light, np.zeros((len(pixels), 2, 2, 3), np.float16))
+    assert brighter_than_white(pixels, shadings) == 0.5
+
+
 def test_light_that_may_be_brighter_explains_more(tmp_path: Path) -> None:
     pixels = store(tmp_path, [(["..LL"], [[0.8, 0.8, 5.0, 5.0]])] * 4)
-    found = [probability(pixels, **options)[LAMP] for options in ({}, {"unseen": 0.5}, {"hdr": False})]
+    found = [probability(pixels, **options)[LAMP] for options in ({}, {"light_error": 0.5}, {"hdr": False})]
     assert found[0] > 0.9 and found[0] > found[1] and found[0] > found[2]
     assert emission(pixels, told=(WALL, WALL + 1)) == [WALL, WALL + 1, LAMP, LAMP + 1]
 

@@ -14,14 +14,18 @@ import pytest
 
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.conventions import equirect_pixel_directions
+from fipt_blender.core.estimate.light_stages import light_excess
+from fipt_blender.core.light.cache import SurfaceLookup
 from fipt_blender.core.light.clipped import ON_LAMP, OUTSIDE, LitPoints, hemisphere_rays, light_on_points, solve_lamps
 from fipt_blender.core.light.clipped import Expectation as LampExpectation
 from fipt_blender.core.light.environment import MOST_PIXELS, Environment, Hull, estimate_environment
 from fipt_blender.core.light.observations import Observations
-from fipt_blender.core.light.radiance import OutsideRadiance
-from fipt_blender.core.light.sources import Expectation, Transport, held_back_gain, solve_sources
-from fipt_blender.core.light.unseen_light import with_unseen_light
+from fipt_blender.core.light.radiance import CachedRadiance, OutsideRadiance
+from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
+from fipt_blender.core.light.sources import MOST_ALBEDO, SPECULAR, Expectation, Transport, held_back_gain, solve_sources
+from fipt_blender.core.light.unseen_light import free_radius, lamp_light, with_unseen_light
 from fipt_blender.core.optics.environment import EnvironmentLight
+from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.pixels.store import open_pixels, trace_view
 from fipt_blender.core.run.settings import Settings
 from fipt_blender.core.surface.room import Room, triangle_normals
@@ -45,7 +49,7 @@ def shines(place: np.ndarray) -> np.ndarray:
 def light(room: Room, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(N, 3) irradiance over pi at points of a box, the triangles of whose ceiling are 2 and 3, if any."""
     ceiling = np.zeros(len(room.triangles), np.int32) - 1
-    if len(room.triangles) == 12:
+    if len(room.triangles) >= 12:
         ceiling[2 * CEILING : 2 * CEILING + 2] = 0
     entry, way = hemisphere_rays(room, grid_of(room), position, normal, ceiling, 5, 2048)
     reach = (3.0 - position[:, None, 2]) / np.maximum(way[..., 2], 1e-3)
@@ -53,8 +57,12 @@ def light(room: Room, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return np.where(((entry == OUTSIDE) | (entry == ON_LAMP))[..., None], above, INDIRECT).mean(axis=1)
 
 
-def observations(folder: Path, room: Room, lit: bool = True) -> Observations:
-    """Pixels of a diffuse room that no view shows the ceiling of, with a texture of a tenth."""
+def observations(folder: Path, room: Room, lit: bool = True, lamps: EmitterTable | None = None) -> Observations:
+    """Pixels of a diffuse room that no view shows the ceiling of, with a texture of a tenth.
+
+    Args:
+        lit: by what no view shows. lamps: that light it, too.
+    """
     views = [
         View(str(index), "train", Path("none"), **vars(pinhole(look_at(start, [*end[:2], 0.0]))))
         for index, (start, end) in enumerate(CAMERAS)
@@ -73,6 +81,8 @@ def observations(folder: Path, room: Room, lit: bool = True) -> Observations:
     normal *= np.where(pixels.front[hit], 1.0, -1.0)[:, None]
     position = np.asarray(pixels.position[hit])
     irradiance = light(room, position, normal) if lit else np.full((len(hit), 3), INDIRECT)
+    if lamps is not None:
+        irradiance += lamp_light(room, grid_of(room), lamps, (position, normal), 7)
     texture = np.exp(np.random.default_rng(1).normal(0.0, 0.1, (len(hit), 1)))
     color = ALBEDO[np.unique(np.round(4.0 * normal), axis=0, return_inverse=True)[1].reshape(-1) % 5]
     pixels.own[hit] = color * irradiance * texture
@@ -90,10 +100,11 @@ def observations(folder: Path, room: Room, lit: bool = True) -> Observations:
     return Shown(pixels, None, grid, entry, None, 0.02, folder)  # type: ignore[arg-type]
 
 
-def found_light(observed: Observations, room: Room) -> Observations:
+def found_light(observed: Observations, room: Room, lamps: EmitterTable | None = None) -> Observations:
     normals = triangle_normals(room.vertices, room.triangles)
     label = np.unique(np.round(normals), axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)
-    return with_unseen_light(observed, room, label, replace(Settings(), environment_width=32))
+    settings = replace(Settings(), environment_width=32)
+    return with_unseen_light(observed, room, label, lamps or EmitterTable.empty(), settings)
 
 
 @pytest.mark.parametrize("quads", [[BOX[0], *BOX[2:]], BOX], ids=["no ceiling", "unseen ceiling"])
@@ -104,7 +115,7 @@ def test_a_lamp_that_no_view_shows_is_found_at_its_place(
     room = make_room(quads)
     observed = observations(tmp_path, room)
     found = found_light(observed, room).environment
-    assert found is not None and found.unseen is not None and found.hull is not None
+    assert found is not None and found.hull is not None
     floor = np.array([[x, y, 0.01] for x in (-1.5, 0.0, 1.5) for y in (-1.5, 0.0, 1.5)])
     up = np.tile([0.0, 0.0, 1.0], (len(floor), 1))
     true = light(room, floor, up)
@@ -116,6 +127,13 @@ def test_a_lamp_that_no_view_shows_is_found_at_its_place(
     ratio = np.log(by_found / true)
     # Five albedos tell the level; how the light falls on the floor is clear.
     assert abs(ratio.mean()) < 0.4 and ratio.std(axis=0).max() < 0.12, (ratio.mean(0), ratio.std(axis=0))
+    dark = np.full((len(observed.pixels), 3), np.nan, np.float32)
+    dark[found.pixels] = found.light
+    assert light_excess(found, dark) == 0.0 and light_excess(found, 0.9 * dark) == pytest.approx(-0.1, abs=1e-6)
+    assert abs(light_excess(found, baked(observed, room, found))) < 0.05, "shadings have the light that was solved for"
+    for lamp in found.lamps:
+        facing = None if lamp["facing"] is None else np.array(lamp["facing"])
+        assert lamp["radius"] <= free_radius(np.array(lamp["position"]), facing, *looks(observed))
     if len(quads) == 6:
         assert found.lamps, "an unseen surface that shines is offered as a lamp"
         disc = max(found.lamps, key=lambda lamp: sum(lamp["radiance"]) * lamp["radius"] ** 2)
@@ -127,6 +145,57 @@ def test_a_lamp_that_no_view_shows_is_found_at_its_place(
         normal = triangle_normals(room.vertices, room.triangles)[observed.pixels.triangle[seen]]
         of_lamp = 1.0 - INDIRECT / light(room, observed.pixels.position[seen], normal).mean(axis=1)
         assert sum(lamp["share"] for lamp in found.lamps) == pytest.approx(of_lamp.mean(), abs=0.1)
+
+
+def looks(observed: Observations) -> tuple[np.ndarray, np.ndarray]:
+    """Cameras, and what their pixels see."""
+    rows = np.flatnonzero(np.asarray(observed.pixels.triangle) >= 0)
+    return observed.pixels.camera_positions()[observed.pixels.view_of(rows)], observed.pixels.position[rows]
+
+
+def baked(observed: Observations, room: Room, found: Environment) -> np.ndarray:
+    """(N, 3) L_d of the pixels that are compared, as stage 1 bakes it."""
+    cache = observed.cache()
+    cache[found.entries] = found.radiance
+    lights, grid = AreaLights(room.vertices, room.triangles, EmitterTable.empty()), grid_of(room)
+    source = CachedRadiance(room, SurfaceLookup(grid, cache), OutsideRadiance(found), lights)
+    position, normal = observed.pixels.surface(room, found.pixels)
+    points = ShadingPoints(position, normal, normal, normal)
+    result = np.zeros((len(observed.pixels), 3), np.float32)
+    result[found.pixels] = bake(points, source, lights, np.zeros(0, np.float32), SampleCounts(256, 0, 0), 3).diffuse
+    return result
+
+
+def test_the_light_of_a_bulb_that_views_show_is_not_that_of_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a thousand rays few hit a bulb of 4 cm, so that its light would be missing in most points."""
+    few_sources(monkeypatch)
+    bulb = [[x, y, 1.2] for x, y in ((-0.02, -0.02), (-0.02, 0.02), (0.02, 0.02), (0.02, -0.02))]
+    room = make_room([*BOX, bulb])
+    radiance = np.full((2, 3), 3000.0, np.float32)
+    lamps = EmitterTable(np.array([12, 13], np.int32), radiance, np.zeros_like(radiance))
+    below = lamp_light(
+        room, grid_of(room), lamps, (np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.tile(UP, (2, 1))), 0
+    )
+    squared = np.array([1.2**2, 1.2**2 + 1.0])
+    assert below[:, 0] == pytest.approx(3000.0 * 0.04**2 * (1.2**2 / squared) / (np.pi * squared), rel=0.02)
+    observed = observations(tmp_path, room, lamps=lamps)
+    found = found_light(observed, room, lamps).environment
+    assert found is not None
+    place = observed.pixels.surface(room, found.pixels)
+    true = light(room, *place) + lamp_light(room, grid_of(room), lamps, place, 8)
+    ratio = np.log(found.light / true).mean(axis=1)
+    assert np.abs(ratio - np.median(ratio)).mean() < 0.1
+
+
+def test_lamps_are_not_where_photographs_looked_through() -> None:
+    camera, seen = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.array([[4.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
+    x = np.array([1.0, 0.0, 0.0])
+    assert free_radius(np.array([2.0, 0.3, 0.0]), x, camera, seen) == pytest.approx(0.3)
+    assert free_radius(np.array([4.5, 0.3, 0.0]), x, camera, seen) == np.inf  # behind what is seen
+    assert free_radius(np.array([2.0, 0.3, 0.4]), None, camera, seen) == pytest.approx(0.5)
+    assert free_radius(np.array([-0.3, -0.4, 0.0]), None, camera, seen) == pytest.approx(0.5)
 
 
 def test_light_that_the_photographs_explain_stays_to_the_bit(tmp_path: Path) -> None:
@@ -180,8 +249,34 @@ def test_sources_are_found_within_their_errors() -> None:
     assert np.sqrt(np.mean(off**2)) < 2.0
     np.testing.assert_allclose(np.exp(found.log_albedo), ALBEDO, rtol=0.1)
     share = (points.unseen @ radiance).sum(1) / (points.seen + points.unseen @ radiance).sum(1)
-    assert np.abs(found.share(points) - share).mean() < 0.03
+    assert np.abs(found.shares(points).sum(axis=1) - share).mean() < 0.03
     assert 0.0 < found.error(points).max() < 0.2
+
+
+def test_no_albedo_is_above_white_where_many_points_show_a_surface() -> None:
+    """The light is three times too dim, which makes the largest surface brighter than white."""
+    rng, count = np.random.default_rng(4), 2000
+    group = np.where(rng.random(count) < 0.8, 0, 1 + rng.integers(0, 4, count))
+    albedo = np.array([0.8, 0.3, 0.2, 0.4, 0.5])[group, None]
+    seen, unseen = np.full((count, 3), 0.3), np.full((count, 1), 0.3) * np.exp(0.1 * rng.normal(size=(count, 1)))
+    logs = np.log(albedo * (seen + unseen * 2.0)) + 0.1 * rng.normal(size=(count, 3))
+    found = solve_sources(Transport(logs, group, seen, unseen), Expectation(np.full((1, 3), -2.0), np.ones(1, bool)))
+    assert np.exp(found.log_albedo[0]).max() < 1.1 * MOST_ALBEDO
+
+
+def test_a_known_albedo_tells_the_level_and_the_color_of_the_light() -> None:
+    """Nothing that photographs show lights the points, so that the level is that of usual albedos."""
+    points, expected, radiance = drawn_points(np.random.default_rng(2), 12)
+    light = points.unseen @ radiance
+    tinted = light * [0.6, 0.5, 0.4]
+    logs = np.log((ALBEDO + SPECULAR)[points.group] * tinted)
+    known = np.where(np.arange(len(ALBEDO))[:, None] == 1, ALBEDO, np.nan)
+    dark = np.full_like(points.seen, 1e-3)
+    for given, most in ((known, 0.1), (None, np.inf)):
+        found = solve_sources(Transport(logs, points.group, dark, points.unseen, given), expected)
+        off = np.log((points.unseen @ found.radiance).mean(axis=0) / tinted.mean(axis=0))
+        assert np.abs(off).max() < most
+    assert np.abs(off).max() > 0.2  # without it
 
 
 def test_points_held_back_tell_light_from_noise() -> None:

@@ -69,7 +69,6 @@ def test_new_results_and_edits_keep_the_unit_and_revert_removes_it(scene, lamp):
     assert ops.apply_results() == {"FINISHED"}
     again = next(row for row in scene.fipt.lights.lights if row.object.name == "Panel")
     assert again.lumens == pytest.approx(0.25 * FLUX, rel=1e-4) and world_strength() == pytest.approx(0.5)
-    ops.keyframe_lights()
     assert np.allclose(front(again.object), 0.25 * np.array(RADIANCE), rtol=1e-3)
     ops.revert()
     assert "fipt_unit" not in scene and scene.cycles.film_exposure == pytest.approx(film)

@@ -17,6 +17,7 @@ from mathutils import Euler, Matrix, Vector
 from fipt_blender import api, machine
 from fipt_blender.blend.capture import overlay
 from fipt_blender.blend.capture.importing import find_alignment
+from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.conventions import UP_AXES, world_from_source
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
@@ -125,6 +126,21 @@ def test_bad_captures_are_refused_in_words_and_change_nothing(imported, sample, 
     assert imported.fipt.run_folder == run and len(settings.views) == views
     assert [each.name for each in (tmp_path / "data" / "runs").iterdir()] == [Path(run).name]
     assert running.current() is None
+
+
+def test_a_panorama_is_placed_at_the_cursor(imported, tmp_path):
+    """Imported again, it adds six views where the cursor was."""
+    settings = imported.fipt.capture
+    write_exr(tmp_path / "middle.exr", np.ones((16, 32, 3), np.float32))
+    settings.panorama, settings.panorama_heading = str(tmp_path / "middle.exr"), np.radians(90.0)
+    imported.cursor.location = (0.5, -0.25, 1.5)
+    assert ops.place_panorama() == {"FINISHED"} and ops.import_capture() == {"FINISHED"}
+    faces = [view for view in settings.views if view.name.startswith("middle@")]
+    assert len(faces) == 6 and len(settings.views) == 16
+    front = next(view for view in faces if view.name == "middle@front").camera_object()
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(front.matrix_world.translation, (0.5, -0.25, 1.5), atol=1e-6)
+    np.testing.assert_allclose(front.matrix_world.to_3x3() @ Vector((0.0, 0.0, -1.0)), (-1.0, 0.0, 0.0), atol=1e-6)
 
 
 def test_mesh_and_room(imported, sample, tmp_path):

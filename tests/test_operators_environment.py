@@ -118,44 +118,40 @@ def test_exposure_and_other_lights(scene):
     assert ops.hide_other_lights(hide=True) == {"FINISHED"} and sun.hide_viewport
 
 
-def test_states_are_saved_recalled_blended_and_removed(scene):
+def test_states_are_saved_recalled_and_removed(scene):
     settings = scene.fipt.lights
     row = settings.lights[0]
     assert "Save a light state first" in refused(ops.recall_light_state)
     assert ops.save_light_state() == {"FINISHED"}
     row.stops = 2.0
-    assert ops.save_light_state(kind="PRESENT", name="Bright") == {"FINISHED"}
-    assert ops.save_light_state(kind="LAMP") == {"FINISHED"}
-    assert ops.save_light_state(kind="PHOTOGRAPHED") == {"FINISHED"}
-    assert ops.save_light_state(kind="EVENING") == {"FINISHED"}
+    assert ops.save_light_state(name="Bright") == {"FINISHED"}
+    row.on = False
+    assert ops.save_light_state() == {"FINISHED"}
     names = [state.name for state in settings.states]
-    assert names == ["Lights", "Bright", "Panel", "As Photographed", "Evening"] and settings.active_state == 4
-    assert ops.recall_light_state(state="Lights") == {"FINISHED"} and row.stops == 0.0
-    assert ops.save_light_state(name="Evening") == {"FINISHED"} and len(settings.states) == 5
-    settings.blend_from, settings.blend_to = "Lights", "Bright"
-    settings.blend = 0.5
-    assert np.allclose(front(row.object), 2.5 * np.array(RADIANCE), rtol=1e-4)
+    assert len(set(names)) == 3 and names[:2] == ["Lights", "Bright"] and settings.active_state == 2
+    assert ops.recall_light_state(state="Bright") == {"FINISHED"} and row.on and row.stops == 2.0
+    assert np.allclose(front(row.object), 4.0 * np.array(RADIANCE), rtol=1e-4)
+    row.stops = 1.0
+    assert ops.save_light_state(name="Bright") == {"FINISHED"} and len(settings.states) == 3
     assert "no light state 'Day'" in refused(ops.recall_light_state, state="Day")
     settings.states["Bright"].data = "{}"
     assert "damaged" in refused(ops.recall_light_state, state="Bright")
-    settings.blend = 0.25  # nothing to blend, and no error
-    assert ops.remove_light_state(state="Bright") == {"FINISHED"} and not settings.can_blend()
-    for _ in range(4):
-        ops.remove_light_state()
+    for _ in range(3):
+        assert ops.remove_light_state() == {"FINISHED"}
     assert not len(settings.states) and not ops.remove_light_state.poll()
 
 
-def test_an_ies_profile_needs_a_blender_light(scene, tmp_path):
+def test_an_ies_profile_goes_into_the_node_of_a_blender_light(scene, tmp_path):
     path = tmp_path / "lamp.ies"
     path.write_text("IESNA\nTILT=NONE\n1 1 1 2 1 1 1 0 0 0 1 1 1 0 90 0 10 10", encoding="utf-8")
     assert "Convert to Blender Light" in refused(ops.set_ies_profile, filepath=str(path))
     ops.fixture_to_area_light()
     (light,) = scene.fipt.lights.lights[0].object.children
+    assert "does not exist" in refused(ops.set_ies_profile, filepath=str(tmp_path / "none.ies"))
     assert ops.set_ies_profile(filepath=str(path)) == {"FINISHED"} and light.data.type == "POINT"
+    path.unlink()
     assert ops.apply_results() == {"FINISHED"}  # the profile stays
     (light,) = scene.fipt.lights.lights[0].object.children
-    assert light.data.type == "POINT" and any(n.type == "TEX_IES" for n in light.data.node_tree.nodes)
-    assert "no IES profile" in refused(ops.set_ies_profile, filepath=__file__)
-    assert ops.remove_ies_profile() == {"FINISHED"} and light.data.type == "AREA"
+    (node,) = (node for node in light.data.node_tree.nodes if node.type == "TEX_IES")
+    assert light.data.type == "POINT" and node.ies.lines[0].body == "IESNA" and node.outputs["Fac"].is_linked
     assert ops.area_light_to_fixture() == {"FINISHED"}
-    ops.revert()

@@ -276,20 +276,6 @@ def test_light_that_nothing_shows_is_there_with_the_results(tmp_path, monkeypatc
     assert power == pytest.approx(math.pi**2 * 0.01 * np.array([30.0, 20.0, 10.0]), rel=1e-4)
 
 
-def test_a_fixture_takes_its_simple_shape(scene):
-    (fixture,) = [row.object for row in scene.fipt.lights.lights if row.object.type == "MESH"]
-    radiance, before = front(fixture), fixture.data.name
-    center = fixture.matrix_world @ (sum((v.co for v in fixture.data.vertices), Vector()) / 4)
-    bpy.ops.mesh.primitive_cube_add()  # what is selected does not matter
-    assert ops.clean_fixture(fixture=fixture.name) == {"FINISHED"}
-    assert len(fixture.data.polygons) == 1 and fixture.data.name == before
-    assert front(fixture) == pytest.approx(radiance)
-    after = fixture.matrix_world @ (sum((v.co for v in fixture.data.vertices), Vector()) / 4)
-    assert (after - center).length < 1e-3
-    assert ops.fixture_to_area_light(fixture=fixture.name) == {"FINISHED"}
-    assert "Convert Back" in refused(ops.clean_fixture, fixture=fixture.name)
-
-
 def test_names_of_fixtures_stay_on_another_apply_and_so_do_the_artists(scene):
     row = scene.fipt.lights.lights[0]
     assert row.object.name == "Panel" and row.object.data.name == "Panel"

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where textures of applied results are: beside the file, in it, or in the run."""
+"""Where textures of applied results are: beside the file, in the run until it has a name."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 from mathutils import Matrix, Vector
 
 from fipt_blender.blend import marks
-from fipt_blender.blend.collecting import missing_pictures, pictures_elsewhere
+from fipt_blender.blend.collecting import missing_pictures
 from fipt_blender.blend.image_datablocks import image_values, linear_values
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder, write_json
@@ -55,22 +55,12 @@ def test_textures_of_a_saved_file_lie_beside_it(scene, tmp_path):
     assert sizes != {image.size[:] for image in textures(scene)}  # the copies are the new ones
 
 
-@pytest.mark.parametrize(
-    ("keep", "change", "suffix"),
-    [
-        ("BESIDE", "open", "EXR"),
-        ("BESIDE", "undo", "PNG"),
-        ("PACKED", "undo", "EXR"),
-        ("PACKED", "save", "PNG"),
-        ("IN_RUN", "undo", "EXR"),
-        ("IN_RUN", "save", "PNG"),
-    ],
-)
-def test_a_file_shows_the_results_that_it_was_saved_with(scene, tmp_path, monkeypatch, keep, change, suffix):
+@pytest.mark.parametrize(("change", "suffix"), [("open", "EXR"), ("undo", "PNG"), ("undo", "EXR"), ("save", "PNG")])
+def test_a_file_shows_the_results_that_it_was_saved_with(scene, tmp_path, monkeypatch, change, suffix):
     blend = str(tmp_path / "kitchen.blend")
     bpy.ops.wm.save_as_mainfile(filepath=blend)
     settings = scene.fipt.materials
-    settings.texture_files, settings.texture_format = keep, suffix
+    settings.texture_format = suffix
 
     def shown() -> float:
         (image,) = (each for each in textures(bpy.context.scene) if "Base Color" in each.name)
@@ -122,31 +112,67 @@ def test_a_moved_file_finds_its_textures(scene, tmp_path):
     assert np.allclose(shown, [1.055 * value ** (1 / 2.4) - 0.055 for value in ConstantFields.base_color], atol=0.01)
 
 
-def test_textures_of_an_unsaved_file_are_packed_until_it_is_saved(applied, tmp_path):
-    assert len(textures(applied)) == 5 and all(image.packed_file for image in textures(applied))
-    names = {image.name for image in textures(applied)}
-    assert "FIPT Room.001 Base Color" in names
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"))
+def paths(scene) -> set[str]:
+    return {image.filepath for image in textures(scene)}
+
+
+@pytest.mark.parametrize(("relative", "suffix", "tiled"), [(True, "EXR", False), (False, "PNG", True)])
+def test_the_first_save_brings_the_textures_beside_the_file(scene, tmp_path, relative, suffix, tiled):
+    run = Path(scene.fipt.run_folder)
+    settings = scene.fipt.materials
+    settings.texture_format, settings.texture_size = suffix, "512"
+    settings.texel_density = 128.0 if tiled else 8.0
     ops.apply_results()
-    assert all(image.filepath.startswith("//kitchen_textures") for image in textures(applied))
-    assert not any(image.packed_file for image in textures(applied))
-    assert {image.name for image in textures(applied)} == names
-    applied.fipt.materials.texture_files = "PACKED"
-    ops.apply_results()
-    assert all(image.packed_file for image in textures(applied))
-    applied.fipt.materials.texture_files = "IN_RUN"
-    ops.apply_results()
-    run = RunFolder(applied.fipt.run_folder).root
-    assert all(Path(bpy.path.abspath(image.filepath)).is_relative_to(run) for image in textures(applied))
-    assert not any(image.packed_file for image in textures(applied))
-    assert {image.name for image in textures(applied)} == names
+    before = paths(scene)
+    assert len(before) == 5 and all(Path(path).is_relative_to(run) for path in before)
+    values = [image_values(image) for image in textures(scene) if image.source != "TILED"]
+    # A copy has textures of its own; the open file keeps those that it has.
+    (tmp_path / "copy").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy" / "kitchen.blend"), copy=True)
+    assert paths(scene) == before and not bpy.data.filepath
+    blend = tmp_path / "shot" / "kitchen.blend"
+    blend.parent.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend), relative_remap=relative)
+    assert all(path.startswith("//kitchen_textures/") for path in paths(bpy.context.scene))
+    shutil.rmtree(run)
+    for folder in ("shot", "copy"):
+        shutil.move(tmp_path / folder, tmp_path / f"{folder} moved")
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / f"{folder} moved" / "kitchen.blend"))
+        assert not missing_pictures() and all(path.startswith("//") for path in paths(bpy.context.scene))
+        images = [image for image in textures(bpy.context.scene) if image.source != "TILED"]
+        assert all(np.array_equal(image_values(image), old) for image, old in zip(images, values, strict=True))
+    shutil.rmtree(tmp_path / "copy moved" / "kitchen_textures")
+    assert len(missing_pictures()) == (9 if tiled else 5)
+
+
+def test_a_file_of_an_earlier_release_with_textures_in_its_run_gets_them_at_the_next_save(applied, tmp_path):
+    before = {image.name: image.filepath for image in textures(applied)}
+    blend = tmp_path / "kitchen.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    shutil.rmtree(tmp_path / "kitchen_textures")
+    for image in textures(applied):
+        image.filepath = before[image.name]
+    bpy.ops.wm.save_mainfile()
+    assert all(path.startswith("//kitchen_textures/") for path in paths(applied)) and not missing_pictures()
+    elsewhere = tmp_path / "elsewhere" / "shot.blend"
+    elsewhere.parent.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(elsewhere))
+    assert not missing_pictures() and not elsewhere.with_name("shot_textures").exists()
+
+
+def test_a_file_whose_textures_can_not_be_copied_is_saved_all_the_same(applied, tmp_path, capfd):
+    before = paths(applied)
+    (tmp_path / "kitchen_textures").write_text("a file of that name")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"), relative_remap=False)
+    assert paths(applied) == before and "could not be copied" in capfd.readouterr().out
+    assert (tmp_path / "kitchen.blend").is_file()
 
 
 def test_textures_that_can_not_be_copied_change_nothing(applied, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"))
     (tmp_path / "kitchen_textures").write_text("a file of that name")
     before = fingerprint(applied)
-    assert "'In the File'" in refused(ops.apply_results)
+    assert "Free some space" in refused(ops.apply_results)
     assert fingerprint(applied) == before
 
 
@@ -231,39 +257,3 @@ def test_runs_without_ids_match_by_name(scene):
     bpy.data.objects["panel"].name = "wall"  # applying gave it an id
     assert ops.apply_results() == {"FINISHED"} and not warned()
     assert len(bpy.data.objects["wall"].data.polygons) == 2
-
-
-@pytest.mark.parametrize(("pack", "suffix", "tiled"), [(False, "EXR", True), (True, "EXR", False), (True, "PNG", True)])
-def test_a_file_saved_elsewhere_collects_its_pictures(scene, tmp_path, pack, suffix, tiled):
-    first, second = tmp_path / "first" / "room.blend", tmp_path / "second" / "shot.blend"
-    for blend in (first, second):
-        blend.parent.mkdir()
-    bpy.ops.wm.save_as_mainfile(filepath=str(first))
-    scene = bpy.context.scene
-    settings = scene.fipt.materials
-    settings.texture_format, settings.texture_size = suffix, "512"
-    settings.texel_density = 128.0 if tiled else 8.0
-    ops.apply_results()
-    assert {image.source == "TILED" for image in textures(scene) if image.name != "FIPT World"} == {tiled}
-    bpy.ops.wm.save_mainfile()
-    assert not missing_pictures() and not pictures_elsewhere()
-    bpy.ops.wm.save_as_mainfile(filepath=str(second))
-    assert pictures_elsewhere() == 5 and not missing_pictures()
-    assert ops.collect_pictures(pack=pack) == {"FINISHED"}
-    assert not pictures_elsewhere() and second.with_name("shot_textures").exists() != pack
-    bpy.ops.wm.save_mainfile()
-    before = [image_values(image) for image in textures(scene) if image.source != "TILED"]
-    shutil.rmtree(scene.fipt.run_folder)
-    shutil.move(second.parent, tmp_path / "third")
-    # The first file has lost nothing.
-    bpy.ops.wm.open_mainfile(filepath=str(first))
-    assert not missing_pictures()
-    shutil.rmtree(first.parent)
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "third" / "shot.blend"))
-    assert not missing_pictures() and not pictures_elsewhere()
-    images = [image for image in textures(bpy.context.scene) if image.source != "TILED"]
-    assert all(np.array_equal(image_values(image), old) for image, old in zip(images, before, strict=True))
-    if not pack:
-        shutil.rmtree(tmp_path / "third" / "shot_textures")
-        assert len(missing_pictures()) == (9 if tiled else 5)
-        assert "missing" in refused(ops.collect_pictures)

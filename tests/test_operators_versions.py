@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel Versions, the command line's versions and the Python API, on a room with two estimates."""
+"""The panel Versions and the Python API, on a room with two estimates."""
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 from dataclasses import replace
@@ -14,11 +13,9 @@ import bpy
 import numpy as np
 import pytest
 
-from fipt_blender import api, cli
+from fipt_blender import api
 from fipt_blender.blend.pictures.image_files import read_pixels
 from fipt_blender.core.run import versions
-from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.run.replacing import keep_inputs
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.textures import bake
 from fipt_blender.jobs import run_job, running, runstate
@@ -30,18 +27,12 @@ ops = bpy.ops.fipt
 pytestmark = pytest.mark.usefixtures("registered")
 
 
-def write_estimate(run: RunFolder, gray: float, key: str, hinted: str = "") -> str:
-    """New results whose base colour is gray, as an engine writes them; returns their version."""
+def write_estimate(run: RunFolder, gray: float, key: str, hinted: str = "") -> None:
+    """Results whose base colour is gray, as an engine writes them."""
     keys = {"training": key, **({"hinted-training": hinted} if hinted else {})}
     write_json(run.stages_json, {"keys": keys, "stages": {k: {} for k in keys}, "warnings": {}, "values": {}})
-    with versions.new_results(run) as new:
-        for path in (run.emitters_json, run.statistics_json, run.doubts_json):
-            if path.exists():
-                shutil.copy(path, new.results / path.name)
-        new.fields_npz.write_text(str(gray))
-        keep_inputs(new, new.results)
-        versions.note_version(new.results)
-    return versions.present_version(run)
+    run.fields_npz.write_text(str(gray))
+    shutil.copy(run.stages_json, run.results)
 
 
 class GrayFields(ConstantFields):
@@ -59,7 +50,7 @@ def works(monkeypatch) -> list[str]:
         def work():
             done.append(step.command[0])
             if step.command[0] == "textures":
-                bake.bake(run.estimated(), GrayFields(run))
+                bake.bake(run, GrayFields(run))
             else:
                 write_estimate(run, 0.75, "light", hinted="told")
 
@@ -78,12 +69,13 @@ def works(monkeypatch) -> list[str]:
 def scene(tmp_path, works) -> bpy.types.Scene:
     """An artist's room with two estimates, of which the last one is applied."""
     scene = make_scene(tmp_path / "run", environment=False)
-    run = RunFolder(scene.fipt.run_folder)
-    run.fields_npz.unlink()
-    write_estimate(run, 0.25, "first")
-    api.apply()
-    write_estimate(run, 0.5, "light")
-    api.apply()
+    first = RunFolder(scene.fipt.run_folder)
+    first.ingest_json.write_text("{}")
+    second = RunFolder(shutil.copytree(first.root, tmp_path / "second"))
+    for run, gray, key in ((first, 0.25, "first"), (second, 0.5, "light")):
+        scene.fipt.run_folder = str(run.root)
+        write_estimate(run, gray, key)
+        api.apply()
     works.clear()
     return scene
 
@@ -95,58 +87,42 @@ def shown(scene: bpy.types.Scene) -> float:
     return float(np.median(np.array(image.pixels[:]).reshape(-1, 4)[:, 0]))
 
 
-def ids(scene: bpy.types.Scene) -> tuple[str, str]:
-    """The present version and the one before."""
-    first, second = (version.id for version in api.versions(scene))
-    return first, second
-
-
-def test_a_version_is_used_and_applied_without_baking_it_again(scene, works):
-    newest, oldest = ids(scene)
-    assert shown(scene) == pytest.approx(0.5, abs=1e-3)
+def test_another_version_is_applied_without_baking_it_again(scene, works):
+    newest, oldest = api.versions()
+    assert newest.current and shown(scene) == pytest.approx(0.5, abs=1e-3)
     for version, gray in ((oldest, 0.25), (newest, 0.5)):
-        assert ops.use_version(version=version) == {"FINISHED"}
+        assert ops.use_version(version=version.folder.name) == {"FINISHED"}
         assert shown(scene) == pytest.approx(gray, abs=1e-3) and works == []
-        assert scene.fipt.materials.applied_version == version == api.versions(scene)[0].id
-        assert scene.fipt.run_folder and RunFolder(scene.fipt.run_folder).fields_npz.read_text() == str(gray)
-    state = runstate.look(RunFolder(scene.fipt.run_folder))
-    assert state.finished and state.continues and not state.earlier and len(state.versions) == 2
+        assert Path(scene.fipt.run_folder) == version.folder
+        state = runstate.look(RunFolder(version.folder))
+        assert state.finished and state.continues and len(state.versions) == 2 and not state.old_versions
 
 
-def test_an_earlier_version_is_no_stopped_run_and_can_not_be_continued(scene):
-    ops.use_version(version=ids(scene)[1])
-    state = runstate.look(RunFolder(scene.fipt.run_folder))
-    assert state.earlier and not state.finished and not state.continues
-    assert not ops.resume.poll() and not ops.reestimate.poll()
-    with pytest.raises(FiptError, match="stages of this version are gone"):
-        api.reestimate()
-
-
-def test_undo_and_a_reloaded_file_show_what_they_had(scene, tmp_path):
-    newest, oldest = ids(scene)
+def test_undo_and_a_reloaded_file_have_the_run_that_they_show(scene, tmp_path):
+    newest, oldest = api.versions()
     bpy.ops.ed.undo_push(message="before")
-    ops.use_version(version=oldest)
+    ops.use_version(version=oldest.folder.name)
     bpy.ops.ed.undo_push(message="after")
     bpy.ops.ed.undo()
-    settings = bpy.context.scene.fipt.materials
-    assert settings.applied_version == newest  # the disk has no undo: the panel says that they differ
-    assert api.versions()[0].id == oldest and shown(bpy.context.scene) == pytest.approx(0.5, abs=1e-3)
-    api.apply()
+    assert Path(bpy.context.scene.fipt.run_folder) == newest.folder
+    assert shown(bpy.context.scene) == pytest.approx(0.5, abs=1e-3)
+    bpy.ops.ed.redo()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
-    assert bpy.context.scene.fipt.materials.applied_version == oldest == api.versions()[0].id
+    assert Path(bpy.context.scene.fipt.run_folder) == oldest.folder
     assert shown(bpy.context.scene) == pytest.approx(0.25, abs=1e-3)
 
 
-def test_versions_are_named_compared_and_deleted(scene, capfd):
-    newest, oldest = ids(scene)
-    assert ops.rename_version(version=oldest, name="with curtains") == {"FINISHED"}
-    assert api.versions()[1].title == "with curtains"
-    assert ops.compare_versions(version=oldest) == {"FINISHED"}
-    assert "present results" in refused(ops.delete_version, version=newest)
-    assert ops.delete_version(version=oldest) == {"FINISHED"}
-    assert [version.id for version in api.versions()] == [newest]
-    assert "no version" in refused(ops.use_version, version=oldest)
+def test_other_versions_are_deleted_but_not_the_one_of_a_scene(scene):
+    newest, oldest = api.versions()
+    other = bpy.data.scenes.new("other")
+    other.fipt.run_folder = str(oldest.folder)
+    assert "Apply another one first" in refused(ops.delete_version, version=newest.folder.name)
+    assert "Apply another one first" in refused(ops.delete_version, version=oldest.folder.name)
+    other.fipt.run_folder = ""
+    assert ops.delete_version(version=oldest.folder.name) == {"FINISHED"} and not oldest.folder.exists()
+    assert [version.folder for version in api.versions()] == [newest.folder]
+    assert "no estimate" in refused(ops.use_version, version=oldest.folder.name)
     assert running.last("materials").error["code"] == "version-missing"
 
 
@@ -164,35 +140,9 @@ def test_re_estimate_applies_its_results_and_asks_nothing_twice(scene, works):
     assert ops.reestimate.poll() and ops.reestimate() == {"FINISHED"}
     assert works == ["estimate", "textures"] and shown(scene) == pytest.approx(0.75, abs=1e-3)
     assert [doubt.answered for doubt in scene.fipt.hints.doubts] == [True, False]
-    newest = api.versions()[0]
-    assert scene.fipt.materials.applied_version == newest.id and len(api.versions()) == 3
+    assert scene.fipt.materials.applied_version == versions.results_id(run) and len(api.versions()) == 2
     assert ops.apply_results() == {"FINISHED"} and works == ["estimate", "textures"]  # nothing is baked again
-    # Its stages are those of the estimate before, too: that one can be continued.
-    ops.use_version(version=api.versions()[1].id)
-    assert shown(scene) == pytest.approx(0.5, abs=1e-3) and ops.reestimate.poll()
-
-
-def test_the_command_line_lists_and_uses_versions(scene, capsys, tmp_path):
-    run = Path(scene.fipt.run_folder)
-    newest, oldest = ids(scene)
-    bpy.ops.wm.save_as_mainfile(filepath=str(run / "room.blend"))
-
-    def fipt(*arguments: str) -> dict:
-        assert cli.main(["versions", str(run), *arguments, "--json"]) == 0
-        return json.loads(capsys.readouterr().out.splitlines()[-1])["data"]
-
-    assert [entry["id"] for entry in fipt()["versions"]] == [newest, oldest]
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    assert fipt("--use", oldest, "--name", oldest, "mine")["versions"][0]["name"] == "mine"
-    bpy.ops.wm.open_mainfile(filepath=str(run / "room.blend"))
-    assert shown(bpy.context.scene) == pytest.approx(0.25, abs=1e-3)
-    assert fipt("--compare", oldest, newest)["comparison"][0] == ["Version", "mine", api.versions()[1].title]
-    assert cli.main(["versions", str(run)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith(f"* {oldest}  mine") and lines[-1].strip().endswith("in all")
-    assert len(fipt("--delete", newest)["versions"]) == 1
-    assert cli.main(["versions", str(run), "--use", newest]) == 1
-    assert cli.main(["versions", str(tmp_path)]) == 1
+    assert ops.reestimate.poll()
 
 
 def test_a_script_relights_and_exports_by_the_api_alone(scene, tmp_path):

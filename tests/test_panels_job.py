@@ -14,7 +14,7 @@ from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running, runstate
-from fipt_blender.panels import capture, estimate
+from fipt_blender.panels import capture, estimate, parts
 from samples.layouts import drawn_by
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -53,13 +53,15 @@ def test_results_of_the_estimate_before_can_be_applied_while_a_new_one_is_stoppe
 
 
 def test_a_result_says_how_good_it_is(monkeypatch, tmp_path):
-    figures = {"held_back_db": 27.14, "projection_db": 29.4, "causes": [], "views": []}
+    # As an earlier version has written them.
+    cause = {"name": "lamps", "share": 0.6, "remedy": "Look at them."}
+    figures = {"held_back_db": 27.14, "projection_db": 29.4, "causes": [cause], "views": []}
     write_json(tmp_path / "results" / "quality.json", figures)
     state = runstate.RunState(results=True, finished=True, quality=runstate.look(RunFolder(tmp_path)).quality)
     bpy.context.scene.fipt.run_folder = str(tmp_path)
     monkeypatch.setattr(runstate, "known", lambda folder: state)
     drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
-    assert "Held-back photographs: 27.1 dB (projection 29.4)" in drawn
+    assert "Held back: 27.1 dB (projection: 29.4 dB)" in " ".join(drawn)  # in lines of the panel's width
 
 
 def test_estimate_says_for_what_it_waits_and_how_to_stop_that(monkeypatch, tmp_path):
@@ -115,3 +117,12 @@ def test_what_is_up_is_told_with_a_choice_of_the_others(source, told):
     settings.imported_up, settings.up_source, settings.up_angle = "-y", source, 10.3
     texts, properties = drawn_by(capture.FIPT_PT_capture)[:2]
     assert told in " ".join(texts) and "up" in properties
+
+
+def test_what_is_not_known_of_another_version_is_left_out():
+    settings = bpy.context.scene.fipt
+    settings.capture.imported_up, settings.capture.up_source = "z", "gravity"
+    texts, properties = drawn_by(capture.FIPT_PT_capture)[:2]
+    assert "up" in properties and not any("is up" in text for text in texts)
+    settings.parts.auto_source = "colors"
+    assert "Automatic uses: colors" in drawn_by(parts.FIPT_PT_parts)[0]

@@ -64,8 +64,8 @@ def test_each_stage_shows_what_can_be_used_then():
     assert count.sections == ("Photographs", "Capture", "Estimate") and count.opened == ("Estimate",)
     bpy.context.scene.fipt.materials.object_count = 1
     count = tab_count()
-    assert count.sections[-4:] == ("Materials", "Lights", "Insert", "Render")
-    assert {"Insert", "Render", "Capture"}.isdisjoint(count.opened)
+    assert count.sections[-3:] == ("Materials", "Lights", "Render")
+    assert {"Render", "Capture"}.isdisjoint(count.opened)
 
 
 def test_online_access_is_explained_and_asked_for_where_it_is_needed(monkeypatch):

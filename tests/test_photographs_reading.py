@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from fipt_blender import cli
 from fipt_blender.core.capture import encoded
@@ -171,6 +172,18 @@ def test_reading_a_folder(tmp_path: Path) -> None:
     facts = json.loads((capture / "stage" / "read.json").read_text())
     assert {item["path"] for item in facts["skipped"]} == {"empty.dng", "cut.jpg"}
     assert any("empty" in item["reason"] for item in facts["skipped"])
+
+
+def test_panoramas_are_left_out_with_a_word(tmp_path: Path) -> None:
+    source, capture = tmp_path / "in", tmp_path / "out"
+    write_brackets(source, 2, (1 / 60, 1 / 240))
+    packet = b"<GPano:ProjectionType>equirectangular</GPano:ProjectionType>"
+    Image.fromarray(np.full((6, 12, 3), 128, np.uint8)).save(source / "all_round.jpg", xmp=packet)
+    (message,) = read(source, capture).warnings
+    assert message["code"] == "panoramas-left-out" and "all_round.jpg" in message["text"] and message["remedy"]
+    assert len(read_preparation(PreparationFolder(capture)).photographs) == 4
+    facts = json.loads((capture / "stage" / "read.json").read_text())
+    assert [item["path"] for item in facts["skipped"]] == ["all_round.jpg"]
 
 
 def test_corrections_by_the_user_stay_until_the_files_change(tmp_path: Path) -> None:

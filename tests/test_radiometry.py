@@ -68,7 +68,7 @@ def test_views_tell_response_exposures_and_vignetting(number):
     """Within 2 % and 0.05 EV once the contrast is known, with a tenth of highlights."""
     camera = CAMERAS[number]
     samples, log_gains = make_samples(camera, number)
-    found = adjust(samples, VIEWS, response_basis())
+    found = adjust(samples, np.arange(VIEWS), response_basis())
     curve = true_curve(camera)
     contrast = contrast_of(curve)
     assert np.sqrt(((np.exp(found.shape * contrast) - np.exp(curve)) ** 2).mean()) < 0.02
@@ -79,6 +79,23 @@ def test_views_tell_response_exposures_and_vignetting(number):
     assert found.outliers.max() < 0.35
 
 
+def test_views_of_one_photograph_have_one_gain():
+    """The faces of a panorama."""
+    samples, log_gains = make_samples(CAMERAS[0])
+    photograph = np.array([0, 0, 0, *range(1, VIEWS - 2)])
+    log_gains[:3] = log_gains[0]
+    light = np.exp(log_gains[samples.view] - make_samples(CAMERAS[0])[1][samples.view])
+    curve = true_curve(CAMERAS[0])
+    codes = np.interp(np.log(light) + np.interp(samples.codes, np.arange(256), curve), curve, np.arange(256))
+    same = Samples(samples.point, samples.cluster, samples.view, samples.radius, codes)
+    found = adjust(same, photograph, response_basis())
+    assert found.log_gains.shape == (VIEWS, 3) and np.ptp(found.log_gains[:3], axis=0).max() == 0.0
+    error = found.log_gains * contrast_of(curve) - log_gains
+    assert np.ptp(error, axis=0).max() < 0.1 * np.log(2.0)
+    errors = Radiometry(found, Source("light", 0.0, 0.01), ()).exposure_errors()
+    np.testing.assert_allclose(errors[:3], errors[0], rtol=1e-6)
+
+
 def test_claimed_errors_cover_the_made_ones_and_radiance_of_codes_comes_back():
     camera = CAMERAS[1]
     contrast = contrast_of(true_curve(camera))
@@ -86,7 +103,7 @@ def test_claimed_errors_cover_the_made_ones_and_radiance_of_codes_comes_back():
     for seed in range(4):
         samples, log_gains = make_samples(camera, seed)
         source = Source("light", float(np.log(contrast)), 0.01)
-        found = Radiometry(adjust(samples, VIEWS, response_basis()), source, (source,))
+        found = Radiometry(adjust(samples, np.arange(VIEWS), response_basis()), source, (source,))
         grey, true = found.log_gains.mean(axis=1), log_gains.mean(axis=1)
         error = (grey - grey.mean()) - (true - true.mean())
         ratios.append(np.square(error / found.exposure_errors()))
@@ -102,7 +119,9 @@ def test_views_of_one_exposure_leave_the_prior():
     """Without differences of exposure nothing tells the shape, which the covariance says."""
     samples, _ = make_samples(CAMERAS[1], outliers=0.0)
     flat = np.round(interpolated(np.arange(256.0), samples.codes[:1]).repeat(len(samples.codes), 0))
-    found = adjust(Samples(samples.point, samples.cluster, samples.view, samples.radius, flat), VIEWS, response_basis())
+    found = adjust(
+        Samples(samples.point, samples.cluster, samples.view, samples.radius, flat), np.arange(VIEWS), response_basis()
+    )
     assert np.isfinite(found.shape).all() and np.isfinite(found.covariance).all()
     assert np.abs(found.log_gains).max() < 1e-6
 
@@ -110,7 +129,7 @@ def test_views_of_one_exposure_leave_the_prior():
 def test_without_shared_points_nothing_is_adjusted():
     samples, _ = make_samples(CAMERAS[0])
     alone = Samples(np.arange(len(samples.view)), samples.cluster, samples.view, samples.radius, samples.codes)
-    found = adjust(alone, VIEWS, response_basis())
+    found = adjust(alone, np.arange(VIEWS), response_basis())
     assert np.abs(found.log_gains).max() < 1e-9 and found.shared.max() == 0
     assert np.abs(found.shape - response_basis().shape(np.zeros(4))).max() < 1e-9
 
@@ -152,7 +171,7 @@ def test_sources_are_combined_by_their_errors():
 def test_errors_grow_towards_both_ends():
     samples, _ = make_samples(CAMERAS[1])
     source = Source("usual", 1.1, 0.2)
-    found = Radiometry(adjust(samples, VIEWS, response_basis()), source, (source,))
+    found = Radiometry(adjust(samples, np.arange(VIEWS), response_basis()), source, (source,))
     codes = np.repeat(np.array([0.0, 5.0, 30.0, 128.0, 245.0, 255.0])[:, None], 3, axis=1)
     weight = reliability(found.errors(codes))
     assert weight[0] == weight[-1] == np.float32(BOUND_WEIGHT)

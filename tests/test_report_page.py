@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from fipt_blender.core.capture.images import write_exr
-from fipt_blender.core.checks.quality import Cause, JudgedView, Quality
+from fipt_blender.core.checks.quality import JudgedView, Quality
 from fipt_blender.core.report.comparison import Agreement, compare, psnr, to_display
 from fipt_blender.core.report.fixture_names import fixture_names
 from fipt_blender.core.report.page import MAPS, write_report
@@ -83,10 +83,10 @@ def test_what_the_result_was_judged_by_is_shown_side_by_side(run):
     pictures = np.random.default_rng(1).random((3, SIZE[1], SIZE[0], 3)).astype(np.float32)
     judged = JudgedView(NASTY, pictures, np.full((2, 3), 0.01))
     before = len(Page(write_report(run)).values("src"))
-    write_quality(run, Quality(27.14, 29.4, (Cause("lamps", 0.6, "Look at them."),), (judged,)))
+    write_quality(run, Quality(27.14, 29.4, 28.3, 31.6, 0.85, (judged,)))
     page = Page(write_report(run))
     assert "27.1 dB" in page.text and "29.4" in page.text
-    assert "Lamps" in page.text and "60 %" in page.text and "Look at them." in page.text
+    assert "85 %" in page.text and "28.3 dB" in page.text and "31.6" in page.text
     assert len(page.values("src")) == before + 3
     for address in page.values("src"):
         assert (run.report / address).is_file()

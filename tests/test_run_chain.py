@@ -7,24 +7,29 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import make_dataclass, replace
+from dataclasses import field, make_dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run import chain as chain_module
 from fipt_blender.core.run import finished_views, messages
+from fipt_blender.core.run.arrays import write_arrays
 from fipt_blender.core.run.chain import Chain, Given, Stage, Tools, Watch
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.settings import Settings
-from fipt_blender.core.run.stage_files import loaded, saved
+from fipt_blender.core.run.shapes import Layout
+from fipt_blender.core.run.stage_files import UNKNOWN, loaded, saved
 from fipt_blender.core.run.stage_settings import NoSettings, Seeded, TrainingSettings
 from fipt_blender.core.run.threads import MOST_THREADS, cached_property, in_threads
+from samples.combinations import pairs
 from samples.refusals import error_of
 
 
@@ -231,6 +236,58 @@ def test_documents_of_another_form_are_refused(change: dict, tmp_path: Path) -> 
         loaded({**document, **change}, Everything, tmp_path, {"source": SOURCE})
 
 
+def not_finite(unknown: bool, value: float) -> Callable[[Path], object]:
+    """Writes an array with a value that is no number as output of a stage."""
+    metadata = UNKNOWN if unknown else {}
+    kind = make_dataclass("Gaps", [("rows", list[np.ndarray], field(metadata=metadata))], frozen=True)
+    return lambda root: saved(kind([np.array([1.0, value])]), root / "stage" / "outputs", root, {})
+
+
+def mapped(folder: Path, values: np.ndarray) -> np.ndarray:
+    """An array in a file of a stage's folder."""
+    folder.mkdir()
+    array = np.lib.format.open_memmap(folder / "made.npy", mode="w+", dtype=values.dtype, shape=values.shape)
+    array[:] = values
+    return array
+
+
+@pytest.mark.parametrize(("unknown", "value"), pairs((False, True), (np.nan, np.inf)))
+def test_no_array_with_nan_or_infinity_is_stored_unless_nan_stands_for_unknown(
+    tmp_path: Path, unknown: bool, value: float
+) -> None:
+    array = np.array([0.5, value], np.float32)
+    layouts: dict[str, Layout] = {"a": ("u" if unknown else "f", ("N",))}
+    writers: list[Callable[[Path], object]] = [
+        not_finite(unknown, value),
+        lambda root: write_arrays(root / "a.npz", layouts, a=array),
+    ]
+    if not unknown:
+        writers += [
+            lambda root: write_arrays(root / "a.npz", {}, a=array),
+            lambda root: write_exr(root / "a.exr", np.tile(array, (2, 1)), half=True),
+            lambda root: saved(mapped(root / "stage", array), root / "stage" / "outputs", root, {}),
+        ]
+    allowed = unknown and np.isnan(value)
+    for number, write in enumerate(writers):
+        root = tmp_path / str(number)
+        root.mkdir()
+        if allowed:
+            write(root)
+        else:
+            assert error_of(write, root).code == "not-finite"
+            assert {path.name for path in root.rglob("*.*")} <= {"made.npy"}
+
+
+def test_arrays_of_the_engine_are_written_where_they_are_checked() -> None:
+    core = Path(chain_module.__file__).parents[1]
+    written = {
+        path.relative_to(core).as_posix()
+        for path in core.rglob("*.py")
+        if re.search(r"np\.save(z|z_compressed)?\b", path.read_text("utf-8"))
+    }
+    assert written == {"run/arrays.py", "run/stage_files.py"}
+
+
 def test_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
@@ -244,24 +301,56 @@ def test_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert error_of(work, tmp_path, stages=stages).code == "disk-full"
 
 
+class Clocked:
+    """A reporter whose clock is set, and what it has told."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.seconds, self._stream = 0.0, io.StringIO()
+        monkeypatch.setattr(messages.time, "monotonic", lambda: self.seconds)
+        self.reporter = Reporter(self._stream)
+
+    def told(self) -> list[dict]:
+        """The messages of progress."""
+        every = [json.loads(line) for line in self._stream.getvalue().splitlines()]
+        return [each for each in every if each["type"] == "progress"]
+
+    def left(self, seconds: float, share: float) -> float | None:
+        """What is left, as told when so many seconds have passed since the start."""
+        self.seconds = seconds
+        self.reporter.progress(share, force=True)
+        left: float | None = self.told()[-1]["remaining_seconds"]
+        return left
+
+
 def test_a_plan_is_continued_by_the_next_one_and_skipped_stages_tell_nothing_of_the_pace(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    stream, clock = io.StringIO(), iter(range(1000))
-    monkeypatch.setattr(messages.time, "monotonic", lambda: 10.0 * next(clock))
-    reporter = Reporter(stream)
-    reporter.plan([1.0, 9.0])
-    reporter.stage("first", "First")
-    reporter.progress(1.0)
-    reporter.plan([1.0, 1.0, 1.0])
-    reporter.skip()
-    reporter.stage("second", "Second")
-    reporter.progress(1.0)
-    told = [json.loads(line) for line in stream.getvalue().splitlines()]
-    shares = [each["fraction"] for each in told if each["type"] == "progress"]
-    assert shares == [0.0, 0.1, 0.4, 0.7]
-    # The clock has told 40 seconds since the first plan, in which 0.4 were done and not skipped.
-    assert told[-1]["remaining_seconds"] == pytest.approx(30.0)
+    clock = Clocked(monkeypatch)
+    clock.reporter.plan([1.0, 9.0])
+    clock.reporter.stage("first", "First")
+    clock.left(10.0, 1.0)
+    clock.reporter.plan([1.0, 1.0, 1.0])
+    clock.reporter.skip()
+    clock.reporter.stage("second", "Second")
+    # In 40 seconds 0.4 were done and not skipped.
+    assert clock.left(40.0, 1.0) == pytest.approx(30.0)
+    assert [each["fraction"] for each in clock.told()] == [0.0, 0.1, 0.4, 0.7]
+
+
+def test_what_is_left_follows_from_what_is_expected_and_from_the_rate_of_the_stage(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = Clocked(monkeypatch)
+    clock.reporter.plan([0.05, 0.95], 100.0)
+    clock.reporter.stage("short", "Expected to take five seconds")
+    assert clock.left(0.0, 0.0) == pytest.approx(100.0)  # at once
+    # It takes 200: after half of that the stage itself is known well, and all others are not 20 times as long.
+    left = clock.left(100.0, 0.5)
+    assert left is not None and 150.0 < left < 700.0
+    clock.seconds = 200.0
+    clock.reporter.stage("long", "Expected to take the rest")
+    left = clock.left(300.0, 0.95)
+    assert left is not None and 4.0 < left < 8.0  # a twentieth, at this stage's rate
 
 
 @pytest.mark.parametrize("cores", [None, 1, 2, 500])

@@ -13,12 +13,17 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.capture.images import read_ids, write_exr
-from fipt_blender.core.parts import linking
+from fipt_blender.core.estimate.input import prepare_input
+from fipt_blender.core.parts import linked_masks, linking
 from fipt_blender.core.parts.linked_masks import link_masks, shared_ids
 from fipt_blender.core.parts.linking import RegionPixels, link_regions
+from fipt_blender.core.pixels.camera_rays import trace_pixels
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.surface.room import load_room
 from samples.part_views import THING_PART, looking_views, numbered_anew, with_own_ids, write_run
 from samples.scans import joined, scanned_box
+from samples.small_captures import write_views
 
 WIDTH, HEIGHT, VIEWS = 40, 30, 9
 ROWS, COLUMNS = np.divmod(np.arange(HEIGHT * WIDTH), WIDTH)
@@ -119,7 +124,8 @@ def test_masks_with_own_ids_get_shared_ones(run_and_views) -> None:
     run, views, own = run_and_views
     room = load_room(run)
     none = [replace(view, parts=None) for view in own]
-    assert link_masks(run, room, views) == views and link_masks(run, room, none) == none and not run.linked.exists()
+    assert link_masks(run, room, views) == views and link_masks(run, room, none) == none
+    assert not [*run.linked.glob("*.exr")]
     some = [replace(view, parts=None) if view.name < "5" else view for view in own]
     assert [view.parts is None for view in link_masks(run, room, some)] == [view.parts is None for view in some]
     linked = link_masks(run, room, own)
@@ -133,6 +139,22 @@ def test_masks_with_own_ids_get_shared_ones(run_and_views) -> None:
     write_exr(own[0].parts, np.zeros_like(read_ids(own[0].parts)))
     again = link_masks(run, room, own)
     assert again[0].part_ids().max() == 0 and again[1].parts.stat().st_mtime_ns != before["1"]
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_views_are_traced_once_for_a_run_its_resume_and_a_second_estimate(
+    run_and_views, monkeypatch: pytest.MonkeyPatch, shared: bool
+) -> None:
+    run, views, own = run_and_views
+    views, traced = views if shared else own, []
+    monkeypatch.setattr(
+        linked_masks, "trace_pixels", lambda room, view: traced.append(view.name) or trace_pixels(room, view)
+    )
+    write_views(run, views)
+    for _ in ("run", "resume", "second estimate"):
+        found = prepare_input(run, make_settings(changes={"force": True}), Reporter()).views
+        assert [view.parts == own.parts for view, own in zip(found, views, strict=True)] == [shared] * len(views)
+    assert sorted(traced) == sorted(view.name for view in views)
 
 
 @pytest.mark.parametrize("most", [2, 3000])

@@ -14,12 +14,15 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.light.shadings import roughness_levels
 from fipt_blender.core.pixels.store import PixelStore
+from fipt_blender.core.run.messages import Reporter
+from fipt_blender.core.run.result_contents import Stages
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.surface.smoothing import SmoothingGrid
 from fipt_blender.core.textures import detail
-from fipt_blender.core.textures.texel_views import Texels
+from fipt_blender.core.textures.texel_views import Seen, Texels
 from samples.combinations import pairs
+from samples.small_captures import write_views
 from samples.small_rooms import mesh_room
 
 SIZE, FACTOR = 128, 4  # pixels of a photograph, and in one of light, along each axis
@@ -224,6 +227,65 @@ def test_views_without_more_pixels_than_light_tell_nothing(tmp_path):
     same = replace(given, photographs=given.pixels.views)
     texels, color = improved(same)
     assert np.array_equal(color, texels.base_color)
+
+
+def test_what_one_large_photograph_shows_among_small_ones_stays_finite(tmp_path):
+    """No second view says what is noise: the estimate stays as it is, also where a node of the grid has no weight."""
+    given = scene(tmp_path, texture, smooth_light)
+    mixed = replace(given, photographs=[given.photographs[0], *given.pixels.views[1:]])
+    assert mixed.larger() == [0]
+    texels, color = improved(mixed)
+    assert np.array_equal(color, texels.base_color)
+
+
+def test_weights_whose_squares_vanish_stay_finite():
+    """Where the light's error is huge, in the dark, a view has next to no weight."""
+    texels, room = wall_texels(), make_room()
+    cells = SmoothingGrid.around(texels.position, np.array([0, 0]), texels.triangle, 0.2)
+    totals, every = detail.Totals.of(len(texels)), np.arange(len(texels))
+    for shift in (-0.1, 0.1):
+        weight = np.where(texels.position[:, 0] < 1.0, 1e-25, 1.0).astype(np.float32)
+        seen = Seen(every, texels.base_color + np.float32(shift), weight, np.zeros(len(texels), np.float32))
+        totals.add(seen, seen.color, texels.base_color)
+    color = totals.result(texels, cells, np.zeros(len(room.triangles), np.int32))
+    assert np.isfinite(color).all() and np.array_equal(color[weight < 1.0], texels.base_color[weight < 1.0])
+
+
+def test_two_large_photographs_among_small_ones_show_their_detail(tmp_path):
+    given = scene(tmp_path, texture, smooth_light)
+    texels, color = improved(replace(given, photographs=[*given.photographs[:2], given.pixels.views[2]]))
+    seen = middle(texels) & (texels.position[:, :2] < 1.0).all(axis=1)
+    assert np.isfinite(color).all() and np.corrcoef(color[seen, 0], mean_texture(texels)[seen, 0])[0, 1] > 0.8
+
+
+def estimated_run(folder, given):
+    """A run whose results were made of the pixels and shadings in its stage `light`."""
+    run = RunFolder(folder / "run")
+    run.create(make_settings())
+    write_views(run, given.photographs)
+    detail.remember_light(run, detail.SolvedLight(given.pixels, given.shadings, given.levels))
+    run.results.mkdir(exist_ok=True)
+    for path in (run.stages_json, run.results / "stages.json"):
+        write_json(path, Stages({"light": "a", "quality": "b"}, {"light": {}, "quality": {}}, {}))
+    return run
+
+
+@pytest.mark.parametrize(
+    ("later", "found"),
+    [
+        (Stages({"light": "a", "quality": "c"}, {"light": {}}, {}), True),  # begun anew after the light
+        (Stages({"light": "c", "quality": "c"}, {}, {}), False),
+        (Stages({"light": "c", "quality": "c"}, {"light": {}}, {}), False),
+        (Stages({"light": "a", "quality": "c"}, {"light": {}}, {}, ("light",)), False),
+    ],
+)
+def test_a_stopped_estimation_is_told_of_where_it_took_the_detail(tmp_path, later, found):
+    run = estimated_run(tmp_path, scene(tmp_path, texture, smooth_light))
+    reporter = Reporter()
+    assert detail.load_input(run, reporter) is not None and not reporter.warnings
+    write_json(run.stages_json, later)
+    assert (detail.load_input(run, reporter) is not None) == found
+    assert [warning["code"] for warning in reporter.warnings] == ([] if found else ["detail-lost"])
 
 
 def test_detail_is_only_read_where_the_setting_and_the_sizes_ask_for_it(tmp_path):

@@ -3,7 +3,7 @@
 """Photographs that do not agree with the others are left out or corrected, and lamps without mesh are named."""
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from fipt_blender.core.pixels.mixed_pixels import mark_pure
 from fipt_blender.core.pixels.store import LEFT_OUT, NO_TRIANGLE, PixelStore, fill_pixels, open_pixels
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.settings import make_settings
+from samples.ingesting import edited_json
 from samples.scans import scanned_box
 from samples.small_captures import (
     CAMERAS,
@@ -60,15 +61,21 @@ def run_check(
     root: Path,
     capture: SmallCapture,
     change_pixels: Callable[[PixelStore], None] = lambda pixels: None,
+    faces: Sequence[int] = (),
     **settings: bool,
 ) -> tuple[PixelStore, ViewCheck, list[dict]]:
     """The pixels after the check of a capture's views, its result, and its messages; the objects are the parts.
 
     Args:
         change_pixels: is called on the pixels before the check.
+        faces: views that are the faces of one panorama.
         settings: changes of the draft preset.
     """
-    pixels = open_pixels(root / "pixels", load_capture(write_run(root / "run", capture)).train, create=True)
+    run = write_run(root / "run", capture)
+    with edited_json(run.capture_json) as data:
+        for index in faces:
+            data["views"][index]["panorama"] = "panorama"
+    pixels = open_pixels(root / "pixels", load_capture(run).train, create=True)
     fill_pixels(pixels, capture.room, lambda _: None)
     part = capture.room.triangle_object
     mark_pure(pixels, capture.room, part, lambda _: None)
@@ -154,6 +161,13 @@ def test_exposures_are_corrected_but_of_views_that_are_left_out(
     ratio = np.asarray(pixels.radiance) / np.maximum(np.asarray(plain.radiance), 1e-6)
     by_view = [np.median(ratio[pixels.rows(index)]) for index in range(8) if index != 3]
     assert np.ptp(by_view) < 0.02 * np.mean(by_view)
+
+
+def test_faces_of_a_panorama_have_one_exposure(capture: SmallCapture, tmp_path: Path) -> None:
+    spoilt = exposed(exposed(capture, 5, 1.5), 2, 1.5)
+    _, check, _ = run_check(tmp_path, spoilt, faces=(2, 5))
+    assert set(check.exposure) == {"train/002", "train/005"} and len(set(check.exposure.values())) == 1
+    assert check.exposure["train/002"] == pytest.approx(1.5, rel=0.02)
 
 
 def test_both_can_be_switched_off(capture: SmallCapture, tmp_path: Path) -> None:

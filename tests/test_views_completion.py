@@ -255,7 +255,9 @@ def test_a_hole_in_a_part_is_filled(tmp_path: Path, rng: np.random.Generator, th
     run = write_run(tmp_path, joined(SCAN, noisy, triangles[~hole], 0), parts)
     true = joined(SCAN, vertices, triangles, 1)
     views = photographed(tmp_path, true, rng) if parts == "none" else looking_views(tmp_path, true)
-    close_holes(run, with_own_ids(views, rng) if evidence == "own ids" else views)
+    told: list[float] = []
+    close_holes(run, with_own_ids(views, rng) if evidence == "own ids" else views, progress=told.append)
+    assert told and told == sorted(told) and told[0] >= 0.0 and 0.0 < told[-1] <= 1.0
     room = load_room(run)
     added = room.triangle_object == 1
     assert room.objects == ("scan", PANES) and added.any()

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = (
     *("FiptError", "Outcome", "import_capture", "estimate", "reestimate", "apply"),
     *("fixtures", "materials", "blender_materials", "render", "export"),
-    *("versions", "use_version", "rename_version", "delete_version"),
+    *("versions", "use_version", "delete_version"),
 )
 
 
@@ -77,13 +77,13 @@ def estimate(
     settings: Mapping[str, Value] | None = None,
     keep_stages: bool = False,
 ) -> Outcome:
-    """Estimate materials and lights of the scene's capture; earlier results become a version.
+    """Estimate materials and lights of the scene's capture, in a run folder of its own (see `versions`).
 
     Args:
         scene: see the module.
         preset: "draft", "medium" or "high"; None for that of the panel.
         settings: other values of settings (core/run/settings.py), by name.
-        keep_stages: keep finished stages of an interrupted or other run that nothing has changed for.
+        keep_stages: go on in the scene's run folder, and keep finished stages that nothing has changed for.
 
     Raises:
         FiptError: ``setting-unknown``, ``setting-invalid``, or why the estimation has failed.
@@ -101,7 +101,7 @@ def reestimate(scene: bpy.types.Scene | None = None) -> Outcome:
     """Estimate the materials again with the hints of the scene, from the light of its results; apply them.
 
     Raises:
-        FiptError: ``version-stages`` where another estimate has replaced the stages.
+        FiptError: ``version-stages`` where an estimate that was stopped has replaced the stages.
     """
     from .estimating import reestimation
 
@@ -211,7 +211,7 @@ def export(
 
 
 def versions(scene: bpy.types.Scene | None = None) -> list[Version]:
-    """The estimates that the scene's run keeps, the present one first, then the newest ones.
+    """The estimates of the scene's capture, the newest first: run folders beside the scene's.
 
     Raises:
         FiptError: ``run-missing``.
@@ -223,7 +223,7 @@ def versions(scene: bpy.types.Scene | None = None) -> list[Version]:
 
 
 def use_version(version: str, scene: bpy.types.Scene | None = None) -> Outcome:
-    """Make a version, by its id, the results of the scene's run, and apply it.
+    """Make a version, by the name of its folder, the scene's run, and apply it.
 
     Raises:
         FiptError: ``version-missing``, ``run-busy``; those of `apply`.
@@ -233,34 +233,15 @@ def use_version(version: str, scene: bpy.types.Scene | None = None) -> Outcome:
     return _run(version_change(version), scene)
 
 
-def rename_version(version: str, name: str, scene: bpy.types.Scene | None = None) -> None:
-    """Give a version a name; one with a name is never deleted by itself. "" takes its name away.
-
-    Raises:
-        FiptError: ``version-missing``.
-    """
-    from ..core.run import versions as kept
-    from ..jobs import runstate
-    from .applying import run_of
-
-    run = run_of(scene or bpy.context.scene)
-    kept.rename_version(run, version, name)
-    runstate.forget(run.root)
-
-
 def delete_version(version: str, scene: bpy.types.Scene | None = None) -> None:
-    """Delete an earlier version.
+    """Delete the run folder of a version, by its name.
 
     Raises:
-        FiptError: ``version-missing``, ``version-current``, ``run-busy``.
+        FiptError: ``version-missing``; ``run-busy`` for one that is in use.
     """
-    from ..jobs import runstate
-    from ..jobs.run_job import remove_version
-    from .applying import run_of
+    from . import applying
 
-    run = run_of(scene or bpy.context.scene)
-    remove_version(run, version)
-    runstate.forget(run.root)
+    applying.delete_version(scene or bpy.context.scene, version)
 
 
 def _run(task: Task, scene: bpy.types.Scene | None) -> Outcome:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The work behind Apply Results and Use Version: results become materials and lights of the scene.
+"""The work behind Apply Results and Versions: results become materials and lights of the scene.
 
 Operators import it while Blender starts, so it imports heavier modules inside functions.
 """
@@ -51,22 +51,45 @@ def application() -> Task:
 
 
 def version_change(version: str) -> Task:
-    """Make a version the results of the scene's run, and apply it."""
+    """Make a version, by the name of its folder, the scene's run, and apply it."""
 
     def make(scene: bpy.types.Scene) -> Job:
-        from ..jobs.run_job import switch_version
+        from ..core.run.versions import find_version
+        from ..jobs.run_job import refuse_busy
 
-        run = run_of(scene)
+        run = find_version(run_of(scene), version)
+        refuse_busy(run)
         settings = chosen_settings(scene, run)
-        switch_version(run, version)
         run.create(settings)
+        scene.fipt.run_folder = str(run.root)
         return _apply_job(scene, run, settings)
 
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
         _applied(scene, run)
         show_doubts(scene, run)
 
-    return Task("Use Version", "materials", make, finished=finished, undo=True)
+    return Task("Apply Version", "materials", make, finished=finished, undo=True)
+
+
+def delete_version(scene: bpy.types.Scene, version: str) -> None:
+    """Delete the run folder of a version, by its name.
+
+    Raises:
+        FiptError: ``version-missing``, ``run-busy`` where it is in use, ``run-unwritable``.
+    """
+    from ..bridge import storage
+    from ..core.run.versions import find_version
+    from ..jobs import runstate
+    from ..jobs.run_job import refuse_busy
+
+    run = find_version(run_of(scene), version)
+    refuse_busy(run)
+    if any(each.fipt.run_folder and run_of(each).root == run.root for each in bpy.data.scenes):
+        text = f"The scene shows the estimate {version}."
+        raise FiptError("run-busy", text, "Apply another one first, then delete this one.")
+    for _ in storage.delete_folder(run.root):
+        pass
+    runstate.forget(run_of(scene).root)
 
 
 def _apply_job(scene: bpy.types.Scene, run: RunFolder, settings: Settings) -> Job:
@@ -168,7 +191,7 @@ def apply_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Ste
             "Creating texture coordinates",
             2.0,
             inputs={
-                "room": _stamp(run.estimated().room_npz),
+                "room": _stamp(run.room_npz),
                 "parts": _stamp(run.parts_npz) if settings.atlas_images == "part" else [],
                 **atlas_values,
             },

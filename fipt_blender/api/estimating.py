@@ -32,7 +32,8 @@ def estimation(
     """Estimate materials and lights.
 
     Args:
-        keep_stages: keep finished stages where room, views and settings have not changed for them.
+        keep_stages: go on in the scene's run folder, with the stages for which room, views and settings have
+            not changed; its results are replaced. Otherwise they stay, and a new run folder is made.
         keep_hints: honour the hints that the run was started with, instead of the scene's.
         changes: settings besides those of the panel, by name.
     """
@@ -42,12 +43,7 @@ def estimation(
 
         launch = run_job.find_launch()
         settings = scene_settings(scene, changes)
-        if not scene.fipt.run_folder:
-            name = Path(bpy.data.filepath).stem or scene.name
-            scene.fipt.run_folder = str(machine.new_run_folder(name))
-            push_undo("Estimate")
-        run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-        run_job.refuse_busy(run)
+        run = run_for(scene, keep_stages)
         run.create(settings)
         if not keep_hints:
             from ..blend.hints.exchange import write_for_run
@@ -62,6 +58,30 @@ def estimation(
         )
 
     return Task("Estimate", "estimate", make, finished=show_doubts)
+
+
+def run_for(scene: bpy.types.Scene, keep_stages: bool) -> RunFolder:
+    """The scene's run folder; a new one beside it where that has results already, which stay.
+
+    Raises:
+        FiptError: ``run-busy``, ``run-linked``, ``disk-full`` or ``run-unwritable``.
+    """
+    from ..core.run.versions import copy_capture, has_results
+    from ..jobs.run_job import refuse_busy
+
+    before = RunFolder(bpy.path.abspath(scene.fipt.run_folder)) if scene.fipt.run_folder else None
+    if before is not None:
+        refuse_busy(before)
+        if keep_stages or not has_results(before):
+            return before
+        run = RunFolder(machine.new_run_folder(before.root.name, before.root.parent))
+        run.create(before.read())
+        copy_capture(before, run)
+    else:
+        run = RunFolder(machine.new_run_folder(Path(bpy.data.filepath).stem or scene.name))
+    scene.fipt.run_folder = str(run.root)
+    push_undo("Estimate")
+    return run
 
 
 def scene_settings(scene: bpy.types.Scene, changes: Mapping[str, Value] | None = None) -> Settings:
@@ -119,10 +139,8 @@ def reestimation() -> Task:
     """Estimate materials again with the scene's hints, from the stages of the results, and apply that."""
 
     def make(scene: bpy.types.Scene) -> Job:
-        from dataclasses import replace
-
         from ..blend.hints.exchange import write_hints_rerun
-        from ..core.run.versions import refuse_other_stages, restore_inputs
+        from ..core.run.versions import refuse_other_stages
         from ..jobs.main_job import estimate_step
         from ..jobs.run_job import find_launch, open_job, refuse_busy
 
@@ -131,10 +149,8 @@ def reestimation() -> Task:
         refuse_busy(run)
         chosen = chosen_settings(scene, run)
         refuse_other_stages(run)
-        restore_inputs(run)
         run.create(chosen)
-        kept = scene_settings(scene).kept_versions
-        settings = replace(run.read_estimated(), kept_versions=kept)
+        settings = run.read_estimated()
         run.create(settings)
         write_hints_rerun(scene, run)
         steps = [estimate_step(run, settings, resume=True), *apply_steps(scene.name, run, settings)]

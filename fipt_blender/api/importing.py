@@ -7,6 +7,7 @@ Operators import it while Blender starts, so it imports heavier modules inside f
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -132,8 +133,12 @@ def _capture_options(settings: FIPT_CaptureSettings) -> CaptureOptions:
             f"The folder {images} does not exist.",
             "Select another folder as Photographs in Import Settings, or clear the field.",
         )
+    panorama = Path(bpy.path.abspath(settings.panorama)).absolute() if settings.panorama else None
     return CaptureOptions(
         mesh=mesh,
+        panorama=panorama,
+        panorama_place=tuple(settings.panorama_place),
+        panorama_heading=math.degrees(settings.panorama_heading),
         images=images,
         scale=float(settings.scale),
         hold_back=0 if settings.hold_back < 2 else settings.hold_back,

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The pictures of applied results: which are missing or elsewhere, and bringing them to the .blend file."""
+"""The pictures of applied results: which are missing, and bringing them to the .blend file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import bpy
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import atomic_path
 from .marks import TEXTURE
-from .texture_files import SET_NAME
+from .texture_files import IN_RUN, SET_NAME
 
 
 def missing_pictures() -> list[str]:
@@ -22,49 +22,16 @@ def missing_pictures() -> list[str]:
     return sorted({path.name for image in _outside() for path in image_files(image) if not path.is_file()})
 
 
-def pictures_elsewhere() -> int:
-    """How many pictures of results lie outside of the folder of the open file, and outside of the file.
-
-    Those in a run folder are meant to.
-    """
-    if not bpy.data.filepath or not _beside():
-        return 0
-    folder = Path(bpy.data.filepath).parent
-    return sum(not path.is_relative_to(folder) for image in _outside() for path in image_files(image)[:1])
-
-
-def collect_pictures(pack: bool) -> int:
-    """Copy the pictures of results beside the open file, or pack them into it; the file is then complete.
-
-    Args:
-        pack: pack them.
-
-    Returns:
-        How many pictures.
-
-    Raises:
-        FiptError: ``file-unsaved``, ``file-missing`` or ``textures-unwritable``.
-    """
-    check_pictures(needs_name=not pack)
-    images = _outside()
-    for image in images:
-        if pack or image.is_dirty:  # what was painted is in no file yet
-            image.pack()
-    bring(_outside(), Path(bpy.data.filepath))
-    return len(images)
-
-
-def check_pictures(needs_name: bool = True) -> None:
-    """Check that the open file has a name, and its pictures.
-
-    Raises:
-        FiptError: ``file-unsaved`` or ``file-missing``.
-    """
-    if needs_name and not bpy.data.filepath:
-        raise FiptError("file-unsaved", "The file has no name yet.", "Save it first.")
-    if missing := missing_pictures():
-        text = f"{len(missing)} pictures are missing, the first is {missing[0]}."
-        raise FiptError("file-missing", text, "Use Find Missing Files, or apply the results again.")
+def pictures_in_runs(folder: Path) -> list[bpy.types.Image]:
+    """The pictures of results that lie in run folders other than `folder`, where a .blend file is saved."""
+    found = []
+    for image in _outside():
+        files = image_files(image)
+        store = files[0].parent
+        in_run = store.parent.name == IN_RUN and SET_NAME.fullmatch(store.name)
+        if in_run and store.parent.parent != folder and all(path.is_file() for path in files):
+            found.append(image)
+    return found
 
 
 def bring(images: Iterable[bpy.types.Image], blend: Path) -> None:
@@ -74,6 +41,7 @@ def bring(images: Iterable[bpy.types.Image], blend: Path) -> None:
         FiptError: ``textures-unwritable``.
     """
     folders: dict[Path, str] = {}
+    start = None if bpy.data.filepath else str(blend.parent)
     for image in images:
         files = image_files(image)
         source = files[0].parent
@@ -84,7 +52,7 @@ def bring(images: Iterable[bpy.types.Image], blend: Path) -> None:
         for path in files:
             copy_picture(path, folder / path.name)
         pattern = image.filepath_raw.replace("\\", "/").rpartition("/")[2]
-        image.filepath_raw = bpy.path.relpath(str(folder / pattern))
+        image.filepath_raw = bpy.path.relpath(str(folder / pattern), start=start)
 
 
 def _outside() -> list[bpy.types.Image]:
@@ -99,11 +67,6 @@ def image_files(image: bpy.types.Image) -> list[Path]:
     if image.source != "TILED":
         return [path]
     return [path.with_name(path.name.replace("<UDIM>", str(tile.number))) for tile in image.tiles]
-
-
-def _beside() -> bool:
-    settings = bpy.context.scene.fipt.materials
-    return str(settings.texture_files) == "BESIDE"
 
 
 def copy_picture(path: Path, target: Path) -> None:

@@ -34,7 +34,7 @@ OBJECT_SLOT = "fipt_original_slot_{}"  # material of a slot that is linked to th
 ADDED = "fipt_added"  # on a mesh that the scan lacks: `FOUND`, `CLOSED` or `DRAWN`
 FOUND, CLOSED, DRAWN = "found", "closed", "drawn"  # by the engine; what closes small holes; by the artist
 RESULT_MESH = "fipt_own_mesh"  # the result mesh, while the original is shown
-MADE = "fipt_made"  # on a result mesh: digest of its geometry and layers as we made it
+MADE = "fipt_inserted"  # on a result mesh: digest of its geometry and layers as we made it
 LAID_OUT = "fipt_laid_out"  # on a result mesh: digest of the atlas of its UVs
 SPLIT_OFF = (
     "fipt_split_off"  # on a result mesh: those of the object's exported triangles that became fixtures
@@ -54,16 +54,14 @@ INFERRED = "fipt_inferred"  # on such a light that no photograph shows: its shar
 BASE = "fipt_base"  # rgb as estimated or added: radiance of a fixture's front, watts of a light
 UNIT = "fipt_unit"  # on lights, our world and the scene: W/(m² sr) for one of the unit of bases (photographs)
 PROBABILITY = "fipt_probability"  # that a fixture emits, as estimated
-BACK = "fipt_back"  # rgb radiance of a fixture's back; both are on the materials of merged lamps, too
-MERGED = "fipt_merged"  # on a merged lamp: names of its fixtures in emitters.json, the first its own (JSON)
+BACK = "fipt_back"  # rgb radiance of a fixture's back; both are on the fixture's material, too
+MERGED = "fipt_merged"  # on a lamp that an earlier release merged: names of its fixtures (JSON)
 ON, SOLO, STOPS = "fipt_on", "fipt_solo", "fipt_stops"
 TINT, COLOR, KELVIN = "fipt_tint", "fipt_color", "fipt_kelvin"
-ANIMATED = "fipt_animated"  # drivers lead the settings to the strengths
-GATE = "fipt_gate"  # on an animated light: 0 without solo, 1 where it is soloed, -1 where others are
+ANIMATED = "fipt_animated"  # on a light of an earlier release whose settings drivers lead to the strengths
 WRITTEN = "fipt_written"  # the strength that we wrote last; any other was set by the artist
 VISIBILITY = "fipt_visibility"  # original ray visibility of a fixture that Blender lights stand for (JSON)
 AS_CONVERTED = "fipt_as_converted"  # on these lights: shape and place as made; on the fixture: their number
-PROFILE = "fipt_profile"  # on a light with an IES profile: its type before (JSON)
 PROBE = "fipt_probe"  # marks our light probe volume
 BAKED = "fipt_baked"  # on it: it was baked since it was placed
 STARTUP = "fipt_startup"  # marks objects of Blender's start-up file that we have hidden
@@ -76,12 +74,7 @@ RESULT_WORLD = "fipt_own_world"  # on a scene: our world, while the original one
 ORIGINAL_WORLD = "fipt_original_world"  # on a scene
 KEPT_FILM = "fipt_kept_film_transparent"  # on a scene
 KEPT_RENDER = "fipt_kept_render"  # on a scene: settings that we made, what they were and what we made (JSON)
-COMPOSITING = "fipt_compositing"  # on a scene that we made to composite a picture
 LIGHT_GROUPS = "fipt_light_groups"  # on a view layer: names of the groups that we added (JSON)
-
-# --- inserted objects, each with its matrix before it was first placed -------------------------------------
-MADE = "fipt_inserted"  # made by us: "Remove Inserted" removes it
-MOVED = "fipt_inserted_from"  # the artist's own: "Remove Inserted" moves it back
 
 # --- materials, node groups and images ---------------------------------------------------------------------
 MATERIAL = "fipt_material"  # marks a material as ours; its value is the name of the atlas image
@@ -93,7 +86,6 @@ ADJUSTMENT = "fipt_adjustment"  # on the node group of the artist's adjustments:
 SURFACE = "fipt_surface"  # what fed the output before a map was shown: node and socket, a line each
 TABLE = "fipt_table"  # on the node group that corrects Principled: digest of its table
 TEXTURE = "fipt_texture"  # marks an image of applied results, or their environment
-PLATE_NODES = "fipt_plate_nodes"  # on the node group of that scene
 PICTURE = "fipt_picture"  # marks an image that we showed in an editor
 
 # --- hints ------------------------------------------------------------------------------------------------
@@ -234,11 +226,6 @@ def result_world(scene: bpy.types.Scene) -> bpy.types.World | None:
         if world is not None and WORLD in world:
             return world
     return None
-
-
-def inserted_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The objects inserted into a scene: made by us, or the artist's own and placed by us."""
-    return [item for item in scene.objects if MADE in item or MOVED in item]
 
 
 def has_light_groups(layer: bpy.types.ViewLayer) -> bool:

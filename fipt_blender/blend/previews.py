@@ -53,7 +53,6 @@ class PictureIcons:
 estimate_pictures = PictureIcons()  # the estimate so far
 view_pictures = PictureIcons()  # the photographs
 doubt_pictures = PictureIcons()  # the parts that the engine asks about
-state_pictures = PictureIcons()  # thumbnails of light states
 
 
 def clear() -> None:
@@ -61,4 +60,3 @@ def clear() -> None:
     estimate_pictures.clear()
     view_pictures.clear()
     doubt_pictures.clear()
-    state_pictures.clear()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the textures of results are kept: beside the .blend file, packed into it, or in the run folder.
+"""Where the textures of results are kept: beside the .blend file; in the run folder until it has a name.
 
 Each set of pictures has a folder of its own, whose name is a digest of their content. No later set is written
 over it, so that a .blend file shows the results that it was saved with, and so do Undo and Revert. The run
@@ -26,6 +26,7 @@ from .marks import TEXTURE
 from .png16 import encode_png, encode_srgb
 
 _DIGITS = 12  # of a set's digest: two of a thousand sets have the same one with a probability below 1e-8
+IN_RUN = "applied"  # a run's folder of sets
 SET_NAME = re.compile(rf"[0-9a-f]{{{_DIGITS}}}")
 
 
@@ -35,13 +36,11 @@ class TextureFiles:
 
     Attributes:
         folder: of this set of textures alone.
-        pack: pack them into the .blend file.
         png: keep them as PNGs of 16 bits, which more programs read than EXR.
         relative: the .blend file names them relative to itself.
     """
 
     folder: Path
-    pack: bool = False
     png: bool = False
     relative: bool = False
 
@@ -69,8 +68,7 @@ class TextureFiles:
             raise FiptError(
                 "textures-unwritable",
                 f"The textures could not be copied beside the .blend file. {error.text}",
-                "Free some space, save the file in a folder in which you may write, or choose"
-                " 'In the File' as Textures in the section Materials.",
+                "Free some space, or save the file in a folder in which you may write.",
             ) from error
 
     def _kept(self, path: Path, is_data: bool | None) -> Path:
@@ -93,18 +91,7 @@ class TextureFiles:
         if image.filepath != path:  # setting it reads the file anew, without what the artist has painted
             image.filepath = path
         image[TEXTURE] = True
-        packed = image.packed_file
-        if self.pack and packed is None:
-            image.pack()
-        elif not self.pack and packed is not None and packed.size == _size(path):
-            image.unpack(method="REMOVE")  # it is the file's; what the artist has painted stays packed
         return image
-
-
-def _size(path: str) -> int:
-    """Bytes of a file that an image names; -1 where it is missing."""
-    file = Path(bpy.path.abspath(path))
-    return file.stat().st_size if file.is_file() else -1
 
 
 def _linked(path: Path, target: Path) -> bool:
@@ -116,13 +103,13 @@ def _linked(path: Path, target: Path) -> bool:
     return True
 
 
-def in_run_folder(run: RunFolder, pack: bool = False, png: bool = False) -> TextureFiles:
+def in_run_folder(run: RunFolder, png: bool = False) -> TextureFiles:
     """The present textures of a run, kept in its folder.
 
     Raises:
         FiptError: ``file-missing`` for a file that disappears meanwhile.
     """
-    return TextureFiles(run.root / "applied" / content_name(run), pack, png)
+    return TextureFiles(run.root / IN_RUN / content_name(run), png)
 
 
 def content_name(run: RunFolder) -> str:
@@ -138,9 +125,9 @@ def content_name(run: RunFolder) -> str:
 
 
 def texture_files(scene: bpy.types.Scene, run: RunFolder) -> TextureFiles:
-    """Where the textures of a scene are kept: as its settings say; packed while the file has no name."""
-    keep, png = scene.fipt.materials.texture_files, scene.fipt.materials.texture_format == "PNG"
-    if keep == "IN_RUN" or keep == "PACKED" or not bpy.data.filepath:
-        return in_run_folder(run, keep != "IN_RUN", png)
+    """Where the textures of a scene are kept: beside the file; in the run folder while it has no name."""
+    png = scene.fipt.materials.texture_format == "PNG"
+    if not bpy.data.filepath:
+        return in_run_folder(run, png)
     blend = Path(bpy.data.filepath)
-    return TextureFiles(blend.with_name(f"{blend.stem}_textures") / content_name(run), False, png, True)
+    return TextureFiles(blend.with_name(f"{blend.stem}_textures") / content_name(run), png, True)

@@ -11,7 +11,7 @@ import sys
 
 from ..core.run.lock import Holder, holder
 from ..core.run.runfolder import RunFolder
-from .process import Engine
+from .process import Engine, end_windows_tree
 
 _COMMAND = re.compile("[a-z][a-z-]*")  # it names a file
 
@@ -57,7 +57,7 @@ class AttachedEngine(Engine):
         pid = self._holder.pid
         try:
             if sys.platform == "win32":
-                os.kill(pid, signal.SIGTERM)
+                end_windows_tree(pid)
                 return
             number = signal.SIGTERM if terminate else signal.SIGKILL
             if os.getpgid(pid) == pid:

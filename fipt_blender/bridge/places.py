@@ -38,19 +38,20 @@ def runs_folder(data: Path) -> Path:
     return data / "runs"
 
 
-def new_run_folder(data: Path, name: str) -> Path:
-    """Make a new, empty folder for a run; its name contains `name` and the time.
+def new_run_folder(parent: Path, name: str) -> Path:
+    """Make a new, empty folder for a run; its name contains `name` and the time, instead of an earlier time.
 
     Args:
-        data: the data folder.
+        parent: the folder in which it is made.
         name: by which the user recognises the run, e.g. the name of the .blend file or of the capture.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
+    name = re.sub(r"-\d{8}-\d{6}(-\d+)?$", "", name)
     slug = re.sub(r"[^\w-]+", "-", name).strip("-_")[:40] or "run"
     stem = f"{slug}-{time.strftime('%Y%m%d-%H%M%S')}"
-    folder, number = runs_folder(data) / stem, 1
+    folder, number = parent / stem, 1
     with explained_write_errors(folder):
         while True:
             try:

@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,25 @@ from .death import explain_death, last_lines
 Message = dict[str, Any]
 
 _POLL_SECONDS = 0.05
+_TASKKILL_SECONDS = 1.0  # it takes a tenth of that; then the process alone is ended
+
+
+def end_windows_tree(pid: int) -> None:
+    """End a process of Windows and all that it started, which Windows itself would leave running."""
+    command = Path(os.environ.get("SystemRoot", "C:/Windows"), "System32", "taskkill.exe")
+    try:
+        subprocess.run(
+            [str(command), "/T", "/F", "/PID", str(pid)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+            timeout=_TASKKILL_SECONDS,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        with suppress(OSError):  # it may have ended
+            os.kill(pid, signal.SIGTERM)
 
 
 class Engine:
@@ -279,7 +299,8 @@ class EngineProcess(Engine):
     def _signal(self, terminate: bool) -> None:
         try:
             if sys.platform == "win32":
-                self._process.kill()
+                if self._process.poll() is None:  # else its id may belong to another process
+                    end_windows_tree(self._process.pid)
             else:
                 os.killpg(self._process.pid, signal.SIGTERM if terminate else signal.SIGKILL)
         except (ProcessLookupError, PermissionError):  # macOS: EPERM for a group of zombies

@@ -19,6 +19,7 @@ from ..core.run.runfolder import explained_write_errors
 from .process import Engine, Message
 from .step import JobProgress, Step, StepRecord, StepSlices, chain_keys
 
+QUIET_SECONDS = 5.0  # of an engine, after which the time that is left is told anew
 SLICE_SECONDS = 0.05  # time for which a function on Blender's data works in one call of `advance`
 
 
@@ -82,6 +83,7 @@ class Job:
         self._result = result
         self._modes = self._plan() if resume else ["run"] * len(self._steps)
         self._position = -1
+        self._heard = 0.0  # when the engine has last sent something
         self._announced = False
         self._process: Engine | None = None
         self._slices: StepSlices | None = None
@@ -205,6 +207,7 @@ class Job:
         self._announced = False
         if self._modes[self._position] != "restore" and (step.process or step.command is not None):
             self._process = step.process() if step.process else self._start_engine(step.command or ())
+            self._heard = time.monotonic()
             return []
         function = step.restore if self._modes[self._position] == "restore" else step.function
         assert function is not None
@@ -271,8 +274,13 @@ class Job:
 
     def _watch(self, process: Engine) -> list[Message]:
         step = self._steps[self._position]
-        messages = []
-        for message in process.poll():
+        messages, received = [], process.poll()
+        if received:
+            self._heard = time.monotonic()
+        elif not self.cancelled and time.monotonic() - self._heard > QUIET_SECONDS:
+            self._heard = time.monotonic()
+            messages.append(self._progress.quiet_message(self._position))
+        for message in received:
             if message["type"] == "progress":
                 self._progress.note_memory(float(message.get("memory_gb") or 0.0))
                 fraction, remaining = message.get("fraction", 0.0), message.get("remaining_seconds")

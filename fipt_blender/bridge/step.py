@@ -39,7 +39,8 @@ class Step:
         name: stable identifier, the key in steps.json.
         text: shown to the user while the step runs.
         weight: expected time in seconds, on a small machine, before anything is known of the capture.
-        expected: the same from what the steps before have found; None while that is unknown.
+        expected: the same from what the steps before have found; None while that is unknown, and with it the
+            time that the job will take.
         inputs: JSON-serialisable values on which the result depends besides the steps before.
         command: arguments of an engine command, or None.
         process: instead of `command`, starts another process that writes messages like the engine's.
@@ -179,10 +180,16 @@ class JobProgress:
         self._weights = [step.seconds() for step in steps]  # expected seconds, on a small machine
         self._skipped = list(skipped)
         known = [step.expected is not None for step in steps]
+        self._unknown = self._unread(0)
         self._telling = known if any(known) else [True] * len(known)
         self._worked = self._taken = 0.0  # expected and real seconds of finished steps that tell the pace
         self._started = time.monotonic()  # of the current step
         self._shown = self._memory_gb = 0.0
+        self._last: tuple[float, float | None, float] = (
+            0.0,
+            None,
+            self._started,
+        )  # told by `message`, and when
 
     def note_memory(self, memory_gb: float) -> None:
         """Take an engine's peak memory in GB into account."""
@@ -191,6 +198,7 @@ class JobProgress:
     def begin(self) -> None:
         """A step begins."""
         self._started = time.monotonic()
+        self._last = 0.0, None, self._started
 
     def complete(self, index: int) -> float:
         """A step is finished: returns its seconds; later ones are expected by what it has found."""
@@ -201,7 +209,21 @@ class JobProgress:
             self._weights[index] = max(self._weights[index], seconds)
         for later in range(index + 1, len(self._steps)):
             self._weights[later] = self._steps[later].seconds()
+        self._unknown = self._unread(index + 1)
         return seconds
+
+    def _unread(self, begin: int) -> bool:
+        """Whether the time of a step from `begin` on follows from what no step has read yet."""
+        rest = zip(self._steps[begin:], self._skipped[begin:], strict=True)
+        return any(
+            step.expected is not None and step.expected() is None for step, skipped in rest if not skipped
+        )
+
+    def quiet_message(self, index: int) -> dict[str, Any]:
+        """The last message again while the step works on: less is left."""
+        fraction, remaining, told = self._last
+        passed = time.monotonic() - told
+        return self.message(index, fraction, None if remaining is None else max(remaining - passed, 0.0))
 
     def message(self, index: int, step_fraction: float, step_remaining: float | None) -> dict[str, Any]:
         """The message `progress` of the job; its fraction never falls.
@@ -211,6 +233,7 @@ class JobProgress:
             step_fraction: share of the step that is done.
             step_remaining: remaining seconds of the step if known.
         """
+        self._last = step_fraction, step_remaining, time.monotonic()
         weight, share = self._weights[index], min(max(step_fraction, 0.0), 1.0)
         work = [0.0 if skipped else each for each, skipped in zip(self._weights, self._skipped, strict=True)]
         worked, taken = self._worked + _PRIOR_SECONDS, self._taken + _PRIOR_SECONDS
@@ -225,6 +248,6 @@ class JobProgress:
             "type": "progress",
             "fraction": round(self._shown, 4),
             "stage_fraction": round(step_fraction, 4),
-            "remaining_seconds": round(current + after * pace, 1),
+            "remaining_seconds": None if self._unknown else round(current + after * pace, 1),
             "memory_gb": self._memory_gb,
         }

@@ -88,7 +88,7 @@ def why_in_use(item: Item, used: Sequence[Path]) -> str:
 def measure(folder: Path) -> Iterator[int]:
     """Yield the size of a folder counted so far, in bytes, after each of its subfolders.
 
-    A file of several names, as versions of a run share some, counts once.
+    A file of several names counts once.
     """
     sizes: dict[tuple[int, int], int] = {}
     for parent, _, names in os.walk(folder):
@@ -120,7 +120,16 @@ def delete(item: Item, data: Path, used: Sequence[Path]) -> Iterator[None]:
         )
     if reason := why_in_use(known[item.folder], used):
         raise FiptError("run-busy", f"{item.folder} is kept: {reason}.", "Try again later.")
-    for child in sorted(item.folder.iterdir(), key=lambda path: path.name in ("run.json", "setup.json")):
+    yield from delete_folder(item.folder)
+
+
+def delete_folder(folder: Path) -> Iterator[None]:
+    """Delete a run's or an environment's folder, as `delete` does, wherever it is and without its checks.
+
+    Raises:
+        FiptError: ``run-unwritable``.
+    """
+    for child in sorted(folder.iterdir(), key=lambda path: path.name in ("run.json", "setup.json")):
         try:
             if child.is_dir() and not child.is_symlink():
                 yield from _delete_tree(child)
@@ -130,9 +139,9 @@ def delete(item: Item, data: Path, used: Sequence[Path]) -> Iterator[None]:
             raise _undeletable(child, error) from error
         yield
     try:
-        item.folder.rmdir()
+        folder.rmdir()
     except OSError as error:
-        raise _undeletable(item.folder, error) from error
+        raise _undeletable(folder, error) from error
 
 
 def _delete_tree(folder: Path) -> Iterator[None]:

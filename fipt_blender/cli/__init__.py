@@ -21,7 +21,6 @@ from ..jobs.main_job import make_main_job
 from ..jobs.run_job import find_launch
 from .arguments import make_options, make_parser
 from .output import Display, interrupts, private_stdout
-from .versions import run_versions
 
 
 def main(argv: Sequence[str]) -> int:
@@ -30,7 +29,7 @@ def main(argv: Sequence[str]) -> int:
         arguments = make_parser().parse_args(list(argv))
     except SystemExit as end:  # argparse; Blender would print a traceback
         return end.code if isinstance(end.code, int) else 2
-    commands = {"estimate": _estimate, "prepare": _prepare, "export": _export, "versions": _versions}
+    commands = {"estimate": _estimate, "prepare": _prepare, "export": _export}
     return {**commands, "check": _check}[arguments.command](arguments)
 
 
@@ -98,14 +97,6 @@ def _export(arguments: argparse.Namespace) -> int:
     for warning in exported.warnings:
         display.show(warning)
     display.show({"type": "done", "files": [str(exported.path)], "data": {"objects": exported.objects}})
-    return 0
-
-
-def _versions(arguments: argparse.Namespace) -> int:
-    try:
-        run_versions(arguments, Display(sys.stdout, arguments.json, arguments.quiet))
-    except FiptError as error:
-        return _report_error(arguments, error)
     return 0
 
 

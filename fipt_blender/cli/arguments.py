@@ -26,12 +26,11 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"fipt {PRODUCT_VERSION}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     estimate, prepare, export = _add_estimate(commands), _add_prepare(commands), _add_export(commands)
-    versions = _add_versions(commands)
     check = commands.add_parser("check", help="check whether the engine works, and on which device")
     for command in (estimate, prepare, check):
         add = command.add_argument
         add("--engine-python", metavar="PATH", help="Python interpreter with the engine's packages")
-    for command in (estimate, prepare, export, versions, check):
+    for command in (estimate, prepare, export, check):
         add = command.add_argument
         add("--quiet", action="store_true", help="print only warnings and errors")
         add("--json", action="store_true", help="print the messages as JSON, one per line")
@@ -112,23 +111,6 @@ def _add_export(commands: _Commands) -> argparse.ArgumentParser:
     text = "in glTF, write no lights for lamps, whose surfaces glow (for path tracers)"
     add("--no-lamp-lights", dest="lamp_lights", action="store_false", help=text)
     return export
-
-
-def _add_versions(commands: _Commands) -> argparse.ArgumentParser:
-    """The parser of `versions`."""
-    versions = commands.add_parser(
-        "versions",
-        help="list, use, compare, name and delete the estimates of a run",
-        description="List the estimates that a run keeps, the one in use marked with *. A run keeps the last"
-        " ones (--set kept_versions=N of estimate) and those with a name.",
-    )
-    add = versions.add_argument
-    add("run", type=Path, metavar="RUN", help="the run folder")
-    add("--use", metavar="ID", help="make it the run's results, and apply it in the run's room.blend")
-    add("--name", nargs=2, metavar=("ID", "NAME"), help='give it a name ("" takes it away)')
-    add("--delete", action="append", default=[], metavar="ID", help="delete it")
-    add("--compare", nargs=2, metavar="ID", help="print what two of them differ in")
-    return versions
 
 
 def make_options(arguments: argparse.Namespace) -> MainJobOptions:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -57,6 +58,9 @@ def remember_run(scene: bpy.types.Scene, options: MainJobOptions, run: RunFolder
     state.capture.triangles = options.triangles
     state.capture.mesh_from_photographs = options.mesh_from_photographs
     state.capture.undo_applied_transform = options.undo_applied_transform
+    state.capture.panorama = "" if options.panorama is None else str(options.panorama.absolute())
+    state.capture.panorama_place = options.panorama_place
+    state.capture.panorama_heading = math.radians(options.panorama_heading)
     fill_views(scene, run)
     state.parts.source = options.parts
     _remember_settings(state, options)

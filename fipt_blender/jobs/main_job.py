@@ -175,7 +175,8 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
 
 def _capture_step(options: MainJobOptions, run: RunFolder) -> Step:
     capture, arguments = options.capture.absolute(), options.arguments()
-    mesh, images = (None if path is None else path.absolute() for path in (options.mesh, options.images))
+    files = options.mesh, options.images, options.panorama
+    mesh, images, panorama = (None if path is None else path.absolute() for path in files)
     return replace(
         ingest_step(run, capture, arguments, "Reading the capture", 2.0),
         inputs={
@@ -183,6 +184,7 @@ def _capture_step(options: MainJobOptions, run: RunFolder) -> Step:
             "capture": folder_fingerprint(capture, exclude=run.root),
             "mesh": None if mesh is None else mesh_fingerprint(mesh, exclude=run.root),
             "images": None if images is None else folder_fingerprint(images, exclude=run.root),
+            "panorama": None if panorama is None else folder_fingerprint(panorama, exclude=run.root),
             "arguments": arguments,
         },
         outputs=[run.capture_json],

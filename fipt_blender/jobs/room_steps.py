@@ -17,7 +17,7 @@ from ..blend.capture.exporting import export_capture
 from ..blend.capture.importing import not_in_room
 from ..blend.capture.look import enter_camera_on_opening
 from ..blend.capture.view_geometry import view_geometry
-from ..blend.insert.sample_objects import insert_object
+from ..blend.insert.balls import add_ball
 from ..blend.insert.support import Support, choose_view
 from ..blend.lights.area_lights import Rectangle, add_area_light, area_light_watts
 from ..blend.lights.light_state import switch_all
@@ -162,9 +162,8 @@ class RoomSteps:
                     "remedy": "Choose a view that sees the floor or a table (--render-view).",
                 }
             ]
-        inserted = insert_object(
-            bpy.context.scene, Vector(support.point), kind=INSERTED_KIND, size=2.0 * support.radius
-        )
+        point, size = Vector(support.point), 2.0 * support.radius
+        inserted = add_ball(bpy.context.scene, point, INSERTED_KIND, size)
         try:
             self._render("insert", view)
         finally:

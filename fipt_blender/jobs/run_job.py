@@ -22,7 +22,6 @@ from ..core.run.errors import FiptError
 from ..core.run.lock import busy
 from ..core.run.process_identity import PARENT_VARIABLE
 from ..core.run.runfolder import RunFolder
-from ..core.run.versions import delete_version, use_version
 
 STEPS_NAME = "steps.json"
 
@@ -157,24 +156,3 @@ def find_launch(explicit: str | None = None) -> Launch:
     if not window:  # it ends with this process, since no window could attach it later
         variables[PARENT_VARIABLE] = str(os.getpid())
     return Launch(python, {**engine_environment(python), **variables})
-
-
-def switch_version(run: RunFolder, version: str) -> None:
-    """Make a version the run's results; the main job, when it is resumed, estimates what it is told.
-
-    Raises:
-        FiptError: ``version-missing``, ``run-busy``, ``run-linked``, ``disk-full`` or ``run-unwritable``.
-    """
-    refuse_busy(run)
-    use_version(run, version)
-    StepRecord(run.root / STEPS_NAME).store("estimate", f"version {version}", finished=False)
-
-
-def remove_version(run: RunFolder, version: str) -> None:
-    """Delete an earlier version.
-
-    Raises:
-        FiptError: as `switch_version`; ``version-current`` for the present results.
-    """
-    refuse_busy(run)
-    delete_version(run, version)

@@ -34,10 +34,9 @@ class RunState:
         stages: number of finished stages.
         results: whether the results of an estimation exist.
         finished: whether they are those of the last estimation, which has finished then.
-        earlier: whether the last estimation has finished, but the results are another version.
         continues: whether Re-estimate with Hints can go on from the stages of the results.
-        versions: all of them, the present one first.
-        size: bytes of the files of all versions.
+        versions: the estimates of the same capture, the newest first.
+        old_versions: whether an earlier release kept earlier results in the folder.
         engine: the command of the engine at work there, or "".
         warnings, error: warnings of the last run, and the error that ended it.
         pictures: the newest preview images.
@@ -49,10 +48,9 @@ class RunState:
     stages: int = 0
     results: bool = False
     finished: bool = False
-    earlier: bool = False
     continues: bool = False
     versions: tuple[Version, ...] = ()
-    size: int = 0
+    old_versions: bool = False
     engine: str = ""
     warnings: tuple[Message, ...] = ()
     error: Message | None = None
@@ -121,20 +119,16 @@ def look(run: RunFolder) -> RunState:
             error = message
         elif message.get("files") and message["type"] == "progress":
             pictures = tuple(run.root / name for name in message["files"])
-    results = run.statistics_json.exists() and run.emitters_json.exists() and run.fields_npz.exists()
+    results = run.statistics_json.exists() and versions.has_results(run)
     stages = optional_document(run.stages_json, Stages)
     quality = optional_document(run.quality_json, QualityFigures)
-    finished = results and _of_last_estimation(run, stages)
-    listed = tuple(versions.list_versions(run))
-    last = versions.stages_last(run)
     return RunState(
         stages=0 if stages is None else len(stages.stages),
         results=results,
-        finished=finished,
-        earlier=results and not finished and any(version.id == last for version in listed),
+        finished=results and _of_last_estimation(run, stages),
         continues=results and versions.can_continue(run),
-        versions=listed,
-        size=versions.total_size(run),
+        versions=tuple(versions.list_versions(run)),
+        old_versions=run.versions.is_dir(),
         engine=engine.command[0] if engine is not None else "",
         warnings=tuple(warnings),
         error=error,

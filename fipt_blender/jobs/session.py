@@ -16,7 +16,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..blend import previews
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
-from . import recovery, running, runstate
+from . import running, runstate, saving
 from .job_scene import find_scene, scene_context, uses_run_folder
 from .window import redraw, show_notice
 
@@ -50,7 +50,7 @@ def register() -> None:
     bpy.app.handlers.animation_playback_post.append(_note_playback_end)
     runstate.register(_after_look)
     running.register(after_job)
-    recovery.register()
+    saving.register()
 
 
 def unregister() -> None:
@@ -61,7 +61,7 @@ def unregister() -> None:
         keymap.keymap_items.remove(item)
     bpy.app.handlers.animation_playback_post.remove(_note_playback_end)
     runstate.unregister()
-    recovery.unregister()
+    saving.unregister()
     previews.clear()
 
 

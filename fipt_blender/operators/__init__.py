@@ -19,7 +19,6 @@ from . import (
     calibration,
     capture,
     check,
-    compare,
     eevee,
     environment,
     estimate,
@@ -70,7 +69,6 @@ MODULES = (
     insert,
     picture,
     check,
-    compare,
     presets,
 )
 

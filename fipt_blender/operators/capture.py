@@ -106,6 +106,21 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
         return importing.import_job(run, path, options.arguments(), "Listing the cameras", adopt)
 
 
+class FIPT_OT_place_panorama(bpy.types.Operator):
+    """Take the 3D Cursor as the place of the panorama, for the next import"""
+
+    bl_idname = "fipt.place_panorama"
+    bl_label = "Place at 3D Cursor"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        settings, place = context.scene.fipt.capture, context.scene.cursor.location
+        if settings.alignment is not None:
+            place = settings.alignment.matrix_world.inverted_safe() @ place
+        settings.panorama_place = place
+        return {"FINISHED"}
+
+
 class FIPT_OT_import_mesh(bpy.types.Operator):
     """Import a mesh file as the room, in the coordinates of the capture. The previous room is set aside"""
 

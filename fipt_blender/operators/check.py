@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the section Render: views rendered again beside their photographs, and the report."""
+"""Operators of the section Render: the report."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
-from ..properties.check import PICTURES, VIEWS
 from .job_operator import JobOperator
 from .polls import all_of, has_run, needs, no_job
 
@@ -30,116 +28,6 @@ class NeedsEstimate:
             "Set Show to Estimated first, in the section Materials",
         ),
     )
-
-
-class FIPT_OT_render_views(NeedsEstimate, JobOperator, bpy.types.Operator):
-    bl_idname = "fipt.render_views"
-    bl_label = "Render Views"
-    bl_description = (
-        "Render views of the estimated room in Cycles and compare them with their photographs. Inserted"
-        " objects and changes to the lights are ignored"
-    )
-    bl_options = {"REGISTER", "UNDO"}
-    title = "Render Views"
-    kind = "check"
-
-    samples: bpy.props.IntProperty(
-        name="Samples",
-        description="Cycles samples per pixel. If 0, the value in the panel is used",
-        min=0,
-        options={"SKIP_SAVE"},
-    )
-    which: bpy.props.EnumProperty(
-        name="Views", description="Views to render. If not set, the choice in the panel is used", items=VIEWS,
-        options={"SKIP_SAVE"},
-    )  # fmt: skip
-    view: bpy.props.StringProperty(
-        name="View", description="Name of a single view to render instead", options={"SKIP_SAVE"}
-    )
-
-    def make_job(self, context: bpy.types.Context) -> Job:
-        from ..blend.pictures.orders import make_order
-        from ..blend.pictures.render_job import make_job
-
-        scene = context.scene
-        run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-        which = self.which if self.properties.is_property_set("which") else scene.fipt.check.which
-        views = [self.view] if self.view else _chosen_views(scene, which)
-        samples = self.samples or scene.fipt.check.samples
-        return make_job(make_order(scene, run, views, samples))
-
-    @staticmethod
-    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        from ..blend.pictures.check_pictures import show_active, take_checks
-
-        take_checks(scene, run)
-        if not bpy.app.background and 0 <= scene.fipt.check.active < len(scene.fipt.check.views):
-            show_active(scene, bpy.context)
-
-
-def _chosen_views(scene: bpy.types.Scene, which: str) -> list[str]:
-    """Names of the views to render.
-
-    Raises:
-        FiptError: ``view-missing``.
-    """
-    if which == "CURRENT":
-        from ..blend.pictures.orders import view_of
-
-        return [view_of(scene.camera)]
-    views = [view for view in scene.fipt.capture.views if view.enabled]
-    names = [view.name for view in views if which == "TICKED" or view.split == "held_back"]
-    if not names:
-        text = "No view is ticked." if which == "TICKED" else "No ticked view is held back."
-        raise FiptError(
-            "view-missing",
-            text,
-            "Tick views in the section Capture, or choose other Views in the section Render.",
-        )
-    return names
-
-
-class FIPT_OT_show_check(bpy.types.Operator):
-    """Look through the camera of a rendered view at its photograph, render or error image"""
-
-    bl_idname = "fipt.show_check"
-    bl_label = "Show Rendered View"
-    bl_options = {"REGISTER", "UNDO"}
-
-    view: bpy.props.StringProperty(
-        name="View",
-        description="Name of the view. If empty, the active view of the list is used",
-        options={"SKIP_SAVE"},
-    )
-    picture: bpy.props.EnumProperty(
-        name="Picture", description="Image to show", items=PICTURES, options={"SKIP_SAVE"}
-    )
-    window: bpy.props.BoolProperty(
-        name="Image Editor",
-        description="Show the picture in an Image Editor as well; opens a new window if there is none",
-        options={"SKIP_SAVE"},
-    )
-
-    poll = all_of(needs(lambda context: context.scene.fipt.check.views, "Use Render Views first"))
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.pictures.check_pictures import open_editor, show_active
-
-        settings = context.scene.fipt.check
-        index = settings.views.find(self.view) if self.view else settings.active
-        if not 0 <= index < len(settings.views):
-            self.report({"ERROR"}, f"The view '{self.view}' has not been rendered. Use Render Views first.")
-            return {"CANCELLED"}
-        if self.properties.is_property_set("picture"):
-            settings.picture = self.picture
-        settings.active = index
-        image = show_active(context.scene, context)
-        if image is None:
-            self.report({"ERROR"}, "The image file is missing. Render the view again.")
-            return {"CANCELLED"}
-        if self.window:
-            open_editor(context, image)
-        return {"FINISHED"}
 
 
 class FIPT_OT_write_report(JobOperator, bpy.types.Operator):

@@ -41,7 +41,7 @@ class FIPT_OT_estimate(_Estimation, bpy.types.Operator):
     bl_label = "Estimate"
     bl_description = (
         "Estimate the materials and lights of the room from its photographs. You can continue to work"
-        " meanwhile; Esc stops it. When it has finished, the results before become a version"
+        " meanwhile; Esc stops it. Earlier results stay, in a run folder of their own"
     )
 
     keep: bpy.props.BoolProperty(
@@ -70,7 +70,7 @@ class FIPT_OT_resume(_Estimation, bpy.types.Operator):
         if not state.stages and not state.engine:
             cls.poll_message_set("There is no stopped run to resume")
             return False
-        if (state.finished or state.earlier) and not state.engine:
+        if state.finished and not state.engine:
             cls.poll_message_set("The last run is finished. Use Estimate to start a new one")
             return False
         return True

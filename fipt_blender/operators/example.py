@@ -29,8 +29,8 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
     bl_idname = "fipt.try_example"
     bl_label = "Try the Example"
     bl_description = (
-        "Import a small room, estimate it and apply the results, in a scene of its own. Takes about a minute,"
-        " because its 20 photographs have only 128 x 72 pixels"
+        "Import a small room, estimate it and apply the results, in a scene of its own. Takes one to three"
+        " minutes, because its 20 photographs have only 128 x 72 pixels"
     )
     bl_options = {"REGISTER", "UNDO"}
     title = "Example"

@@ -245,10 +245,6 @@ class FIPT_OT_reestimate(JobOperator, bpy.types.Operator):
     poll = all_of(
         no_job,
         has_run,
-        needs(
-            lambda context: _state(context).continues or not _state(context).earlier,
-            "Another estimate has replaced the stages of these results. Use Estimate with the hints",
-        ),
         needs(lambda context: _state(context).continues, "Finish an estimate first"),
         in_object_mode,
     )

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the section Lights: states of all lights, keyframes, and IES profiles."""
+"""Operators of the section Lights: states of all lights, and IES profiles."""
 
 from __future__ import annotations
 
@@ -11,20 +11,14 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy_extras.io_utils import ImportHelper
 
-from ..blend.marks import ANIMATED, NEW_LIGHT, PROFILE, fixture_lights, lights_of
+from ..blend.marks import NEW_LIGHT, fixture_lights
 from ..core.run.errors import FiptError
-from ..core.run.runfolder import RunFolder
-from .check import NeedsEstimate
-from .job_operator import JobOperator
 from .lights import NeedsLights, find_light, light_name_property
 from .polls import all_of, needs
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
     from ..blend.lights.light_states import LightState
-    from ..bridge.sequence import Job
-
-_NAMES = {"PRESENT": "Lights", "PHOTOGRAPHED": "As Photographed", "EVENING": "Evening"}
 
 
 class FIPT_OT_save_light_state(NeedsLights, bpy.types.Operator):
@@ -34,82 +28,24 @@ class FIPT_OT_save_light_state(NeedsLights, bpy.types.Operator):
     bl_label = "Save Light State"
     bl_options = {"REGISTER", "UNDO"}
 
-    kind: bpy.props.EnumProperty(
-        name="State",
-        description="What is saved",
-        items=[
-            ("PRESENT", "Present Lights", "All lights as they are now"),
-            (
-                "PHOTOGRAPHED",
-                "As Photographed",
-                "All that the photographs show as estimated, your lights off",
-            ),
-            ("EVENING", "Evening", "The environment off, all lights on at their present power"),
-            ("LAMP", "Active Light Only", "The active light of the list alone, at its present power"),
-        ],
-        options={"SKIP_SAVE"},
-    )
     name: bpy.props.StringProperty(
         name="Name",
         description="Name of the state; a state of that name is replaced. If empty, it is chosen",
         options={"SKIP_SAVE"},
     )
 
-    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.lights import light_states
         from ..core.run.parts import free_name
 
-        scene = context.scene
-        settings = scene.fipt.lights
-        name = self.name
-        if self.kind == "LAMP":
-            lamp = find_light(scene, "")
-            state, own_name = light_states.only(scene, lamp), lamp.name
-        else:
-            makers = {
-                "PRESENT": light_states.present,
-                "PHOTOGRAPHED": light_states.as_photographed,
-                "EVENING": light_states.evening,
-            }
-            state, own_name = makers[self.kind](scene), iface_(_NAMES[self.kind])
-        entry = settings.states.get(name) if name else None
+        settings = context.scene.fipt.lights
+        entry = settings.states.get(self.name) if self.name else None
         if entry is None:
             entry = settings.states.add()
-            entry.name = name or free_name(own_name, [each.name for each in settings.states])
-        entry.data = light_states.write(state)
+            entry.name = self.name or free_name(iface_("Lights"), [each.name for each in settings.states])
+        entry.data = light_states.write(light_states.present(context.scene))
         settings.active_state = settings.states.find(entry.name)
-        show_thumbnails(scene, RunFolder(bpy.path.abspath(scene.fipt.run_folder)))
         return {"FINISHED"}
-
-
-def show_thumbnails(scene: bpy.types.Scene, run: RunFolder) -> None:
-    """Draw the thumbnails of the states from the lights that were rendered for them, if they were."""
-    from ..blend import previews
-    from ..blend.pictures.state_pictures import draw_states
-
-    previews.state_pictures.load(draw_states(scene, run))
-
-
-class FIPT_OT_render_state_thumbnails(NeedsEstimate, JobOperator, bpy.types.Operator):
-    bl_idname = "fipt.render_state_thumbnails"
-    bl_label = "Render Thumbnails"
-    bl_description = (
-        "Render what the scene's camera sees by each light alone, small, and show every state as the sum of"
-        " its lights. States saved later are shown at once. Render again after a change of camera, room"
-        " or places of lights"
-    )
-    title = "Render Thumbnails"
-    kind = "lights"
-
-    def make_job(self, context: bpy.types.Context) -> Job:
-        from ..blend.pictures.orders import order_lights
-        from ..blend.pictures.render_job import make_job
-
-        run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
-        return make_job(order_lights(context.scene, run))
-
-    finished = staticmethod(show_thumbnails)
 
 
 class _NeedsState:
@@ -178,54 +114,6 @@ class FIPT_OT_remove_light_state(_NeedsState, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FIPT_OT_keyframe_lights(NeedsLights, bpy.types.Operator):
-    bl_idname = "fipt.keyframe_lights"
-    bl_label = "Keyframe Lights"
-    bl_description = (
-        "Insert keyframes of the power, color and switch of the active light, or of all lights, on the"
-        " current frame. They also work in renders without the extension"
-    )
-    bl_options = {"REGISTER", "UNDO"}
-
-    light: light_name_property("light")
-    everything: bpy.props.BoolProperty(
-        name="All Lights", description="All lights of the list", options={"SKIP_SAVE"}
-    )
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.light_drivers import keyframe
-        from ..blend.lights.light_state import refresh
-
-        scene = context.scene
-        for item in lights_of(scene) if self.everything else [find_light(scene, self.light)]:
-            keyframe(item, scene.frame_current)
-        refresh(scene)
-        return {"FINISHED"}
-
-
-class FIPT_OT_clear_light_keyframes(NeedsLights, bpy.types.Operator):
-    """Remove all keyframes of the light, which stays as it is on the current frame"""
-
-    bl_idname = "fipt.clear_light_keyframes"
-    bl_label = "Clear Light Keyframes"
-    bl_options = {"REGISTER", "UNDO"}
-
-    light: light_name_property("light")
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.light_drivers import clear
-        from ..blend.lights.light_state import refresh
-
-        item = find_light(context.scene, self.light)
-        if ANIMATED not in item:
-            raise FiptError("keyframes-missing", f"'{item.name}' has no keyframes.", "Use Keyframe Lights.")
-        clear(item)
-        refresh(context.scene)
-        return {"FINISHED"}
-
-
 def _blender_lights(scene: bpy.types.Scene, name: str) -> list[bpy.types.Object]:
     """The Blender lights of a row of the list.
 
@@ -244,8 +132,8 @@ class FIPT_OT_set_ies_profile(NeedsLights, ImportHelper, bpy.types.Operator):
     bl_idname = "fipt.set_ies_profile"
     bl_label = "IES Profile..."
     bl_description = (
-        "Let the light send its power into the directions of a lamp's IES profile, along its -Z axis. It"
-        " becomes a point light; the profile is stored in the .blend file. Only Cycles renders it"
+        "Put the file of a lamp's IES profile into an IES Texture node of the light, which becomes a point"
+        " and shines along its -Z axis. The profile multiplies its power. Only Cycles renders it"
     )
     bl_options = {"REGISTER", "UNDO"}
     filename_ext = ".ies"
@@ -255,31 +143,8 @@ class FIPT_OT_set_ies_profile(NeedsLights, ImportHelper, bpy.types.Operator):
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.ies import read_profile, set_profile
-        from ..blend.lights.light_state import refresh
-
-        lights = _blender_lights(context.scene, self.light)
-        profile = read_profile(Path(bpy.path.abspath(self.filepath)))
-        for light in lights:
-            set_profile(light, profile)
-        refresh(context.scene)
-        return {"FINISHED"}
-
-
-class FIPT_OT_remove_ies_profile(NeedsLights, bpy.types.Operator):
-    """Remove the IES profile of the light and restore its shape"""
-
-    bl_idname = "fipt.remove_ies_profile"
-    bl_label = "Remove IES Profile"
-    bl_options = {"REGISTER", "UNDO"}
-
-    light: light_name_property("light")
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.ies import remove_profile
+        from ..blend.lights.ies import set_profile
 
         for light in _blender_lights(context.scene, self.light):
-            if PROFILE in light:
-                remove_profile(light)
+            set_profile(light, Path(bpy.path.abspath(self.filepath)))
         return {"FINISHED"}

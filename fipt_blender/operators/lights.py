@@ -7,7 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..blend.marks import FIXTURE, MERGED, VISIBILITY, has_light_groups
+from ..blend.marks import FIXTURE, has_light_groups
 from ..core.run.errors import FiptError
 from ..properties.lights import FIPT_Light
 from .polls import all_of, in_object_mode, is_own_room, needs
@@ -186,97 +186,6 @@ class FIPT_OT_area_light_to_fixture(_OnFixture, bpy.types.Operator):
         from ..blend.lights.convert import lights_to_fixture
 
         lights_to_fixture(context.scene, fixture)
-
-
-_SHAPES = {"RECTANGLE": "rectangle", "ELLIPSE": "disc", "TUBE": "tube", "BALL": "ball"}
-
-
-class FIPT_OT_clean_fixture(_OnFixture, bpy.types.Operator):
-    bl_idname = "fipt.clean_fixture"
-    bl_label = "Clean Shape"
-    bl_description = (
-        "Replace the mesh of the fixture, which is ragged on a scan, by the rectangle, disc, tube or ball"
-        " that fits it. The radiance stays as it is"
-    )
-    bl_options = {"REGISTER", "UNDO"}
-
-    fixture: light_name_property("fixture")
-
-    def convert(self, context: bpy.types.Context, fixture: bpy.types.Object) -> None:
-        from ..blend.lights.convert import world_triangles
-        from ..blend.lights.lamp_shapes import clean_fixture
-
-        if VISIBILITY in fixture:
-            raise FiptError(
-                "fixture-converted",
-                f"'{fixture.name}' was converted to Blender lights.",
-                "Use Convert Back first.",
-            )
-        shape = clean_fixture(fixture, *world_triangles(fixture))
-        self.report({"INFO"}, iface_("The shape is a {}").format(iface_(_SHAPES[shape.kind])))
-
-
-class FIPT_OT_merge_lamps(NeedsLights, bpy.types.Operator):
-    bl_idname = "fipt.merge_lamps"
-    bl_label = "Merge Lamps"
-    bl_description = (
-        "Join the selected fixtures into one lamp with one row of the list, one light group and the settings"
-        " of the most powerful one. Every surface keeps its radiance"
-    )
-    bl_options = {"REGISTER", "UNDO"}
-
-    poll = all_of(
-        has_lights,
-        in_object_mode,
-        needs(
-            lambda context: sum(FIXTURE in item for item in context.selected_objects) >= 2,
-            "Select two or more lamps in the viewport or in the Outliner",
-        ),
-    )
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.merging import merge
-        from ..blend.outliner import select_only
-
-        chosen = [item for item in context.selected_objects if FIXTURE in item]
-        lamp = merge(chosen)
-        _list_again(context, lamp)
-        select_only(context.view_layer, lamp)
-        self.report({"INFO"}, iface_("{} lamps are one").format(len(chosen)))
-        return {"FINISHED"}
-
-
-class FIPT_OT_split_lamp(_OnFixture, bpy.types.Operator):
-    """Divide a merged lamp into the fixtures that it was merged from"""
-
-    bl_idname = "fipt.split_lamp"
-    bl_label = "Split Lamp"
-    bl_options = {"REGISTER", "UNDO"}
-
-    fixture: light_name_property("fixture")
-
-    def convert(self, context: bpy.types.Context, fixture: bpy.types.Object) -> None:
-        from ..blend.lights.merging import split
-
-        if MERGED not in fixture:
-            raise FiptError("lamp-not-merged", f"'{fixture.name}' is a single lamp.", "Choose a merged lamp.")
-        parts = split(context.scene, fixture)
-        _list_again(context, fixture)
-        self.report({"INFO"}, iface_("The lamp was divided into {}").format(len(parts)))
-
-
-def _list_again(context: bpy.types.Context, active: bpy.types.Object) -> None:
-    """Update list, strengths and light groups after fixtures were merged or divided."""
-    from ..blend.lights.light_groups import make_light_groups
-    from ..blend.lights.light_state import list_lights, refresh
-
-    refresh(context.scene)
-    list_lights(context.scene)
-    lights = context.scene.fipt.lights
-    lights.active = next((index for index, row in enumerate(lights.lights) if row.object == active), 0)
-    if has_light_groups(context.view_layer):
-        make_light_groups(context.scene, context.view_layer)
 
 
 class FIPT_OT_make_light_groups(NeedsLights, bpy.types.Operator):

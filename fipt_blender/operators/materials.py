@@ -87,28 +87,6 @@ class FIPT_OT_revert(_NeedsResults, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FIPT_OT_collect_pictures(bpy.types.Operator):
-    bl_idname = "fipt.collect_pictures"
-    bl_label = "Collect Pictures"
-    bl_description = (
-        "Copy the textures and the environment to the folder NAME_textures beside the .blend file, or pack"
-        " them into it, so that it can be moved to another folder or machine. Nothing is removed elsewhere"
-    )
-    bl_options = {"REGISTER", "UNDO"}
-
-    pack: bpy.props.BoolProperty(name="In the File", description="Pack them into the .blend file")
-
-    poll = all_of(has_results, no_job)
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.collecting import collect_pictures
-
-        count = collect_pictures(self.pack)
-        self.report({"INFO"}, iface_("{} pictures collected. Save the file").format(count))
-        return {"FINISHED"}
-
-
 class FIPT_OT_collect_room(bpy.types.Operator):
     bl_idname = "fipt.collect_room"
     bl_label = "Collect Room"
@@ -142,55 +120,6 @@ class FIPT_OT_collect_room(bpy.types.Operator):
             self.report({"WARNING"}, text.format(len(done.left), done.left[0]))
         text = iface_("{} written, with {} files of exports").format(done.path, len(done.exports))
         self.report({"INFO"}, text)
-        return {"FINISHED"}
-
-
-def _no_undo(context: bpy.types.Context) -> bool:
-    return not (bpy.ops.ed.undo.poll() or bpy.ops.ed.redo.poll())
-
-
-class FIPT_OT_clean_up_pictures(bpy.types.Operator):
-    bl_idname = "fipt.clean_up_pictures"
-    bl_label = "Clean Up Pictures"
-    bl_description = (
-        "List the folders of textures of earlier results, in NAME_textures and in the run folder, that no"
-        " .blend file uses which Blender knows: this one, those beside it and their backups, recent files."
-        " They are deleted after you have confirmed"
-    )
-
-    poll = all_of(
-        no_job,
-        # Undo brings back results whose pictures no file may name.
-        needs(_no_undo, "Undo may need the pictures. Save the file, then use File > Revert"),
-    )
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        from ..blend.unused_pictures import unused_pictures
-
-        self._listed, _ = unused_pictures()
-        if bpy.app.background or not self._listed:
-            return self.execute(context)
-        return context.window_manager.invoke_props_dialog(self, width=640, confirm_text=iface_("Delete"))
-
-    def draw(self, context: bpy.types.Context) -> None:
-        column = self.layout.column(align=True)
-        column.label(text="Delete these folders permanently?", icon="TRASH")
-        for folder in self._listed:
-            column.label(text=str(folder), translate=False)
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.unused_pictures import remove_pictures, unused_pictures
-
-        folders, unread = unused_pictures()
-        if unread:
-            text = iface_("Nothing was deleted: {} can't be read and may use the pictures")
-            self.report({"WARNING"}, text.format(unread[0]))
-        removed = [folder for folder in folders if folder in getattr(self, "_listed", folders)]
-        for folder in removed:
-            remove_pictures(folder)
-            self.report({"INFO"}, iface_("Deleted {}").format(folder))
-        self.report({"INFO"}, iface_("{} folders of pictures deleted").format(len(removed)))
         return {"FINISHED"}
 
 

@@ -62,7 +62,7 @@ class FIPT_OT_final_picture(NeedsEstimate, JobOperator, bpy.types.Operator):
         "Render what the scene's camera sees in Cycles, with the scene's render settings as F12 does, beside"
         " your work. Rendered Room: the whole room; Photograph: the inserted objects with their shadows and"
         " reflections over the photograph, whose lens's distortion is undone. It is saved beside the .blend"
-        " file as EXR and PNG, and shown"
+        " file as EXR of all layers and passes and as PNG, and shown"
     )
     bl_options = {"REGISTER", "UNDO"}
     title = "Final Picture"
@@ -93,7 +93,7 @@ class FIPT_OT_final_picture(NeedsEstimate, JobOperator, bpy.types.Operator):
 
     @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        from ..blend.pictures.check_pictures import load_picture, open_editor
+        from ..blend.pictures.editors import load_picture, open_editor
         from ..blend.pictures.orders import last_picture
 
         picture = last_picture(run)
@@ -132,7 +132,7 @@ class FIPT_OT_open_picture(bpy.types.Operator):
     poll = all_of(needs(lambda context: context.scene.fipt.insert.picture, "Use Final Picture first"))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.pictures.check_pictures import load_picture, open_editor
+        from ..blend.pictures.editors import load_picture, open_editor
 
         path = Path(context.scene.fipt.insert.picture)
         image = load_picture(path)
@@ -147,20 +147,28 @@ class FIPT_OT_plate_nodes(bpy.types.Operator):
     bl_idname = "fipt.plate_nodes"
     bl_label = "Compositor Scene"
     bl_description = (
-        "Make a scene whose compositor nodes put the layers of the last picture over its photograph together:"
-        " plate, shadow, light, object and depth. The room's scene is not changed"
+        "Make a scene with the same objects, whose compositor nodes put them over the photograph of the"
+        " current view, as Final Picture does. The room's scene is not changed"
     )
     bl_options = {"REGISTER", "UNDO"}
 
     poll = all_of(
-        needs(lambda context: context.scene.fipt.insert.picture, "Use Final Picture over a photograph first")
+        needs(
+            lambda context: context.scene.fipt.insert.backdrop == "PHOTOGRAPH",
+            "Select Photograph first, in the section Render",
+        )
     )
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.pictures.plate_nodes import make_plate_scene
+        from ..blend.pictures.orders import view_of
+        from ..blend.pictures.plate import plate_scene
+        from ..core.run.run_files import read_capture
 
         scene = context.scene
-        made = make_plate_scene(scene, Path(scene.fipt.insert.picture))
+        run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
+        view = read_capture(run.capture_json).view(view_of(scene.camera))
+        room = [item.name for item in scene.fipt.capture.room_objects(scene)]
+        made = plate_scene(scene, run, view, scene.camera, room)
         self.report({"INFO"}, iface_("The scene '{}' has the nodes").format(made.name))
         return {"FINISHED"}

@@ -4,14 +4,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Vector
-
-if TYPE_CHECKING:
-    from ..blend.insert.surfaces import Surface
 
 # Events that move the view or zoom; modal operators pass them on. The mouse wheel zooms as well.
 NAVIGATION = ("MIDDLEMOUSE", "TRACKPADPAN", "TRACKPADZOOM", "MOUSEROTATE", "MOUSESMARTZOOM", "NDOF_MOTION")
@@ -62,14 +59,22 @@ def ray_under_pointer(context: bpy.types.Context, event: bpy.types.Event) -> Poi
     )
 
 
+class Surface(NamedTuple):
+    """A point on a surface: position and unit normal towards the viewer, in the world."""
+
+    position: Vector
+    normal: Vector
+
+
 def surface_under_pointer(context: bpy.types.Context, event: bpy.types.Event) -> Surface | None:
     """The visible surface under the pointer, in world coordinates; None where there is none."""
-    from ..blend.insert.surfaces import find_surface
+    from ..blend.ray_hits import hits
 
     ray = ray_under_pointer(context, event)
     if ray is None:
         return None
-    return find_surface(context.scene, context.evaluated_depsgraph_get(), *ray)
+    hit = next(hits(context.scene, context.evaluated_depsgraph_get(), *ray), None)
+    return None if hit is None else Surface(hit.position, -hit.normal if hit.behind else hit.normal)
 
 
 def is_click(event: bpy.types.Event) -> bool:

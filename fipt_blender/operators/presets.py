@@ -41,15 +41,3 @@ class FIPT_OT_add_estimate_preset(AddPresetBase, bpy.types.Operator):
     preset_subdir = "fipt/estimate"
     preset_defines = ["settings = bpy.context.scene.fipt.estimate"]
     preset_values = ["settings.preset", "settings.device", "settings.changes"]
-
-
-class FIPT_OT_add_check_preset(AddPresetBase, bpy.types.Operator):
-    """Add or remove a preset of the settings of check renders"""
-
-    bl_idname = "fipt.add_check_preset"
-    bl_label = "Add Check Preset"
-    bl_options = {"REGISTER", "INTERNAL"}
-    preset_menu = "FIPT_PT_check_presets"
-    preset_subdir = "fipt/check"
-    preset_defines = ["settings = bpy.context.scene.fipt.check"]
-    preset_values = ["settings.which", "settings.samples"]

@@ -9,16 +9,11 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from .. import machine
-from ..core.run.runfolder import RunFolder
 from ..panels import manual
-from .job_operator import JobOperator
-from .polls import all_of, has_no_capture, in_object_mode, needs, no_job, over_sidebar
+from .polls import all_of, needs, over_sidebar
 
 if TYPE_CHECKING:
-    from ..bridge.process import Message
-    from ..bridge.sequence import Job
-    from ..bridge.step import Slices
+    pass
 
 CAMERA_FILES = (".json", ".xml", ".sfm", ".out", ".nvm", ".csv", ".bin")
 
@@ -64,45 +59,6 @@ class FIPT_FH_capture(bpy.types.FileHandler):
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
         return over_sidebar(context)
-
-
-class FIPT_OT_recover_run(JobOperator, bpy.types.Operator):
-    """Open the room of a run again that Blender has left behind, with its results or finished stages"""
-
-    bl_idname = "fipt.recover_run"
-    bl_label = "Open Again"
-    bl_options = {"REGISTER", "UNDO"}
-    title = "Open Run"
-    kind = "capture"
-
-    folder: bpy.props.StringProperty(
-        name="Folder", description="Folder of the run", subtype="DIR_PATH", options={"SKIP_SAVE"}
-    )
-
-    poll = all_of(has_no_capture, in_object_mode, no_job)
-
-    def make_job(self, context: bpy.types.Context) -> Job:
-        from ..bridge.places import runs_folder
-        from ..bridge.step import Step
-        from ..bridge.unsaved import mark
-        from ..jobs import recovery
-        from ..jobs.run_job import open_job
-
-        run = RunFolder(bpy.path.abspath(self.folder))
-        run.read()  # raises if it is no run
-
-        def add_to_scene() -> Slices[list[Message]]:
-            from ..blend.capture.importing import import_capture
-
-            return import_capture(run, "")
-
-        step = Step("import", "Adding cameras and mesh", 5.0, function=add_to_scene, repeat=True)
-        job = open_job(run, [step], record="import.json")
-        context.scene.fipt.run_folder = str(run.root)
-        if not bpy.app.background and run.root.parent == runs_folder(machine.data_folder()):
-            mark(run.root)
-        recovery.forget()
-        return job
 
 
 class FIPT_OT_help(bpy.types.Operator):

@@ -131,10 +131,8 @@ class FIPT_OT_clear_data(DataJobOperator, bpy.types.Operator):
     def make_job(self) -> tuple[Job, None]:
         from ..bridge import storage
         from ..bridge.step import Step
-        from ..jobs import recovery
         from ..jobs.data_job import data_job
 
-        recovery.forget()
         data, used = machine.data_folder(), used_paths()
         stored = {item.folder.name: item for item in storage.list_items(data)}
         if self.names:

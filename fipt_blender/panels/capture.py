@@ -83,14 +83,16 @@ class FIPT_PT_capture(Section, bpy.types.Panel):
 def _draw_up(layout: UILayout, context: Context, settings: PropertyGroup) -> None:
     """Which axis of the capture points up, and what told the import."""
     layout.prop(settings, "up")
-    text = {
+    texts = {
         "option": "{axis} is up by the import settings",
         "format": "{axis} is up by the format",
         "planes": "{angle:.1f}\u00b0 from {axis} is up by the planes of the room",
         "cameras": "{angle:.1f}\u00b0 from {axis} is up by the cameras",
-    }[settings.up_source]
-    text = iface_(text).format(axis=settings.imported_up.upper(), angle=settings.up_angle)
-    draw_text(layout, context, text, icon="INFO")
+    }
+    if settings.up_source in texts:  # of a .blend of another version it may be something else
+        text = iface_(texts[settings.up_source])
+        text = text.format(axis=settings.imported_up.upper(), angle=settings.up_angle)
+        draw_text(layout, context, text, icon="INFO")
 
 
 class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
@@ -128,6 +130,12 @@ def draw_advanced(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup)
     column.prop(settings, "images")
     column.prop(settings, "layer")
     column.prop(settings, "hold_back")
+    column = layout.column(align=True)
+    column.prop(settings, "panorama")
+    if settings.panorama:
+        column.prop(settings, "panorama_place")
+        column.operator("fipt.place_panorama", icon="PIVOT_CURSOR")
+        column.prop(settings, "panorama_heading")
     column = layout.column(align=True)
     column.prop(settings, "clamp_negative")
     row = column.row()
@@ -204,7 +212,7 @@ class FIPT_PT_capture_views(SubSection, bpy.types.Panel):
         column.operator("fipt.look_through", text="", icon="TRIA_DOWN").step = 1
         column.separator()
         column.menu("FIPT_MT_tick_views", text="", icon="DOWNARROW_HLT")
-        _draw_photograph(layout, settings)
+        draw_photograph(layout, settings)
         _draw_active(layout, context, settings)
         counts = iface_("{} for estimation, {} held back").format(
             settings.train_count, settings.held_back_count
@@ -222,7 +230,7 @@ def draw_thumbnail(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup
     layout.template_icon_view(settings, "picture", show_labels=True, scale=5.0, scale_popup=5.0)
 
 
-def _draw_photograph(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
+def draw_photograph(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
     """Whether and how strongly the photograph lies over the room."""
     row = layout.row(align=True)
     switch = settings.photograph_switch()

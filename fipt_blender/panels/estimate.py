@@ -55,7 +55,7 @@ class FIPT_PT_estimate(Section, bpy.types.Panel):
             _draw_pictures(layout, tuple(job.pictures))
         elif job is not None and job.kind == "materials" and uses_run_folder(context.scene, job.run_folder):
             draw_progress(layout, context, job)
-        elif (state.finished or state.earlier) and path.has_results(context):
+        elif state.finished and path.has_results(context):
             _draw_done(layout, context, state)
         else:
             _draw_start(layout, context, state)
@@ -101,7 +101,7 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
     _draw_plan(layout, context)
     column = layout.column(align=True)
     column.scale_y = 1.4
-    stopped = state.stages and not state.finished and not state.earlier
+    stopped = state.stages and not state.finished
     if stopped:
         column.operator("fipt.resume", icon="FILE_REFRESH")
     column.operator("fipt.estimate", text="Start Again" if stopped else "Estimate", icon="PLAY")
@@ -110,8 +110,8 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
 
 
 def _draw_done(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
-    """How good a finished estimate is, in one line; opened, its pictures and how to estimate again."""
-    _draw_quality(layout, state)
+    """How good a finished estimate is; opened, its pictures and how to estimate again."""
+    _draw_quality(layout, context, state)
     header, body = layout.panel("fipt_estimate_again", default_closed=True)
     header.label(text="Estimate Again", icon="CHECKMARK")
     if body is not None:
@@ -154,27 +154,25 @@ def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
         draw_error(layout, context, state.error, folder)
     if state.finished:
         layout.label(text="Finished", icon="CHECKMARK")
-    elif state.earlier:
-        layout.label(text="An earlier version is in use", icon="CHECKMARK")
     elif state.stages:
         text = iface_("Stopped. {} stages are finished").format(state.stages)
         layout.label(text=text, icon="PAUSE", translate=False)
     if state.results:
-        _draw_quality(layout, state)
+        _draw_quality(layout, context, state)
     _draw_pictures(layout, state.pictures)
     if state.results:
-        if not state.finished and not state.earlier:
+        if not state.finished:
             layout.label(text="The results are those of the estimate before", icon="INFO")
         layout.operator("fipt.apply_results", icon="MATERIAL")
         draw_job(layout, context, "materials")
 
 
-def _draw_quality(layout: bpy.types.UILayout, state: runstate.RunState) -> None:
+def _draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
     """How well the results show photographs that were held back."""
     if state.quality is None:
         return
-    text = iface_("Held-back photographs: {:.1f} dB (projection {:.1f})").format(*state.quality)
-    layout.label(text=text, icon="IMAGE_REFERENCE", translate=False)
+    text = iface_("Held back: {:.1f} dB (projection: {:.1f} dB)").format(*state.quality)
+    draw_text(layout, context, text, icon="IMAGE_REFERENCE")
 
 
 def _draw_waiting(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
@@ -21,11 +19,14 @@ from ..blend.marks import (
     is_room_linked,
     light_probe,
 )
-from ..blend.previews import state_pictures
 from .hints import ANSWER_NAMES, draw_again
-from .job import draw_job
 from .sidebar import Rows, Section, SubSection, draw_text
 
+# What lights of earlier releases have, by the mark that says so.
+_OLD = {
+    ANIMATED: "Keyframes of an earlier release, until results are applied",
+    MERGED: "Merged by an earlier release, until results are applied",
+}
 CERTAIN = 0.98  # probability from which a fixture is not called in question
 
 
@@ -184,30 +185,15 @@ def _draw_light(
         column.prop(light, "color")
     if is_temperature:
         column.prop(light, "kelvin")
-    row = layout.row(align=True)
-    row.operator("fipt.keyframe_lights", text="Keyframe", icon="KEY_HLT")
-    if ANIMATED in light.object:
-        row.operator("fipt.clear_light_keyframes", text="", icon="X")
+    for mark, note in _OLD.items():
+        if mark in light.object:
+            layout.label(text=note, icon="INFO")
+    if FIXTURE in light.object and VISIBILITY not in light.object:
+        layout.operator("fipt.fixture_to_area_light", icon="LIGHT_AREA")
+        return
     if FIXTURE in light.object:
-        if VISIBILITY in light.object:
-            layout.operator("fipt.area_light_to_fixture", icon="LOOP_BACK")
-            _draw_profile(layout)
-        else:
-            row = layout.row(align=True)
-            row.operator("fipt.merge_lamps", icon="LINKED")
-            if MERGED in light.object:
-                row.operator("fipt.split_lamp", text="", icon="UNLINKED")
-            layout.operator("fipt.clean_fixture", icon="MESH_PLANE")
-            layout.operator("fipt.fixture_to_area_light", icon="LIGHT_AREA")
-    else:
-        _draw_profile(layout)
-
-
-def _draw_profile(layout: bpy.types.UILayout) -> None:
-    """The buttons of a Blender light's IES profile."""
-    row = layout.row(align=True)
-    row.operator("fipt.set_ies_profile", icon="LIGHT_POINT")
-    row.operator("fipt.remove_ies_profile", text="", icon="X")
+        layout.operator("fipt.area_light_to_fixture", icon="LOOP_BACK")
+    layout.operator("fipt.set_ies_profile", icon="LIGHT_POINT")
 
 
 class FIPT_UL_light_states(Rows, bpy.types.UIList):
@@ -219,17 +205,8 @@ class FIPT_UL_light_states(Rows, bpy.types.UIList):
         row.operator("fipt.recall_light_state", text="", icon="PLAY", emboss=False).state = item.name
 
 
-class FIPT_MT_save_light_state(bpy.types.Menu):
-    """Save a state that is made of the lights"""
-
-    bl_label = "Save Light State"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        self.layout.operator_enum("fipt.save_light_state", "kind")
-
-
 class FIPT_PT_light_states(SubSection, bpy.types.Panel):
-    """Save and recall the state of all lights, and blend between two"""
+    """Save and recall the state of all lights"""
 
     bl_label = "Light States"
     bl_parent_id = "FIPT_PT_lights"
@@ -238,35 +215,11 @@ class FIPT_PT_light_states(SubSection, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
         settings = context.scene.fipt.lights
-        _draw_thumbnails(layout, context.scene)
         row = layout.row()
         row.template_list("FIPT_UL_light_states", "", settings, "states", settings, "active_state", rows=3)
         column = row.column(align=True)
-        column.operator("fipt.save_light_state", text="", icon="ADD").kind = "PRESENT"
+        column.operator("fipt.save_light_state", text="", icon="ADD")
         column.operator("fipt.remove_light_state", text="", icon="REMOVE")
-        column.menu("FIPT_MT_save_light_state", text="", icon="DOWNARROW_HLT")
-        column.operator("fipt.render_state_thumbnails", text="", icon="IMAGE_DATA")
-        draw_job(layout, context, "lights")
-        column = layout.column(align=True)
-        column.prop_search(settings, "blend_from", settings, "states")
-        column.prop_search(settings, "blend_to", settings, "states")
-        column = layout.column()
-        column.enabled = settings.can_blend()
-        column.prop(settings, "blend", slider=True)
-        row = layout.row()
-        row.operator("fipt.keyframe_lights", text="Keyframe All Lights", icon="KEY_HLT").everything = True
-
-
-def _draw_thumbnails(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """The states as pictures, to click."""
-    grid = None
-    for entry in scene.fipt.lights.states:
-        icon = state_pictures.icon(Path(entry.picture))
-        if icon:
-            grid = grid or layout.grid_flow(row_major=True, columns=2, even_columns=True)
-            column = grid.column(align=True)
-            column.template_icon(icon_value=icon, scale=5.0)
-            column.operator("fipt.recall_light_state", text=entry.name).state = entry.name
 
 
 class FIPT_PT_environment(SubSection, bpy.types.Panel):

@@ -15,7 +15,7 @@ SITE = ""
 PAGES = Path(__file__).resolve().parents[1] / "guide"
 
 # Chapters of the guide, by the word after "FIPT_PT_" in the names of panels.
-_CHAPTERS = ("photographs", "capture", "parts", "estimate", "materials", "lights", "insert", "check")
+_CHAPTERS = ("photographs", "capture", "parts", "estimate", "materials", "lights", "check")
 
 
 def chapter_of(panel: str) -> str:

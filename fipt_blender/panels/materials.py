@@ -101,7 +101,6 @@ class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
             column.prop(settings, "atlas_images")
             column.prop(settings, "texture_size")
             column.prop(settings, "texel_density")
-        column.prop(settings, "texture_files")
         if settings.atlas_mode == "uv":
             column.prop(settings, "texture_format")
         column.prop(settings, "write_back")
@@ -111,7 +110,6 @@ class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
         column.prop(settings, "mute_lights")
         column.prop(settings, "set_rendering")
         layout.operator("fipt.apply_results", text="Apply Again", icon="MATERIAL")
-        layout.operator("fipt.clean_up_pictures", text="Clean Up Pictures...", icon="TRASH")
 
 
 def _draw_results(
@@ -135,18 +133,12 @@ def _draw_results(
 
 
 def _draw_pictures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Pictures that are missing or not beside the file, and what helps."""
-    from ..blend.collecting import pictures_elsewhere
-
+    """Pictures that are missing, and what helps."""
     missing = runstate.known(context.scene.fipt.run_folder).missing
     if missing:
         text = iface_("{} pictures of the results are missing, such as {}").format(len(missing), missing[0])
         draw_text(layout, context, text, icon="ERROR", alert=True)
         layout.operator("file.find_missing_files", icon="VIEWZOOM")
-    elif pictures_elsewhere():
-        text = "The pictures of the results are in another folder than the file."
-        draw_text(layout, context, iface_(text), icon="INFO")
-        layout.operator("fipt.collect_pictures", icon="FILE_FOLDER")
 
 
 def _draw_preview(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -23,6 +23,7 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("set_room", ""),
         ("simplify_room", ""),
         ("use_scene_cameras", ""),
+        ("place_panorama", ""),
         ("look_through", "Look Through View"),
         ("pick_pair", "Pick Points for Alignment"),
         ("align_by_pairs", ""),
@@ -58,13 +59,10 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("add_missing_lamps", ""),
         ("select_light", "Select Light of the List"),
         ("reset_light", ""),
-        ("keyframe_lights", ""),
         ("save_light_state", ""),
         ("recall_light_state", ""),
-        ("render_state_thumbnails", "Render Thumbnails of Light States"),
         ("fixture_to_area_light", "Convert Fixture to Blender Light"),
         ("area_light_to_fixture", "Convert Back to Fixture"),
-        ("clean_fixture", "Clean Shape of Fixture"),
         ("set_ies_profile", ""),
         ("make_light_groups", ""),
         ("calibrate_light", ""),
@@ -73,14 +71,11 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("bake_probe", ""),
         ("use_cycles", ""),
     ),
-    "Insert": (("insert_object", "Insert Object into Room"),),
     "Check": (
+        ("add_ball", "Add Ball to Room"),
         ("final_picture", "Final Picture of Room"),
         ("plate_nodes", ""),
         ("set_rendering", ""),
-        ("render_views", "Render Views for Check"),
-        ("compare", ""),
-        ("show_check", ""),
         ("write_report", ""),
         ("open_report", ""),
     ),
@@ -149,15 +144,14 @@ class FIPT_MT_pie_lights(bpy.types.Menu):
 
 
 class FIPT_MT_pie(bpy.types.Menu):
-    """Photograph, map, lights and comparison around the pointer"""
+    """Photograph, picture, map and lights around the pointer"""
 
     bl_label = "FIPT"
 
     def draw(self, context: bpy.types.Context) -> None:
         pie = self.layout.menu_pie()
         pie.operator("fipt.look_through", text="Photograph", icon="IMAGE_DATA").toggle = True  # left
-        button = pie.operator("fipt.compare", text="Compare", icon="MOD_MIRROR")  # right
-        button.mode, button.toggle = "VIEWPORT", True
+        pie.operator("fipt.final_picture", icon="RENDER_STILL")  # right
         pie.menu("FIPT_MT_maps", text="Map", icon="NODE_TEXTURE")  # below
         pie.menu("FIPT_MT_pie_lights", text="Lights", icon="LIGHT")  # above
         pie.operator("fipt.look_through", text="Previous View", icon="TRIA_LEFT").step = -1

@@ -34,7 +34,7 @@ class FIPT_PT_parts(SubSection, bpy.types.Panel):
         source = parts.engine_source
         if parts.source == "auto" and parts.auto_source:
             source = parts.auto_source
-            text = iface_("Automatic uses: {}").format(iface_(_NAMES[source]))
+            text = iface_("Automatic uses: {}").format(iface_(_NAMES.get(source, source)))
             draw_text(layout, context, text, icon="SHADERFX")
         if parts.counts:
             count = json.loads(parts.counts).get(source)

@@ -122,11 +122,6 @@ def _lights_state(context: bpy.types.Context) -> Sequence[str]:
     return (iface_("{} lights").format(count),)
 
 
-def _check_state(context: bpy.types.Context) -> Sequence[str]:
-    settings = context.scene.fipt.check
-    return (iface_("PSNR {:.1f} dB").format(settings.mean_psnr),) if settings.views else ()
-
-
 PLACES = {
     "FIPT_PT_start": Place(needs_start),
     "FIPT_PT_photographs": Place(lambda context: has_photographs(context) and not has_views(context)),
@@ -139,6 +134,5 @@ PLACES = {
     "FIPT_PT_lights": Place(
         lambda context: has_results(context) or bool(context.scene.fipt.lights.lights), _lights_state
     ),
-    "FIPT_PT_insert": Place(has_results),
-    "FIPT_PT_check": Place(has_results, _check_state),
+    "FIPT_PT_check": Place(has_results),
 }

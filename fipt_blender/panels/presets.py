@@ -24,12 +24,3 @@ class FIPT_PT_estimate_presets(PresetPanel, bpy.types.Panel):
     preset_subdir = "fipt/estimate"
     preset_operator = "script.execute_preset"
     preset_add_operator = "fipt.add_estimate_preset"
-
-
-class FIPT_PT_check_presets(PresetPanel, bpy.types.Panel):
-    """Presets of the settings of check renders"""
-
-    bl_label = "Check Presets"
-    preset_subdir = "fipt/check"
-    preset_operator = "script.execute_preset"
-    preset_add_operator = "fipt.add_check_preset"

@@ -4,18 +4,15 @@
 
 from __future__ import annotations
 
-import time
-
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
-from ..jobs import recovery, running
+from ..jobs import running
 from . import engine, path
 from .capture import FIPT_PT_capture_import, draw_import
 from .job import draw_job, draw_warnings, job_warnings
 from .presets import FIPT_PT_import_presets
-from .progress import time_text
 from .sidebar import Section, SubSection, draw_text
 
 
@@ -47,7 +44,6 @@ class FIPT_PT_start(Section, bpy.types.Panel):
             column.operator("fipt.choose_capture", text="Choose Folder...", icon="FILEBROWSER")
         if any(item.type == "CAMERA" and item.data.background_images for item in context.scene.objects):
             layout.operator("fipt.use_scene_cameras", icon="CAMERA_DATA")
-        _draw_unsaved(layout, context)
         draw_import(layout, context)
         draw_warnings(layout, context, "capture", job_warnings(context, "capture"))
 
@@ -63,16 +59,3 @@ class FIPT_PT_start_import(SubSection, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return machine.has_engine() and not path.has_views(context)
-
-
-def _draw_unsaved(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """The run that a Blender has left behind without saving."""
-    found = recovery.known()
-    if found is None:
-        return
-    age = iface_("{} ago").format(time_text(max(time.time() - found.modified, 0.0)))
-    text = iface_("Not saved: {} ({:.0f} MB, {})").format(found.folder.name, found.size / 1e6, age)
-    draw_text(layout, context, text, icon="RECOVER_LAST")
-    row = layout.row(align=True)
-    row.operator("fipt.recover_run").folder = str(found.folder)
-    row.operator("fipt.clear_data", text="", icon="TRASH").names = found.folder.name

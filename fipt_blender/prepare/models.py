@@ -85,9 +85,7 @@ def transform_model(model: pycolmap.Reconstruction, similarity: np.ndarray) -> N
 def rays(image: pycolmap.Image, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The position of a placed view (3,), and unit directions (N, 3) through positions (N, 2) in pixels."""
     pose = camera_to_world(image)
-    flat = np.asarray(image.camera.cam_from_img(np.asarray(positions, np.float64).reshape(-1, 2)))
-    directions = np.column_stack([flat, np.ones(len(flat))])
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = image.camera.cam_ray_from_img(np.asarray(positions, np.float64).reshape(-1, 2))
     return pose[:3, 3], directions @ pose[:3, :3].T
 
 

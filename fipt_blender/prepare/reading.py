@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
 
+from ..core.capture.panorama import says_panorama
 from ..core.capture.suffixes import SUFFIXES
 from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter
@@ -21,11 +22,12 @@ from .preparation import Group, Photograph, Preparation, PreparationFolder, writ
 
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
-    """The files with their sizes and times, and the way of grouping."""
+    """The files with their sizes and times, the way of grouping, and whether panoramas are used."""
     names = list_photographs(preparation.source)
     facts = [(preparation.source / name).stat() for name in names]
     files = [[name, fact.st_size, fact.st_mtime_ns] for name, fact in zip(names, facts, strict=True)]
-    return [str(preparation.source), preparation.settings.grouping, files]
+    settings = preparation.settings
+    return [str(preparation.source), settings.grouping, bool(settings.cameras), files]
 
 
 def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> ReadFacts:
@@ -38,21 +40,38 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     """
     photographs: list[Photograph] = []
     skipped: list[Skipped] = []
+    panoramas: list[Skipped] = []
     names = list_photographs(preparation.source)
     for index, name in enumerate(names):
         try:
-            photographs.append(describe(preparation.source / name, name))
+            photograph = describe(preparation.source / name, name)
+            size = photograph.width, photograph.height
+            if not preparation.settings.cameras and says_panorama(preparation.source / name, size):
+                panoramas.append(Skipped(name, "it is an equirectangular panorama, which is not solved here"))
+            else:
+                photographs.append(photograph)
         except FiptError as error:
             remedy = f" {error.remedy}" if error.code == "package-optional" else ""
             skipped.append(Skipped(name, error.text + remedy))
         reporter.progress(0.7 * (index + 1) / len(names))  # of the time; the rest compares photographs
     photographs, doubles = without_doubles(in_order(photographs))
+    damaged = list(skipped)
     skipped += [Skipped(item.path, "the RAW photograph of the same name is used") for item in doubles]
+    skipped += panoramas
     if not photographs:
         raise _none_usable(preparation.source, skipped)
     photographs = with_entered_exposures(photographs, preparation.photographs)
     groups = find_groups(photographs, preparation.settings.grouping, Likeness(preparation.source))
-    _warn(reporter, skipped[: len(skipped) - len(doubles)], photographs, groups)
+    if panoramas:
+        more = f" and {len(panoramas) - 1} more" if len(panoramas) > 1 else ""
+        reporter.warning(
+            "panoramas-left-out",
+            f"{panoramas[0].path}{more} {'are' if more else 'is'} left out: equirectangular panoramas can't"
+            " be solved with the other photographs.",
+            "Give the panorama and its place to the import (Import Settings > Advanced > Panorama,"
+            " --panorama), or use an existing solve that has it (COLMAP, Metashape, OpenSfM).",
+        )
+    _warn(reporter, damaged, photographs, groups)
     write_preparation(folder, replace(preparation, photographs=tuple(photographs), groups=tuple(groups)))
     return ReadFacts(tuple(skipped), len(photographs), len(groups))
 

@@ -178,6 +178,23 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         description="Folder of the photographs, if they are not where the camera file says",
         subtype="DIR_PATH",
     )
+    panorama: bpy.props.StringProperty(
+        name="Panorama",
+        description="Equirectangular photograph (OpenEXR, Radiance or JPEG) that the cameras do not include."
+        " It shows the lamps that they miss",
+        subtype="FILE_PATH",
+    )
+    panorama_place: bpy.props.FloatVectorProperty(
+        name="Place",
+        description="Where the panorama was taken, its camera upright, in the coordinates of the import",
+        default=(0.0, 0.0, 1.5),
+        subtype="TRANSLATION",
+    )
+    panorama_heading: bpy.props.FloatProperty(
+        name="Heading",
+        description="Rotation about Z of a camera in Blender that looks at the panorama's centre",
+        subtype="ANGLE",
+    )
     layer: bpy.props.StringProperty(
         name="Layer",
         description="Layer or part of OpenEXR photographs that have several. If empty, the one without a"

@@ -110,14 +110,6 @@ CHOICES = {
         "Correct photographs whose exposure differs from that of the others",
         switch=True,
     ),
-    "kept_versions": Choice(
-        ("kept_versions",),
-        "Keep",
-        "Number of earlier estimates that the run keeps, besides those with a name. When a new one is"
-        " finished, the oldest ones beyond that are deleted",
-        0,
-        100,
-    ),
     "seed": Choice(("seed",), "Seed", "Seed of all random numbers: the same seed gives the same result", 0),
 }  # fmt: skip
 

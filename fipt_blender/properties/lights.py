@@ -66,7 +66,7 @@ def _change(self: FIPT_Light, values: Mapping[str, float | Sequence[float]]) -> 
 
 
 def _switch(key: str, name: str, text: str, default: bool) -> object:
-    """A switch of a light; keyframes are the object's, see blend/lights/light_drivers.py."""
+    """A switch of a light."""
     shown = {"name": name, "description": text, "options": set()}
     return bpy.props.BoolProperty(get=_get(key, default), set=_set(key), **shown)
 
@@ -153,7 +153,7 @@ class FIPT_Light(bpy.types.PropertyGroup):
         "radiance",
         "Radiance",
         "Radiance of the lamp's surface, W/(m² sr) once the light is calibrated, of the strongest channel;"
-        " the mean of merged lamps",
+        " that of the first of joined lamps",
         100,
         2,
     )
@@ -245,20 +245,6 @@ class FIPT_LightState(bpy.types.PropertyGroup):
     """A saved state of all lights and the environment, under its name."""
 
     data: bpy.props.StringProperty(description="The state (JSON)", options={"HIDDEN"})
-    picture: bpy.props.StringProperty(description="Image file of its thumbnail", options={"HIDDEN"})
-
-
-def _blend_changed(self: FIPT_LightsSettings, context: bpy.types.Context) -> None:
-    if self.can_blend():
-        from ..blend.lights import light_states
-        from ..core.run.errors import FiptError
-
-        names = (self.blend_from, self.blend_to)
-        try:
-            first, second = (light_states.read(self.states[name].data) for name in names)
-        except FiptError:  # told by Recall
-            return
-        light_states.blend(self.id_data, first, second, self.blend)
 
 
 class FIPT_LightsSettings(bpy.types.PropertyGroup):
@@ -299,21 +285,6 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
     active_state: bpy.props.IntProperty(
         name="Light State", description="Saved states of all lights and the environment", options=set()
     )
-    blend_from: bpy.props.StringProperty(
-        name="From", description="State of the lights at 0", options=set(), update=_blend_changed
-    )
-    blend_to: bpy.props.StringProperty(
-        name="To", description="State of the lights at 1", options=set(), update=_blend_changed
-    )
-    blend: bpy.props.FloatProperty(
-        name="Blend",
-        description="Light between two states, as radiance adds up",
-        subtype="FACTOR",
-        min=0.0,
-        max=1.0,
-        options=set(),
-        update=_blend_changed,
-    )
     show_outline: bpy.props.BoolProperty(
         name="Outline", description="Outline the active light of the list in 3D viewports", default=True
     )
@@ -333,10 +304,6 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
     def result_world(self) -> bpy.types.World | None:
         """The world that applying results created for the scene, whether it is shown or not."""
         return result_world(self.id_data)
-
-    def can_blend(self) -> bool:
-        """Whether two states are chosen, between which the lights can be blended."""
-        return self.blend_from in self.states and self.blend_to in self.states
 
     def needs_cycles(self) -> bool:
         """Whether the engine is EEVEE and a fixture's surface emits, which lights nothing there."""

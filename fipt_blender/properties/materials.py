@@ -169,29 +169,6 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
         soft_max=1024.0,
         precision=0,
     )
-    texture_files: bpy.props.EnumProperty(
-        name="Textures",
-        description="Where the .blend file finds its textures and the image of the environment",
-        items=[
-            (
-                "BESIDE",
-                "Beside the File",
-                "Copied to the folder NAME_textures beside the .blend file; packed into it while it is not"
-                " saved yet",
-                "FILE_FOLDER",
-                0,
-            ),
-            ("PACKED", "In the File", "Packed into the .blend file", "PACKAGE", 1),
-            (
-                "IN_RUN",
-                "In the Run Folder",
-                "Left in the run folder: other machines show the room in pink",
-                "FILE_CACHE",
-                2,
-            ),
-        ],
-        default="BESIDE",
-    )
     texture_format: bpy.props.EnumProperty(
         name="Format",
         description="File format of the textures; the environment is always EXR",
@@ -240,7 +217,7 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
         description="Number of images or attribute materials of the applied results"
     )
     applied_mode: bpy.props.StringProperty(description="atlas_mode of the applied results")
-    applied_version: bpy.props.StringProperty(description="Id of the version whose results were applied")
+    applied_version: bpy.props.StringProperty(description="Id of the results that were applied")
     kept_view: bpy.props.StringProperty(
         description="The scene's view settings from before a map was shown, as JSON"
     )

@@ -33,7 +33,6 @@ def counts() -> dict[str, int]:
         "held_back": sum(view.split == "held_back" for view in capture.views),
         "room": len(capture.room_objects(scene)),
         "checked": sum(view.checked for view in capture.views),
-        "compared": len(scene.fipt.check.views),
         "fixtures": len(scene.fipt.lights.lights),
     }
 
@@ -206,13 +205,6 @@ def emission_strengths(name: str) -> list[float]:
     return strengths
 
 
-def checks() -> list[dict[str, Any]]:
-    """The views that were re-rendered."""
-    return [
-        {"name": view.name, "psnr": view.psnr, "render": view.render} for view in bpy.context.scene.fipt.check.views
-    ]
-
-
 def change(before: str, after: str) -> float:
     """Difference of two pictures of one view: median over blocks of pixels of |ln(after/before)|."""
     import numpy as np
@@ -239,21 +231,9 @@ def _blocks(path: str, size: int = 8) -> Any:
 
 
 def states() -> dict[str, Any]:
-    """The saved states of the lights, the first light's power, and how many keyframes all lights have."""
+    """The saved states of the lights, and the first light's power."""
     lights = bpy.context.scene.fipt.lights
-    actions = [row.object.animation_data for row in lights.lights if row.object.animation_data]
-    return {
-        "names": [state.name for state in lights.states],
-        "stops": lights.lights[0].stops,
-        "keyframes": sum(data.action is not None for data in actions),
-    }
-
-
-def divider_pixel() -> list[float]:
-    """The middle of the divider in the 3D view's region."""
-    with bpy.context.temp_override(**_view()):
-        left, bottom, right, top = ours("operators.compare").frame_of(bpy.context)
-    return [left + bpy.context.scene.fipt.check.divider * (right - left), 0.5 * (bottom + top)]
+    return {"names": [state.name for state in lights.states], "stops": lights.lights[0].stops}
 
 
 def beam() -> dict[str, Any]:

@@ -29,7 +29,6 @@ PICTURES = {
     "guide_materials": (("12_materials", "13_show_base_color"), _VIEW),
     "guide_lights": (("40_one_lamp",), _VIEW),
     "guide_insert": (("45_over_the_photograph",), _ALL),
-    "guide_check": (("14_check_render", "15_check_error"), _VIEW),
 }
 
 

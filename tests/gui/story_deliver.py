@@ -49,16 +49,15 @@ def deliver(window: Window, options: Options) -> None:
     window.tick("lights.lights[0].on", True)
     window.settle(10.0)
     window.shot("40_one_lamp")
-    _section(window, "Insert")
+    _section(window, "Render")
     before = set(window.ask(inside.objects))
-    window.click("fipt.insert_object")
     window.point_in_view(0.41, 0.31)
-    window.settle()
-    window.press()
+    window.key("shift+RIGHTMOUSE")  # the 3D cursor
+    window.presses += 1
+    window.click("fipt.add_ball", kind="MIRROR_BALL")
     window.wait(inside.objects, until=lambda names: len(set(names) - before) > 0)
     window.settle(10.0)
     window.shot("41_placed")
-    _section(window, "Render")
     window.shot("42_render")
     waited["final picture"] = _picture(window, "43_final_picture")
     window.ask(_scale, 100)  # the example's photographs are small
@@ -107,7 +106,7 @@ def _picture(window: Window, name: str) -> float:
     finish(window, "insert", _RENDER_SECONDS)
     seconds = time.monotonic() - started
     picture = Path(window.ask(_last_picture))
-    assert picture.is_file() and picture.with_suffix(".png").is_file(), picture
+    assert picture.is_file() and picture.with_suffix(".exr").is_file(), picture
     window.wait(agent.is_open, *PICTURE)
     window.settle(5.0)
     window.shot(name)

@@ -1,21 +1,18 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The story's chapters on lights and seeing: states, keyframes, aiming, EEVEE, the comparison, menus."""
+"""The story's chapters on lights and seeing: states, aiming, EEVEE, menus."""
 
 from __future__ import annotations
 
-from typing import Any
-
-import agent
 import bpy
 import inside
 from chapters import Options
-from hand import PICTURE, VIEW
+from hand import VIEW
 from window import Window
 
 
 def light_states(window: Window, options: Options) -> None:
-    """Select a lamp, save states, recall and keyframe them."""
+    """Select a lamp, save states and recall them."""
     window.open_section("Capture", "Views")
     window.click_row("capture.active_view", 1)
     window.open_section("Lights")
@@ -39,42 +36,6 @@ def light_states(window: Window, options: Options) -> None:
     window.shot("31_states_saved")
     window.click("fipt.recall_light_state", state=states["names"][0])
     window.wait(inside.states, until=lambda now: now["stops"] == 0.0)
-    window.click("fipt.keyframe_lights", everything=True)
-    window.wait(inside.states, until=lambda now: now["keyframes"] > 0)
-    window.shot("31_states_keyframes")
-
-
-def seeing(window: Window, options: Options) -> None:
-    """Compare the view with its photograph, and drag the divider in the viewport."""
-    window.open_section("Render")
-    window.click_row("check.active", 0)  # the view that was rendered
-    window.click("fipt.compare", mode="VIEWPORT")
-    window.wait(lambda: _check().compare == "VIEWPORT")
-    window.point_in_view(0.9, 0.9)
-    window.settle()
-    window.shot("32_compare_viewport")
-    window.click("fipt.compare", mode="RENDER")
-    window.wait(lambda: _check().compare == "RENDER")
-    window.settle()
-    window.shot("32_compare_render")
-    place = window.ask(inside.divider_pixel)
-    before = window.ask(lambda: _check().divider)
-    _drag(window, place, (-120, 0))
-    window.wait(lambda: _check().divider < before - 0.02)
-    window.settle()
-    window.shot("32_compare_dragged")
-    window.click("fipt.compare", mode="RENDER", window=True)
-    window.wait(agent.is_open, *PICTURE)
-    window.settle()
-    window.shot("32_compare_picture")
-    window.ask(agent.close_window, PICTURE[0])
-    window.settle()
-    window.click("fipt.compare", mode="OFF")
-    window.wait(lambda: _check().compare == "OFF")
-
-
-def _check() -> Any:
-    return bpy.context.scene.fipt.check
 
 
 def menus(window: Window, options: Options) -> None:

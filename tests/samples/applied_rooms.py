@@ -38,15 +38,16 @@ class ConstantFields:
         return np.ones((len(positions), 3))
 
 
-def use_fake_engine(monkeypatch) -> list[str]:
-    """Let Apply Results bake `ConstantFields` in this process; returns the list to which bakes are added."""
+def use_fake_engine(monkeypatch, fields=None) -> list[str]:
+    """Let Apply Results bake fields in this process, `ConstantFields` without any; returns the list to which bakes
+    are added."""
     bakes: list[str] = []
     real = run_job.open_job
 
     def fake(step, run):
         def work():
             bakes.append(step.name)
-            bake.bake(run, ConstantFields())
+            bake.bake(run, fields or ConstantFields())
 
         return replace(step, command=None, function=work) if step.command else step
 

@@ -20,16 +20,13 @@ import pytest
 from mathutils import Vector
 
 import fipt_blender
-from fipt_blender.blend.capture import compare
 from fipt_blender.blend.color_spaces import to_scene_linear
 from fipt_blender.blend.export.exporting import export_room
-from fipt_blender.blend.insert.sample_objects import insert_object
+from fipt_blender.blend.insert.balls import add_ball
 from fipt_blender.blend.lights import light_state
-from fipt_blender.blend.lights.light_drivers import keyframe
 from fipt_blender.blend.marks import fixtures_of
-from fipt_blender.blend.pictures import check_pictures, orders, view_check
+from fipt_blender.blend.pictures import orders
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
-from fipt_blender.blend.pictures.image_files import save_look
 from fipt_blender.blend.render_settings import set_up
 from fipt_blender.blend.results import maps
 from fipt_blender.properties.materials import SHOWN
@@ -92,42 +89,27 @@ def applied(folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict:
     row.color = to_scene_linear(CUSTOM)  # as in the panel's field
     np.testing.assert_allclose(row.color, to_scene_linear(CUSTOM), rtol=1e-3)
     seen["custom"] = spot(scene, (2.5, 0.5, 2.0), (2.5, 0.5, 0.0))
-    keyframe(lamp, 1)
-    bpy.context.view_layer.update()
-    seen["keyed"] = spot(scene, (2.5, 0.5, 2.0), (2.5, 0.5, 0.0))
     for name, *_ in SHOWN:
         maps.show(scene, name)
     maps.show(scene, "ESTIMATED")
-    sample = insert_object(scene, Vector((0.0, -5.0, 0.0)), kind="monkey", size=4.0)
-    seen["monkey"] = spot(scene, (0.0, -9.0, 1.0), (0.0, -5.0, 1.0))
+    sample = add_ball(scene, Vector((0.0, -5.0, 0.0)), "gray_ball", 4.0)
+    seen["ball"] = spot(scene, (0.0, -9.0, 1.0), (0.0, -5.0, 1.0))
     bpy.data.objects.remove(sample)
     return seen
 
 
 def compared(folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict:
-    """The comparison with a photograph, which is itself a render of the room."""
+    """A picture over a photograph, which is itself a render of the room."""
     run = rendered_rooms.make_scene(folder)
     scene = bpy.context.scene
     floor = bpy.data.objects["Floor"].data.materials[0]
     floor.node_tree or setattr(floor, "use_nodes", True)
     photo = rendered_rooms.photograph(run, 64)
-    orders.carry_out(orders.make_order(scene, run, [rendered_rooms.VIEW], 64))
-    check_pictures.take_checks(scene, run)
-    check_pictures.show_active(scene, bpy.context)
-    image = compare.start(scene, "RENDER")
-    shown = np.array(image.pixels[:]).reshape(*reversed(image.size), 4)[..., :3]
-    compare.end(scene)
-    scene.cycles.samples = 4
+    scene.cycles.samples, scene.cycles.use_denoising = 4, False
     orders.carry_out(orders.order_picture(scene, run, scene.camera, plate=True))
-    composite = rendered_rooms.exr_layers(orders.last_picture(run))[""]
-    save_look(orders.last_picture(run), folder / "look.png", scene)
-    (check,) = view_check.read_checks(run).views
-    return {
-        "psnr": check.psnr_linear > 25.0,
-        "composite": float(np.abs(composite - photo).max()) < 1e-3 * float(photo.max()),
-        "compare": [float(value) for value in shown.mean(axis=(0, 1))],
-        "photo": [float(value) for value in photo.mean(axis=(0, 1))],
-    }
+    picture = orders.last_picture(run)
+    composite = rendered_rooms.exr_layers(picture.with_suffix(".exr"))["Composite.Combined"][..., :3]
+    return {"composite": float(np.abs(composite - photo).max()) < 1e-3 * float(photo.max())}
 
 
 if __name__ == "__main__":

@@ -11,10 +11,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fipt_blender.core.capture.images import read_radiance, write_exr
+import numpy as np
+
+from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.ingest import ingest
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.messages import Reporter, parse_message
+from samples.image_files import write_exr_layers
 
 
 def run_ingest(capture, run, **options):
@@ -29,8 +32,9 @@ def warnings(messages):
 
 def set_pixels(tmp_path, change, name="001_0001"):
     path = tmp_path / "in" / "images" / f"{name}.exr"
-    pixels = read_radiance(path)
-    write_exr(path, change(pixels))
+    planes = np.moveaxis(change(read_radiance(path)), -1, 0)
+    channels = {name: np.ascontiguousarray(plane) for name, plane in zip("RGB", planes, strict=True)}
+    write_exr_layers(path, {"": channels}, parts=False)  # also what the engine refuses to write
 
 
 def put(pixels, value):

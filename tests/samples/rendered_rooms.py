@@ -73,8 +73,9 @@ def photograph(run: RunFolder, spp: int = 64) -> np.ndarray:
 
 
 def exr_layers(path: Path) -> dict[str, np.ndarray]:
-    """Layers of an EXR, (H, W, C) f32."""
-    channels = OpenEXR.File(str(path), separate_channels=True).channels()
+    """Layers of an EXR, (H, W, C) f32; newer versions of Blender write each as a part."""
+    file = OpenEXR.File(str(path), separate_channels=True)
+    channels = {name: channel for part in range(len(file.parts)) for name, channel in file.channels(part).items()}
     layers: dict[str, list[str]] = {}
     for name in sorted(channels, key=lambda name: "RGBAZ".index(name[-1])):
         layers.setdefault(name.rpartition(".")[0], []).append(name)

@@ -6,7 +6,7 @@ import argparse
 import io
 import json
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,13 +18,16 @@ import pytest
 from benchmarks.tracer.forward import LitRoom, RenderSettings, render_view
 from benchmarks.tracer.surfaces import TriangleMaterials
 from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.views import View
 from fipt_blender.core.estimate import command, training_stages
 from fipt_blender.core.light import source_cells, unseen_light
 from fipt_blender.core.material import training
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import EmitterTable
+from fipt_blender.core.run.contents import CapturedView, CapturedViews
+from fipt_blender.core.run.kinds import as_matrix
 from fipt_blender.core.run.messages import Reporter, parse_message
-from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at
@@ -149,6 +152,21 @@ def write_run(root: Path, capture: SmallCapture, **changes) -> RunFolder:
     run.capture_json.write_text(json.dumps({**head, "world_from_source": np.eye(4).tolist(), "views": views}))
     write_room(run.root, capture.room)
     return run
+
+
+def write_views(run: RunFolder, views: list[View]) -> None:
+    """Write capture.json."""
+    names = {item.name for item in fields(CapturedView)}
+    listed = []
+    for view in views:
+        files = {
+            kind: path and str(path)
+            for kind in ("image", "parts", "semantics", "mask")
+            for path in [getattr(view, kind)]
+        }
+        given = {name: value for name, value in vars(view).items() if name in names}
+        listed.append(CapturedView(**{**given, **files, "camera_to_world": as_matrix(view.camera_to_world)}))
+    write_json(run.capture_json, CapturedViews("test", as_matrix(np.eye(4)), None, tuple(listed)))
 
 
 def run_here(run: RunFolder, train: bool = True) -> list[dict]:

@@ -27,7 +27,6 @@ def set_backdrop(scene: bpy.types.Scene, mode: str, room: Iterable[bpy.types.Obj
     Args:
         scene: whose render and object settings change.
         mode: "ROOM", or "PHOTOGRAPH": the photograph is then seen in place of the room, darkened by shadows.
-            Cycles' viewport shows no reflections there; `composite` does.
         room: the room's objects; its fixtures become shadow catchers too.
     """
     scene.fipt.insert.backdrop = mode
@@ -59,7 +58,7 @@ def show_photograph(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
     """Show a view's photograph in front of the room, if the panel says so, or as the backdrop behind it."""
     data = camera.data
     kept = data.get(KEPT_PHOTOGRAPH)
-    if kept is not None:
+    if kept is not None:  # of files in which another picture lay over the view
         if data.background_images:
             data.background_images[0].image = kept
         remove_marks(data, KEPT_PHOTOGRAPH)
@@ -72,15 +71,3 @@ def show_photograph(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
         # Behind a closed room it would be hidden, except where the room is transparent.
         background.display_depth = "BACK" if behind else "FRONT"
         background.alpha = opacity
-
-
-def show_picture(camera: bpy.types.Object, image: bpy.types.Image) -> None:
-    """Show another image over the view, opaque, until `show_photograph`."""
-    data = camera.data
-    if not data.background_images:
-        data.background_images.new().frame_method = "STRETCH"
-    background = data.background_images[0]
-    if KEPT_PHOTOGRAPH not in data and background.image is not None:
-        data[KEPT_PHOTOGRAPH] = background.image
-    background.image, background.display_depth, background.alpha = image, "FRONT", 1.0
-    data.show_background_images = True

@@ -32,7 +32,8 @@ def export_capture(scene: bpy.types.Scene, run: RunFolder) -> int:
     """Write capture.json from the ticked views, with their cameras' present poses and lenses and the splits.
 
     Everything else stays as `ingest` read it. Views that are not ticked, or whose cameras were deleted, are
-    left out. The file is written only if something changed, so that a run can resume.
+    left out. The file is written only if something changed, so that a run can resume; results of other views
+    are deleted then.
 
     Returns:
         The number of views.
@@ -53,6 +54,7 @@ def export_capture(scene: bpy.types.Scene, run: RunFolder) -> int:
         )
     selected = replace(source, views=tuple(views), up=None)  # `up` is what the panel tells of the import
     if not run.capture_json.exists() or read_capture(run.capture_json) != selected:
+        run.drop_results()
         write_json(run.capture_json, selected)
     return len(views)
 

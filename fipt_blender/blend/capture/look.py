@@ -14,7 +14,6 @@ from ...core.run.errors import FiptError
 from ..marks import VIEW, room_with_results
 from .backdrop import show_photograph
 from .cameras import use_view
-from .compare import follow
 from .other_cameras import watch
 
 # Furniture faces a point inside with half of its area, walls with all of it if their normals point inwards.
@@ -32,16 +31,18 @@ def look_through(
     if before is not None and before != camera and VIEW in before:
         _free_photograph(before)
     show_photograph(scene, camera)
-    follow(scene)
     enter_camera(context, scene)
     return camera
 
 
 def stand_in_photograph(scene: bpy.types.Scene, context: bpy.types.Context) -> None:
     """Look through the first view that is used: the artist stands in the room while it is computed."""
-    views = [view for view in scene.fipt.capture.views if view.enabled]
-    if views:
-        look_through(scene, views[0], context)
+    if (first := _first_used(scene)) is not None:
+        look_through(scene, first, context)
+
+
+def _first_used(scene: bpy.types.Scene) -> bpy.types.PropertyGroup | None:
+    return next((view for view in scene.fipt.capture.views if view.enabled), None)
 
 
 def _free_photograph(camera: bpy.types.Object) -> None:
@@ -74,17 +75,15 @@ def enter_camera(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
 def enter_room(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
     """Show the estimated room and its light from inside, through its first held-back view or the first one.
 
-    3D views that look through a view's camera already stay there.
+    3D views that look through another view than `stand_in_photograph` has chosen stay there: the artist did.
     """
     views = [view for view in scene.fipt.capture.views if view.camera_object() is not None]
     views.sort(key=lambda view: (not view.enabled, view.split != "held_back"))
-    spaces = view_spaces(context, scene)
+    spaces, first = view_spaces(context, scene), _first_used(scene)
     inside = all(space.region_3d.view_perspective == "CAMERA" for space in spaces)
-    cameras = [view.camera_object() for view in views]
-    if views and not (inside and scene.camera in cameras):
-        use_view(scene, cameras[0])
-        show_photograph(scene, cameras[0])
-        enter_camera(context, scene)
+    chosen = [view.camera_object() for view in views if view != first]
+    if views and not (inside and scene.camera in chosen):
+        look_through(scene, views[0], context)
     culled = is_culled(scene)
     for space in spaces:
         if space.shading.type in ("SOLID", "WIREFRAME"):  # in EEVEE the light of lamps' surfaces is missing
@@ -178,7 +177,5 @@ def redraw_views() -> None:
 def refresh_photograph(scene: bpy.types.Scene) -> None:
     """Show the photograph with the panel's opacity, if the scene's camera belongs to a view."""
     camera = scene.camera
-    if scene.fipt.check.compare != "OFF":
-        return
     if camera is not None and any(view.camera == camera.name for view in scene.fipt.capture.views):
         show_photograph(scene, camera)

@@ -13,7 +13,7 @@ from pathlib import Path
 import bpy
 
 from ...core.run.errors import FiptError
-from ..collecting import bring, check_pictures, copy_picture, image_files
+from ..collecting import bring, copy_picture, image_files, missing_pictures
 from ..save import write_error
 from .exporting import SUFFIXES
 
@@ -48,7 +48,9 @@ def collect_room(folder: Path, pack: bool) -> Collected:
         FiptError: ``file-missing``, ``file-exists``, ``textures-unwritable``, or what
             `save.write_error` returns.
     """
-    check_pictures(needs_name=False)
+    if missing := missing_pictures():
+        text = f"{len(missing)} pictures are missing, the first is {missing[0]}."
+        raise FiptError("file-missing", text, "Use Find Missing Files, or apply the results again.")
     blend = Path(bpy.data.filepath or UNSAVED)
     if folder.is_dir() and any(folder.iterdir()):
         folder = folder / f"{blend.stem}_collected"

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Objects inserted into the room, and where they can stand."""
+"""Balls that show the room's light, and where they can stand."""

@@ -21,7 +21,7 @@ _BLACK = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Surface:
-    """What one material slot of a fixture emits as estimated; merged lamps have several.
+    """What one material slot of a fixture emits as estimated; joined lamps have several.
 
     Attributes:
         slot: its index.
@@ -38,7 +38,7 @@ class Surface:
 def surfaces(item: bpy.types.Object) -> list[Surface]:
     """The emitting surfaces of a fixture; none of a light, or where the artist has removed the materials.
 
-    The materials of merged lamps carry their own radiances, any other has that of its object.
+    Materials carry their own radiances, so that fixtures can be joined; in older files, the object has them.
     """
     if item.type != "MESH":
         return []

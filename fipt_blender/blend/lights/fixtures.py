@@ -137,7 +137,9 @@ def place(scene: bpy.types.Scene, fixtures: Sequence[NewFixture]) -> list[bpy.ty
     for fixture in fixtures:
         entry, name = fixture.entry, free_name(fixture.name, bpy.data.objects.keys())
         fixture.mesh.name = name
-        fixture.mesh.materials.append(emission_material(name, entry.radiance, entry.back_radiance))
+        material = emission_material(name, entry.radiance, entry.back_radiance)
+        material[BASE], material[BACK] = entry.radiance, entry.back_radiance  # for lamps that are joined
+        fixture.mesh.materials.append(material)
         item = bpy.data.objects.new(name, fixture.mesh)
         item.matrix_world = Matrix.Translation(fixture.center)
         item[FIXTURE], item[NAMED], item[PLACED] = entry.name, name, fixture.center

@@ -18,7 +18,6 @@ from ..marks import (
     CENTROID,
     FIXTURE,
     FIXTURE_SOURCES,
-    MERGED,
     NAMED,
     NEW_LIGHT,
     PLACED,
@@ -30,9 +29,7 @@ from ..marks import (
 from ..outliner import FIXTURES, collection, remove_object
 from ..room.mesh_digest import is_edited
 from .convert import fixture_to_lights, lights_as_converted
-from .light_drivers import action_of, take_action
 from .light_state import SETTINGS, Setting, adopt, list_lights, plain, refresh
-from .merging import members_of, merge
 from .power import world_matrix
 
 _SAME_PLACE = 1e-4  # metres
@@ -52,10 +49,8 @@ class FixtureState:
     """A fixture's settings and base radiances by key, and whether Blender lights stand for it.
 
     Attributes:
-        action: names of the action and the slot with its keyframes, "" without keyframes.
         name: the object's name if the artist has chosen it, else "".
-        lights: copies of these lights if the artist has moved, reshaped or deleted some of them, else None.
-        merged: names of the fixtures that the artist has merged into this one, its own first.
+        lights: copies of these lights if the artist has moved, shaped, keyframed or deleted some, else None.
         centroid: its centroid in the room as it was exported, metres.
         matrix: its matrix to the world if the artist has moved it, else None.
         mesh: name of its mesh if the artist has modelled that, else "". It has a fake user.
@@ -64,10 +59,8 @@ class FixtureState:
 
     settings: dict[str, Setting]
     converted: bool
-    action: tuple[str, str] = ("", "")
     name: str = ""
     lights: list[_KeptLight] | None = None
-    merged: tuple[str, ...] = ()
     centroid: tuple[float, ...] = ()
     matrix: Matrix | None = None
     mesh: str = ""
@@ -79,7 +72,7 @@ def release_copies(scene: bpy.types.Scene) -> None:
     kept: set[str] = set()
     for item in sorted(fixtures_of(scene), key=lambda item: item.name != item.get(NAMED)):
         if item[FIXTURE] in kept:
-            remove_marks(item, FIXTURE, FIXTURE_SOURCES, MERGED, NAMED, PLACED, CENTROID, PROBABILITY)
+            remove_marks(item, FIXTURE, FIXTURE_SOURCES, NAMED, PLACED, CENTROID, PROBABILITY)
             item[NEW_LIGHT] = 1
         else:
             kept.add(item[FIXTURE])
@@ -95,20 +88,19 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
         moved = len(placed) == 3 and not np.allclose(
             world_matrix(item), Matrix.Translation(placed), rtol=0.0, atol=_SAME_PLACE
         )
-        modelled = MERGED not in item and item.type == "MESH" and is_edited(item.data)
+        modelled = item.type == "MESH" and is_edited(item.data)
         if modelled:
             item.data.use_fake_user = True
         settings = {key: plain(item[key]) for key in (*SETTINGS, BASE, BACK) if key in item}
-        changed = AS_CONVERTED in item and not lights_as_converted(scene, item)
+        keyframed = any(light.data.animation_data for light in fixture_lights(item))
+        changed = AS_CONVERTED in item and (keyframed or not lights_as_converted(scene, item))
         lights = [_copied(light) for light in fixture_lights(item)] if changed else None
         states[item[FIXTURE]] = FixtureState(
             settings,
             AS_CONVERTED in item,
-            action_of(item),
             # Files of earlier versions used the name of emitters.json.
             "" if item.name == item.get(NAMED, item[FIXTURE]) else item.name,
             lights,
-            tuple(members_of(item)),
             tuple(item.get(CENTROID, ())),
             world_matrix(item).copy() if moved else None,
             item.data.name if modelled else "",
@@ -123,10 +115,10 @@ def keep_states(
     """Give new fixtures the settings of earlier ones with the same name and radiance; update all lights.
 
     Returns:
-        The fixtures, those merged that were merged before.
+        The fixtures.
     """
     unused = dict(states)
-    placed = _merged_again(items, states.values())
+    placed = list(items)
     for item in placed:
         state = states.get(item[FIXTURE])
         if state is not None and _is_near(state.centroid, item[CENTROID]):
@@ -136,7 +128,6 @@ def keep_states(
         for key in SETTINGS:
             if key in state.settings:
                 item[key] = state.settings[key]
-        take_action(item, *state.action)
         if state.name:
             item.name = state.name
         if state.converted:
@@ -174,18 +165,6 @@ def _keep_shape(item: bpy.types.Object, state: FixtureState) -> None:
     item.data, mesh.use_fake_user = mesh, False
     bpy.data.meshes.remove(made)
     mesh.name = name
-
-
-def _merged_again(
-    items: Iterable[bpy.types.Object], states: Iterable[FixtureState]
-) -> list[bpy.types.Object]:
-    """The fixtures, those merged again that were merged before, if all of them are still there."""
-    present = {item[FIXTURE]: item for item in items}
-    for state in states:
-        if len(state.merged) > 1 and all(name in present for name in state.merged):
-            lamp = merge([present.pop(name) for name in state.merged])
-            present[lamp[FIXTURE]] = lamp
-    return list(present.values())
 
 
 def _copied(light: bpy.types.Object) -> _KeptLight:

@@ -16,7 +16,6 @@ from ..marks import (
     BACKGROUND,
     BASE,
     COLOR,
-    GATE,
     KELVIN,
     ON,
     SOLO,
@@ -33,8 +32,6 @@ from ..marks import (
 )
 from ..own_materials import own_materials
 from .fixture_nodes import node_strength, surfaces, write_radiance, write_shown
-from .light_drivers import clear as clear_animation
-from .light_drivers import drive, is_animated, take_color
 from .tint import base_of, blender_color, shone, shown_color, shown_temperature, tinted, unit_of
 
 SETTINGS = (ON, SOLO, STOPS, TINT, COLOR, KELVIN)
@@ -87,8 +84,6 @@ def apply_settings(item: bpy.types.Object, values: Mapping[str, Setting]) -> Non
     """Write settings of a light; `refresh` must follow."""
     for key, value in values.items():
         item[key] = value
-    if is_animated(item):
-        take_color(item)
 
 
 def plain(value: Setting) -> Setting:
@@ -109,8 +104,7 @@ def switch_all(on: bool, scene: bpy.types.Scene | None = None) -> None:
 
 
 def reset(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
-    """Reset a light to its estimated power and colour, switched on and without keyframes."""
-    clear_animation(item)
+    """Reset a light to its estimated power and colour, switched on."""
     remove_marks(item, *SETTINGS)
     item[WRITTEN] = _strength(item)
     refresh(scene)
@@ -134,8 +128,6 @@ def shines(item: bpy.types.Object, any_solo: bool) -> bool:
 
 def adopt(item: bpy.types.Object) -> None:
     """Turn a strength that the artist entered in a node or a light's properties into settings."""
-    if is_animated(item):
-        return
     written, strength = item.get(WRITTEN), _strength(item)
     if written is None or strength is None or math.isclose(strength, written, rel_tol=1e-4, abs_tol=1e-9):
         return
@@ -148,8 +140,6 @@ def adopt(item: bpy.types.Object) -> None:
 
 def has_set_power(scene: bpy.types.Scene, item: bpy.types.Object, light: bpy.types.Object) -> bool:
     """Whether a Blender light of a fixture has the power and colour that the fixture's settings give it."""
-    if is_animated(item):
-        return True
     color, watts = _color_and_watts(light, item, shines(item, _any_solo(scene)))
     # Blender, too, changes colours: to another working space.
     return all(
@@ -199,8 +189,6 @@ def _written_base(item: bpy.types.Object) -> Sequence[float]:
 def _write(item: bpy.types.Object, any_solo: bool, shown: str) -> None:
     on, off = shines(item, any_solo), (0.0, 0.0, 0.0)
     emitting = surfaces(item)
-    if is_animated(item):
-        item[GATE] = (1 if on else -1) if any_solo else 0
     if item.type == "LIGHT":
         _write_light(item, item, on)
     elif emitting:
@@ -211,8 +199,6 @@ def _write(item: bpy.types.Object, any_solo: bool, shown: str) -> None:
             write_shown(surface.material, shown)
         for light in fixture_lights(item):
             _write_light(light, item, on)
-    if is_animated(item):
-        drive(item)
     strength = _strength(item)
     if strength is not None:
         item[WRITTEN] = strength

@@ -60,7 +60,7 @@ def lumens(item: bpy.types.Object) -> float:
 
 
 def radiance(item: bpy.types.Object) -> float:
-    """Radiance of a fixture's brighter side, of its strongest channel, W/(m² sr); mean of merged lamps."""
+    """Radiance of a fixture's brighter side, of its strongest channel, W/(m² sr); joined lamps: the first."""
     return split(shone(item, base_of(item)))[1]
 
 

@@ -7,7 +7,7 @@ that can be compared with photographs: nothing clamped, box filter, whatever the
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,10 +21,9 @@ from ...core.run.runfolder import atomic_path
 from ..changed import all_changed, changed, unset
 from ..color_spaces import linear_space, scene_matrix
 from ..lights.calibration import scene_unit
-from ..node_trees import node_tree
 from ..render_settings import LIGHT_PATHS, can_denoise
 from ..save import check_space
-from .image_files import STILL_IMAGE, read_pixels, write_image
+from .image_files import LAYERED_IMAGE, PNG, STILL_IMAGE, read_pixels, write_image
 
 CYCLES = {
     **LIGHT_PATHS,
@@ -35,6 +34,7 @@ CYCLES = {
 # What materials and meshes are, and the device, stay as chosen; all else has its default or the value above.
 _CONTENT = ("device", "feature_set", "shading_system", "dicing_rate", "max_subdivisions")
 _RENDER = {
+    "film_transparent": False,
     "use_compositing": False,
     "use_sequencer": False,
     "use_motion_blur": False,
@@ -47,11 +47,11 @@ _RENDER = {
     "use_single_layer": False,
     "use_persistent_data": False,
 }
-NO_DEPTH = 1e10  # metres, as in Blender's own pass
 _LAYER = {
     "use": True,
     "samples": 0,
     "world_override": None,
+    "material_override": None,
     "use_pass_combined": True,
     **dict.fromkeys(("use_sky", "use_solid", "use_strand", "use_volumes"), True),
 }
@@ -62,22 +62,15 @@ class RenderOptions:
     """How to render an image in Cycles.
 
     Attributes:
-        spp: samples per pixel; None for pictures: the scene's settings decide on samples, denoising, light
-            paths, film, view layers and compositing.
-        seed: seed of the sampling pattern, with `spp`.
-        denoise: with `spp`; None denoises where Open Image Denoise is available.
-        layer: of a picture, what `composite` needs: the first view layer alone, without compositing,
-            sequencer, motion blur and regions.
-        transparent: of a layer: write the objects' coverage as alpha, with premultiplied colours; the world
-            is not drawn.
+        spp: samples per pixel.
+        seed: seed of the sampling pattern.
+        denoise: None denoises where Open Image Denoise is available.
         device: Cycles' device, "CPU" or "GPU".
     """
 
-    spp: int | None = None
+    spp: int
     seed: int = 0
     denoise: bool | None = None
-    layer: bool = False
-    transparent: bool = False
     device: str = "CPU"
 
 
@@ -116,9 +109,7 @@ def exposure_of(radiance: np.ndarray, shown: float = 0.18) -> float:
     return float(np.log2(shown / np.median(positive))) if positive.size else 0.0
 
 
-def render_exr(
-    scene: bpy.types.Scene, path: Path, options: RenderOptions, material: bpy.types.Material | None = None
-) -> None:
+def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> None:
     """Render the scene's camera in Cycles to a float EXR with linear Rec.709 values.
 
     The scene's render settings are restored afterwards.
@@ -127,70 +118,80 @@ def render_exr(
         scene: the scene.
         path: ends in .exr.
         options: see there.
-        material: of all surfaces; None for their own. Not of whole pictures.
 
     Raises:
         FiptError: ``render-failed``, ``color-space-missing``, or the write errors of the run folder.
     """
-    render, settings = scene.render, scene.render.image_settings
+    fixed = {
+        **CYCLES,
+        "device": options.device,
+        "film_exposure": 1.0 / scene_unit(scene),  # the photographs' unit
+        "samples": options.spp,
+        "seed": options.seed,
+        "use_denoising": can_denoise() if options.denoise is None else options.denoise,
+    }
+    exr = {"file_format": "OPEN_EXR", "color_mode": "RGB", "color_depth": "32", "exr_codec": "ZIP"}
+    with (
+        changed(scene.render, {"engine": "CYCLES", **_RENDER}),
+        _one_layer(scene),
+        unset(scene.cycles, keep=_CONTENT),
+        changed(scene.cycles, fixed),
+    ):
+        _save(_render(scene), scene, path, {**STILL_IMAGE, **exr})
+
+
+def render_picture(scene: bpy.types.Scene, path: Path, device: str) -> None:
+    """Render in Cycles what F12 renders: an EXR of all its layers and passes, linear Rec.709, and beside it
+    the picture as the scene's view transform shows it, as PNG.
+
+    Args:
+        scene: the scene.
+        path: ends in .exr.
+        device: Cycles' device, "CPU" or "GPU".
+
+    Raises:
+        FiptError: see `render_exr`.
+    """
+    with changed(scene.render, {"engine": "CYCLES"}), changed(scene.cycles, {"device": device}):
+        result = _render(scene)
+        _save(result, scene, path, LAYERED_IMAGE)
+        _save(result, scene, path.with_suffix(".png"), {**STILL_IMAGE, **PNG})
+
+
+def _render(scene: bpy.types.Scene) -> bpy.types.Image:
+    """Render the scene; returns Blender's image of the result."""
+    try:
+        bpy.ops.render.render(scene=scene.name)
+    except RuntimeError as error:
+        raise _render_failed(str(error).strip()) from None
+    result = next((image for image in bpy.data.images if image.type == "RENDER_RESULT"), None)
+    if result is None:
+        raise _render_failed("there is no image")
+    return result
+
+
+def _save(
+    result: bpy.types.Image, scene: bpy.types.Scene, path: Path, file_settings: Mapping[str, str]
+) -> None:
+    """Write a render, atomically; an EXR in linear Rec.709."""
+    settings = scene.render.image_settings
     with ExitStack() as stack, atomic_path(path) as temporary:
-        stack.enter_context(changed(render, {"engine": "CYCLES"}))
-        if options.spp is None and not options.layer:
-            stack.enter_context(changed(scene.cycles, {"device": options.device}))
-        else:
-            stack.enter_context(changed(render, {**_RENDER, "film_transparent": options.transparent}))
-            stack.enter_context(_one_layer(scene, material))
-            stack.enter_context(_sampled(scene, options))
-        exr = {
-            "file_format": "OPEN_EXR",
-            "color_mode": "RGBA" if render.film_transparent else "RGB",
-            "color_depth": "32",
-            "exr_codec": "ZIP",
-        }
-        stack.enter_context(changed(settings, STILL_IMAGE))
-        stack.enter_context(changed(settings, exr))
-        if not np.array_equal(scene_matrix(), np.eye(3)):  # copies the scene's view into these settings
+        stack.enter_context(changed(settings, file_settings))
+        if path.suffix == ".exr" and not np.array_equal(scene_matrix(), np.eye(3)):
+            # Copies the scene's view into these settings.
             stack.enter_context(changed(settings, {"color_management": "OVERRIDE"}))
             stack.enter_context(changed(settings.linear_colorspace_settings, {"name": linear_space()}))
-        try:
-            bpy.ops.render.render(scene=scene.name)
-        except RuntimeError as error:
-            raise _render_failed(str(error).strip()) from None
-        result = next((image for image in bpy.data.images if image.type == "RENDER_RESULT"), None)
-        if result is None:
-            raise _render_failed("there is no image")
         # Not by the scene's output path, in which braces are templates from Blender 4.5.
         write_image(path, temporary, lambda: result.save_render(str(temporary), scene=scene))
         check_space(path)  # on a full disk Blender writes a part of the image and reports nothing
 
 
 @contextmanager
-def _sampled(scene: bpy.types.Scene, options: RenderOptions) -> Iterator[None]:
-    """Cycles' settings: all of them fixed, or, for layers of pictures, the artist's."""
-    fixed = {"device": options.device, "film_exposure": 1.0 / scene_unit(scene)}  # the photographs' unit
-    if options.spp is None:
-        denoised = scene.cycles.use_denoising and can_denoise()
-        with changed(scene.cycles, {**fixed, "use_denoising": denoised}):
-            yield
-        return
-    values = {
-        **CYCLES,
-        **fixed,
-        "samples": options.spp,
-        "seed": options.seed,
-        "use_denoising": can_denoise() if options.denoise is None else options.denoise,
-    }
-    with unset(scene.cycles, keep=_CONTENT), changed(scene.cycles, values):
-        yield
-
-
-@contextmanager
-def _one_layer(scene: bpy.types.Scene, material: bpy.types.Material | None) -> Iterator[None]:
+def _one_layer(scene: bpy.types.Scene) -> Iterator[None]:
     """Render one view layer, the first that is used, without the artist's overrides."""
     layers = list(scene.view_layers)
     chosen = next((layer for layer in layers if layer.use), layers[0])
     known = {name: value for name, value in _LAYER.items() if hasattr(chosen, name)}
-    known["material_override"] = material
     others = [layer for layer in layers if layer != chosen]
     drawn = {"holdout": False, "indirect_only": False}
     with (
@@ -215,32 +216,9 @@ def _render_failed(reason: str) -> FiptError:
     )
 
 
-def render_pixels(
-    scene: bpy.types.Scene, options: RenderOptions, material: bpy.types.Material | None = None
-) -> np.ndarray:
-    """Like `render_exr`, but return the image: (H, W, 3) or, of a transparent one, (H, W, 4) f32, first row
-    at the top."""
+def render_pixels(scene: bpy.types.Scene, options: RenderOptions) -> np.ndarray:
+    """Like `render_exr`, but return the image: (H, W, 3) f32, first row at the top."""
     with tempfile.TemporaryDirectory(prefix="fipt-") as folder:
         path = Path(folder) / "render.exr"
-        render_exr(scene, path, options, material)
-        return read_pixels(path, 4 if options.transparent else 3)
-
-
-def render_depth(scene: bpy.types.Scene) -> np.ndarray:
-    """(H, W) f32 distance of what the camera sees from its plane, metres; `NO_DEPTH` where that is nothing.
-
-    One sample in the middle of each pixel: distances of different surfaces have no mean.
-    """
-    material = bpy.data.materials.new("FIPT Depth")
-    try:
-        tree = node_tree(material)
-        nodes, links = tree.nodes, tree.links
-        nodes.clear()
-        camera, emission = nodes.new("ShaderNodeCameraData"), nodes.new("ShaderNodeEmission")
-        links.new(camera.outputs["View Z Depth"], emission.inputs["Color"])
-        links.new(emission.outputs["Emission"], nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
-        pixels = render_pixels(scene, RenderOptions(1, denoise=False, transparent=True), material)
-    finally:
-        bpy.data.materials.remove(material)
-    depth = pixels[..., 0] * scene_unit(scene)  # by which renders are divided
-    return np.where(pixels[..., 3] > 0.0, depth, NO_DEPTH).astype(np.float32)
+        render_exr(scene, path, options)
+        return read_pixels(path)

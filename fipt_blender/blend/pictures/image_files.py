@@ -26,6 +26,14 @@ STILL_IMAGE = {
     for name, value in (("media_type", "IMAGE"), ("color_management", "FOLLOW_SCENE"))
     if name in bpy.types.ImageFormatSettings.bl_rna.properties
 }
+# Of all layers and passes of a render; depths are floats of 32 bits in any case.
+LAYERED_IMAGE = {
+    **({**STILL_IMAGE, "media_type": "MULTI_LAYER_IMAGE"} if "media_type" in STILL_IMAGE else STILL_IMAGE),
+    "file_format": "OPEN_EXR_MULTILAYER",
+    "color_depth": "16",
+    "exr_codec": "ZIP",
+}
+PNG = {"file_format": "PNG", "color_mode": "RGB", "color_depth": "8"}
 
 
 def photograph(run: RunFolder, view: CapturedView, smaller: bool = False) -> np.ndarray:
@@ -69,28 +77,15 @@ def save_exr(path: Path, pixels: np.ndarray) -> None:
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    _save(path, pixels, "OPEN_EXR", is_float=True)
-
-
-def save_png(path: Path, display: np.ndarray) -> None:
-    """Write display values in [0, 1] (H, W, 3), first row at the top, as 8-bit PNG, atomically.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
-    _save(path, display, "PNG", is_float=False)
-
-
-def _save(path: Path, pixels: np.ndarray, file_format: str, is_float: bool) -> None:
     height, width = pixels.shape[:2]
-    image = bpy.data.images.new(path.stem, width, height, alpha=False, float_buffer=is_float)
+    image = bpy.data.images.new(path.stem, width, height, alpha=False, float_buffer=True)
     try:
         image.colorspace_settings.is_data = True  # otherwise saving converts float values to sRGB
         values = np.ones((height, width, 4), np.float32)
         values[..., :3] = pixels[::-1]
         image.pixels.foreach_set(values.ravel())
         with atomic_path(path) as temporary:
-            image.filepath_raw, image.file_format = str(temporary), file_format
+            image.filepath_raw, image.file_format = str(temporary), "OPEN_EXR"
             write_image(path, temporary, image.save)
     finally:
         bpy.data.images.remove(image)
@@ -106,8 +101,7 @@ def save_look(source: Path, path: Path, scene: bpy.types.Scene) -> None:
     set_linear(image)
     settings = scene.render.image_settings
     try:
-        png = {"file_format": "PNG", "color_mode": "RGB", "color_depth": "8"}
-        with changed(settings, STILL_IMAGE), changed(settings, png), atomic_path(path) as temporary:
+        with changed(settings, {**STILL_IMAGE, **PNG}), atomic_path(path) as temporary:
             write_image(path, temporary, lambda: image.save_render(str(temporary), scene=scene))
     finally:
         bpy.data.images.remove(image)

@@ -4,41 +4,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 
 from ...bridge.process import Message
-from ...core.run.contents import CapturedView, CapturedViews
+from ...core.run.contents import CapturedViews
 from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
 from ...core.run.result_contents import Renders
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder
-from ..capture.cameras import find_camera
-from ..changed import all_changed, changed
+from ..changed import changed
 from ..marks import KEPT_FILM, VIEW
 from ..render_settings import can_denoise
-from .composite import added_objects, not_catching, render_composite, without
-from .cycles import Devices, RenderOptions, render_exr, user_devices
-from .image_files import photograph, save_look
-from .layered_exr import write_layers
+from .cycles import Devices, render_picture, user_devices
 from .photographed import lights_as_photographed
-from .renders import (
-    COMPARED_WIDTH,
-    Progress,
-    list_render,
-    picture_path,
-    plate_frame,
-    render_path,
-    render_view,
-)
-from .state_pictures import render_lights
-from .view_check import check_view, forget_check
+from .plate import catching, not_catching, plate_scene, remove_plate_scene
+from .renders import Progress, list_render, picture_path
 
-CHECK, INSERT, COMPOSITE, STATES = "rerender", "insert", "composite", "states"
+INSERT, COMPOSITE = "insert", "composite"
 _NOT_DENOISED: Message = {
     "type": "warning",
     "code": "denoise-missing",
@@ -52,14 +38,13 @@ class Order:
     """What to render.
 
     Attributes:
-        kind: CHECK (views beside their photographs); pictures, by the scene's render settings: INSERT (of the
-            rendered room) or COMPOSITE (into the photograph); STATES, each light alone for thumbnails.
+        kind: pictures, by the scene's render settings: INSERT (of the rendered room) or COMPOSITE (into the
+            photograph).
         run: path of the run folder.
         scene: name of the scene.
-        views: names of the views; of pictures, the name of one camera.
+        views: of pictures, the name of one camera.
         room: names of the room's objects.
         path: of pictures: the EXR that is written, with a PNG beside it.
-        spp: of checks: samples per pixel.
         device: Cycles' device, "CPU" or "GPU".
         devices: the user's Cycles devices; None for the processor.
     """
@@ -70,34 +55,16 @@ class Order:
     views: list[str]
     room: list[str]
     path: str = ""
-    spp: int = 0
     device: str = "CPU"
     devices: Devices | None = None
 
     @property
     def title(self) -> str:
         """What the user reads while it is carried out."""
-        count = len(self.views)
         return {
-            CHECK: "Rendering the view" if count == 1 else f"Rendering {count} views",
             INSERT: "Rendering the picture",
             COMPOSITE: "Compositing into the photograph",
-            STATES: "Rendering each light",
         }[self.kind]
-
-
-def make_order(scene: bpy.types.Scene, run: RunFolder, views: Sequence[str], spp: int) -> Order:
-    """An order of a check, for the device with which the artist renders.
-
-    Raises:
-        FiptError: ``room-missing``, ``view-missing``, ``file-missing`` or ``file-damaged``.
-    """
-    room = _room(scene)
-    capture = read_capture(run.estimated().capture_json)
-    for view in views:
-        capture.view(view)
-        find_camera(view, scene)
-    return Order(CHECK, str(run.root), scene.name, list(views), room, "", spp, *_device(scene))
 
 
 def order_picture(scene: bpy.types.Scene, run: RunFolder, camera: bpy.types.Object, plate: bool) -> Order:
@@ -108,18 +75,9 @@ def order_picture(scene: bpy.types.Scene, run: RunFolder, camera: bpy.types.Obje
     """
     room, kind = _room(scene), COMPOSITE if plate else INSERT
     if plate:
-        read_capture(run.estimated().capture_json).view(view_of(camera))
+        read_capture(run.capture_json).view(view_of(camera))
     path = picture_path(run, kind, camera.get(VIEW, camera.name) + ("_photograph" if plate else ""))
-    return Order(kind, str(run.root), scene.name, [camera.name], room, str(path), 0, *_device(scene))
-
-
-def order_lights(scene: bpy.types.Scene, run: RunFolder) -> Order:
-    """An order of what the scene's camera sees by each light alone.
-
-    Raises:
-        FiptError: ``room-missing``.
-    """
-    return Order(STATES, str(run.root), scene.name, [], _room(scene), "", 0, *_device(scene))
+    return Order(kind, str(run.root), scene.name, [camera.name], room, str(path), *_device(scene))
 
 
 def view_of(camera: bpy.types.Object | None) -> str:
@@ -166,86 +124,41 @@ def carry_out(order: Order, progress: Progress = lambda low, high: None) -> list
     scene = bpy.data.scenes.get(order.scene)
     if scene is None:
         raise FiptError("scene-gone", f"There is no scene '{order.scene}'.", "Start the render again.")
-    capture = read_capture(run.estimated().capture_json)
-    if order.kind == CHECK:
-        warnings = _check_views(order, run, scene, capture, progress)
-    elif order.kind == STATES:
-        warnings = []
-        with not_catching(scene, order.room):
-            render_lights(scene, run, order.device, progress)
-    else:
-        warnings = _render_picture(order, run, scene, capture, progress)
-    return warnings if can_denoise() else [*warnings, _NOT_DENOISED]
-
-
-def _check_views(
-    order: Order, run: RunFolder, scene: bpy.types.Scene, capture: CapturedViews, progress: Progress
-) -> list[Message]:
-    """Render views as they were photographed and compare them."""
-    warnings: list[Message] = []
-    lenses = [find_camera(name, scene).data.dof for name in order.views]
-    options = RenderOptions(order.spp, device=order.device)
-    with (
-        not_catching(scene, order.room),
-        without(added_objects(scene, order.room)),
-        changed(scene, {"background_set": None}),
-        all_changed(lenses, {"use_dof": False}),
-        lights_as_photographed(scene),
-    ):
-        for index, name in enumerate(order.views):
-            view = capture.view(name)
-            progress(index / len(order.views), (index + 1) / len(order.views))
-            path = render_path(run, CHECK, name)
-            render_view(scene, name, path, options, COMPARED_WIDTH)
-            list_render(run, CHECK, name, path)
-            warnings += _check(order, run, capture, view, path)
-    return warnings
+    _render_picture(order, run, scene, read_capture(run.capture_json), progress)
+    return [] if can_denoise() else [_NOT_DENOISED]
 
 
 def _render_picture(
     order: Order, run: RunFolder, scene: bpy.types.Scene, capture: CapturedViews, progress: Progress
-) -> list[Message]:
+) -> None:
     """Render a picture as EXR and PNG."""
     path, camera = Path(order.path), scene.objects.get(order.views[0])
     if camera is None:
         text = f"The scene has no camera '{order.views[0]}'."
         raise FiptError("view-missing", text, "Start the render again.")
-    options = RenderOptions(device=order.device)
-    with changed(scene, {"camera": camera}):
-        if order.kind == COMPOSITE:
-            view = capture.view(view_of(camera))
-            plate = photograph(run, view)
-            with plate_frame(scene, camera):
-                layers = render_composite(scene, plate, view.encoded, order.room, options, progress)
-            write_layers(path, layers, exact=("depth",))
-        else:
+    if order.kind == COMPOSITE:
+        with catching(scene, order.room), lights_as_photographed(scene):
+            shot = plate_scene(scene, run, capture.view(view_of(camera)), camera, order.room)
             progress(0.0, 1.0)
-            # While the backdrop is the photograph, the film is transparent by our doing.
-            film = bool(scene.get(KEPT_FILM, scene.render.film_transparent))
-            with not_catching(scene, order.room), changed(scene.render, {"film_transparent": film}):
-                render_exr(scene, path, options)
-    save_look(path, path.with_suffix(".png"), scene)
-    list_render(run, order.kind, camera.get(VIEW, camera.name), path)
-    return []
-
-
-def _check(
-    order: Order, run: RunFolder, capture: CapturedViews, view: CapturedView, render: Path
-) -> list[Message]:
-    """Compare a render with its photograph; a warning if the photograph is missing."""
-    try:
-        check_view(run, capture, view, render, order.spp, order.views)
-        return []
-    except FiptError as error:
-        if error.code != "image-missing":
-            raise
-        forget_check(run, view.name)
-        text = f"{error.text} The view was rendered to {render}, but could not be compared."
-        return [{"type": "warning", "code": error.code, "text": text, "remedy": error.remedy}]
+            try:
+                render_picture(shot, path, order.device)
+            finally:
+                remove_plate_scene(shot)
+    else:
+        progress(0.0, 1.0)
+        # While the backdrop is the photograph, the film is transparent by our doing.
+        film = bool(scene.get(KEPT_FILM, scene.render.film_transparent))
+        with (
+            not_catching(scene, order.room),
+            changed(scene, {"camera": camera}),
+            changed(scene.render, {"film_transparent": film}),
+        ):
+            render_picture(scene, path, order.device)
+    list_render(run, order.kind, camera.get(VIEW, camera.name), path.with_suffix(".png"))
 
 
 def last_picture(run: RunFolder) -> Path:
-    """The EXR of the picture that was rendered last.
+    """The PNG of the picture that was rendered last.
 
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.

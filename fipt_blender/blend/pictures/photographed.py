@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 
@@ -12,7 +11,7 @@ import bpy
 
 from ..changed import all_changed, changed
 from ..color_spaces import to_scene_linear
-from ..lights.convert import RAYS, lights_as_converted
+from ..lights.convert import RAYS
 from ..lights.fixture_nodes import emitting_sides, surfaces
 from ..lights.tint import unit_of
 from ..marks import (
@@ -21,7 +20,6 @@ from ..marks import (
     BASE,
     FRONT,
     MAPPING,
-    VISIBILITY,
     WORLD,
     fixture_lights,
     fixtures_of,
@@ -33,8 +31,7 @@ from ..marks import (
 def lights_as_photographed(scene: bpy.types.Scene) -> Iterator[None]:
     """Set the estimated radiance of all fixtures and the estimated environment for the length of a block.
 
-    The fixtures' surfaces emit, not Blender lights that stand for them. Lights that are so already are not
-    touched, so that renders before and after agree sample by sample.
+    The fixtures' surfaces emit, not Blender lights that stand for them.
     """
     with ExitStack() as stack:
         for item in fixtures_of(scene):
@@ -50,22 +47,6 @@ def lights_as_photographed(scene: bpy.types.Scene) -> Iterator[None]:
                 _set(stack, nodes[BACKGROUND].inputs["Strength"], unit_of(world) if world[WORLD] else 0.0)
             if MAPPING in nodes:
                 _set(stack, nodes[MAPPING].inputs["Rotation"], (0.0, 0.0, 0.0))
-        yield
-
-
-@contextmanager
-def unchanged_lights_as_surfaces(scene: bpy.types.Scene) -> Iterator[None]:
-    """Let fixtures emit by their surfaces where their Blender lights give the same light, for a block.
-
-    Renders in the block then agree with those of `lights_as_photographed` sample by sample, except for what
-    the artist has changed.
-    """
-    with ExitStack() as stack:
-        for layer in scene.view_layers:
-            layer.update()  # the lights' matrices
-        for item in fixtures_of(scene):
-            if VISIBILITY in item and not item.hide_render and lights_as_converted(scene, item):
-                _emit_by_surface(stack, item, json.loads(item[VISIBILITY]))
         yield
 
 

@@ -56,7 +56,7 @@ def make_job(order: Order) -> Job:
 
 
 def _seconds(order: Order) -> float:
-    return 10.0 * max(len(order.views), 1) * (3 if order.kind == COMPOSITE else 1)
+    return 10.0 * (2 if order.kind == COMPOSITE else 1)
 
 
 def _step_here(order: Order) -> Step:

@@ -54,12 +54,6 @@ def photograph_frame(
     return _frame(scene, (width, height), aspect)
 
 
-def plate_frame(scene: bpy.types.Scene, camera: bpy.types.Object) -> AbstractContextManager[None]:
-    """For a block, the frame of a view's photograph, see `plate_size`."""
-    aspect = [float(value) for value in camera[PIXEL_ASPECT]]
-    return _frame(scene, plate_size(scene, camera), aspect)
-
-
 def plate_size(scene: bpy.types.Scene, camera: bpy.types.Object) -> tuple[int, int]:
     """Columns and rows of pictures over a view's photograph: its own, at most, by the scene's scale."""
     share = min(1.0, scene.render.resolution_percentage / 100.0)

@@ -7,6 +7,7 @@ Until the last slice nothing visible has changed, so that a failure leaves the r
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -16,13 +17,13 @@ import numpy as np
 from ...bridge.process import Message
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
-from ...core.run.versions import present_version
+from ...core.run.versions import results_id
 from ..lights import fixtures
 from ..lights.kept_states import keep_states, states_of
-from ..lights.merging import members_of
 from ..marks import (
     FIXTURE,
     LAID_OUT,
+    MERGED,
     OBJECT_ID,
     SPLIT_OFF,
     fixtures_of,
@@ -303,7 +304,7 @@ def _deleted_lamps(
     run: RunFolder, results: Results, targets: Sequence[Target], scene: bpy.types.Scene
 ) -> set[str]:
     """Names in emitters.json of lamps of these same results that the artist has deleted."""
-    if not hasattr(scene, "fipt") or scene.fipt.materials.applied_version != present_version(run):
+    if not hasattr(scene, "fipt") or scene.fipt.materials.applied_version != results_id(run):
         return set()
     placed = set[int]()
     for target in targets:
@@ -311,7 +312,9 @@ def _deleted_lamps(
         if mesh is not None and not target.is_copy:
             of_object = results.fixture[results.room.triangle_object == target.index]
             placed |= set(of_object[list(mesh.get(SPLIT_OFF, ()))].tolist())
-    present = {name for item in fixtures_of(scene) for name in (item[FIXTURE], *members_of(item))}
+    present = {
+        name for item in fixtures_of(scene) for name in (item[FIXTURE], *json.loads(item.get(MERGED, "[]")))
+    }
     return {results.emitters[index].name for index in placed} - present
 
 

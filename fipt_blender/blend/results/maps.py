@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import bpy
 
 from ...core.run.errors import FiptError
-from ..capture.compare import end, refresh
+from ..capture.backdrop import show_photographs
 from ..color_spaces import set_view_transform
 from ..lights import light_state
 from ..lights.world import show_original_world
@@ -66,9 +66,7 @@ def show(scene: bpy.types.Scene, shown: str) -> None:
         target.hide_viewport = target.hide_render = shown == "ORIGINAL"
     show_original_world(scene, shown == "ORIGINAL")
     light_state.refresh(scene)
-    if scene.fipt.check.compare == "RENDER":  # it would hide the map
-        end(scene)
-    refresh(scene)
+    show_photographs(scene)
     _show_in_view(scene, shown)
     _draw_in_solid_views(scene, shown)
 

@@ -33,7 +33,7 @@ _UNKNOWN = (0.5, 0.5, 0.5)
 def note_parts(scene: bpy.types.Scene, run: RunFolder) -> None:
     """List the parts that have faces in the scene's results, those that most pixels saw first."""
     settings = scene.fipt.materials
-    room = read_room(run.estimated())
+    room = read_room(run)
     faces = _face_counts(scene)
     active = settings.active_part_key()
     parts = [

@@ -92,7 +92,7 @@ class Results:
 
 
 def read_results(run: RunFolder) -> Results:
-    room = read_room(run.estimated())
+    room = read_room(run)
     count = len(room.triangles)
     atlas, arrays = read_atlas(run, count)
     corner_fields: dict[str, np.ndarray] = {}
@@ -148,7 +148,7 @@ def cleaned_scan(run: RunFolder, room: Room) -> dict[str, np.ndarray] | None:
     """The cleaned copy of the run's scan, None where the mesh is no scan or the scan is to be kept."""
     if not run.read_estimated().clean_mesh:
         return None
-    return read_outlined(run.estimated(), room.mesh)
+    return read_outlined(run, room.mesh)
 
 
 def _read_corner_fields(path: Path, count: int) -> dict[str, np.ndarray]:

@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..capture.backdrop import set_backdrop
-from ..capture.compare import refresh
+from ..capture.backdrop import set_backdrop, show_photographs
 from ..lights import light_state
 from ..lights.calibration import scale_light, scene_unit
 from ..lights.light_groups import remove_light_groups
@@ -64,6 +63,6 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> tuple[list[str],
     for name in ("median_radiance", "median_shown"):
         scene.fipt.lights.property_unset(name)
     restore_solid_views(scene)
-    refresh(scene)
+    show_photographs(scene)
     light_state.list_lights(scene)
     return restored, hidden

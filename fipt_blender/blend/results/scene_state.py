@@ -13,7 +13,7 @@ from ...core.run.documents import optional_document, read_document
 from ...core.run.errors import FiptError
 from ...core.run.result_contents import AtlasImages, Statistics
 from ...core.run.runfolder import RunFolder
-from ...core.run.versions import present_version
+from ...core.run.versions import results_id
 from ..capture.backdrop import set_backdrop
 from ..capture.look import cull_outside, enter_room
 from ..lights import light_state
@@ -56,7 +56,7 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
     settings.object_count = len(room)
     atlas = read_document(run.atlas_json, AtlasImages, "Apply the results again.")
     settings.image_count, settings.applied_mode = len(atlas.images), atlas.mode
-    settings.applied_version = present_version(run)
+    settings.applied_version = results_id(run)
     settings.shown = "ESTIMATED"  # its update function shows them
     scene.fipt.lights.median_radiance = median_radiance(run)
     scene.fipt.lights.median_shown = median_shown(run)

@@ -7,6 +7,7 @@ docs/run_folder.md describes the arrays.
 
 from __future__ import annotations
 
+import filecmp
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -58,7 +59,7 @@ class Room:
 
 
 def write_room(room: Room, run: RunFolder, parts: str, completed: bool = False) -> None:
-    """Write room.npz and room.json.
+    """Write room.npz and room.json; results of another room are deleted.
 
     Args:
         room: with at least one triangle.
@@ -75,6 +76,8 @@ def write_room(room: Room, run: RunFolder, parts: str, completed: bool = False) 
         )
     with atomic_path(run.room_npz) as temporary:
         np.savez(temporary, **{name: getattr(room, name) for name in ROOM_ARRAYS} | room.mesh)
+        if run.room_npz.is_file() and not filecmp.cmp(temporary, run.room_npz, shallow=False):
+            run.drop_results()
     names = {key: getattr(room, key) for key in ("objects", "materials", "object_ids", "matrices")}
     write_json(run.room_json, RoomNames(**names, parts=parts, completed=completed))
 

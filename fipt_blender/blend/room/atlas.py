@@ -16,12 +16,14 @@ import bpy
 import numpy as np
 
 from ...bridge.step import Slices
+from ...core.run.arrays import write_arrays
 from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
 from ...core.run.result_contents import AtlasImage, AtlasImages
 from ...core.run.run_files import read_resolution
-from ...core.run.runfolder import RunFolder, atomic_path, write_json
+from ...core.run.runfolder import RunFolder, write_json
 from ...core.run.settings import Settings
+from ...core.run.shapes import ATLAS_ARRAYS
 from ..slices import find_object, run_through
 from .arrays import Room, read_room
 from .charts import chart_slices, is_scan
@@ -103,7 +105,7 @@ def atlas_slices(
     objects: Iterable[bpy.types.Object], run: RunFolder, settings: Settings, max_images: int = MAX_IMAGES
 ) -> Slices[Atlas]:
     """`make_atlas`, a few objects per slice."""
-    room = read_room(run.estimated())
+    room = read_room(run)
     count = len(room.triangles)
     if settings.atlas_mode == "color_attribute":
         _write(run, np.zeros((count, 3, 2)), np.full(count, -1), "color_attribute", [], None)
@@ -307,8 +309,8 @@ def _write(
     owners: list[str] | None,
 ) -> None:
     """Write atlas.npz and atlas.json; `owners`: names of those whose images these are, None if shared."""
-    with atomic_path(run.atlas_npz) as temporary:
-        np.savez(temporary, corner_uv=corner_uv.astype(np.float32), triangle_image=image.astype(np.int32))
+    arrays = {"corner_uv": corner_uv.astype(np.float32), "triangle_image": image.astype(np.int32)}
+    write_arrays(run.atlas_npz, ATLAS_ARRAYS, **arrays)
     # Several images are tiles of one, which Blender finds by the numbers in their names.
     names = [f"Room.{tile_number(index)}" for index in range(len(sizes))] if len(sizes) > 1 else ["Room.001"]
     if owners is not None:

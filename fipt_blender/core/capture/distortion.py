@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Undoing lens distortion in images and intrinsics, with COLMAP's camera models from pycolmap.
+"""Resampling of images to pinhole views, with COLMAP's camera models from pycolmap: distorted ones to what a
+lens without distortion sees, panoramas to the faces of a cube.
 
 pycolmap's image undistortion quantises to 8 bit, so that only its camera models are used, and float images
 are resampled here.
@@ -14,6 +15,7 @@ import numpy as np
 import pycolmap
 
 from ..run.errors import FiptError
+from .panorama import FACES, face_pinhole, with_margin
 from .rig import Lens, Pinhole
 
 # Pixels that are resampled at a time: so few stay in the processor's cache.
@@ -24,20 +26,21 @@ def lens_camera(lens: Lens, width: int, height: int) -> pycolmap.Camera:
     """The pycolmap camera of a lens.
 
     Raises:
-        FiptError: ``camera-model`` for a model or parameters that a perspective camera can't have.
+        FiptError: ``camera-model`` for a model or parameters that neither a perspective camera nor the face
+            of a panorama can have.
     """
     try:
         camera = pycolmap.Camera(
             model=lens.model, width=width, height=height, params=np.array(lens.parameters, np.float64)
         )
-        valid = camera.verify_params() and not camera.is_spherical()
+        valid = camera.verify_params() and camera.is_spherical() == bool(lens.face)
     except (RuntimeError, ValueError, TypeError, KeyError, AttributeError):
         valid = False
     if not valid:
         raise FiptError(
             "camera-model",
             f"The camera model {lens.model} with {len(lens.parameters)} parameters can't be used.",
-            "Export perspective or fisheye images; split panoramas into perspective views.",
+            "Export perspective, fisheye or equirectangular images.",
         )
     return camera
 
@@ -48,7 +51,8 @@ def lens_pinhole(lens: Lens, width: int, height: int) -> Pinhole:
     Raises:
         FiptError: ``camera-model``.
     """
-    return _pinhole(lens_camera(lens, width, height))
+    camera = lens_camera(lens, width, height)
+    return face_pinhole(width) if lens.face else _pinhole(camera)
 
 
 def is_distorted(lens: Lens, width: int, height: int) -> bool:
@@ -67,10 +71,12 @@ def undistorted_pinhole(lens: Lens, width: int, height: int) -> Pinhole:
     Raises:
         FiptError: ``camera-model`` where the distortion can't be undone.
     """
+    if lens.face:
+        return face_pinhole(width)
     camera = lens_camera(lens, width, height)
     pinhole = _pinhole(pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(blank_pixels=0.0), camera))
     x, y = np.linspace(0.5, pinhole.width - 0.5, 33), np.linspace(0.5, pinhole.height - 0.5, 33)
-    positions = _source_positions(camera, pinhole, x, y)
+    positions = _source_positions(camera, pinhole, lens.face, x, y)
     inside = (positions > -1.0).all() and (positions < [width + 1.0, height + 1.0]).all()
     if not inside:  # NaN included
         raise FiptError(
@@ -82,7 +88,7 @@ def undistorted_pinhole(lens: Lens, width: int, height: int) -> Pinhole:
 
 
 class Undistortion:
-    """Resampling of a distorted image to its `undistorted_pinhole`.
+    """Resampling of a distorted image or a panorama to its `undistorted_pinhole`.
 
     Raises:
         FiptError: ``camera-model``.
@@ -90,8 +96,9 @@ class Undistortion:
 
     def __init__(self, lens: Lens, width: int, height: int) -> None:
         self.pinhole = undistorted_pinhole(lens, width, height)
-        self._source_shape = (height, width)
+        self._source_shape, self._margin = (height, width), int(bool(lens.face))
         camera = lens_camera(lens, width, height)
+        width, height = width + 2 * self._margin, height + 2 * self._margin
         count = self.pinhole.width * self.pinhole.height
         # The upper left one of the four pixels around each position; 32 bits hold the index of any pixel
         # (`encoded.MOST_PIXELS`). And where between them it is, 0 to 1.
@@ -100,7 +107,10 @@ class Undistortion:
         columns, lines = np.arange(self.pinhole.width) + 0.5, np.arange(self.pinhole.height) + 0.5
         step = max(1, _BAND // self.pinhole.width)
         for begin in range(0, self.pinhole.height, step):
-            positions = _source_positions(camera, self.pinhole, columns, lines[begin : begin + step])
+            positions = _source_positions(
+                camera, self.pinhole, lens.face, columns, lines[begin : begin + step]
+            )
+            positions += self._margin
             x = np.clip(positions[:, 0] - 0.5, 0.0, width - 1.0)
             y = np.clip(positions[:, 1] - 0.5, 0.0, height - 1.0)
             left = np.minimum(np.floor(x), max(width - 2, 0)).astype(np.int32)
@@ -112,7 +122,7 @@ class Undistortion:
 
     def image(self, pixels: np.ndarray) -> np.ndarray:
         """Resample an image (source height, source width, C) bilinearly to (height, width, C) float32."""
-        source = self._checked(pixels)
+        source = self._source(pixels)
         channels = source.shape[2]
         flat = np.ascontiguousarray(source, np.float32).reshape(-1, channels)
         result = np.empty((len(self._first), channels), np.float32)
@@ -139,22 +149,25 @@ class Undistortion:
     def ids(self, ids: np.ndarray) -> np.ndarray:
         """Resample an id image (source height, source width) by nearest neighbour."""
         nearest = self._first + self._across * (self._right >= 0.5) + self._below * (self._down >= 0.5)
-        return self._checked(ids).ravel()[nearest].reshape(self.pinhole.height, self.pinhole.width)
+        return self._source(ids).ravel()[nearest].reshape(self.pinhole.height, self.pinhole.width)
 
-    def _checked(self, pixels: np.ndarray) -> np.ndarray:
+    def _source(self, pixels: np.ndarray) -> np.ndarray:
         if pixels.shape[:2] != self._source_shape:
             raise ValueError(f"an image of {pixels.shape[:2]} for a camera of {self._source_shape}")
-        return pixels
+        return with_margin(pixels) if self._margin else pixels
 
 
-@lru_cache(maxsize=2)  # usually one camera, in landscape and portrait; each entry is large
 def undistortion(lens: Lens, width: int, height: int) -> Undistortion:
-    """The resampling of a lens; the last two are cached.
+    """The resampling of a lens; the last ones are cached.
 
     Raises:
         FiptError: ``camera-model``.
     """
-    return Undistortion(lens, width, height)
+    return (_of_face if lens.face else _of_lens)(lens, width, height)
+
+
+# Usually there is one camera, in landscape and portrait; each entry is large.
+_of_lens, _of_face = lru_cache(maxsize=2)(Undistortion), lru_cache(maxsize=len(FACES))(Undistortion)
 
 
 def _pinhole(camera: pycolmap.Camera) -> Pinhole:
@@ -169,13 +182,14 @@ def _pinhole(camera: pycolmap.Camera) -> Pinhole:
 
 
 def _source_positions(
-    camera: pycolmap.Camera, pinhole: Pinhole, columns: np.ndarray, rows: np.ndarray
+    camera: pycolmap.Camera, pinhole: Pinhole, face: str, columns: np.ndarray, rows: np.ndarray
 ) -> np.ndarray:
-    """(rows * columns, 2) positions x, y in the distorted image, in pixels.
+    """(rows * columns, 2) positions x, y in the distorted image or the panorama, in pixels.
 
     Args:
+        face: of a panorama, or "".
         columns, rows: positions in the undistorted image, in pixels.
     """
     x, y = np.meshgrid((columns - pinhole.cx) / pinhole.fx, (rows - pinhole.cy) / pinhole.fy)
     points = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
-    return np.asarray(camera.img_from_cam(points))
+    return np.array(camera.img_from_cam(points @ FACES[face].T if face else points))

@@ -21,6 +21,7 @@ import OpenEXR
 import OpenImageIO as oiio
 from PIL import Image, PngImagePlugin, WebPImagePlugin
 
+from ..run.arrays import refuse_infinite
 from ..run.errors import FiptError
 from ..run.extras import optional
 from ..run.runfolder import atomic_path
@@ -41,7 +42,7 @@ from .suffixes import IMAGE_SUFFIXES, RAW_SUFFIXES
 
 EXR_SUFFIX = ".exr"
 HALF_MAX = float(np.finfo(np.float16).max)
-JPEG_QUALITY = 95  # an error of about one of 255 steps
+JPEG_QUALITY = 95  # an error of about one of 255 steps, in places of seven
 MAX_PNG_ID = 2**16 - 1  # 16 bits
 MAX_ID = 2**24 - 1  # highest id of a colour mask; 32-bit floats represent all of them exactly
 FORMATS = "OpenEXR, JPEG, PNG, TIFF, WebP, HEIC and Radiance (.hdr)"
@@ -235,9 +236,10 @@ def write_exr(path: Path, array: np.ndarray, half: bool = False, lossy: bool = F
         lossy: compressed to a quarter, for pictures that are only looked at.
 
     Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
+        FiptError: ``not-finite``, ``disk-full`` or ``run-unwritable``.
     """
     values = np.asarray(array)
+    refuse_infinite(path.name, values)
     if half:
         values = np.clip(values, -HALF_MAX, HALF_MAX).astype(np.float16)
     else:
@@ -252,17 +254,22 @@ def write_exr(path: Path, array: np.ndarray, half: bool = False, lossy: bool = F
         temporary.write_bytes(buffer.getbuffer())
 
 
-def write_jpeg(path: Path, values: np.ndarray) -> None:
-    """Write values (height, width, 3) from 0 to 1 as JPEG with all colour samples, completely or not at all.
+def write_codes(path: Path, values: np.ndarray) -> None:
+    """Write values (height, width, 3) from 0 to 1 with 8 bits, completely or not at all.
 
-    The error is about one of 255 steps (`JPEG_QUALITY`).
+    Args:
+        path: .png, with an error of half of a code; or .jpg, for pictures that are only looked at.
+        values: by the curve of the codes.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     codes = np.clip(values * 255.0 + 0.5, 0.0, 255.0).astype(np.uint8)
     buffer = io.BytesIO()
-    Image.fromarray(codes).save(buffer, "JPEG", quality=JPEG_QUALITY, subsampling=0)
+    if path.suffix == ".jpg":
+        Image.fromarray(codes).save(buffer, "JPEG", quality=JPEG_QUALITY, subsampling=0)
+    else:  # the fastest compression: higher ones take four times as long and save a sixth
+        Image.fromarray(codes).save(buffer, "PNG", compress_level=1)
     with atomic_path(path) as temporary:
         temporary.write_bytes(buffer.getbuffer())
 

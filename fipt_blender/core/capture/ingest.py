@@ -33,6 +33,7 @@ from . import checks
 from .averaging import means
 from .distortion import Undistortion, is_distorted, lens_pinhole, undistorted_pinhole, undistortion
 from .encoded import srgb_encoded
+from .files import Folders
 from .images import (
     EXR_SUFFIX,
     HALF_MAX,
@@ -45,22 +46,22 @@ from .images import (
     read_radiance,
     read_size,
     threads_for,
+    write_codes,
     write_exr,
     write_ids,
-    write_jpeg,
 )
 from .options import CaptureOptions, add_options, options_of
+from .panorama import pinhole_views, placed_panorama, says_panorama
 from .photograph_mesh import Photograph
 from .photograph_poses import with_photograph_poses
-from .places import MISSING_REMEDY
-from .rig import Pinhole, RigView
+from .places import MASK_FOLDER, MISSING_REMEDY
+from .rig import EQUIRECTANGULAR, Pinhole, RigView
 from .source import mesh_fusion, mesh_of_photographs, read_source, size_note, write_mesh
 from .upright import Upright, doubts, find_upright
 
-# Photographs with more pixels than these are rewritten with 8 bits (JPEG) or 16 (HDR) instead of 32: of 12
-# megapixels 144 MB would be written. Smaller ones keep all bits.
+# Photographs with more pixels than these are rewritten with the bits that they have, 8 (PNG) or 16 (EXR),
+# instead of 32: of 12 megapixels 144 MB would be written. Smaller ones keep all bits.
 EXACT_PIXELS = 1_000_000
-LOSSY = ("jpeg", "webp", "heif", "jpegxl")  # formats of photographs that are rewritten as JPEG
 # The smallest value with all digits of a half float; a photograph's median must be so many times that.
 LEAST_HALF, DARKER = 2.0**-14, 100.0
 # Longer side of the copies that Blender's windows show of larger photographs, and their usual size: what a
@@ -102,6 +103,10 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             "Remove the other ones from the camera file.",
         )
     views = _assign_splits(_chosen(views, options.views), options.hold_back)
+    in_metres = conventions.world_from_source("z", options.scale)  # distances do not depend on what is up
+    if options.panorama is not None:
+        others = [view for view in views if view.image.absolute() != options.panorama.absolute()]
+        views = distinct_views([*others, _placed(options, in_metres)])
     _check_files(views)
     if rig.one_camera:
         views, note = with_photograph_poses(rig, views, options.scale)
@@ -111,11 +116,16 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         replace(view, camera_to_world=checks.nearest_rotation(view.name, view.camera_to_world))
         for view in views
     ]
+    # What the user has placed is last, and has the world's coordinates whatever is up in the source.
+    solved = len(views) - (options.panorama is not None)
+    poses = np.array([view.camera_to_world for view in views[:solved]])
+    photographs = [pinhole_views(view) for view in views]
+    exposures = [file_exposure(view.image) for view in views]
+    number = [index for index, several in enumerate(photographs) for _ in several]
+    views = [view for several in photographs for view in several]
     pinholes = [_checked_pinhole(view) for view in views]
-    poses = np.array([view.camera_to_world for view in views])
-    in_metres = conventions.world_from_source("z", options.scale)  # distances do not depend on what is up
-    for view, pinhole, pose in zip(views, pinholes, poses, strict=True):
-        checks.check_view(view.name, pinhole, conventions.transform_poses(in_metres, pose))
+    for view, pinhole in zip(views, pinholes, strict=True):
+        checks.check_view(view.name, pinhole, conventions.transform_poses(in_metres, view.camera_to_world))
     upright = None
     if options.up_axis != "auto":
         upright = Upright(options.up_axis, "option")
@@ -129,15 +139,15 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     if fusion is not None or of_photographs:
         reporter.plan([0.35, 0.6, 0.05])
     remedy = "use photographs whose distortion is undone already, or smaller ones"
-    refuse_full_disk(run_folder.images, sum(_rewritten_bytes(view) for view in views), remedy)
-    exposures = [file_exposure(view.image) for view in views]
+    rewritten = sum(_rewritten_bytes(*each) for each in zip(views, pinholes, strict=True))
+    refuse_full_disk(run_folder.images, rewritten, remedy)
     is_new = not run_folder.run_json.exists()
     if is_new:
         run_folder.create(make_settings())
     try:
         with atomic_folder(run_folder.images) as images:
             reporter.stage("images", "Reading the photographs")
-            written = _read_views(images, views, exposures, options.clamp_negative, reporter)
+            written = _read_photographs(images, photographs, exposures, options.clamp_negative, reporter)
             fused = None
             if fusion is not None:
                 reporter.stage("fuse", "Fusing the depth images")
@@ -145,12 +155,12 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
 
             if of_photographs:
                 reporter.stage("mesh", "Making a mesh of the photographs")
-                photographs = [
+                posed = [
                     Photograph(files.get("image", view.image), view.layer, pinhole, view.camera_to_world)
-                    for view, files, pinhole in zip(views, written, pinholes, strict=True)
-                    if view.split == "train"
+                    for view, files, pinhole, index in zip(views, written, pinholes, number, strict=True)
+                    if view.split == "train" and index < solved
                 ]
-                given = run_folder, capture, source, photographs
+                given = run_folder, capture, source, posed
                 made = mesh_of_photographs(*given, reporter.progress)
                 reporter.warning(made[1].code, made[1].text, made[1].remedy)
             reporter.stage("write", "Writing the capture")
@@ -173,8 +183,15 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         world_from_source=as_matrix(world_from_source),
         mesh=None if mesh is None else str(mesh),
         views=tuple(
-            _captured(run_folder, *one, world_from_source)
-            for one in zip(views, pinholes, exposures, files, strict=True)
+            _captured(
+                run_folder,
+                view,
+                pinhole,
+                of_view,
+                exposures[index],
+                world_from_source if index < solved else in_metres,
+            )
+            for view, pinhole, of_view, index in zip(views, pinholes, files, number, strict=True)
         ),
     )
     up = UpAxis(upright.axis, upright.source, upright.angle)
@@ -193,6 +210,19 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             "undistorted": sum(is_distorted(view.lens, view.width, view.height) for view in views),
         },
     )
+
+
+def _placed(options: CaptureOptions, world_from_source: np.ndarray) -> RigView:
+    """The panorama that the user has placed, in the source's coordinates.
+
+    Raises:
+        FiptError: those of `read_size`.
+    """
+    assert options.panorama is not None, "asked only where there is one"
+    image = options.panorama.absolute()
+    view = placed_panorama(image, read_size(image), options.panorama_place, options.panorama_heading)
+    pose = conventions.transform_poses(np.linalg.inv(world_from_source), view.camera_to_world)
+    return replace(view, camera_to_world=pose, mask=Folders().ids(image.parent / MASK_FOLDER, [view.name]))
 
 
 def _remove_empty(run_folder: RunFolder) -> None:
@@ -287,6 +317,12 @@ def _check_files(views: list[RigView]) -> None:
                     f"{path} has {width} x {height} pixels, but its camera {view.width} x {view.height}.",
                     "Use images of the size for which the cameras were calibrated.",
                 )
+        if view.lens.model != EQUIRECTANGULAR and says_panorama(view.image, (view.width, view.height)):
+            raise FiptError(
+                "camera-model",
+                f"{view.image} is an equirectangular panorama, but its camera is a {view.lens.model}.",
+                "Solve the cameras again with an equirectangular (spherical) one for it, or leave it out.",
+            )
 
 
 def _checked_pinhole(view: RigView) -> Pinhole:
@@ -302,9 +338,9 @@ def _checked_pinhole(view: RigView) -> Pinhole:
     return undistorted_pinhole(view.lens, view.width, view.height)
 
 
-def _read_views(
+def _read_photographs(
     folder: Path,
-    views: list[RigView],
+    photographs: Sequence[Sequence[RigView]],
     exposures: list[float | None],
     clamp_negative: bool,
     reporter: Reporter,
@@ -313,6 +349,7 @@ def _read_views(
 
     Args:
         folder: for the images that are written.
+        photographs: the views of each.
         exposures: from the files' EXIF, see `file_exposure`.
 
     Returns:
@@ -322,38 +359,70 @@ def _read_views(
         FiptError: those of `read_ids`, `pixel_statistics` and `judge_pixels`.
     """
     statistics, written = [], []
+    first = [several[0] for several in photographs]
     # Resamplings are made here, so that the threads share them.
-    work = ((folder, view, _resampling(view)) for view in views)
-    most = threads_for(view.width * view.height for view in views)
-    for found, files in in_threads(lambda item: _read_view(*item), work, most):
+    work = ((folder, several, [_resampling(view) for view in several]) for several in photographs)
+    most = threads_for(view.width * view.height for view in first)
+    for found, files in in_threads(lambda item: _read_photograph(*item), work, most):
         statistics.append(found)
-        written.append(files)
-        reporter.progress(len(written) / len(views))
-    notes = checks.judge_pixels([view.name for view in views], statistics, clamp_negative)
-    encoded = [is_encoded(view.image) for view in views]
+        written += files
+        reporter.progress(len(statistics) / len(photographs))
+    notes = checks.judge_pixels([view.name for view in first], statistics, clamp_negative)
+    encoded = [is_encoded(view.image) for view in first]
     for note in [*notes, *checks.judge_encoded(encoded, exposures)]:
         reporter.warning(note.code, note.text, note.remedy)
     return written
 
 
 def _resampling(view: RigView) -> Undistortion | None:
-    """What undoes a view's distortion; None where it has none."""
+    """What undoes a view's distortion, or cuts it out of a panorama; None where it has none."""
     if not is_distorted(view.lens, view.width, view.height):
         return None
     return undistortion(view.lens, view.width, view.height)
 
 
-def _read_view(
-    folder: Path, view: RigView, resampling: Undistortion | None
-) -> tuple[checks.PixelStatistics, dict[str, Path]]:
-    """Statistics of a photograph's values, and the images written of the view, by kind.
+def _read_photograph(
+    folder: Path, views: Sequence[RigView], resamplings: Sequence[Undistortion | None]
+) -> tuple[checks.PixelStatistics, list[dict[str, Path]]]:
+    """Statistics of a photograph's values, and the images written of its views, by kind.
 
     Bilinear weights are positive, so that no value is negative if clamping precedes the resampling. Id images
     are read, for their errors, also where they stay as they are.
 
     Args:
         folder: for the images that are written.
-        resampling: what undoes the distortion, or None.
+        resamplings: what makes each view of the photograph, or None.
+    """
+    image, layer = views[0].image, views[0].layer
+    pixels = read_radiance(image, layer)
+    found = checks.pixel_statistics(image, pixels)
+    negative = found.minimum < 0.0
+    if is_encoded(image):  # clipped and of 8 bits, as is said of all of them at once
+        found = replace(found, looks_ldr=False, clipped=0.0)
+    if negative:
+        pixels = np.maximum(pixels, 0.0)
+    plain = not negative and is_plain(image, layer)
+    ids = {kind: read_ids(path) for kind in ID_IMAGES if (path := getattr(views[0], kind)) is not None}
+    return found, [
+        _write_view(folder, view, resampling, pixels, plain, ids)
+        for view, resampling in zip(views, resamplings, strict=True)
+    ]
+
+
+def _write_view(
+    folder: Path,
+    view: RigView,
+    resampling: Undistortion | None,
+    pixels: np.ndarray,
+    plain: bool,
+    ids: dict[str, np.ndarray],
+) -> dict[str, Path]:
+    """Write the images of a view that must be converted.
+
+    Args:
+        pixels: (height, width, 3) of its photograph, without negative values.
+        plain: whether these are what the file shows to any program.
+        ids: id images of its photograph.
     """
     written: dict[str, Path] = {}
 
@@ -361,34 +430,23 @@ def _read_view(
         written[kind] = folder / kind / f"{view.name}{suffix}"
         return written[kind]
 
-    pixels = read_radiance(view.image, view.layer)
-    found = checks.pixel_statistics(view.image, pixels)
-    negative = found.minimum < 0.0
-    encoded = is_encoded(view.image)
-    if encoded:  # clipped and of 8 bits, as is said of all of them at once
-        found = replace(found, looks_ldr=False, clipped=0.0)
-    if negative:
-        pixels = np.maximum(pixels, 0.0)
     if resampling is not None:
         pixels = resampling.image(pixels)
-    if resampling is not None or negative or not is_plain(view.image, view.layer):
-        if pixels[..., 0].size > EXACT_PIXELS and open_picture(view.image).kind in LOSSY:
-            write_jpeg(target("image", ".jpg"), srgb_encoded(pixels))
+    if resampling is not None or not plain:
+        if pixels[..., 0].size > EXACT_PIXELS and open_picture(view.image).type == "uint8":
+            write_codes(target("image", ".png"), srgb_encoded(pixels))
         else:
             write_exr(target("image"), pixels, half=_fits_half(pixels))
-    for kind in ID_IMAGES:
-        source = getattr(view, kind)
-        if source is not None:
-            ids = read_ids(source)
-            if resampling is not None:
-                ids = resampling.ids(ids)
-                if ids.min() >= 0 and ids.max() <= MAX_PNG_ID:  # faster to read, and smaller
-                    write_ids(target(kind, ".png"), ids)
-                else:
-                    write_exr(target(kind), ids)
+    if resampling is not None:
+        for kind, values in ids.items():
+            cut = resampling.ids(values)
+            if cut.min() >= 0 and cut.max() <= MAX_PNG_ID:  # faster to read, and smaller
+                write_ids(target(kind, ".png"), cut)
+            else:
+                write_exr(target(kind), cut)
     if max(pixels.shape) > PREVIEW_SIDE:
         _write_preview(view, target, pixels)
-    return found, written
+    return written
 
 
 def _write_preview(view: RigView, target: Callable[[str, str], Path], pixels: np.ndarray) -> None:
@@ -397,20 +455,20 @@ def _write_preview(view: RigView, target: Callable[[str, str], Path], pixels: np
     height, width = (max(1, round(shrink * side)) for side in pixels.shape[:2])
     smaller = means(pixels, width, height)
     if is_encoded(view.image):
-        write_jpeg(target("preview", ".jpg"), srgb_encoded(smaller))
+        write_codes(target("preview", ".jpg"), srgb_encoded(smaller))
     else:
         write_exr(target("preview", EXR_SUFFIX), smaller, half=True, lossy=True)
 
 
-def _rewritten_bytes(view: RigView) -> int:
+def _rewritten_bytes(view: RigView, pinhole: Pinhole) -> int:
     """Expected size of a view's rewritten photograph, 0 where it stays as it is, and of its copy."""
-    pixels = view.width * view.height
-    preview = 2_000_000 if max(view.width, view.height) > PREVIEW_SIDE else 0
+    pixels = pinhole.width * pinhole.height
+    preview = 2_000_000 if max(pinhole.width, pinhole.height) > PREVIEW_SIDE else 0
     if not is_distorted(view.lens, view.width, view.height) and is_plain(view.image, view.layer):
         return preview
     if pixels <= EXACT_PIXELS:
         return 12 * pixels
-    return preview + (1 if open_picture(view.image).kind in LOSSY else 6) * pixels
+    return preview + (2 if open_picture(view.image).type == "uint8" else 6) * pixels
 
 
 def _fits_half(pixels: np.ndarray) -> bool:
@@ -427,16 +485,16 @@ def _captured(
     run_folder: RunFolder,
     view: RigView,
     pinhole: Pinhole,
-    exposure: float | None,
     written: dict[str, Path],
+    exposure: float | None,
     world_from_source: np.ndarray,
 ) -> CapturedView:
     """The view's entry in capture.json.
 
     Args:
         pinhole: of its image, undistorted where necessary.
-        exposure: from its file's EXIF.
         written: images that were written of it, by kind.
+        exposure: from its file's EXIF.
     """
     files = {"image": view.image, **{kind: getattr(view, kind) for kind in ID_IMAGES}, **written}
     names: dict[str, Any] = {kind: _stored_path(run_folder, path) for kind, path in files.items()}
@@ -449,6 +507,7 @@ def _captured(
         **names,
         encoded=encoded,
         exposure=exposure if encoded else None,
+        panorama=view.name.removesuffix(f"@{view.lens.face}") if view.lens.face else None,
     )
 
 

@@ -8,7 +8,8 @@ Needs the standard library and numpy alone, since Blender's side imports it.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection
+import math
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,12 @@ TEXTS = {
     "layer": "layer or part of EXR photographs that have several",
     "clamp_negative": "treat negative radiance in photographs as zero",
     "align_mesh": "align the cameras to a mesh from another program by the solve's points",
+    "panorama": (
+        "an equirectangular panorama that the cameras lack, upright, at --panorama-place; black pixels of the"
+        " image of its name in the folder masks beside it are left out"
+    ),
+    "panorama_place": "where it was taken: meters in the imported scene, Z up; =-1,0,1.5 if X is negative",
+    "panorama_heading": "degrees by which its centre is turned from Y to the left (default: 0)",
     "views": "use N photographs, evenly spread (default: all)",
     "voxel": "meters, of a mesh fused from depth images (default: 0.02)",
     "triangles": "simplify a mesh with more triangles to about N; 0 for none",
@@ -51,7 +58,13 @@ TEXTS = {
 }
 _CHOICES = {"format": ("auto", *FORMATS), "up_axis": ("auto", *UP_AXES)}
 # Of the fields' types: what reads an argument, and its name in the help.
-_TYPES = {"Path | None": (Path, "PATH"), "int": (int, "N"), "float": (float, "M"), "str": (str, None)}
+_TYPES: dict[str, tuple[Callable[[str], Any], str | None]] = {
+    "Path | None": (Path, "PATH"),
+    "int": (int, "N"),
+    "float": (float, "N"),
+    "str": (str, None),
+    "tuple[float, ...]": (lambda text: tuple(map(float, text.split(","))), "X,Y,Z"),
+}
 
 
 @dataclass(frozen=True)
@@ -78,6 +91,9 @@ class CaptureOptions:
     layer: str = ""
     clamp_negative: bool = False
     align_mesh: bool = False
+    panorama: Path | None = None
+    panorama_place: tuple[float, ...] = (0.0, 0.0, 1.5)
+    panorama_heading: float = 0.0
     views: int = 0
     voxel: float = 0.02
     triangles: int = 0
@@ -115,6 +131,12 @@ class CaptureOptions:
                 f"Set a scale from {low:g} to {high:g} meters per unit.",
             ),
             (
+                len(self.panorama_place) == 3
+                and all(map(math.isfinite, (*self.panorama_place, self.panorama_heading))),
+                f"A panorama can't be placed at {self.panorama_place}.",
+                "Give three coordinates in meters: --panorama-place=X,Y,Z.",
+            ),
+            (
                 finest <= self.voxel <= coarsest,
                 f"Voxels of {self.voxel:g} m are impossible.",
                 f"Set voxels from {finest:g} to {coarsest:g} meters.",
@@ -136,6 +158,7 @@ class CaptureOptions:
             value = getattr(self, option.name)
             if value != option.default:
                 value = value.absolute() if isinstance(value, Path) else value
+                value = ",".join(map(str, value)) if isinstance(value, tuple) else value
                 words.append(_flag(option.name) if value is True else f"{_flag(option.name)}={value}")
         return words
 

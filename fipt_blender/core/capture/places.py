@@ -33,6 +33,7 @@ from .options import CaptureOptions
 from .rig import PARTS_FOLDER, SEMANTICS_FOLDER, DepthView, Lens, Note, Rig, RigView, find_mesh
 
 IMAGE_FOLDERS = ("hdr", "exr", "images", "input", "Image", ".")
+MASK_FOLDER = "masks"
 MESH_STEMS = ("scene", "mesh", "model", "texturedMesh", "scene_dense_mesh")
 ID_FOLDERS = {PARTS_FOLDER: PARTS_FOLDER, SEMANTICS_FOLDER: SEMANTICS_FOLDER}
 
@@ -57,7 +58,7 @@ class Places:
     roots: tuple[Path, ...]
     images: Path | None = None
     image_folders: tuple[str, ...] = IMAGE_FOLDERS
-    mask_folders: tuple[str, ...] = (".", "masks")
+    mask_folders: tuple[str, ...] = (".", MASK_FOLDER)
     inside: Path | None = None
     own_paths: bool = False
     relative: bool = False

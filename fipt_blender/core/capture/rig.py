@@ -27,15 +27,21 @@ MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 PARTS_FOLDER = "parts"
 SEMANTICS_FOLDER = "semantics"
 CLASS_NAMES = "classes.json"  # names of semantic classes by id, beside their masks
+EQUIRECTANGULAR = "EQUIRECTANGULAR"  # COLMAP's model of a panorama's camera, with its width and height
 _MALFORMED = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, ParseError, csv.Error)
 
 
 @dataclass(frozen=True)
 class Lens:
-    """A camera model by COLMAP's name with COLMAP's parameters in pixels, e.g. PINHOLE (fx, fy, cx, cy)."""
+    """A camera model by COLMAP's name with COLMAP's parameters in pixels, e.g. PINHOLE (fx, fy, cx, cy).
+
+    Attributes:
+        face: of a view that is cut out of a panorama, one of `panorama.FACES`.
+    """
 
     model: str
     parameters: tuple[float, ...]
+    face: str = ""
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ They are read from capture.json, which `ingest` writes after all its checks.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -37,6 +38,7 @@ class View:
         mask: id image of the same size, 0 where the photograph must not be used, or None.
         encoded: whether the photograph is not HDR: the image holds a camera's codes by sRGB's curve.
         exposure: of such a photograph, the relative exposure stored in its file, or None.
+        panorama: name of the panorama that the view is a face of, or None.
     """
 
     name: str
@@ -54,6 +56,7 @@ class View:
     mask: Path | None = None
     encoded: bool = False
     exposure: float | None = None
+    panorama: str | None = None
 
     @property
     def files(self) -> list[Path]:
@@ -124,6 +127,13 @@ class View:
                 "into the folder 'parts' beside the photographs and import the capture again.",
             )
         return ids
+
+
+def photographs_of(views: Sequence[View]) -> np.ndarray:
+    """(V,) int photograph of each view, numbered by the first: the faces of a panorama are one photograph."""
+    number: dict[tuple[bool, str], int] = {}
+    names = [(view.panorama is not None, view.panorama or view.name) for view in views]
+    return np.array([number.setdefault(name, len(number)) for name in names], np.int64)
 
 
 @dataclass(frozen=True, eq=False)

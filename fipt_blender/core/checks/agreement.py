@@ -22,6 +22,7 @@ from ..pixels.camera_rays import first_hits, rays_along
 from ..pixels.grouped import grouped_means, grouped_median, numbered, pairs_of
 from ..pixels.store import CELL_PIXELS
 from ..robust import LEAST_VIEWS
+from ..run.messages import Progress, unwatched
 from ..surface.room import Room
 from .cells import lattice_spacing
 
@@ -99,7 +100,9 @@ class ComparedPixels:
         near, far = np.minimum(*ends).max(axis=1), np.maximum(*ends).min(axis=1)
         return np.flatnonzero((far > np.maximum(near, 0.0)) & (near < self.distance))
 
-    def swept(self, low: np.ndarray, step: float, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def swept(
+        self, low: np.ndarray, step: float, shape: np.ndarray, progress: Progress = unwatched
+    ) -> tuple[np.ndarray, np.ndarray]:
         """How much less photographs disagree at the cells of a grid than behind, and the number of views.
 
         The first is a mean over the views, 0 where fewer than `LEAST_VIEWS` see a cell.
@@ -112,9 +115,12 @@ class ComparedPixels:
         for begin in range(0, len(points), _CHUNK):
             rows = slice(begin, begin + _CHUNK)
             gain[rows], count[rows] = self.gains(points[rows])
+            progress(min((begin + _CHUNK) / len(points), 1.0))
         return gain.reshape(tuple(shape)), count.reshape(tuple(shape))
 
-    def boxes(self, bounds: Box, most_points: int = MOST_POINTS) -> Iterator[tuple[Box, float, float]]:
+    def boxes(
+        self, bounds: Box, most_points: int = MOST_POINTS, progress: Progress = unwatched
+    ) -> Iterator[tuple[Box, float, float]]:
         """Boxes around what photographs show in the air of the room, the one that explains most first.
 
         Each with the spacing of the points, and the share of all disagreement that it explains.
@@ -125,7 +131,7 @@ class ComparedPixels:
         low, high = bounds
         step = max(COARSE * self.size, float((np.prod(high - low) / most_points) ** (1.0 / 3.0)))
         shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)
-        gain, views = self.swept(low, step, shape)
+        gain, views = self.swept(low, step, shape, progress)
         shows = (gain > LEAST_GAIN) & (gain * views > LEAST_VIEWS)
         pieces, count = connected(shows, np.ones((3, 3, 3)))
         # A cell is seen by about (step / size)^2 pixels of a view.

@@ -26,6 +26,7 @@ from ..capture.formats.registry import FORMATS, read_rig
 from ..capture.images import read_radiance, threads_for
 from ..capture.ingest import distinct_views
 from ..capture.options import CaptureOptions
+from ..capture.panorama import pinhole_views
 from ..capture.views import View, load_capture
 from ..conventions import transform_points
 from ..device.variant import set_variant
@@ -82,7 +83,8 @@ def solve_points(capture: Path, name: str, views: list[View]) -> np.ndarray:
     rig = read_rig(capture, name, CaptureOptions())
     if rig.one_camera:
         rig = with_color_camera(rig, 1.0)
-    poses = {view.name: view.camera_to_world for view in distinct_views(rig.views)}
+    photographs = distinct_views(rig.views)
+    poses = {view.name: view.camera_to_world for each in photographs for view in pinhole_views(each)}
     common = [view for view in views if view.name in poses]
     if len(common) < 2:
         raise FiptError(

@@ -9,6 +9,7 @@ from collections.abc import Collection
 import numpy as np
 from scipy.sparse import csr_array
 
+from ..capture.views import photographs_of
 from ..robust import deviation, without_means
 from .cells import SurfaceCells
 
@@ -25,33 +26,35 @@ LEAST_SPREAD = 0.01
 def exposure_gains(cells: SurfaceCells, without: Collection[int] = ()) -> np.ndarray:
     """(views,) factor by which each photograph is brighter than the others; 1 where that can't be judged.
 
-    Robust least squares of log radiance = surface cell + view. The median view has a factor of 1.
+    Robust least squares of log radiance = surface cell + photograph, of which a panorama is one. The median
+    photograph has a factor of 1.
 
     Args:
         without: indices of views that are ignored, because their poses are wrong.
     """
-    views = len(cells.pixels.views)
+    photograph = photographs_of(cells.pixels.views)
     # Cells are thinned out rather than pixels, so that each cell keeps all views that share it.
     step = max(1, -(-cells.pixel_count // GAIN_PIXELS))
     means = []
-    for index in range(views):
+    for index in range(len(photograph)):
         in_view = cells.of_view(index)
         asked = (in_view.cell % step == 0) & (index not in without)
         means.append(in_view.among(asked).means())
-    view = np.repeat(np.arange(views), [len(of_view) for of_view, _ in means])
+    view = np.repeat(photograph, [len(of_view) for of_view, _ in means])
     cell, value = (np.concatenate(columns) for columns in zip(*means, strict=True))
     shared = np.bincount(cell, minlength=cells.count)[cell] > 1
     cell, view, value = cell[shared], view[shared], value[shared]
-    judged = np.bincount(view, minlength=views) >= SHARED_CELLS
+    count = int(photograph.max()) + 1
+    judged = np.bincount(view, minlength=count) >= SHARED_CELLS
     if not judged.any():
-        return np.ones(views)
-    weight, gain = np.ones(len(cell)), np.zeros(views)
+        return np.ones(len(photograph))
+    weight, gain = np.ones(len(cell)), np.zeros(count)
     for _ in range(8):
-        gain = _solved(cell, view, value, weight, views)
+        gain = _solved(cell, view, value, weight, count)
         residual = without_means(value - gain[view], cell, weight)
         weight = 1.0 / (1.0 + (residual / (2.0 * deviation(residual, LEAST_SPREAD))) ** 2)
     gain -= np.median(gain[judged])
-    return np.where(judged, np.exp(gain), 1.0)
+    return np.where(judged, np.exp(gain), 1.0)[photograph]
 
 
 def _solved(

@@ -23,27 +23,10 @@ REACH = 2.0
 ANGLE = 0.01
 LEAST_COSINE = 0.1  # between a surface and a direction, for the tolerance of depth
 # Most photographs that are projected into a view, those that show most of it.
-MOST_VIEWS = 48
+MOST_VIEWS = 24
 SAMPLE = 97  # every so many pixels of a view decide which photographs show most of it
 FAR = 1.0e4  # metres, of what lies outside of the mesh
 FLOOR = 1e-3  # radiance in units of the capture's median, below which logarithms do not fall
-
-
-@dataclass(frozen=True, eq=False)
-class Projection:
-    """What the photographs show of the points of a view's pixels.
-
-    Attributes:
-        radiance: (H, W, 3) float32, of unseen pixels that of the nearest seen one.
-        seen: (H, W) int16, number of photographs that show the point.
-        spread: (H, W) float32 weighted standard deviation of the logarithm of luminance between these.
-        missed: (H, W) bool, pixels that show no mesh.
-    """
-
-    radiance: np.ndarray
-    seen: np.ndarray
-    spread: np.ndarray
-    missed: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +43,10 @@ class _Points:
         return _Points(self.position[::step], self.normal[::step], self.outside[::step], self.camera)
 
 
-def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) -> Projection:
-    """The training photographs as they are seen from a camera.
+def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) -> np.ndarray:
+    """The training photographs as they are seen from a camera, (H, W, 3) float32.
+
+    A pixel whose point no photograph shows has the radiance of the nearest one that has.
 
     Args:
         pixels: of the training views; those that are left out show nothing.
@@ -76,29 +61,20 @@ def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) 
     few = points.every(SAMPLE)
     shown = [int(np.count_nonzero(_seen(pixels, index, few, place)[0])) for index in range(len(pixels.views))]
     order = [index for index in np.argsort(shown, kind="stable")[::-1][:MOST_VIEWS] if shown[index]]
-    total, first, second = (np.zeros(len(position)) for _ in range(3))
-    sums, count = np.zeros((len(position), 3)), np.zeros(len(position), np.int16)
+    total, sums = np.zeros(len(position)), np.zeros((len(position), 3))
     for index in order:
         rows, weight, where = _seen(pixels, int(index), points, place)
-        radiance = _sampled(pixels, int(index), where)
-        value = np.log(radiance.mean(axis=1) + FLOOR)
-        radiance = np.log(
-            np.maximum(radiance, FLOOR)
-        )  # as display values do, logarithms bound what is clipped
+        # Of logarithms, as of display values, the mean is not that of a single highlight.
+        radiance = np.log(np.maximum(_sampled(pixels, int(index), where), FLOOR))
         total[rows] += weight
         sums[rows] += weight[:, None] * radiance
-        first[rows] += weight * value
-        second[rows] += weight * value**2
-        count[rows] += 1
-    share = np.maximum(total, 1e-30)
-    spread = np.sqrt(np.maximum(second / share - (first / share) ** 2, 0.0))
     shape = (view.height, view.width)
-    image = np.exp(sums / share[:, None]).astype(np.float32).reshape(*shape, 3)
-    seen = count.reshape(shape)
-    if (seen > 0).any():
-        nearest = distance_transform_edt(seen == 0, return_distances=False, return_indices=True)
-        image = image[tuple(nearest)]
-    return Projection(image, seen, spread.astype(np.float32).reshape(shape), outside.reshape(shape))
+    image = np.exp(sums / np.maximum(total, 1e-30)[:, None]).astype(np.float32).reshape(*shape, 3)
+    unseen = total.reshape(shape) == 0.0
+    if unseen.all():
+        return image
+    nearest = distance_transform_edt(unseen, return_distances=False, return_indices=True)
+    return np.asarray(image[tuple(nearest)])
 
 
 def _seen(

@@ -48,7 +48,6 @@ def register(
     predicted: np.ndarray,
     known: np.ndarray,
     intrinsics: np.ndarray,
-    affine: bool = False,
 ) -> Fit:
     """Find the camera's rotation by which the photograph agrees best with the prediction.
 
@@ -59,11 +58,10 @@ def register(
         predicted: (H, W) log radiance that the other views predict.
         known: (H, W) bool, where both are known.
         intrinsics: (3, 3) in pixels of these images.
-        affine: whether the image is stretched and sheared, too, as by wrong lenses and poses of others.
     """
     if known.sum() < LEAST_PIXELS:
         return NO_VERDICT
-    flow = _flow(known.shape, intrinsics, affine)
+    flow = _flow(known.shape, intrinsics)
     size = np.sqrt((flow**2).sum(axis=1).mean(axis=(1, 2)))
     flow = flow[:, :, known]
     rotation = np.zeros(len(flow))
@@ -88,18 +86,13 @@ def register(
     return Fit(shift, min(after / max(before, 1e-12), 1.0), before - after, difference)
 
 
-def _flow(shape: tuple[int, ...], intrinsics: np.ndarray, affine: bool) -> np.ndarray:
-    """(3, 2, H, W) displacement (x, y) of each pixel per radian of rotation about each axis of the camera.
-
-    With `affine` (6, 2, H, W): further ones per unit of stretch along x and y, and of shear.
-    """
+def _flow(shape: tuple[int, ...], intrinsics: np.ndarray) -> np.ndarray:
+    """(3, 2, H, W) displacement (x, y) of each pixel per radian of rotation about each axis of the camera."""
     height, width = shape
     fx, fy = intrinsics[0, 0], intrinsics[1, 1]
     x = (np.arange(width) + 0.5 - intrinsics[0, 2])[None] / fx + np.zeros((height, 1))
     y = (np.arange(height) + 0.5 - intrinsics[1, 2])[:, None] / fy + np.zeros((1, width))
     axes = [(-x * y, -(1.0 + y**2)), (1.0 + x**2, x * y), (-y, x)]
-    if affine:
-        axes += [(x, 0.0 * y), (0.0 * x, y), (y, 0.0 * x)]
     return np.array([[fx * dx, fy * dy] for dx, dy in axes])
 
 

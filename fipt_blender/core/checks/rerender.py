@@ -2,39 +2,41 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Views rendered from a finished estimate alone: paths of Eq. 4 without the radiance cache (paper Sec. 3).
 
+They are lit by what the .blend has: lamps without a surface shine, but cover nothing and are not seen.
+
 The first surface has the estimated material of its point; later ones, which only their reflected light shows,
 that of their voxel.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from ..capture.views import View
+from ..conventions import direction_to_equirect
 from ..light.added_lights import add_lamp, joined
 from ..light.baking import SUBPIXELS
 from ..light.cache import SurfaceLookup, fill_grid, grid_frame, pool, sample_surface
-from ..light.emitters import Fixture, emitter_table
 from ..light.environment import Environment
-from ..light.radiance import OutsideRadiance, TracedRadiance, Vertex, new_path
+from ..light.radiance import OutsideRadiance, Path, PathStep, TracedRadiance, Vertex, new_path
 from ..optics import brdf, factorised
 from ..optics.brdf import Material
 from ..optics.denoise import Denoiser
-from ..optics.environment import EnvironmentLight
 from ..optics.lights import AreaLights, EmitterTable
 from ..pixels.camera_rays import opaque_vector, trace_pixels
-from ..surface.room import Room
+from ..surface.room import Room, Surface
 
 # (N, 3) positions, metres, and (N,) triangles -> (N, 3) base colour, (N,) roughness, (N,) metallic.
 FieldQuery = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 SPP = 32  # paths a pixel, before denoising
-DEPTH = 8  # most surfaces of a path
+DEPTH = 32  # most surfaces of a path, as in our Cycles renders; Russian roulette ends most before
 VOXELS = 128  # along each axis, for the materials that reflections show
 PATHS_AT_ONCE = 1 << 20  # bounds memory
 
@@ -48,27 +50,47 @@ class Estimate:
         query: materials of its surfaces.
         emitters: its lamps.
         environment: radiance from outside, with the lamps that were inferred, or None.
-        unseen_light: 0..1, share of the light that was inferred and not seen.
-        lamp_doubt: 0..1, share of the lamps' power that is not theirs by their probability.
     """
 
     room: Room
     query: FieldQuery
     emitters: EmitterTable
     environment: Environment | None
-    unseen_light: float = 0.0
-    lamp_doubt: float = 0.0
 
-    @classmethod
-    def of(
-        cls, room: Room, query: FieldQuery, fixtures: Sequence[Fixture], environment: Environment | None
-    ) -> Estimate:
-        """Of what the stages have found."""
-        power = np.array([f.area * float((f.radiance + f.back_radiance).mean()) for f in fixtures])
-        certain = np.array([fixture.probability for fixture in fixtures])
-        doubt = float(power @ (1.0 - certain) / power.sum()) if power.sum() > 0.0 else 0.0
-        inferred = 0.0 if environment is None else environment.unseen_light
-        return cls(room, query, emitter_table(list(fixtures)), environment, inferred, doubt)
+
+class _Paths(TracedRadiance):
+    """Paths in a room that also has lamps without a surface: like Blender's lights, these cover nothing.
+
+    Paths gather their light and go on behind them; cameras do not see them.
+    """
+
+    def __init__(
+        self, room: Room, materials: SurfaceLookup, environment: Environment | None, emitters: EmitterTable
+    ):
+        extended, first = room, len(room.triangles)
+        for lamp in () if environment is None else environment.lamps:
+            shape = np.array(lamp["position"]), lamp["radius"], np.array(lamp["radiance"], np.float32)
+            extended, added = add_lamp(extended, *shape, lamp.get("facing"))
+            emitters = joined(emitters, added)
+        self.lights = AreaLights(extended.vertices, extended.triangles, emitters)
+        # The .blend has the image alone: light that the hull has by place is in its lamps, or in the image.
+        outside = None if environment is None else OutsideRadiance(replace(environment, hull=None))
+        super().__init__(room, None, materials, None, self.lights, outside, cache_roughness=1.0, depth=DEPTH)
+        self.first = first
+        self.lamps = None
+        if len(extended.triangles) > first:
+            arrays = ("triangles", "corner_normals", "triangle_object", "triangle_material")
+            self.lamps = replace(extended, **{name: getattr(extended, name)[first:] for name in arrays})
+            self.lamps.intersect(mi.Ray3f([0, 0, 0], [0, 0, 1]))  # makes its arrays before loops are recorded
+
+    def step(
+        self, path: Path, direction: mi.Vector3f, hit: Surface, rng: mi.PCG32, active: mi.Bool
+    ) -> PathStep:
+        """As of `TracedRadiance`, with the lamps on the way to `hit`."""
+        if self.lamps is not None:
+            reach = dr.select(hit.valid, hit.distance, dr.inf)
+            path.radiance += path.throughput * _crossed(self, path, direction, reach, mi.Bool(active))
+        return super().step(path, direction, hit, rng, active)
 
 
 class Renderer:
@@ -88,24 +110,17 @@ class Renderer:
         points, triangle = (
             np.tile(values, (2, 1) if values.ndim > 1 else 2)[first] for values in (points, triangle)
         )
-        values = np.column_stack(estimate.query(points.astype(np.float32), triangle.astype(np.int32)))
-        materials = SurfaceLookup(grid, pool(grid, entries, values.astype(np.float32))[0])
-        self._estimate, self._seed = estimate, seed
-        emitters, environment = estimate.emitters, estimate.environment
-        for lamp in () if environment is None else environment.lamps:
-            shape = np.array(lamp["position"]), lamp["radius"], np.array(lamp["radiance"], np.float32)
-            room, added = add_lamp(room, *shape, lamp.get("facing"))
-            emitters = joined(emitters, added)
-        self._room = room
-        self._lights = AreaLights(room.vertices, room.triangles, emitters)
-        self._outside = None if environment is None else EnvironmentLight(environment.image)
-        outside = None
-        if environment is not None:
-            everywhere = np.ones(environment.image.shape[:2], bool)
-            outside = OutsideRadiance(Environment(environment.image, 1.0, everywhere))
-        self._source = TracedRadiance(
-            room, None, materials, None, self._lights, outside, cache_roughness=1.0, depth=DEPTH
-        )
+        self._room, self._query, self._seed = room, estimate.query, seed
+        materials = SurfaceLookup(grid, pool(grid, entries, self._materials(points, triangle))[0])
+        self._source = _Paths(room, materials, estimate.environment, estimate.emitters)
+        self._lights = self._source.lights
+        environment = estimate.environment
+        self._outside = None if environment is None else environment.image
+
+    def _materials(self, points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """(N, 5) float32 base colour, roughness and metallic of surface points, clipped as in textures."""
+        values = self._query(points.astype(np.float32), triangles.astype(np.int32))
+        return np.clip(np.column_stack(values), 0.0, 1.0).astype(np.float32)
 
     def render(self, view: View, stream: int = 0) -> np.ndarray:
         """(H, W, 3) float32 radiance of a view, denoised.
@@ -134,11 +149,8 @@ class Renderer:
         dr.eval(surface.valid, surface.position, surface.normal, surface.triangle, direction)
         valid, triangle = np.array(surface.valid), np.array(surface.triangle).astype(np.int32)
         values = np.zeros((len(valid), 5), np.float32)
-        known = valid & (triangle < len(self._estimate.room.triangles))  # others are of inferred lamps
-        if known.any():
-            position = np.array(surface.position).T[known].astype(np.float32)
-            values[known] = np.column_stack(self._estimate.query(position, triangle[known]))
-        values = np.clip(values, 0.0, 1.0)
+        if valid.any():
+            values[valid] = self._materials(np.array(surface.position).T[valid], triangle[valid])
         emits = np.array(self._lights.is_emitter(surface.triangle, surface.valid))
         direct = self._direct(view, rows, surface, direction)
         lanes = dr.repeat(dr.arange(mi.UInt32, len(valid)), repeats)
@@ -170,9 +182,15 @@ class Renderer:
         if self._outside is None:
             return np.where(np.array(surface.valid)[:, None], emitted, 0.0)
         # The map is coarse; the middle of a pixel does for all its starts.
-        rays = view.rays()[1].reshape(-1, 3)[rows]
-        vector = mi.Vector3f(*np.ascontiguousarray(np.repeat(rays, len(SUBPIXELS), axis=0).T, np.float32))
-        beyond = np.array(self._outside.radiance(vector)).T
+        uv = direction_to_equirect(view.rays()[1].reshape(-1, 3)[rows])
+        height, width = self._outside.shape[:2]
+        place = np.stack([(1.0 - uv[:, 1]) * height, uv[:, 0] * width]) - 0.5
+        # Between the map's pixels as Blender's texture.
+        planes = (
+            map_coordinates(plane, place, order=1, mode="grid-wrap")
+            for plane in np.moveaxis(self._outside, 2, 0)
+        )
+        beyond = np.repeat(np.stack(list(planes), axis=1), len(SUBPIXELS), axis=0)
         return np.where(np.array(surface.valid)[:, None], emitted, beyond)
 
     def _reflected(self, given: list[Any], material: Material, active: mi.Bool, seed: int) -> mi.Color3f:
@@ -209,3 +227,24 @@ def _followed(
         hit = source.intersect(mi.Ray3f(path.origin, direction), active)
         path, direction, active = source.step(path, direction, hit, rng, active)
     return path.radiance
+
+
+@dr.syntax
+def _crossed(
+    source: _Paths, path: Any, direction: mi.Vector3f, reach: mi.Float, active: mi.Bool
+) -> mi.Color3f:
+    """Radiance of the lamps that rays cross before `reach` metres, weighted against emitter sampling."""
+    assert source.lamps is not None
+    gathered, start = dr.zeros(mi.Color3f, dr.width(active)), dr.zeros(mi.Float, dr.width(active))
+    while active:
+        ray = mi.Ray3f(path.origin + start * direction, direction)
+        ray.maxt = reach - start
+        hit = source.lamps.intersect(ray, active)
+        active &= hit.valid
+        distance = start + hit.distance
+        triangle, cosine = hit.triangle + source.first, -dr.dot(hit.geometric_normal, direction)
+        density = source.lights.pdf_direction(triangle, distance, cosine, active)
+        weight = path.brdf_pdf / dr.maximum(path.brdf_pdf + density, 1e-20)
+        gathered += dr.select(active, weight * source.lights.radiance(triangle, cosine, active), 0.0)
+        start = distance + source.offset
+    return gathered

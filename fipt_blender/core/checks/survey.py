@@ -24,10 +24,12 @@ from ..capture.views import View, load_capture
 from ..device.variant import set_variant
 from ..radiometry.inversion import MUCH_CLIPPED as MUCH_CLIPPED_ENCODED
 from ..radiometry.inversion import is_clipped
+from ..run.arrays import write_arrays
 from ..run.contents import Box, SurveyedParts, SurveyedView, SurveyNote
 from ..run.errors import FiptError
 from ..run.messages import Reporter
-from ..run.runfolder import RunFolder, atomic_path, write_json
+from ..run.runfolder import RunFolder, write_json
+from ..run.shapes import SURVEY_ARRAYS
 from ..run.threads import in_threads
 
 if TYPE_CHECKING:
@@ -111,15 +113,15 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         )
         missing = [Box(tuple(low.tolist()), tuple(high.tolist())) for (low, high), _, _ in shown]
 
-    with atomic_path(folder.root / "survey.npz") as temporary:
-        np.savez_compressed(
-            temporary,
-            seen=np.packbits(seen, axis=1),
-            # Surfaces hidden from all camera positions, such as the outer sides of walls, are not gaps.
-            areas=np.where(in_sight, room.areas, 0.0).astype(np.float32),
-            disagreement=disagreement,
-            **{f"parts_{source}": part for source, part in labels.items()},
-        )
+    write_arrays(
+        folder.root / "survey.npz",
+        SURVEY_ARRAYS,
+        seen=np.packbits(seen, axis=1),
+        # Surfaces hidden from all camera positions, such as the outer sides of walls, are not gaps.
+        areas=np.where(in_sight, room.areas, 0.0).astype(np.float32),
+        disagreement=disagreement,
+        **{f"parts_{source}": part for source, part in labels.items()},
+    )
     counts = {source: len(np.unique(part[part >= 0])) for source, part in labels.items()}
     parts = SurveyedParts(automatic_source(room, usable), counts)
     write_json(folder.root / "survey.json", SurveyNote(tuple(surveyed), parts, tuple(missing)))

@@ -19,6 +19,7 @@ from scipy.ndimage import binary_erosion, binary_fill_holes, binary_opening, lab
 from scipy.special import bdtrc  # scipy.stats takes half a second to import
 
 from ..checks.agreement import LEAST_GAIN, Box, ComparedPixels, cells_of, doubts, hits_of
+from ..run.messages import Progress, unwatched
 from ..surface.adjacency import NONE, Surface
 from ..surface.room import Room
 from .prism import prism
@@ -33,7 +34,9 @@ LEVEL = 0.05
 STEPS = (3, 1)
 
 
-def lost_surfaces(room: Room, pixels: ComparedPixels) -> tuple[list[Surface], ComparedPixels]:
+def lost_surfaces(
+    room: Room, pixels: ComparedPixels, progress: Progress = unwatched
+) -> tuple[list[Surface], ComparedPixels]:
     """Prisms for things in front of a scan that the photographs show.
 
     Args:
@@ -45,7 +48,7 @@ def lost_surfaces(room: Room, pixels: ComparedPixels) -> tuple[list[Surface], Co
     """
     middles = room.vertices.astype(np.float64)[room.triangles].mean(axis=1)
     found: list[Surface] = []
-    for (low, high), step, share in pixels.boxes(room.bounds):
+    for (low, high), step, share in pixels.boxes(room.bounds, progress=progress):
         if share < LEAST_SHARE:
             break
         fitted = _fitted(pixels, (low - step, high + step), middles)

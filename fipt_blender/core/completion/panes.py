@@ -24,10 +24,11 @@ from ..parts.linked_masks import link_masks
 from ..parts.masked_views import masked_views
 from ..pixels.camera_rays import first_hits, trace_pixels
 from ..robust import LEAST_VIEWS
-from ..run.arrays import read_arrays
+from ..run.arrays import read_arrays, write_arrays
 from ..run.errors import FiptError
+from ..run.messages import Progress, unwatched, within
 from ..run.run_files import PANES, has_searched_panes, mesh_digest, read_room_files
-from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
+from ..run.runfolder import RunFolder, explained_write_errors
 from ..run.shapes import PANES_ARRAYS
 from ..run.stage_settings import RoomSettings
 from ..surface.adjacency import NONE, Surface, make_mesh
@@ -55,7 +56,11 @@ class _Look:
 
 
 def close_holes(
-    run: RunFolder, views: Sequence[View], settings: RoomSettings | None = None, room: Room | None = None
+    run: RunFolder,
+    views: Sequence[View],
+    settings: RoomSettings | None = None,
+    room: Room | None = None,
+    progress: Progress = unwatched,
 ) -> bool:
     """Write panes.npz, and extend geometry.npz, where photographs show surfaces that a scan lacks.
 
@@ -95,24 +100,25 @@ def close_holes(
     edge = median_edge(mesh)
     holes = flat_holes(mesh, edge) if settings.panes else []
     room = room or load_room(run, outlined=False)
-    closed = [hole for hole, seen in zip(holes, _looks(room, holes, views), strict=True) if seen]
+    looks = _looks(room, holes, views, within(progress, 0.0, 0.25))
+    closed = [hole for hole, seen in zip(holes, looks, strict=True) if seen]
     added = _panes(closed) if closed else None
     whole = room if added is None else _with(room, added)
-    for surface in _things(run, whole, views, edge, settings):
+    for surface in _things(run, whole, views, edge, settings, within(progress, 0.25, 1.0)):
         added = surface if added is None else _joined(added, surface)
     nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3, 3)), np.zeros(0, np.int32)
     vertices, triangles, normals, plane = nothing if added is None else added
     with explained_write_errors(run.root):
-        with atomic_path(run.panes_npz) as temporary:
-            np.savez(
-                temporary,
-                vertices=vertices,
-                triangles=triangles,
-                corner_normals=normals,
-                source=mesh_digest(arrays),
-                masks=masks,
-                **({} if all(kinds) else {"kinds": kinds}),
-            )
+        write_arrays(
+            run.panes_npz,
+            PANES_ARRAYS,
+            vertices=vertices,
+            triangles=triangles,
+            corner_normals=normals,
+            source=mesh_digest(arrays),
+            masks=masks,
+            **({} if all(kinds) else {"kinds": kinds}),
+        )
         if added is None:
             return changed
         plane = np.where(plane == NONE, NONE, int(cleaned.plane.max(initial=-1)) + 1 + plane)
@@ -136,7 +142,12 @@ def _searched_kinds(run: RunFolder) -> list[bool]:
 
 
 def _things(
-    run: RunFolder, room: Room, views: Sequence[View], edge: float, settings: RoomSettings
+    run: RunFolder,
+    room: Room,
+    views: Sequence[View],
+    edge: float,
+    settings: RoomSettings,
+    progress: Progress,
 ) -> list[Surface]:
     """Surfaces that the scan lacks: lost things, from the photographs, then torn parts, from masks or these.
 
@@ -147,7 +158,7 @@ def _things(
     if len(views) >= LEAST_VIEWS and (settings.lost_surfaces or (settings.torn_parts and not masked)):
         pixels = compared_pixels(room, views, edge)
         if settings.lost_surfaces:
-            found, pixels = lost_surfaces(room, pixels)
+            found, pixels = lost_surfaces(room, pixels, within(progress, 0.1, 0.7))
         if settings.torn_parts and not masked:
             found += torn_round_things(room, pixels, edge)
     if not masked:
@@ -155,7 +166,8 @@ def _things(
     for surface in found:
         room = _with(room, surface)
     looking, label = masked_views(room, link_masks(run, room, views))
-    return found + (torn_parts(room, label, looking, edge) if settings.torn_parts else [])
+    torn = settings.torn_parts
+    return found + (torn_parts(room, label, looking, edge, within(progress, 0.8, 1.0)) if torn else [])
 
 
 def _with(room: Room, surface: Surface) -> Room:
@@ -195,11 +207,12 @@ def _panes(holes: Sequence[FlatHole]) -> Surface:
     return joined(vertices), joined(triangles), joined(normals), joined(numbers)
 
 
-def _looks(room: Room, holes: Sequence[FlatHole], views: Sequence[View]) -> list[bool]:
+def _looks(room: Room, holes: Sequence[FlatHole], views: Sequence[View], progress: Progress) -> list[bool]:
     """Whether the photographs show that each hole is a surface."""
     looks = [_Look(0, []) for _ in holes]
     medians = []
-    for view in views if holes else ():
+    for number, view in enumerate(views if holes else ()):
+        progress(number / len(views))
         luminance = view.radiance().reshape(-1, 3) @ LUMINANCE
         medians.append(np.median(luminance))
         reached = first_hits(trace_pixels(room, view))[1]

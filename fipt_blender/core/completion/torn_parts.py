@@ -22,6 +22,7 @@ from ..checks.agreement import LEAST_COSINE, LEAST_GAIN, ComparedPixels
 from ..parts.masked_views import MISSES, MaskedView
 from ..pixels.camera_rays import first_hits, rays_along, trace_pixels
 from ..robust import LEAST_VIEWS
+from ..run.messages import Progress, unwatched
 from ..run.threads import in_threads
 from ..surface.adjacency import NONE, Surface, face_vectors
 from ..surface.room import Room
@@ -42,7 +43,13 @@ TORN = 0.05
 WITHIN, _BESIDE = 0.75, (-0.25, 0.25)
 
 
-def torn_parts(room: Room, label: np.ndarray, masked: Sequence[MaskedView], edge: float) -> list[Surface]:
+def torn_parts(
+    room: Room,
+    label: np.ndarray,
+    masked: Sequence[MaskedView],
+    edge: float,
+    progress: Progress = unwatched,
+) -> list[Surface]:
     """Surfaces that complete the torn parts of a scan.
 
     Mitsuba's variant must be set.
@@ -63,14 +70,17 @@ def torn_parts(room: Room, label: np.ndarray, masked: Sequence[MaskedView], edge
     completion = _Completion(room, masked, edge)
     completion.look()
     flat = np.ones(len(label), bool)
-    for part in parts:
+    for number, part in enumerate(parts):
         for thing in _things(middles, np.flatnonzero(label == part), APART * edge):
             for revolution in fit_revolutions(middles[thing], normals[thing], areas[thing], edge):
                 completion.add(revolution, part, _missing_round)
                 flat[thing] = False
+        progress(0.5 * (number + 1) / len(parts))
     completion.look()  # not before: the outside of a shade would occlude its inside
     rng = np.random.default_rng(0)
-    for part in parts[found[parts] < (1.0 - TORN) * pixels[parts]]:
+    torn = parts[found[parts] < (1.0 - TORN) * pixels[parts]]
+    for number, part in enumerate(torn):
+        progress(0.5 + 0.5 * number / len(torn))
         rows = np.flatnonzero((label == part) & flat)
         sheets = fit_sheets(middles[rows], normals[rows], areas[rows], edge, LEAST_TRIANGLES, rng)
         # Nearer sheets are completed first, and occlude those behind.

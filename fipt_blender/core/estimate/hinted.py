@@ -8,8 +8,10 @@ import numpy as np
 
 from ..material.groups import Units
 from ..material.hints import SurfaceHints, values_of_hints
+from ..run.arrays import write_arrays
 from ..run.result_contents import HintFigures
-from ..run.runfolder import RunFolder, atomic_path
+from ..run.runfolder import RunFolder
+from ..run.shapes import LEFT_ALONE_ARRAYS
 
 
 def hint_facts(hints: SurfaceHints, units: Units) -> list[HintFigures]:
@@ -46,7 +48,5 @@ def write_left_alone(folder: RunFolder, left_alone: np.ndarray | None) -> None:
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    if left_alone is None:
-        return
-    with atomic_path(folder.left_alone_npz) as temporary:
-        np.savez_compressed(temporary, left_alone=left_alone)
+    if left_alone is not None:
+        write_arrays(folder.left_alone_npz, LEFT_ALONE_ARRAYS, left_alone=left_alone)

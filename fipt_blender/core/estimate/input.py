@@ -86,7 +86,7 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
         raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
     plan = light_plan([(view.width, view.height) for view in photographs], settings)
     reporter.note(f"{plan.resolution}; {plan.cost}")
-    reporter.plan([*PREPARATION, 1.0 - sum(PREPARATION)])
+    reporter.plan([*PREPARATION, 1.0 - sum(PREPARATION)], plan.seconds)
     if not settings.force:
         refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
     views, room, far_off, holes = completed_room(folder, settings, capture, reporter)
@@ -153,7 +153,7 @@ def completed_room(
     if folder.geometry_npz.exists():
         text = "Looking for what the scan lacks"  # takes minutes
         reporter.stage("scan", text if holes is None else f"{holes.text} {text}")
-    if close_holes(folder, views, settings, room):
+    if close_holes(folder, views, settings, room, reporter.progress):
         room = load_room(folder, outlined=False)
     return views, room, far_off, holes
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..capture.views import View
 from ..checks.quality import Quality, judge
 from ..checks.rerender import Estimate
-from ..light.emitters import Fixture
+from ..light.emitters import Fixture, emitter_table
 from ..light.lamp_doubt import HardlySeen, hardly_seen, light_errors, power_errors
 from ..light.observations import Observations
 from ..material.cell_errors import DrawnPixels, add_light_errors, cell_errors, draw_pixels, lit_cells
@@ -131,11 +131,8 @@ class Judgement:
 
 def judge_result(inputs: JudgeInputs, settings: Seeded, tools: Tools) -> Judgement:
     """Render the photographs that were held back, and project the others onto the mesh."""
-    environment, query = inputs.observations.environment, inputs.room_fields.query
-    estimate = Estimate.of(inputs.room, query, inputs.fixtures, environment)
+    lamps, environment = emitter_table(inputs.fixtures), inputs.observations.environment
+    estimate = Estimate(inputs.room, inputs.room_fields.query, lamps, environment)
     photometry = {} if inputs.photometry is None else inputs.photometry.facts
     given = inputs.pixels, inputs.held_back, estimate, photometry, inputs.scale, settings.seed
-    quality = judge(*given, tools.reporter.progress)
-    if quality is not None and (warning := quality.warning()) is not None:
-        tools.reporter.warning(*warning)
-    return Judgement(quality)
+    return Judgement(judge(*given, tools.reporter.progress))

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -31,8 +30,8 @@ from ..run.stage_settings import (
 )
 from ..surface.room import Room
 
-# Share of the light that is inferred from which the user is told.
-MUCH_INFERRED = 0.1
+# Share of the light that is inferred, and difference of the baked light from it, from which the user is told.
+MUCH_INFERRED, MUCH_DIFFERENT = 0.1, 0.05
 
 
 @dataclass(frozen=True)
@@ -54,61 +53,6 @@ class Observed:
 def observe_pixels(inputs: ObserveInputs, settings: LightSettings, tools: Tools) -> Observed:
     """Assign the pixels to the voxels of the radiance cache, and find what they see outside."""
     return Observed(observe(inputs.room, inputs.pixels, inputs.parts, settings, tools.folder))
-
-
-@dataclass(frozen=True)
-class OutsideInputs:
-    """Observations of a room that may be open, and the hints that know a base colour."""
-
-    observed: Observations
-    pixels: PixelStore
-    room: Room
-    parts: Parts
-    references: Sequence[Hint]
-
-
-@dataclass(frozen=True)
-class OutsideLight:
-    """What the pixels see outside, with light from unseen directions where the mesh is open; None without."""
-
-    environment: Environment | None
-
-
-def infer_outside(inputs: OutsideInputs, settings: LightSettings, tools: Tools) -> OutsideLight:
-    """Infer the light that enters an open mesh from directions that no photograph shows."""
-    observed, room = inputs.observed, inputs.room
-    if settings.unseen_light:
-        pieces = None if inputs.parts.kind == "part" else room_pieces(room)
-        known = known_colors(inputs.references, room.vertices, room.triangles, inputs.parts, pieces)
-        labels = surface_labels(room, inputs.parts)
-        observed = with_unseen_light(observed, room, labels, settings, known)
-    light = observed.environment
-    if light is not None and light.unseen_light > MUCH_INFERRED:
-        tools.reporter.warning(
-            "light-inferred",
-            f"{100.0 * light.unseen_light:.0f} % of the light on the surfaces comes from what no photograph"
-            " shows. It was inferred from how it falls on them, to"
-            f" {100.0 * light.unseen_error:.0f} % or so, and base colors are as uncertain.",
-            "Add photographs that show the lamps and windows. The inferred lamps are named Unseen Light: move"
-            " or delete them as you know better.",
-        )
-    return OutsideLight(light)
-
-
-def observed_light(
-    room: Room,
-    pixels: PixelStore,
-    parts: Parts,
-    labels: np.ndarray,
-    settings: LightSettings,
-    folder: Path,
-) -> Observations:
-    """Observations with the light from outside in one go; `labels`: :func:`.surface_labels`."""
-    observed = observe(room, pixels, parts, settings, folder)
-    return with_unseen_light(observed, room, labels, settings) if settings.unseen_light else observed
-
-
-# ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) -------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -140,6 +84,50 @@ def find_presumed_lamps(inputs: BrightInputs, settings: ShadingSettings, tools: 
         return PresumedLamps(*presume_lamps(room, EmitterPixels.of(pixels), bright))
     in_cache = np.ones(len(bright.triangles), bool)
     return PresumedLamps(replace(bright, reflective=in_cache), np.zeros(len(room.triangles), bool))
+
+
+@dataclass(frozen=True)
+class OutsideInputs:
+    """Observations of a room that may be open, its bright triangles with the presumed lamps, and the hints
+    that know a base colour."""
+
+    observed: Observations
+    bright: EmitterTable
+    pixels: PixelStore
+    room: Room
+    parts: Parts
+    references: Sequence[Hint]
+
+
+@dataclass(frozen=True)
+class OutsideLight:
+    """What the pixels see outside, with light from unseen directions where the mesh is open; None without."""
+
+    environment: Environment | None
+
+
+def infer_outside(inputs: OutsideInputs, settings: LightSettings, tools: Tools) -> OutsideLight:
+    """Infer the light that enters an open mesh from directions that no photograph shows."""
+    observed, room = inputs.observed, inputs.room
+    if settings.unseen_light:
+        label, lamps = surface_labels(room, inputs.parts), inputs.bright.not_reflective()
+        pieces = None if inputs.parts.kind == "part" else room_pieces(room)
+        known = known_colors(inputs.references, room.vertices, room.triangles, inputs.parts, pieces)
+        observed = with_unseen_light(observed, room, label, lamps, settings, known)
+    light = observed.environment
+    if light is not None and light.unseen_light > MUCH_INFERRED:
+        tools.reporter.warning(
+            "light-inferred",
+            f"{100.0 * light.unseen_light:.0f} % of the light on the surfaces comes from what no photograph"
+            " shows. It was inferred from how it falls on them, to"
+            f" {100.0 * light.unseen_error:.0f} % or so, and base colors are as uncertain.",
+            "Add photographs that show the lamps and windows. The inferred lamps are named Unseen Light: move"
+            " or delete them as you know better.",
+        )
+    return OutsideLight(light)
+
+
+# ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) -------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -175,7 +163,29 @@ def bake_shadings(inputs: ShadingInputs, settings: ShadingSettings, tools: Tools
     observed = replace(inputs.observed, environment=inputs.environment)
     lamps = PresumedLamps(inputs.bright, inputs.presumed)
     baking = first_baking(inputs.room, inputs.parts, observed, lamps, settings)
-    return BakedShadings(_bake(baking, inputs.pixels, tools), baking.levels, inputs.presumed)
+    store = _bake(baking, inputs.pixels, tools)
+    tools.facts["light_excess"] = excess = light_excess(inputs.environment, store.diffuse)
+    if abs(excess) > MUCH_DIFFERENT:
+        tools.reporter.warning(
+            "light-differs",
+            f"The baked light differs by {100.0 * excess:+.0f} % from the light that was inferred from"
+            " what no photograph shows, and base colors are as uncertain.",
+            "Add photographs that show the lamps and windows.",
+        )
+    return BakedShadings(store, baking.levels, inputs.presumed)
+
+
+def light_excess(environment: Environment | None, diffuse: np.ndarray) -> float:
+    """Median share by which the baked L_d of all pixels (N, 3) exceeds the light that was inferred.
+
+    0 without inferred light. A difference shows that the shadings have other light than was solved for.
+    """
+    if environment is None or environment.pixels is None or environment.light is None:
+        return 0.0
+    compared = diffuse[environment.pixels], environment.light
+    baked, inferred = (np.asarray(array, np.float64).mean(axis=1) for array in compared)
+    known = (baked > 0.0) & (inferred > 0.0)
+    return float(np.expm1(np.median(np.log(baked[known] / inferred[known])))) if known.any() else 0.0
 
 
 def first_baking(

@@ -140,9 +140,8 @@ class PossibleEmitters:
 
 def find_emitter_units(inputs: SurfaceInputs, settings: NoSettings, tools: Tools) -> PossibleEmitters:
     """Divide the mesh into surfaces of which each emits as a whole, or not at all."""
-    inferred = None if inputs.environment is None else inputs.environment.unseen
-    footprint = inputs.observed.footprint
-    return PossibleEmitters(emitter_surfaces(inputs.room, inputs.parts, footprint, inferred))
+    given = inputs.room, inputs.parts, inputs.observed.footprint, inputs.environment
+    return PossibleEmitters(emitter_surfaces(*given))
 
 
 @dataclass(frozen=True)

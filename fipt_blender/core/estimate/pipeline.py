@@ -64,9 +64,9 @@ def _pixels(encoded: bool) -> Iterator[Stage]:
 def _light() -> Iterator[Stage]:
     """Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9)."""
     yield Stage("observed", observe_pixels)
-    yield Stage("outside", infer_outside, "Inferring the light from outside", 0.15)
-    yield Stage("hints", honour_hints)
     yield Stage("presumed", find_presumed_lamps)
+    yield Stage("outside", infer_outside, "Inferring the light from outside", 0.4)
+    yield Stage("hints", honour_hints)
     yield Stage("shadings", bake_shadings, "Baking shadings from the photographs", 1.0)
 
 

@@ -16,6 +16,8 @@ import numpy as np
 from ..capture.views import View
 from ..checks.view_check import ViewCheck, check_views
 from ..light.baking import baked_light
+from ..light.observations import observe
+from ..light.unseen_light import with_unseen_light
 from ..parts.labels import Parts, choose_parts, surface_labels
 from ..photometry.encoded_photographs import Photometry, adjust_photographs, warn_of_photographs
 from ..photometry.refit import refit_photographs
@@ -32,7 +34,7 @@ from ..run.stage_settings import (
     UnmixSettings,
 )
 from ..surface.room import Room
-from .light_stages import BrightInputs, find_presumed_lamps, first_baking, observed_light
+from .light_stages import BrightInputs, find_presumed_lamps, first_baking
 
 _RAYS_TO_TRACE, _RAYS_TO_MARK = 1, 5  # a pixel, for the statistics
 
@@ -200,8 +202,11 @@ def refit_photometry(inputs: RefitInputs, settings: RefitSettings, tools: Tools)
     if settings.refit_photographs:
         labels = surface_labels(inputs.room, inputs.parts)
         pixels = pixels.with_copies(tools.folder, "radiance", "own", "weight")
-        observations = observed_light(inputs.room, pixels, inputs.parts, labels, settings, tools.folder)
         lamps = find_presumed_lamps(BrightInputs(pixels, inputs.room), settings, tools)
+        observations = observe(inputs.room, pixels, inputs.parts, settings, tools.folder)
+        if settings.unseen_light:
+            given = inputs.room, labels, lamps.bright.not_reflective()
+            observations = with_unseen_light(observations, *given, settings)
         baking = first_baking(inputs.room, inputs.parts, observations, lamps, settings)
         found = replace(found, found=found.found.of_pixels(pixels))
         again = refit_photographs(found, pixels, inputs.room, labels, partial(baked_light, baking, pixels))

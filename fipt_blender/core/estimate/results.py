@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -31,12 +32,11 @@ from ..pixels.store import PixelStore
 from ..report.quality_files import write_quality
 from ..run.light_size import LightPlan
 from ..run.messages import Reporter, peak_memory_gb
-from ..run.replacing import keep_inputs
+from ..run.replacing import atomic_folder
 from ..run.result_contents import EmitterEnvironment, EmitterFixture, Emitters, MissingLamp
 from ..run.run_files import ScanHoles
-from ..run.runfolder import RunFolder, write_json
+from ..run.runfolder import RunFolder, explained_write_errors, write_json
 from ..run.settings import Settings
-from ..run.versions import new_results, note_version, prune
 from ..surface.room import Room
 from ..textures.detail import SolvedLight, remember_light, write_resolution
 from .doubts import write_doubts
@@ -94,7 +94,7 @@ class RoomLight:
 
 
 def write_solution(run: RunFolder, solution: Solution, facts: RunFacts, reporter: Reporter) -> dict[str, Any]:
-    """Write all results as a new version of the run; returns the statistics.
+    """Write all results in place of earlier ones; returns the statistics.
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
@@ -107,7 +107,8 @@ def write_solution(run: RunFolder, solution: Solution, facts: RunFacts, reporter
     light = RoomLight(solution.fixtures, observations.environment, solution.view_check.lamps)
     areas = area_names(solution.surface_hints, solution.units)
     statistics = summary(solution, facts)
-    with new_results(run) as folder:
+    with atomic_folder(run.results) as new:
+        folder = RunFolder(run.root, results=new.name)
         write_results(folder, fields, light, solution.scale, reporter)
         if solution.quality is not None:
             write_quality(folder, solution.quality)
@@ -121,9 +122,8 @@ def write_solution(run: RunFolder, solution: Solution, facts: RunFacts, reporter
         remember_light(folder, SolvedLight(pixels, solution.shadings, solution.levels))
         write_resolution(folder, len(room.triangles))
         write_json(folder.statistics_json, statistics)
-        keep_inputs(folder, folder.results)
-        note_version(folder.results)
-    prune(run, facts.settings.kept_versions)
+        with explained_write_errors(folder.results):
+            shutil.copyfile(run.stages_json, folder.results / run.stages_json.name)
     return statistics
 
 

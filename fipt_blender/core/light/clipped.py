@@ -11,12 +11,13 @@ the walls as it should.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..pixels.camera_rays import rays_along
 from ..robust import deviation, gauss_newton, student_weights, without_means
+from ..run.stage_files import UNKNOWN
 from ..surface.room import Room
 from .cache import VoxelGrid
 
@@ -50,7 +51,7 @@ class LitPoints:
         correction: (N, 3) logarithm of the true light over that of this model, or a number for all.
     """
 
-    value: np.ndarray
+    value: np.ndarray = field(metadata=UNKNOWN)
     part: np.ndarray
     entry: np.ndarray
     direct: np.ndarray

@@ -44,10 +44,6 @@ ALIKE_PIXELS, ALIKE_SAMPLES, ALIKE_SPREAD, ALIKE, MOST_OFF = 10.0, 30.0, 0.03, 0
 # Positions of a lamp and of what it lights are known to an edge of a scan: the relative error of the light is
 # so many edges over their distance, at most 1. A lamp lights what is less bright than itself by this factor.
 PLACE_ERROR, LIT = 3.0, 2.0
-# A surface that is close to an unseen lamp is brighter than inferred light makes it by about this factor. If
-# such lamps may be in more than this share of the directions, one is likelier than this surface by HIDDEN.
-UNSEEN_DOUBT, MUCH_UNSEEN, HIDDEN = 2.0, 0.1, 2.0
-HALF_WHITE = 0.5  # albedo of what a hidden lamp lights
 ROUNDS = 4  # of lamps and what they light; more change nothing
 POSSIBLE = 0.05  # least probability of lamps that are extended to adjacent units, and that light others
 CHUNK = 256  # lit units at a time
@@ -85,8 +81,7 @@ def emission_probability(
         baked: (T,) bool, lamps whose own radiance was baked into the shadings, instead of that of voxels.
         hdr: whether all photographs are HDR; in others, clipped lamps look constant in any case.
     """
-    doubt = UNSEEN_DOUBT**surfaces.unseen
-    seen = read_evidence(pixels, shadings, white, surfaces.unit, surfaces.reach, doubt)
+    seen = read_evidence(pixels, shadings, white, surfaces.unit, surfaces.reach)
     lamps = _Lamps(room, surfaces, seen, hdr)
     probability = lamps.probability(baked)
     judged = (lamps.samples > 0.0)[surfaces.unit] | (hinted != 0)
@@ -162,8 +157,6 @@ class _Lamps:
         self.luminance = seen.own @ LUMINANCE
         count = np.maximum(np.bincount(seen.unit, minlength=self.units), 1)
         self.radiance = np.bincount(seen.unit, self.luminance, self.units) / count
-        share = np.broadcast_to(np.asarray(surfaces.unseen, np.float64), room.areas.shape)
-        self.unseen = np.bincount(surfaces.unit, share * room.areas, self.units) / weight[:, 0]
         self.corners = None if self.scan is not None else weld(room.vertices)[room.triangles]
         self.most = MOST_SAMPLES if self.scan is None else MOST_SAMPLES_SCAN
         self.sums = self._sums(np.arange(len(seen.unit)), np.zeros(self.units))
@@ -197,6 +190,7 @@ class _Lamps:
         """
         seen, unit = self.seen, self.seen.unit[rows]
         error = np.full(len(rows), (SHADING_ERROR if self.scan is None else SCAN_ERROR) ** 2)
+        error += self.surfaces.light_error**2
         error += np.where(seen.pure[rows], 0.0, MIXED_ERROR**2) + (0.0 if self.hdr else PHOTOGRAPH_ERROR**2)
         own, reflected = seen.own[rows], seen.reflected[rows] + added[unit, None]
         low, high = (log_ratio(own * factor[rows, None], reflected) for factor in (seen.low, seen.high))
@@ -244,28 +238,7 @@ class _Lamps:
             of_lamp = np.zeros(count)
             of_lamp[lamp[units]] = of_part[units]
             total += of_lamp
-        odds = np.exp(-np.clip(total + logit(PRIOR), -50.0, 50.0)) + self._hidden(lamp[units], units, count)
-        return lamp, 1.0 / (1.0 + odds)
-
-    def _hidden(self, lamp: np.ndarray, units: np.ndarray, count: int) -> np.ndarray:
-        """(count,) how much likelier than each lamp one is that nothing shows, and that lights its surface.
-
-        Args:
-            lamp: (n,) lamp of each of the units (n,).
-        """
-        area = np.maximum(np.bincount(lamp, self.area[units], count), 1e-12)
-        share = np.bincount(lamp, (self.area * self.unseen)[units], count) / area
-        if not share.any():
-            return share
-        excess = log_ratio(self.seen.own, self.seen.reflected)
-        weight = np.bincount(self.seen.unit, self.seen.weight, self.units)
-        of_unit = np.bincount(self.seen.unit, self.seen.weight * excess, self.units) / np.maximum(
-            weight, 1e-9
-        )
-        mean = np.bincount(lamp, (self.area * of_unit)[units], count) / area
-        # The hidden lamp would have to be brighter than that by this factor.
-        bright = mean - np.log(HALF_WHITE * np.maximum(share, 1e-9))
-        return np.asarray(HIDDEN * np.minimum(share / MUCH_UNSEEN, 1.0) * (bright < BRIGHTEST))
+        return lamp, 1.0 / (1.0 + np.exp(-np.clip(total + logit(PRIOR), -50.0, 50.0)))
 
     def _connected(self, units: np.ndarray) -> np.ndarray:
         """(n,) int64 from 0: connected surface of each of the units (n,).

@@ -16,6 +16,7 @@ from ..pixels.grouped import numbered
 from ..surface.room import Room
 from ..surface.scan import Scan
 from .cache import side_index
+from .environment import Environment
 
 # Width of the patches of a scan without part masks, in pixel widths, and largest distance between the centers
 # of adjacent patches of one lamp, in widths of a patch.
@@ -32,8 +33,7 @@ class EmitterSurfaces:
         part: (T,) int part of each triangle, negative for none; None where parts are unknown.
         reach: largest distance in pixels between the surface that a pixel shows and the one that it hits.
         gap: metres between the centers of units of one lamp at most, on a scan.
-        unseen: share of the directions, (T,) or of all triangles, in which lamps may be that nothing shows,
-            too close for :mod:`.unseen_light`.
+        light_error: standard deviation of the logarithm of the light, because some of it is inferred.
     """
 
     unit: np.ndarray
@@ -41,32 +41,32 @@ class EmitterSurfaces:
     part: np.ndarray | None
     reach: int = 0
     gap: float = 0.0
-    unseen: np.ndarray | float = 0.0
+    light_error: float = 0.0
 
 
 def emitter_surfaces(
-    room: Room, parts: Parts, footprint: float, unseen: np.ndarray | None = None
+    room: Room, parts: Parts, footprint: float, environment: Environment | None = None
 ) -> EmitterSurfaces:
     """Triangles of a modelled room; of a scan its parts or, where they are unknown, patches of its segments.
 
     Args:
         footprint: median width of a pixel on the surfaces, metres.
-        unseen: (T,) as in :class:`EmitterSurfaces`; None for none.
+        environment: with the light that is inferred; None without any.
     """
     pieces = room_pieces(room)
     part = parts.triangle_part if parts.kind == "part" else None
-    share = 0.0 if unseen is None else unseen
+    error = 0.0 if environment is None else environment.unseen_error
     if room.scan is None:
         # Photographs see most of a lamp shade's outside and little of its inside, which may be one piece.
         component = pieces if part is None else numbered([pieces, part])
-        return EmitterSurfaces(np.arange(len(room.triangles)), component, part, unseen=share)
+        return EmitterSurfaces(np.arange(len(room.triangles)), component, part, light_error=error)
     # Detail finer than an edge is lost: rims of thin things face sideways, but pixels show their tops.
     reach = round(room.scan.edge / max(footprint, 1e-9))
     patch, gap = surface_patches(room.scan, pieces, PATCH * footprint), GAP * PATCH * footprint
     if part is None:
-        return EmitterSurfaces(patch, pieces, None, reach, gap, share)
+        return EmitterSurfaces(patch, pieces, None, reach, gap, error)
     patch = numbered([part >= 0, np.where(part >= 0, part, patch)])
-    return EmitterSurfaces(patch, patch, part, reach, gap, share)
+    return EmitterSurfaces(patch, patch, part, reach, gap, error)
 
 
 def surface_patches(scan: Scan, pieces: np.ndarray, edge: float) -> np.ndarray:

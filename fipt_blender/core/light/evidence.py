@@ -57,7 +57,6 @@ def read_evidence(
     white: Callable[[np.ndarray], np.ndarray],
     unit: np.ndarray,
     reach: int,
-    unseen_light: np.ndarray | float,
 ) -> PixelEvidence:
     """All pixels with a known radiance.
 
@@ -65,10 +64,8 @@ def read_evidence(
         white: (R,) pixels to the (R, 3) most that a surface of the gloss of theirs reflects.
         unit: (T,) int surface of each triangle.
         reach: largest distance in pixels between the surface that a pixel shows and the one that it hits.
-        unseen_light: factor by which light that is only inferred may be brighter, (T,) or of all triangles.
     """
     found = []
-    doubt = np.broadcast_to(np.asarray(unseen_light, np.float32), unit.shape)
     for index, view in enumerate(pixels.views):
         rows, size = pixels.rows(index), (view.height, view.width)
         triangle, own, weight = (np.asarray(a[rows]) for a in (pixels.triangle, pixels.own, pixels.weight))
@@ -78,7 +75,8 @@ def read_evidence(
             reflected = most_nearby(reflected, triangle >= 0, size, reach)
         error = standard_error(own, weight) / np.maximum(own.mean(axis=1), 1e-12)
         low = np.maximum(1.0 - error, 0.0)
-        brightest = neighbourhood_maximum(np.asarray(pixels.radiance[rows]) @ LUMINANCE, size)
+        luminance = (np.asarray(pixels.radiance[rows]) @ LUMINANCE).reshape(size)
+        brightest = maximum_filter(luminance, size=3, mode="nearest").reshape(-1)
         low *= spill_free_fraction(low * (own @ LUMINANCE), brightest) * (1.0 - NOISE)
         high = (1.0 + error) * (1.0 + NOISE)
         hit = np.flatnonzero((triangle >= 0) & (weight > 0.0))
@@ -88,7 +86,7 @@ def read_evidence(
             own,
             low,
             high,
-            doubt[np.maximum(triangle, 0), None] * reflected,
+            reflected,
             diffuse @ LUMINANCE,
         )
         of_view = [
@@ -123,11 +121,6 @@ def most_nearby(reflected: np.ndarray, hit: np.ndarray, size: tuple[int, int], r
     return np.asarray(maximum_filter(image, (width, width, 1), mode="nearest")).reshape(-1, 3)
 
 
-def neighbourhood_maximum(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """(n,) maximum over the 3 x 3 pixels around each pixel of a view of `size` (height, width)."""
-    return maximum_filter(values.reshape(size), size=3, mode="nearest").reshape(-1)
-
-
 def spill_free_fraction(luminance: np.ndarray, brightest: np.ndarray) -> np.ndarray:
     """(n,) lower bound of the share of a pure pixel's light that comes from its surface.
 
@@ -140,12 +133,12 @@ def spill_free_fraction(luminance: np.ndarray, brightest: np.ndarray) -> np.ndar
 
 
 def brighter_than_white(pixels: PixelStore, shadings: ShadingStore) -> float:
-    """Share of the pixels that are brighter than a white diffuse surface in the light that was baked.
+    """Share of the mesh's pixels that are brighter than a white diffuse surface in the light that was baked.
 
     With the shadings of stage 1 it is the share of lamps and highlights, unless light comes from lamps that
     no photograph shows. Evenly spaced pixels stand for all.
     """
     rows = np.arange(0, len(pixels), max(1, len(pixels) // MOST_COMPARED))
-    rows = rows[np.asarray(pixels.weight[rows]) > 0.0]
+    rows = rows[(np.asarray(pixels.weight[rows]) > 0.0) & (np.asarray(pixels.triangle[rows]) >= 0)]
     diffuse = np.asarray(shadings.diffuse[rows], np.float32) @ LUMINANCE
     return float(np.mean(np.asarray(pixels.own[rows]) @ LUMINANCE > BRIGHTER * diffuse)) if len(rows) else 0.0

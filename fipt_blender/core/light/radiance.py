@@ -25,8 +25,8 @@ from ..surface.room import Room, Surface
 from .cache import SurfaceLookup
 from .environment import Environment
 
-# Russian roulette on specular paths: the probability to continue is the throughput times the first, and at
-# least the second: the 4 % of a dielectric are not worth a ray each time.
+# Russian roulette: the probability to continue is the throughput times the first, and at least the second:
+# the 4 % of a dielectric are not worth a ray each time.
 SURVIVAL, LEAST_SURVIVAL = 2.5, 0.1
 
 
@@ -279,10 +279,9 @@ class TracedRadiance:
 
         # ---------------------------------- Russian roulette ---------------------------------
 
-        if self._diffuse is not None:
-            survival = dr.clip(SURVIVAL * dr.max(path.throughput), LEAST_SURVIVAL, 1.0)
-            active &= rng.next_float32() < survival
-            path.throughput *= dr.select(active, 1.0 / survival, 1.0)
+        survival = dr.clip(SURVIVAL * dr.max(path.throughput), LEAST_SURVIVAL, 1.0)
+        active &= rng.next_float32() < survival
+        path.throughput *= dr.select(active, 1.0 / survival, 1.0)
 
         path.brdf_pdf = dr.select(active, brdf_pdf, path.brdf_pdf)
         path.origin = dr.select(active, vertex.origin, path.origin)

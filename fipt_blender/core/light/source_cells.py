@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 from ..pixels.grouped import grouped_sums, numbered
 from ..surface.room import Room
 from .cache import SIDES, VoxelGrid
-from .clipped import OUTSIDE, hemisphere_rays
+from .clipped import ON_LAMP, OUTSIDE, hemisphere_rays
 from .environment import Hull, map_cells
 from .observations import Observations
 from .sources import DARKEST, Expectation, SourceLight, Transport
@@ -24,8 +24,7 @@ SIZE, SIZE_SHARE, MOST_CELLS = 0.5, 0.1, 32
 # of the light, and there are fewer sources than that.
 FINER, DIVIDED_SHARE, MOST_DIVIDED = 4, 0.005, 400
 HALVES = 4  # of a source that is halved along both sides: most are flat
-# Voxels along each side of the cubes of which a side is unseen if no pixel sees it.
-UNSEEN = 4
+UNSEEN = 4  # voxels along each side of the cubes of which a side is unseen if no pixel sees it
 DARK_OUTSIDE = 0.01  # least expected radiance outside, in units of the capture's median
 
 
@@ -40,7 +39,7 @@ class Rays:
     """Where R rays from each of N points land.
 
     Attributes:
-        entry: (N, R) int32 cache entry, negative outside.
+        entry: (N, R) int32 cache entry, ON_LAMP or OUTSIDE.
         cell: (N, R) int32 of :class:`Cells`; -1 where photographs show what is there.
         direction: (N, R, 3) float32.
     """
@@ -54,17 +53,23 @@ def traced(
     observed: Observations,
     room: Room,
     cells: Cells,
+    lamps: np.ndarray,
     lit: tuple[np.ndarray, np.ndarray],
     seed: int,
-    count: int = RAYS,
 ) -> Rays:
-    """Rays from points; `lit`: (N, 3) positions, metres, and (N, 3) normals."""
-    nothing, environment, found = np.full(len(room.triangles), -1, np.int32), observed.environment, []
+    """Rays from points.
+
+    Args:
+        lamps: (T,) bool, lamps of known radiance.
+        lit: (N, 3) positions, metres, and (N, 3) normals.
+    """
+    known, environment, found = np.where(lamps, 0, -1).astype(np.int32), observed.environment, []
     for number, first in enumerate(range(0, len(lit[0]), CHUNK)):
         position, normal = (array[first : first + CHUNK] for array in lit)
         stream = seed * 1009 + number
-        entry, direction = hemisphere_rays(room, observed.grid, position, normal, nothing, stream, count)
+        entry, direction = hemisphere_rays(room, observed.grid, position, normal, known, stream, RAYS)
         cell, outside = cells.of_entry[np.maximum(entry, 0)], entry == OUTSIDE
+        cell[entry == ON_LAMP] = -1
         start = np.broadcast_to(position[:, None], direction.shape)
         cell[outside] = cells.hull.cells(start[outside], direction[outside])
         if environment is not None:
@@ -79,7 +84,7 @@ class Cells:
     """F cells of which sources consist: those of the hull, and after these cubes of unseen surfaces by side.
 
     Attributes:
-        hull: around the mesh.
+        hull: around mesh and cameras: light comes from outside of what photographs looked through.
         of_entry: (M * 6,) int64 cell of each cache entry, -1 where photographs show it.
         cube: (F, 3) int place of each, in widths of a cell.
         side: (F,) int to which it shines, as of cache entries: an axis twice, plus one in negative direction.
@@ -95,20 +100,29 @@ class Cells:
     @classmethod
     def of(cls, observed: Observations, room: Room) -> Cells:
         """Those of a room."""
-        longest = float((room.bounds[1] - room.bounds[0]).max())
+        cameras = observed.pixels.camera_positions()
+        low, high = np.minimum(room.bounds[0], cameras.min(0)), np.maximum(room.bounds[1], cameras.max(0))
+        longest = float((high - low).max())
         size = max(min(SIZE, SIZE_SHARE * longest), longest / MOST_CELLS)
-        hull, grid = Hull.around(room.bounds, size / FINER), observed.grid
-        patch = unseen_patches(grid, seen_entries(observed), size / FINER)
-        entry = np.unique(patch, return_index=True)[1][int((patch < 0).any()) :]  # one of each patch
-        corner = np.stack(np.unravel_index(grid.voxels[entry // SIDES], (grid.resolution,) * 3), axis=1)
-        cube = np.floor(corner * grid.size / (size / FINER)).astype(np.int64)
-        count = len(hull.radiance)
+        hull, grid = Hull.around((low, high), size / FINER), observed.grid
+        count, seen = len(hull.radiance), np.zeros(len(grid.voxels) * SIDES, bool)
+        for rows in observed.hits():
+            seen[observed.entry[rows]] = True
+        corner = np.stack(np.unravel_index(grid.voxels, (grid.resolution,) * 3), axis=1)
+        block = numbered([*np.repeat(corner // UNSEEN, SIDES, 0).T, np.tile(np.arange(SIDES), len(corner))])
+        entry = np.flatnonzero(np.bincount(block, seen)[block] == 0.0)
+        cube = np.floor(corner[entry // SIDES] * grid.size / (size / FINER)).astype(np.int64)
+        side = entry % SIDES
+        patch = numbered([*cube.T, side]) if len(entry) else entry
+        first = np.unique(patch, return_index=True)[1]
+        of_entry = np.full(len(seen), -1, np.int64)
+        of_entry[entry] = patch + count
         around = np.stack(np.unravel_index(np.arange(count) // 6, tuple(hull.counts)), axis=1)
         return cls(
             hull,
-            np.where(patch >= 0, patch + count, -1),
-            np.concatenate([around, cube]),
-            np.concatenate([np.arange(count) % 6, entry % SIDES]),
+            of_entry,
+            np.concatenate([around, cube[first]]),
+            np.concatenate([np.arange(count) % 6, side[first]]),
             size,
         )
 
@@ -128,11 +142,10 @@ class Landed:
 
     Attributes:
         counts: (N, F) share of each point's rays that land on each cell, sparse.
-        seen: (N, 3) irradiance over pi by all that is no source.
+        seen: (N, 3) irradiance over pi by all that is neither source nor lamp of known radiance.
         source: (F,) int64 from 0, -1 for cells that are left as they are.
         sums: (F, 9) of the rays: logarithm of the radiance that cache and environment have for the cell,
             landing place in metres, direction; and number (F,) of rays.
-        outside: (F,) bool, cells of the hull.
     """
 
     counts: csr_array
@@ -140,12 +153,13 @@ class Landed:
     source: np.ndarray
     sums: np.ndarray
     number: np.ndarray
-    outside: np.ndarray
 
     @classmethod
-    def of(cls, rays: Rays, observed: Observations, cells: Cells, source: np.ndarray) -> Landed:
-        """Those of rays; `source`: of each cell."""
-        cache, environment, grid = observed.cache(), observed.environment, observed.grid
+    def of(
+        cls, rays: Rays, observed: Observations, lamps: np.ndarray, cells: Cells, source: np.ndarray
+    ) -> Landed:
+        """Those of rays; `lamps`: as of :func:`traced`, `source`: of each cell."""
+        cache, environment, grid = observed.cache(lamps), observed.environment, observed.grid
         size = len(source)
         seen, sums, number = [], np.zeros((size, 9)), np.zeros(size)
         for first in range(0, len(rays.entry), CHUNK):
@@ -155,7 +169,8 @@ class Landed:
             light = np.where((entry >= 0)[..., None], cache[np.maximum(entry, 0)], 0.0)
             if environment is not None:
                 pixel = map_cells(way, environment.seen.shape[1])
-                light = np.where((entry >= 0)[..., None], light, environment.image.reshape(-1, 3)[pixel])
+                far = environment.image.reshape(-1, 3)[pixel]
+                light = np.where((entry == OUTSIDE)[..., None], far, light)
             inside = np.append(source, -1)[cell] >= 0
             seen.append(np.where(inside[..., None], 0.0, light).mean(axis=1))
             own, on_hull = cell[inside], entry[inside] < 0
@@ -169,7 +184,7 @@ class Landed:
         row, ray = np.nonzero(rays.cell >= 0)
         share = np.full(len(row), 1.0 / rays.cell.shape[1])
         counts = csr_array((share, (row, rays.cell[row, ray])), shape=(len(rays.cell), size))
-        return cls(counts, np.concatenate(seen), source, sums, number, cells.outside)
+        return cls(counts, np.concatenate(seen), source, sums, number)
 
     def _by_source(self, values: np.ndarray) -> np.ndarray:
         """(K, ...) sums over the cells (F, ...) of each source."""
@@ -188,16 +203,17 @@ class Landed:
         result[self.source[own]] = cells.side[own]
         return result
 
-    def transport(self, logs: np.ndarray, group: np.ndarray) -> Transport:
-        """The points with the light of the sources; `logs`: (N, 3) logarithms of their radiance."""
+    def transport(self, logs: np.ndarray, group: np.ndarray, known: np.ndarray) -> Transport:
+        """The points with the light of the sources; `logs`: (N, 3) logarithms of their radiance, others as of
+        `Transport`."""
         own = np.flatnonzero(self.source >= 0)
         shape = (len(self.source), int(self.source.max()) + 1)
         member = csr_array((np.ones(len(own)), (own, self.source[own])), shape=shape)
-        return Transport(logs, group, self.seen, (self.counts @ member).toarray())
+        return Transport(logs, group, self.seen, (self.counts @ member).toarray(), known)
 
-    def expectation(self) -> Expectation:
+    def expectation(self, cells: Cells) -> Expectation:
         """What is expected of the sources before their light is measured."""
-        return Expectation(self.means()[:, :3], self._by_source(self.outside[:, None])[:, 0] > 0)
+        return Expectation(self.means()[:, :3], self._by_source(cells.outside[:, None])[:, 0] > 0)
 
     def divided(
         self,
@@ -231,28 +247,3 @@ class Landed:
         logs = np.where(much[:, None], np.log(light.radiance), expected.log_radiance)
         finer_expected = Expectation(logs[parent], expected.outside[parent])
         return replace(self, source=finer), finer_expected, half[parent]
-
-
-def seen_entries(observed: Observations) -> np.ndarray:
-    """(M * 6,) bool, cache entries that pixels see."""
-    seen = np.zeros(len(observed.grid.voxels) * SIDES, bool)
-    for rows in observed.hits():
-        seen[observed.entry[rows]] = True
-    return seen
-
-
-def unseen_patches(grid: VoxelGrid, seen: np.ndarray, size: float) -> np.ndarray:
-    """(M * 6,) int64 source of each cache entry: a side in a cube of unseen ones; -1 where it is seen.
-
-    Args:
-        seen: (M * 6,) bool. size: of the cubes, metres.
-    """
-    corner = np.stack(np.unravel_index(grid.voxels, (grid.resolution,) * 3), axis=1)
-    side = np.tile(np.arange(SIDES), len(corner))
-    around = numbered([*np.repeat(corner // UNSEEN, SIDES, axis=0).T, side])
-    unseen = np.flatnonzero(np.bincount(around, seen)[around] == 0.0)
-    cube = np.floor(corner * grid.size / size).astype(np.int64)
-    result = np.full(len(seen), -1, np.int64)
-    if len(unseen):
-        result[unseen] = numbered([*cube[unseen // SIDES].T, unseen % SIDES])
-    return result

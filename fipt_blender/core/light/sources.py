@@ -6,8 +6,8 @@ The radiance of a diffuse surface point is albedo (B + sum of e_k D_k): B is the
 that the photographs show, D_k that from source k of radiance 1. The albedo of a surface of one color is
 constant. In logarithms it is eliminated, and the e_k are found by robust least squares, with a covariance.
 The prior of a source is Student's t-distribution: most sources are surfaces like others, a few are lamps or
-windows. The level follows from shadows and, with less weight, from usual albedos: none is above that of white
-paint.
+windows. The level follows from shadows and, with less weight, from usual albedos. No albedo is above that of
+white paint, which is physics: it counts by the information of all points of the group.
 """
 
 from __future__ import annotations
@@ -20,16 +20,19 @@ from ..robust import DEGREES, deviation, gauss_newton, student_weights
 from .clipped import POINTS_PER_SAMPLE
 
 # Standard deviations of logarithms: of a source from what is expected, of the level that sources outside the
-# mesh share, and of color from gray, as photographs are white-balanced: that of all sources, and of one.
-SOURCE, LEVEL, COLOR, SOURCE_COLOR = 1.5, 2.0, 0.15, 0.15
+# mesh share, and of color from gray, as photographs are white-balanced: that of all sources, and of one. With
+# less for the first two, hundreds of sources keep a room dark together.
+SOURCE, LEVEL, COLOR, SOURCE_COLOR = 3.0, 3.0, 0.15, 0.15
 # Expected albedo and its standard deviation (of the logarithm): broad, as rooms are dark or light as a whole;
 # the highest albedo, and its deviation.
-ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 1.0, 0.85, 0.1
+ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 1.0, 0.9, 0.1
+# Specular reflectance of dielectrics at normal incidence (paper Sec. 3), and deviation of a known albedo.
+SPECULAR, KNOWN_SPREAD = 0.04, 0.05
 LEAST_GROUP = 8  # points of one albedo
 HELD_BACK = 0.1  # share of the points
 DARKEST = 1e-4  # radiance, in units of the capture's median
 _SPREAD, _LEAST_SPREAD = 0.15, 0.02  # of a point's logarithm: to begin with, and at least
-_ITERATIONS, _LONGEST_STEP = 60, 0.7  # of Gauss-Newton; it ends earlier
+_ITERATIONS, _LONGEST_STEP = 20, 0.7  # of Gauss-Newton; more only move sources that hardly cast light
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,18 +44,20 @@ class Transport:
         group: (N,) int from 0, points of one albedo.
         seen: (N, 3) irradiance over pi from what the photographs show.
         unseen: (N, K) irradiance over pi by each source of radiance 1.
+        known: (G, 3) base colour of the groups that are known, else NaN; None: none is.
     """
 
     log_radiance: np.ndarray
     group: np.ndarray
     seen: np.ndarray
     unseen: np.ndarray
+    known: np.ndarray | None = None
 
-    def rows(self, chosen: np.ndarray) -> Transport:
-        """Some of the points."""
-        return Transport(
-            self.log_radiance[chosen], self.group[chosen], self.seen[chosen], self.unseen[chosen]
-        )
+    def log_albedos(self) -> np.ndarray:
+        """(G, 3) logarithms of the known albedos, which include the gloss of dielectrics; else NaN."""
+        if self.known is None:
+            return np.full((int(self.group.max()) + 1, 3), np.nan)
+        return np.asarray(np.log(self.known + SPECULAR))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,10 +93,6 @@ class SourceLight:
         cast = points.unseen * self.radiance.sum(axis=1)
         total = np.maximum(points.seen.sum(axis=1) + cast.sum(axis=1), DARKEST)
         return np.asarray(cast / total[:, None])
-
-    def share(self, points: Transport) -> np.ndarray:
-        """(N,) share of the light on points that these sources cast."""
-        return np.asarray(self.shares(points).sum(axis=1))
 
     def error(self, points: Transport) -> np.ndarray:
         """(N,) standard deviation of the logarithm of the light on points, mean of the channels."""
@@ -131,7 +132,8 @@ def held_back_gain(points: Transport, expected: Expectation, rng: np.random.Gene
     held = rng.random(len(points.group)) < HELD_BACK
     size = int(points.group.max()) + 1
     held &= (np.bincount(points.group[~held], minlength=size) >= LEAST_GROUP)[points.group]
-    kept = points.rows(~held)
+    columns = points.log_radiance, points.group, points.seen, points.unseen
+    kept = Transport(*(column[~held] for column in columns), known=points.known)
     found, known = solve_sources(kept, expected), np.exp(expected.log_radiance)
     total = 0.0
     for radiance, sign in ((found.radiance, 1.0), (known, -1.0)):
@@ -161,28 +163,34 @@ class _Rows:
 
 def _channels(points: Transport, radiance: np.ndarray, spread: float) -> list[_Rows]:
     """The rows of each channel, for a radiance (3, K)."""
-    found = []
+    found, known = [], points.log_albedos()
     for channel in range(3):
         cast = points.unseen * radiance[channel]
         total = np.maximum(points.seen[:, channel] + cast.sum(axis=1), DARKEST)
         residual = points.log_radiance[:, channel] - np.log(total)
-        found.append(_without_albedo(residual, -cast / total[:, None], points.group, spread))
+        jacobian = -cast / total[:, None]
+        found.append(_without_albedo(residual, jacobian, points.group, known[:, channel], spread))
     return found
 
 
-def _without_albedo(residual: np.ndarray, jacobian: np.ndarray, group: np.ndarray, spread: float) -> _Rows:
-    """Eliminate the logarithm of the albedo of each group; arguments as in `_Rows`, for N points."""
-    size = int(group.max()) + 1
+def _without_albedo(
+    residual: np.ndarray, jacobian: np.ndarray, group: np.ndarray, known: np.ndarray, spread: float
+) -> _Rows:
+    """Eliminate the logarithm of the albedo of each group.
+
+    Args:
+        residual, jacobian: as in `_Rows`, of N points. known: (G,) logarithms of known albedos, else NaN.
+    """
+    size = len(known)
     weight = np.full(len(residual), 1.0 / (spread**2 * POINTS_PER_SAMPLE))
-    albedo = np.full(size, np.log(ALBEDO))
-    expected, precision = _expected_albedo(albedo)
-    for _ in range(6):
+    albedo, samples = np.full(size, np.log(ALBEDO)), np.bincount(group, minlength=size) / POINTS_PER_SAMPLE
+    for step in range(7):
+        if step:
+            ratio = ((residual - albedo[group]) / spread) ** 2
+            weight = student_weights(ratio) / (spread**2 * POINTS_PER_SAMPLE)
+        expected, precision = _expected_albedo(albedo, known, samples)
         total = np.bincount(group, weight, size) + precision
         albedo = (np.bincount(group, weight * residual, size) + precision * expected) / total
-        weight = student_weights(((residual - albedo[group]) / spread) ** 2) / (spread**2 * POINTS_PER_SAMPLE)
-        expected, precision = _expected_albedo(albedo)
-    total = np.bincount(group, weight, size) + precision
-    albedo = (np.bincount(group, weight * residual, size) + precision * expected) / total
     sums = np.stack([np.bincount(group, weight * column, size) for column in jacobian.T], axis=1)
     mean = sums / total[:, None]
     return _Rows(
@@ -193,16 +201,23 @@ def _without_albedo(residual: np.ndarray, jacobian: np.ndarray, group: np.ndarra
     )
 
 
-def _expected_albedo(albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _expected_albedo(
+    albedo: np.ndarray, known: np.ndarray, samples: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Prior mean of the logarithms of albedos (G,), and its precision.
 
-    Robust in both directions: red paint reflects hardly any blue, and a screen is no white paint.
+    Usual albedos are a habit, therefore robust: red paint reflects hardly any blue.
+
+    Args:
+        known: (G,) those that are known, else NaN.
+        samples: (G,) independent ones that the points of each group count as.
     """
-    most = np.log(MOST_ALBEDO)
-    above = albedo > most
-    expected = np.where(above, most, np.log(ALBEDO))
-    width = np.where(above, MOST_SPREAD, ALBEDO_SPREAD)
-    return expected, student_weights(((albedo - expected) / width) ** 2) / width**2
+    above = albedo > np.log(MOST_ALBEDO)
+    usual = student_weights(((albedo - np.log(ALBEDO)) / ALBEDO_SPREAD) ** 2) / ALBEDO_SPREAD**2
+    expected = np.log(np.where(above, MOST_ALBEDO, ALBEDO))
+    precision = np.where(above, samples / MOST_SPREAD**2, usual)
+    unknown = np.isnan(known)
+    return np.where(unknown, expected, known), np.where(unknown, precision, samples / KNOWN_SPREAD**2)
 
 
 def _precision(x: np.ndarray, expected: Expectation) -> np.ndarray:

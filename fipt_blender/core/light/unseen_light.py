@@ -5,7 +5,8 @@
 Rays from points of the surfaces land on surfaces that photographs show, on others, or on the hull of the
 mesh. Landing places of the last two kinds that are close together are one source; :mod:`.sources` finds its
 radiance. Sources that cast much of the light are divided, and solved for again. The light is kept only if
-points that were held back fit better with it.
+points that were held back fit better with it. The light of presumed lamps (:mod:`.presumed`) is sampled
+towards them: few rays would hit a bulb, and the light of the others would be explained by sources beside it.
 """
 
 from __future__ import annotations
@@ -18,17 +19,20 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..conventions import equirect_pixel_directions
+from ..optics.lights import AreaLights, EmitterTable
 from ..parts.components import graph_components
 from ..pixels.grouped import numbered
 from ..pixels.store import PixelStore
 from ..run.stage_settings import LightSettings
 from ..run.threads import cached_property
 from ..surface.room import Room
-from .cache import SIDES
+from .cache import SIDES, SurfaceLookup, VoxelGrid
 from .clipped import MOST_POINTS
 from .environment import Environment, diffused
 from .observations import Observations
-from .source_cells import DARK_OUTSIDE, FINER, Cells, Landed, middles, traced
+from .radiance import CachedRadiance
+from .shadings import SampleCounts, ShadingPoints, bake
+from .source_cells import DARK_OUTSIDE, FINER, Cells, Landed, traced
 from .sources import (
     DARKEST,
     LEAST_GROUP,
@@ -44,12 +48,13 @@ LEAST_SHARE, MOST_SOURCES = 2e-5, 200
 # Points of one surface whose colors differ by less, in logarithms of ratios, have one albedo.
 COLOR_STEP = 0.25
 LEAST_POINTS, LEAST_WEIGHT = 200, 0.5  # pixels that are compared, and the weight of each
+KNOWN_POINTS = (
+    4  # at least this part of as many pixels is of surfaces whose albedo is known, where there are some
+)
+LAMP_SAMPLES = SampleCounts(16, 0, 64)  # of the light of presumed lamps at each
 # Relative error of the inferred part of the light beside its covariance: root mean square of five rooms.
 MODEL_ERROR = 0.3
 GAIN = 3.0  # least logarithm of the likelihood of points held back
-# Rays from a triangle to unseen places that are closer than a source is wide, and triangles that send them;
-# others are like the nearest of these, and opposite normals count as twice so many metres.
-CLOSE_RAYS, MOST_TRIANGLES, NORMAL_WEIGHT = 64, 20_000, 0.5
 # A source is a lamp or a window if it is brighter than the room's median light by this factor.
 LAMP = 4.0
 # Sources of one side are one lamp if they are closer than so many of their widths; others, of a whole one.
@@ -57,25 +62,32 @@ APART, CLOSE = 1.5, 0.5
 LEAST_LAMP = 0.005  # share of the light that a lamp casts
 # Least radius of a lamp in widths of a whole source, and most of these that an opening has to be a lamp.
 BALL, MOST_OF_LAMP = 0.2, 16
+LEAST_RADIUS = 0.04  # where photographs looked past it, in widths of a whole source
 WIDEST = 2.0  # radius of a disc in widths of a whole source; what is wider is divided
 FLAT = 0.7  # it is a disc if more than this share of its light leaves to one side
-CLEARANCE = 0.1  # of discs from the surface that shines, in widths of a source
+# Of discs from the surface that shines or, outwards, from the hull, in widths of a source.
+CLEARANCE = 0.1
+MOST_LOOKS = 100_000  # rays of pixels on which no lamp may lie
 
 
 def with_unseen_light(
-    observed: Observations, room: Room, label: np.ndarray, settings: LightSettings
+    observed: Observations,
+    room: Room,
+    label: np.ndarray,
+    lamps: EmitterTable,
+    settings: LightSettings,
+    base_color: np.ndarray | None = None,
 ) -> Observations:
     """Observations whose environment has the light that nothing shows, if points held back confirm it.
 
     Args:
         label: (T,) int surface of each triangle, on which points of one color have one albedo.
+        lamps: presumed ones. base_color: (T, 3) of triangles of which it is known, else NaN; None: of none.
     """
-    found = find_sources(observed, room, label, settings.seed)
+    found = find_sources(observed, room, label, lamps, settings.seed, base_color)
     if found is None:
         return observed
-    environment = found.environment(observed.environment, settings.environment_width)
-    unseen = close_share(observed, room, found, settings.seed)
-    return replace(observed, environment=replace(environment, unseen=unseen))
+    return replace(observed, environment=found.environment(observed.environment, settings.environment_width))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,15 +95,17 @@ class Sources:
     """K sources, and the N points that they light.
 
     Attributes:
-        points: N of them, with `position` and `normal` (N, 3).
+        points: N of them, with `position` and `normal` (N, 3), and `pixel`: (N,) int64 that shows each.
         expected, light: what was expected of the sources, and what was found.
         entries: (E,) int64 cache entries of unseen surfaces, of_entry: (E,) their source.
         cells: that the sources consist of. of_hull: (C,) source of those of the hull, -1 without.
         place, toward: (K, 3) mean place, metres, and mean unit direction of the rays that land there.
         width: (K,) metres. side: (K,) to which each shines, as of cache entries.
+        looks: (S, 3) cameras and (S, 3) what pixels of theirs see: there is nothing between them.
     """
 
     points: Transport
+    pixel: np.ndarray
     position: np.ndarray
     normal: np.ndarray
     expected: Expectation
@@ -104,6 +118,7 @@ class Sources:
     toward: np.ndarray
     width: np.ndarray
     side: np.ndarray
+    looks: tuple[np.ndarray, np.ndarray]
 
     def environment(self, before: Environment | None, width: int) -> Environment:
         """What was observed outside, with the light of the sources; `width`: of a new map in pixels."""
@@ -123,7 +138,7 @@ class Sources:
         image[inferred] = near[inferred]
         if inferred.any():  # from elsewhere, other directions lead there
             image = diffused(image, before.seen | inferred)
-        share = float(self.light.share(self.points).mean())
+        share = float(self.shares.sum())
         return replace(
             before,
             image=image,
@@ -133,6 +148,8 @@ class Sources:
             entries=self.entries,
             radiance=radiance[self.of_entry],
             lamps=tuple(self.lamps()),
+            pixels=self.pixel,
+            light=np.asarray(self.points.seen + self.points.unseen @ self.light.radiance, np.float32),
         )
 
     @cached_property
@@ -164,24 +181,28 @@ class Sources:
         """Discs and balls that cast the light of bright sources, as lamps that the mesh lacks.
 
         What shines to one side is a disc as wide as its sources are spread, or several; others are balls.
+        They are as small as what photographs looked through demands; where it leaves them no room, the light
+        stays that of the surfaces alone.
         """
         clusters = [np.flatnonzero(self.lamp == index) for index in range(int(self.lamp.max(initial=-1)) + 1)]
         while clusters:
             own = clusters.pop()
             weight = self.points.unseen[:, own].sum(axis=0) * self.light.radiance[own].mean(axis=1)
             place = np.average(self.place[own], axis=0, weights=weight)
+            inwards = -1.0 if self.expected.outside[own].any() else 1.0
             of_side = np.bincount(self.side[own], weight, SIDES)
             if of_side.max() <= FLAT * of_side.sum():
                 way, radius = np.average(self.toward[own], axis=0, weights=weight), BALL * self.cells.size
-                center = place - radius * way / max(float(np.linalg.norm(way)), 1e-9)
-                yield self._fitted(own, center, radius, None)
+                center = place - inwards * radius * way / max(float(np.linalg.norm(way)), 1e-9)
+                yield from self._fitted(own, center, radius, None)
                 continue
             facing = np.eye(3)[of_side.argmax() // 2] * (1.0 - 2.0 * (of_side.argmax() % 2))
             radius, beyond = self._spread(own, place, facing)
             if radius > WIDEST * self.cells.size and beyond.any() and not beyond.all():
                 clusters += [own[beyond], own[~beyond]]
             else:
-                yield self._fitted(own, place + CLEARANCE * self.cells.size * facing, radius, facing)
+                center = place + inwards * CLEARANCE * self.cells.size * facing
+                yield from self._fitted(own, center, radius, facing)
 
     def _spread(self, own: np.ndarray, place: np.ndarray, facing: np.ndarray) -> tuple[float, np.ndarray]:
         """Radius of a disc around a place (3,) that is as wide as sources (n,), metres, and which of these
@@ -196,8 +217,11 @@ class Sources:
 
     def _fitted(
         self, own: np.ndarray, center: np.ndarray, radius: float, facing: np.ndarray | None
-    ) -> dict[str, Any]:
-        """The lamp of a place and radius, metres, that casts about the light of sources (n,)."""
+    ) -> Iterator[dict[str, Any]]:
+        """The lamp of a place and at most a radius, metres, that casts about the light of sources (n,)."""
+        radius = min(radius, free_radius(center, facing, *self.looks))
+        if radius < LEAST_RADIUS * self.cells.size:
+            return
         cast = self.points.unseen[:, own] @ self.light.radiance[own]
         lit = cast.sum(axis=1) > 0.0
         toward = center - self.position[lit]
@@ -208,7 +232,7 @@ class Sources:
         if facing is not None:
             unit *= np.maximum(-toward @ facing, 0.0) * np.sqrt(squared) / (squared + radius**2)
         fitted = unit @ cast[lit] / max(float(unit @ unit), 1e-12)
-        return {
+        yield {
             "position": center.tolist(),
             "radius": radius,
             "radiance": fitted.tolist(),
@@ -218,16 +242,26 @@ class Sources:
         }
 
 
-def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: int) -> Sources | None:
+def find_sources(
+    observed: Observations,
+    room: Room,
+    label: np.ndarray,
+    lamps: EmitterTable,
+    seed: int,
+    base_color: np.ndarray | None = None,
+) -> Sources | None:
     """The sources with their radiance; None where the photographs show all that lights the room, as far as
-    points that are held back tell."""
+    points that are held back tell. Arguments as of :func:`with_unseen_light`."""
     pixels = observed.pixels
-    where, group = _comparable(pixels, label, np.random.default_rng([seed, 23]))
+    if base_color is None:
+        base_color = np.full((len(room.triangles), 3), np.nan)
+    of_known = np.isfinite(base_color[:, 0])
+    where, group = _comparable(pixels, label, of_known, np.random.default_rng([seed, 23]))
     if len(where) < LEAST_POINTS:
         return None
     lit = pixels.surface(room, where)
-    cells = Cells.of(observed, room)
-    rays = traced(observed, room, cells, lit, seed)
+    cells, known = Cells.of(observed, room), np.isin(np.arange(len(room.triangles)), lamps.triangles)
+    rays = traced(observed, room, cells, known, lit, seed)
     source = cells.sources(FINER)
     count = np.bincount(source[rays.cell[rays.cell >= 0]], minlength=int(source.max(initial=-1)) + 1)
     chosen = np.argsort(-count, kind="stable")[:MOST_SOURCES]
@@ -236,21 +270,26 @@ def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: in
         return None
     number = np.full(len(count), -1, np.int64)
     number[chosen] = np.arange(len(chosen))
-    landed = Landed.of(rays, observed, cells, number[source])
+    landed = Landed.of(rays, observed, known, cells, number[source])
+    landed = replace(landed, seen=landed.seen + lamp_light(room, observed.grid, lamps, lit, seed))
     logs = np.log(np.asarray(pixels.own[where], np.float64))
-    points, expected = landed.transport(logs, group), landed.expectation()
+    albedo = np.empty((int(group.max()) + 1, 3))
+    albedo[group] = base_color[np.asarray(pixels.triangle[where])]
+    points, expected = landed.transport(logs, group, albedo), landed.expectation(cells)
     if held_back_gain(points, expected, np.random.default_rng([seed, 24])) < GAIN:
         return None
     light, width = solve_sources(points, expected), np.full(len(chosen), FINER)
     while (finer := landed.divided(cells, points, expected, light, width)) is not None:
         landed, expected, width = finer
-        points = landed.transport(logs, group)
+        points = landed.transport(logs, group, albedo)
         light = solve_sources(points, expected)
     of_entry = np.append(landed.source, -1)[cells.of_entry]
     entries = np.flatnonzero(of_entry >= 0)
-    means = landed.means()
+    means, shown = landed.means(), np.concatenate(list(observed.hits()))
+    shown = shown[:: max(1, len(shown) // MOST_LOOKS)]
     return Sources(
         points=points,
+        pixel=where,
         position=lit[0],
         normal=lit[1],
         expected=expected,
@@ -263,48 +302,62 @@ def find_sources(observed: Observations, room: Room, label: np.ndarray, seed: in
         toward=means[:, 6:] / np.maximum(np.linalg.norm(means[:, 6:], axis=1, keepdims=True), 1e-9),
         width=width * cells.size / FINER,
         side=landed.sides(cells),
+        looks=(pixels.camera_positions()[pixels.view_of(shown)], np.asarray(pixels.position[shown])),
     )
 
 
-def close_share(observed: Observations, room: Room, found: Sources, seed: int) -> np.ndarray:
-    """(T,) float32 share of the directions around each triangle in which unseen places are closer than a
-    source is wide, on the side that pixels see; 0 on triangles that no pixel sees."""
-    pixels, rng = observed.pixels, np.random.default_rng([seed, 25])
-    side = np.zeros(len(room.triangles))
-    for rows in observed.hits():
-        side += np.bincount(pixels.triangle[rows], np.where(pixels.front[rows], 1.0, -1.0), len(side))
-    seen = np.flatnonzero(side)
-    result = np.zeros(len(side), np.float32)
-    if not len(seen):
-        return result
-    centers = room.vertices[room.triangles[seen]].mean(axis=1)
-    normals = room.normals[seen] * np.sign(side[seen])[:, None]
-    chosen = np.sort(rng.permutation(len(seen))[:MOST_TRIANGLES])
-    lit = centers[chosen], normals[chosen]
-    rays = traced(observed, room, found.cells, lit, seed, CLOSE_RAYS)
-    inside = (rays.entry >= 0)[..., None]
-    cell = np.where(rays.entry < 0, np.maximum(rays.cell, 0), 0)
-    place = np.where(inside, middles(observed.grid, rays.entry), found.cells.hull.centers(cell))
-    close = (rays.cell >= 0) & (np.linalg.norm(place - lit[0][:, None], axis=2) < found.cells.size)
-    columns = [np.concatenate([a, NORMAL_WEIGHT * b], axis=1) for a, b in (lit, (centers, normals))]
-    result[seen] = close.mean(axis=1)[cKDTree(columns[0]).query(columns[1])[1]]
-    return result
+def free_radius(center: np.ndarray, facing: np.ndarray | None, camera: np.ndarray, seen: np.ndarray) -> float:
+    """Largest radius, metres, of a disc or ball that no ray from cameras (S, 3) to what they see (S, 3)
+    meets.
+
+    Args:
+        center: (3,) metres. facing: (3,) unit normal of a disc; None: a ball.
+    """
+    way, start = (seen - camera).astype(np.float64), center - camera
+    if facing is None:
+        along = np.clip((start * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-12), 0.0, 1.0)
+    else:
+        slope = way @ facing
+        along = (start @ facing) / np.where(np.abs(slope) < 1e-9, 1e-9, slope)
+    squared = ((along[:, None] * way - start) ** 2).sum(axis=1)
+    return float(np.sqrt(squared[(along >= 0.0) & (along <= 1.0)].min(initial=np.inf)))
+
+
+def lamp_light(
+    room: Room, grid: VoxelGrid, lamps: EmitterTable, lit: tuple[np.ndarray, np.ndarray], seed: int
+) -> np.ndarray:
+    """(N, 3) irradiance over pi at points by lamps alone; `lit`: as of :func:`.source_cells.traced`."""
+    lights = AreaLights(room.vertices, room.triangles, lamps)
+    if not lights.count:
+        return np.zeros_like(lit[0])
+    dark = SurfaceLookup(grid, np.zeros((len(grid.voxels) * SIDES, 3), np.float32))
+    position, normal = (np.asarray(array, np.float32) for array in lit)
+    points, source = ShadingPoints(position, normal, normal, normal), CachedRadiance(room, dark, None, lights)
+    return bake(points, source, lights, np.zeros(0, np.float32), LAMP_SAMPLES, seed * 31 + 26).diffuse
 
 
 def _comparable(
-    pixels: PixelStore, label: np.ndarray, rng: np.random.Generator
+    pixels: PixelStore, label: np.ndarray, known: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) int64 pixels of surfaces, from all views alike, and (N,) the groups of one albedo, from 0."""
+    """(N,) int64 pixels of surfaces, from all views alike, and (N,) the groups of one albedo, from 0.
+
+    Args:
+        known: (T,) bool, triangles whose albedo is known: however small they are, they are compared.
+    """
     share = max(1, MOST_POINTS // max(len(pixels.views), 1))
     chosen = [np.zeros(0, np.int64)]
     for index in range(len(pixels.views)):
         rows = pixels.rows(index)
         good = (np.asarray(pixels.triangle[rows]) >= 0) & np.asarray(pixels.pure[rows])
         good &= (np.asarray(pixels.weight[rows]) >= LEAST_WEIGHT) & (pixels.own[rows] > DARKEST).all(axis=1)
-        chosen.append(rng.permutation(np.flatnonzero(good))[:share] + rows.start)
+        some = rng.permutation(np.flatnonzero(good))
+        given = some[known[np.asarray(pixels.triangle[rows])[some]]]
+        some = np.concatenate([some[:share], given[: share // KNOWN_POINTS]])
+        chosen.append(np.unique(some) + rows.start if len(given) else some + rows.start)
     where = np.concatenate(chosen)
     logs = np.log(np.asarray(pixels.own[where], np.float64))
     ratio = np.floor((logs[:, [0, 2]] - logs[:, [1]]) / COLOR_STEP).astype(np.int64)
-    group = numbered([label[np.asarray(pixels.triangle[where])], *ratio.T])
+    triangle = np.asarray(pixels.triangle[where])
+    group = numbered([label[triangle], known[triangle], *ratio.T])
     enough = np.bincount(group, minlength=1)[group] >= LEAST_GROUP
     return where[enough], np.unique(group[enough], return_inverse=True)[1].reshape(-1)

@@ -18,10 +18,10 @@ import torch
 from ..device.variant import torch_device
 from ..optics.brdf import set_masking
 from ..parts.labels import NO_PART
-from ..run.arrays import check_layouts, read_arrays
+from ..run.arrays import check_layouts, read_arrays, write_arrays
 from ..run.errors import FiptError
-from ..run.runfolder import RunFolder, atomic_path
-from ..run.shapes import DETAIL_ARRAYS, FIELDS_ARRAYS, PARTS_ARRAYS
+from ..run.runfolder import RunFolder
+from ..run.shapes import DETAIL_ARRAYS, FIELDS_ARRAYS, FIXED_ARRAYS, PARTS_ARRAYS
 from .confidence import UNIFORM_DEVIATION, confidence, errors_with_place
 from .groups import Units
 from .inference import Fields
@@ -141,7 +141,7 @@ class RoomFields:
             hash_levels = int(arrays["hash_levels"])
             if not 1 <= hash_levels <= settings.hash_levels:
                 raise ValueError(f"it has {hash_levels} levels, the settings {settings.hash_levels}")
-            check_layouts(parts, PARTS_ARRAYS | ({"fixed": ("f", ("U", 2))} if "fixed" in parts else {}))
+            check_layouts(parts, FIXED_ARRAYS if "fixed" in parts else PARTS_ARRAYS)
             if parts["triangle_part"].max(initial=NO_PART) >= len(parts["single"]):
                 raise ValueError(f"{run.parts_npz.name} names parts that it lacks")
             place = float(arrays.get("place", 0.0))
@@ -175,20 +175,20 @@ class RoomFields:
         place = {"place": np.float32(self.place)} if self.place else {}
         detail = self.detail
         kept = {} if detail is None else {f"detail_{name}": value for name, value in vars(detail).items()}
-        with atomic_path(run.fields_npz) as temporary:
-            np.savez(
-                temporary,
-                hash_levels=len(network.grid.resolutions),
-                box_low=box.low,
-                box_extent=box.extent,
-                seen_keys=self.cells.keys,
-                seen_points=self.cells.points,
-                seen_part=self.cells.part,
-                seen_errors=self.errors,
-                **place,
-                **kept,
-                **state,
-            )
-        with atomic_path(run.parts_npz) as temporary:
-            fixed = {} if self.units.fixed is None else {"fixed": self.units.fixed}
-            np.savez(temporary, triangle_part=self.units.triangle, single=self.units.single, **fixed)
+        write_arrays(
+            run.fields_npz,
+            DETAIL_ARRAYS,
+            hash_levels=len(network.grid.resolutions),
+            box_low=box.low,
+            box_extent=box.extent,
+            seen_keys=self.cells.keys,
+            seen_points=self.cells.points,
+            seen_part=self.cells.part,
+            seen_errors=self.errors,
+            **place,
+            **kept,
+            **state,
+        )
+        fixed = {} if self.units.fixed is None else {"fixed": self.units.fixed}
+        parts = {"triangle_part": self.units.triangle, "single": self.units.single}
+        write_arrays(run.parts_npz, FIXED_ARRAYS, **parts, **fixed)

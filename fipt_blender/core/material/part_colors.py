@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..parts.labels import NO_PART
-from ..pixels.grouped import grouped_means, grouped_sums, grouped_weighted_median, numbered
+from ..pixels.grouped import grouped_means, grouped_sums, grouped_weighted_median, numbered, pairs_of
 from .cell_errors import DrawnPixels
 from .closed_form import TrainingData
 from .confidence import FLOOR
@@ -52,7 +52,9 @@ def room_detail(
     cell = np.floor((position - box.low) / footprint).astype(np.int64)
     place = numbered([unit, *cell.T])
     variance = np.maximum(errors[drawn.cells[drawn.place[rows]], 0].astype(float) ** 2 - FLOOR**2, 0.0)
-    half = data.observations.pixels.view_of(pixels) % 2
+    of_unit, _, pair = pairs_of(unit, data.observations.pixels.view_of(pixels))
+    # Halves of each unit's own views: of all views, maybe only those of one half see a unit.
+    half = ((np.arange(len(of_unit)) - np.searchsorted(of_unit, of_unit)) % 2)[pair]
     in_half = np.stack([weight * (half == number) for number in range(2)])
     sums = np.stack([grouped_sums(np.column_stack([w[:, None] * color, w]), place) for w in in_half])
     count = sums.shape[1]

@@ -5,7 +5,9 @@
 The views are divided into two halves. What both show at the same places is texture or an error of the light
 that all views share, of which the standard errors tell the size; what they don't share is noise. Band-passes
 of the base colours, an octave each, are multiplied by the share of their power that is texture (a Wiener
-filter), and a part without any texture has its median everywhere.
+filter), and a part without any texture has its median everywhere. Where the halves tell little, because few
+photographs show a part or few cells of a coarse octave lie on it, a prior decides, by which detail stays that
+is far above the noise, or as sure as what is finer at the same place.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..pixels.grouped import grouped_median, grouped_sums, place_of
+from ..pixels.grouped import grouped_means, grouped_median, place_of
 from ..surface.smoothing import SmoothingGrid
 from .confidence import FLOOR
 from .seen import Box
@@ -25,8 +27,8 @@ FINEST, WINDOW = 2.5, 4.0
 # Power that the halves share may be chance up to this share of the power that they don't: two standard errors
 # of the covariance of noise in the forty independent cells of a window.
 CHANCE = 0.3
-# The power of errors in the n cells of a part may be larger than expected by so many times n^-0.5.
-ERRORS = 2.0
+# Cells that both halves must see of a part to tell as much as the prior: as many as in a window.
+PRIOR_CELLS = 40.0
 
 
 @dataclass(frozen=True)
@@ -103,30 +105,32 @@ def part_detail(places: PlaceColors, median: np.ndarray, footprint: float, box: 
     both = places.weight[0] * places.weight[1] / np.maximum(places.weight.sum(axis=0), 1e-30)
     both /= places.error**2 + FLOOR**2
     light = places.error**2 / (octaves + 1)
-    area = np.bincount(part[both > 0.0], minlength=len(median)) * footprint**2
+    seen = np.bincount(part[both > 0.0], minlength=len(median)) / FINEST**2
     weights = [ones, *places.weight]
     finer = [places.color, *places.halves]
+    found = np.zeros((len(part), 2))
     levels: list[tuple[SmoothingGrid, np.ndarray]] = []
     for octave in range(octaves):
         width = FINEST * footprint * 2.0**octave
         grid = _grid(position, part, width, box)
         coarser = [grid.smooth(rows, position, *pair) for pair in zip(weights, finer, strict=True)]
-        powers = _powers(finer, coarser, light)
-        windows = _grid(position, part, WINDOW * width, box)
-        excess = ERRORS / np.sqrt(np.maximum(area / width**2, 1.0))
-        reliable = _reliability(windows.smooth(rows, position, both, powers), part, excess)
+        powers = _powers(finer, coarser, light, both)
+        local = _grid(position, part, WINDOW * width, box).smooth(rows, position, ones, powers)
+        whole = np.nan_to_num(grouped_means(powers, part, len(median)))
+        reliable, found = _reliability(local, part, whole, (seen, seen / 4.0**octave), found)
         sums = grid.spread(rows, position, ones, np.column_stack([finer[0], reliable]))
         levels.append((grid, sums))
         finer = coarser
-    powers = _powers(finer, [median[part]] * 3, light)
-    whole = grouped_sums(both[:, None] * powers, part, len(median))
-    reliable = _reliability(whole, np.arange(len(median)), np.full(len(median), ERRORS))
+    powers = _powers(finer, [median[part]] * 3, light, both)
+    whole = np.nan_to_num(grouped_means(powers, part, len(median)))
+    reliable, _ = _reliability(whole[part], part, whole, (seen, np.ones(len(median))), found)
 
     # Coarser octaves are smooth: their shrunk colours are kept at the finest nodes.
     (finest, fine_sums), *others = levels
+    reliability = finest.spread(rows, position, ones, reliable[:, None])
+    reliability = reliability[:, :1] / np.maximum(reliability[:, 1:], 1e-30)
     position, part = finest.places()
     smooth = offset = np.zeros((len(part), 3))  # from the median: what coarser octaves are, and are shrunk to
-    reliability = reliable[part][:, None]
     for grid, sums in reversed(others):
         read = _read(_grid(position, part, grid.width, box), position, grid.keys, sums)
         read = read[:, :4] / np.maximum(read[:, 4:], 1e-30)
@@ -151,33 +155,63 @@ def _read(grid: SmoothingGrid, position: np.ndarray, keys: np.ndarray, sums: np.
     return grid.read(np.arange(len(position)), position, there)
 
 
-def _powers(finer: list[np.ndarray], coarser: list[np.ndarray], light: np.ndarray) -> np.ndarray:
-    """(K, 4) powers of a band: what both halves show, what they don't share, the estimate's; the errors'.
+def _powers(
+    finer: list[np.ndarray], coarser: list[np.ndarray], light: np.ndarray, both: np.ndarray
+) -> np.ndarray:
+    """(K, 8) powers of a band: what both halves show, what they don't share, the estimate's, the errors'.
+
+    These four are weighted by what both halves saw. That weight follows, whether it is above 0, and the last
+    two powers without it.
 
     Args:
         finer, coarser: (K, 3) of the estimate and of both halves, with the band and without.
         light: (K,) of errors that the halves share.
+        both: (K,) weight.
     """
     whole, one, other = (above - below for above, below in zip(finer, coarser, strict=True))
-    apart = 0.5 * ((one - other) ** 2).mean(axis=1)
-    return np.stack([(one * other).mean(axis=1), apart, (whole**2).mean(axis=1), light], axis=1)
+    shared, apart = (one * other).mean(axis=1), 0.5 * ((one - other) ** 2).mean(axis=1)
+    power = (whole**2).mean(axis=1)
+    weighted = [both * each for each in (shared, apart, power, light)]
+    return np.stack([*weighted, both, both > 0.0, power, light], axis=1)
 
 
-def _reliability(powers: np.ndarray, part: np.ndarray, excess: np.ndarray) -> np.ndarray:
-    """(K,) share of the power of a band that is texture, 0 unless that is certain.
+def _reliability(
+    powers: np.ndarray,
+    part: np.ndarray,
+    whole: np.ndarray,
+    cells: tuple[np.ndarray, np.ndarray],
+    found: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) share of the power of a band that is texture, and `found` with this band.
 
-    What is typical of a part is as much evidence as the window itself.
+    It is measured in windows that both halves have seen; what is typical of a part is as much evidence of
+    texture as the window itself. The fewer cells of a part they have seen, the more its prior counts: the
+    share in the finer bands there, as errors of light have few of these, or, if they have hardly seen the
+    part at all, the share of its power that is above the usual noise of this band in the room. What only one
+    half has seen of a window is as reliable as is typical of the part.
 
     Args:
-        powers: (K, 4) means or sums of :func:`_powers`.
-        excess: (P,) of the errors' power, as a share of it, that would be no surprise.
+        powers: (K, 8) means of :func:`_powers` in windows.
+        part: (K,) int from 0.
+        whole: (P, 8) means in whole parts.
+        cells: (P,) each, how many that both halves have seen of the finest band, and of this one.
+        found: (K, 2) power of texture and power in the finer bands.
     """
-    shared, apart, power, light = powers.T
+    seen = powers[:, 4] > 0.0
+    shared, apart, power, light = powers[:, :4].T / np.maximum(powers[:, 4], 1e-30)
+    both = np.stack([shared - light, CHANCE * apart], axis=1)
+    evidence, doubt = (both + grouped_median(both, part, len(whole))[part]).T
+    certain = np.clip(evidence / np.maximum(doubt, 1e-30) - 1.0, 0.0, 1.0)
     texture = np.maximum(shared - light, 0.0)
-    doubt = CHANCE * apart + excess[part] * light
-    both = np.stack([shared - light, doubt], axis=1)
-    evidence, doubted = (both + grouped_median(both, part, len(excess))[part]).T
-    certain = np.clip(evidence / np.maximum(doubted, 1e-30) - 1.0, 0.0, 1.0)
     # The estimate is not noisier than the mean of both halves.
     noise = np.clip(power - texture, 0.0, 0.5 * apart)
-    return certain * texture / np.maximum(texture + noise, 1e-30)
+    measured = certain * texture / np.maximum(texture + noise, 1e-30)
+    usual = np.median(apart[seen]) if seen.any() else 0.0
+    prior = np.clip(1.0 - (usual + whole[:, 7]) / np.maximum(whole[:, 6], 1e-30), 0.0, 1.0)
+    in_part, in_band = (number / (number + PRIOR_CELLS) for number in cells)
+    finer = found[:, 0] / np.maximum(found[:, 1], 1e-30)
+    prior = prior[part] + np.where(found[:, 1] > 0.0, in_part[part], 0.0) * (finer - prior[part])
+    measured = prior + np.where(seen, in_band[part], 0.0) * (measured - prior)
+    typical = grouped_median(measured, part, len(whole))[part]
+    reliable = typical + powers[:, 5] * (measured - typical)
+    return reliable, found + powers[:, 6:7] * np.column_stack([reliable, np.ones(len(part))])

@@ -41,6 +41,11 @@ class EmitterTable:
         """(E,) bool, `reflective` of each emitter."""
         return np.zeros(len(self.triangles), bool) if self.reflective is None else self.reflective
 
+    def not_reflective(self) -> EmitterTable:
+        """The emitters that replace the material."""
+        kept = ~self.reflective_mask()
+        return EmitterTable(self.triangles[kept], self.radiance[kept], self.back_radiance[kept])
+
     @classmethod
     def empty(cls) -> EmitterTable:
         """A table without emitters."""

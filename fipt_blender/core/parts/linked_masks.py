@@ -58,7 +58,8 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
     """The views, with part masks whose ids all of them share.
 
     Masks that share their ids already stay as they are, and so do the views. Others are written to
-    ``linked/`` of the run folder and kept as long as the mesh, the masks and the poses stay the same.
+    ``linked/`` of the run folder. Either is noted there, and holds as long as the mesh, the masks and the
+    poses stay the same.
     Mitsuba's variant must be set.
 
     Raises:
@@ -71,23 +72,25 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
     masks = masks_digest(views, (view.part_ids() for view in views))
     digest = array_digest(room.vertices, room.triangles, masks).tobytes().hex()
     record = run.linked / "digest.txt"
-    if record.is_file() and record.read_text(encoding="utf-8") == digest:
-        return linked
+    notes = {f"{digest} {outcome}": found for outcome, found in (("linked", linked), ("shared", list(views)))}
+    if record.is_file() and (noted := record.read_text(encoding="utf-8")) in notes:
+        return notes[noted]
     seen = seen_cells(room, views)
     cells, places = numbered_cells(seen)
     pixels = [
         RegionPixels(one.ids[cell >= 0].astype(np.int64), cell[cell >= 0])
         for one, cell in zip(seen, cells, strict=True)
     ]
-    if shared_ids(pixels) >= SHARED:
-        return list(views)
-    part = link_regions(pixels, places)
     record.unlink(missing_ok=True)
-    for one, cell in zip(seen, cells, strict=True):
-        write_exr(names[one.view.name], _linked(one, np.append(part, -1)[cell]))
+    outcome = "shared" if shared_ids(pixels) >= SHARED else "linked"
+    if outcome == "linked":
+        part = link_regions(pixels, places)
+        for one, cell in zip(seen, cells, strict=True):
+            write_exr(names[one.view.name], _linked(one, np.append(part, -1)[cell]))
+    record.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(record) as temporary:
-        temporary.write_text(digest, encoding="utf-8")
-    return linked
+        temporary.write_text(f"{digest} {outcome}", encoding="utf-8")
+    return notes[f"{digest} {outcome}"]
 
 
 def shared_ids(views: Sequence[RegionPixels]) -> float:

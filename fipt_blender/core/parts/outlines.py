@@ -19,8 +19,10 @@ from scipy.sparse.linalg import LinearOperator, cg
 from ..capture.views import View
 from ..pixels.camera_rays import first_hits, trace_pixels
 from ..pixels.grouped import grouped_sums
+from ..run.arrays import write_arrays
 from ..run.run_files import array_digest, read_geometry, read_outlines, read_room_files
-from ..run.runfolder import RunFolder, atomic_path
+from ..run.runfolder import RunFolder
+from ..run.shapes import OUTLINES_ARRAYS
 from ..surface.adjacency import Mesh, face_vectors, make_mesh
 from ..surface.room import Room, load_room
 from .labels import IMAGE_SOURCES, Parts, choose_parts, choose_source, masks_digest
@@ -79,8 +81,8 @@ def outline_parts(run: RunFolder, views: Sequence[View], room: Room | None = Non
         return True
     triangles = [first_hits(trace_pixels(room, view))[0] for view in views]
     vertices = outlined_vertices(room, views, choose_parts(room, views, triangles))
-    with atomic_path(run.outlines_npz) as temporary:
-        np.savez(temporary, vertices=vertices, cleaned=array_digest(cleaned["vertices"]), masks=masks)
+    made_from = {"cleaned": array_digest(cleaned["vertices"]), "masks": masks}
+    write_arrays(run.outlines_npz, OUTLINES_ARRAYS, vertices=vertices, **made_from)
     return True
 
 

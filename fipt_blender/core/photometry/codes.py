@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from ..capture.encoded import srgb_encoded
+from ..capture.views import photographs_of
 from ..checks.cells import SurfaceCells, lattice_hits
 from ..pixels.grouped import grouped_means
 from ..pixels.store import PixelStore, open_array
@@ -49,13 +50,23 @@ class Codes:
             stored[rows] = np.round(np.minimum(values, 1.0) * 65535.0)
         return cls(pixels, encoded, stored)
 
+    @property
+    def photograph(self) -> np.ndarray:
+        """(E,) int photograph of each of the views that are not HDR."""
+        return photographs_of([self.pixels.views[index] for index in self.encoded])
+
     def of_view(self, index: int) -> np.ndarray:
         """(n, 3) float64 codes from 0 to 255 of a view."""
         return self.stored[self.pixels.rows(index)] / 257.0
 
     def radius(self, index: int) -> np.ndarray:
-        """(H * W,) distance of a view's pixels from its principal point, 1 in the farthest corner."""
+        """(H * W,) distance of a view's pixels from its principal point, 1 in the farthest corner.
+
+        In panoramas it is 0: their stitching has evened the lenses' vignetting.
+        """
         view = self.pixels.views[index]
+        if view.panorama is not None:
+            return np.zeros(view.width * view.height)
         x = (np.arange(view.width) + 0.5 - view.cx)[None]
         y = (np.arange(view.height) + 0.5 - view.cy)[:, None]
         squared = (x**2 + y**2).ravel()

@@ -100,7 +100,7 @@ def adjust_photographs(
     codes, basis = Codes.of(pixels, scale, folder), response_basis()
     footprint = median_footprint(pixels)
     cells = surface_cells(pixels, room, part, footprint)
-    adjustment = adjust(calm_samples(cells, codes), len(codes.encoded), basis)
+    adjustment = adjust(calm_samples(cells, codes), codes.photograph, basis)
     exposures = np.array([pixels.views[index].exposure or np.nan for index in codes.encoded])
     told = exif_contrast(adjustment.log_gains.mean(axis=1), exposures)
     sources = [usual_contrast(basis), *([told] if told else [])]

@@ -135,14 +135,14 @@ def _exposed(found: Found, offset: np.ndarray, valid: np.ndarray) -> tuple[float
     Args:
         offset: (N, 3) logarithm of the codes' radiance over the pixels', NaN where it is not known.
     """
-    views = len(found.codes.encoded)
+    photograph = found.codes.photograph
     usual = float(np.nanmedian(offset[valid])) if np.isfinite(offset[valid]).any() else 0.0
     gains = np.array(found.radiometry.adjustment.log_gains)
-    for place in range(views):
-        own = offset[valid & (found.lit.place == place)]
+    for number in np.unique(photograph):
+        own = offset[valid & (photograph[found.lit.place] == number)]
         if np.isfinite(own).any():
             by = float(np.nanmedian(own)) - usual
-            gains[place] += by / found.radiometry.factor if abs(by) > 1e-3 else 0.0
+            gains[photograph == number] += by / found.radiometry.factor if abs(by) > 1e-3 else 0.0
     adjustment = replace(found.radiometry.adjustment, log_gains=gains)
     return usual, replace(found.radiometry, adjustment=adjustment)
 

@@ -55,11 +55,11 @@ class Adjustment:
     Attributes:
         shape: (256,) of the response.
         weights: (COMPONENTS,) of the basis.
-        log_gains: (V, 3) of each view and channel; their mean over the views is 0.
+        log_gains: (V, 3) of each view and channel; their mean over the photographs is 0.
         falloff: (FALLOFF_TERMS,) of the logarithm of the share of light.
         covariance: (P, P) of the weights, the falloff and the gains (view by view), in this order.
         noise: standard deviation of a sample beside that of its code.
-        shared: (V,) number of samples by which each view is compared.
+        shared: (V,) number of samples by which each view's photograph is compared.
         outliers: (V,) share of these that do not agree, by more than three standard deviations.
     """
 
@@ -73,7 +73,7 @@ class Adjustment:
     outliers: np.ndarray
 
 
-def adjust(samples: Samples, views: int, basis: Basis) -> Adjustment:
+def adjust(samples: Samples, photograph: np.ndarray, basis: Basis) -> Adjustment:
     """The adjustment of views that took their photographs with one camera.
 
     Gauss-Newton on the codes: each iteration predicts the codes from what the one before has found, and
@@ -81,15 +81,16 @@ def adjust(samples: Samples, views: int, basis: Basis) -> Adjustment:
     equations, the shape would be flattened where most codes lie.
 
     Args:
-        views: number of views; those without samples get the mean gain.
+        photograph: (V,) int of each view, from 0; views of one photograph have one gain. Those without
+            samples get the mean gain.
     """
-    rows = _Rows.of(samples)
+    rows, photographs = _Rows.of(samples, photograph), int(photograph.max()) + 1
     typical = slope(basis.mean, np.arange(LEVELS))
     shape, predicted = basis.shape(np.zeros(COMPONENTS)), rows.code
     noise = _FIRST_NOISE
     error, spread = np.zeros(len(rows.code)), np.ones(len(rows.code))
     for iteration in range(10):
-        system = _System.of(rows, views, basis, shape, predicted)
+        system = _System.of(rows, photographs, basis, shape, predicted)
         # A relative error of radiance, in codes by the typical slope: the found one would favor flat shapes.
         spread = np.sqrt(CODE_NOISE**2 + (noise / interpolated(typical, predicted)) ** 2)
         ratio = (error / spread) ** 2 if iteration else np.ones(len(error))
@@ -100,18 +101,21 @@ def adjust(samples: Samples, views: int, basis: Basis) -> Adjustment:
         error = rows.code - predicted
         noise = _model_noise(error, interpolated(typical, predicted))
     covariance = system.covariance(normal, precision, system.slope * error)
-    count = np.bincount(rows.view, minlength=views)
-    far = np.bincount(rows.view, np.abs(error) > 3.0 * spread, views)
-    gains = solution[COMPONENTS + FALLOFF_TERMS :].reshape(views, 3)
+    count = np.bincount(rows.view, minlength=photographs)
+    far = np.bincount(rows.view, np.abs(error) > 3.0 * spread, photographs)
+    first = COMPONENTS + FALLOFF_TERMS
+    gains = solution[first:].reshape(photographs, 3)
+    own = (first + 3 * photograph[:, None] + np.arange(3)).ravel()  # the unknowns of each view
+    order = np.concatenate([np.arange(first), own])
     return Adjustment(
         shape,
         solution[:COMPONENTS],
-        gains - gains.mean(axis=0),
-        solution[COMPONENTS : COMPONENTS + FALLOFF_TERMS],
-        covariance,
+        (gains - gains.mean(axis=0))[photograph],
+        solution[COMPONENTS:first],
+        covariance[np.ix_(order, order)],
         noise,
-        count,
-        far / np.maximum(count, 1),
+        count[photograph],
+        (far / np.maximum(count, 1))[photograph],
     )
 
 
@@ -139,7 +143,7 @@ class _Rows:
 
     Attributes:
         member, cluster: (R, C) and (R, G) which point and channel, and which cluster, each belongs to.
-        code, view, channel: (R,).
+        code, view, channel: (R,); `view` is the number of its photograph.
         falloff: (R, FALLOFF_TERMS) powers of the distance from the image's centre.
     """
 
@@ -151,8 +155,8 @@ class _Rows:
     falloff: np.ndarray
 
     @classmethod
-    def of(cls, samples: Samples) -> _Rows:
-        """The rows of some samples."""
+    def of(cls, samples: Samples, photograph: np.ndarray) -> _Rows:
+        """The rows of some samples; (V,) int photograph of each view."""
         points = int(samples.point.max(initial=-1)) + 1
         row, channel = np.nonzero(usable(samples.codes))
         member = samples.point[row] * 3 + channel
@@ -162,7 +166,7 @@ class _Rows:
             _indicator(member),
             _indicator(samples.cluster[row]),
             samples.codes[row, channel].astype(np.float64),
-            samples.view[row],
+            photograph[samples.view[row]],
             channel,
             falloff_terms(samples.radius[row]),
         )

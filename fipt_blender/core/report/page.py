@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..capture.averaging import means, narrowed
-from ..capture.images import read_radiance
+from ..capture.images import is_encoded, read_radiance
 from ..capture.views import Capture, View, load_capture
 from ..run.contents import Steps
 from ..run.documents import read_document
@@ -113,7 +113,6 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
             ``run-unwritable``.
     """
     settings = run.read_estimated()
-    run = run.estimated()
     capture = load_capture(run) if run.capture_json.exists() else None
     album = _Album(run)
     listed = _optional(run.renders_json, Renders)
@@ -219,8 +218,10 @@ def _shot(
 ) -> Shot:
     """One Cycles render with the photograph of its view; only a re-render is compared with it."""
     kind, name = render.kind, render.view
-    image = narrowed(read_radiance(run.resolve(render.image)), PICTURE_WIDTH)
-    shot = Shot(_TITLES.get(kind, kind), name, album.add("render", to_display(image, exposure)))
+    path = run.resolve(render.image)
+    image = narrowed(read_radiance(path), PICTURE_WIDTH)
+    shown = to_display(image, 1.0 if is_encoded(path) else exposure)
+    shot = Shot(_TITLES.get(kind, kind), name, album.add("render", shown))
     view = next((view for view in capture.views if view.name == name), None) if capture else None
     if view is None:
         return shot

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Array files of a run (.npz): read without pickles, within limits, and with one error for all that can fail.
 
-A file may have been cut off by a full disk or come from somebody else. Needs numpy alone.
+A file may have been cut off by a full disk or come from somebody else. What is written is finite. Needs numpy
+alone.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .errors import FiptError
+from .runfolder import atomic_path
 from .shapes import Layout
 
 # Unpacked bytes of an archive: more than any room needs, and compressed at most this much.
@@ -30,8 +33,9 @@ DAMAGE = (
 
 
 # numpy's kinds of numbers by those of layouts.
-_KINDS = {"f": "f", "i": "iu", "b": "b"}
-_KIND_TEXTS = {"f": "numbers", "i": "whole numbers", "b": "truth values"}
+_KINDS = {"f": "f", "u": "f", "i": "iu", "b": "b"}
+_KIND_TEXTS = {"f": "numbers", "u": "numbers", "i": "whole numbers", "b": "truth values"}
+_BLOCK = 1 << 22  # values that are checked at a time
 
 
 def read_arrays(
@@ -61,6 +65,47 @@ def read_arrays(
     except DAMAGE as error:
         raise FiptError(code, f"{path} can't be read ({error}).", remedy) from None
     return arrays
+
+
+def write_arrays(path: Path, layouts: Mapping[str, Layout], **arrays: ArrayLike) -> None:
+    """Write an .npz file, completely or not at all.
+
+    Args:
+        path: of the file.
+        layouts: of its arrays; those that have none are finite, like those of kind "f".
+        arrays: by their names.
+
+    Raises:
+        FiptError: ``not-finite``, ``disk-full`` or ``run-unwritable``.
+    """
+    for name, array in arrays.items():
+        refuse_infinite(f"{path.name}/{name}", np.asarray(array), name in layouts and layouts[name][0] == "u")
+    with atomic_path(path) as temporary:
+        np.savez(temporary, **arrays)
+
+
+def refuse_infinite(name: str, array: np.ndarray, unknown: bool = False) -> None:
+    """Check values before they are stored: those after them would be spoilt without a word.
+
+    Args:
+        name: of the array, for the message.
+        array: of any shape and type.
+        unknown: whether NaN stands for unknown values.
+
+    Raises:
+        FiptError: ``not-finite``.
+    """
+    if array.dtype.kind not in "fc":
+        return
+    flat = array.reshape(-1)  # no copy of a file's array
+    blocks = (flat[first : first + _BLOCK] for first in range(0, len(flat), _BLOCK))
+    bad = sum(int(np.count_nonzero(np.isinf(one) if unknown else ~np.isfinite(one))) for one in blocks)
+    if bad:
+        raise FiptError(
+            "not-finite",
+            f"{bad:,} of {array.size:,} values of {name} are infinite or not a number. They were not stored.",
+            "Please report this with the file log.txt of the run folder.",
+        )
 
 
 def check_layouts(arrays: Mapping[str, np.ndarray], layouts: Mapping[str, Layout]) -> None:

@@ -23,7 +23,7 @@ from typing import Any, TypeVar, get_type_hints
 from .documents import read_document
 from .errors import FiptError
 from .finished_views import FinishedViews
-from .messages import Reporter
+from .messages import Progress, Reporter, within
 from .method import method_digest
 from .per_view import LocalWorkers, Workers
 from .result_contents import Stages
@@ -55,9 +55,9 @@ class Tools:
     finished: FinishedViews
     facts: dict[str, Any]
 
-    def progress_within(self, begin: float, end: float) -> Callable[[float], None]:
+    def progress_within(self, begin: float, end: float) -> Progress:
         """Progress of a piece of work that takes the stage from the share `begin` to `end`."""
-        return lambda done: self.reporter.progress(begin + (end - begin) * done)
+        return within(self.reporter.progress, begin, end)
 
 
 Work = Callable[[Any, Any, Tools], Any]

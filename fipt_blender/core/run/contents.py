@@ -30,7 +30,8 @@ class RunNote:
 class CapturedView:
     """A photograph with its camera in capture.json; see `capture.views.View`.
 
-    `split` may be ``"unused"``; `preview` is a smaller copy of the photograph.
+    `split` may be ``"unused"``; `preview` is a smaller copy of the photograph; `panorama` is the name of the
+    photograph out of which the view is cut.
     """
 
     name: str
@@ -49,6 +50,7 @@ class CapturedView:
     preview: str | None = None
     encoded: bool = False
     exposure: Annotated[float, Number(1e-12, 1e12)] | None = None
+    panorama: str | None = None
 
 
 @dataclass(frozen=True)

@@ -132,10 +132,10 @@ def light_plan(sizes: Sequence[tuple[int, int]], settings: Settings) -> LightPla
     rays = settings.diffuse_spp + settings.light_spp + settings.specular_spp * levels
     refined = settings.refine_diffuse_spp + settings.refine_light_spp + settings.refine_specular_spp * levels
     samples = settings.training_steps * settings.batch_size / 1e6
-    # Processor seconds, measured on two cores with photographs of 2 and 12 megapixels; stages keep 70 % of
-    # the cores busy.
+    # Processor seconds, measured on two cores in whole runs of six captures; stages keep 70 % of the cores
+    # busy.
     seconds = (
-        30.0 + 0.05 * megapixels + light * (30.0 + 0.4 * (rays + settings.rounds * refined)) + 10.0 * samples
+        42.0 + 0.07 * megapixels + light * (42.0 + 0.56 * (rays + settings.rounds * refined)) + 14.0 * samples
     )
     cores = max(1.0, 0.7 * (os.cpu_count() or 1))
     # The run folder: the radiance cache, networks and results (of the example room); for each pixel of light

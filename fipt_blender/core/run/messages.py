@@ -13,7 +13,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -21,6 +21,12 @@ from typing import IO, Any
 from .contents import Problem
 from .documents import parse_document
 from .kinds import as_json, as_kind
+
+# Share of a plan whose time counts as known before anything is done, where seconds are expected; and without
+# these the share from which on the time that is left is told.
+PRIOR, LEAST_DONE = 0.2, 0.05
+# Share of a stage at which its own rate and that of the whole plan count alike.
+OWN_RATE = 0.1
 
 # The fields of each type of message that its readers rely on.
 
@@ -61,6 +67,18 @@ _KINDS: dict[str, type] = {
     "error": Problem,
     "done": _Done,
 }
+
+
+Progress = Callable[[float], None]  # is called with the share of a work that is done, 0 to 1
+
+
+def unwatched(share: float) -> None:
+    """Progress that nobody asks for."""
+
+
+def within(progress: Progress, begin: float, end: float) -> Progress:
+    """Progress of a piece of the work, which takes it from the share `begin` to `end`."""
+    return lambda share: progress(begin + (end - begin) * share)
 
 
 def parse_message(line: str) -> dict[str, Any] | None:
@@ -113,8 +131,9 @@ class Reporter:
         self._stream = stream
         self._weights: list[float] = [1.0]
         self._stage = 0
-        self._started = time.monotonic()
+        self._started = self._stage_started = time.monotonic()
         self._done_before = self._skipped = 0.0
+        self._expected: float | None = None
         self._last_progress = 0.0
 
     def _write(self, message: Mapping[str, Any]) -> None:
@@ -130,14 +149,19 @@ class Reporter:
                 raise
             self.lost = True
 
-    def plan(self, weights: Sequence[float]) -> None:
+    def plan(self, weights: Sequence[float], seconds: float | None = None) -> None:
         """Set the expected time of each of the following stages, in any unit.
 
         An earlier plan, of which not all stages have begun, is continued: these divide what it has left.
+
+        Args:
+            weights: of the stages.
+            seconds: expected of all together, if known.
         """
         begin = self._done_before + sum(self._weights[: self._stage + 1])
         if begin > 1.0 - 1e-6:
-            begin, self._skipped, self._started = 0.0, 0.0, time.monotonic()
+            begin, self._skipped, self._started, self._expected = 0.0, 0.0, time.monotonic(), None
+        self._expected = self._expected if seconds is None else seconds
         total = sum(weights) or 1.0
         self._weights = [(1.0 - begin) * weight / total for weight in weights]
         self._stage, self._done_before = -1, begin
@@ -145,6 +169,7 @@ class Reporter:
     def stage(self, name: str, text: str) -> None:
         """Begin the next planned stage."""
         self._stage = min(self._stage + 1, len(self._weights) - 1)
+        self._stage_started = time.monotonic()
         self._write(
             {"type": "stage", "name": name, "index": self._stage, "count": len(self._weights), "text": text}
         )
@@ -170,12 +195,10 @@ class Reporter:
         if not force and now - self._last_progress < 0.25:
             return
         self._last_progress = now
-        stage = max(self._stage, 0)
+        stage, share = max(self._stage, 0), min(max(stage_fraction, 0.0), 1.0)
         before = self._done_before + sum(self._weights[:stage])
-        fraction = before + self._weights[stage] * min(max(stage_fraction, 0.0), 1.0)
-        done = fraction - self._skipped
-        elapsed = now - self._started
-        remaining = elapsed * (1.0 - fraction) / done if done > 0.05 else None
+        fraction = before + self._weights[stage] * share
+        remaining = self._remaining(now, self._weights[stage], share, fraction)
         self._write(
             {
                 "type": "progress",
@@ -186,6 +209,25 @@ class Reporter:
                 **({"files": list(pictures)} if pictures else {}),
             }
         )
+
+    def _remaining(self, now: float, weight: float, share: float, fraction: float) -> float | None:
+        """Seconds left, of the stage by its own rate, of others by all that is done; None while unknown.
+
+        Args:
+            now: as of `time.monotonic`.
+            weight: of the stage. share: of it that is done.
+            fraction: of the plan that is done.
+        """
+        done, elapsed = fraction - self._skipped, now - self._stage_started
+        if self._expected is None and done <= LEAST_DONE:
+            return None
+        prior = 0.0 if self._expected is None else PRIOR
+        rate = (prior * (self._expected or 0.0) + now - self._started) / (prior + done)
+        later = rate * (1.0 - fraction - weight * (1.0 - share))
+        if share <= 0.0:
+            return later + max(weight * rate - elapsed, 0.0)
+        trust = share / (share + OWN_RATE)
+        return later + (1.0 - share) * (elapsed / share) ** trust * (weight * rate) ** (1.0 - trust)
 
     def note(self, text: str) -> None:
         """Report a fact that is no problem, such as the expected cost."""

@@ -9,20 +9,11 @@ absolute.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar
 
 from .contents import Problem
 from .kinds import Choice, Count, FileName, Key, NotNegative, Number, Pixels, Row, Share, Vector
-
-
-@dataclass(frozen=True)
-class VersionNote:
-    """version.json: the name that the user gave to results, and the seconds since 1970 of their end."""
-
-    document: ClassVar[str] = "version"
-    name: str
-    time: NotNegative
 
 
 @dataclass(frozen=True)
@@ -137,15 +128,6 @@ class Doubts:
 
 
 @dataclass(frozen=True)
-class CauseShare:
-    """A share of the error of a result, what it is due to, and what helps."""
-
-    name: str
-    share: Share
-    remedy: str
-
-
-@dataclass(frozen=True)
 class JudgedPictures:
     """A photograph that was held back: mean squared errors of render and projection, and pictures of all."""
 
@@ -158,12 +140,17 @@ class JudgedPictures:
 
 @dataclass(frozen=True)
 class QualityFigures:
-    """quality.json: PSNR in dB of photographs that were held back, rendered and projected."""
+    """quality.json: PSNR in dB of photographs that were held back, rendered and projected.
+
+    Figures of the pixels that see the mesh are None where there are none, or in results of earlier versions.
+    """
 
     held_back_db: float
     projection_db: float
-    causes: tuple[CauseShare, ...]
     views: tuple[JudgedPictures, ...]
+    on_mesh_db: float | None = None
+    projection_on_mesh_db: float | None = None
+    on_mesh_share: float | None = None
 
 
 @dataclass(frozen=True)
@@ -232,6 +219,7 @@ class Statistics:
     open_holes_m2: float | None = None
     hints: tuple[HintFigures, ...] = ()
     photometry: PhotometryFigures | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -31,28 +31,25 @@ class RunFolder:
     Args:
         root: the folder.
         results: name of the folder of the results.
-        inputs: name of the folder of settings, cameras and mesh; "" for the run folder itself.
     """
 
-    def __init__(self, root: str | Path, results: str = RESULTS, inputs: str = "") -> None:
+    def __init__(self, root: str | Path, results: str = RESULTS) -> None:
         root = Path(root).absolute()
         # To Blender, two slashes are the folder of the .blend file.
         self.root = Path("/", *root.parts[1:]) if root.anchor == "//" else root
-        self._results = results
-        made_from = self.root / inputs
-        self.run_json = made_from / "run.json"
+        self.run_json = self.root / "run.json"
         self.ingest_json = self.root / "ingest.json"
-        self.capture_json = made_from / "capture.json"
+        self.capture_json = self.root / "capture.json"
         self.images = self.root / "images"
         self.fused_ply = self.root / "fused.ply"
         self.simplified_ply = self.root / "simplified.ply"
         self.fused_json = self.root / "fused.json"
-        self.room_npz = made_from / "room.npz"
-        self.room_json = made_from / "room.json"
-        self.geometry_npz = made_from / "geometry.npz"
-        self.closing_npz = made_from / "closing.npz"
-        self.panes_npz = made_from / "panes.npz"
-        self.outlines_npz = made_from / "outlines.npz"
+        self.room_npz = self.root / "room.npz"
+        self.room_json = self.root / "room.json"
+        self.geometry_npz = self.root / "geometry.npz"
+        self.closing_npz = self.root / "closing.npz"
+        self.panes_npz = self.root / "panes.npz"
+        self.outlines_npz = self.root / "outlines.npz"
         self.linked = self.root / "linked"  # part masks with the ids of other views
         self.light = self.root / "light"  # views at the resolution of light
         self.hints_json = self.root / "hints.json"
@@ -68,7 +65,7 @@ class RunFolder:
         self.environment_exr = self.results / "environment.exr"
         self.resolution_npz = self.results / "resolution.npz"
         self.statistics_json = self.results / "statistics.json"
-        self.versions = self.root / "versions"  # earlier results
+        self.versions = self.root / "versions"  # of earlier releases, which kept earlier results there
         self.doubts_json = self.results / "doubts.json"
         self.doubts = self.results / "doubts"
         self.quality_json = self.results / "quality.json"
@@ -89,19 +86,6 @@ class RunFolder:
         self.log = self.root / "log.txt"
         self.engine_lock = self.root / "engine.lock"
 
-    def estimated(self) -> RunFolder:
-        """The run with settings, cameras and mesh of its results; the next estimation may have others by now.
-
-        Results of earlier versions do not hold them; then they are those of the run folder.
-        """
-        kept = RunFolder(self.root, self._results, inputs=self._results)
-        return kept if kept.run_json.is_file() else self
-
-    def made_from(self) -> list[Path]:
-        """The files of which results are made, as far as `estimated` needs them."""
-        files = [self.run_json, self.capture_json, self.room_npz, self.room_json, self.geometry_npz]
-        return [*files, self.closing_npz, self.panes_npz, self.outlines_npz, self.stages_json]
-
     def refuse_links(self) -> None:
         """Refuse a folder in which a link leads out of it: its files may be written over or deleted.
 
@@ -111,7 +95,7 @@ class RunFolder:
             FiptError: ``run-linked``.
         """
         replaced = [self.images, self.results, self.textures]
-        own = [self.linked, self.stage, self.renders, self.versions, *replaced]
+        own = [self.linked, self.stage, self.renders, *replaced]
         own += [side for path in replaced for side in beside(path)]
         own += [self.light, self.report, self.survey, self.align, self.scene_cameras]
         own += [self.root / "messages", self.log]
@@ -204,14 +188,21 @@ class RunFolder:
         """
         from dataclasses import replace
 
-        from .settings import TEXTURE_SETTINGS
+        from .documents import optional_document
+        from .result_contents import Statistics
+        from .settings import TEXTURE_SETTINGS, stored_settings
 
         present = self.read()
+        statistics = optional_document(self.statistics_json, Statistics)
+        if statistics is None or not statistics.settings:
+            return present
         kept = {name: getattr(present, name) for name in TEXTURE_SETTINGS}
-        return replace(self.estimated().read(), **kept)
+        return replace(stored_settings(statistics.settings), **kept)
 
     def recover(self) -> None:
         """Bring back folders whose replacement was killed in the middle (`replacing.atomic_folder`).
+
+        Results of earlier releases hold the files that they were made from; these become the run's.
 
         Raises:
             FiptError: ``disk-full`` or ``run-unwritable``.
@@ -219,6 +210,26 @@ class RunFolder:
         for folder in (self.images, self.results, self.textures):
             with explained_write_errors(folder):
                 recover_folder(folder)
+        made_from = (self.capture_json, self.room_npz, self.room_json, self.geometry_npz)
+        for path in (*made_from, self.closing_npz, self.panes_npz, self.outlines_npz):
+            kept = self.results / path.name
+            if kept.is_file():
+                with explained_write_errors(path):
+                    os.replace(kept, path)
+        (self.results / self.run_json.name).unlink(missing_ok=True)
+
+    def drop_results(self) -> None:
+        """Delete the results of another room or other cameras than the run's.
+
+        Raises:
+            FiptError: ``run-unwritable``.
+        """
+        import shutil
+
+        if self.results.is_dir():
+            with explained_write_errors(self.results):
+                shutil.rmtree(self.results)
+                self.results.mkdir()
 
     def resolve(self, path: str) -> Path:
         """The absolute path for a path from one of the run's JSON files.

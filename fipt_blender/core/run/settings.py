@@ -33,7 +33,7 @@ from .stage_settings import (
 Value = str | int | float | bool
 
 # Settings of earlier versions, which their runs name; what they stood for is gone.
-_REMOVED = ("doubt_pixels", "lamp_outlines", "emission", "lambda_joint", "joint_threshold")
+_REMOVED = ("doubt_pixels", "lamp_outlines", "emission", "lambda_joint", "joint_threshold", "kept_versions")
 
 # The settings of Apply Results; no stage of an estimation reads them.
 TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_images", "atlas_mode", "write_back", "clean_mesh")
@@ -180,7 +180,7 @@ def _converted(value: Any, default: Any, limits: Mapping[str, Any]) -> Any:
 # Largest value of any setting: counts and seeds must fit into the integers of all libraries.
 _MOST = 2**31 - 1
 _ZERO = (
-    *("seed", "kept_versions", "rounds", "lambda_diffuse", "lambda_emission", "lambda_part"),
+    *("seed", "rounds", "lambda_diffuse", "lambda_emission", "lambda_part"),
     *("lambda_semantic", "brdf_depth"),
 )
 _LIMITS: dict[str, dict[str, Any]] = {

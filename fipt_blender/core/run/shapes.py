@@ -16,8 +16,9 @@ FARTHEST_UNITS = FARTHEST / SCALES[0]  # the same in a capture's own units
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 UP_SOURCES = ("option", "format", "planes", "cameras")  # what tells which axis of a capture is up
 
-# Array files: the kind of an array's numbers ("f" float, "i" whole, "b" bool), and its sizes: a number, or a
-# letter for any size, which is the same for all arrays of a file that have this letter.
+# Array files: the kind of an array's numbers ("f" float, "u" float or NaN for unknown, "i" whole, "b" bool),
+# and its sizes: a number, or a letter for any size, which is the same for all arrays of a file that have this
+# letter.
 Layout = tuple[str, tuple[int | str, ...]]
 ROOM_ARRAYS: dict[str, Layout] = {
     "vertices": ("f", ("V", 3)),
@@ -67,7 +68,7 @@ CORNER_FIELDS_ARRAYS: dict[str, Layout] = {
 SURVEY_ARRAYS: dict[str, Layout] = {
     "seen": ("i", ("V", "B")),
     "areas": ("f", ("T",)),
-    "disagreement": ("f", ("T",)),
+    "disagreement": ("u", ("T",)),
 }
 FIELDS_ARRAYS: dict[str, Layout] = {
     "hash_levels": ("i", ()),
@@ -79,11 +80,12 @@ FIELDS_ARRAYS: dict[str, Layout] = {
     "seen_errors": ("f", ("C", 3)),
 }
 DETAIL_ARRAYS: dict[str, Layout] = {
-    "detail_median": ("f", ("U", 3)),
+    "detail_median": ("u", ("U", 3)),
     "detail_width": ("f", ()),
     "detail_keys": ("i", ("N",)),
     "detail_sums": ("f", ("N", 9)),
 }
 PARTS_ARRAYS: dict[str, Layout] = {"triangle_part": ("i", ("T",)), "single": ("b", ("U",))}
-RESOLUTION_ARRAYS: dict[str, Layout] = {"density": ("f", ("T",))}
+FIXED_ARRAYS: dict[str, Layout] = {**PARTS_ARRAYS, "fixed": ("u", ("U", 2))}  # where hints fix values
+RESOLUTION_ARRAYS: dict[str, Layout] = {"density": ("u", ("T",))}
 LEFT_ALONE_ARRAYS: dict[str, Layout] = {"left_alone": ("b", ("T",))}

@@ -18,7 +18,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from .arrays import DAMAGE
+from .arrays import DAMAGE, refuse_infinite
 from .paths import leads_outside
 
 
@@ -35,9 +35,10 @@ class UnreadableArray(ValueError):
 
 
 _ARRAY, _GIVEN = {"array", "shape", "type"}, {"given"}
+UNKNOWN = {"unknown": True}  # metadata of a field of arrays in which NaN stands for unknown values
 
 
-def saved(value: Any, folder: Path, root: Path, given: Mapping[str, Any]) -> Any:
+def saved(value: Any, folder: Path, root: Path, given: Mapping[str, Any], unknown: bool = False) -> Any:
     """Write the arrays of a value to files, and return the document that describes it.
 
     Args:
@@ -45,15 +46,20 @@ def saved(value: Any, folder: Path, root: Path, given: Mapping[str, Any]) -> Any
         folder: for new files; they are named by the path to them in the value.
         root: folder of all stages, which contains `folder`; resolved.
         given: values by name that are referred to instead of written.
+        unknown: whether NaN stands for unknown values of arrays; of a field of a dataclass: `UNKNOWN`.
 
     Raises:
         TypeError: for values of other types.
+        FiptError: ``not-finite``.
     """
     for name, each in given.items():
         if value is each and not isinstance(value, (int, float, str, type(None))):
             return {"given": name}
     if isinstance(value, np.ndarray):
         path = _file_of(value, root)
+        stage = folder.relative_to(root).parts[0]
+        if path is None or path.relative_to(root).parts[0] == stage:  # else an earlier one has stored it
+            refuse_infinite(folder.relative_to(root).as_posix(), value, unknown)
         if path is None:
             path = folder.with_name(f"{folder.name}.npy")
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -61,12 +67,17 @@ def saved(value: Any, folder: Path, root: Path, given: Mapping[str, Any]) -> Any
         place = path.relative_to(root).as_posix()
         return {"array": place, "shape": list(value.shape), "type": value.dtype.str}
     if is_dataclass(value):
-        items = {item.name: getattr(value, item.name) for item in fields(value) if item.init}
-        return {name: saved(each, folder / name, root, given) for name, each in items.items()}
+        return {
+            item.name: saved(
+                getattr(value, item.name), folder / item.name, root, given, bool(item.metadata.get("unknown"))
+            )
+            for item in fields(value)
+            if item.init
+        }
     if isinstance(value, Mapping):
-        return {str(key): saved(each, folder / str(key), root, given) for key, each in value.items()}
+        return {str(key): saved(each, folder / str(key), root, given, unknown) for key, each in value.items()}
     if isinstance(value, (list, tuple)):
-        return [saved(each, folder / str(index), root, given) for index, each in enumerate(value)]
+        return [saved(each, folder / str(index), root, given, unknown) for index, each in enumerate(value)]
     if isinstance(value, np.generic):
         return value.item()
     if value is None or isinstance(value, (bool, int, float, str)):
@@ -111,6 +122,14 @@ def loaded(document: Any, kind: Any, root: Path, given: Mapping[str, Any]) -> An
     if kind in (None, type(None)) and document is None:
         return None
     raise ValueError(f"{str(document)[:40]} is not of type {kind}")
+
+
+def stages_of(document: Any) -> set[str]:
+    """The stages whose folders hold the arrays of a document by :func:`saved`."""
+    if isinstance(document, dict) and document.keys() == _ARRAY:
+        return {str(document["array"]).partition("/")[0]}
+    each = document.values() if isinstance(document, dict) else document
+    return set().union(*map(stages_of, each)) if isinstance(document, (dict, list)) else set()
 
 
 def _loaded_union(document: Any, kinds: Sequence[Any], root: Path, given: Mapping[str, Any]) -> Any:

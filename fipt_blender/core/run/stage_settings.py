@@ -277,11 +277,6 @@ class ResultSettings(Seeded):
 
     shrink_detail: bool = switch("keep detail of a part's base color as far as it is reliable")
     lamp_doubt: bool = switch("count errors of the light of uncertain lamps in the confidence")
-    kept_versions: int = setting(
-        5,
-        "number of earlier estimates without a name that the run keeps when a new one is finished",
-        keyed=False,
-    )
 
 
 @dataclass(frozen=True)

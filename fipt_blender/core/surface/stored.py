@@ -13,6 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..run.arrays import write_arrays
 from ..run.run_files import (
     CLOSING,
     mesh_digest,
@@ -21,7 +22,8 @@ from ..run.run_files import (
     read_room_files,
     read_scan_holes,
 )
-from ..run.runfolder import RunFolder, atomic_path, explained_write_errors
+from ..run.runfolder import RunFolder, explained_write_errors
+from ..run.shapes import CLOSING_ARRAYS, GEOMETRY_ARRAYS
 from .adjacency import NONE, face_vectors, make_mesh, without_unused
 from .clean import CleanMesh, clean_mesh, noise_level
 from .closing import close_small_holes
@@ -96,18 +98,18 @@ def _store_closing(run: RunFolder, arrays: dict[str, np.ndarray], most_edges: in
         return False
     found = close_small_holes(mesh, normals, 0 if counted else most_edges)
     facing = face_vectors(found.vertices, found.triangles)[0]
-    with atomic_path(run.closing_npz) as temporary:
-        np.savez(
-            temporary,
-            vertices=found.vertices.astype(np.float32),
-            triangles=found.triangles,
-            corner_normals=np.repeat(facing[:, None], 3, axis=1).astype(np.float32),
-            beside=rows[found.beside],
-            most_edges=np.int32(most_edges),
-            count=np.array([found.closed, found.left], np.int32),
-            area=np.array([found.closed_area, found.open_area], np.float32),
-            source=mesh_digest(arrays),
-        )
+    write_arrays(
+        run.closing_npz,
+        CLOSING_ARRAYS,
+        vertices=found.vertices.astype(np.float32),
+        triangles=found.triangles,
+        corner_normals=np.repeat(facing[:, None], 3, axis=1).astype(np.float32),
+        beside=rows[found.beside],
+        most_edges=np.int32(most_edges),
+        count=np.array([found.closed, found.left], np.int32),
+        area=np.array([found.closed_area, found.open_area], np.float32),
+        source=mesh_digest(arrays),
+    )
     return True
 
 
@@ -117,15 +119,15 @@ def store_geometry(run: RunFolder, arrays: dict[str, np.ndarray], cleaned: Clean
     Args:
         arrays: the room's vertices and triangles, of which the copy was made.
     """
-    with atomic_path(run.geometry_npz) as temporary:
-        np.savez(
-            temporary,
-            vertices=cleaned.vertices,
-            corner_normals=cleaned.corner_normals,
-            plane=cleaned.plane,
-            noise=np.float32(cleaned.noise),
-            source=mesh_digest(arrays),
-        )
+    write_arrays(
+        run.geometry_npz,
+        GEOMETRY_ARRAYS,
+        vertices=cleaned.vertices,
+        corner_normals=cleaned.corner_normals,
+        plane=cleaned.plane,
+        noise=np.float32(cleaned.noise),
+        source=mesh_digest(arrays),
+    )
 
 
 def stored_geometry(

@@ -20,13 +20,15 @@ import numpy as np
 
 from ..capture.views import load_capture
 from ..device.variant import set_variant
+from ..run.arrays import write_arrays
 from ..run.documents import read_document
 from ..run.messages import Reporter
 from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
 from ..run.result_contents import AtlasImage, AtlasImages, TextureImage, Textures, UniformPart
 from ..run.run_files import read_atlas, read_room_files
-from ..run.runfolder import RunFolder, atomic_path, write_json
+from ..run.runfolder import RunFolder, write_json
+from ..run.shapes import CORNER_FIELDS_ARRAYS
 from ..surface.stored import stored_geometry
 from .padding import pad
 from .raster import nearest_triangle_map
@@ -111,9 +113,8 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         FiptError: ``file-missing`` or ``file-damaged`` if an earlier step has not finished; ``disk-full`` or
             ``run-unwritable``.
     """
-    run = RunFolder(arguments.run)
-    set_variant(run.read().device)
-    folder = run.estimated()
+    folder = RunFolder(arguments.run)
+    set_variant(folder.read().device)
     # Imported here because these modules import Mitsuba, for which the variant must be chosen first.
     from ..material.fields import RoomFields
     from .detail import load_input
@@ -122,7 +123,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     fields = RoomFields.load(folder)
     reporter.plan([1.0])
     reporter.stage("textures", "Baking textures")
-    given = load_input(folder)
+    given = load_input(folder, reporter)
     room, names = read_room_files(folder)
     ranges = PartRanges(read_parts(folder, room["triangle_object"], names.objects))
     if given is not None and read_document(folder.atlas_json, AtlasImages).mode != "color_attribute":
@@ -357,12 +358,12 @@ def _bake_corners(folder: Path, fields: FieldSource, corners: np.ndarray) -> str
     positions = inwards.reshape(-1, 3).astype(np.float32)
     samples = sample_fields(fields, positions, np.repeat(np.arange(count), 3))
     path = folder / "corner_fields.npz"
-    with atomic_path(path) as temporary:
-        np.savez(
-            temporary,
-            base_color=samples.base_color.reshape(count, 3, 3),
-            roughness=samples.roughness.reshape(count, 3),
-            metallic=samples.metallic.reshape(count, 3),
-            confidence=samples.confidence.reshape(count, 3, 3),
-        )
+    write_arrays(
+        path,
+        CORNER_FIELDS_ARRAYS,
+        base_color=samples.base_color.reshape(count, 3, 3),
+        roughness=samples.roughness.reshape(count, 3),
+        metallic=samples.metallic.reshape(count, 3),
+        confidence=samples.confidence.reshape(count, 3, 3),
+    )
     return path.name

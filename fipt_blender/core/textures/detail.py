@@ -27,13 +27,16 @@ from ..light.observations import median_footprint
 from ..optics.lights import LUMINANCE
 from ..parts.labels import NO_PART
 from ..pixels.store import PixelStore
+from ..run.arrays import write_arrays
 from ..run.chain import START_AGAIN
 from ..run.documents import read_document
 from ..run.errors import FiptError
 from ..run.kinds import Pixels
-from ..run.result_contents import Statistics
-from ..run.runfolder import RunFolder, atomic_path, write_json
-from ..run.stage_files import loaded, saved
+from ..run.messages import Reporter
+from ..run.result_contents import Stages, Statistics
+from ..run.runfolder import RunFolder, write_json
+from ..run.shapes import RESOLUTION_ARRAYS
+from ..run.stage_files import loaded, saved, stages_of
 from ..surface.room import Room, triangle_normals
 from ..surface.smoothing import SmoothingGrid
 from .texel_views import LightPixels, Seen, Texels, see_texels
@@ -129,8 +132,11 @@ def solved_light(run: RunFolder, views: list[View]) -> SolvedLight:
         raise FiptError("file-damaged", f"{path} can't be used ({error}).", START_AGAIN) from None
 
 
-def load_input(run: RunFolder) -> DetailInput | None:
+def load_input(run: RunFolder, reporter: Reporter | None = None) -> DetailInput | None:
     """The views of a finished estimation; None where detail is off, or no photograph has more than light has.
+
+    Args:
+        reporter: is warned where the files that detail needs are gone.
 
     Raises:
         FiptError: ``file-damaged``; those of `load_capture`.
@@ -139,15 +145,18 @@ def load_input(run: RunFolder) -> DetailInput | None:
     path = run.stage / "views.json"
     if not settings.detail or not path.exists():
         return None
-    kept = run.results / run.stages_json.name
-    if kept.exists() and kept.read_bytes() != run.stages_json.read_bytes():
-        return None  # another estimation has begun; its pixels do not belong to these results
-    used = read_document(path, _UsedViews).views
+    document = read_document(path, _UsedViews)
     by_name = {view.name: view for view in load_capture(run).train}
-    if any(view.name not in by_name for view in used):
-        return None  # the capture has changed since
-    photographs = [by_name[view.name] for view in used]
-    lights = [by_name[view.name].resized(view.width, view.height) for view in used]
+    lost = "another estimation was begun" if not _is_kept(run, document.light) else ""
+    if any(view.name not in by_name for view in document.views):
+        lost = "the capture has changed"
+    if lost:
+        if reporter is not None:
+            text = f"The textures get no detail of the photographs: {lost} since these results were made."
+            reporter.warning("detail-lost", text, "Estimate again, or finish the estimation that was begun.")
+        return None
+    photographs = [by_name[view.name] for view in document.views]
+    lights = [by_name[view.name].resized(view.width, view.height) for view in document.views]
     pairs = zip(photographs, lights, strict=True)
     if all(view.width * view.height <= light.width * light.height for view, light in pairs):
         return None
@@ -157,6 +166,22 @@ def load_input(run: RunFolder) -> DetailInput | None:
         photometry = read_document(run.statistics_json, Statistics).photometry
     response = np.array(photometry.log_curve) if photometry else None
     return DetailInput(photographs, light.pixels, light.shadings, light.levels, response)
+
+
+def _is_kept(run: RunFolder, light: dict[str, Any]) -> bool:
+    """Whether the stages that hold pixels and shadings are still those that the results were made of.
+
+    A later estimation removes what it makes anew when it begins, whether it ends or not.
+
+    Args:
+        light: what :func:`.stage_files.saved` says of them.
+    """
+    kept = run.results / run.stages_json.name
+    if not kept.exists():
+        return True  # the results are being written
+    before, now = (read_document(path, Stages) for path in (kept, run.stages_json))
+    present = now.stages.keys() - set(now.dropped)
+    return all(name in present and before.keys.get(name) == now.keys[name] for name in stages_of(light))
 
 
 def write_resolution(run: RunFolder, triangles: int) -> None:
@@ -182,8 +207,7 @@ def write_resolution(run: RunFolder, triangles: int) -> None:
     found, start, number = np.unique(triangle[order], return_index=True, return_counts=True)
     result = np.full(triangles, np.nan, np.float32)
     result[found] = values[order][start + number // 2]
-    with atomic_path(run.resolution_npz) as temporary:
-        np.savez(temporary, density=result)
+    write_arrays(run.resolution_npz, RESOLUTION_ARRAYS, density=result)
 
 
 @contextmanager
@@ -332,7 +356,7 @@ class Totals:
     def result(self, texels: Texels, cells: SmoothingGrid, part: np.ndarray) -> np.ndarray:
         """(N, 3) the estimate with as much of the mean change as the views agree on."""
         result = np.array(texels.base_color)
-        rows = np.flatnonzero(self.weight > 0.0)
+        rows = np.flatnonzero(self.squares > np.finfo(np.float32).tiny)  # else no number of views follows
         if not len(rows):
             return result
         weight = self.weight[rows]
@@ -342,6 +366,8 @@ class Totals:
         effective = weight * weight / self.squares[rows]
         variance = np.maximum(self.power[rows] / weight - luminance * luminance, 0.0)
         several = effective > 1.3
+        if not several.any():
+            return result  # no two views show the same texel: nothing tells detail from noise
         variance[several] *= effective[several] / (effective[several] - 1.0)
         owner = part[texels.triangle[rows]] + 1
         alone = _noise_of_parts(variance, several, owner)
@@ -356,11 +382,17 @@ class Totals:
 
 
 def _noise_of_parts(variance: np.ndarray, known: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """(parts,) variance of one view where only one saw a texel: the mean of its part, or of all."""
+    """(parts,) variance of one view where only one saw a texel: the mean of its part, or of all.
+
+    Args:
+        variance: (n,) of one view at each texel.
+        known: (n,) bool, whether several views saw it; of one at least.
+        part: (n,) int part of each, from 0.
+    """
     count = int(part.max(initial=0)) + 1
     number = np.bincount(part[known], minlength=count)
     sums = np.bincount(part[known], variance[known], count)
-    everywhere = sums.sum() / max(number.sum(), 1) if number.sum() else np.inf
+    everywhere = sums.sum() / number.sum()
     return np.where(number >= FEW_TEXELS, sums / np.maximum(number, 1), everywhere)
 
 

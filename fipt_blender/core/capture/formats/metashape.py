@@ -18,7 +18,7 @@ from ...conventions import transform_poses
 from ...run.errors import FiptError
 from ..options import CaptureOptions
 from ..places import Places
-from ..rig import Lens, Rig, RigView, WellFormed
+from ..rig import EQUIRECTANGULAR, Lens, Rig, RigView, WellFormed
 from .radial import distorting_lens
 from .rig_files import (
     camera_file,
@@ -141,8 +141,9 @@ def _sensor(file: Path, sensor: Element) -> _Sensor:
     """
     calibrations = sensor.findall("calibration")
     adjusted = [entry for entry in calibrations if entry.get("class") == "adjusted"]
-    calibration = next(iter((*adjusted, *calibrations)), None)
-    if calibration is None or calibration.find("f") is None:
+    calibration = next(iter((*adjusted, *calibrations)), Element("calibration"))
+    kind = calibration.get("type") or sensor.get("type") or "frame"
+    if kind != "spherical" and calibration.find("f") is None:
         raise FiptError(
             "intrinsics-missing",
             f"{file} has the sensor {sensor.get('label', '')[:80]!r} without a calibrated focal length.",
@@ -155,7 +156,6 @@ def _sensor(file: Path, sensor: Element) -> _Sensor:
         raise ValueError("a sensor has no resolution")
     size = pixel_size(resolution.get("width"), resolution.get("height"))
     values = {entry.tag: number(entry.text) for entry in calibration if entry.tag in _PARAMETERS}
-    kind = calibration.get("type") or sensor.get("type") or "frame"
     return _Sensor(size, _lens(file, kind, values, size), _offset(sensor))
 
 
@@ -173,11 +173,14 @@ def _offset(sensor: Element) -> np.ndarray:
 
 def _lens(file: Path, kind: str, values: dict[str, float], size: tuple[int, int]) -> Lens:
     """The lens of a calibration; b1 widens the pixels, cx and cy are offsets from the image's centre."""
+    if kind == "spherical" and not any(value for name, value in values.items() if name != "f"):
+        return Lens(EQUIRECTANGULAR, (float(size[0]), float(size[1])))
     if kind not in ("frame", "fisheye") or any(values.get(key) for key in _UNSUPPORTED):
         raise FiptError(
             "camera-model",
             f"{file} has a camera of the type {kind[:40]!r}{_nonzero(values)}, which is not supported.",
-            "Use the types Frame or Fisheye without B2, P3 and P4 (Tools > Camera Calibration), align again.",
+            "Use the types Frame or Fisheye without B2, P3 and P4, or Spherical without parameters (Tools >"
+            " Camera Calibration), align again.",
         )
     focal = values["f"]
     intrinsics = (

@@ -18,7 +18,7 @@ from ...run.errors import FiptError
 from ...run.kinds import Vector
 from ..options import CaptureOptions
 from ..places import Places
-from ..rig import Lens, Rig, RigView, WellFormed, damaged, read_json_rig
+from ..rig import EQUIRECTANGULAR, Lens, Rig, RigView, WellFormed, damaged, read_json_rig
 from .radial import distorting_lens
 from .rig_files import camera_file, camera_pose, largest_model, pixel_size
 
@@ -120,6 +120,8 @@ def _lens(file: Path, camera: _Camera, size: tuple[int, int]) -> Lens:
     """The lens of a camera; OpenSfM's image coordinates are divided by the longer side, from the centre."""
     side = float(max(size))
     kind, focal = camera.projection_type, camera.focal
+    if kind in ("spherical", "equirectangular"):
+        return Lens(EQUIRECTANGULAR, (float(size[0]), float(size[1])))
     fx, fy = (side * (focal if own is None else own) for own in (camera.focal_x, camera.focal_y))
     intrinsics = (fx, fy, 0.5 * size[0] + camera.c_x * side, 0.5 * size[1] + camera.c_y * side)
     k1, k2, k3, tangential = camera.k1, camera.k2, camera.k3, (camera.p1, camera.p2)
@@ -136,5 +138,5 @@ def _lens(file: Path, camera: _Camera, size: tuple[int, int]) -> Lens:
     raise FiptError(
         "camera-model",
         f"{file} has the projection type {kind[:40]!r}, which has no pinhole camera or is not supported.",
-        "Use the types perspective, brown, fisheye or fisheye_opencv in OpenSfM; split panoramas into views.",
+        "Use the types perspective, brown, fisheye, fisheye_opencv or spherical in OpenSfM.",
     )

@@ -19,7 +19,17 @@ from ...run.shapes import MOST_SIDE
 from ..files import key, name_parts, stem_of
 from ..options import CaptureOptions
 from ..places import Places
-from ..rig import Lens, Note, Rig, RigView, WellFormed, find_mesh, read_json_rig, read_pose
+from ..rig import (
+    EQUIRECTANGULAR,
+    Lens,
+    Note,
+    Rig,
+    RigView,
+    WellFormed,
+    find_mesh,
+    read_json_rig,
+    read_pose,
+)
 from .rig_files import head
 
 NAME = "transforms"
@@ -101,8 +111,10 @@ def read(path: Path, options: CaptureOptions) -> Rig:
     Cameras have OpenGL axes. The world is that of the poses as stored (Z up unless the file has another
     "up_axis"), or with ``undo_applied_transform`` the one before nerfstudio's ``applied_transform``.
     Intrinsics (fl_x, fl_y, cx, cy, w, h, k1 k2 p1 p2 k3, or k1 to k4 of a fisheye) belong to each frame or to
-    the whole file; ``camera_angle_x`` and ``camera_angle_y`` replace missing focal lengths. Black pixels of a
-    frame's ``mask_path`` are left out. A frame may name its view with ``name``, our own extension.
+    the whole file; ``camera_angle_x`` and ``camera_angle_y`` replace missing focal lengths. A panorama
+    (``camera_model`` EQUIRECTANGULAR) has none of them; its centre shows what is before the camera. Black
+    pixels of a frame's ``mask_path`` are left out. A frame may name its view with ``name``, our own
+    extension.
 
     Raises:
         FiptError: ``rig-damaged``, ``camera-model``, ``intrinsics-missing``, ``image-missing``,
@@ -173,7 +185,8 @@ def frame_view(json_path: Path, frame: Frame, split: str | None, places: Places)
     pose = opengl_to_opencv_camera(read_pose(json_path, frame.transform_matrix))
     with WellFormed(json_path):
         width, height = int(frame.w or 0), int(frame.h or 0)
-        if not (width and height):
+        # The size for all frames need not be that of a panorama among other photographs.
+        if not (width and height) or _model(frame) == EQUIRECTANGULAR:
             width, height = places.size(frame.file_path)
         lens = _lens(json_path, frame, width, height)
     return places.view(
@@ -188,11 +201,13 @@ def frame_view(json_path: Path, frame: Frame, split: str | None, places: Places)
 
 
 def _lens(json_path: Path, frame: Frame, width: int, height: int) -> Lens:
+    model = _model(frame)
+    if model == EQUIRECTANGULAR:
+        return Lens(EQUIRECTANGULAR, (float(width), float(height)))
     fx, fy = _focal_lengths(json_path, frame, width, height)
     cx, cy = frame.cx, frame.cy
     centre = (0.5 * width if cx is None else cx, 0.5 * height if cy is None else cy)
     k1, k2, k3, k4, p1, p2 = (getattr(frame, key) or 0.0 for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
-    model = (frame.camera_model or "").upper()
     if model in FISHEYES or frame.is_fisheye:
         return Lens("OPENCV_FISHEYE", (fx, fy, *centre, k1, k2, k3, k4))
     # COLMAP's FULL_OPENCV divides by a polynomial with k4; nerfstudio's k4 multiplies, as no model here does.
@@ -200,13 +215,17 @@ def _lens(json_path: Path, frame: Frame, width: int, height: int) -> Lens:
         raise FiptError(
             "camera-model",
             f"{json_path} has the camera model {model or 'pinhole'}" + (" with k4." if k4 != 0.0 else "."),
-            "Export perspective or OpenCV fisheye images; split panoramas into perspective views.",
+            "Export perspective, OpenCV fisheye or equirectangular images.",
         )
     if k3 != 0.0:
         return Lens("FULL_OPENCV", (fx, fy, *centre, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0))
     if any((k1, k2, p1, p2)):
         return Lens("OPENCV", (fx, fy, *centre, k1, k2, p1, p2))
     return Lens("PINHOLE", (fx, fy, *centre))
+
+
+def _model(frame: Frame) -> str:
+    return (frame.camera_model or "").upper()
 
 
 def _focal_lengths(json_path: Path, frame: Frame, width: int, height: int) -> tuple[float, float]:

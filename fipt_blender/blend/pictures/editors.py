@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shows renders, photographs and error images: in the panel's list, over the view, in Image Editors."""
+"""Shows pictures in Image Editors."""
 
 from __future__ import annotations
 
@@ -8,65 +8,8 @@ from pathlib import Path
 
 import bpy
 
-from ...core.run.errors import FiptError
-from ...core.run.runfolder import RunFolder
-from ..capture.backdrop import show_photograph, show_picture
-from ..capture.cameras import find_camera, use_view
-from ..capture.compare import end
-from ..capture.look import enter_camera
 from ..color_spaces import set_encoded, set_linear
 from ..marks import PICTURE
-from .view_check import read_checks
-
-
-def take_checks(scene: bpy.types.Scene, run: RunFolder) -> None:
-    """Fill the panel's list from the run's check.json.
-
-    Raises:
-        FiptError: ``file-damaged``.
-    """
-    settings = scene.fipt.check
-    checked = sorted(read_checks(run).views, key=lambda view: (view.split != "held_back", view.view))
-    settings.views.clear()
-    for view in checked:
-        item = settings.views.add()
-        item.name, item.held_back = view.view, view.split == "held_back"
-        item.psnr, item.psnr_linear = view.psnr, view.psnr_linear
-        item.render, item.error = str(run.resolve(view.render)), str(run.resolve(view.error))
-    count = max(len(checked), 1)
-    settings.mean_psnr = sum(view.psnr for view in checked) / count
-    settings.mean_psnr_linear = sum(view.psnr_linear for view in checked) / count
-
-
-def show_active(scene: bpy.types.Scene, context: bpy.types.Context) -> bpy.types.Image | None:
-    """Show the chosen picture of the active view, and look through its camera; None where there is none.
-
-    The picture is shown over the view in 3D views, and in Image Editors that show one of ours or none.
-    """
-    settings = scene.fipt.check
-    view = settings.views[settings.active]
-    try:
-        camera = find_camera(view.name, scene)
-    except FiptError:
-        camera = None
-    image = None
-    if settings.picture != "PHOTOGRAPH":
-        image = load_picture(Path(view.render if settings.picture == "RENDER" else view.error))
-    if camera is not None:
-        end(scene)
-        use_view(scene, camera)
-        show_photograph(scene, camera)
-        backgrounds = camera.data.background_images
-        if settings.picture == "PHOTOGRAPH" and backgrounds:
-            image = backgrounds[0].image
-            camera.data.show_background_images = True
-            backgrounds[0].alpha = 1.0
-        elif image is not None:
-            show_picture(camera, image)
-        enter_camera(context, scene)
-    if image is not None:
-        show_in_editors(context, image)
-    return image
 
 
 def load_picture(path: Path) -> bpy.types.Image | None:
