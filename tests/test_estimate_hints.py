@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,10 @@ import pytest
 from fipt_blender.core.estimate import doubts
 from fipt_blender.core.estimate.doubts import group_doubts, question
 from fipt_blender.core.material.fields import RoomFields
-from fipt_blender.core.material.hints import KnownMaterials, SurfaceHints, nearest_triangles, place_hints
+from fipt_blender.core.material.hints import KnownMaterials, SurfaceHints, known_colors, nearest_triangles, place_hints
 from fipt_blender.core.material.mixture import GroupMaterials, infer_materials
 from fipt_blender.core.parts.labels import Parts
-from fipt_blender.core.run.hints import Hint, hints_digest, read_hints, write_hints
+from fipt_blender.core.run.hints import Hint, hints_digest, read_hints, references, write_hints
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.versions import can_continue, results_id
 from samples.material_pixels import LEVELS, SETTINGS, synthetic
@@ -304,10 +305,20 @@ def test_files_of_hints_come_back(tmp_path: Path) -> None:
     hints = [
         Hint((FLOOR, CEILING), "Area", True, "metal", (0.1, 0.2), False, CEILING, False),
         Hint((FLOOR,), "Plant", leave_alone=True),
+        Hint((FLOOR,), "Card", base_color=(0.18, 0.18, 0.18)),
     ]
     write_hints(path, hints)
     assert read_hints(path) == hints
     assert hints_digest([]) == "" and hints_digest(hints) != hints_digest(hints[:1])
+
+
+def test_light_depends_on_known_base_colors_alone() -> None:
+    card, plain = Hint((FLOOR,), "Card", base_color=(0.2, 0.2, 0.1)), Hint((CEILING,), "Panel", emits=True)
+    assert references([plain]) == []
+    assert references([plain, card]) == references([replace(card, name="Other", material="metal")])
+    known = known_colors([card, plain], ROOM.vertices, ROOM.triangles, Parts(WALL, "part"), None)
+    assert known[:2].tolist() == [[0.2, 0.2, 0.1]] * 2 and np.isnan(known[2:]).all()
+    assert np.isnan(known_colors([], ROOM.vertices, ROOM.triangles, Parts(WALL, "part"), None)).all()
 
 
 @pytest.mark.parametrize(
@@ -316,6 +327,7 @@ def test_files_of_hints_come_back(tmp_path: Path) -> None:
         *({"points": points} for points in ([], [[0.0, 1.0]], [[0.0, 1.0, None]])),
         *({"roughness": bounds} for bounds in ([0.5, 0.2], [-0.1, 0.2], [0.5])),
         *({"material": "glass"}, {"emits": "yes"}, {"same_as": [0.0]}, {"leave_alone": 1}, {"name": 7}),
+        *({"base_color": value} for value in ([0.5, 0.5], [0.0, 0.5, 0.5], [0.5, 0.5, 1.5])),
     ],
 )
 def test_bad_files_are_refused(tmp_path: Path, change: dict) -> None:

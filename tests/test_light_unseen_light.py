@@ -22,7 +22,7 @@ from fipt_blender.core.light.environment import MOST_PIXELS, Environment, Hull, 
 from fipt_blender.core.light.observations import Observations
 from fipt_blender.core.light.radiance import CachedRadiance, OutsideRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
-from fipt_blender.core.light.sources import MOST_ALBEDO, Expectation, Transport, held_back_gain, solve_sources
+from fipt_blender.core.light.sources import MOST_ALBEDO, SPECULAR, Expectation, Transport, held_back_gain, solve_sources
 from fipt_blender.core.light.unseen_light import free_radius, lamp_light, with_unseen_light
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
@@ -263,6 +263,21 @@ def test_no_albedo_is_above_white_where_many_points_show_a_surface() -> None:
     logs = np.log(albedo * (seen + unseen * 2.0)) + 0.1 * rng.normal(size=(count, 3))
     found = solve_sources(Transport(logs, group, seen, unseen), Expectation(np.full((1, 3), -2.0), np.ones(1, bool)))
     assert np.exp(found.log_albedo[0]).max() < 1.1 * MOST_ALBEDO
+
+
+def test_a_known_albedo_tells_the_level_and_the_color_of_the_light() -> None:
+    """Nothing that photographs show lights the points, so that the level is that of usual albedos."""
+    points, expected, radiance = drawn_points(np.random.default_rng(2), 12)
+    light = points.unseen @ radiance
+    tinted = light * [0.6, 0.5, 0.4]
+    logs = np.log((ALBEDO + SPECULAR)[points.group] * tinted)
+    known = np.where(np.arange(len(ALBEDO))[:, None] == 1, ALBEDO, np.nan)
+    dark = np.full_like(points.seen, 1e-3)
+    for given, most in ((known, 0.1), (None, np.inf)):
+        found = solve_sources(Transport(logs, points.group, dark, points.unseen, given), expected)
+        off = np.log((points.unseen @ found.radiance).mean(axis=0) / tinted.mean(axis=0))
+        assert np.abs(off).max() < most
+    assert np.abs(off).max() > 0.2  # without it
 
 
 def test_points_held_back_tell_light_from_noise() -> None:

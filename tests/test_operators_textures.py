@@ -169,8 +169,8 @@ def test_a_file_whose_textures_can_not_be_copied_is_saved_all_the_same(applied, 
 
 
 def test_textures_that_can_not_be_copied_change_nothing(applied, tmp_path):
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"))
     (tmp_path / "kitchen_textures").write_text("a file of that name")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"))
     before = fingerprint(applied)
     assert "Free some space" in refused(ops.apply_results)
     assert fingerprint(applied) == before

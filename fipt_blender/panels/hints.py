@@ -109,6 +109,9 @@ def _draw_hint(layout: bpy.types.UILayout, context: bpy.types.Context, hint: bpy
         about.prop(hint, "roughness", text="Lowest" if hint.roughness_known == "RANGE" else "Roughness")
     if hint.roughness_known == "RANGE":
         about.prop(hint, "roughness_most")
+    about.prop(hint, "color_known")
+    if hint.color_known == "VALUE":
+        about.prop(hint, "color")
     about.prop(hint, "emission")
     row = about.row(align=True)
     row.prop(hint, "same_object", text="Same As")
@@ -128,6 +131,8 @@ def hint_text(hint: bpy.types.PropertyGroup) -> str:
     if bounds is not None:
         low, high = bounds
         names.append(f"{low:.2g}" if low == high else f"{low:.2g}-{high:.2g}")
+    if hint.color_known != "UNKNOWN":
+        names.append(iface_("Known Color"))
     if hint.emission != "UNKNOWN":
         names.append(iface_("Emits Light" if hint.emission == "EMITS" else "Does Not Emit"))
     if hint.same_object is not None:

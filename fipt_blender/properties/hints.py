@@ -22,6 +22,14 @@ ROUGHNESS = (
     ("VALUE", "Value", "The roughness is known"),
     ("RANGE", "Range", "The roughness lies between two values"),
 )
+# Base colours that are known, and their reflectance: of photographers' grey cards, and of white wall paint.
+COLORS = (
+    ("UNKNOWN", "Unknown", "The engine finds the base color"),
+    ("GREY", "18 % Grey", "A photographer's grey card"),
+    ("WHITE", "White Paint", "White wall paint, which reflects 82 %"),
+    ("VALUE", "Value", "The base color is known, for example of a patch of a color chart"),
+)
+REFLECTANCE = {"GREY": 0.18, "WHITE": 0.82}
 EMISSION = (
     ("UNKNOWN", "Unknown", "The engine finds out whether it is a lamp"),
     ("EMITS", "Emits Light", "It is a lamp or a screen, however dim it is"),
@@ -67,6 +75,23 @@ class FIPT_Hint(bpy.types.PropertyGroup):
     roughness_most: bpy.props.FloatProperty(
         name="Highest", description="The highest roughness", default=1.0, min=0.0, max=1.0, subtype="FACTOR"
     )
+    color_known: bpy.props.EnumProperty(
+        name="Base Color",
+        description=(
+            "What is known of the part's base color. It tells how bright and of which color the light is that"
+            " no photograph shows. Estimate again to use it"
+        ),
+        items=COLORS,
+    )
+    color: bpy.props.FloatVectorProperty(
+        name="Color",
+        description="The base color",
+        subtype="COLOR",
+        size=3,
+        default=(0.5,) * 3,
+        min=0.01,
+        max=1.0,
+    )
     emission: bpy.props.EnumProperty(name="Light", description="Whether the part emits light", items=EMISSION)
     leave_alone: bpy.props.BoolProperty(
         name="Leave Alone",
@@ -79,6 +104,13 @@ class FIPT_Hint(bpy.types.PropertyGroup):
     same_point: bpy.props.FloatVectorProperty(
         name="Same Point", description="A point of that part, in its object's space", subtype="XYZ"
     )
+
+    def known_color(self) -> tuple[float, float, float] | None:
+        """Scene-linear base color; None where nothing is known."""
+        if self.color_known == "UNKNOWN":
+            return None
+        red, green, blue = self.color if self.color_known == "VALUE" else (REFLECTANCE[self.color_known],) * 3
+        return red, green, blue
 
     def bounds(self) -> tuple[float, float] | None:
         """The lowest and highest roughness; None where nothing is known."""

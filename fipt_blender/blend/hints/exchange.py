@@ -53,6 +53,7 @@ def _hint(row: bpy.types.PropertyGroup, scene: bpy.types.Scene) -> Hint:
         area=row.area,
         material=row.material.lower(),
         roughness=row.bounds(),
+        base_color=row.known_color(),
         emits={"UNKNOWN": None, "EMITS": True, "NOT": False}[row.emission],
         same_as=same,
         leave_alone=row.leave_alone,

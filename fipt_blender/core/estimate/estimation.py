@@ -14,7 +14,7 @@ import numpy as np
 from ..parts.labels import NO_PART
 from ..pixels.store import PixelStore
 from ..run.chain import Chain, Given, Stage, Watch
-from ..run.hints import hints_digest
+from ..run.hints import hints_digest, references
 from ..run.messages import Reporter
 from ..run.per_view import Workers
 from ..run.runfolder import RunFolder, explained_write_errors
@@ -56,11 +56,13 @@ def chain_of(
 ) -> Chain:
     """A chain of stages on the input's run folder."""
     hints, rerun = given.hints, given.hints_rerun or []
+    known = references(hints if given.hints_rerun is None else rerun)
     values = {
         **{name: Given(getattr(given, name), given.key) for name in ("room", "views", "far_off")},
         "held_back": Given(given.held_back, given.held_back_key),
         "hints": Given(hints, hints_digest(hints)),
         "hints_rerun": Given(rerun, hints_digest(rerun)),
+        "references": Given(known, hints_digest(known)),
         **{name: Given(index, str(index)) for name, index in round_numbers(given.settings.rounds).items()},
     }
     return Chain(stages, values, given.settings, given.folder.stage, reporter, workers)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,11 +16,13 @@ from ..light.observations import Observations, observe
 from ..light.presumed import presume_lamps
 from ..light.shadings import SampleCounts, roughness_levels
 from ..light.unseen_light import with_unseen_light
+from ..material.hints import known_colors
 from ..optics.lights import EmitterTable
-from ..parts.labels import Parts, surface_labels
+from ..parts.labels import Parts, room_pieces, surface_labels
 from ..pixels.store import PixelStore
 from ..run.chain import Tools
 from ..run.errors import FiptError
+from ..run.hints import Hint
 from ..run.stage_settings import (
     LightSettings,
     RefinementSettings,
@@ -85,13 +88,15 @@ def find_presumed_lamps(inputs: BrightInputs, settings: ShadingSettings, tools: 
 
 @dataclass(frozen=True)
 class OutsideInputs:
-    """Observations of a room that may be open, and its bright triangles with the presumed lamps."""
+    """Observations of a room that may be open, its bright triangles with the presumed lamps, and the hints
+    that know a base colour."""
 
     observed: Observations
     bright: EmitterTable
     pixels: PixelStore
     room: Room
     parts: Parts
+    references: Sequence[Hint]
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,9 @@ def infer_outside(inputs: OutsideInputs, settings: LightSettings, tools: Tools) 
     observed, room = inputs.observed, inputs.room
     if settings.unseen_light:
         label, lamps = surface_labels(room, inputs.parts), inputs.bright.not_reflective()
-        observed = with_unseen_light(observed, room, label, lamps, settings)
+        pieces = None if inputs.parts.kind == "part" else room_pieces(room)
+        known = known_colors(inputs.references, room.vertices, room.triangles, inputs.parts, pieces)
+        observed = with_unseen_light(observed, room, label, lamps, settings, known)
     light = observed.environment
     if light is not None and light.unseen_light > MUCH_INFERRED:
         tools.reporter.warning(

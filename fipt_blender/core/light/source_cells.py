@@ -197,12 +197,13 @@ class Landed:
         number = self._by_source(self.number[:, None])
         return np.asarray(self._by_source(self.sums) / np.maximum(number, 1.0))
 
-    def transport(self, logs: np.ndarray, group: np.ndarray) -> Transport:
-        """The points with the light of the sources; `logs`: (N, 3) logarithms of their radiance."""
+    def transport(self, logs: np.ndarray, group: np.ndarray, known: np.ndarray) -> Transport:
+        """The points with the light of the sources; `logs`: (N, 3) logarithms of their radiance, others as of
+        `Transport`."""
         own = np.flatnonzero(self.source >= 0)
         shape = (len(self.source), int(self.source.max()) + 1)
         member = csr_array((np.ones(len(own)), (own, self.source[own])), shape=shape)
-        return Transport(logs, group, self.seen, (self.counts @ member).toarray())
+        return Transport(logs, group, self.seen, (self.counts @ member).toarray(), known)
 
     def expectation(self, cells: Cells) -> Expectation:
         """What is expected of the sources before their light is measured."""

@@ -26,6 +26,8 @@ SOURCE, LEVEL, COLOR, SOURCE_COLOR = 3.0, 3.0, 0.15, 0.15
 # Expected albedo and its standard deviation (of the logarithm): broad, as rooms are dark or light as a whole;
 # the highest albedo, and its deviation.
 ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 1.0, 0.9, 0.1
+# Specular reflectance of dielectrics at normal incidence (paper Sec. 3), and deviation of a known albedo.
+SPECULAR, KNOWN_SPREAD = 0.04, 0.05
 LEAST_GROUP = 8  # points of one albedo
 HELD_BACK = 0.1  # share of the points
 DARKEST = 1e-4  # radiance, in units of the capture's median
@@ -42,12 +44,20 @@ class Transport:
         group: (N,) int from 0, points of one albedo.
         seen: (N, 3) irradiance over pi from what the photographs show.
         unseen: (N, K) irradiance over pi by each source of radiance 1.
+        known: (G, 3) base colour of the groups that are known, else NaN; None: none is.
     """
 
     log_radiance: np.ndarray
     group: np.ndarray
     seen: np.ndarray
     unseen: np.ndarray
+    known: np.ndarray | None = None
+
+    def log_albedos(self) -> np.ndarray:
+        """(G, 3) logarithms of the known albedos, which include the gloss of dielectrics; else NaN."""
+        if self.known is None:
+            return np.full((int(self.group.max()) + 1, 3), np.nan)
+        return np.asarray(np.log(self.known + SPECULAR))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +133,7 @@ def held_back_gain(points: Transport, expected: Expectation, rng: np.random.Gene
     size = int(points.group.max()) + 1
     held &= (np.bincount(points.group[~held], minlength=size) >= LEAST_GROUP)[points.group]
     columns = points.log_radiance, points.group, points.seen, points.unseen
-    kept = Transport(*(column[~held] for column in columns))
+    kept = Transport(*(column[~held] for column in columns), known=points.known)
     found, known = solve_sources(kept, expected), np.exp(expected.log_radiance)
     total = 0.0
     for radiance, sign in ((found.radiance, 1.0), (known, -1.0)):
@@ -152,25 +162,32 @@ class _Rows:
 
 def _channels(points: Transport, radiance: np.ndarray, spread: float) -> list[_Rows]:
     """The rows of each channel, for a radiance (3, K)."""
-    found = []
+    found, known = [], points.log_albedos()
     for channel in range(3):
         cast = points.unseen * radiance[channel]
         total = np.maximum(points.seen[:, channel] + cast.sum(axis=1), DARKEST)
         residual = points.log_radiance[:, channel] - np.log(total)
-        found.append(_without_albedo(residual, -cast / total[:, None], points.group, spread))
+        jacobian = -cast / total[:, None]
+        found.append(_without_albedo(residual, jacobian, points.group, known[:, channel], spread))
     return found
 
 
-def _without_albedo(residual: np.ndarray, jacobian: np.ndarray, group: np.ndarray, spread: float) -> _Rows:
-    """Eliminate the logarithm of the albedo of each group; arguments as in `_Rows`, for N points."""
-    size = int(group.max()) + 1
+def _without_albedo(
+    residual: np.ndarray, jacobian: np.ndarray, group: np.ndarray, known: np.ndarray, spread: float
+) -> _Rows:
+    """Eliminate the logarithm of the albedo of each group.
+
+    Args:
+        residual, jacobian: as in `_Rows`, of N points. known: (G,) logarithms of known albedos, else NaN.
+    """
+    size = len(known)
     weight = np.full(len(residual), 1.0 / (spread**2 * POINTS_PER_SAMPLE))
     albedo, samples = np.full(size, np.log(ALBEDO)), np.bincount(group, minlength=size) / POINTS_PER_SAMPLE
     for step in range(7):
         if step:
             ratio = ((residual - albedo[group]) / spread) ** 2
             weight = student_weights(ratio) / (spread**2 * POINTS_PER_SAMPLE)
-        expected, precision = _expected_albedo(albedo, samples)
+        expected, precision = _expected_albedo(albedo, known, samples)
         total = np.bincount(group, weight, size) + precision
         albedo = (np.bincount(group, weight * residual, size) + precision * expected) / total
     sums = np.stack([np.bincount(group, weight * column, size) for column in jacobian.T], axis=1)
@@ -183,18 +200,23 @@ def _without_albedo(residual: np.ndarray, jacobian: np.ndarray, group: np.ndarra
     )
 
 
-def _expected_albedo(albedo: np.ndarray, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _expected_albedo(
+    albedo: np.ndarray, known: np.ndarray, samples: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Prior mean of the logarithms of albedos (G,), and its precision.
 
     Usual albedos are a habit, therefore robust: red paint reflects hardly any blue.
 
     Args:
+        known: (G,) those that are known, else NaN.
         samples: (G,) independent ones that the points of each group count as.
     """
     above = albedo > np.log(MOST_ALBEDO)
     usual = student_weights(((albedo - np.log(ALBEDO)) / ALBEDO_SPREAD) ** 2) / ALBEDO_SPREAD**2
     expected = np.log(np.where(above, MOST_ALBEDO, ALBEDO))
-    return expected, np.where(above, samples / MOST_SPREAD**2, usual)
+    precision = np.where(above, samples / MOST_SPREAD**2, usual)
+    unknown = np.isnan(known)
+    return np.where(unknown, expected, known), np.where(unknown, precision, samples / KNOWN_SPREAD**2)
 
 
 def _precision(x: np.ndarray, expected: Expectation) -> np.ndarray:

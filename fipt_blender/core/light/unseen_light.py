@@ -48,6 +48,9 @@ LEAST_SHARE, MOST_SOURCES = 2e-5, 200
 # Points of one surface whose colors differ by less, in logarithms of ratios, have one albedo.
 COLOR_STEP = 0.25
 LEAST_POINTS, LEAST_WEIGHT = 200, 0.5  # pixels that are compared, and the weight of each
+KNOWN_POINTS = (
+    4  # at least this part of as many pixels is of surfaces whose albedo is known, where there are some
+)
 LAMP_SAMPLES = SampleCounts(16, 0, 64)  # of the light of presumed lamps at each
 # Relative error of the inferred part of the light beside its covariance: root mean square of five rooms.
 MODEL_ERROR = 0.3
@@ -72,15 +75,20 @@ MOST_LOOKS = 100_000  # rays of pixels on which no lamp may lie
 
 
 def with_unseen_light(
-    observed: Observations, room: Room, label: np.ndarray, lamps: EmitterTable, settings: LightSettings
+    observed: Observations,
+    room: Room,
+    label: np.ndarray,
+    lamps: EmitterTable,
+    settings: LightSettings,
+    base_color: np.ndarray | None = None,
 ) -> Observations:
     """Observations whose environment has the light that nothing shows, if points held back confirm it.
 
     Args:
         label: (T,) int surface of each triangle, on which points of one color have one albedo.
-        lamps: presumed ones.
+        lamps: presumed ones. base_color: (T, 3) of triangles of which it is known, else NaN; None: of none.
     """
-    found = find_sources(observed, room, label, lamps, settings.seed)
+    found = find_sources(observed, room, label, lamps, settings.seed, base_color)
     if found is None:
         return observed
     environment = found.environment(observed.environment, settings.environment_width)
@@ -239,12 +247,20 @@ class Sources:
 
 
 def find_sources(
-    observed: Observations, room: Room, label: np.ndarray, lamps: EmitterTable, seed: int
+    observed: Observations,
+    room: Room,
+    label: np.ndarray,
+    lamps: EmitterTable,
+    seed: int,
+    base_color: np.ndarray | None = None,
 ) -> Sources | None:
     """The sources with their radiance; None where the photographs show all that lights the room, as far as
     points that are held back tell. Arguments as of :func:`with_unseen_light`."""
     pixels = observed.pixels
-    where, group = _comparable(pixels, label, np.random.default_rng([seed, 23]))
+    if base_color is None:
+        base_color = np.full((len(room.triangles), 3), np.nan)
+    of_known = np.isfinite(base_color[:, 0])
+    where, group = _comparable(pixels, label, of_known, np.random.default_rng([seed, 23]))
     if len(where) < LEAST_POINTS:
         return None
     lit = pixels.surface(room, where)
@@ -261,13 +277,15 @@ def find_sources(
     landed = Landed.of(rays, observed, known, cells, number[source])
     landed = replace(landed, seen=landed.seen + lamp_light(room, observed.grid, lamps, lit, seed))
     logs = np.log(np.asarray(pixels.own[where], np.float64))
-    points, expected = landed.transport(logs, group), landed.expectation(cells)
+    albedo = np.empty((int(group.max()) + 1, 3))
+    albedo[group] = base_color[np.asarray(pixels.triangle[where])]
+    points, expected = landed.transport(logs, group, albedo), landed.expectation(cells)
     if held_back_gain(points, expected, np.random.default_rng([seed, 24])) < GAIN:
         return None
     light, width = solve_sources(points, expected), np.full(len(chosen), FINER)
     while (finer := landed.divided(cells, points, expected, light, width)) is not None:
         landed, expected, width = finer
-        points = landed.transport(logs, group)
+        points = landed.transport(logs, group, albedo)
         light = solve_sources(points, expected)
     of_entry = np.append(landed.source, -1)[cells.of_entry]
     entries = np.flatnonzero(of_entry >= 0)
@@ -341,19 +359,27 @@ def close_share(
 
 
 def _comparable(
-    pixels: PixelStore, label: np.ndarray, rng: np.random.Generator
+    pixels: PixelStore, label: np.ndarray, known: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) int64 pixels of surfaces, from all views alike, and (N,) the groups of one albedo, from 0."""
+    """(N,) int64 pixels of surfaces, from all views alike, and (N,) the groups of one albedo, from 0.
+
+    Args:
+        known: (T,) bool, triangles whose albedo is known: however small they are, they are compared.
+    """
     share = max(1, MOST_POINTS // max(len(pixels.views), 1))
     chosen = [np.zeros(0, np.int64)]
     for index in range(len(pixels.views)):
         rows = pixels.rows(index)
         good = (np.asarray(pixels.triangle[rows]) >= 0) & np.asarray(pixels.pure[rows])
         good &= (np.asarray(pixels.weight[rows]) >= LEAST_WEIGHT) & (pixels.own[rows] > DARKEST).all(axis=1)
-        chosen.append(rng.permutation(np.flatnonzero(good))[:share] + rows.start)
+        some = rng.permutation(np.flatnonzero(good))
+        given = some[known[np.asarray(pixels.triangle[rows])[some]]]
+        some = np.concatenate([some[:share], given[: share // KNOWN_POINTS]])
+        chosen.append(np.unique(some) + rows.start if len(given) else some + rows.start)
     where = np.concatenate(chosen)
     logs = np.log(np.asarray(pixels.own[where], np.float64))
     ratio = np.floor((logs[:, [0, 2]] - logs[:, [1]]) / COLOR_STEP).astype(np.int64)
-    group = numbered([label[np.asarray(pixels.triangle[where])], *ratio.T])
+    triangle = np.asarray(pixels.triangle[where])
+    group = numbered([label[triangle], known[triangle], *ratio.T])
     enough = np.bincount(group, minlength=1)[group] >= LEAST_GROUP
     return where[enough], np.unique(group[enough], return_inverse=True)[1].reshape(-1)

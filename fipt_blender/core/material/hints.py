@@ -74,6 +74,7 @@ class SurfaceHints:
         same: (H,) int lowest hint of the same material.
         emits: (H,) int8: 1 emits, -1 does not, 0 unknown.
         left_alone: (H,) bool.
+        base_color: (H, 3) that are known, else NaN.
         problems: what could not be honoured, in words.
     """
 
@@ -85,6 +86,7 @@ class SurfaceHints:
     same: np.ndarray
     emits: np.ndarray
     left_alone: np.ndarray
+    base_color: np.ndarray
     problems: tuple[str, ...] = ()
 
     @property
@@ -130,6 +132,20 @@ class SurfaceHints:
         np.minimum.at(lowest, self.same[chosen], group)
         known.same[group] = lowest[self.same[chosen]]
         return known
+
+
+def known_colors(
+    hints: Sequence[Hint],
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    parts: Parts,
+    pieces: np.ndarray | None,
+) -> np.ndarray:
+    """(T, 3) base colour of each triangle that hints know, else NaN; arguments as of :func:`place_hints`."""
+    if not hints:
+        return np.full((len(triangles), 3), np.nan)
+    placed = place_hints(hints, vertices, triangles, parts, pieces)
+    return np.append(placed.base_color, [[np.nan] * 3], axis=0)[placed.triangle]
 
 
 def values_of_hints(hints: SurfaceHints, of_triangle: np.ndarray) -> np.ndarray:
@@ -227,6 +243,7 @@ def _placed(
         same=lowest,
         emits=np.array([emits[hint.emits] for hint in hints], np.int8),
         left_alone=np.array([hint.leave_alone for hint in hints], bool),
+        base_color=np.array([hint.base_color or (np.nan,) * 3 for hint in hints]).reshape(-1, 3),
         problems=tuple(dict.fromkeys(problems)),
     )
 

@@ -41,6 +41,8 @@ class Hint:
         emits: whether it is a lamp; None for unknown.
         same_as: a point on another part that is of the same material, or None.
         leave_alone: not to be estimated: its pixels are left out, its own material stays.
+        base_color: scene-linear Rec.709, in (0, 1]; None for unknown. It tells the level and the colour of
+            light that no photograph shows.
     """
 
     points: tuple[Vector, ...]
@@ -51,6 +53,7 @@ class Hint:
     emits: bool | None = None
     same_as: Vector | None = None
     leave_alone: bool = False
+    base_color: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,15 @@ def _checked(hint: Hint, number: int, path: Path) -> Hint:
         raise refuse("names no point on a surface")
     if roughness is not None and not 0.0 <= roughness[0] <= roughness[1] <= 1.0:
         raise refuse(f"has the roughness {roughness[0]:g} to {roughness[1]:g}; it must rise within 0 to 1")
+    if hint.base_color is not None and not all(0.0 < value <= 1.0 for value in hint.base_color):
+        raise refuse("has a base colour that is not above 0 and at most 1")
     return replace(hint, name=name)
+
+
+def references(hints: Sequence[Hint]) -> list[Hint]:
+    """What the light depends on: where hints know the base colour, and that alone."""
+    known = [hint for hint in hints if hint.base_color is not None and not hint.leave_alone]
+    return [Hint(hint.points, area=hint.area, base_color=hint.base_color) for hint in known]
 
 
 def write_hints(path: Path, hints: Sequence[Hint], light: bool = False) -> None:
