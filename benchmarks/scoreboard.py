@@ -24,7 +24,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +34,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import accuracy, ldr, results
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.runfolder import RunFolder
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE, ROOM = ROOT / "fipt_blender" / "example", ROOT / "examples" / "room"
 STORED = results.MEASUREMENTS / "scoreboard"
-LIKELY, CERTAIN = 0.5, 0.95  # probabilities from which fixtures count
-SPP = 32  # of renders, denoised
 # Figures, their formats, and which way is better: 1 more, -1 less, 0 neither.
 FIGURES: dict[str, tuple[str, str, int]] = {
     "kd_psnr": ("kd", ".1f", 1),
@@ -173,7 +171,8 @@ def measure(name: str, places: Places, folder: Path, seed: int, preset: str, reu
         options = ["--seed", str(seed), *row.options(places)]
         figures = accuracy.run_main_job(capture, folder, preset, options)
     scored = folder / "scoreboard.json"
-    command = [sys.executable, str(Path(__file__).resolve()), "--score", str(folder), "--json", str(scored)]
+    script = Path(__file__).resolve().with_name("score_run.py")
+    command = [sys.executable, str(script), str(folder), str(scored)]
     truth = row.truth(places)
     if truth is not None:
         command += ["--truth", str(truth)]
@@ -181,108 +180,6 @@ def measure(name: str, places: Places, folder: Path, seed: int, preset: str, reu
         raise FiptError("run-failed", f"The row {name} could not be scored.", "Mend what is reported above.")
     found = json.loads(scored.read_text(encoding="utf-8"))
     return {key: value for key, value in {**found, **figures}.items() if value is not None}
-
-
-def score(folder: Path, truth: Path | None) -> dict[str, float]:
-    """Figures of a finished run."""
-    from fipt_blender.core.device.variant import set_variant
-    from fipt_blender.core.run.documents import read_document
-    from fipt_blender.core.run.result_contents import Emitters, QualityFigures
-
-    run, figures = RunFolder(folder), {}
-    set_variant(run.read().device)  # before Mitsuba is imported
-    from benchmarks import lamps
-
-    if run.quality_json.exists():
-        quality = read_document(run.quality_json, QualityFigures)
-        figures |= {"judged_db": quality.held_back_db, "projection_db": quality.projection_db}
-    fixtures = read_document(run.emitters_json, Emitters)
-    figures["inferred"] = sum(lamp.inferred for lamp in fixtures.missing)
-    for level, suffix in ((LIKELY, "50"), (CERTAIN, "95")):
-        if truth is not None:
-            count = lamps.lamps_of_run(run, truth, level)
-            figures |= {
-                f"true_{suffix}": count.true,
-                f"false_{suffix}": count.false,
-                f"missed_{suffix}": count.lost,
-            }
-    figures |= against_photographs(run)
-    if truth is not None:
-        figures |= against_truth(run, truth)
-    return figures
-
-
-def against_photographs(run: RunFolder) -> dict[str, float]:
-    """PSNR of held-back photographs against Cycles renders of the .blend, in the judge's display values."""
-    from fipt_blender.core.capture.images import read_radiance
-    from fipt_blender.core.capture.views import load_capture
-    from fipt_blender.core.checks.quality import Display, judged_photograph, judged_views
-    from fipt_blender.core.pixels.store import trace_view
-    from fipt_blender.core.run.documents import read_document
-    from fipt_blender.core.surface.room import load_room
-
-    capture, room = load_capture(run), load_room(run)
-    statistics = read_document(run.statistics_json, dict)
-    facts = statistics.get("photometry") or {}
-    scale = float(statistics["radiance_scale"])
-    chosen = judged_views(capture.held_back)
-    area = float(np.median([view.width * view.height for view in capture.train]))
-    judged = [judged_photograph(view, area, scale) for view in chosen]
-    if not judged:
-        return {}
-    widths = {view.name: sized.width for view, (sized, _, _) in zip(chosen, judged, strict=True)}
-    images = accuracy.cycles_renders(run, {"rerender": widths, "relight": None}, SPP)
-    errors: dict[str, list[np.ndarray]] = {"cycles_db": [], "cycles_on_mesh_db": []}
-    hits, pixels = 0, 0
-    for full, (view, photograph, used) in zip(chosen, judged, strict=True):
-        image = read_radiance(images["rerender", full.name]) / scale
-        display = Display.of(view, facts)
-        shown = display.shown(image, view, display.factor(photograph, image, view))
-        squared = (shown - photograph) ** 2
-        hit = (np.asarray(trace_view(room, view).triangle) >= 0).reshape(used.shape) & used
-        errors["cycles_db"].append(squared[used])
-        errors["cycles_on_mesh_db"].append(squared[hit])
-        hits, pixels = hits + int(hit.sum()), pixels + int(used.sum())
-    figures = {
-        name: float(-10.0 * np.log10(max(float(np.concatenate(each).mean()), 1e-10)))
-        for name, each in errors.items()
-    }
-    return {**figures, "on_mesh_share": hits / max(pixels, 1)}
-
-
-def against_truth(run: RunFolder, capture: Path) -> dict[str, float | None]:
-    """kd, a', sigma, metallic and relit PSNR of the held-back views that have true maps.
-
-    Args:
-        capture: with them, at their own size; the run's photographs may be smaller ones of some of them
-            (then nothing is relit), or those of another camera.
-    """
-    from benchmarks import metrics, predict, truth
-    from benchmarks.tracer.forward import RenderSettings, render_view
-    from fipt_blender.core.capture.images import read_radiance
-    from fipt_blender.core.capture.views import load_capture
-
-    loaded = load_capture(run)
-    views = []
-    for view in loaded.held_back:
-        image = (capture / "val" / "Image" / view.image.name).with_suffix(".exr")
-        height, width = read_radiance(image).shape[:2]
-        views.append(replace(view.resized(width, height), image=image))
-    true = [truth.read_maps(view) for view in views]
-    lit, table = predict.load_result(run)
-    filtered = truth.maps_are_filtered(true)
-    predicted = [predict.predict_maps(lit, view, filtered) for view in views]
-    found = dict(metrics.map_metrics(predicted, true, strict=False))
-    figures = {name: found[name] for name in FIGURES if name in found}
-    whole = len(views) == len(list((capture / "val" / "Image").iterdir()))
-    relight = truth.read_relight(capture, loaded) if whole else None
-    if relight is not None:
-        dark = predict.relit(lit, table, relight)
-        settings = RenderSettings(spp=SPP)
-        images = [render_view(dark, view, settings, stream) for stream, view in enumerate(relight.views)]
-        truths = [read_radiance(view.image) for view in relight.views]
-        figures["relight_psnr"] = metrics.mean_image_psnr(images, truths)
-    return figures
 
 
 def scatter(history: Sequence[Mapping[str, Any]], label: str, figure: str) -> float:
@@ -384,18 +281,12 @@ def make_parser() -> argparse.ArgumentParser:
         help="has office/, lounge/, bedsit/ and bedsit-mesh.ply",
     )
     add("--bounds", type=Path, metavar="FILE", help="fail where a figure leaves the bounds in this file")
-    add("--score", type=Path, metavar="RUN", help=argparse.SUPPRESS)
-    add("--truth", type=Path, help=argparse.SUPPRESS)
-    add("--json", type=Path, help=argparse.SUPPRESS)
     return parser
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command; 1 for a failed job or a figure out of bounds."""
     arguments = make_parser().parse_args(list(argv))
-    if arguments.score:
-        write_json(arguments.json, score(arguments.score, arguments.truth))
-        return 0
     if unknown := set(arguments.rows) - set(ROWS):
         print(f"error: no rows: {', '.join(sorted(unknown))}", file=sys.stderr)
         return 2
@@ -437,7 +328,7 @@ def main(argv: Sequence[str]) -> int:
 def store(rows: list[dict[str, Any]], known: Sequence[Mapping[str, Any]], preset: str) -> None:
     """Write the rows into the commit's file, in place of its older ones; nothing where files have changed."""
     device = "cuda" if os.environ.get("FIPT_TEST_DEVICE") == "cuda" else "llvm"
-    common = results.provenance("", 0, device, ["python3", "dev.py", "scoreboard", *sys.argv[1:]])
+    common = results.provenance("", 0, device, ["python3", "dev.py", "scoreboard", "--preset", preset])
     if not common["commit"] or common["commit"].endswith("+"):
         print("not stored: the tree has changes that are not committed", flush=True)
         return
