@@ -52,6 +52,8 @@ def _struct(owner: bpy.types.bpy_struct, depth: int) -> object:
         state["layers"] = [(each.name, each.active_render) for each in owner.uv_layers]
         state["materials"] = [each and each.name for each in owner.materials]
         return state
+    if isinstance(owner, bpy.types.Image):
+        tuple(owner.size)  # loads it: a render in the background frees the images that it has used
     if isinstance(owner, bpy.types.Image) and owner.has_data and owner.source != "TILED":
         pixels = np.empty(len(owner.pixels), np.float32)
         owner.pixels.foreach_get(pixels)
