@@ -133,7 +133,8 @@ def held_back_gain(points: Transport, expected: Expectation, rng: np.random.Gene
     size = int(points.group.max()) + 1
     held &= (np.bincount(points.group[~held], minlength=size) >= LEAST_GROUP)[points.group]
     columns = points.log_radiance, points.group, points.seen, points.unseen
-    kept = Transport(*(column[~held] for column in columns), known=points.known)
+    log_radiance, group, seen, unseen = (column[~held] for column in columns)
+    kept = Transport(log_radiance, group, seen, unseen, points.known)
     found, known = solve_sources(kept, expected), np.exp(expected.log_radiance)
     total = 0.0
     for radiance, sign in ((found.radiance, 1.0), (known, -1.0)):
