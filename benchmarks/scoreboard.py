@@ -328,7 +328,9 @@ def main(argv: Sequence[str]) -> int:
 def store(rows: list[dict[str, Any]], known: Sequence[Mapping[str, Any]], preset: str) -> None:
     """Write the rows into the commit's file, in place of its older ones; nothing where files have changed."""
     device = "cuda" if os.environ.get("FIPT_TEST_DEVICE") == "cuda" else "llvm"
-    common = results.provenance("", 0, device, ["python3", "dev.py", "scoreboard", "--preset", preset])
+    common = results.provenance(
+        "that of the row", 0, device, ["python3", "dev.py", "scoreboard", "--preset", preset]
+    )
     if not common["commit"] or common["commit"].endswith("+"):
         print("not stored: the tree has changes that are not committed", flush=True)
         return

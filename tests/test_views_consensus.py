@@ -126,6 +126,17 @@ def test_a_mesh_that_these_cameras_measured_is_not_told_to_move(capture: SmallCa
     assert error_of(check_input, room, views, SETTINGS, own_mesh=True).code != "mesh-misplaced"
 
 
+def test_with_a_mesh_of_these_cameras_the_few_that_disagree_are_left_out(
+    capture: SmallCapture, views: list[View]
+) -> None:
+    vertices = capture.room.vertices + np.random.default_rng(2).normal(0.0, 0.2, capture.room.vertices.shape)
+    room, wrong = replace(capture.room, vertices=vertices.astype(np.float32)), disturbed(views, [0, 1, 2, 3])
+    assert error_of(check_input, room, wrong, SETTINGS).code == "views-disagree"
+    assert set(check_input(room, wrong, SETTINGS, own_mesh=True)) == {0, 1, 2, 3}
+    most = disturbed(views, list(range(12)))
+    assert error_of(check_input, room, most, SETTINGS, own_mesh=True).code == "views-disagree"
+
+
 def test_input_that_tells_nothing(capture: SmallCapture, views: list[View], tmp_path: Path) -> None:
     assert "one photograph" in refused("input-insufficient", capture, views[:1])
     away = np.eye(4)  # far above the room, and looking upwards

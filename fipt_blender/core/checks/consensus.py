@@ -229,7 +229,9 @@ def check_input(
         return {}
     wrong = np.flatnonzero(~credible)
     left = found.among(credible)
-    unsettled = len(wrong) > MANY * judged.sum() and left.median < MEND_LEFT
+    # A mesh fused of the cameras' own depth images lies where they are: windows, glass and changing exposure
+    # make photographs disagree there, and these are left out.
+    unsettled = not own_mesh and len(wrong) > MANY * judged.sum() and left.median < MEND_LEFT
     if unsettled or 2 * len(wrong) > judged.sum():
         if settings.force:
             return {}

@@ -48,9 +48,7 @@ LEAST_SHARE, MOST_SOURCES = 2e-5, 200
 # Points of one surface whose colors differ by less, in logarithms of ratios, have one albedo.
 COLOR_STEP = 0.25
 LEAST_POINTS, LEAST_WEIGHT = 200, 0.5  # pixels that are compared, and the weight of each
-KNOWN_POINTS = (
-    4  # at least this part of as many pixels is of surfaces whose albedo is known, where there are some
-)
+KNOWN_POINTS = 4  # one of so many pixels is added of surfaces of known albedo, where there are some
 LAMP_SAMPLES = SampleCounts(16, 0, 64)  # of the light of presumed lamps at each
 # Relative error of the inferred part of the light beside its covariance: root mean square of five rooms.
 MODEL_ERROR = 0.3
