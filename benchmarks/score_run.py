@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Figures of a finished run for the scoreboard, in a process of its own: score_run.py RUN JSON [--truth DIR]."""
+"""Figures of a finished run for the scoreboard, in its own process: score_run.py RUN JSON [--truth DIR]."""
 
 from __future__ import annotations
 

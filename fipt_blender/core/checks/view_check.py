@@ -74,9 +74,9 @@ def check_views(
         reporter.warning(
             "view-misaligned",
             f"{len(fits)} of {len(views)} photographs do not agree with the others and are left out:"
-            f" {_describe(views, remarks)}. Their camera poses may be wrong, or the mesh or the exposure where"
-            " they look.",
-            "If their poses are wrong, correct them. To use them anyway, clear Reject Views in the section Estimate >"
+            f" {_describe(views, remarks)}. Their poses may be wrong, or the mesh or the exposure where they"
+            " look.",
+            "Correct poses that are wrong. To use them anyway, clear Reject Views in the section Estimate >"
             " Advanced (--set reject_views=false).",
         )
         for index in fits:
