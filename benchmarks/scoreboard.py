@@ -314,8 +314,7 @@ def main(argv: Sequence[str]) -> int:
         if not means[name]:
             continue
         print_row(label, means[name], changes(known, label, means[name]))
-    if rows:
-        store(rows, known, arguments.preset)
+        store(rows, known, arguments.preset)  # after each, as all take most of an hour
     broken = []
     if arguments.bounds:
         bounds = json.loads(arguments.bounds.read_text(encoding="utf-8"))

@@ -238,7 +238,7 @@ def test_results_are_what_the_command_writes_from_measurements_and_no_figure_is_
     assert not re.findall(r"\d[\d.,]* ?(?:dB|s|min|GB|%)(?![\w-])", text)
 
 
-@pytest.mark.parametrize("path", sorted(results.MEASUREMENTS.glob("*.json")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted(results.MEASUREMENTS.rglob("*.json")), ids=lambda path: path.stem)
 def test_every_measurement_says_where_it_comes_from(path: Path) -> None:
     table = results.read_table(path)
     for row in table["rows"]:

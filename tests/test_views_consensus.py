@@ -126,7 +126,7 @@ def test_a_mesh_that_these_cameras_measured_is_not_told_to_move(capture: SmallCa
     assert error_of(check_input, room, views, SETTINGS, own_mesh=True).code != "mesh-misplaced"
 
 
-def test_with_a_mesh_of_these_cameras_the_few_that_disagree_are_left_out(
+def test_with_a_mesh_of_these_cameras_wrong_poses_are_left_out_and_a_bad_mesh_stops_nothing(
     capture: SmallCapture, views: list[View]
 ) -> None:
     vertices = capture.room.vertices + np.random.default_rng(2).normal(0.0, 0.2, capture.room.vertices.shape)
@@ -135,6 +135,15 @@ def test_with_a_mesh_of_these_cameras_the_few_that_disagree_are_left_out(
     assert set(check_input(room, wrong, SETTINGS, own_mesh=True)) == {0, 1, 2, 3}
     most = disturbed(views, list(range(12)))
     assert error_of(check_input, room, most, SETTINGS, own_mesh=True).code == "views-disagree"
+    pairs = []
+    for view in views:
+        beside = view.camera_to_world.copy()
+        beside[:3, 3] += 0.002
+        pairs += [view, replace(view, name=f"{view.name}~2", camera_to_world=beside)]
+    squeezed = capture.room.vertices * np.float32([1.0, 1.0, 0.75]) + np.float32([0.3, -0.2, 0.3])
+    room = replace(capture.room, vertices=squeezed)
+    assert error_of(check_input, room, pairs, SETTINGS).code in ("views-disagree", "mesh-misplaced")
+    assert check_input(room, pairs, SETTINGS, own_mesh=True) == {}
 
 
 def test_input_that_tells_nothing(capture: SmallCapture, views: list[View], tmp_path: Path) -> None:

@@ -95,11 +95,11 @@ def example(window: Window, options: Options) -> None:
 
 
 def _assert_inside(window: Window) -> None:
-    """The room has textures, and the 3D view shows its light, through the view that was looked through before."""
+    """The room has textures, and the 3D view shows its light, through a view that was held back."""
     textured = window.ask(inside.textured)
     assert textured["objects"] == textured["textured"] > 0, textured
     seen = window.ask(inside.seen)
-    assert seen == {"split": "train", "shading": "RENDERED"}, seen
+    assert seen == {"split": "held_back", "shading": "RENDERED"}, seen
 
 
 def photographs(window: Window, options: Options) -> None:

@@ -229,13 +229,15 @@ def check_input(
         return {}
     wrong = np.flatnonzero(~credible)
     left = found.among(credible)
-    # A mesh fused of the cameras' own depth images lies where they are: windows, glass and changing exposure
-    # make photographs disagree there, and these are left out.
-    unsettled = not own_mesh and len(wrong) > MANY * judged.sum() and left.median < MEND_LEFT
-    if unsettled or 2 * len(wrong) > judged.sum():
-        if settings.force:
-            return {}
-        raise disagreement(len(wrong), int(judged.sum()), _evidence(found, small.views), own_mesh)
+    unsettled = len(wrong) > MANY * judged.sum() and left.median < MEND_LEFT
+    most = 2 * len(wrong) > judged.sum()
+    near = _near_agreement(found, small.views)
+    # A mesh fused of the cameras' own depth images lies where they are. If photographs from nearly one place
+    # agree, the poses are right: windows, glass, holes and changing exposure make the others disagree.
+    if (settings.force and (unsettled or most)) or (own_mesh and unsettled and near >= AGREE):
+        return {}
+    if most or (unsettled and not own_mesh):
+        raise disagreement(len(wrong), int(judged.sum()), _evidence(found, near), own_mesh)
     weight = found.weight * credible
     score = (weight * found.correlation).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
     return {int(index): round(float(score[index]), 2) for index in wrong}
@@ -259,21 +261,27 @@ def disagreement(wrong: int, judged: int, evidence: str = "", own_mesh: bool = F
     )
 
 
-def _evidence(found: PairAgreement, views: Sequence[View]) -> str:
-    """Whether poses or mesh are wrong: between cameras close together, a wrong mesh matters little."""
+def _near_agreement(found: PairAgreement, views: Sequence[View]) -> float:
+    """Median correlation of pairs of close cameras, to which a wrong mesh matters little; 0 without any."""
     place = np.array([view.camera_to_world[:3, 3] for view in views])
     apart = np.linalg.norm(place[:, None] - place[None], axis=2)
     pairs = np.triu(found.weight) > 0.0
     if not pairs.any():
+        return 0.0
+    return float(np.median(found.correlation[pairs & (apart <= np.quantile(apart[pairs], CLOSE))]))
+
+
+def _evidence(found: PairAgreement, near: float) -> str:
+    """Whether poses or mesh are wrong; near: as of `_near_agreement`."""
+    if not found.weight.any():
         return ""
-    close = pairs & (apart <= np.quantile(apart[pairs], CLOSE))
-    near, far = (float(np.median(found.correlation[some])) for some in (close, pairs))
     if near < AGREE:
         return (
             f" Photographs from nearly the same place do not agree either ({near:.2f}): the poses are wrong."
         )
     return (
-        f" Photographs from nearly the same place agree by {near:.2f}, all by {far:.2f}: the mesh is wrong."
+        f" Photographs from nearly the same place agree by {near:.2f}, all by {found.median:.2f}: the mesh is"
+        " wrong."
     )
 
 
