@@ -11,6 +11,7 @@ from typing import Any
 from benchmarks.constants import CORE, Constant, all_constants
 from benchmarks.trial_captures import JPEG, MASKS, SCAN
 from benchmarks.trial_run import BAKED, CLEANED, COMPLETED
+from fipt_blender.core.run.declared import declared
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.settings import Settings, make_settings
 from fipt_blender.core.run.stage_settings import TextureSettings
@@ -156,9 +157,9 @@ def all_numbers(preset: str = "draft") -> list[Constant]:
     settings = make_settings(preset)
     unread = {"seed", "rounds", *(item.name for item in fields(TextureSettings))}
     found = [
-        Constant(SETTINGS, item.name, getattr(settings, item.name), item.metadata["help"])
-        for item in fields(Settings)
-        if type(item.default) in (int, float) and item.metadata["keyed"] and item.name not in unread
+        Constant(SETTINGS, item.name, getattr(settings, item.name), item.option.text)
+        for item in declared(Settings).values()
+        if item.kind in (int, float) and item.option.keyed and item.name not in unread
     ]
     return found + all_constants()
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import constants, lamps, results, trial_changes, trial_table
+from fipt_blender.core.run.declared import declared
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.settings import Settings, make_settings
 
@@ -40,8 +41,8 @@ def test_numbers_in_capitals_are_found_with_their_comments() -> None:
 def test_every_switch_is_on_and_is_tried() -> None:
     switches = {
         item.name
-        for item in dataclasses.fields(Settings)
-        if item.default is True and item.metadata["help"].endswith("(not in the paper)")
+        for item in declared(Settings).values()
+        if item.default is True and item.option.text.endswith("(not in the paper)")
     }
     tried = {name for mechanism in trial_changes.MECHANISMS.values() for name in mechanism.off}
     assert switches - {"detail"} <= tried  # of the textures, which have figures of their own

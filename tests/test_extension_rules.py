@@ -142,6 +142,8 @@ def test_the_site_is_complete(tmp_path: Path) -> None:
         if issubclass(each, bpy.types.Operator):
             internal = "INTERNAL" in getattr(each, "bl_options", ())
             assert (f"bpy.ops.{each.bl_idname}\n" in page.text) != internal, each.bl_idname
+    options = Page(tmp_path / "options.html").text
+    assert all(text in options for text in ("--hold-back", "--render-spp", "diffuse_spp", "working_width"))
     assert not list(tmp_path.rglob("*.py")), "hooks are no pages"
 
 

@@ -245,7 +245,7 @@ def test_settings_that_messages_name_are_in_the_panel():
     core = Path(settings_module.__file__).parent.parent
     text = "".join(path.read_text(encoding="utf-8") for path in core.rglob("*.py"))
     named = set(re.findall(r"--set (\w+)=", text))
-    assert named and named <= {field for choice in CHOICES.values() for field in choice.fields}
+    assert named and named <= {field for choice in CHOICES.values() for field in choice}
 
 
 def test_smaller_presets(scene, monkeypatch):

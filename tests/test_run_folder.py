@@ -25,6 +25,7 @@ from fipt_blender.core.material.seen import Box, seen_cells
 from fipt_blender.core.material.training import load_tensors, save_tensors
 from fipt_blender.core.pixels.store import open_array
 from fipt_blender.core.run import parts
+from fipt_blender.core.run.declared import declared
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.lock import hold, holder, open_lockable
@@ -408,8 +409,9 @@ def test_values_that_make_no_sense(name: str, values: list[Any]) -> None:
 
 
 def test_every_setting_explains_itself() -> None:
-    for item in dataclasses.fields(Settings):
-        assert item.metadata["help"]
+    options = declared(Settings)
+    assert list(options) == [item.name for item in dataclasses.fields(Settings)]
+    assert all(item.option.text for item in options.values())
 
 
 def test_presets_that_do_not_exist() -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The site's page "Operators", made from the operators' own labels, descriptions and properties."""
+"""The site's pages "Operators" and "Options", made from what operators and options declare."""
 
 from __future__ import annotations
 
@@ -11,21 +11,47 @@ from types import ModuleType
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = "operators.md"
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """MkDocs' hook: add the page to the site's files."""
+    """MkDocs' hook: add the pages to the site's files."""
     from mkdocs.structure.files import File
 
-    files.append(File.generated(config, PAGE, content=operators_page()))
+    sys.path.insert(0, str(ROOT))
+    files.append(File.generated(config, "operators.md", content=operators_page()))
+    files.append(File.generated(config, "options.md", content=options_page()))
     return files
+
+
+def options_page() -> str:
+    """The page in Markdown: a table for each dataclass of options."""
+    from fipt_blender.core.capture.options import CaptureOptions
+    from fipt_blender.core.run.declared import declared
+    from fipt_blender.core.run.settings import Settings
+    from fipt_blender.jobs.options import MainJobOptions
+    from fipt_blender.prepare.preparation import PrepareSettings
+
+    chapters = (
+        ("Reading a capture (*Import Settings*, `estimate`)", "{item.flag}", CaptureOptions),
+        ("The whole job (`estimate`)", "{item.flag}", MainJobOptions),
+        ("The method (*Estimate*, *Materials*, `estimate --set NAME=VALUE`)", "{item.name}", Settings),
+        ("Photographs (*Photographs*, `prepare --set NAME=VALUE`)", "{item.name}", PrepareSettings),
+    )
+    lines, before = ["# Options"], declared(CaptureOptions)
+    for title, name, kind in chapters:
+        lines += ["", f"## {title}", "", "| option | in the panel | default | |", "|---|---|---|---|"]
+        for item in declared(kind).values():
+            if kind is not MainJobOptions or item.name not in before:
+                choices = ", ".join(f"`{each}`" for each in item.option.identifiers)
+                text = _sentence(item.option.text[:1].upper() + item.option.text[1:])
+                shown = f"`{item.default}`" if item.default not in (None, "") else ""
+                row = (f"`{name.format(item=item)}`", item.option.label, shown, f"{text} {choices}".strip())
+                lines.append(f"| {' | '.join(row)} |")
+    return "\n".join(lines) + "\n"
 
 
 def operators_page() -> str:
     """The page in Markdown: a chapter for each section of the panel, an entry for each operator."""
-    if str(ROOT) not in sys.path:
-        sys.path.insert(0, str(ROOT))
     import fipt_blender
     from fipt_blender import operators
 

@@ -132,6 +132,9 @@ def chosen_settings(scene: bpy.types.Scene, run: RunFolder) -> Settings:
     """
     from dataclasses import replace
 
+    from ..core.run.stage_settings import TextureSettings
+    from ..properties.declared import values_of
+
     settings = run.read()
     run.recover()
     if not run.fields_npz.is_file() or not run.emitters_json.is_file():
@@ -140,16 +143,7 @@ def chosen_settings(scene: bpy.types.Scene, run: RunFolder) -> Settings:
             f"The run {run.root} has no results yet.",
             "Use Estimate, or Resume if the run was stopped.",
         )
-    panel = scene.fipt.materials
-    return replace(
-        settings,
-        atlas_mode=panel.atlas_mode,
-        atlas_images=panel.atlas_images,
-        texture_size=int(panel.texture_size),
-        texel_density=panel.texel_density,
-        write_back=panel.write_back,
-        clean_mesh=panel.clean_mesh,
-    )
+    return replace(settings, **values_of(scene.fipt.materials, TextureSettings))
 
 
 def apply_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Step]:

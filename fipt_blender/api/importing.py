@@ -7,7 +7,6 @@ Operators import it while Blender starts, so it imports heavier modules inside f
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,12 +22,6 @@ if TYPE_CHECKING:
     from ..bridge.sequence import Job
     from ..bridge.step import Slices, StepFunction
     from ..core.capture.options import CaptureOptions
-    from ..properties.capture import FIPT_CaptureSettings
-
-_CAPTURE_SETTINGS = (
-    *("format", "up_axis", "layer", "clamp_negative", "align_mesh", "triangles"),
-    *("mesh_from_photographs", "undo_applied_transform"),
-)
 
 
 def capture_import() -> Task:
@@ -37,7 +30,10 @@ def capture_import() -> Task:
 
 
 def _import_capture(scene: bpy.types.Scene) -> Job:
+    from ..core.capture.options import CaptureOptions
+    from ..core.run.declared import converted
     from ..jobs.options import capture_source
+    from ..properties.declared import values_of
 
     settings = scene.fipt.capture
     if not settings.path:
@@ -54,7 +50,8 @@ def _import_capture(scene: bpy.types.Scene) -> Job:
             "Select the folder that contains the cameras, or the camera file itself, as Capture.",
         )
     path = capture_source(path)
-    arguments = _capture_options(settings).arguments()
+    options = CaptureOptions(**converted(CaptureOptions, values_of(settings, CaptureOptions)))
+    options.refuse_missing()
     machine.engine_python()  # raises before anything is created
     run = open_run(scene, str(path), path.stem if path.is_file() else path.name)
 
@@ -63,7 +60,7 @@ def _import_capture(scene: bpy.types.Scene) -> Job:
 
         return import_capture(run, str(path))
 
-    return import_job(run, path, arguments, "Adding cameras and mesh", add_to_scene)
+    return import_job(run, path, options, "Adding cameras and mesh", add_to_scene)
 
 
 def open_run(scene: bpy.types.Scene, source: str, name: str) -> RunFolder:
@@ -98,49 +95,14 @@ def give_back(scene: bpy.types.Scene, run: RunFolder) -> None:
 
 
 def import_job(
-    run: RunFolder, path: Path, arguments: list[str], text: str, add_to_scene: StepFunction
+    run: RunFolder, path: Path, options: CaptureOptions, text: str, add_to_scene: StepFunction
 ) -> Job:
     """The engine reads and checks a capture; then it is added to the scene."""
     from ..bridge.step import Step
     from ..jobs.run_job import ingest_step, open_job
 
     steps = [
-        ingest_step(run, path, arguments, "Reading and checking the photographs", 20.0),
+        ingest_step(run, path, options, "Reading and checking the photographs", 20.0),
         Step("import", text, 5.0, function=add_to_scene, repeat=True),
     ]
     return open_job(run, steps, record="import.json")
-
-
-def _capture_options(settings: FIPT_CaptureSettings) -> CaptureOptions:
-    """The import settings of the panel.
-
-    Raises:
-        FiptError: ``mesh-missing`` or ``images-missing``.
-    """
-    from ..core.capture.options import CaptureOptions
-
-    mesh = Path(bpy.path.abspath(settings.mesh)).absolute() if settings.mesh else None
-    if mesh is not None and not mesh.is_file():
-        raise FiptError(
-            "mesh-missing",
-            f"The mesh {mesh} does not exist.",
-            "Select another file as Mesh in Import Settings, or clear the field.",
-        )
-    images = Path(bpy.path.abspath(settings.images)).absolute() if settings.images else None
-    if images is not None and not images.is_dir():
-        raise FiptError(
-            "images-missing",
-            f"The folder {images} does not exist.",
-            "Select another folder as Photographs in Import Settings, or clear the field.",
-        )
-    panorama = Path(bpy.path.abspath(settings.panorama)).absolute() if settings.panorama else None
-    return CaptureOptions(
-        mesh=mesh,
-        panorama=panorama,
-        panorama_place=tuple(settings.panorama_place),
-        panorama_heading=math.degrees(settings.panorama_heading),
-        images=images,
-        scale=float(settings.scale),
-        hold_back=0 if settings.hold_back < 2 else settings.hold_back,
-        **{name: getattr(settings, name) for name in _CAPTURE_SETTINGS},
-    )

@@ -8,11 +8,11 @@ import argparse
 from pathlib import Path
 from typing import TypeAlias
 
-from ..core.capture.options import CaptureOptions, add_options, options_of
+from ..core.run.declared import add_options, declared, options_of
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import PRODUCT_VERSION
-from ..core.run.settings import PRESETS, make_settings
-from ..jobs.options import PARTS, RENDER_KINDS, MainJobOptions
+from ..core.run.settings import Settings, make_settings
+from ..jobs.options import RENDER_KINDS, MainJobOptions
 
 _Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
@@ -48,31 +48,13 @@ def _add_estimate(commands: _Commands) -> argparse.ArgumentParser:
     add = estimate.add_argument
     add("capture", type=Path, metavar="CAPTURE", help="the capture's folder or its camera file")
     add("--output", type=Path, metavar="DIR", help="the run folder (default: ./CAPTURE-fipt)")
-    add("--preset", choices=tuple(PRESETS), default="medium", help="quality and duration (default: medium)")
-    add("--device", choices=("auto", "cuda", "llvm"), help="GPU (cuda) or CPU (llvm) (default: auto)")
-    add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
-    add("--rounds", type=int, metavar="N", help="number of refinements of light and materials")
-    add("--force", action="store_const", const=True, help="estimate although the input looks useless")
+    for name in ("preset", "device", "seed", "rounds"):
+        item = declared(Settings)[name]
+        add(item.flag, choices=item.option.identifiers or None, help=item.option.text)
+    add("--force", action="store_true", default=None, help=declared(Settings)["force"].option.text)
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change one constant of the method")
-    add_options(estimate, without=("own_paths",))
-    add(
-        "--parts",
-        choices=PARTS,
-        default="auto",
-        help="how surfaces of the same material are recognized (default: auto)",
-    )
-    add("--hints", type=Path, metavar="FILE", help="what is known of surfaces (hints.json)")
-    add(
-        "--hints-again",
-        type=Path,
-        metavar="FILE",
-        help="with --resume: estimate materials again with these hints; the computed light is kept",
-    )
+    add_options(estimate, MainJobOptions, without=("own_paths", "engine_python"))
     add("--no-renders", action="store_true", help="do not render in Cycles")
-    add("--cluster", metavar="ADDRESS", help="a Dask scheduler whose workers share the work on the views")
-    add("--render-spp", type=int, default=64, metavar="N", help="Cycles samples per pixel (default: 64)")
-    add("--render-view", default="", metavar="NAME", help="the view to render (default: a held-back one)")
-    add("--resume", action="store_true", help="keep finished steps of an earlier run in the same folder")
     return estimate
 
 
@@ -128,26 +110,12 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
     for name in ("device", "seed", "rounds", "force"):
         if getattr(arguments, name) is not None:
             changes[name] = getattr(arguments, name)
-    if arguments.render_spp < 1:
-        raise FiptError("option-invalid", f"--render-spp is {arguments.render_spp}.", "Give at least 1.")
-    CaptureOptions(**options_of(arguments)).check()
     capture = arguments.capture
     folder = capture.parent if capture.is_file() else capture
-    same = (
-        "parts",
-        "render_view",
-        "render_spp",
-        "resume",
-        "engine_python",
-        "cluster",
-        "hints",
-        "hints_again",
-    )
     return MainJobOptions(
-        **options_of(arguments),
-        **{name: getattr(arguments, name) for name in same},
+        **options_of(arguments, MainJobOptions),
         capture=capture,
         output=arguments.output or Path.cwd() / f"{folder.absolute().name}-fipt",
-        settings=make_settings(arguments.preset, changes),
+        settings=make_settings(arguments.preset or "medium", changes),
         renders=() if arguments.no_renders else RENDER_KINDS,
     )

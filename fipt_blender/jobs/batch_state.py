@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -14,8 +13,11 @@ import bpy
 from .. import properties
 from ..blend.capture.importing import fill_views
 from ..blend.results.scene_state import note_results
+from ..core.capture.options import CaptureOptions
 from ..core.run.runfolder import RunFolder
 from ..core.run.settings import make_settings
+from ..core.run.stage_settings import TextureSettings
+from ..properties.declared import fill
 from .options import capture_source
 
 if TYPE_CHECKING:
@@ -46,21 +48,7 @@ def remember_run(scene: bpy.types.Scene, options: MainJobOptions, run: RunFolder
     state = scene.fipt
     state.run_folder = str(run.root)
     state.capture.path = state.capture.imported_path = str(capture_source(options.capture.absolute()))
-    state.capture.format, state.capture.up_axis = options.format, options.up_axis
-    state.capture.scale = options.scale
-    state.capture.mesh = "" if options.mesh is None else str(options.mesh.absolute())
-    state.capture.images = "" if options.images is None else str(options.images.absolute())
-    state.capture.layer = options.layer
-    if options.hold_back is not None:
-        state.capture.hold_back = options.hold_back
-    state.capture.clamp_negative = options.clamp_negative
-    state.capture.align_mesh = options.align_mesh
-    state.capture.triangles = options.triangles
-    state.capture.mesh_from_photographs = options.mesh_from_photographs
-    state.capture.undo_applied_transform = options.undo_applied_transform
-    state.capture.panorama = "" if options.panorama is None else str(options.panorama.absolute())
-    state.capture.panorama_place = options.panorama_place
-    state.capture.panorama_heading = math.radians(options.panorama_heading)
+    fill(state.capture, CaptureOptions, vars(options))
     fill_views(scene, run)
     state.parts.source = options.parts
     _remember_settings(state, options)
@@ -72,14 +60,12 @@ def _remember_settings(state: bpy.types.PropertyGroup, options: MainJobOptions) 
     settings, estimate, materials = options.settings, state.estimate, state.materials
     estimate.preset = settings.preset
     preset = make_settings(settings.preset)
-    for name, choice in properties.estimate.CHOICES.items():
-        value = getattr(settings, choice.fields[0])
-        if value != getattr(preset, choice.fields[0]):
+    for name, (of, *_) in properties.estimate.CHOICES.items():
+        value = getattr(settings, of)
+        if value != getattr(preset, of):
             setattr(estimate, name, value)
     if settings.device != "auto":
         estimate.device = settings.device
-    materials.atlas_mode, materials.atlas_images = settings.atlas_mode, settings.atlas_images
-    materials.write_back = settings.write_back
-    materials.texel_density, materials.clean_mesh = settings.texel_density, settings.clean_mesh
+    fill(materials, TextureSettings, {**vars(settings), "texture_size": materials.texture_size})
     sizes = materials.bl_rna.properties["texture_size"].enum_items.keys()
     materials.texture_size = min(sizes, key=lambda size: abs(int(size) - settings.texture_size))

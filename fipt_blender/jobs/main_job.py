@@ -174,18 +174,18 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
 
 
 def _capture_step(options: MainJobOptions, run: RunFolder) -> Step:
-    capture, arguments = options.capture.absolute(), options.arguments()
+    capture = options.capture.absolute()
     files = options.mesh, options.images, options.panorama
     mesh, images, panorama = (None if path is None else path.absolute() for path in files)
     return replace(
-        ingest_step(run, capture, arguments, "Reading the capture", 2.0),
+        ingest_step(run, capture, options, "Reading the capture", 2.0),
         inputs={
             "version": PRODUCT_VERSION,
             "capture": folder_fingerprint(capture, exclude=run.root),
             "mesh": None if mesh is None else mesh_fingerprint(mesh, exclude=run.root),
             "images": None if images is None else folder_fingerprint(images, exclude=run.root),
             "panorama": None if panorama is None else folder_fingerprint(panorama, exclude=run.root),
-            "arguments": arguments,
+            "arguments": options.arguments(),
         },
         outputs=[run.capture_json],
     )

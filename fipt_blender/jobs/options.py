@@ -6,8 +6,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 from ..core.capture.options import CaptureOptions
+from ..core.run.declared import Option
 from ..core.run.errors import FiptError
 from ..core.run.settings import Settings
 
@@ -25,31 +27,34 @@ class MainJobOptions(CaptureOptions):
         capture: folder or camera file of the capture.
         output: the run folder, created if it does not exist.
         settings: constants of the method.
-        parts: source of the material parts; one of PARTS.
         renders: Cycles renders to make; of RENDER_KINDS.
-        render_view: name of the view to render; "" chooses a held-back one.
-        render_spp: Cycles samples per pixel.
-        resume: whether finished steps of an earlier run are kept.
-        engine_python: the engine's interpreter, or None to find it.
-        cluster: address of a Dask scheduler whose workers share the work on the views; None for this machine
-            alone. The results are the same.
-        hints: file of what is known of surfaces (hints.json), for the whole estimation; None: none or, with
-            `resume`, those of the run.
-        hints_again: the same for an estimate again, from the stages of a finished run.
     """
 
     capture: Path
     output: Path
     settings: Settings = field(default_factory=Settings)
-    parts: str = "auto"
     renders: tuple[str, ...] = RENDER_KINDS
-    render_view: str = ""
-    render_spp: int = 64
-    resume: bool = False
-    engine_python: str | None = None
-    cluster: str | None = None
-    hints: Path | None = None
-    hints_again: Path | None = None
+    parts: Annotated[
+        str,
+        Option("How surfaces of the same material are recognized", choices=tuple((name,) for name in PARTS)),
+    ] = "auto"
+    hints: Annotated[
+        Path | None,
+        "What is known of surfaces (hints.json), for the whole estimation; without it none or, with --resume,"
+        " those of the run",
+    ] = None
+    hints_again: Annotated[
+        Path | None,
+        "With --resume: estimate materials again with these hints; the computed light is kept",
+    ] = None
+    render_view: Annotated[str, "Name of the view to render; a held-back one if empty"] = ""
+    render_spp: Annotated[int, "Cycles samples per pixel"] = 64
+    resume: Annotated[bool, "Keep finished steps of an earlier run in the same folder"] = False
+    cluster: Annotated[
+        str | None,
+        "Address of a Dask scheduler whose workers share the work on the views; the results are the same",
+    ] = None
+    engine_python: Annotated[str | None, "Python interpreter with the engine's packages"] = None
 
 
 def capture_source(path: Path) -> Path:
@@ -69,12 +74,7 @@ def check_options(options: MainJobOptions) -> None:
             f"The capture {options.capture} does not exist.",
             "Give the capture's folder or its camera file.",
         )
-    if options.mesh is not None and not options.mesh.is_file():
-        raise FiptError(
-            "mesh-missing",
-            f"The mesh file {options.mesh} does not exist.",
-            "Give the room's mesh file (--mesh).",
-        )
+    options.refuse_missing()
     if options.output.exists() and not options.output.is_dir():
         raise FiptError(
             "run-foreign",

@@ -18,6 +18,7 @@ from ..bridge.interpreter import engine_command, engine_environment, find_engine
 from ..bridge.process import EngineProcess
 from ..bridge.sequence import Job
 from ..bridge.step import Step, StepRecord
+from ..core.capture.options import CaptureOptions
 from ..core.run.errors import FiptError
 from ..core.run.lock import busy
 from ..core.run.process_identity import PARENT_VARIABLE
@@ -26,17 +27,17 @@ from ..core.run.runfolder import RunFolder
 STEPS_NAME = "steps.json"
 
 
-def ingest_step(run: RunFolder, capture: Path, arguments: Sequence[str], text: str, seconds: float) -> Step:
+def ingest_step(run: RunFolder, capture: Path, options: CaptureOptions, text: str, seconds: float) -> Step:
     """The engine reads and checks a capture.
 
     Args:
         run: the run folder into which it is read.
         capture: folder or file.
-        arguments: of `CaptureOptions.arguments`.
+        options: how it is read.
         text: shown to the user while the step runs.
         seconds: expected time, on a small machine.
     """
-    command = ["ingest", str(capture), str(run.root), *arguments]
+    command = ["ingest", str(capture), str(run.root), *options.arguments()]
     return Step("ingest", text, seconds, command=command, outputs=[run.ingest_json])
 
 

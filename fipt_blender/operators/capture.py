@@ -103,7 +103,7 @@ class FIPT_OT_use_scene_cameras(_ImportJob, bpy.types.Operator):
             remedy = "To use them as well, give each its photograph as background image."
             return [{"type": "warning", "code": "cameras-left-out", "text": text, "remedy": remedy}]
 
-        return importing.import_job(run, path, options.arguments(), "Listing the cameras", adopt)
+        return importing.import_job(run, path, options, "Listing the cameras", adopt)
 
 
 class FIPT_OT_place_panorama(bpy.types.Operator):

@@ -12,8 +12,8 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..api import estimating
 from ..core.run.runfolder import RunFolder
+from ..core.run.settings import PRESETS
 from ..jobs import running, runstate
-from ..properties.estimate import PRESETS
 from .job_operator import JobOperator
 from .polls import all_of, needs, no_job
 from .reporting import reports_errors
@@ -219,6 +219,6 @@ class FIPT_OT_reset_setting(bpy.types.Operator):
 
 def smaller_preset(preset: str) -> str | None:
     """The preset below one, or None."""
-    names = [name for name, _, _ in PRESETS]
+    names = list(PRESETS)
     index = names.index(preset)
     return names[index - 1] if index else None

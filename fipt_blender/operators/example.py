@@ -66,7 +66,7 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
             return import_capture(run, str(path))
 
         steps = [
-            ingest_step(run, path, CaptureOptions().arguments(), "Reading the example", 2.0),
+            ingest_step(run, path, CaptureOptions(), "Reading the example", 2.0),
             Step("import", "Adding cameras and mesh", 1.0, function=add_to_scene),
             *estimating.make_steps(run, settings, resume=False),
             *applying.apply_steps(scene.name, run, settings),

@@ -7,6 +7,8 @@ from __future__ import annotations
 import bpy
 from bl_operators.presets import AddPresetBase
 
+from ..properties.capture import IMPORT_OPTIONS
+
 
 class FIPT_OT_add_import_preset(AddPresetBase, bpy.types.Operator):
     """Add or remove a preset of the import settings"""
@@ -17,17 +19,11 @@ class FIPT_OT_add_import_preset(AddPresetBase, bpy.types.Operator):
     preset_menu = "FIPT_PT_import_presets"
     preset_subdir = "fipt/import"
     preset_defines = ["settings = bpy.context.scene.fipt.capture"]
+    # Without what belongs to one capture alone.
     preset_values = [
-        "settings.format",
-        "settings.up_axis",
-        "settings.scale",
-        "settings.hold_back",
-        "settings.layer",
-        "settings.clamp_negative",
-        "settings.align_mesh",
-        "settings.triangles",
-        "settings.mesh_from_photographs",
-        "settings.undo_applied_transform",
+        f"settings.{name}"
+        for name in IMPORT_OPTIONS
+        if name not in ("mesh", "images", "panorama", "panorama_place", "panorama_heading")
     ]
 
 

@@ -16,8 +16,8 @@ from bpy.app.translations import pgettext_iface as iface_
 from .. import machine
 from ..bridge import places
 from ..core.run.runfolder import PRODUCT_VERSION
+from ..core.run.settings import DEVICES
 from ..jobs import running
-from ..properties.estimate import DEVICES
 from .menus import draw_shortcut
 from .progress import time_text
 from .sidebar import draw_text

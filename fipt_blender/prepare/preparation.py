@@ -7,12 +7,13 @@ The add-on and the user edit the file between steps; therefore it is read and ch
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
+from ..core.capture.options import LAYER_TEXT
+from ..core.run.declared import Option, converted
 from ..core.run.documents import read_document
 from ..core.run.errors import FiptError
 from ..core.run.kinds import Choice, FileName, Least, Number, Pixels
@@ -20,11 +21,30 @@ from ..core.run.paths import is_network, leads_outside
 from ..core.run.runfolder import write_json
 from ..core.run.shapes import MOST_SIDE
 
-GROUPINGS = ("auto", "folders", "single")
-RESPONSES = ("auto", "srgb", "linear")
-VIGNETTINGS = ("auto", "none")
-SCALES = ("none", "points", "marker", "mesh")
-WHITE_BALANCES = ("camera", "daylight")
+GROUPINGS = (  # identifier, label, tooltip
+    ("auto", "Automatic", "Find brackets by exposure, time and camera, as written in the files"),
+    ("folders", "Folders", "Each folder with photographs is one bracket"),
+    ("single", "Single", "Each photograph is a view of its own"),
+)
+RESPONSES = (
+    ("auto", "Recover", "Recover the response of JPEG, PNG and TIFF from the brackets"),
+    ("srgb", "sRGB", "The pixel values follow the sRGB curve"),
+    ("linear", "Linear", "The pixel values are proportional to light"),
+)
+WHITE_BALANCES = (
+    ("camera", "Camera", "The white balance that the camera has chosen for the first photograph, for all"),
+    ("daylight", "Daylight", "The white balance of daylight"),
+)
+VIGNETTINGS = (
+    ("auto", "Automatic", "From the lens database, otherwise from what overlapping views have in common"),
+    ("none", "None", "Vignetting is not corrected"),
+)
+SCALES = (
+    ("none", "Unknown", "The capture is scaled later, under Alignment in the section Capture"),
+    ("points", "Two Points", "Two points that are marked in photographs, and their distance"),
+    ("marker", "Printed Marker", "A printed ArUco marker that is seen in photographs"),
+    ("mesh", "Mesh", "The transform to a mesh (scale_matrix)"),
+)
 _REMOVED_SETTINGS = {"masks"}  # of earlier versions, which their prepare.json names
 _Positive = Annotated[float, Number(1e-12, 1e12)]
 _REMEDY = "Correct the file, or delete it and find the brackets again."
@@ -94,57 +114,71 @@ class Group:
     used: bool = True
 
 
-def _setting(default: Any, text: str, **limits: Any) -> Any:
-    """A setting; `limits` are `choices` of a text, `low` and `high` of a number, `zero` if 0 is, too."""
-    return field(default=default, metadata={"help": text, **limits})
-
-
 @dataclass(frozen=True)
 class PrepareSettings:
-    """What the user chooses; the metadata of each field holds its `help`."""
+    """What the user chooses."""
 
-    grouping: str = _setting(
-        "auto", "how brackets are found: auto (EXIF and time), folders, or single", choices=GROUPINGS
+    grouping: Annotated[
+        str, Option("How photographs of one view are recognized", "Brackets", choices=GROUPINGS)
+    ] = "auto"
+    working_width: Annotated[
+        int,
+        Option(
+            "Longer side of the merged images in pixels. 0 keeps the size of the photographs",
+            "Size",
+            low=64,
+            high=MOST_SIDE,
+            zero=True,
+            shown={"soft_max": 8192},
+        ),
+    ] = 2048
+    response: Annotated[
+        str,
+        Option("Relation between light and the pixel values of JPEG, PNG and TIFF", choices=RESPONSES),
+    ] = "auto"
+    white_balance: Annotated[str, Option("White balance of RAW photographs", choices=WHITE_BALANCES)] = (
+        "camera"
     )
-    working_width: int = _setting(
-        2048,
-        "longer side of the merged images in pixels; 0 keeps the photographs' size",
-        low=64,
-        high=MOST_SIDE,
-        zero=True,
+    align: Annotated[bool, "Align photographs taken by hand, and take what moved from one of them"] = True
+    vignetting: Annotated[str, Option("Correction of the lens's darker corners", choices=VIGNETTINGS)] = (
+        "auto"
     )
-    response: str = _setting(
-        "auto",
-        "response of JPEG, PNG and TIFF: auto (recovered from the brackets), srgb or linear",
-        choices=RESPONSES,
+    layer: Annotated[str, LAYER_TEXT] = ""
+    cameras: Annotated[
+        str,
+        Option(
+            "Folder of cameras that were solved elsewhere (COLMAP, transforms.json) for images of the same"
+            " names. If empty, the cameras are solved here",
+            "Existing Solve",
+            shown={"subtype": "DIR_PATH"},
+        ),
+    ] = ""
+    seed: Annotated[int, Option("Seed of the camera solve", zero=True, panel=False)] = 0
+    scale: Annotated[str, Option("What the real size of the room is known from", choices=SCALES)] = "none"
+    scale_length: Annotated[
+        float,
+        Option(
+            "Distance of the two points, or the length of the marker's edge, in meters",
+            "Length",
+            zero=True,
+            high=1e4,
+            shown={"soft_max": 10.0, "precision": 4},
+        ),
+    ] = 0.0
+    scale_picks: Annotated[
+        str,
+        Option(
+            "Two points, each with a view and its pixel, or several with commas, e.g. IMG_4209 812 440,"
+            " IMG_4214 790 431; IMG_4209 102 455",
+            "Points",
+        ),
+    ] = ""
+    scale_matrix: Annotated[
+        str, Option("4 x 4 matrix, row by row, from the solved cameras to the mesh", panel=False)
+    ] = ""
+    marker_dictionary: Annotated[str, Option("Dictionary of the printed ArUco marker", panel=False)] = (
+        "4X4_50"
     )
-    white_balance: str = _setting(
-        "camera",
-        "white balance of RAW photographs: camera (that of the first one for all) or daylight",
-        choices=WHITE_BALANCES,
-    )
-    align: bool = _setting(True, "align hand-held brackets, and take what moved from one exposure")
-    vignetting: str = _setting(
-        "auto",
-        "vignetting: auto (from lensfun's database, else from overlapping views) or none",
-        choices=VIGNETTINGS,
-    )
-    layer: str = _setting("", "layer or part of EXR photographs that have several")
-    cameras: str = _setting("", "folder of an existing camera solve; empty to solve the cameras")
-    seed: int = _setting(0, "seed of the camera solve", low=0, high=2**31 - 1)
-    scale: str = _setting(
-        "none",
-        "source of the real size: none, points (two picked ones), marker (printed) or mesh (its transform)",
-        choices=SCALES,
-    )
-    scale_length: float = _setting(
-        0.0, "distance of the two points, or edge of the marker, in metres", low=0.0, high=1e4
-    )
-    scale_picks: str = _setting(
-        "", "two points in views, e.g. 'desk 812 440, door 790 431; desk 102 455': picks of one have a comma"
-    )
-    scale_matrix: str = _setting("", "4 x 4 matrix, row by row, from the solved cameras to the mesh")
-    marker_dictionary: str = _setting("4X4_50", "dictionary of the printed ArUco marker")
 
 
 @dataclass(frozen=True)
@@ -221,10 +255,7 @@ def make_prepare_settings(changes: Mapping[str, Any]) -> PrepareSettings:
     Raises:
         FiptError: ``setting-unknown`` or ``setting-invalid``.
     """
-    from ..core.run.settings import converted  # Blender imports this module while starting
-
-    limits = {item.name: item.metadata for item in dataclasses.fields(PrepareSettings)}
-    return PrepareSettings(**converted(PrepareSettings, changes, limits))
+    return PrepareSettings(**converted(PrepareSettings, changes))
 
 
 def write_preparation(folder: PreparationFolder, preparation: Preparation) -> None:

@@ -11,37 +11,11 @@ from contextlib import contextmanager
 import bpy
 
 from ..blend.marks import FIXTURE_SOURCES, RESOLUTION, VIEW, view_cameras
+from ..core.capture.options import UP, CaptureOptions
+from ..core.run.shapes import UP_AXES
+from .declared import enum_items, properties_of
 
-FORMATS = (
-    ("auto", "Automatic", "Recognize the layout by the files"),
-    ("colmap", "COLMAP", "A COLMAP model, binary or text"),
-    ("transforms", "transforms.json", "The format of nerfstudio, instant-ngp and NeRF"),
-    ("metashape", "Metashape", "The camera XML that Metashape exports"),
-    ("blocksexchange", "BlocksExchange", "The XML of ContextCapture and iTwin Capture, also by Metashape"),
-    (
-        "realityscan",
-        "RealityScan",
-        "XMP files beside the photographs, or a CSV file of the camera parameters",
-    ),
-    ("meshroom", "Meshroom", "A .sfm or .json file of Meshroom's cameras"),
-    ("opensfm", "OpenSfM", "A file reconstruction.json, also written by OpenDroneMap"),
-    ("openmvg", "OpenMVG", "A file sfm_data.json, also written by Regard3D"),
-    ("bundler", "Bundler", "A file bundle.out with the list of its photographs"),
-    ("nvm", "VisualSFM", "An .nvm file"),
-    ("polycam", "Polycam", "The raw data that Polycam exports"),
-    ("record3d", "Record3D", "A file metadata.json beside the folder rgb or rgbd"),
-    ("3d-scanner-app", "3D Scanner App", "The export All Data, with files frame_00000.json"),
-    ("rgbd", "RGB-D Frames", "Photographs, depth images and poses of 7-Scenes, tsdf-fusion or ScanNet"),
-    ("scannetpp", "ScanNet++", "The DSLR photographs of a ScanNet++ scene"),
-    ("fipt-synthetic", "FIPT Synthetic", "Folders train and val with Image, IndexMA and segmentation"),
-    ("fipt-real", "FIPT Real", "Files cam.txt and K_list.txt beside the folder Image"),
-)
-UP_AXES = (
-    ("auto", "Automatic", "Use the format's up axis, otherwise find it by the room's planes and the cameras"),
-    *((axis, axis.upper(), f"The capture's {axis.upper()} axis points up") for axis in
-      ("x", "y", "z", "-x", "-y", "-z")),
-)  # fmt: skip
-
+IMPORT_OPTIONS = properties_of(CaptureOptions)
 
 _counting = True  # False while several views change at once
 
@@ -106,13 +80,13 @@ def _set_alignment_scale(self: FIPT_CaptureSettings, value: float) -> None:
 def _get_up(self: FIPT_CaptureSettings) -> int:
     from ..blend.capture.importing import up_axis
 
-    return [axis for axis, *_ in UP_AXES].index(up_axis(self)) - 1
+    return UP_AXES.index(up_axis(self))
 
 
 def _set_up(self: FIPT_CaptureSettings, value: int) -> None:
     from ..blend.capture.importing import turn_up
 
-    turn_up(self, UP_AXES[value + 1][0])
+    turn_up(self, UP_AXES[value])
 
 
 class FIPT_CaptureView(bpy.types.PropertyGroup):
@@ -166,90 +140,7 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         " camera file itself",
         subtype="FILE_PATH",
     )
-    format: bpy.props.EnumProperty(name="Layout", description="Layout of the capture", items=FORMATS)
-    mesh: bpy.props.StringProperty(
-        name="Mesh",
-        description="Mesh file of the room, in the capture's coordinates. If empty, the one beside the"
-        " cameras is used",
-        subtype="FILE_PATH",
-    )
-    images: bpy.props.StringProperty(
-        name="Photographs",
-        description="Folder of the photographs, if they are not where the camera file says",
-        subtype="DIR_PATH",
-    )
-    panorama: bpy.props.StringProperty(
-        name="Panorama",
-        description="Equirectangular photograph (OpenEXR, Radiance or JPEG) that the cameras do not include."
-        " It shows the lamps that they miss",
-        subtype="FILE_PATH",
-    )
-    panorama_place: bpy.props.FloatVectorProperty(
-        name="Place",
-        description="Where the panorama was taken, its camera upright, in the coordinates of the import",
-        default=(0.0, 0.0, 1.5),
-        subtype="TRANSLATION",
-    )
-    panorama_heading: bpy.props.FloatProperty(
-        name="Heading",
-        description="Rotation about Z of a camera in Blender that looks at the panorama's centre",
-        subtype="ANGLE",
-    )
-    layer: bpy.props.StringProperty(
-        name="Layer",
-        description="Layer or part of OpenEXR photographs that have several. If empty, the one without a"
-        " name or with one like Combined, beauty, rgba, C or image is used",
-    )
-    scale: bpy.props.FloatProperty(
-        name="Scale",
-        description="Length of one unit of the capture in meters",
-        default=1.0,
-        min=1e-6,
-        max=1e6,
-        soft_min=0.001,
-        soft_max=1000.0,
-        precision=4,
-    )
-    up_axis: bpy.props.EnumProperty(
-        name="Up Axis", description="Axis of the capture that points up", items=UP_AXES
-    )
-    hold_back: bpy.props.IntProperty(
-        name="Hold Back Every",
-        description="Hold back every N-th photograph for comparison with the result, if the capture does not"
-        " define held-back views itself. 0 holds back none",
-        default=8,
-        min=0,
-        soft_max=50,
-    )
-    clamp_negative: bpy.props.BoolProperty(
-        name="Clamp Negative",
-        description="Treat all negative pixel values as black, instead of refusing large ones",
-    )
-    align_mesh: bpy.props.BoolProperty(
-        name="Align to Mesh",
-        description="The mesh is from another program than the cameras. Move the cameras to it by the sparse"
-        " points of the camera solve, with any rotation and scale. The mesh must be OBJ, PLY, STL or glTF",
-    )
-    triangles: bpy.props.IntProperty(
-        name="Triangles",
-        description="Simplify a mesh with more triangles to about this number: a scan when it is imported,"
-        " or any room by Simplify Room. 0 keeps all",
-        default=0,
-        min=0,
-        soft_max=2_000_000,
-        step=10_000,
-    )
-    mesh_from_photographs: bpy.props.BoolProperty(
-        name="Mesh from Photographs",
-        description="Where the capture has neither a mesh nor depth images, make a rough mesh of its"
-        " photographs alone. That takes seconds for each of them; a scan or a photogrammetry program makes a"
-        " better one",
-    )
-    undo_applied_transform: bpy.props.BoolProperty(
-        name="Undo Applied Transform",
-        description="For transforms.json: the mesh has the coordinates from before nerfstudio applied its"
-        " transform",
-    )
+    __annotations__.update(IMPORT_OPTIONS)
     room: bpy.props.PointerProperty(
         name="Room",
         description="Collection whose meshes are the room. If empty, the collection Parts is used",
@@ -275,7 +166,7 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         name="Up",
         description="The capture's axis that points up in the scene. Another one turns FIPT Alignment with"
         " the cameras and the imported mesh",
-        items=UP_AXES[1:],
+        items=enum_items(UP[1:]),
         get=_get_up,
         set=_set_up,
     )

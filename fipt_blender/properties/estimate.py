@@ -8,110 +8,28 @@ Only changed values are stored, so that all others follow the preset.
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, NamedTuple
 
 import bpy
 
-if TYPE_CHECKING:
-    from ..core.run.settings import Settings
+from ..core.run.declared import declared
+from ..core.run.settings import DEVICES, PRESET_TEXTS, Settings
+from .declared import enum_items, property_of
 
-PRESETS = (
-    (
-        "draft",
-        "Draft",
-        "A quick preview with noise and soft textures: a few minutes, whatever the photographs' size",
-    ),
-    (
-        "medium",
-        "Medium",
-        "Good materials and lights: takes about three times as long as Draft. A GPU is much faster",
-    ),
-    ("high", "High", "Many more samples and training steps: an hour on a GPU, a night without one"),
-)
-DEVICES = (
-    ("auto", "Automatic", "Use the GPU if a usable one is found, otherwise the CPU"),
-    ("cuda", "GPU (CUDA)", "Use an NVIDIA GPU"),
-    ("llvm", "CPU", "Use the CPU: slower, but works on every machine"),
-)
 _RUN_DEVICES = (("preferences", "As in Preferences", "Use the device selected in the preferences"), *DEVICES)
-
-
-class Choice(NamedTuple):
-    """A setting in the panel: the fields of `Settings` that it sets, its label and its tooltip."""
-
-    fields: tuple[str, ...]
-    name: str
-    description: str
-    least: float = 1
-    most: float = 1_000_000
-    switch: bool = False  # a checkbox instead of a number
-    fraction: bool = False  # a number with decimals
-
-
+# What the panel offers of `Settings`: the fields that a property sets; the first one declares it.
 CHOICES = {
-    "rounds": Choice(
-        ("rounds",), "Rounds", "Number of refinements of light and materials; 0 for none", 0, 20
-    ),
-    "diffuse_samples": Choice(
-        ("diffuse_spp", "refine_diffuse_spp"),
-        "Diffuse Samples",
-        "Rays per pixel for diffuse light: fewer rays are faster and noisier",
-    ),
-    "specular_samples": Choice(
-        ("specular_spp", "refine_specular_spp"),
-        "Glossy Samples",
-        "Rays per pixel and roughness level for reflections: fewer rays are faster and noisier",
-    ),
-    "light_samples": Choice(
-        ("light_spp", "refine_light_spp"),
-        "Light Samples",
-        "Rays per pixel toward lamps: more rays reduce noise in shadows",
-    ),
-    "training_steps": Choice(
-        ("training_steps",), "Training Steps", "Steps of the training: more steps give sharper textures"
-    ),
-    "light_pixels": Choice(
-        ("light_pixels",),
-        "Light Pixels",
-        "Millions of pixels of all photographs together at which light is solved. Larger photographs are"
-        " averaged: more pixels are slower and show smaller surfaces and shadows",
-        0.01,
-        1000,
-        fraction=True,
-    ),
-    "voxel_resolution": Choice(
-        ("voxel_resolution",),
-        "Light Resolution",
-        "Cells of the radiance cache along the room's longest side: use more for large rooms",
-        8,
-        1024,
-    ),
-    "roughness_levels": Choice(
-        ("roughness_levels",), "Gloss Levels", "Number of roughness levels of computed reflections", 3, 32
-    ),
-    "denoise": Choice(
-        ("denoise",), "Denoise", "Denoise the computed light, so that fewer samples are needed", switch=True
-    ),
-    "reject_views": Choice(
-        ("reject_views",),
-        "Reject Views",
-        "Leave out photographs that do not agree with their camera poses",
-        switch=True,
-    ),
-    "force": Choice(
-        ("force",),
-        "Force",
-        "Estimate although mesh, poses or photographs look useless",
-        switch=True,
-    ),
-    "correct_exposure": Choice(
-        ("correct_exposure",),
-        "Correct Exposure",
-        "Correct photographs whose exposure differs from that of the others",
-        switch=True,
-    ),
-    "seed": Choice(("seed",), "Seed", "Seed of all random numbers: the same seed gives the same result", 0),
-}  # fmt: skip
+    "rounds": ("rounds",),
+    "diffuse_samples": ("diffuse_spp", "refine_diffuse_spp"),
+    "specular_samples": ("specular_spp", "refine_specular_spp"),
+    "light_samples": ("light_spp", "refine_light_spp"),
+    **{
+        name: (name,)
+        for name in (
+            *("training_steps", "light_pixels", "voxel_resolution", "roughness_levels", "denoise"),
+            *("reject_views", "force", "correct_exposure", "seed"),
+        )
+    },
+}
 
 
 @functools.cache
@@ -131,39 +49,35 @@ def _changes(settings: FIPT_EstimateSettings) -> dict[str, float]:
     return changes if isinstance(changes, dict) else {}
 
 
-def _property(name: str, choice: Choice) -> object:
-    """A property with the preset's value until it is changed."""
-
-    kind = bool if choice.switch else float if choice.fraction else int
+def _property(name: str, of: str) -> object:
+    """A property with the preset's value until it is changed; `of` is the field that declares it."""
+    item = declared(Settings)[of]
 
     def get(self: FIPT_EstimateSettings) -> float:
         changes = _changes(self)
-        value = changes[name] if name in changes else getattr(_preset(self.preset), choice.fields[0])
-        return kind(value)
+        return item.kind(changes[name] if name in changes else getattr(_preset(self.preset), item.name))
 
     def set_(self: FIPT_EstimateSettings, value: float) -> None:
         import json
 
         self.changes = json.dumps({**_changes(self), name: value})
 
-    options = {"name": choice.name, "description": choice.description, "get": get, "set": set_}
-    if choice.switch:
-        return bpy.props.BoolProperty(**options)
-    if choice.fraction:
-        return bpy.props.FloatProperty(**options, min=choice.least, max=choice.most, precision=2)
-    return bpy.props.IntProperty(**options, min=int(choice.least), max=int(choice.most))
+    return property_of(item, get=get, set=set_)
 
 
 class FIPT_EstimateSettings(bpy.types.PropertyGroup):
     """The section Estimate."""
 
     preset: bpy.props.EnumProperty(
-        name="Preset", description="Quality and duration of the estimation", items=PRESETS, default="medium"
+        name="Preset",
+        description="Quality and duration of the estimation",
+        items=enum_items(PRESET_TEXTS),
+        default="medium",
     )
     device: bpy.props.EnumProperty(
         name="Compute On",
         description="Device on which the engine computes",
-        items=_RUN_DEVICES,
+        items=enum_items(_RUN_DEVICES),
         default="preferences",
     )
     apply_when_finished: bpy.props.BoolProperty(
@@ -176,7 +90,7 @@ class FIPT_EstimateSettings(bpy.types.PropertyGroup):
         description="Settings that differ from the preset, as JSON",
         options={"HIDDEN"},
     )
-    __annotations__.update({name: _property(name, choice) for name, choice in CHOICES.items()})
+    __annotations__.update({name: _property(name, of) for name, (of, *_) in CHOICES.items()})
 
     def is_changed(self, name: str) -> bool:
         """Whether the artist has set one of CHOICES."""
@@ -197,5 +111,5 @@ class FIPT_EstimateSettings(bpy.types.PropertyGroup):
             field: value
             for name, value in _changes(self).items()
             if name in CHOICES
-            for field in CHOICES[name].fields
+            for field in CHOICES[name]
         }

@@ -6,6 +6,9 @@ from __future__ import annotations
 
 import bpy
 
+from ..core.run.stage_settings import TextureSettings
+from .declared import properties_of
+
 SHOWN = (
     ("ESTIMATED", "Estimated", "The estimated materials and lights", "SHADING_RENDERED", 0),
     ("ORIGINAL", "Original", "Your own meshes, materials and world", "LOOP_BACK", 1),
@@ -27,12 +30,6 @@ SHOWN = (
         "HIDE_OFF",
         6,
     ),
-)
-
-# What a room without the node group loses: docs/results.md "Materials to hand on".
-PLAIN_COST = (
-    "Use the Principled BSDF alone, which is easier to hand on. Renders of the example room are 2.2 dB"
-    " farther from the photographs, most of all at grazing angles"
 )
 
 
@@ -116,58 +113,11 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
         default="ESTIMATED",
         update=_shown_changed,
     )
-    atlas_mode: bpy.props.EnumProperty(
-        name="Store In",
-        description="Where the estimated values are stored",
-        items=[
-            ("uv", "Image Textures", "Images on a separate UV map", "IMAGE_DATA", 0),
-            (
-                "color_attribute",
-                "Color Attributes",
-                "Values at the face corners of the mesh, for dense scans that can't be unwrapped",
-                "GROUP_VCOL",
-                1,
-            ),
-        ],
-        default="uv",
-    )
-    atlas_images: bpy.props.EnumProperty(
-        name="Images",
-        description="Which surfaces share an image",
-        items=[
-            ("room", "Shared", "As few images as the room needs, which its parts share", "IMAGE_DATA", 0),
-            (
-                "object",
-                "One per Object",
-                "Images and UVs of its own for each object, to hand objects on. A part that lies on several"
-                " objects has a material for each; its sliders are one",
-                "OBJECT_DATA",
-                1,
-            ),
-            (
-                "part",
-                "One per Part",
-                "Images and UVs of its own for each part, as large as it needs, to hand materials on",
-                "MATERIAL",
-                2,
-            ),
-        ],
-        default="room",
-    )
     texture_size: bpy.props.EnumProperty(
         name="Texture Size",
         description="Maximum width and height of an image. A room uses up to 16 images",
         items=[(str(size), f"{size:,}", "") for size in (512, 1024, 2048, 4096, 8192)],
         default="2048",
-    )
-    texel_density: bpy.props.FloatProperty(
-        name="Texel Density",
-        description="Resolution of the textures in texels per meter. Photographs rarely show more than 500",
-        default=128.0,
-        min=1.0,
-        soft_min=16.0,
-        soft_max=1024.0,
-        precision=0,
     )
     texture_format: bpy.props.EnumProperty(
         name="Format",
@@ -178,25 +128,10 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
         ],
         default="EXR",
     )
-    write_back: bpy.props.EnumProperty(
-        name="Surface",
-        description="Shader that renders the estimated textures",
-        items=[
-            (
-                "cycles",
-                "For Cycles",
-                "Use a node group that makes Cycles match the reflection model of the estimation",
-            ),
-            ("paper", "Plain Principled", PLAIN_COST),
-        ],
-        default="cycles",
-    )
-    clean_mesh: bpy.props.BoolProperty(
-        name="Clean Scan",
-        description="Give a scanned room the geometry on which the estimation has worked: walls are planar"
-        " and the scan's bumps are gone. Your own mesh is set aside; Revert restores it. Modelled rooms stay"
-        " as they are",
-        default=True,
+    __annotations__.update(
+        properties_of(
+            TextureSettings, ("atlas_mode", "atlas_images", "texel_density", "write_back", "clean_mesh")
+        )
     )
     mute_lights: bpy.props.BoolProperty(
         name="Hide Lights",

@@ -14,6 +14,7 @@ _MODULES = {
     *("blend.lights", "blend.lights.outline", "blend.previews", "blend.results", "blend.results.dropped"),
     *("core", "core.capture", "core.capture.suffixes", "prepare", "prepare.preparation"),
     *("core.run", "core.run.documents", "core.run.errors", "core.run.kinds", "core.run.paths", "core.run.runfolder"),
+    *("core.capture.options", "core.run.declared", "core.run.settings", "core.run.stage_settings"),
     *("core.run.shapes", "jobs", "jobs.job_scene", "jobs.running", "jobs.saving"),
     *("jobs.runstate", "jobs.session", "jobs.setup_size", "jobs.tasks", "jobs.window"),
 }

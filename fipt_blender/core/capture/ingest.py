@@ -20,6 +20,7 @@ import numpy as np
 
 from .. import conventions
 from ..run.contents import CapturedView, CapturedViews, UpAxis
+from ..run.declared import add_options, converted, options_of
 from ..run.errors import FiptError
 from ..run.kinds import as_matrix
 from ..run.light_size import refuse_full_disk
@@ -50,7 +51,7 @@ from .images import (
     write_exr,
     write_ids,
 )
-from .options import CaptureOptions, add_options, options_of
+from .options import CaptureOptions
 from .panorama import pinhole_views, placed_panorama, says_panorama
 from .photograph_mesh import Photograph
 from .photograph_poses import with_photograph_poses
@@ -74,12 +75,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("capture", type=Path, help="folder of the capture, or its camera file")
     parser.add_argument("run", type=Path, help="run folder; created with default settings if missing")
-    add_options(parser)
+    add_options(parser, CaptureOptions)
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     """Run `ingest` with the command's arguments."""
-    ingest(arguments.capture, RunFolder(arguments.run), CaptureOptions(**options_of(arguments)), reporter)
+    options = CaptureOptions(**options_of(arguments, CaptureOptions))
+    ingest(arguments.capture, RunFolder(arguments.run), options, reporter)
 
 
 def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, reporter: Reporter) -> None:
@@ -92,7 +94,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         run_folder.read()
     reporter.plan([0.1, 0.85, 0.05])
     reporter.stage("cameras", "Reading cameras")
-    options.check()
+    converted(CaptureOptions, vars(options))  # refuses impossible values
     source = read_source(capture.absolute(), options, reporter)
     rig = source.rig
     views = distinct_views(rig.views)

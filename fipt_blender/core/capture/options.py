@@ -7,64 +7,47 @@ Needs the standard library and numpy alone, since Blender's side imports it.
 
 from __future__ import annotations
 
-import argparse
-import math
-from collections.abc import Callable, Collection
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
-from ..conventions import UP_AXES
+from ..run.declared import Option, arguments_of
 from ..run.errors import FiptError
-from ..run.shapes import SCALES
+from ..run.shapes import SCALES, UP_AXES
 
-FORMATS = (
-    *("fipt-synthetic", "fipt-real", "scannetpp", "transforms", "colmap", "metashape", "blocksexchange"),
-    *("realityscan", "meshroom", "opensfm", "openmvg", "bundler", "nvm", "polycam", "record3d"),
-    *("3d-scanner-app", "rgbd"),
+FORMATS = (  # identifier, label, tooltip
+    ("auto", "Automatic", "Recognize the layout by the files"),
+    ("colmap", "COLMAP", "A COLMAP model, binary or text"),
+    ("transforms", "transforms.json", "The format of nerfstudio, instant-ngp and NeRF"),
+    ("metashape", "Metashape", "The camera XML that Metashape exports"),
+    ("blocksexchange", "BlocksExchange", "The XML of ContextCapture and iTwin Capture, also by Metashape"),
+    (
+        "realityscan",
+        "RealityScan",
+        "XMP files beside the photographs, or a CSV file of the camera parameters",
+    ),
+    ("meshroom", "Meshroom", "A .sfm or .json file of Meshroom's cameras"),
+    ("opensfm", "OpenSfM", "A file reconstruction.json, also written by OpenDroneMap"),
+    ("openmvg", "OpenMVG", "A file sfm_data.json, also written by Regard3D"),
+    ("bundler", "Bundler", "A file bundle.out with the list of its photographs"),
+    ("nvm", "VisualSFM", "An .nvm file"),
+    ("polycam", "Polycam", "The raw data that Polycam exports"),
+    ("record3d", "Record3D", "A file metadata.json beside the folder rgb or rgbd"),
+    ("3d-scanner-app", "3D Scanner App", "The export All Data, with files frame_00000.json"),
+    ("rgbd", "RGB-D Frames", "Photographs, depth images and poses of 7-Scenes, tsdf-fusion or ScanNet"),
+    ("scannetpp", "ScanNet++", "The DSLR photographs of a ScanNet++ scene"),
+    ("fipt-synthetic", "FIPT Synthetic", "Folders train and val with Image, IndexMA and segmentation"),
+    ("fipt-real", "FIPT Real", "Files cam.txt and K_list.txt beside the folder Image"),
 )
-VOXELS = (0.002, 1.0)  # metres
+UP = (
+    ("auto", "Automatic", "Use the format's up axis, otherwise find it by the room's planes and the cameras"),
+    *((axis, axis.upper(), f"The capture's {axis.upper()} axis points up") for axis in UP_AXES),
+)
+LAYER_TEXT = (
+    "Layer or part of OpenEXR photographs that have several. If empty, the one without a name or with one"
+    " like Combined, beauty, rgba, C or image is used"
+)
 LEAST_TRIANGLES = 100  # of a budget; fewer are no room
-
-
-# What each field of `CaptureOptions` means.
-TEXTS = {
-    "mesh": "the room's mesh (default: the one beside the cameras)",
-    "format": "layout of the capture (default: auto)",
-    "up_axis": "up axis of the capture; --up-axis=-y for -y",
-    "scale": "meters per unit of the capture (default: 1)",
-    "hold_back": "hold back every N-th view where the capture holds back none; 0 for none (default: 8)",
-    "images": "folder of the photographs, searched first",
-    "layer": "layer or part of EXR photographs that have several",
-    "clamp_negative": "treat negative radiance in photographs as zero",
-    "align_mesh": "align the cameras to a mesh from another program by the solve's points",
-    "panorama": (
-        "an equirectangular panorama that the cameras lack, upright, at --panorama-place; black pixels of the"
-        " image of its name in the folder masks beside it are left out"
-    ),
-    "panorama_place": "where it was taken: meters in the imported scene, Z up; =-1,0,1.5 if X is negative",
-    "panorama_heading": "degrees by which its centre is turned from Y to the left (default: 0)",
-    "views": "use N photographs, evenly spread (default: all)",
-    "voxel": "meters, of a mesh fused from depth images (default: 0.02)",
-    "triangles": "simplify a mesh with more triangles to about N; 0 for none",
-    "mesh_from_photographs": (
-        "without a mesh and depth images, make a rough mesh of the photographs alone; takes seconds for each"
-    ),
-    "depth_unit": "unit of 16-bit depth images in meters (default: 0.001)",
-    "own_paths": "transforms.json: its paths may lead anywhere; only for files that you wrote yourself",
-    "undo_applied_transform": (
-        "transforms.json: the mesh has the coordinates from before nerfstudio's applied_transform"
-    ),
-}
-_CHOICES = {"format": ("auto", *FORMATS), "up_axis": ("auto", *UP_AXES)}
-# Of the fields' types: what reads an argument, and its name in the help.
-_TYPES: dict[str, tuple[Callable[[str], Any], str | None]] = {
-    "Path | None": (Path, "PATH"),
-    "int": (int, "N"),
-    "float": (float, "N"),
-    "str": (str, None),
-    "tuple[float, ...]": (lambda text: tuple(map(float, text.split(","))), "X,Y,Z"),
-}
 
 
 @dataclass(frozen=True)
@@ -77,110 +60,142 @@ class FusionOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureOptions:
-    """How a capture is read; `TEXTS` says what the fields mean. Lengths are in metres.
+    """How a capture is read. Lengths are in metres."""
 
-    `up_axis` "auto" is that of the format, else what `upright.find_upright` finds.
-    """
-
-    mesh: Path | None = None
-    format: str = "auto"
-    up_axis: str = "auto"
-    scale: float = 1.0
-    hold_back: int = 8
-    images: Path | None = None
-    layer: str = ""
-    clamp_negative: bool = False
-    align_mesh: bool = False
-    panorama: Path | None = None
-    panorama_place: tuple[float, ...] = (0.0, 0.0, 1.5)
-    panorama_heading: float = 0.0
-    views: int = 0
-    voxel: float = 0.02
-    triangles: int = 0
-    mesh_from_photographs: bool = False
-    depth_unit: float = 0.001
-    own_paths: bool = False
-    undo_applied_transform: bool = False
+    format: Annotated[str, Option("Layout of the capture", "Layout", choices=FORMATS)] = "auto"
+    mesh: Annotated[
+        Path | None,
+        Option(
+            "Mesh file of the room, in the capture's coordinates. If empty, the one beside the cameras",
+            shown={"subtype": "FILE_PATH"},
+        ),
+    ] = None
+    images: Annotated[
+        Path | None,
+        Option(
+            "Folder of the photographs, if they are not where the camera file says",
+            "Photographs",
+            shown={"subtype": "DIR_PATH"},
+        ),
+    ] = None
+    panorama: Annotated[
+        Path | None,
+        Option(
+            "Equirectangular photograph (OpenEXR, Radiance or JPEG) that the cameras do not include. It shows"
+            " the lamps that they miss. Black pixels of the image of its name in the folder masks beside it"
+            " are left out",
+            shown={"subtype": "FILE_PATH"},
+        ),
+    ] = None
+    panorama_place: Annotated[
+        tuple[float, ...],
+        Option(
+            "Where the panorama was taken, its camera upright, in the coordinates of the import, Z up",
+            "Place",
+            shown={"subtype": "TRANSLATION"},
+        ),
+    ] = (0.0, 0.0, 1.5)
+    panorama_heading: Annotated[
+        float,
+        Option(
+            "Rotation about Z in degrees of a camera in Blender that looks at the panorama's centre, from Y"
+            " to the left",
+            "Heading",
+            low=-3600,
+            high=3600,
+            shown={"subtype": "ANGLE"},
+        ),
+    ] = 0.0
+    layer: Annotated[str, LAYER_TEXT] = ""
+    scale: Annotated[
+        float,
+        Option(
+            "Length of one unit of the capture in meters",
+            low=SCALES[0],
+            high=SCALES[1],
+            shown={"soft_min": 0.001, "soft_max": 1000.0, "precision": 4},
+        ),
+    ] = 1.0
+    up_axis: Annotated[str, Option("Axis of the capture that points up; --up-axis=-y for -y", choices=UP)] = (
+        "auto"
+    )
+    hold_back: Annotated[
+        int,
+        Option(
+            "Hold back every N-th photograph for comparison with the result, if the capture does not define"
+            " held-back views itself. 0 holds back none",
+            "Hold Back Every",
+            low=2,
+            zero=True,
+            shown={"soft_max": 50},
+        ),
+    ] = 8
+    clamp_negative: Annotated[
+        bool, "Treat all negative pixel values as black, instead of refusing large ones"
+    ] = False
+    align_mesh: Annotated[
+        bool,
+        Option(
+            "The mesh is from another program than the cameras. Move the cameras to it by the sparse points"
+            " of the camera solve, with any rotation and scale. The mesh must be OBJ, PLY, STL or glTF",
+            "Align to Mesh",
+        ),
+    ] = False
+    triangles: Annotated[
+        int,
+        Option(
+            "Simplify a mesh with more triangles to about this number: a scan when it is imported, or any"
+            " room by Simplify Room. 0 keeps all",
+            low=LEAST_TRIANGLES,
+            zero=True,
+            shown={"soft_max": 2_000_000, "step": 10_000},
+        ),
+    ] = 0
+    mesh_from_photographs: Annotated[
+        bool,
+        "Where the capture has neither a mesh nor depth images, make a rough mesh of its photographs alone."
+        " That takes seconds for each of them; a scan or a photogrammetry program makes a better one",
+    ] = False
+    undo_applied_transform: Annotated[
+        bool,
+        "For transforms.json: the mesh has the coordinates from before nerfstudio applied its transform",
+    ] = False
+    views: Annotated[int, Option("Use N photographs, evenly spread; 0 for all", zero=True, panel=False)] = 0
+    voxel: Annotated[
+        float,
+        Option(
+            "Voxels in meters of a mesh that is fused from depth images", low=0.002, high=1.0, panel=False
+        ),
+    ] = 0.02
+    depth_unit: Annotated[float, Option("Unit of 16-bit depth images in meters", high=1.0, panel=False)] = (
+        0.001
+    )
+    own_paths: Annotated[
+        bool,
+        Option(
+            "For transforms.json: its paths may lead anywhere; only for files that you wrote yourself",
+            panel=False,
+        ),
+    ] = False
 
     @property
     def fusion(self) -> FusionOptions:
         """Those of depth images."""
         return FusionOptions(self.voxel, self.triangles)
 
-    def check(self) -> None:
-        """Refuse impossible values.
+    def refuse_missing(self) -> None:
+        """Look whether what is named exists.
 
         Raises:
-            FiptError: ``setting-invalid``.
+            FiptError: ``mesh-missing`` or ``images-missing``.
         """
-        (low, high), (finest, coarsest) = SCALES, VOXELS
-        checks = (
-            (
-                self.hold_back >= 0 and self.hold_back != 1,
-                f"Every Nth view can't be held back with N = {self.hold_back}.",
-                "Set it to 0 (none) or to at least 2.",
-            ),
-            (
-                self.views >= 0 and 0.0 < self.depth_unit <= 1.0,
-                f"{self.views} views or depth units of {self.depth_unit:g} m are impossible.",
-                "Set a number of photographs of at least 0, and a unit above 0 and up to 1 m.",
-            ),
-            (
-                low <= self.scale <= high,
-                f"A unit of {self.scale:g} m is impossible.",
-                f"Set a scale from {low:g} to {high:g} meters per unit.",
-            ),
-            (
-                len(self.panorama_place) == 3
-                and all(map(math.isfinite, (*self.panorama_place, self.panorama_heading))),
-                f"A panorama can't be placed at {self.panorama_place}.",
-                "Give three coordinates in meters: --panorama-place=X,Y,Z.",
-            ),
-            (
-                finest <= self.voxel <= coarsest,
-                f"Voxels of {self.voxel:g} m are impossible.",
-                f"Set voxels from {finest:g} to {coarsest:g} meters.",
-            ),
-            (
-                self.triangles == 0 or self.triangles >= LEAST_TRIANGLES,
-                f"A room can't have {self.triangles} triangles.",
-                f"Set at least {LEAST_TRIANGLES} triangles, or 0 to keep all.",
-            ),
-        )
-        for holds, text, remedy in checks:
-            if not holds:
-                raise FiptError("setting-invalid", text, remedy)
+        remedy = "Correct the path, in Import Settings or on the command line, or give none."
+        if self.mesh is not None and not self.mesh.is_file():
+            raise FiptError("mesh-missing", f"The mesh {self.mesh} does not exist.", remedy)
+        for path, exists in ((self.images, Path.is_dir), (self.panorama, Path.is_file)):
+            if path is not None and not exists(path):
+                raise FiptError("images-missing", f"{path} does not exist.", remedy)
 
     def arguments(self) -> list[str]:
-        """Arguments of `ingest`, each one word: a separate "-y" would be taken for an option."""
-        words = []
-        for option in fields(CaptureOptions):
-            value = getattr(self, option.name)
-            if value != option.default:
-                value = value.absolute() if isinstance(value, Path) else value
-                value = ",".join(map(str, value)) if isinstance(value, tuple) else value
-                words.append(_flag(option.name) if value is True else f"{_flag(option.name)}={value}")
-        return words
-
-
-def add_options(parser: argparse.ArgumentParser, without: Collection[str] = ()) -> None:
-    """Arguments for all options but those `without`, which keep their defaults."""
-    for option in fields(CaptureOptions):
-        name, text = option.name, TEXTS[option.name]
-        if name in without:
-            parser.set_defaults(**{name: option.default})
-        elif option.type == "bool":
-            parser.add_argument(_flag(name), action="store_true", help=text)
-        else:
-            kind, value = _TYPES[str(option.type)]
-            shown: dict[str, Any] = {"metavar": value, "choices": _CHOICES.get(name), "help": text}
-            parser.add_argument(_flag(name), type=kind, default=option.default, **shown)
-
-
-def options_of(arguments: argparse.Namespace) -> dict[str, Any]:
-    """The fields of `CaptureOptions` that parsed arguments set."""
-    return {option.name: getattr(arguments, option.name) for option in fields(CaptureOptions)}
-
-
-def _flag(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
+        """Arguments of `ingest`."""
+        return arguments_of(self, CaptureOptions)

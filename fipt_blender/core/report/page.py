@@ -21,6 +21,7 @@ from ..capture.averaging import means, narrowed
 from ..capture.images import is_encoded, read_radiance
 from ..capture.views import Capture, View, load_capture
 from ..run.contents import Steps
+from ..run.declared import declared
 from ..run.documents import read_document
 from ..run.kinds import T
 from ..run.messages import Reporter
@@ -153,7 +154,7 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
         "peak_memory_gb": statistics.peak_memory_gb,
         "warnings": [warning for step in steps.values() for warning in step.warnings],
         "settings": [
-            (item.name, getattr(settings, item.name), item.metadata["help"]) for item in fields(Settings)
+            (name, getattr(settings, name), item.option.text) for name, item in declared(Settings).items()
         ],
     }
     page = run.report / "index.html"

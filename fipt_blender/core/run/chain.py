@@ -20,6 +20,7 @@ from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
+from .declared import declared
 from .documents import read_document
 from .errors import FiptError
 from .finished_views import FinishedViews
@@ -189,7 +190,7 @@ class Chain:
         }
         kind = stage.types[1]
         read = {
-            item.name: getattr(self.settings, item.name) for item in fields(kind) if item.metadata["keyed"]
+            name: getattr(self.settings, name) for name, item in declared(kind).items() if item.option.keyed
         }
         text = json.dumps([method_digest(), stage.name, sources, dict(stage.takes), read], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()

@@ -9,12 +9,11 @@ paper it follows where the two differ. Standard library only: both processes imp
 
 from __future__ import annotations
 
-import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
+from .declared import Option, converted
 from .errors import FiptError
 from .stage_settings import (
     CheckSettings,
@@ -27,7 +26,6 @@ from .stage_settings import (
     TextureSettings,
     TrainingSettings,
     ViewSettings,
-    setting,
 )
 
 Value = str | int | float | bool
@@ -46,14 +44,46 @@ _REMOVED = (
 # The settings of Apply Results; no stage of an estimation reads them.
 TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_images", "atlas_mode", "write_back", "clean_mesh")
 
+PRESET_TEXTS = (  # identifier, label, tooltip
+    (
+        "draft",
+        "Draft",
+        "A quick preview with noise and soft textures: a few minutes, whatever the photographs' size",
+    ),
+    (
+        "medium",
+        "Medium",
+        "Good materials and lights: takes about three times as long as Draft. A GPU is much faster",
+    ),
+    ("high", "High", "Many more samples and training steps: an hour on a GPU, a night without one"),
+)
+DEVICES = (
+    ("auto", "Automatic", "Use the GPU if a usable one is found, otherwise the CPU"),
+    ("cuda", "GPU (CUDA)", "Use an NVIDIA GPU"),
+    ("llvm", "CPU", "Use the CPU: slower, but works on every machine"),
+)
+
 
 @dataclass(frozen=True)
 class RunSettings:
     """What the stages are, and where they run."""
 
-    preset: str = setting("medium", "draft, medium or high: the preset that other settings start from")
-    device: str = setting("auto", "auto, cuda or llvm (CPU)")
-    rounds: int = setting(1, "number of times that stages 3 and 2 are repeated after stages 1 and 2")
+    preset: Annotated[str, Option("the preset that other settings start from", choices=PRESET_TEXTS)] = (
+        "medium"
+    )
+    device: Annotated[str, Option("device on which the engine computes", "Compute On", choices=DEVICES)] = (
+        "auto"
+    )
+    rounds: Annotated[
+        int,
+        Option(
+            "number of refinements of light and materials; 0 for none (stages 3 and 2, repeated after"
+            " stages 1 and 2)",
+            "Rounds",
+            zero=True,
+            shown={"soft_max": 20},
+        ),
+    ] = 1
 
 
 @dataclass(frozen=True)
@@ -108,7 +138,7 @@ def make_settings(preset: str = "medium", changes: Mapping[str, Value] | None = 
             "setting-unknown", f"There is no preset '{preset}'.", f"Use one of: {', '.join(PRESETS)}."
         )
     values: dict[str, Any] = {"preset": preset, **PRESETS[preset]}
-    return Settings(**values | converted(Settings, changes or {}, _LIMITS))
+    return Settings(**values | converted(Settings, changes or {}))
 
 
 def stored_settings(values: Mapping[str, Any]) -> Settings:
@@ -119,90 +149,3 @@ def stored_settings(values: Mapping[str, Any]) -> Settings:
     """
     kept = {name: value for name, value in values.items() if name not in _REMOVED}
     return make_settings(kept.pop("preset", "medium"), kept)
-
-
-def converted(
-    kind: Any, changes: Mapping[str, Any], limits: Mapping[str, Mapping[str, Any]]
-) -> dict[str, Any]:
-    """Changed values of settings, in the types of the defaults.
-
-    Args:
-        kind: a dataclass of settings.
-        changes: field name to value; texts are converted.
-        limits: of fields: `choices` of a text; `low` and `high` of a number, which otherwise is above zero;
-            `zero` if 0 is allowed, too.
-
-    Raises:
-        FiptError: ``setting-unknown`` or ``setting-invalid``.
-    """
-    known = {item.name: item for item in dataclasses.fields(kind)}
-    values = {}
-    for name, value in changes.items():
-        if name not in known:
-            raise FiptError(
-                "setting-unknown", f"There is no setting '{name}'.", f"Use one of: {', '.join(known)}."
-            )
-        try:
-            values[name] = _converted(value, known[name].default, limits.get(name, {}))
-        except ValueError as error:
-            raise FiptError(
-                "setting-invalid",
-                f"'{str(value)[:80]}' is not a valid value of the setting '{name}'.",
-                f"Give {error}.",
-            ) from None
-    return values
-
-
-def _converted(value: Any, default: Any, limits: Mapping[str, Any]) -> Any:
-    """A setting's value in the type of its default.
-
-    Raises:
-        ValueError: what the setting takes.
-    """
-    if isinstance(default, str):
-        choices = limits.get("choices", (value,))
-        if not isinstance(value, str) or value not in choices:
-            raise ValueError(f"one of: {', '.join(map(str, choices))}")
-        if len(value) > 4096 or not value.isprintable():
-            raise ValueError("a text of at most 4096 letters")
-        return value
-    if isinstance(default, bool):
-        truths = {"true": True, "1": True, "false": False, "0": False}
-        if str(value).lower() not in truths:
-            raise ValueError("true or false")
-        return truths[str(value).lower()]
-    low, high = limits.get("low"), limits.get("high", _MOST)
-    whole = isinstance(default, int) and isinstance(value, float) and value.is_integer()
-    try:
-        number = type(default)(str(int(value) if whole else value))
-    except ValueError:
-        number = math.nan
-    if not ((number > 0 if low is None else number >= low) and number <= high):  # NaN is neither
-        if number != 0 or not limits.get("zero"):
-            kind = "a whole number" if isinstance(default, int) else "a number"
-            least = "above zero" if low is None else f"of at least {low}"
-            raise ValueError(f"{'0, or ' if limits.get('zero') else ''}{kind} {least}, at most {high}")
-    return number
-
-
-# Largest value of any setting: counts and seeds must fit into the integers of all libraries.
-_MOST = 2**31 - 1
-_ZERO = (
-    *("seed", "rounds", "lambda_diffuse", "lambda_emission", "lambda_part"),
-    *("lambda_semantic", "brdf_depth"),
-)
-_LIMITS: dict[str, dict[str, Any]] = {
-    **{key: {"zero": True} for key in _ZERO},
-    **{key: {"high": 1} for key in ("view_share", "view_outliers")},
-    # The time to close a hole grows with the cube of its edges.
-    "close_holes_edges": {"zero": True, "high": 1000},
-    # With smaller values there is nothing to interpolate between, or no room inside the grid's empty border.
-    "roughness_levels": {"low": 3},
-    "voxel_resolution": {"low": 8},
-    "environment_width": {"low": 4},
-    "device": {"choices": ("auto", "cuda", "llvm")},
-    "atlas_images": {"choices": ("room", "object", "part")},
-    "atlas_mode": {"choices": ("uv", "color_attribute")},
-    "write_back": {"choices": ("cycles", "paper")},
-    "masking": {"choices": ("schlick", "smith")},
-}
