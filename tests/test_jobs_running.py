@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from typing import Annotated
 
 import bpy
 import pytest
@@ -23,7 +24,8 @@ from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import job_scene, run_job, running, runstate, session
-from fipt_blender.operators.job_operator import JobOperator
+from fipt_blender.jobs.tasks import Task
+from fipt_blender.operators.action import action
 from samples.child_processes import wait_for
 from samples.refusals import error_of
 from samples.stand_in_jobs import at_work, finish, make_job, start, tick_until
@@ -182,51 +184,46 @@ def test_the_state_of_a_run_folder(run):
     assert runstate.look(run).finished
 
 
-class FIPT_OT_try_job(JobOperator, bpy.types.Operator):
-    """For the test below"""
+ended: list[str] = []
 
-    bl_idname = "fipt.try_job"
-    bl_label = "Try"
-    title, kind = "Trying", "try"
-    ended: list[str] = []
-    mode: bpy.props.StringProperty()
 
-    def make_job(self, context):
-        error = FiptError("bad", "It went wrong.", "Try again.")
+@action("Try")
+def try_job(scene: bpy.types.Scene, mode: Annotated[str, "How it ends"] = "") -> Task:
+    """For the test below."""
+    error = FiptError("bad", "It went wrong.", "Try again.")
 
-        def work():
-            yield
-            if self.mode == "fail":
-                raise error
-
-        if self.mode == "refuse":
+    def work():
+        yield
+        if mode == "fail":
             raise error
-        run = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
+
+    def make(scene):
+        if mode == "refuse":
+            raise error
+        run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
         return run_job.open_job(run, [Step("work", "Working", 1.0, function=work)])
 
-    @staticmethod
-    def finished(scene, run):
-        FIPT_OT_try_job.ended.append(f"{scene.name} {run.root.name}")
+    return Task("Trying", "try", make, lambda scene, run: ended.append(f"{scene.name} {run.root.name}"))
 
 
 def test_an_operators_job_runs_to_its_end_for_scripts_and_its_failure_is_an_error(run):
-    bpy.utils.register_class(FIPT_OT_try_job)
+    bpy.utils.register_class(try_job.operator)
     try:
         operator = bpy.ops.fipt.try_job
         assert operator() == {"FINISHED"} == operator("INVOKE_DEFAULT")
-        assert FIPT_OT_try_job.ended == ["Scene run"] * 2 and running.last("try").state == "finished"
+        assert ended == ["Scene run"] * 2 and running.last("try").state == "finished"
         for mode in ("refuse", "fail"):
             bpy.context.scene.fipt.run_folder = str(run.root)
             with pytest.raises(RuntimeError, match=r"It went wrong\. Try again"):
                 operator(mode=mode)
-            assert len(FIPT_OT_try_job.ended) == 2 and running.current() is None
+            assert len(ended) == 2 and running.current() is None
             job = running.last("try")
             assert (job.state, job.error["text"], job.error["remedy"]) == ("failed", "It went wrong.", "Try again.")
             assert running.belongs_to(job, bpy.context.scene)
             bpy.context.scene.fipt.run_folder = "elsewhere"
             assert not running.belongs_to(job, bpy.context.scene)
     finally:
-        bpy.utils.unregister_class(FIPT_OT_try_job)
+        bpy.utils.unregister_class(try_job.operator)
 
 
 def test_a_job_that_starts_at_the_end_of_another_is_advanced_by_the_same_timer(run):

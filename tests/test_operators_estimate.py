@@ -23,7 +23,7 @@ from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import run_job, running, runstate
-from fipt_blender.operators.estimate import smaller_preset
+from fipt_blender.operators.estimate import smaller_preset_of
 from fipt_blender.properties.estimate import CHOICES
 from samples.child_processes import wait_for
 from samples.engine_here import engine_here, hardly_training
@@ -249,7 +249,7 @@ def test_settings_that_messages_name_are_in_the_panel():
 
 
 def test_smaller_presets(scene, monkeypatch):
-    assert (smaller_preset("high"), smaller_preset("medium"), smaller_preset("draft")) == ("medium", "draft", None)
+    assert tuple(map(smaller_preset_of, ("high", "medium", "draft"))) == ("medium", "draft", None)
     scene.fipt.estimate.preset = "draft"
     assert not ops.smaller_preset.poll()
     scene.fipt.estimate.preset = "medium"

@@ -102,7 +102,7 @@ def test_hints_are_removed_one_by_one_or_all(settings) -> None:
         add(x)
     assert bpy.ops.fipt.remove_hint(index=0) == {"FINISHED"}
     assert [hint.name for hint in settings.hints] == ["Floor", "Box"]
-    assert "no hint 7. The list has 2" in refused(bpy.ops.fipt.remove_hint, index=7)
+    assert "no row 7. The list has 2" in refused(bpy.ops.fipt.remove_hint, index=7)
     assert bpy.ops.fipt.remove_hint(every=True) == {"FINISHED"} and not len(settings.hints)
 
 

@@ -25,6 +25,7 @@ from fipt_blender.core.run.lock import hold
 from fipt_blender.core.run.runfolder import PRODUCT_VERSION, RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import data_job, running
+from fipt_blender.jobs.tasks import begin
 from fipt_blender.operators import environment as operators
 from fipt_blender.panels import preferences as panel
 from samples.child_processes import SLEEPER
@@ -179,9 +180,7 @@ def test_set_up_runs_beside_the_users_work_and_is_cancelled(
     failure = {"code": "pip-missing", "text": "Python has neither pip nor ensurepip.", "remedy": "Install it."}
     machine.store_status({"error": failure})
     monkeypatch.setattr(data_job, "setup_command", lambda *arguments: [sys.executable, "-c", SLEEPER])
-    operator = type("Operator", (operators.FIPT_OT_set_up_engine,), {"allow_large": False})
-    job, ended = operator.make_job(operator)
-    running.start(job, running.RunningJob("t", running.DATA_KIND, "", tmp_path), ended)
+    begin(operators.set_up_task(allow_large=False), bpy.context.scene, wait=False)
     for _ in range(3):
         running.tick()
     assert not bpy.ops.fipt.check_engine.poll() and bpy.ops.fipt.cancel_set_up.poll()

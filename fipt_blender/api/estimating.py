@@ -8,6 +8,7 @@ Operators import it while Blender starts, so it imports heavier modules inside f
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,6 +59,21 @@ def estimation(
         )
 
     return Task("Estimate", "estimate", make, finished=show_doubts)
+
+
+def resumption() -> Task:
+    """Continue the estimation that was stopped, or watch the engine that is still at work on it."""
+    again = estimation(keep_stages=True, keep_hints=True)
+
+    def make(scene: bpy.types.Scene) -> Job:
+        from ..jobs.main_job import estimate_step
+        from ..jobs.run_job import attach_job
+
+        run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
+        # An engine that is still at work, started from here or elsewhere, is watched to its end.
+        return attach_job(run, [estimate_step(run, run.read())]) or again.make(scene)
+
+    return replace(again, make=make)
 
 
 def run_for(scene: bpy.types.Scene, keep_stages: bool) -> RunFolder:

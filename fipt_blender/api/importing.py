@@ -63,6 +63,44 @@ def _import_capture(scene: bpy.types.Scene) -> Job:
     return import_job(run, path, options, "Adding cameras and mesh", add_to_scene)
 
 
+def scene_cameras_import() -> Task:
+    """Use the scene's own cameras, with their background images, as the capture."""
+    return Task("Use Scene Cameras", "capture", _use_scene_cameras, failed=give_back, undo=True)
+
+
+def _use_scene_cameras(scene: bpy.types.Scene) -> Job:
+    from ..blend.capture.scene_cameras import SCENE_SOURCE, adopt_cameras, write_scene_cameras
+    from ..core.capture.options import CaptureOptions
+
+    settings = scene.fipt.capture
+    machine.engine_python()  # raises before anything is created
+    name = bpy.path.display_name_from_filepath(bpy.data.filepath) or scene.name
+    run = open_run(scene, SCENE_SOURCE, name)
+    try:
+        path, skipped = write_scene_cameras(scene, run)
+    except FiptError:
+        give_back(scene, run)
+        raise
+    options = CaptureOptions(
+        format="transforms",
+        up_axis="z",
+        hold_back=settings.hold_back,
+        layer=settings.layer,
+        clamp_negative=settings.clamp_negative,
+        own_paths=True,
+    )
+
+    def adopt() -> list[Message]:
+        adopt_cameras(run)
+        if not skipped:
+            return []
+        text = f"{len(skipped)} cameras without a photograph were skipped: {', '.join(skipped[:5])}."
+        remedy = "To use them as well, give each its photograph as background image."
+        return [{"type": "warning", "code": "cameras-left-out", "text": text, "remedy": remedy}]
+
+    return import_job(run, path, options, "Listing the cameras", adopt)
+
+
 def open_run(scene: bpy.types.Scene, source: str, name: str) -> RunFolder:
     """The scene's run folder, or a new one if it has none or that holds another capture or none."""
     import shutil

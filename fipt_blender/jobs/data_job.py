@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from .. import machine
@@ -14,8 +15,9 @@ from ..bridge.process import EngineProcess
 from ..bridge.sequence import Job, own_job
 from ..bridge.step import Step
 from ..core.run.errors import FiptError
-from ..core.run.runfolder import PRODUCT_VERSION
+from ..core.run.runfolder import PRODUCT_VERSION, explained_write_errors
 from . import running
+from .tasks import Task
 
 _RECORD = "environment.json"
 
@@ -25,9 +27,20 @@ def log_file() -> Path:
     return machine.data_folder() / "environment.log"
 
 
-def data_job(steps: list[Step]) -> Job:
-    """A job on the data folder, of steps that are functions or start their own processes."""
-    return own_job(steps, machine.data_folder() / _RECORD, log_file())
+def data_task(
+    title: str,
+    make: Callable[[], list[Step]],
+    ended: Callable[[running.RunningJob], None] | None = None,
+) -> Task:
+    """Work on the data folder, of steps that are functions or start their own processes; see `Task`."""
+    data = machine.data_folder()
+
+    def make_job(_: object) -> Job:
+        with explained_write_errors(data):
+            data.mkdir(parents=True, exist_ok=True)
+        return own_job(make(), data / _RECORD, log_file())
+
+    return Task(title, running.DATA_KIND, make_job, folder=data, ended=ended)
 
 
 def set_up_step(

@@ -26,7 +26,7 @@ Follow = Callable[[bpy.types.Scene, RunFolder], None]
 
 @dataclass(frozen=True)
 class Task:
-    """Work on a scene and its run folder.
+    """Work on a scene and its run folder, or on files in another folder.
 
     Attributes:
         title: for the user, e.g. "Estimate".
@@ -35,6 +35,8 @@ class Task:
         finished: called with the scene after a success; may raise FiptError.
         failed: called after a failure or a cancellation.
         undo: whether its end adds an undo step in a window.
+        folder: of work that is not on a scene's data, instead of the scene's run folder.
+        ended: called at the end of such work, however it ends; may raise FiptError.
     """
 
     title: str
@@ -43,6 +45,8 @@ class Task:
     finished: Follow | None = None
     failed: Follow | None = None
     undo: bool = False
+    folder: Path | None = None
+    ended: Callable[[running.RunningJob], None] | None = None
 
 
 def begin(task: Task, scene: bpy.types.Scene, wait: bool) -> running.RunningJob:
@@ -53,18 +57,22 @@ def begin(task: Task, scene: bpy.types.Scene, wait: bool) -> running.RunningJob:
     """
     start = running.run if wait else running.start
     undo = task.title if task.undo and not wait else ""
+    # Without `make`: the operator that it may hold is gone by then.
+    end = task.ended if task.folder is not None else partial(_end, task.finished, task.failed, undo)
     try:
         job = task.make(scene)
-        # Without `make`: the operator that it may hold is gone by then.
-        return start(job, _info(task, scene), partial(_end, task.finished, task.failed, undo))
+        return start(job, _info(task, scene), end)
     except FiptError as error:
         running.refuse(_info(task, scene), error)
         raise
 
 
 def _info(task: Task, scene: bpy.types.Scene) -> running.RunningJob:
-    folder = Path(bpy.path.abspath(scene.fipt.run_folder))
-    return running.RunningJob(task.title, task.kind, scene.name, folder)
+    if task.folder is not None:
+        return running.RunningJob(task.title, task.kind, "", task.folder)
+    return running.RunningJob(
+        task.title, task.kind, scene.name, Path(bpy.path.abspath(scene.fipt.run_folder))
+    )
 
 
 def _end(finished: Follow | None, failed: Follow | None, undo: str, info: running.RunningJob) -> None:

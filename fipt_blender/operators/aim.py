@@ -4,38 +4,37 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import bpy
 from mathutils import Matrix, Vector
 
 from ..blend.marks import NEW_LIGHT
+from ..core.run.declared import Option
+from .action import action
 from .pointer import surface_under_pointer
-from .polls import all_of, needs
-from .reporting import reports_errors
-
-
-class FIPT_OT_aim_light(bpy.types.Operator):
-    """Turn the active light towards a point"""
-
-    bl_idname = "fipt.aim_light"
-    bl_label = "Aim Light"
-    bl_options = {"REGISTER", "UNDO"}
-
-    target: bpy.props.FloatVectorProperty(
-        name="Target", description="Point in world space that the light shines at", subtype="TRANSLATION"
-    )
-
-    poll = all_of(needs(lambda context: _can_aim(context.object), "Select an area light or a spot light"))
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.new_lights import turn_to
-
-        turn_to(context.object, Vector(self.target))
-        return {"FINISHED"}
+from .polls import needs
 
 
 def _can_aim(item: bpy.types.Object | None) -> bool:
     return item is not None and item.type == "LIGHT" and item.data.type in ("AREA", "SPOT")
+
+
+@action(
+    "Aim Light",
+    needs=(needs(lambda context: _can_aim(context.object), "Select an area light or a spot light"),),
+)
+def aim_light(
+    context: bpy.types.Context,
+    target: Annotated[
+        tuple[float, ...],
+        Option("Point in world space that the light shines at", shown={"subtype": "TRANSLATION"}),
+    ] = (0.0, 0.0, 0.0),
+) -> None:
+    """Turn the active light towards a point."""
+    from ..blend.lights.new_lights import turn_to
+
+    turn_to(context.object, Vector(target))
 
 
 class FIPT_GT_aim(bpy.types.Gizmo):

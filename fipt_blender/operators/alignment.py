@@ -4,14 +4,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
+from ..core.run.declared import Option
 from ..core.run.runfolder import RunFolder
-from .job_operator import JobOperator
+from ..jobs.tasks import Task
+from .action import action
 from .pointer import NAVIGATION, WHEEL, WaitsForClicks, is_cancel, is_click, view_under_pointer
 from .polls import all_of, has_views, in_object_mode, needs, no_job
 from .reporting import reports_errors
@@ -231,37 +233,25 @@ class FIPT_OT_align_by_pairs(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FIPT_OT_align_cameras(JobOperator, bpy.types.Operator):
-    """Let the engine find where the cameras belong in the room, and move them there. The mesh stays"""
+METHODS = (
+    ("points", "By Points", "By the sparse points of the camera solve, wherever the cameras are now"),
+    ("near", "Refine by Points", "The same, if the cameras are nearly right, after pairs for example"),
+    ("edges", "Refine by Edges", "By the edges of mesh and photographs, by a few pixels at most"),
+)
 
-    bl_idname = "fipt.align_cameras"
-    bl_label = "Align Cameras"
-    bl_options = {"REGISTER", "UNDO"}
-    title = "Align Cameras"
-    kind = "align"
 
-    how: bpy.props.EnumProperty(
-        name="Method",
-        description="What the cameras are aligned by",
-        items=[
-            ("points", "By Points", "By the sparse points of the camera solve, wherever the cameras are now"),
-            (
-                "near",
-                "Refine by Points",
-                "The same, if the cameras are nearly right, after pairs for example",
-            ),
-            ("edges", "Refine by Edges", "By the edges of mesh and photographs, by a few pixels at most"),
-        ],
-    )
+@action("Align Cameras", needs=(has_views, in_object_mode, no_job))
+def align_cameras(
+    scene: bpy.types.Scene,
+    how: Annotated[str, Option("What the cameras are aligned by", "Method", choices=METHODS)] = "points",
+) -> Task:
+    """Let the engine find where the cameras belong in the room, and move them there. The mesh stays."""
 
-    poll = all_of(has_views, in_object_mode, no_job)
-
-    def make_job(self, context: bpy.types.Context) -> Job:
+    def make(scene: bpy.types.Scene) -> Job:
         from ..blend.capture.pairs import imported_cameras
         from ..bridge.step import Step
         from ..jobs.run_job import open_job
 
-        scene = context.scene
         imported_cameras(scene)  # raises before anything is written
         run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
         target = RunFolder(run.align)
@@ -274,19 +264,20 @@ class FIPT_OT_align_cameras(JobOperator, bpy.types.Operator):
 
         settings = scene.fipt.capture
         source = [f"--capture={settings.imported_path}", f"--format={settings.format}"]
-        command = ["align", str(target.root), self.how, f"--device={machine.device_setting()}", *source]
-        text = "Comparing edges" if self.how == "edges" else "Aligning the cameras to the mesh"
+        command = ["align", str(target.root), how, f"--device={machine.device_setting()}", *source]
+        text = "Comparing edges" if how == "edges" else "Aligning the cameras to the mesh"
         steps = [
             Step("align-input", "Preparing the room", 3.0, function=write_input, repeat=True),
             Step("align", text, 20.0, command=command, outputs=[target.root / "align.json"]),
         ]
         return open_job(run, steps, record="align.json")
 
-    @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
         from ..blend.capture.placements import take_alignment
 
         take_alignment(scene, run)
+
+    return Task("Align Cameras", "align", make, finished, undo=True)
 
 
 class FIPT_OT_choose_placement(bpy.types.Operator):

@@ -4,12 +4,15 @@
 
 from __future__ import annotations
 
+from typing import Annotated, Any
+
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .lights import find_light, has_lights, light_name_property
-from .polls import all_of, in_object_mode, is_own_room
-from .reporting import reports_errors
+from ..core.run.declared import Option
+from .action import action, dialog
+from .lights import LightName, find_light, has_lights
+from .polls import in_object_mode, is_own_room
 
 BY = (
     ("LUMENS", "Lumens of a Lamp", "What the package of the active lamp says; the lamp as it is set now"),
@@ -17,43 +20,31 @@ BY = (
 )
 
 
-class FIPT_OT_calibrate_light(bpy.types.Operator):
-    bl_idname = "fipt.calibrate_light"
-    bl_label = "Calibrate Light..."
-    bl_description = (
-        "Type the lumens of one lamp or the lux at one place: all lights and the environment are in watts"
-        " and lumens from then on, as a physical sky and lamps of other files are. Pictures stay as they are"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+def _draw(self: Any, context: bpy.types.Context) -> None:
+    self.layout.use_property_split = True
+    self.layout.prop(self, "by", expand=True)
+    self.layout.prop(self, "lumens" if self.by == "LUMENS" else "lux")
 
-    by: bpy.props.EnumProperty(name="By", description="What is known", items=BY)
-    lumens: bpy.props.FloatProperty(
-        name="Lumens", description="Luminous flux of the lamp", min=0.01, soft_max=20000.0, default=800.0
-    )
-    lux: bpy.props.FloatProperty(
-        name="Lux", description="Illuminance at the 3D cursor", min=0.01, soft_max=100000.0, default=300.0
-    )
-    light: light_name_property("lamp")
 
-    poll = all_of(has_lights, is_own_room, in_object_mode)
+@action("Calibrate Light...", needs=(has_lights, is_own_room, in_object_mode), invoke=dialog, draw=_draw)
+def calibrate_light(
+    scene: bpy.types.Scene,
+    by: Annotated[str, Option("What is known", choices=BY)] = "LUMENS",
+    lumens: Annotated[
+        float, Option("Luminous flux of the lamp", low=0.01, shown={"soft_max": 20000.0})
+    ] = 800.0,
+    lux: Annotated[
+        float, Option("Illuminance at the 3D cursor", low=0.01, shown={"soft_max": 100000.0})
+    ] = 300.0,
+    light: LightName = "",
+) -> str:
+    """Type the lumens of one lamp or the lux at one place: all lights and the environment are in watts
+    and lumens from then on, as a physical sky and lamps of other files are. Pictures stay as they are.
+    """
+    from ..blend.lights.calibration import calibrate_by_lamp, calibrate_by_lux
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        return context.window_manager.invoke_props_dialog(self)
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
-        layout.use_property_split = True
-        layout.prop(self, "by", expand=True)
-        layout.prop(self, "lumens" if self.by == "LUMENS" else "lux")
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.calibration import calibrate_by_lamp, calibrate_by_lux
-
-        scene = context.scene
-        if self.by == "LUMENS":
-            factor = calibrate_by_lamp(scene, find_light(scene, self.light), self.lumens)
-        else:
-            factor = calibrate_by_lux(scene, tuple(scene.cursor.location), self.lux)
-        self.report({"INFO"}, iface_("All light was multiplied by {:.4g}").format(factor))
-        return {"FINISHED"}
+    if by == "LUMENS":
+        factor = calibrate_by_lamp(scene, find_light(scene, light), lumens)
+    else:
+        factor = calibrate_by_lux(scene, tuple(scene.cursor.location), lux)
+    return iface_("All light was multiplied by {:.4g}").format(factor)

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,22 +14,22 @@ from bpy.app.translations import pgettext_iface as iface_
 from .. import machine
 from ..core.run.errors import FiptError
 from ..jobs import running
-from .job_operator import DataJobOperator
+from ..jobs.tasks import Task
+from .action import REGISTER, action, reported
 from .polls import all_of, needs, no_job
-from .reporting import reports_errors
 
 if TYPE_CHECKING:
-    from ..bridge.sequence import Job
+    from ..bridge.step import Step
 
 
-class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
+class FIPT_OT_set_up_engine(bpy.types.Operator):
     bl_idname = "fipt.set_up_engine"
     bl_label = "Set Up Engine"
     bl_description = (
         "Create a Python environment for the engine and install its packages there. Blender's own"
         " Python is not changed. If you cancel, the finished downloads are kept"
     )
-    title = "Set Up Engine"
+    bl_options = {"REGISTER"}
 
     allow_large: bpy.props.BoolProperty(
         name="Allow Large Download",
@@ -45,7 +44,7 @@ class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
         from ..jobs import setup_size
 
         if bpy.app.background or machine.get_preferences().wheel_folder:
-            return super().invoke(context, event)
+            return self._start(context, wait=bpy.app.background)
         self.allow_large = self.allow_large or setup_size.was_too_large()
         if self.confirmed:
             return self.execute(context)
@@ -56,11 +55,14 @@ class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
         if failure := setup_size.likely_failure():
             message = f"{failure} {message}"
         return context.window_manager.invoke_confirm(
-            self, event, title=iface_(self.title), message=message, confirm_text=iface_("Set Up")
+            self, event, title=iface_(self.bl_label), message=message, confirm_text=iface_("Set Up")
         )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self._start(context, wait=not self.confirmed)
+
+    def _start(self, context: bpy.types.Context, wait: bool) -> set[str]:
+        return reported(self, context, wait, lambda: set_up_task(self.allow_large))
 
     poll = all_of(
         no_job,
@@ -74,9 +76,14 @@ class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
         ),
     )
 
-    def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None]]:
-        from ..jobs.data_job import EngineStatus, data_job, set_up_step
 
+def set_up_task(allow_large: bool) -> Task:
+    """Create the engine's environment, and check it."""
+    from ..jobs.data_job import EngineStatus, data_task, set_up_step
+
+    status = EngineStatus(set_up=True)
+
+    def steps() -> list[Step]:
         values, data = machine.get_preferences(), machine.data_folder()
         wheels = Path(bpy.path.abspath(values.wheel_folder)) if values.wheel_folder else None
         if wheels is not None and not wheels.is_dir():
@@ -85,42 +92,30 @@ class FIPT_OT_set_up_engine(DataJobOperator, bpy.types.Operator):
                 f"The folder {wheels} does not exist.",
                 "Select another folder as Folder of Wheels.",
             )
-        status = EngineStatus(set_up=True)
-        step = set_up_step(Path(sys.executable), data, values.device, wheels, self.allow_large)
-        return data_job([step, status.check_step()]), status.store
+        step = set_up_step(Path(sys.executable), data, values.device, wheels, allow_large)
+        return [step, status.check_step()]
+
+    return data_task("Set Up Engine", steps, status.store)
 
 
-class FIPT_OT_check_engine(DataJobOperator, bpy.types.Operator):
-    """Test the engine on this machine, and show what is missing and how to fix it"""
+@action("Check", needs=(no_job,), options=REGISTER)
+def check_engine(scene: bpy.types.Scene) -> Task:
+    """Test the engine on this machine, and show what is missing and how to fix it."""
+    from ..jobs.data_job import EngineStatus, data_task
 
-    bl_idname = "fipt.check_engine"
-    bl_label = "Check"
-    title = "Check Engine"
-
-    def make_job(self) -> tuple[Job, Callable[[running.RunningJob], None]]:
-        from ..jobs.data_job import EngineStatus, data_job
-
-        status = EngineStatus()
-        return data_job([status.check_step()]), status.store
+    status = EngineStatus()
+    return data_task("Check Engine", lambda: [status.check_step()], status.store)
 
 
-class FIPT_OT_cancel_set_up(bpy.types.Operator):
-    """Cancel the set-up. Finished downloads are kept for the next time"""
+def _set_up_runs(context: bpy.types.Context) -> bool:
+    job = running.current()
+    return job is not None and job.kind == running.DATA_KIND
 
-    bl_idname = "fipt.cancel_set_up"
-    bl_label = "Cancel"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        job = running.current()
-        if job is None or job.kind != running.DATA_KIND:
-            cls.poll_message_set("No set-up is running")
-            return False
-        return True
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        running.cancel()
-        return {"FINISHED"}
+@action("Cancel", needs=(needs(_set_up_runs, "No set-up is running"),), options=REGISTER)
+def cancel_set_up(scene: bpy.types.Scene) -> None:
+    """Cancel the set-up. Finished downloads are kept for the next time."""
+    running.cancel()
 
 
 class FIPT_OT_show_log(bpy.types.Operator):
@@ -174,19 +169,13 @@ def read_log() -> list[str]:
         return [f"{log_file()}: {error.strerror}"]
 
 
-class FIPT_OT_copy_wheel_command(bpy.types.Operator):
-    bl_idname = "fipt.copy_wheel_command"
-    bl_label = "Copy Download Command"
-    bl_description = (
-        "Copy a command that downloads all packages into a folder. Run it on a machine that is online"
-        " and has the same operating system, then select that folder here"
-    )
+@action("Copy Download Command", options=REGISTER)
+def copy_wheel_command(context: bpy.types.Context) -> str:
+    """Copy a command that downloads all packages into a folder. Run it on a machine that is online and has
+    the same operating system, then select that folder here.
+    """
+    from ..bridge.pins import read_pins, wheel_command
 
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..bridge.pins import read_pins, wheel_command
-
-        command = wheel_command(read_pins(), sys.version_info[:2])
-        context.window_manager.clipboard = command
-        self.report({"INFO"}, iface_("Copied to the clipboard: {}").format(command))
-        return {"FINISHED"}
+    command = wheel_command(read_pins(), sys.version_info[:2])
+    context.window_manager.clipboard = command
+    return iface_("Copied to the clipboard: {}").format(command)

@@ -4,89 +4,71 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Annotated
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..api import estimating
-from ..core.run.runfolder import RunFolder
+from ..core.run.declared import Option
 from ..core.run.settings import PRESETS
 from ..jobs import running, runstate
-from .job_operator import JobOperator
-from .polls import all_of, needs, no_job
+from ..jobs.tasks import Task
+from .action import REGISTER, UNDO, action
+from .polls import needs, no_job
 from .reporting import reports_errors
 
-if TYPE_CHECKING:
-    from ..bridge.sequence import Job
-    from ..jobs.tasks import Task
+_can_start = (
+    no_job,
+    needs(lambda context: not context.mode.startswith("EDIT"), "Leave Edit Mode first"),
+    needs(
+        lambda context: len(context.scene.fipt.capture.views) or context.scene.fipt.run_folder,
+        "Import a capture first, in the section Capture",
+    ),
+)
 
 
-class _Estimation(JobOperator):
-    """Base of Estimate and Resume."""
-
-    poll = all_of(
-        no_job,
-        needs(lambda context: not context.mode.startswith("EDIT"), "Leave Edit Mode first"),
-        needs(
-            lambda context: len(context.scene.fipt.capture.views) or context.scene.fipt.run_folder,
-            "Import a capture first, in the section Capture",
+@action("Estimate", needs=_can_start, options=REGISTER)
+def estimate(
+    scene: bpy.types.Scene,
+    keep: Annotated[
+        bool,
+        Option(
+            "Keep finished stages of the last run that no change of room, views or settings affects",
+            "Keep Stages",
         ),
-    )
+    ] = False,
+) -> Task:
+    """Estimate the materials and lights of the room from its photographs. You can continue to work meanwhile;
+    Esc stops it. Earlier results stay, in a run folder of their own.
+    """
+    return estimating.estimation(keep_stages=keep)
 
 
-class FIPT_OT_estimate(_Estimation, bpy.types.Operator):
-    bl_idname = "fipt.estimate"
-    bl_label = "Estimate"
-    bl_description = (
-        "Estimate the materials and lights of the room from its photographs. You can continue to work"
-        " meanwhile; Esc stops it. Earlier results stay, in a run folder of their own"
-    )
-
-    keep: bpy.props.BoolProperty(
-        name="Keep Stages",
-        description="Keep finished stages of the last run that no change of room, views or settings affects",
-        options={"SKIP_SAVE"},
-    )
-
-    def task(self, context: bpy.types.Context) -> Task:
-        return estimating.estimation(keep_stages=self.keep)
+def _state(context: bpy.types.Context) -> runstate.RunState:
+    return runstate.known(context.scene.fipt.run_folder)
 
 
-class FIPT_OT_resume(_Estimation, bpy.types.Operator):
-    bl_idname = "fipt.resume"
-    bl_label = "Resume"
-    bl_description = (
-        "Continue the last run where it was stopped. If room, views or settings have changed since, it starts"
-        " again at the first stage that depends on the change"
-    )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not super().poll(context):
-            return False
-        state = runstate.known(context.scene.fipt.run_folder)
-        if not state.stages and not state.engine:
-            cls.poll_message_set("There is no stopped run to resume")
-            return False
-        if state.finished and not state.engine:
-            cls.poll_message_set("The last run is finished. Use Estimate to start a new one")
-            return False
-        return True
-
-    def task(self, context: bpy.types.Context) -> Task:
-        again = estimating.estimation(keep_stages=True, keep_hints=True)
-
-        def make(scene: bpy.types.Scene) -> Job:
-            from ..jobs.main_job import estimate_step
-            from ..jobs.run_job import attach_job
-
-            run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-            # An engine that is still at work, started from here or elsewhere, is watched to its end.
-            return attach_job(run, [estimate_step(run, run.read())]) or again.make(scene)
-
-        return replace(again, make=make)
+@action(
+    "Resume",
+    needs=(
+        *_can_start,
+        needs(
+            lambda context: _state(context).stages or _state(context).engine,
+            "There is no stopped run to resume",
+        ),
+        needs(
+            lambda context: not _state(context).finished or _state(context).engine,
+            "The last run is finished. Use Estimate to start a new one",
+        ),
+    ),
+    options=REGISTER,
+)
+def resume(scene: bpy.types.Scene) -> Task:
+    """Continue the last run where it was stopped. If room, views or settings have changed since, it starts
+    again at the first stage that depends on the change.
+    """
+    return estimating.resumption()
 
 
 class FIPT_OT_notice(bpy.types.Operator):
@@ -170,54 +152,36 @@ class FIPT_OT_cancel(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FIPT_OT_smaller_preset(bpy.types.Operator):
-    bl_idname = "fipt.smaller_preset"
-    bl_label = "Use a Smaller Preset"
-    bl_description = (
-        "Select the next smaller preset, reset changed settings, and estimate again. Stages that are"
-        " the same in both presets are kept"
-    )
-    bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if smaller_preset(context.scene.fipt.estimate.preset) is None:
-            cls.poll_message_set("Draft is the smallest preset. Use fewer or smaller photographs")
-            return False
-        return bpy.ops.fipt.estimate.poll()
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        self._change(context)
-        return bpy.ops.fipt.estimate("EXEC_DEFAULT", keep=True)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self._change(context)
-        bpy.ops.fipt.estimate("INVOKE_DEFAULT", keep=True)
-        return {"FINISHED"}
-
-    def _change(self, context: bpy.types.Context) -> None:
-        settings = context.scene.fipt.estimate
-        settings.preset = smaller_preset(settings.preset) or settings.preset
-        settings.reset()
+@action(
+    "Use a Smaller Preset",
+    needs=(
+        needs(
+            lambda context: smaller_preset_of(context.scene.fipt.estimate.preset) is not None,
+            "Draft is the smallest preset. Use fewer or smaller photographs",
+        ),
+        *_can_start,
+    ),
+)
+def smaller_preset(scene: bpy.types.Scene) -> Task:
+    """Select the next smaller preset, reset changed settings, and estimate again. Stages that are the same in
+    both presets are kept.
+    """
+    settings = scene.fipt.estimate
+    settings.preset = smaller_preset_of(settings.preset) or settings.preset
+    settings.reset()
+    return estimating.estimation(keep_stages=True)
 
 
-class FIPT_OT_reset_setting(bpy.types.Operator):
-    """Reset this setting to the value of the preset"""
-
-    bl_idname = "fipt.reset_setting"
-    bl_label = "Reset to Preset"
-    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
-
-    setting: bpy.props.StringProperty(
-        name="Setting", description="Name of the setting. If empty, all settings are reset"
-    )
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        context.scene.fipt.estimate.reset(*([self.setting] if self.setting else []))
-        return {"FINISHED"}
+@action("Reset to Preset", options={*UNDO, "INTERNAL"})
+def reset_setting(
+    scene: bpy.types.Scene,
+    setting: Annotated[str, "Name of the setting. If empty, all settings are reset"] = "",
+) -> None:
+    """Reset this setting to the value of the preset."""
+    scene.fipt.estimate.reset(*([setting] if setting else []))
 
 
-def smaller_preset(preset: str) -> str | None:
+def smaller_preset_of(preset: str) -> str | None:
     """The preset below one, or None."""
     names = list(PRESETS)
     index = names.index(preset)

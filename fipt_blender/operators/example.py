@@ -12,9 +12,9 @@ import bpy
 from .. import machine
 from ..api import applying, estimating
 from ..core.run.runfolder import RunFolder, explained_write_errors
-from ..jobs import running
-from .job_operator import JobOperator
-from .polls import all_of, has_no_capture, in_object_mode, no_job
+from ..jobs.tasks import Task
+from .action import action
+from .polls import has_no_capture, in_object_mode, no_job
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -25,33 +25,22 @@ NAME = "Example Room"
 FOLDER = "example"  # of the package, and of the data folder that gets its copy
 
 
-class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
-    bl_idname = "fipt.try_example"
-    bl_label = "Try the Example"
-    bl_description = (
-        "Import a small room, estimate it and apply the results, in a scene of its own. Takes one to three"
-        " minutes, because its 20 photographs have only 128 x 72 pixels"
-    )
-    bl_options = {"REGISTER", "UNDO"}
-    title = "Example"
-    kind = "estimate"
+@action("Try the Example", needs=(has_no_capture, in_object_mode, no_job))
+def try_example(context: bpy.types.Context) -> Task:
+    """Import a small room, estimate it and apply the results, in a scene of its own. Takes one to three
+    minutes, because its 20 photographs have only 128 x 72 pixels.
+    """
+    from ..jobs.run_job import find_launch
 
-    poll = all_of(has_no_capture, in_object_mode, no_job)
+    launch = find_launch()  # raises before anything is created
+    if context.scene.objects and context.window is not None:
+        context.window.scene = bpy.data.scenes.new(NAME)
 
-    def _begin(self, context: bpy.types.Context, wait: bool) -> running.RunningJob:
-        from ..jobs.run_job import find_launch
-
-        self._launch = find_launch()  # raises before anything is created
-        if context.scene.objects and context.window is not None:
-            context.window.scene = bpy.data.scenes.new(NAME)
-        return super()._begin(context, wait)
-
-    def make_job(self, context: bpy.types.Context) -> Job:
+    def make(scene: bpy.types.Scene) -> Job:
         from ..bridge.step import Step
         from ..core.capture.options import CaptureOptions
         from ..jobs.run_job import ingest_step, open_job
 
-        scene = context.scene
         path = copy_example(machine.data_folder())
         scene.fipt.capture.path = str(path)
         scene.fipt.estimate.preset = "draft"
@@ -71,12 +60,9 @@ class FIPT_OT_try_example(JobOperator, bpy.types.Operator):
             *estimating.make_steps(run, settings, resume=False),
             *applying.apply_steps(scene.name, run, settings),
         ]
-        return open_job(run, steps, record="example.json", launch=self._launch)
+        return open_job(run, steps, record="example.json", launch=launch)
 
-    @staticmethod
-    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        """Show the estimated room from inside."""
-        applying.note_applied(scene, run)
+    return Task("Example", "estimate", make, finished=applying.note_applied, undo=True)
 
 
 def copy_example(data: Path) -> Path:

@@ -11,7 +11,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.errors import FiptError
 from .polls import all_of, has_results, in_object_mode, needs
-from .reporting import report_warnings, reports_errors
+from .reporting import report_messages, reports_errors
 
 SIZES = tuple(
     (str(size), f"{size}", f"Textures of a part have {size} x {size} texels at most")
@@ -82,6 +82,6 @@ class FIPT_OT_export_room(bpy.types.Operator):
         if path.suffix.lower() not in SUFFIXES:
             path = path.with_name(path.name + self.file_format)
         exported = export_room(context.scene, path, ExportOptions(int(self.texture_size), self.lamp_lights))
-        report_warnings(self, exported.warnings)
+        report_messages(self, exported.warnings)
         self.report({"INFO"}, iface_("{} objects written to {}").format(exported.objects, path.name))
         return {"FINISHED"}

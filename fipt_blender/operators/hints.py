@@ -4,18 +4,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..api import applying, estimating
 from ..blend.marks import is_fixture
+from ..core.run.declared import Option
 from ..core.run.errors import FiptError
 from ..jobs import runstate
+from ..jobs.tasks import Task
 from ..properties.hints import ANSWERS, EMISSION
-from .job_operator import JobOperator
-from .lights import NeedsLights, find_light, light_name_property
+from .action import action, row_index
+from .lights import LightName, find_light, own_lights
 from .pointer import PicksAlongRay
 from .polls import all_of, has_run, in_object_mode, needs, no_job
 from .reporting import reports_errors
@@ -23,14 +25,13 @@ from .reporting import reports_errors
 if TYPE_CHECKING:
     from mathutils import Vector
 
-    from ..jobs.tasks import Task
-
 
 def _state(context: bpy.types.Context) -> runstate.RunState:
     return runstate.known(context.scene.fipt.run_folder)
 
 
 _in_room_mode = needs(lambda context: context.mode in ("OBJECT", "SCULPT"), "Switch to Object Mode first")
+Index = Annotated[int, Option("Number in the list, from 0; the active one if negative", low=-1)]
 _has_hint = needs(lambda context: context.scene.fipt.hints.hint() is not None, "Add a hint first")
 
 
@@ -45,8 +46,7 @@ class _PicksSurface(PicksAlongRay):
 
         found = surface_on_ray(context.scene, context.evaluated_depsgraph_get(), *self.ray())
         if found is None:
-            self.report({"WARNING"}, "There is no surface there")  # type: ignore[attr-defined]
-            return {"CANCELLED"}
+            raise FiptError("surface-missing", "There is no surface there.", "Click on the room.")
         self.use(context, *found)
         if context.area is not None:
             context.area.tag_redraw()
@@ -90,30 +90,6 @@ class FIPT_OT_add_hint(_PicksSurface, bpy.types.Operator):
             set_area(hint, item, chosen)
 
 
-class FIPT_OT_add_area_hint(bpy.types.Operator):
-    """Say what the selected faces are made of; they become a part of their own"""
-
-    bl_idname = "fipt.add_area_hint"
-    bl_label = "Hint on Selected Faces"
-    bl_options = {"REGISTER", "UNDO"}
-
-    poll = all_of(
-        needs(lambda context: context.mode == "EDIT_MESH", "Select the faces of the area in Edit Mode first")
-    )
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.hints.anchors import selected_faces, set_area
-        from ..blend.hints.exchange import add_hint
-
-        item = context.edit_object
-        chosen = selected_faces(item)
-        set_area(
-            add_hint(context.scene, f"{item.name} Area", item, item.matrix_world.translation), item, chosen
-        )
-        return {"FINISHED"}
-
-
 class FIPT_OT_pick_same_material(_PicksSurface, bpy.types.Operator):
     """Click on a part that is of the same material as the active hint's"""
 
@@ -129,125 +105,92 @@ class FIPT_OT_pick_same_material(_PicksSurface, bpy.types.Operator):
         hint.same_object, hint.same_point = item, item.matrix_world.inverted_safe() @ point
 
 
-class FIPT_OT_remove_hint(bpy.types.Operator):
-    """Remove this hint, or all of them"""
+@action(
+    "Hint on Selected Faces",
+    needs=(
+        needs(lambda context: context.mode == "EDIT_MESH", "Select the faces of the area in Edit Mode first"),
+    ),
+)
+def add_area_hint(context: bpy.types.Context) -> None:
+    """Say what the selected faces are made of; they become a part of their own."""
+    from ..blend.hints.anchors import selected_faces, set_area
+    from ..blend.hints.exchange import add_hint
 
-    bl_idname = "fipt.remove_hint"
-    bl_label = "Remove Hint"
-    bl_options = {"REGISTER", "UNDO"}
-
-    index: bpy.props.IntProperty(
-        name="Index",
-        description="Number of the hint in the list, from 0; the active one if negative",
-        default=-1,
-    )
-    every: bpy.props.BoolProperty(name="All", description="Remove all hints", options={"SKIP_SAVE"})
-
-    poll = all_of(_has_hint)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        settings = context.scene.fipt.hints
-        if self.every:
-            settings.hints.clear()
-        else:
-            index = settings.active_hint if self.index < 0 else self.index
-            if index >= len(settings.hints):
-                self.report({"ERROR"}, f"There is no hint {index}. The list has {len(settings.hints)}.")
-                return {"CANCELLED"}
-            settings.hints.remove(index)
-        settings.active_hint = max(min(settings.active_hint, len(settings.hints) - 1), 0)
-        return {"FINISHED"}
+    item = context.edit_object
+    chosen = selected_faces(item)
+    hint = add_hint(context.scene, f"{item.name} Area", item, item.matrix_world.translation)
+    set_area(hint, item, chosen)
 
 
-class FIPT_OT_read_doubts(bpy.types.Operator):
-    """List the parts of the last estimate of which a hint would help most"""
-
-    bl_idname = "fipt.read_doubts"
-    bl_label = "Find Doubtful Parts"
-    bl_options = {"REGISTER", "UNDO"}
-
-    poll = all_of(has_run)
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        applying.show_doubts(context.scene, applying.run_of(context.scene))
-        open_ones = sum(not doubt.answered for doubt in context.scene.fipt.hints.doubts)
-        self.report({"INFO"}, iface_("{} questions").format(open_ones))
-        return {"FINISHED"}
+@action("Remove Hint", needs=(_has_hint,))
+def remove_hint(
+    scene: bpy.types.Scene,
+    index: Index = -1,
+    every: Annotated[bool, Option("Remove all hints", "All")] = False,
+) -> None:
+    """Remove this hint, or all of them."""
+    settings = scene.fipt.hints
+    if every:
+        settings.hints.clear()
+    else:
+        settings.hints.remove(row_index(settings.hints, index, settings.active_hint))
+    settings.active_hint = max(min(settings.active_hint, len(settings.hints) - 1), 0)
 
 
-class FIPT_OT_answer_doubt(bpy.types.Operator):
-    """Answer the question: makes a hint of it"""
-
-    bl_idname = "fipt.answer_doubt"
-    bl_label = "Answer"
-    bl_options = {"REGISTER", "UNDO"}
-
-    index: bpy.props.IntProperty(
-        name="Index",
-        description="Number of the question in the list, from 0; the active one if negative",
-        default=-1,
-    )
-    answer: bpy.props.EnumProperty(name="Answer", description="What the part is", items=ANSWERS)
-
-    poll = all_of(
-        needs(lambda context: context.scene.fipt.hints.doubt() is not None, "Use Find Doubtful Parts first")
-    )
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.hints.exchange import answer_doubt
-
-        settings = context.scene.fipt.hints
-        index = settings.active_doubt if self.index < 0 else self.index
-        if index >= len(settings.doubts):
-            self.report({"ERROR"}, f"There is no question {index}. The list has {len(settings.doubts)}.")
-            return {"CANCELLED"}
-        answer_doubt(context.scene, index, self.answer)
-        return {"FINISHED"}
+@action("Find Doubtful Parts", needs=(has_run,))
+def read_doubts(scene: bpy.types.Scene) -> str:
+    """List the parts of the last estimate of which a hint would help most."""
+    applying.show_doubts(scene, applying.run_of(scene))
+    return iface_("{} questions").format(sum(not doubt.answered for doubt in scene.fipt.hints.doubts))
 
 
-class FIPT_OT_hint_on_lamp(NeedsLights, bpy.types.Operator):
-    bl_idname = "fipt.hint_on_lamp"
-    bl_label = "Hint on Lamp"
-    bl_description = (
-        "Say whether this is a lamp: makes a hint of it, which Estimate > Hints lists. It has an effect with"
-        " Re-estimate with Hints, or the next Estimate"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+@action(
+    "Answer",
+    needs=(
+        needs(lambda context: context.scene.fipt.hints.doubt() is not None, "Use Find Doubtful Parts first"),
+    ),
+)
+def answer_doubt(
+    scene: bpy.types.Scene,
+    index: Index = -1,
+    answer: Annotated[str, Option("What the part is", choices=ANSWERS)] = "METAL",
+) -> None:
+    """Answer the question: makes a hint of it."""
+    from ..blend.hints import exchange
 
-    light: light_name_property("fixture")
-    emission: bpy.props.EnumProperty(
-        name="Light", description="Whether the fixture emits light", items=EMISSION, default="EMITS"
-    )
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.hints.exchange import hint_on_lamp
-
-        lamp = find_light(context.scene, self.light)
-        if not is_fixture(lamp):
-            text = f"'{lamp.name}' is a light that was added, not estimated."
-            raise FiptError("fixture-missing", text, "Select a fixture in the list of the section Lights.")
-        hint_on_lamp(context.scene, lamp, self.emission)
-        return {"FINISHED"}
+    settings = scene.fipt.hints
+    exchange.answer_doubt(scene, row_index(settings.doubts, index, settings.active_doubt), answer)
 
 
-class FIPT_OT_reestimate(JobOperator, bpy.types.Operator):
-    bl_idname = "fipt.reestimate"
-    bl_label = "Re-estimate with Hints"
-    bl_description = (
-        "Estimate the materials again with the hints and apply them. The light that the last estimate has"
-        " computed is kept, so that it takes about a minute. Estimate uses the hints from its beginning"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+@action("Hint on Lamp", needs=own_lights)
+def hint_on_lamp(
+    scene: bpy.types.Scene,
+    light: LightName = "",
+    emission: Annotated[str, Option("Whether the fixture emits light", "Light", choices=EMISSION)] = "EMITS",
+) -> None:
+    """Say whether this is a lamp: makes a hint of it, which Estimate > Hints lists. It has an effect with
+    Re-estimate with Hints, or the next Estimate.
+    """
+    from ..blend.hints import exchange
 
-    poll = all_of(
+    lamp = find_light(scene, light)
+    if not is_fixture(lamp):
+        text = f"'{lamp.name}' is a light that was added, not estimated."
+        raise FiptError("fixture-missing", text, "Select a fixture in the list of the section Lights.")
+    exchange.hint_on_lamp(scene, lamp, emission)
+
+
+@action(
+    "Re-estimate with Hints",
+    needs=(
         no_job,
         has_run,
         needs(lambda context: _state(context).continues, "Finish an estimate first"),
         in_object_mode,
-    )
-
-    def task(self, context: bpy.types.Context) -> Task:
-        return estimating.reestimation()
+    ),
+)
+def reestimate(scene: bpy.types.Scene) -> Task:
+    """Estimate the materials again with the hints and apply them. The light that the last estimate has
+    computed is kept, so that it takes about a minute. Estimate uses the hints from its beginning.
+    """
+    return estimating.reestimation()

@@ -4,41 +4,38 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import bpy
 
-from .polls import all_of, in_object_mode
+from ..core.run.declared import Option
+from .action import action
+from .polls import in_object_mode
+
+KINDS = (
+    ("GRAY_BALL", "Gray", "Matte, 18% gray: shows where the light comes from", "SPHERE"),
+    ("MIRROR_BALL", "Mirror", "Chrome: reflects its surroundings", "SHADING_RENDERED"),
+)
 
 
-class FIPT_OT_add_ball(bpy.types.Operator):
-    """Add a ball that stands on the 3D cursor, as on a film set"""
-
-    bl_idname = "fipt.add_ball"
-    bl_label = "Add Ball"
-    bl_options = {"REGISTER", "UNDO"}
-
-    kind: bpy.props.EnumProperty(
-        name="Kind",
-        items=(
-            ("GRAY_BALL", "Gray", "Matte, 18% gray: shows where the light comes from", "SPHERE", 0),
-            ("MIRROR_BALL", "Mirror", "Chrome: reflects its surroundings", "SHADING_RENDERED", 1),
+@action("Add Ball", needs=(in_object_mode,))
+def add_ball(
+    context: bpy.types.Context,
+    kind: Annotated[str, Option("Surface of the ball", choices=KINDS)] = "GRAY_BALL",
+    size: Annotated[
+        float,
+        Option(
+            "Diameter of the ball. If 0, one that suits the room",
+            "Diameter",
+            zero=True,
+            shown={"subtype": "DISTANCE"},
         ),
-    )
-    size: bpy.props.FloatProperty(
-        name="Diameter",
-        description="Diameter of the ball. If 0, one that suits the room",
-        subtype="DISTANCE",
-        min=0.0,
-        options={"SKIP_SAVE"},
-    )
+    ] = 0.0,
+) -> None:
+    """Add a ball that stands on the 3D cursor, as on a film set."""
+    from ..blend.insert import balls
+    from ..blend.outliner import select_only
 
-    poll = all_of(in_object_mode)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.insert.balls import add_ball, ball_size
-        from ..blend.outliner import select_only
-
-        scene = context.scene
-        self.size = self.size or ball_size(scene.fipt.capture.room_objects(scene))
-        ball = add_ball(scene, scene.cursor.location, self.kind.lower(), self.size)
-        select_only(context.view_layer, ball)
-        return {"FINISHED"}
+    scene = context.scene
+    size = size or balls.ball_size(scene.fipt.capture.room_objects(scene))
+    select_only(context.view_layer, balls.add_ball(scene, scene.cursor.location, kind.lower(), size))

@@ -4,23 +4,19 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..blend.marks import FIXTURE, has_light_groups
 from ..core.run.errors import FiptError
 from ..properties.lights import FIPT_Light
-from .polls import all_of, in_object_mode, is_own_room, needs
-from .reporting import reports_errors
+from .action import action, note, warning
+from .polls import in_object_mode, is_own_room, needs
+from .reporting import Messages
 
-
-def light_name_property(what: str) -> object:
-    """The property by which an operator on a light names it."""
-    return bpy.props.StringProperty(
-        name="Light",
-        description=f"Name of the {what}. If empty, the active light of the list is used",
-        options={"SKIP_SAVE"},
-    )
+LightName = Annotated[str, "Name of the light. If empty, the active light of the list is used"]
 
 
 def find_light(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
@@ -40,238 +36,154 @@ def find_light(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     return row.object
 
 
+def find_fixture(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
+    """The estimated fixture of that name, or the list's active one for "".
+
+    Raises:
+        FiptError: ``fixture-missing``.
+    """
+    fixture = find_light(scene, name)
+    if FIXTURE not in fixture:
+        text = f"'{fixture.name}' is not an estimated fixture."
+        raise FiptError("fixture-missing", text, "Select a fixture in the list of the section Lights.")
+    return fixture
+
+
 has_lights = needs(
     lambda context: len(context.scene.fipt.lights.lights),
     "There are no lights yet. Use Apply Results, or add a light",
 )
+own_lights = (has_lights, is_own_room)  # of the operators on the list of lights
 
 
-class NeedsLights:
-    """Mix-in of operators on the list of lights."""
+@action("Switch All Lights", needs=own_lights)
+def switch_lights(scene: bpy.types.Scene, on: Annotated[bool, "Switch the lights on or off"] = True) -> None:
+    """Switch all lights of the list and the environment on or off."""
+    from ..blend.lights.light_state import switch_all
 
-    poll = all_of(has_lights, is_own_room)
-
-
-class FIPT_OT_switch_lights(NeedsLights, bpy.types.Operator):
-    """Switch all lights of the list and the environment on or off"""
-
-    bl_idname = "fipt.switch_lights"
-    bl_label = "Switch All Lights"
-    bl_options = {"REGISTER", "UNDO"}
-
-    on: bpy.props.BoolProperty(name="On", description="Switch the lights on or off", default=True)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.light_state import switch_all
-
-        switch_all(self.on, context.scene)
-        return {"FINISHED"}
+    switch_all(on, scene)
 
 
-class FIPT_OT_list_lights(bpy.types.Operator):
-    """Update the list of fixtures and added lights, including appended and duplicated ones"""
+@action("Update List")
+def list_lights(scene: bpy.types.Scene) -> None:
+    """Update the list of fixtures and added lights, including appended and duplicated ones."""
+    from ..blend.lights import light_state
 
-    bl_idname = "fipt.list_lights"
-    bl_label = "Update List"
-    bl_options = {"REGISTER", "UNDO"}
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.light_state import list_lights
-
-        list_lights(context.scene)
-        return {"FINISHED"}
+    light_state.list_lights(scene)
 
 
-class FIPT_OT_reset_light(NeedsLights, bpy.types.Operator):
-    """Reset the light to its estimated power and color"""
+@action("Reset Light", needs=own_lights)
+def reset_light(scene: bpy.types.Scene, light: LightName = "") -> None:
+    """Reset the light to its estimated power and color."""
+    from ..blend.lights.light_state import reset
 
-    bl_idname = "fipt.reset_light"
-    bl_label = "Reset Light"
-    bl_options = {"REGISTER", "UNDO"}
-
-    light: light_name_property("light")
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.light_state import reset
-
-        reset(context.scene, find_light(context.scene, self.light))
-        return {"FINISHED"}
+    reset(scene, find_light(scene, light))
 
 
-class FIPT_OT_select_light(NeedsLights, bpy.types.Operator):
-    """Select the object of the light and bring it into view"""
+@action("Select Light", needs=(has_lights, in_object_mode))
+def select_light(
+    context: bpy.types.Context,
+    light: LightName = "",
+    frame: Annotated[bool, "Bring the light into view"] = True,
+) -> None:
+    """Select the object of the light and bring it into view."""
+    from ..blend.outliner import select_only
 
-    bl_idname = "fipt.select_light"
-    bl_label = "Select Light"
-    bl_options = {"REGISTER", "UNDO"}
-
-    light: light_name_property("light")
-    frame: bpy.props.BoolProperty(name="Frame", description="Bring the light into view", default=True)
-
-    poll = all_of(has_lights, in_object_mode)
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.outliner import select_only
-
-        layer = context.view_layer
-        light = find_light(context.scene, self.light)
-        if not light.visible_get(view_layer=layer):
-            raise FiptError("light-hidden", f"'{light.name}' is hidden.", "Show it in the Outliner.")
-        select_only(layer, light)
-        if self.frame and not bpy.app.background and context.area and context.area.type == "VIEW_3D":
-            region = next(region for region in context.area.regions if region.type == "WINDOW")
-            with context.temp_override(region=region):
-                bpy.ops.view3d.view_selected()
-        return {"FINISHED"}
+    layer = context.view_layer
+    item = find_light(context.scene, light)
+    if not item.visible_get(view_layer=layer):
+        raise FiptError("light-hidden", f"'{item.name}' is hidden.", "Show it in the Outliner.")
+    select_only(layer, item)
+    if frame and not bpy.app.background and context.area and context.area.type == "VIEW_3D":
+        region = next(region for region in context.area.regions if region.type == "WINDOW")
+        with context.temp_override(region=region):
+            bpy.ops.view3d.view_selected()
 
 
-class _OnFixture(NeedsLights):
-    """Mix-in of operators on one fixture."""
+@action("Convert to Blender Light", needs=own_lights)
+def fixture_to_area_light(scene: bpy.types.Scene, fixture: LightName = "") -> str | Messages:
+    """Replace the light of the fixture by Blender lights of the same shape and radiance, which can be edited
+    and also work in EEVEE. The fixture itself stays visible.
+    """
+    from ..blend.lights.convert import fixture_to_lights
 
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        fixture = find_light(context.scene, self.fixture)  # type: ignore[attr-defined]
-        if FIXTURE not in fixture:
-            raise FiptError(
-                "fixture-missing",
-                f"'{fixture.name}' is not an estimated fixture.",
-                "Select a fixture in the list of the section Lights.",
-            )
-        self.convert(context, fixture)
-        return {"FINISHED"}
-
-    def convert(self, context: bpy.types.Context, fixture: bpy.types.Object) -> None:
-        """Convert the fixture.
-
-        Raises:
-            FiptError: it can't be converted.
-        """
-        raise NotImplementedError
+    item = find_fixture(scene, fixture)
+    lights, exact = fixture_to_lights(scene, item)
+    if exact:
+        return iface_("Converted to {} Blender lights").format(len(lights))
+    text = iface_("The shape of '{}' is approximated by Blender lights; its total power is the same")
+    return [warning("lights-approximate", text.format(item.name))]
 
 
-class FIPT_OT_fixture_to_area_light(_OnFixture, bpy.types.Operator):
-    bl_idname = "fipt.fixture_to_area_light"
-    bl_label = "Convert to Blender Light"
-    bl_description = (
-        "Replace the light of the fixture by Blender lights of the same shape and radiance, which can"
-        " be edited and also work in EEVEE. The fixture itself stays visible"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+@action("Convert Back", needs=own_lights)
+def area_light_to_fixture(scene: bpy.types.Scene, fixture: LightName = "") -> None:
+    """Let the surface of the fixture emit light again, and remove the Blender lights that replaced it."""
+    from ..blend.lights.convert import lights_to_fixture
 
-    fixture: light_name_property("fixture")
-
-    def convert(self, context: bpy.types.Context, fixture: bpy.types.Object) -> None:
-        from ..blend.lights.convert import fixture_to_lights
-
-        lights, exact = fixture_to_lights(context.scene, fixture)
-        if exact:
-            self.report({"INFO"}, iface_("Converted to {} Blender lights").format(len(lights)))
-        else:
-            text = iface_("The shape of '{}' is approximated by Blender lights; its total power is the same")
-            self.report({"WARNING"}, text.format(fixture.name))
+    lights_to_fixture(scene, find_fixture(scene, fixture))
 
 
-class FIPT_OT_area_light_to_fixture(_OnFixture, bpy.types.Operator):
-    """Let the surface of the fixture emit light again, and remove the Blender lights that replaced it"""
-
-    bl_idname = "fipt.area_light_to_fixture"
-    bl_label = "Convert Back"
-    bl_options = {"REGISTER", "UNDO"}
-
-    fixture: light_name_property("fixture")
-
-    def convert(self, context: bpy.types.Context, fixture: bpy.types.Object) -> None:
-        from ..blend.lights.convert import lights_to_fixture
-
-        lights_to_fixture(context.scene, fixture)
-
-
-class FIPT_OT_make_light_groups(NeedsLights, bpy.types.Operator):
-    bl_idname = "fipt.make_light_groups"
-    bl_label = "Make Light Groups"
-    bl_description = (
-        "Create light groups, so that Cycles renders each fixture, the environment and your own lights"
-        " into separate passes that you can mix after rendering: Combined_Ceiling panel and so on"
-    )
-    bl_options = {"REGISTER", "UNDO"}
-
-    poll = all_of(
+@action(
+    "Make Light Groups",
+    needs=(
         has_lights,
         needs(
             lambda context: context.scene.render.engine == "CYCLES",
             "Only Cycles renders light groups: press Switch to Cycles first",
         ),
-    )
+    ),
+)
+def make_light_groups(context: bpy.types.Context) -> Messages:
+    """Create light groups, so that Cycles renders each fixture, the environment and your own lights into
+    separate passes that you can mix after rendering: Combined_Ceiling panel and so on.
+    """
+    from ..blend.lights import light_groups
+    from ..blend.results.scene_state import lights_outside_groups
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.light_groups import make_light_groups
-        from ..blend.results.scene_state import lights_outside_groups
-
-        names = make_light_groups(context.scene, context.view_layer)
-        self.report({"INFO"}, iface_("Light groups: {}").format(", ".join(names)))
-        ungrouped = lights_outside_groups(context.scene)
-        if ungrouped:
-            text = iface_("Not in any light group, so missing from the sum of the passes: {}")
-            self.report({"WARNING"}, text.format(", ".join(ungrouped)))
-        return {"FINISHED"}
+    names = light_groups.make_light_groups(context.scene, context.view_layer)
+    messages = [note(iface_("Light groups: {}").format(", ".join(names)))]
+    if ungrouped := lights_outside_groups(context.scene):
+        text = iface_("Not in any light group, so missing from the sum of the passes: {}")
+        messages.append(warning("lights-ungrouped", text.format(", ".join(ungrouped))))
+    return messages
 
 
-class FIPT_OT_remove_light_groups(bpy.types.Operator):
-    """Remove the light groups that Make Light Groups has created. Your own light groups are kept"""
-
-    bl_idname = "fipt.remove_light_groups"
-    bl_label = "Remove Light Groups"
-    bl_options = {"REGISTER", "UNDO"}
-
-    poll = all_of(
+@action(
+    "Remove Light Groups",
+    needs=(
         needs(
             lambda context: has_light_groups(context.view_layer),
             "This view layer has no groups created by Make Light Groups",
-        )
-    )
+        ),
+    ),
+)
+def remove_light_groups(context: bpy.types.Context) -> None:
+    """Remove the light groups that Make Light Groups has created. Your own light groups are kept."""
+    from ..blend.lights import light_groups
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.light_groups import remove_light_groups
-
-        remove_light_groups(context.scene, context.view_layer)
-        return {"FINISHED"}
-
-
-class FIPT_OT_match_exposure(bpy.types.Operator):
-    """Set the scene's exposure so that a render is as bright as the photographs"""
-
-    bl_idname = "fipt.match_exposure"
-    bl_label = "Exposure from Photographs"
-    bl_options = {"REGISTER", "UNDO"}
-
-    poll = all_of(
-        needs(lambda context: context.scene.fipt.lights.median_radiance > 0.0, "Use Apply Results first")
-    )
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.results.scene_state import match_exposure
-
-        stops = match_exposure(context.scene)
-        self.report({"INFO"}, iface_("Exposure is {:+.2f} stops").format(stops))
-        return {"FINISHED"}
+    light_groups.remove_light_groups(context.scene, context.view_layer)
 
 
-class FIPT_OT_hide_other_lights(bpy.types.Operator):
-    bl_idname = "fipt.hide_other_lights"
-    bl_label = "Hide Other Lights"
-    bl_description = (
-        "Hide the scene's lights that were neither estimated nor added in the section Lights, or show"
-        " them again"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+@action(
+    "Exposure from Photographs",
+    needs=(
+        needs(lambda context: context.scene.fipt.lights.median_radiance > 0.0, "Use Apply Results first"),
+    ),
+)
+def match_exposure(scene: bpy.types.Scene) -> str:
+    """Set the scene's exposure so that a render is as bright as the photographs."""
+    from ..blend.results import scene_state
 
-    hide: bpy.props.BoolProperty(name="Hide", description="Hide the lights or show them again", default=True)
+    return iface_("Exposure is {:+.2f} stops").format(scene_state.match_exposure(scene))
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.results.scene_state import mute_other_lights
 
-        count = mute_other_lights(context.scene, self.hide)
-        self.report({"INFO"}, iface_("{} lights changed").format(count))
-        return {"FINISHED"}
+@action("Hide Other Lights")
+def hide_other_lights(
+    scene: bpy.types.Scene, hide: Annotated[bool, "Hide the lights or show them again"] = True
+) -> str:
+    """Hide the scene's lights that were neither estimated nor added in the section Lights, or show them
+    again.
+    """
+    from ..blend.results.scene_state import mute_other_lights
+
+    return iface_("{} lights changed").format(mute_other_lights(scene, hide))

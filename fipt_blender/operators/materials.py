@@ -5,136 +5,95 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Annotated
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..api import applying
+from ..core.run.declared import Option
 from ..core.run.errors import FiptError
+from ..jobs.tasks import Task
 from ..properties.materials import SHOWN
-from .job_operator import JobOperator
-from .polls import all_of, has_results, in_object_mode, is_own_room, needs, no_job
-from .reporting import reports_errors
-
-if TYPE_CHECKING:
-    from ..jobs.tasks import Task
+from .action import action, file_dialog, note, warning
+from .polls import has_results, in_object_mode, is_own_room, needs, no_job
+from .reporting import Messages
 
 
-class FIPT_OT_apply_results(JobOperator, bpy.types.Operator):
-    bl_idname = "fipt.apply_results"
-    bl_label = "Apply Results"
-    bl_description = (
-        "Apply the estimated materials and lights to the room. Your own meshes, materials and world are"
-        " set aside; Revert restores them"
-    )
-    bl_options = {"REGISTER", "UNDO"}
-
-    poll = all_of(
+@action(
+    "Apply Results",
+    needs=(
         no_job,
         needs(lambda context: context.scene.fipt.run_folder, "Run Estimate first"),
         is_own_room,
         in_object_mode,
-    )
-
-    def task(self, context: bpy.types.Context) -> Task:
-        return applying.application()
-
-
-class _NeedsResults:
-    """Mix-in of operators on applied results."""
-
-    poll = all_of(has_results, in_object_mode)
+    ),
+)
+def apply_results(scene: bpy.types.Scene) -> Task:
+    """Apply the estimated materials and lights to the room. Your own meshes, materials and world are set
+    aside; Revert restores them.
+    """
+    return applying.application()
 
 
-class FIPT_OT_show_map(_NeedsResults, bpy.types.Operator):
-    """Show one of the estimated maps, the estimated materials or the original state on the whole room"""
-
-    bl_idname = "fipt.show_map"
-    bl_label = "Show Map"
-    bl_options = {"REGISTER", "UNDO"}
-    bl_property = "shown"
-
-    shown: bpy.props.EnumProperty(name="Show", description="What the room shows", items=SHOWN)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        context.scene.fipt.materials.shown = self.shown
-        return {"FINISHED"}
+@action("Show Map", needs=(has_results, in_object_mode), bl_property="shown")
+def show_map(
+    scene: bpy.types.Scene,
+    shown: Annotated[str, Option("What the room shows", "Show", choices=SHOWN)] = "ESTIMATED",
+) -> None:
+    """Show one of the estimated maps, the estimated materials or the original state on the whole room."""
+    scene.fipt.materials.shown = shown
 
 
-class FIPT_OT_revert(_NeedsResults, bpy.types.Operator):
-    bl_idname = "fipt.revert"
-    bl_label = "Revert"
-    bl_description = (
-        "Remove the results from the room and restore your own meshes, materials and world. The run"
-        " keeps its results, so they can be applied again"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+@action("Revert", needs=(has_results, in_object_mode))
+def revert(
+    scene: bpy.types.Scene,
+    new_lights: Annotated[
+        bool, Option("Also remove the lights that you added in the section Lights", "Remove New Lights")
+    ] = False,
+) -> Messages:
+    """Remove the results from the room and restore your own meshes, materials and world. The run keeps its
+    results, so they can be applied again.
+    """
+    from ..blend.results import reverting
+    from ..blend.room.result_meshes import list_names
 
-    new_lights: bpy.props.BoolProperty(
-        name="Remove New Lights", description="Also remove the lights that you added in the section Lights"
-    )
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.results.reverting import revert
-        from ..blend.room.result_meshes import list_names
-
-        restored, hidden = revert(context.scene, self.new_lights)
-        if hidden:
-            text = iface_("Hidden, since the restored meshes hold the faces that were separated: {}")
-            self.report({"WARNING"}, text.format(list_names(hidden)))
-        self.report({"INFO"}, iface_("{} objects restored").format(len(restored)))
-        return {"FINISHED"}
+    restored, hidden = reverting.revert(scene, new_lights)
+    messages = [note(iface_("{} objects restored").format(len(restored)))]
+    if hidden:
+        text = iface_("Hidden, since the restored meshes hold the faces that were separated: {}")
+        messages.insert(0, warning("faces-hidden", text.format(list_names(hidden))))
+    return messages
 
 
-class FIPT_OT_collect_room(bpy.types.Operator):
-    bl_idname = "fipt.collect_room"
-    bl_label = "Collect Room"
-    bl_description = (
-        "Save a copy of the file into a folder of its own, with all images that it uses and the exports"
-        " beside it, or as one packed file. It opens on another machine without this add-on. In a folder"
-        " that is not empty, the folder NAME_collected is made for it"
-    )
+@action("Collect Room", needs=(has_results, no_job, in_object_mode), invoke=file_dialog)
+def collect_room(
+    scene: bpy.types.Scene,
+    directory: Annotated[
+        str, Option("Where the copy is saved", "Folder", shown={"subtype": "DIR_PATH"})
+    ] = "",
+    pack: Annotated[bool, Option("Pack the images into the copy", "One File")] = False,
+) -> Messages:
+    """Save a copy of the file into a folder of its own, with all images that it uses and the exports beside
+    it, or as one packed file. It opens on another machine without this add-on. In a folder that is not empty,
+    the folder NAME_collected is made for it.
+    """
+    from ..blend.export import collecting
 
-    directory: bpy.props.StringProperty(
-        name="Folder", description="Where the copy is saved", subtype="DIR_PATH"
-    )
-    pack: bpy.props.BoolProperty(name="One File", description="Pack the images into the copy")
-
-    poll = all_of(has_results, no_job, in_object_mode)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.export.collecting import collect_room
-
-        if not self.directory:
-            raise FiptError("export-file", "No folder is chosen.", "Choose a folder.")
-        folder = Path(bpy.path.abspath(self.directory))
-        done = collect_room(folder, self.pack)
-        if done.left:
-            text = iface_("{} other files stay where they are, the first is {}")
-            self.report({"WARNING"}, text.format(len(done.left), done.left[0]))
-        text = iface_("{} written, with {} files of exports").format(done.path, len(done.exports))
-        self.report({"INFO"}, text)
-        return {"FINISHED"}
+    if not directory:
+        raise FiptError("export-file", "No folder is chosen.", "Choose a folder.")
+    done = collecting.collect_room(Path(bpy.path.abspath(directory)), pack)
+    messages = [note(iface_("{} written, with {} files of exports").format(done.path, len(done.exports)))]
+    if done.left:
+        text = iface_("{} other files stay where they are, the first is {}")
+        messages.insert(0, warning("files-left", text.format(len(done.left), done.left[0])))
+    return messages
 
 
-class FIPT_OT_use_cycles(bpy.types.Operator):
-    bl_idname = "fipt.use_cycles"
-    bl_label = "Switch to Cycles"
-    bl_description = (
-        "Make Cycles the scene's render engine. It renders the light of lamps' surfaces, and light groups"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+@action("Switch to Cycles")
+def use_cycles(scene: bpy.types.Scene) -> None:
+    """Make Cycles the scene's render engine. It renders the light of lamps' surfaces, and light groups."""
+    from ..blend.render_settings import set_once
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.render_settings import set_once
-
-        if not set_once(context.scene, {"render.engine": "CYCLES"}, again=True):
-            self.report({"ERROR"}, "Cycles is disabled. Enable its add-on in the preferences.")
-            return {"CANCELLED"}
-        return {"FINISHED"}
+    if not set_once(scene, {"render.engine": "CYCLES"}, again=True):
+        raise FiptError("cycles-missing", "Cycles is disabled.", "Enable its add-on in the preferences.")

@@ -4,27 +4,26 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import bpy
 
-from .overlay import ShowsColors
-from .polls import all_of, needs
+from .action import REGISTER, action
+from .polls import needs
 
 
-class FIPT_OT_show_parts(ShowsColors, bpy.types.Operator):
-    """Display the parts of the room, each in its own color"""
-
-    bl_idname = "fipt.show_parts"
-    bl_label = "Show Parts"
-
-    poll = all_of(
+@action(
+    "Show Parts",
+    needs=(
         needs(
             lambda context: context.scene.fipt.parts.counts,
             "Use Check Views first, in the section Capture; it finds the parts as well",
-        )
-    )
+        ),
+    ),
+    options=REGISTER,
+)
+def show_parts(scene: bpy.types.Scene, show: Annotated[bool, "Show or hide the colors"] = True) -> None:
+    """Display the parts of the room, each in its own color."""
+    from ..blend.capture import overlay, survey
 
-    @staticmethod
-    def color(scene: bpy.types.Scene) -> None:
-        from ..blend.capture.survey import show_parts
-
-        show_parts(scene)
+    survey.show_parts(scene) if show else overlay.hide()

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,8 +13,9 @@ import bpy
 from ..core.capture.suffixes import SUFFIXES
 from ..core.run.errors import FiptError
 from ..jobs import running
-from .job_operator import StartsJob
-from .polls import all_of, needs, no_job, over_sidebar
+from ..jobs.tasks import Task
+from .action import REGISTER, action
+from .polls import needs, no_job, over_sidebar
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
@@ -29,45 +31,6 @@ _written: set[tuple[str, str]] = set()
 _has_folder = needs(
     lambda context: context.scene.fipt.photographs.path, "Choose the folder of the photographs first"
 )
-
-
-class _PrepareJob(StartsJob):
-    """Base of both jobs: they work in the folder of the capture and need no run folder."""
-
-    def make_job(
-        self, settings: FIPT_PhotographsSettings, photographs: Path, folder: PreparationFolder
-    ) -> Job:
-        """The job, ready to run.
-
-        Raises:
-            FiptError: the job can't start.
-        """
-        raise NotImplementedError
-
-    @staticmethod
-    def finished(scene: bpy.types.Scene, folder: PreparationFolder) -> None:
-        """Called after a success with each scene whose capture is made in this folder."""
-        raise NotImplementedError
-
-    def _begin(self, context: bpy.types.Context, wait: bool) -> running.RunningJob:
-        from ..prepare.preparation import PreparationFolder
-
-        settings, finished = context.scene.fipt.photographs, type(self).finished
-        folder = PreparationFolder(settings.capture_folder() or Path())
-        info = running.RunningJob(self.title, "photographs", "", folder.root)
-
-        def end(info: running.RunningJob) -> None:
-            if info.state == "finished":
-                for scene in bpy.data.scenes:
-                    if scene.fipt.photographs.capture_folder() == folder.root:
-                        finished(scene, folder)
-
-        try:
-            job = self.make_job(settings, _photographs(settings), folder)
-            return (running.run if wait else running.start)(job, info, end)
-        except FiptError as error:
-            running.refuse(info, error)
-            raise
 
 
 class FIPT_OT_choose_photographs(bpy.types.Operator):
@@ -87,19 +50,16 @@ class FIPT_OT_choose_photographs(bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.directory:  # dropped files
-            result = self.execute(context)
-            if result == {"FINISHED"} and bpy.ops.fipt.find_brackets.poll():
-                bpy.ops.fipt.find_brackets("INVOKE_DEFAULT")
-            return result
+            return _then_find_brackets(self.execute(context))
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
+        settings = context.scene.fipt.photographs
         folder = Path(bpy.path.abspath(self.directory))
         if not self.directory or not folder.is_dir():
             raise FiptError("photographs-missing", "No folder is chosen.", "Choose an existing folder.")
-        settings = context.scene.fipt.photographs
         settings.path = str(folder)
         settings.chosen = "\n".join(file.name for file in self.files if file.name)
         settings.groups.clear()
@@ -119,161 +79,146 @@ class FIPT_FH_photographs(bpy.types.FileHandler):
         return over_sidebar(context)
 
 
-class FIPT_OT_photographs_of_capture(bpy.types.Operator):
-    """Take the folder as photographs without cameras, and find which of them are exposures of one view"""
-
-    bl_idname = "fipt.photographs_of_capture"
-    bl_label = "Make Capture of Photographs"
-    bl_options = {"REGISTER", "UNDO"}
-
-    poll = all_of(needs(lambda context: context.scene.fipt.capture.path, "Choose a folder first"))
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        state = context.scene.fipt
-        state.photographs.path, state.photographs.chosen = state.capture.path, ""
-        state.photographs.groups.clear()
-        state.capture.path = ""
-        running.settle("capture", "cameras-missing")
-        return {"FINISHED"}
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        result = self.execute(context)
-        if result == {"FINISHED"} and bpy.ops.fipt.find_brackets.poll():
-            bpy.ops.fipt.find_brackets("INVOKE_DEFAULT")
-        return result
+def _then_find_brackets(result: set[str]) -> set[str]:
+    if result == {"FINISHED"} and bpy.ops.fipt.find_brackets.poll():
+        bpy.ops.fipt.find_brackets("INVOKE_DEFAULT")
+    return result
 
 
-class FIPT_OT_leave_photographs(bpy.types.Operator):
-    """Go back to the example and other folders. The files that were made of the photographs are kept"""
+@action(
+    "Make Capture of Photographs",
+    needs=(needs(lambda context: context.scene.fipt.capture.path, "Choose a folder first"),),
+    invoke=lambda self, context, event: _then_find_brackets(self.run(context)),
+)
+def photographs_of_capture(scene: bpy.types.Scene) -> None:
+    """Take the folder as photographs without cameras, and find which of them are exposures of one view."""
+    state = scene.fipt
+    state.photographs.path, state.photographs.chosen = state.capture.path, ""
+    state.photographs.groups.clear()
+    state.capture.path = ""
+    running.settle("capture", "cameras-missing")
 
-    bl_idname = "fipt.leave_photographs"
-    bl_label = "Leave Photographs"
-    bl_options = {"REGISTER", "UNDO"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        settings = context.scene.fipt.photographs
-        for name in ("path", "chosen", "groups", "listed", "registered_count"):
-            settings.property_unset(name)
-        return {"FINISHED"}
+@action("Leave Photographs")
+def leave_photographs(scene: bpy.types.Scene) -> None:
+    """Go back to the example and other folders. The files that were made of the photographs are kept."""
+    for name in ("path", "chosen", "groups", "listed", "registered_count"):
+        scene.fipt.photographs.property_unset(name)
 
 
-class FIPT_OT_find_brackets(_PrepareJob, bpy.types.Operator):
-    """Read the photographs' headers, and find which of them are exposures of the same view"""
+def _task(
+    title: str,
+    scene: bpy.types.Scene,
+    steps: str,
+    before: Callable[[FIPT_PhotographsSettings, PreparationFolder], None] | None,
+    finished: Callable[[bpy.types.Scene, PreparationFolder], None],
+) -> Task:
+    """Work in the folder of the capture, which needs no run folder.
 
-    bl_idname = "fipt.find_brackets"
-    bl_label = "Find Brackets"
-    title = "Find Brackets"
+    Args:
+        title: for the user.
+        scene: with the settings.
+        steps: of `prepare`; all of them if empty.
+        before: called before the job starts; may raise FiptError.
+        finished: called after a success with each scene whose capture is made in this folder.
+    """
+    from ..prepare.preparation import PreparationFolder
 
-    poll = all_of(_has_folder, no_job)
+    folder = PreparationFolder(scene.fipt.photographs.capture_folder() or Path())
 
-    def make_job(
-        self, settings: FIPT_PhotographsSettings, photographs: Path, folder: PreparationFolder
-    ) -> Job:
+    def make(scene: bpy.types.Scene) -> Job:
         from ..jobs.prepare_job import make_prepare_job
 
-        return make_prepare_job(photographs, folder, settings.engine_settings(), steps="read")
+        settings = scene.fipt.photographs
+        photographs = _photographs(settings)
+        if before is not None:
+            before(settings, folder)
+        return make_prepare_job(photographs, folder, settings.engine_settings(), steps)
 
-    @staticmethod
+    def ended(info: running.RunningJob) -> None:
+        if info.state == "finished":
+            for scene in bpy.data.scenes:
+                if scene.fipt.photographs.capture_folder() == folder.root:
+                    finished(scene, folder)
+
+    return Task(title, "photographs", make, folder=folder.root, ended=ended)
+
+
+@action("Find Brackets", needs=(_has_folder, no_job), options=REGISTER)
+def find_brackets(scene: bpy.types.Scene) -> Task:
+    """Read the photographs' headers, and find which of them are exposures of the same view."""
+
     def finished(scene: bpy.types.Scene, folder: PreparationFolder) -> None:
         from ..blend.capture.brackets import list_groups, tick_chosen
 
         list_groups(scene.fipt.photographs, folder)
         tick_chosen(scene.fipt.photographs)
 
+    return _task("Find Brackets", scene, "read", None, finished)
 
-class FIPT_OT_prepare(_PrepareJob, bpy.types.Operator):
-    """Merge each group to an HDR image, and find the cameras. A stopped job continues where it was"""
 
-    bl_idname = "fipt.prepare"
-    bl_label = "Make Capture"
-    title = "Make Capture"
-
-    poll = all_of(
+@action(
+    "Make Capture",
+    needs=(
         needs(
             lambda context: context.scene.fipt.photographs.used_count,
             "Use Find Brackets first, and tick groups",
         ),
         _has_folder,
         no_job,
-    )
+    ),
+    options=REGISTER,
+)
+def prepare(scene: bpy.types.Scene) -> Task:
+    """Merge each group to an HDR image, and find the cameras. A stopped job continues where it was."""
 
-    def make_job(
-        self, settings: FIPT_PhotographsSettings, photographs: Path, folder: PreparationFolder
-    ) -> Job:
-        from ..jobs.prepare_job import make_prepare_job
-
-        _write_groups(settings, folder)
-        return make_prepare_job(photographs, folder, settings.engine_settings())
-
-    @staticmethod
     def finished(scene: bpy.types.Scene, folder: PreparationFolder) -> None:
         from ..blend.capture.brackets import list_groups
 
         list_groups(scene.fipt.photographs, folder)
         scene.fipt.capture.path = str(folder.root)
 
-
-class _EditsGroups:
-    """Base of the operators that change the list."""
-
-    bl_options = {"REGISTER", "UNDO"}
-
-    poll = all_of(needs(lambda context: context.scene.fipt.photographs.groups, "Use Find Brackets first"))
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.capture.brackets import fill, listed_exposures, listed_groups
-
-        settings = context.scene.fipt.photographs
-        exposures = listed_exposures(settings)
-        fill(settings, self.edited(listed_groups(settings), settings), exposures)
-        settings.active_photograph = 0
-        return {"FINISHED"}
-
-    def edited(self, groups: list[Group], settings: FIPT_PhotographsSettings) -> list[Group]:
-        """The groups after the change."""
-        raise NotImplementedError
+    return _task("Make Capture", scene, "", _write_groups, finished)
 
 
-class FIPT_OT_split_bracket(_EditsGroups, bpy.types.Operator):
-    """Divide the active group: its active photograph and those after it become a group of their own"""
-
-    bl_idname = "fipt.split_bracket"
-    bl_label = "Split Group"
-
-    def edited(self, groups: list[Group], settings: FIPT_PhotographsSettings) -> list[Group]:
-        from ..prepare.editing import split_group
-
-        return split_group(groups, settings.active_group, settings.active_photograph)
+_has_groups = needs(lambda context: context.scene.fipt.photographs.groups, "Use Find Brackets first")
 
 
-class FIPT_OT_merge_brackets(_EditsGroups, bpy.types.Operator):
-    """Join the active group and the one after it"""
+def _edit(settings: FIPT_PhotographsSettings, change: Callable[[list[Group]], list[Group]]) -> None:
+    """Change the groups of the list."""
+    from ..blend.capture.brackets import fill, listed_exposures, listed_groups
 
-    bl_idname = "fipt.merge_brackets"
-    bl_label = "Merge with Next Group"
-
-    def edited(self, groups: list[Group], settings: FIPT_PhotographsSettings) -> list[Group]:
-        from ..prepare.editing import merge_groups
-
-        return merge_groups(groups, settings.active_group)
+    exposures = listed_exposures(settings)
+    fill(settings, change(listed_groups(settings)), exposures)
+    settings.active_photograph = 0
 
 
-class FIPT_OT_open_photographs_report(bpy.types.Operator):
-    """Open the report on the photographs in the web browser"""
+@action("Split Group", needs=(_has_groups,))
+def split_bracket(scene: bpy.types.Scene) -> None:
+    """Divide the active group: its active photograph and those after it become a group of their own."""
+    from ..prepare.editing import split_group
 
-    bl_idname = "fipt.open_photographs_report"
-    bl_label = "Open Report"
+    settings = scene.fipt.photographs
+    _edit(settings, lambda groups: split_group(groups, settings.active_group, settings.active_photograph))
 
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        folder = context.scene.fipt.photographs.capture_folder()
-        page = None if folder is None else folder / "report" / "index.html"
-        if page is None or not page.is_file():
-            raise FiptError("report-missing", "There is no report yet.", "Use Make Capture first.")
-        bpy.ops.wm.url_open(url=page.as_uri())
-        return {"FINISHED"}
+
+@action("Merge with Next Group", needs=(_has_groups,))
+def merge_brackets(scene: bpy.types.Scene) -> None:
+    """Join the active group and the one after it."""
+    from ..prepare.editing import merge_groups
+
+    settings = scene.fipt.photographs
+    _edit(settings, lambda groups: merge_groups(groups, settings.active_group))
+
+
+@action("Open Report", options=REGISTER)
+def open_photographs_report(scene: bpy.types.Scene) -> None:
+    """Open the report on the photographs in the web browser."""
+    folder = scene.fipt.photographs.capture_folder()
+    page = None if folder is None else folder / "report" / "index.html"
+    if page is None or not page.is_file():
+        raise FiptError("report-missing", "There is no report yet.", "Use Make Capture first.")
+    bpy.ops.wm.url_open(url=page.as_uri())
 
 
 def _photographs(settings: FIPT_PhotographsSettings) -> Path:

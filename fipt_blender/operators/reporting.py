@@ -5,17 +5,15 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypeVar
 
 import bpy
 
 from ..core.run.errors import FiptError
 
-if TYPE_CHECKING:
-    from ..bridge.process import Message
-
 Self = TypeVar("Self")
+Messages = list[dict[str, Any]]  # see `bridge.process.Message`
 
 
 def reports_errors(
@@ -34,7 +32,10 @@ def reports_errors(
     return reporting
 
 
-def report_warnings(operator: object, warnings: Iterable[Message]) -> None:
-    """Report each warning with its remedy."""
-    for warning in warnings:
-        operator.report({"WARNING"}, f"{warning['text']} {warning['remedy']}")  # type: ignore[attr-defined]
+def report_messages(operator: Any, messages: Iterable[Mapping[str, Any]]) -> None:
+    """Report warnings with their remedies, and notes."""
+    for message in messages:
+        if message["type"] == "warning":
+            operator.report({"WARNING"}, f"{message['text']} {message['remedy']}".strip())
+        else:
+            operator.report({"INFO"}, message["text"])

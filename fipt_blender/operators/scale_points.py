@@ -10,6 +10,7 @@ import bpy
 
 from ..core.run.errors import FiptError
 from ..prepare.preparation import Group, PreparationFolder
+from .action import REGISTER, action
 from .pointer import NAVIGATION, WHEEL, WaitsForClicks, is_cancel, is_click
 from .polls import all_of, needs
 from .reporting import reports_errors
@@ -25,23 +26,15 @@ _has_groups = needs(
 )
 
 
-class FIPT_OT_show_merged(bpy.types.Operator):
-    """Show the merged image of the active group in an Image Editor, to pick points in it"""
-
-    bl_idname = "fipt.show_merged"
-    bl_label = "Show Merged Image"
-
-    poll = all_of(_has_groups)
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        settings = context.scene.fipt.photographs
-        image = bpy.data.images.load(str(_merged(settings)), check_existing=True)
-        area = _image_editor(context)
-        if area is not None:
-            area.spaces.active.image = image
-            area.spaces.active.show_region_ui = True
-        return {"FINISHED"}
+@action("Show Merged Image", needs=(_has_groups,), options=REGISTER)
+def show_merged(context: bpy.types.Context) -> None:
+    """Show the merged image of the active group in an Image Editor, to pick points in it."""
+    settings = context.scene.fipt.photographs
+    image = bpy.data.images.load(str(_merged(settings)), check_existing=True)
+    area = _image_editor(context)
+    if area is not None:
+        area.spaces.active.image = image
+        area.spaces.active.show_region_ui = True
 
 
 class FIPT_OT_pick_scale_points(WaitsForClicks, bpy.types.Operator):
@@ -69,14 +62,14 @@ class FIPT_OT_pick_scale_points(WaitsForClicks, bpy.types.Operator):
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
+        from ..blend.capture.scale_picks import with_picks
+
         settings = context.scene.fipt.photographs
         if self.view not in settings.groups:
             raise FiptError("scale-view", f"There is no group '{self.view}'.", "Name one of the list.")
         first, second = tuple(self.points)[:2], tuple(self.points)[2:]
         if first == second:
             raise FiptError("scale-point", "The two picked points are the same.", "Pick two points.")
-        from ..blend.capture.scale_picks import with_picks
-
         before = settings.scale_picks if self.extend else ""
         settings.scale_picks = with_picks(before, self.view, first, second)
         settings.scale = "points"

@@ -5,15 +5,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Annotated
 
 import bpy
 
 from ..panels import manual
-from .polls import all_of, needs, over_sidebar
-
-if TYPE_CHECKING:
-    pass
+from .action import REGISTER, action
+from .polls import needs, over_sidebar
 
 CAMERA_FILES = (".json", ".xml", ".sfm", ".out", ".nvm", ".csv", ".bin")
 
@@ -61,23 +59,18 @@ class FIPT_FH_capture(bpy.types.FileHandler):
         return over_sidebar(context)
 
 
-class FIPT_OT_help(bpy.types.Operator):
-    """Open the guide's chapter on this section in the web browser"""
-
-    bl_idname = "fipt.help"
-    bl_label = "Open Guide"
-
-    chapter: bpy.props.StringProperty(
-        name="Chapter", description="The chapter; the guide's first page if empty", options={"SKIP_SAVE"}
-    )
-
-    poll = all_of(
+@action(
+    "Open Guide",
+    needs=(
         needs(
             lambda context: manual.address(),
             "The guide is part of the extension's zip. Install it, or read docs/guide",
-        )
-    )
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        bpy.ops.wm.url_open(url=manual.address() + manual.chapter_page(self.chapter))
-        return {"FINISHED"}
+        ),
+    ),
+    options=REGISTER,
+)
+def help(
+    scene: bpy.types.Scene, chapter: Annotated[str, "The chapter; the guide's first page if empty"] = ""
+) -> None:
+    """Open the guide's chapter on this section in the web browser."""
+    bpy.ops.wm.url_open(url=manual.address() + manual.chapter_page(chapter))

@@ -14,12 +14,13 @@ from bpy.app.translations import pgettext_iface as iface_
 from .. import machine
 from ..core.run.errors import FiptError
 from ..jobs import running
+from ..jobs.tasks import Task
 from ..panels.sidebar import size_text
-from .job_operator import DataJobOperator
+from .action import REGISTER, action, reported
+from .polls import all_of, no_job
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
-    from ..bridge.sequence import Job
     from ..bridge.step import Slices, Step
     from ..bridge.storage import Item
 
@@ -59,25 +60,22 @@ class FIPT_PG_data_item(bpy.types.PropertyGroup):
     kept: bpy.props.StringProperty(description="Why the folder can't be deleted; empty if it can")
 
 
-class FIPT_OT_measure_data(DataJobOperator, bpy.types.Operator):
-    """Measure the disk space that cached runs and the engine's environments use"""
+@action("Measure", needs=(no_job,), options=REGISTER)
+def measure_data(scene: bpy.types.Scene) -> Task:
+    """Measure the disk space that cached runs and the engine's environments use."""
+    from ..jobs.data_job import data_task
 
-    bl_idname = "fipt.measure_data"
-    bl_label = "Measure"
-    title = "Measure Data Folder"
-
-    def make_job(self) -> tuple[Job, None]:
-        from ..jobs.data_job import data_job
-
-        return data_job([_measure_step()]), None
+    return data_task("Measure Data Folder", lambda: [_measure_step()])
 
 
-class FIPT_OT_clear_data(DataJobOperator, bpy.types.Operator):
+class FIPT_OT_clear_data(bpy.types.Operator):
     """Select cached runs and engine environments to delete. Runs that the open file uses are kept"""
 
     bl_idname = "fipt.clear_data"
     bl_label = "Clear Cached Data"
-    title = "Clear Cached Data"
+    bl_options = {"REGISTER"}
+
+    poll = all_of(no_job)
 
     names: bpy.props.StringProperty(
         name="Names",
@@ -126,12 +124,16 @@ class FIPT_OT_clear_data(DataJobOperator, bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from_dialog = bool(self.items) and not bpy.app.background and context.window is not None
-        return self._start(context, wait=not from_dialog)
+        return reported(self, context, not from_dialog, self._task)
 
-    def make_job(self) -> tuple[Job, None]:
+    def _task(self) -> Task:
+        from ..jobs.data_job import data_task
+
+        return data_task("Clear Cached Data", self._steps)
+
+    def _steps(self) -> list[Step]:
         from ..bridge import storage
         from ..bridge.step import Step
-        from ..jobs.data_job import data_job
 
         data, used = machine.data_folder(), used_paths()
         stored = {item.folder.name: item for item in storage.list_items(data)}
@@ -167,7 +169,7 @@ class FIPT_OT_clear_data(DataJobOperator, bpy.types.Operator):
                     warnings.append({"type": "warning", **message})
             return warnings
 
-        return data_job([Step("clear", "Deleting cached data", 5.0, function=clear), _measure_step()]), None
+        return [Step("clear", "Deleting cached data", 5.0, function=clear), _measure_step()]
 
 
 def _measure_step() -> Step:

@@ -4,64 +4,43 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Annotated, Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..api import applying
+from ..core.run.declared import Option
 from ..jobs import running
-from .job_operator import JobOperator
-from .polls import all_of, has_run, in_object_mode, needs, no_job
-from .reporting import reports_errors
+from ..jobs.tasks import Task
+from .action import REGISTER, action
+from .polls import has_run, in_object_mode, needs, no_job
 
-if TYPE_CHECKING:
-    from ..jobs.tasks import Task
+Version = Annotated[str, Option("Name of its run folder", shown={"options": {"SKIP_SAVE", "HIDDEN"}})]
 
 
-def _version_property() -> object:
-    return bpy.props.StringProperty(
-        name="Version", description="Name of its run folder", options={"SKIP_SAVE", "HIDDEN"}
+@action("Apply Version", needs=(no_job, has_run, in_object_mode))
+def use_version(scene: bpy.types.Scene, version: Version = "") -> Task:
+    """Apply this estimate to the room; the scene goes on with its run folder."""
+    return applying.version_change(version)
+
+
+def _confirm(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    return context.window_manager.invoke_confirm(
+        self,
+        event,
+        title=iface_("Delete '{}'?").format(self.version),
+        message=iface_("This can't be undone."),
+        confirm_text=iface_("Delete"),
     )
 
 
-class FIPT_OT_use_version(JobOperator, bpy.types.Operator):
-    bl_idname = "fipt.use_version"
-    bl_label = "Apply Version"
-    bl_description = "Apply this estimate to the room; the scene goes on with its run folder"
-    bl_options = {"REGISTER", "UNDO"}
-
-    version: _version_property()
-
-    poll = all_of(no_job, has_run, in_object_mode)
-
-    def task(self, context: bpy.types.Context) -> Task:
-        return applying.version_change(self.version)
-
-
-class FIPT_OT_delete_version(bpy.types.Operator):
-    """Delete the run folder of this estimate from the disk. This can't be undone"""
-
-    bl_idname = "fipt.delete_version"
-    bl_label = "Delete Version"
-    bl_options = {"REGISTER"}
-
-    version: _version_property()
-
-    poll = all_of(
-        needs(lambda context: running.current() is None, "Wait for the end of the running job"), has_run
-    )
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        return context.window_manager.invoke_confirm(
-            self,
-            event,
-            title=iface_("Delete '{}'?").format(self.version),
-            message=iface_("This can't be undone."),
-            confirm_text=iface_("Delete"),
-        )
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        applying.delete_version(context.scene, self.version)
-        return {"FINISHED"}
+@action(
+    "Delete Version",
+    needs=(needs(lambda context: running.current() is None, "Wait for the end of the running job"), has_run),
+    options=REGISTER,
+    invoke=_confirm,
+)
+def delete_version(scene: bpy.types.Scene, version: Version = "") -> None:
+    """Delete the run folder of this estimate from the disk. This can't be undone."""
+    applying.delete_version(scene, version)

@@ -4,102 +4,74 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import bpy
 
 from .. import machine
+from ..core.run.declared import Option
+from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
-from .job_operator import JobOperator
-from .overlay import ShowsColors
-from .polls import all_of, has_views, no_job, views_checked
-from .reporting import reports_errors
+from ..jobs.tasks import Task
+from .action import REGISTER, action
+from .polls import has_views, no_job, views_checked
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
     from ..bridge.sequence import Job
     from ..bridge.step import Slices, Step
 
-
-class FIPT_OT_look_through(bpy.types.Operator):
-    """Look through the camera of a view"""
-
-    bl_idname = "fipt.look_through"
-    bl_label = "Look Through View"
-    bl_options = {"REGISTER", "UNDO"}
-
-    view: bpy.props.StringProperty(
-        name="View",
-        description="Name of the view. If empty, the active view of the list is used",
-        options={"SKIP_SAVE"},
-    )
-    step: bpy.props.IntProperty(
-        name="Step",
-        description="1 for the next view in the list, -1 for the previous one",
-        options={"SKIP_SAVE"},
-    )
-
-    toggle: bpy.props.BoolProperty(
-        name="Toggle Photograph",
-        description="Also show the photograph over the view, or hide it if it is shown",
-        options={"SKIP_SAVE"},
-    )
-
-    poll = all_of(has_views)
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.capture.look import camera_missing, look_through, shows_photograph
-
-        settings = context.scene.fipt.capture
-        index = settings.active_view
-        if self.view:
-            index = settings.views.find(self.view)
-            if index < 0:
-                self.report({"ERROR"}, f"There is no view '{self.view}'. Use the name of a view in the list.")
-                return {"CANCELLED"}
-        index = (index + self.step) % len(settings.views)
-        if self.toggle:
-            shown = shows_photograph(context.scene, settings.views[index], context)
-            setattr(settings, settings.photograph_switch(), not shown)
-        if look_through(context.scene, settings.views[index], context) is None:
-            raise camera_missing(settings.views[index])
-        settings.active_view = index
-        return {"FINISHED"}
+TICKS = (
+    ("ALL", "All", "Use every view"),
+    ("NONE", "None", "Use no view"),
+    ("INVERT", "Invert", "Use the views that are not used now, and only these"),
+    ("GOOD", "Without Warnings", "Use the views for which Check Views gave no warning"),
+)
 
 
-class FIPT_OT_tick_views(bpy.types.Operator):
-    """Tick all views in the list, none, the other ones, or those without warnings"""
+@action("Look Through View", needs=(has_views,))
+def look_through(
+    context: bpy.types.Context,
+    view: Annotated[str, "Name of the view. If empty, the active view of the list is used"] = "",
+    step: Annotated[int, Option("1 for the next view in the list, -1 for the previous one", low=-1)] = 0,
+    toggle: Annotated[
+        bool,
+        Option("Also show the photograph over the view, or hide it if it is shown", "Toggle Photograph"),
+    ] = False,
+) -> None:
+    """Look through the camera of a view."""
+    from ..blend.capture import look
 
-    bl_idname = "fipt.tick_views"
-    bl_label = "Tick Views"
-    bl_options = {"REGISTER", "UNDO"}
+    settings = context.scene.fipt.capture
+    index = settings.active_view
+    if view:
+        index = settings.views.find(view)
+        if index < 0:
+            raise FiptError("view-missing", f"There is no view '{view}'.", "Use the name of one in the list.")
+    index = (index + step) % len(settings.views)
+    if toggle:
+        shown = look.shows_photograph(context.scene, settings.views[index], context)
+        setattr(settings, settings.photograph_switch(), not shown)
+    if look.look_through(context.scene, settings.views[index], context) is None:
+        raise look.camera_missing(settings.views[index])
+    settings.active_view = index
 
-    action: bpy.props.EnumProperty(
-        name="Action",
-        description="Views to tick",
-        items=[
-            ("ALL", "All", "Use every view"),
-            ("NONE", "None", "Use no view"),
-            ("INVERT", "Invert", "Use the views that are not used now, and only these"),
-            ("GOOD", "Without Warnings", "Use the views for which Check Views gave no warning"),
-        ],
-    )
 
-    poll = all_of(has_views)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        settings = context.scene.fipt.capture
-        with settings.counting_later():
-            for view in settings.views:
-                view.enabled = {
-                    "ALL": True,
-                    "NONE": False,
-                    "INVERT": not view.enabled,
-                    "GOOD": not view.warning,
-                }[self.action]
-        settings.count_views()
-        return {"FINISHED"}
+@action("Tick Views", needs=(has_views,))
+def tick_views(
+    scene: bpy.types.Scene, action: Annotated[str, Option("Views to tick", choices=TICKS)] = "ALL"
+) -> None:
+    """Tick all views in the list, none, the other ones, or those without warnings."""
+    settings = scene.fipt.capture
+    with settings.counting_later():
+        for view in settings.views:
+            view.enabled = {
+                "ALL": True,
+                "NONE": False,
+                "INVERT": not view.enabled,
+                "GOOD": not view.warning,
+            }[action]
+    settings.count_views()
 
 
 def survey_steps(run: RunFolder, search: bool = False) -> tuple[Step, Step]:
@@ -127,58 +99,40 @@ def survey_steps(run: RunFolder, search: bool = False) -> tuple[Step, Step]:
     )
 
 
-class SurveyJob(JobOperator):
-    """Base of the operators that examine the scene's room and views."""
+def checked_run(scene: bpy.types.Scene) -> RunFolder:
+    """The scene's run folder, for work on its room and views.
 
-    poll = all_of(has_views, no_job)
+    Raises:
+        FiptError: ``room-missing``.
+    """
+    from ..blend.capture.importing import room_missing
 
-    @staticmethod
-    def checked_run(context: bpy.types.Context) -> RunFolder:
-        """The scene's run folder.
-
-        Raises:
-            FiptError: ``room-missing``.
-        """
-        from ..blend.capture.importing import room_missing
-
-        scene = context.scene
-        if not scene.fipt.capture.room_objects(scene):
-            raise room_missing()
-        return RunFolder(bpy.path.abspath(scene.fipt.run_folder))
+    if not scene.fipt.capture.room_objects(scene):
+        raise room_missing()
+    return RunFolder(bpy.path.abspath(scene.fipt.run_folder))
 
 
-class FIPT_OT_check_views(SurveyJob, bpy.types.Operator):
-    """Check what each view sees of the room and whether its photograph is usable, and find the parts"""
+@action("Check Views", needs=(has_views, no_job), options=REGISTER)
+def check_views(scene: bpy.types.Scene) -> Task:
+    """Check what each view sees of the room and whether its photograph is usable, and find the parts."""
 
-    bl_idname = "fipt.check_views"
-    bl_label = "Check Views"
-    bl_options = {"REGISTER"}
-    title = "Check Views"
-    kind = "survey"
-
-    def make_job(self, context: bpy.types.Context) -> Job:
+    def make(scene: bpy.types.Scene) -> Job:
         from ..jobs.run_job import open_job
 
-        run = self.checked_run(context)
+        run = checked_run(scene)
         return open_job(run, list(survey_steps(run)), record="survey/steps.json")
 
-    @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
         from ..blend.capture.survey import take_survey
 
         take_survey(scene, run)
 
+    return Task("Check Views", "survey", make, finished)
 
-class FIPT_OT_show_coverage(ShowsColors, bpy.types.Operator):
-    """Color the room by the number of ticked views that see each surface"""
 
-    bl_idname = "fipt.show_coverage"
-    bl_label = "Show Coverage"
+@action("Show Coverage", needs=(views_checked,), options=REGISTER)
+def show_coverage(scene: bpy.types.Scene, show: Annotated[bool, "Show or hide the colors"] = True) -> None:
+    """Color the room by the number of ticked views that see each surface."""
+    from ..blend.capture import overlay, survey
 
-    poll = all_of(views_checked)
-
-    @staticmethod
-    def color(scene: bpy.types.Scene) -> None:
-        from ..blend.capture.survey import show_coverage
-
-        show_coverage(scene)
+    survey.show_coverage(scene) if show else overlay.hide()

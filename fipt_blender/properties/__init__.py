@@ -9,7 +9,7 @@ Blender starts.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from types import ModuleType
+from types import FunctionType, ModuleType
 
 import bpy
 
@@ -19,13 +19,18 @@ _MODULES = (photographs, capture, alignment, parts, estimate, hints, materials, 
 
 
 def classes_of(modules: Iterable[ModuleType]) -> list[type]:
-    """The classes of modules that Blender has to know, in the order in which they stand there."""
-    return [
-        each
-        for module in modules
-        for name, each in vars(module).items()
-        if name.startswith("FIPT_") and each.__module__ == module.__name__
-    ]
+    """The classes of modules that Blender has to know, in the order in which they stand there.
+
+    They are those whose names begin with ``FIPT_``, and the operators of functions (`operators.action`).
+    """
+    found = []
+    for module in modules:
+        for name, each in vars(module).items():
+            if isinstance(each, FunctionType) and "operator" in vars(each):
+                each, name = each.operator, each.operator.__name__  # type: ignore[attr-defined]
+            if name.startswith("FIPT_") and each.__module__ == module.__name__:
+                found.append(each)
+    return found
 
 
 class FIPT_SceneSettings(bpy.types.PropertyGroup):

@@ -16,7 +16,8 @@ from ..core.run.declared import Choices, Declared, declared
 
 def enum_items(choices: Choices) -> list[tuple[Any, ...]]:
     """Choices as Blender takes them: identifier, label, tooltip, icon, number."""
-    padded = ((*choice, "", "", "NONE")[:4] if len(choice) < 4 else choice for choice in choices)
+    defaults = ("", "", "", "NONE")
+    padded = ((*choice, *defaults[len(choice) :])[:4] for choice in choices)
     return [(*choice, number) for number, choice in enumerate(padded)]
 
 
@@ -57,16 +58,14 @@ def properties_of(
 def values_of(group: Any, kind: Callable[..., Any]) -> dict[str, Any]:
     """The values of those options of a dataclass or a function that a group or an operator has."""
     return {
-        name: _value(getattr(group, name), item)
-        for name, item in _in_panel(kind)
-        if name in group.bl_rna.properties
+        name: _value(getattr(group, name), item) for name, item in _in_panel(kind) if hasattr(group, name)
     }
 
 
 def fill(group: Any, kind: Callable[..., Any], values: Mapping[str, Any]) -> None:
     """Set those options of a dataclass that a group has."""
     for name, item in _in_panel(kind):
-        if name in group.bl_rna.properties:
+        if hasattr(group, name):
             value = values[name]
             if item.kind is Path:
                 value = "" if value is None else str(value.absolute())

@@ -1,0 +1,146 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators made from functions.
+
+`@action("Reset Light", needs=own_lights)` above `def reset_light(scene, light: Annotated[str, "..."] = "")`
+declares `bpy.ops.fipt.reset_light`: its tooltip is the docstring's first paragraph, its properties are the
+annotated parameters. The function can be called from scripts as it is. Its first parameter is `scene` or,
+where it needs more, `context`. It raises FiptError, and returns a text or messages to report, or a `Task` to
+start.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Collection, Sequence
+from typing import Any, TypeVar
+
+import bpy
+
+from ..core.run.declared import Declared, declared
+from ..core.run.errors import FiptError
+from ..jobs.tasks import Task, begin
+from ..properties.declared import property_of, values_of
+from .polls import Condition, all_of
+from .reporting import report_messages
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+UNDO = frozenset({"REGISTER", "UNDO"})  # `options` of what changes Blender's data
+REGISTER = frozenset({"REGISTER"})
+
+
+def action(
+    label: str, needs: Sequence[Condition] = (), options: Collection[str] = UNDO, **members: Any
+) -> Callable[[Function], Function]:
+    """Declare the operator that calls a function; it becomes the function's attribute `operator`.
+
+    Args:
+        label: of buttons.
+        needs: conditions for which the button is enabled.
+        options: `bl_options`.
+        members: further members of the class, such as `invoke`, which may return `self.run(context)`.
+    """
+
+    def declare(function: Function) -> Function:
+        name, text = function.__name__, inspect.cleandoc(function.__doc__ or "").partition("\n\n")[0]
+        made = {
+            "__module__": function.__module__,
+            "__doc__": text,
+            "__annotations__": {key: _property(item) for key, item in declared(function).items()},
+            "bl_idname": f"fipt.{name}",
+            "bl_label": label,
+            "bl_description": " ".join(text.split()).removesuffix("."),
+            "bl_options": set(options),
+            "function": staticmethod(function),
+            "takes_context": next(iter(inspect.signature(function).parameters)) == "context",
+            **({"poll": all_of(*needs)} if needs else {}),
+            **members,
+        }
+        function.operator = type(f"FIPT_OT_{name}", (_Action, bpy.types.Operator), made)  # type: ignore[attr-defined]
+        return function
+
+    return declare
+
+
+class _Action:
+    """Mix-in of the classes that `action` makes."""
+
+    function: Callable[..., Any]
+    takes_context: bool
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.run(context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return self.run(context, wait=bpy.app.background)
+
+    def run(self, context: bpy.types.Context, wait: bool = True) -> set[str]:
+        """Call the function with the operator's properties; `wait` for the end of a job that it starts."""
+        values = values_of(self, self.function)
+        on = context if self.takes_context else context.scene
+        return reported(self, context, wait, lambda: self.function(on, **values))
+
+
+def _property(item: Declared) -> object:
+    """A property of an operator, which does not remember its last value."""
+    return property_of(item, **({} if "options" in item.option.shown else {"options": {"SKIP_SAVE"}}))
+
+
+def reported(operator: Any, context: bpy.types.Context, wait: bool, work: Callable[[], object]) -> set[str]:
+    """Do what an operator does, and report what it returns or raises; see the module."""
+    try:
+        result = work()
+        if isinstance(result, Task):
+            return _started(operator, begin(result, context.scene, wait), wait)
+    except FiptError as error:
+        operator.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
+    if isinstance(result, str):
+        operator.report({"INFO"}, result)
+    elif isinstance(result, Sequence):
+        report_messages(operator, result)
+    return {"FINISHED"}
+
+
+def _started(operator: Any, info: Any, wait: bool) -> set[str]:
+    if not wait:
+        # Nothing has been done yet that could be undone or repeated.
+        return {"INTERFACE"}
+    report_messages(operator, info.warnings)
+    if info.error is not None:
+        operator.report({"ERROR"}, f"{info.error['text']} {info.error['remedy']}")
+    return {"FINISHED"} if info.state == "finished" else {"CANCELLED"}
+
+
+def row_index(rows: Any, index: int, active: int) -> int:
+    """The place in a list of the row that a property names, the active one if it is negative.
+
+    Raises:
+        FiptError: ``row-missing``.
+    """
+    index = active if index < 0 else index
+    if index >= len(rows):
+        text = f"There is no row {index}. The list has {len(rows)}."
+        raise FiptError("row-missing", text, "Use the number of a row, from 0.")
+    return index
+
+
+def dialog(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    """An `invoke` that asks for the properties."""
+    return context.window_manager.invoke_props_dialog(self)
+
+
+def file_dialog(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    """An `invoke` that asks for the property `filepath` or `directory`."""
+    context.window_manager.fileselect_add(self)
+    return {"RUNNING_MODAL"}
+
+
+def note(text: str) -> dict[str, Any]:
+    """A message that is reported as information."""
+    return {"type": "note", "text": text}
+
+
+def warning(code: str, text: str, remedy: str = "") -> dict[str, Any]:
+    """A message that is reported as a warning."""
+    return {"type": "warning", "code": code, "text": text, "remedy": remedy}
