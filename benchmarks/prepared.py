@@ -84,12 +84,13 @@ def main(argv: Sequence[str]) -> int:
             )
         if result.returncode:
             raise FiptError("run-failed", "The capture could not be read.", f"See {run.log}.")
-        from fipt_blender.jobs.room_steps import RoomSteps  # bpy
+        from fipt_blender.jobs.batch_state import panel_state  # bpy
+        from fipt_blender.jobs.room_steps import RoomSteps
+        from fipt_blender.jobs.scene_steps import export_scene_room
 
-        steps = RoomSteps(options, run)
-        steps.import_room()
-        for _ in steps.export_room():
-            pass
+        with panel_state():
+            for _ in (*RoomSteps(options, run).import_room(), *export_scene_room(run)):
+                pass
     except FiptError as error:
         print(f"error: {error.text} {error.remedy}", file=sys.stderr)
         return 1

@@ -26,7 +26,7 @@ from fipt_blender.core.pixels.store import Tracing
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.jobs.main_job import estimate_step
+from fipt_blender.jobs.scene_steps import estimate_step
 from samples import small_captures as samples
 from samples.child_processes import PATIENCE_SECONDS
 from samples.refusals import error_of

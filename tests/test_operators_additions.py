@@ -21,7 +21,7 @@ from fipt_blender.core import conventions
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.run_files import CLOSING
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.jobs.room_steps import export_scene_room
+from fipt_blender.jobs.scene_steps import export_scene_room
 from samples.engine_here import engine_here
 from samples.lost_things import HIGH, LOW, photographed, with_box
 from samples.operator_calls import refused

@@ -15,7 +15,7 @@ import pytest
 
 from fipt_blender import api, machine
 from fipt_blender.api import estimating
-from fipt_blender.api.estimating import make_steps, scene_settings
+from fipt_blender.api.estimating import scene_settings
 from fipt_blender.bridge import interpreter
 from fipt_blender.bridge.attached import find_engine
 from fipt_blender.core.run import settings as settings_module
@@ -23,6 +23,7 @@ from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import run_job, running, runstate
+from fipt_blender.jobs.scene_steps import camera_step, estimation_steps
 from fipt_blender.operators.estimate import smaller_preset_of
 from fipt_blender.properties.estimate import CHOICES
 from samples.child_processes import wait_for
@@ -88,7 +89,7 @@ def start(resume: bool) -> running.RunningJob:
     settings = estimating.scene_settings(scene)
     run = estimating.run_for(scene, resume)
     run.create(settings)
-    job = run_job.open_job(run, make_steps(run, settings, resume), resume=resume)
+    job = run_job.open_job(run, [camera_step(run), *estimation_steps(run, settings, resume)], resume=resume)
     return running.start(job, running.RunningJob("Estimate", "estimate", scene.name, run.root))
 
 

@@ -17,12 +17,8 @@ from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
 
 if TYPE_CHECKING:
-    from ..bridge.process import Message
     from ..bridge.sequence import Job
-    from ..bridge.step import Slices, Step
     from ..core.run.settings import Settings
-
-_ATLAS_SETTINGS = ("atlas_mode", "atlas_images", "texture_size", "texel_density")
 
 
 def run_of(scene: bpy.types.Scene) -> RunFolder:
@@ -94,10 +90,11 @@ def delete_version(scene: bpy.types.Scene, version: str) -> None:
 
 def _apply_job(scene: bpy.types.Scene, run: RunFolder, settings: Settings) -> Job:
     from ..jobs.run_job import open_job
+    from ..jobs.scene_steps import apply_steps, scene_named
 
     return open_job(
         run,
-        apply_steps(scene.name, run, settings),
+        apply_steps(scene_named(scene.name), run, settings),
         record=run.apply_json.name,
         resume=True,
         result=lambda: [str(path) for path in sorted(run.textures.glob("*.*"))],
@@ -105,14 +102,16 @@ def _apply_job(scene: bpy.types.Scene, run: RunFolder, settings: Settings) -> Jo
 
 
 def _applied(scene: bpy.types.Scene, run: RunFolder) -> None:
-    from ..blend.marks import ADDED, FOUND
-    from ..blend.results.scene_state import finish
+    from ..jobs.scene_steps import applied
 
-    finish(scene, run)
-    settings = scene.fipt.capture
-    # What the artist deletes of it stays away in the next estimation. Closed holes alone say nothing of the
-    # search, which may find more with other masks.
-    settings.completed |= any(item.get(ADDED) == FOUND for item in settings.room_objects(scene))
+    applied(scene, run)
+
+
+def note_applied(scene: bpy.types.Scene, run: RunFolder) -> None:
+    """See `scene_steps.note_applied`."""
+    from ..jobs import scene_steps
+
+    scene_steps.note_applied(scene, run)
 
 
 def show_doubts(scene: bpy.types.Scene, run: RunFolder) -> None:
@@ -144,87 +143,3 @@ def chosen_settings(scene: bpy.types.Scene, run: RunFolder) -> Settings:
             "Use Estimate, or Resume if the run was stopped.",
         )
     return replace(settings, **values_of(scene.fipt.materials, TextureSettings))
-
-
-def apply_steps(scene_name: str, run: RunFolder, settings: Settings) -> list[Step]:
-    """Texture coordinates, baking, assignment; the first two are skipped while their inputs are the same.
-
-    A job that estimates first must call `note_applied` at its end: the inputs are those of the results from
-    before.
-    """
-    import uuid
-
-    from ..bridge.step import Step
-    from ..jobs.expected import atlas_seconds, texture_seconds
-
-    atlas_values = {name: getattr(settings, name) for name in _ATLAS_SETTINGS}
-
-    def objects() -> list[bpy.types.Object]:
-        scene = bpy.data.scenes[scene_name]
-        return scene.fipt.capture.room_objects(scene)
-
-    def lay_out() -> Slices[None]:
-        from ..blend.room.atlas import atlas_slices
-
-        yield from atlas_slices(objects(), run, settings)
-        return None
-
-    def build() -> Slices[list[Message]]:
-        from ..blend.lights.world import apply_environment
-        from ..blend.results.applying import apply_slices
-        from ..blend.texture_files import texture_files
-
-        files = texture_files(bpy.data.scenes[scene_name], run)
-        applied = yield from apply_slices(run, objects(), bpy.data.scenes[scene_name], files)
-        apply_environment(run, bpy.data.scenes[scene_name], files)
-        return applied.warnings
-
-    return [
-        Step(
-            "apply-atlas",
-            "Creating texture coordinates",
-            2.0,
-            inputs={
-                "room": _stamp(run.room_npz),
-                "parts": _stamp(run.parts_npz) if settings.atlas_images == "part" else [],
-                **atlas_values,
-            },
-            function=lay_out,
-            outputs=[run.atlas_npz, run.atlas_json],
-            expected=lambda: atlas_seconds(run),
-        ),
-        Step(
-            "apply-textures",
-            "Baking textures",
-            25.0,
-            inputs={"fields": _stamp(run.fields_npz)},
-            command=["textures", str(run.root)],
-            outputs=[run.textures],
-            expected=lambda: texture_seconds(run, settings),
-        ),
-        Step(
-            "apply-build",
-            "Building materials and lights",
-            1.0,
-            inputs={"time": uuid.uuid4().hex},  # never skipped: its result is in the .blend file
-            function=build,
-        ),
-    ]
-
-
-def note_applied(scene: bpy.types.Scene, run: RunFolder) -> None:
-    """After `apply_steps` in a job that has estimated: bring the panel up to date, record what was baked."""
-    from ..bridge.step import StepRecord, chain_keys
-
-    _applied(scene, run)
-    steps, record = apply_steps(scene.name, run, run.read()), StepRecord(run.apply_json)
-    for step, key in zip(steps, chain_keys(steps), strict=True):
-        record.store(step.name, key, finished=True)
-
-
-def _stamp(path: Path) -> list[int]:
-    try:
-        status = path.stat()
-    except OSError:
-        return []
-    return [status.st_size, status.st_mtime_ns]

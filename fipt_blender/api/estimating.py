@@ -18,12 +18,10 @@ from .. import machine
 from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
 from ..jobs.window import push_undo
-from .applying import apply_steps, chosen_settings, note_applied, run_of, show_doubts
+from .applying import chosen_settings, note_applied, run_of, show_doubts
 
 if TYPE_CHECKING:
-    from ..bridge.process import Message
     from ..bridge.sequence import Job
-    from ..bridge.step import Slices, Step
     from ..core.run.settings import Settings, Value
 
 
@@ -41,6 +39,7 @@ def estimation(
 
     def make(scene: bpy.types.Scene) -> Job:
         from ..jobs import run_job
+        from ..jobs.scene_steps import camera_step, estimation_steps
 
         launch = run_job.find_launch()
         settings = scene_settings(scene, changes)
@@ -52,7 +51,7 @@ def estimation(
             write_for_run(scene, run)
         return run_job.open_job(
             run,
-            make_steps(run, settings, keep_stages),
+            [camera_step(run), *estimation_steps(run, settings, keep_stages)],
             resume=keep_stages,
             result=lambda: result_files(run),
             launch=launch,
@@ -66,8 +65,8 @@ def resumption() -> Task:
     again = estimation(keep_stages=True, keep_hints=True)
 
     def make(scene: bpy.types.Scene) -> Job:
-        from ..jobs.main_job import estimate_step
         from ..jobs.run_job import attach_job
+        from ..jobs.scene_steps import estimate_step
 
         run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
         # An engine that is still at work, started from here or elsewhere, is watched to its end.
@@ -122,29 +121,6 @@ def scene_settings(scene: bpy.types.Scene, changes: Mapping[str, Value] | None =
     return make_settings(state.preset, {**values, **(changes or {})})
 
 
-def make_steps(run: RunFolder, settings: Settings, resume: bool) -> list[Step]:
-    """The steps from the current scene to the results; see `estimate_step`."""
-    from ..bridge.step import Step
-    from ..jobs.main_job import EXPORT_TEXT, estimate_step
-
-    def cameras() -> None:
-        from ..jobs.room_steps import export_scene_cameras
-
-        export_scene_cameras(run)
-
-    def room() -> Slices[list[Message]]:
-        from ..jobs.room_steps import export_scene_room
-
-        return export_scene_room(run)
-
-    # Seconds on a small capture, for the progress bar only.
-    return [
-        Step("cameras", "Reading the cameras", 1.0, function=cameras, repeat=True),
-        Step("room", EXPORT_TEXT, 2.0, function=room, repeat=True),
-        estimate_step(run, settings, resume),
-    ]
-
-
 def result_files(run: RunFolder) -> list[str]:
     """Paths of the files that an estimation writes for the other sections."""
     paths = [run.fields_npz, run.emitters_json, run.environment_exr, run.statistics_json]
@@ -157,8 +133,8 @@ def reestimation() -> Task:
     def make(scene: bpy.types.Scene) -> Job:
         from ..blend.hints.exchange import write_hints_rerun
         from ..core.run.versions import refuse_other_stages
-        from ..jobs.main_job import estimate_step
         from ..jobs.run_job import find_launch, open_job, refuse_busy
+        from ..jobs.scene_steps import apply_steps, estimate_step, scene_named
 
         run = run_of(scene)
         launch = find_launch()
@@ -169,7 +145,10 @@ def reestimation() -> Task:
         settings = run.read_estimated()
         run.create(settings)
         write_hints_rerun(scene, run)
-        steps = [estimate_step(run, settings, resume=True), *apply_steps(scene.name, run, settings)]
+        steps = [
+            estimate_step(run, settings, resume=True),
+            *apply_steps(scene_named(scene.name), run, settings, estimated=True),
+        ]
         return open_job(run, steps, resume=False, launch=launch)
 
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING
 import bpy
 
 from .. import properties
-from ..blend.capture.importing import fill_views
-from ..blend.results.scene_state import note_results
 from ..core.capture.options import CaptureOptions
 from ..core.run.runfolder import RunFolder
 from ..core.run.settings import make_settings
@@ -37,27 +35,20 @@ def panel_state() -> Iterator[None]:
         properties.unregister()
 
 
-def remember_run(scene: bpy.types.Scene, options: MainJobOptions, run: RunFolder) -> None:
-    """Fill the panel: the capture and its views, the settings, the results and the lights.
+def show_options(scene: bpy.types.Scene, options: MainJobOptions, run: RunFolder) -> None:
+    """Set the panel's state to a job's options, as far as the panel has them.
 
     Args:
-        scene: with the capture's cameras and with applied results; inside `panel_state`.
+        scene: inside `panel_state`.
         options: the job's options.
         run: its run folder.
     """
-    state = scene.fipt
+    state, settings = scene.fipt, options.settings
     state.run_folder = str(run.root)
-    state.capture.path = state.capture.imported_path = str(capture_source(options.capture.absolute()))
+    state.capture.path = str(capture_source(options.capture.absolute()))
     fill(state.capture, CaptureOptions, vars(options))
-    fill_views(scene, run)
     state.parts.source = options.parts
-    _remember_settings(state, options)
-    note_results(scene, run)
-
-
-def _remember_settings(state: bpy.types.PropertyGroup, options: MainJobOptions) -> None:
-    """The preset and the changed settings, as far as the panel has them."""
-    settings, estimate, materials = options.settings, state.estimate, state.materials
+    estimate, materials = state.estimate, state.materials
     estimate.preset = settings.preset
     preset = make_settings(settings.preset)
     for name, (of, *_) in properties.estimate.CHOICES.items():

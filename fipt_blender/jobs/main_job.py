@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from contextlib import AbstractContextManager
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,27 +18,25 @@ from typing import TYPE_CHECKING
 from ..bridge.sequence import Job
 from ..bridge.step import Step, StepFunction
 from ..core.run.errors import FiptError
-from ..core.run.hints import Hint, hints_digest, read_hints, write_hints
-from ..core.run.method import method_digest
+from ..core.run.hints import Hint, read_hints, write_hints
 from ..core.run.runfolder import PRODUCT_VERSION, RunFolder
-from ..core.run.settings import TEXTURE_SETTINGS, Settings
-from .expected import PICTURE, atlas_seconds, estimate_seconds, render_seconds, texture_seconds
+from .expected import PICTURE, render_seconds
 from .fingerprints import folder_fingerprint, mesh_fingerprint
 from .options import BLEND_NAME, MOST_RERENDERED, MainJobOptions, check_options
 from .run_job import find_launch, ingest_step, open_job, refuse_busy
+from .scene_steps import apply_steps, estimation_steps
 
 if TYPE_CHECKING:
+    import bpy
+
     from .room_steps import RoomSteps
 
-EXPORT_TEXT = "Preparing the room for the engine"
 _RENDER_TEXTS = {
     "rerender": "Rendering held-back views with the estimated room",
     "relight": "Rendering the view with the estimated lights off and a new area light",
     "insert": "Rendering the view with an inserted object",
 }
 _PICTURES = {"rerender": MOST_RERENDERED}
-# Expected times until the capture is read: seconds for the example room on two idle cores.
-_ESTIMATE_SECONDS = {"draft": 85.0, "medium": 150.0, "high": 2400.0}
 
 
 def make_main_job(options: MainJobOptions) -> Job:
@@ -55,9 +54,23 @@ def make_main_job(options: MainJobOptions) -> Job:
     hints, hints_rerun = (_existing(path) for path in (options.hints, options.hints_again))
     run.create(options.settings)
     _take_hints(run, hints, hints_rerun, options.resume)
-    return open_job(
+    job = open_job(
         run, _steps(options, run), resume=options.resume, result=lambda: list_files(run), launch=engine
     )
+    job.around = _with_panel
+    return job
+
+
+def _with_panel() -> AbstractContextManager[None]:
+    from .batch_state import panel_state
+
+    return panel_state()
+
+
+def _scene() -> bpy.types.Scene:
+    import bpy
+
+    return bpy.context.scene
 
 
 def list_files(run: RunFolder) -> list[str]:
@@ -75,33 +88,6 @@ def _remove(*paths: Path) -> None:
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
-
-
-def _empty(folder: Path) -> None:
-    _remove(folder)
-    folder.mkdir()
-
-
-def estimate_step(
-    run: RunFolder, settings: Settings, resume: bool = False, cluster: str | None = None
-) -> Step:
-    """The engine's estimation from the capture.json and room.npz of a run folder.
-
-    Args:
-        resume: whether the engine may keep stages that do not depend on changed settings.
-        cluster: see `MainJobOptions`; not among the step's inputs, since the results do not depend on it.
-    """
-    values = {name: value for name, value in asdict(settings).items() if name not in TEXTURE_SETTINGS}
-    return Step(
-        "estimate",
-        "Estimating materials and lights",
-        _ESTIMATE_SECONDS.get(settings.preset, 360.0),
-        inputs={**values, "method": method_digest(), "hints": _hints_digests(run)},
-        command=["estimate", str(run.root), *([] if cluster is None else [f"--cluster={cluster}"])],
-        outputs=[run.fields_npz, run.emitters_json],
-        reset=None if resume else lambda: _empty(run.stage),
-        expected=lambda: estimate_seconds(run, settings),
-    )
 
 
 def _existing(path: Path | None) -> list[Hint] | None:
@@ -129,12 +115,6 @@ def _take_hints(
             write_hints(path, given)
 
 
-def _hints_digests(run: RunFolder) -> list[str | None]:
-    """What the run's files of hints hold, None for a file that is not there."""
-    paths = (run.hints_json, run.hints_again_json)
-    return [hints_digest(read_hints(path)) if path.exists() else None for path in paths]
-
-
 def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
     @cache
     def room() -> RoomSteps:
@@ -148,19 +128,21 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
             "import",
             "Importing the room and its cameras",
             1.0,
+            inputs={"parts": options.parts},
             function=lambda: room().import_room(),
             repeat=True,
         ),
+        *estimation_steps(run, options.settings, options.resume, options.cluster),
+        *apply_steps(_scene, run, options.settings, estimated=True),
         Step(
-            "export",
-            EXPORT_TEXT,
+            "save",
+            "Saving the .blend file",
             1.0,
-            inputs={"parts": options.parts},
-            function=lambda: room().export_room(),
-            outputs=[run.room_npz, run.room_json],
+            function=lambda: room().save(),
+            outputs=[run.root / BLEND_NAME],
+            reset=lambda: _remove(run.root / BLEND_NAME, run.renders),
+            restore=lambda: room().open_blend(),
         ),
-        estimate_step(run, options.settings, options.resume, options.cluster),
-        *_result_steps(options, run, room),
         *_render_steps(options, run, room),
         Step(
             "report",
@@ -189,39 +171,6 @@ def _capture_step(options: MainJobOptions, run: RunFolder) -> Step:
         },
         outputs=[run.capture_json],
     )
-
-
-def _result_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], RoomSteps]) -> list[Step]:
-    """From the estimate to the .blend file."""
-    return [
-        Step(
-            "atlas",
-            "Creating texture coordinates",
-            1.0,
-            inputs={name: getattr(options.settings, name) for name in TEXTURE_SETTINGS},
-            function=lambda: room().make_atlas(),
-            outputs=[run.atlas_npz, run.atlas_json],
-            repeat=True,
-            expected=lambda: atlas_seconds(run),
-        ),
-        Step(
-            "textures",
-            "Baking textures",
-            11.0,
-            command=["textures", str(run.root)],
-            outputs=[run.textures],
-            expected=lambda: texture_seconds(run, options.settings),
-        ),
-        Step(
-            "save",
-            "Building materials and lights, and saving the .blend file",
-            3.0,
-            function=lambda: room().apply_and_save(),
-            outputs=[run.root / BLEND_NAME],
-            reset=lambda: _remove(run.root / BLEND_NAME, run.renders),
-            restore=lambda: room().open_blend(),
-        ),
-    ]
 
 
 def _render_steps(options: MainJobOptions, run: RunFolder, room: Callable[[], RoomSteps]) -> list[Step]:

@@ -11,10 +11,8 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ..blend import outliner
-from ..blend.capture import cameras, mesh_import
-from ..blend.capture.exporting import export_capture
-from ..blend.capture.importing import not_in_room
+from ..blend.capture import cameras
+from ..blend.capture.importing import import_capture
 from ..blend.capture.look import enter_camera_on_opening
 from ..blend.capture.view_geometry import view_geometry
 from ..blend.insert.balls import add_ball
@@ -22,16 +20,11 @@ from ..blend.insert.support import Support, choose_view
 from ..blend.lights.area_lights import Rectangle, add_area_light, area_light_watts
 from ..blend.lights.light_state import switch_all
 from ..blend.lights.placement import find_light_place, room_light_power
-from ..blend.lights.world import apply_environment
-from ..blend.pictures.cycles import RenderOptions, exposure_of
+from ..blend.pictures.cycles import RenderOptions
 from ..blend.pictures.image_files import photograph
 from ..blend.pictures.renders import render_listed
-from ..blend.render_settings import set_up
-from ..blend.results.applying import apply_results
-from ..blend.results.scene_state import median_radiance, median_shown
+from ..blend.results.scene_state import median_radiance
 from ..blend.room.arrays import read_room
-from ..blend.room.atlas import make_atlas
-from ..blend.room.exporting import export_slices
 from ..blend.room.rays import make_cast
 from ..blend.save import save_blend
 from ..bridge.process import Message
@@ -40,8 +33,9 @@ from ..core.run.contents import CapturedView, CapturedViews
 from ..core.run.errors import FiptError
 from ..core.run.run_files import read_capture
 from ..core.run.runfolder import RunFolder
-from .batch_state import panel_state, remember_run
-from .options import BLEND_NAME, MOST_RERENDERED, MainJobOptions
+from .batch_state import show_options
+from .options import BLEND_NAME, MOST_RERENDERED, MainJobOptions, capture_source
+from .scene_steps import note_applied
 
 NEW_LIGHT = "FIPT New Light"
 # A chrome ball shows a shadow, reflections and the light of the room at once.
@@ -61,15 +55,17 @@ class RoomSteps:
         self._run = run
         self._choice: tuple[str, Support | None] | None = None
 
-    def import_room(self) -> None:
-        """Import the mesh and the cameras into an empty file.
+    def import_room(self) -> Slices[list[Message]]:
+        """Import the mesh and the cameras into an empty file, and show the options in its panel.
+
+        Returns:
+            Warnings.
 
         Raises:
             FiptError: ``mesh-missing``; those of the importers.
         """
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True, load_ui=False)
-        capture = read_capture(self._run.capture_json)
-        if not capture.mesh:
+        if not read_capture(self._run.capture_json).mesh:
             raise FiptError(
                 "mesh-missing",
                 "No mesh of the room was found beside the cameras: there is none, or there are several.",
@@ -78,38 +74,19 @@ class RoomSteps:
                 " Blender over the photographs: there it becomes the room by From Selection."
                 " --mesh-from-photographs makes a rough mesh of the photographs alone.",
             )
-        matrix = np.array(capture.world_from_source)
-        mesh_import.import_room(self._run.resolve(capture.mesh), matrix)
-        cameras.add_cameras(self._run)
+        show_options(bpy.context.scene, self._options, self._run)
+        source = str(capture_source(self._options.capture.absolute()))
+        return (yield from import_capture(self._run, source))
 
-    def export_room(self) -> Slices[None]:
-        """Write room.npz and room.json for the engine."""
-        yield from export_slices(self._objects(), self._run, self._options.parts)
-
-    def make_atlas(self) -> None:
-        """Create the room's UVs and write atlas.npz for the engine."""
-        make_atlas(self._objects(), self._run, self._options.settings)
-
-    def apply_and_save(self) -> list[Message]:
-        """Apply materials, fixtures and world, and save room.blend.
-
-        Returns:
-            Warnings about objects without results and about a missing photograph.
-        """
-        applied = apply_results(self._run, self._objects())
-        apply_environment(self._run)
+    def save(self) -> None:
+        """Save room.blend with the applied results."""
         scene = bpy.context.scene
-        view, _ = self._view()
-        radiance, warnings = self.photographed_radiance(view)
-        set_up(scene, exposure_of(radiance, median_shown(self._run)))
-        cameras.use_view(scene, cameras.find_camera(view, scene))
+        note_applied(scene, self._run)
+        cameras.use_view(scene, cameras.find_camera(self._view()[0], scene))
         enter_camera_on_opening()
         path = self._run.root / BLEND_NAME
-        with panel_state():
-            remember_run(scene, self._options, self._run)
-            save_blend(path)
+        save_blend(path)
         path.with_suffix(".blend1").unlink(missing_ok=True)
-        return [*applied.warnings, *warnings]
 
     def open_blend(self) -> None:
         """Restore the state after `apply_and_save`."""
@@ -191,10 +168,6 @@ class RoomSteps:
             warning = {"type": "warning", "code": error.code, "text": text, "remedy": error.remedy}
             return np.array([median_radiance(self._run)]), [warning]
 
-    def _objects(self) -> list[bpy.types.Object]:
-        room = outliner.find_collection(bpy.context.scene, outliner.ROOM)
-        return [] if room is None else [member for member in room.objects if member.type == "MESH"]
-
     def _view(self) -> tuple[str, Support | None]:
         """The view to render, and a place in it for an object, if there is one."""
         if self._choice is None:
@@ -202,39 +175,6 @@ class RoomSteps:
             geometry = [(view.name, view_geometry(view)) for view in views]
             self._choice = choose_view(make_cast(read_room(self._run)), geometry)
         return self._choice
-
-
-def export_scene_cameras(run: RunFolder) -> None:
-    """Write capture.json from the scene's ticked views; a scene without views keeps the existing one.
-
-    Raises:
-        FiptError: see `export_capture`.
-    """
-    scene = bpy.context.scene
-    if len(scene.fipt.capture.views) or not run.capture_json.exists():
-        export_capture(scene, run)
-
-
-def export_scene_room(run: RunFolder) -> Slices[list[Message]]:
-    """Write room.npz and room.json from the objects of the scene's room.
-
-    Returns:
-        Warnings about objects in the room's collection that are not meshes.
-
-    Raises:
-        FiptError: ``room-missing``; see `export_slices`.
-    """
-    scene = bpy.context.scene
-    objects = scene.fipt.capture.room_objects(scene)
-    if not objects:
-        raise FiptError(
-            "room-missing",
-            "The scene has no room.",
-            "Import the room's mesh or select its collection in the section Capture.",
-        )
-    warnings = not_in_room(scene.fipt.capture.room_members(scene))
-    yield from export_slices(objects, run, scene.fipt.parts.engine_source, scene.fipt.capture.completed)
-    return warnings
 
 
 def preferred_views(capture: CapturedViews, name: str = "") -> list[CapturedView]:

@@ -84,8 +84,8 @@ def attach(scene: bpy.types.Scene) -> bool:
         FiptError: ``job-running``; those of `RunFolder.read`.
     """
     from ..bridge.attached import find_engine
-    from .main_job import estimate_step
     from .run_job import attach_job
+    from .scene_steps import estimate_step
 
     run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
     job = attach_job(run, [estimate_step(run, run.read())])

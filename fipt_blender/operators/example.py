@@ -40,6 +40,7 @@ def try_example(context: bpy.types.Context) -> Task:
         from ..bridge.step import Step
         from ..core.capture.options import CaptureOptions
         from ..jobs.run_job import ingest_step, open_job
+        from ..jobs.scene_steps import apply_steps, camera_step, estimation_steps, scene_named
 
         path = copy_example(machine.data_folder())
         scene.fipt.capture.path = str(path)
@@ -57,8 +58,9 @@ def try_example(context: bpy.types.Context) -> Task:
         steps = [
             ingest_step(run, path, CaptureOptions(), "Reading the example", 2.0),
             Step("import", "Adding cameras and mesh", 1.0, function=add_to_scene),
-            *estimating.make_steps(run, settings, resume=False),
-            *applying.apply_steps(scene.name, run, settings),
+            camera_step(run),
+            *estimation_steps(run, settings, resume=False),
+            *apply_steps(scene_named(scene.name), run, settings, estimated=True),
         ]
         return open_job(run, steps, record="example.json", launch=launch)
 
