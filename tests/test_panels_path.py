@@ -68,6 +68,15 @@ def test_each_stage_shows_what_can_be_used_then():
     assert {"Render", "Capture"}.isdisjoint(count.opened)
 
 
+@pytest.mark.usefixtures("ready")
+def test_after_results_the_tab_shows_a_dozen_buttons(applied):
+    applied.fipt.run_folder = ""
+    applied.fipt.photographs.path = "/card"  # the section Start is over
+    count = tab_count()
+    assert "Lights" in count.opened and len(count.buttons) <= 12 and len(count.settings) <= 12, count
+    assert {"fipt.pick_part", "fipt.switch_lights", "fipt.add_light"} <= set(count.buttons)
+
+
 def test_online_access_is_explained_and_asked_for_where_it_is_needed(monkeypatch):
     monkeypatch.setattr(machine, "has_engine", lambda: False)
     drawn, properties = drawn_by(start.FIPT_PT_start)

@@ -73,8 +73,6 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             column = row.column(align=True)
             column.operator("fipt.select_light", text="", icon="ZOOM_SELECTED")
             column.operator("fipt.reset_light", text="", icon="LOOP_BACK")
-            column.operator("fipt.list_lights", text="", icon="FILE_REFRESH")
-            column.prop(settings, "show_outline", text="", icon="MOD_WIREFRAME")
             row = layout.row(align=True)
             row.operator("fipt.switch_lights", text="All Off", icon="OUTLINER_DATA_LIGHT").on = False
             row.operator("fipt.switch_lights", text="All On", icon="LIGHT").on = True
@@ -99,8 +97,6 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             layout.operator(
                 "fipt.bake_probe" if prepared else "fipt.prepare_eevee", icon="OUTLINER_OB_LIGHTPROBE"
             )
-        if len(settings.lights):
-            _draw_calibration(layout, context.scene)
         column = layout.column(align=True)
         column.operator("fipt.add_light", text="Add Light at Cursor", icon="ADD").place = "CURSOR"
         column.operator("fipt.add_light", text="Add Light by Pointing", icon="EYEDROPPER").place = "PICK"
@@ -247,7 +243,7 @@ class FIPT_PT_environment(SubSection, bpy.types.Panel):
 
 
 class FIPT_PT_light_output(SubSection, bpy.types.Panel):
-    """Exposure, the scene's other lights, and render passes for each light"""
+    """The list, the unit of light, exposure, other lights, and render passes for each light"""
 
     bl_label = "Scene and Passes"
     bl_parent_id = "FIPT_PT_lights"
@@ -255,6 +251,11 @@ class FIPT_PT_light_output(SubSection, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
+        row = layout.row(align=True)
+        row.operator("fipt.list_lights", icon="FILE_REFRESH")
+        row.prop(context.scene.fipt.lights, "show_outline", text="", icon="MOD_WIREFRAME")
+        if len(context.scene.fipt.lights.lights):
+            _draw_calibration(layout, context.scene)
         layout.operator("fipt.match_exposure", icon="CAMERA_DATA")
         layout.label(text="Other Lights")
         row = layout.row(align=True)

@@ -59,10 +59,6 @@ class FIPT_PT_materials_parts(Section, bpy.types.Panel):
         row.template_list("FIPT_UL_part_materials", "", settings, "parts", settings, "active_part", rows=5)
         column = row.column(align=True)
         column.operator("fipt.pick_part", text="", icon="EYEDROPPER")
-        column.operator("fipt.select_part_faces", text="", icon="FACESEL")
-        column.operator("fipt.reset_part", text="", icon="LOOP_BACK").all_parts = False
-        column.separator()
-        column.operator("fipt.mark_part_assets", text="", icon="ASSET_MANAGER").all_parts = False
         part = settings.part()
         if part is None:
             return
@@ -82,6 +78,32 @@ class FIPT_PT_materials_parts(Section, bpy.types.Panel):
         if changed and shading is not None and shading.type == "SOLID":
             text = "Solid shading shows the textures without these changes. Use Material Preview or Rendered."
             draw_text(layout, context, iface_(text), icon="INFO")
+
+
+class FIPT_PT_materials_parts_more(SubSection, bpy.types.Panel):
+    """What else can be done with the active part"""
+
+    bl_label = "More"
+    bl_parent_id = "FIPT_PT_materials_parts"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = self.layout.column(align=True)
+        column.operator("fipt.select_part_faces", icon="FACESEL")
+        column.operator("fipt.reset_part", icon="LOOP_BACK").all_parts = False
+        column.operator("fipt.mark_part_assets", icon="ASSET_MANAGER").all_parts = False
+
+
+class FIPT_PT_materials_hand_off(SubSection, bpy.types.Panel):
+    """The room for other programs and machines"""
+
+    bl_label = "Hand Off"
+    bl_parent_id = "FIPT_PT_materials"
+    bl_order = 2
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = self.layout.column(align=True)
+        column.operator("fipt.export_room", text="Export Room...", icon="EXPORT")
+        column.operator("fipt.collect_room", text="Collect Room...", icon="PACKAGE")
 
 
 class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
@@ -110,6 +132,7 @@ class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
         column.prop(settings, "mute_lights")
         column.prop(settings, "set_rendering")
         layout.operator("fipt.apply_results", text="Apply Again", icon="MATERIAL")
+        layout.operator("fipt.revert", icon="LOOP_BACK")
 
 
 def _draw_results(
@@ -127,9 +150,6 @@ def _draw_results(
         _draw_preview(layout, context)
         if context.scene.fipt.lights.needs_cycles():
             draw_engine_choice(layout, context)
-    layout.operator("fipt.export_room", text="Export Room...", icon="EXPORT")
-    layout.operator("fipt.collect_room", text="Collect Room...", icon="PACKAGE")
-    layout.operator("fipt.revert", icon="LOOP_BACK")
 
 
 def _draw_pictures(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

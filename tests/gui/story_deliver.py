@@ -65,7 +65,7 @@ def deliver(window: Window, options: Options) -> None:
     window.settle()
     window.shot("44_over_the_photograph")
     waited["over the photograph"] = _picture(window, "45_over_the_photograph")
-    _section(window, "Materials")
+    window.open_section("Materials", "Hand Off")
     window.click("fipt.collect_room")
     window.wait(agent.is_open, *_FILES)
     window.settle()
