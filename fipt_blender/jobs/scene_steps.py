@@ -175,9 +175,10 @@ def apply_steps(
             "apply-build",
             "Building materials and lights",
             1.0,
-            inputs={} if estimated else {"time": uuid.uuid4().hex},  # never skipped alone
+            # Its result is in Blender's data: it is never skipped where nothing comes after it.
+            inputs={} if estimated else {"time": uuid.uuid4().hex},
             function=build,
-            repeat=True,  # its result is in Blender's data
+            repeat=estimated,
         ),
     ]
 
