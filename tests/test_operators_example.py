@@ -14,7 +14,7 @@ from fipt_blender import machine
 from fipt_blender.api import estimating
 from fipt_blender.bridge.places import PACKAGE_FOLDER
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.operators.example import copy_example
+from fipt_blender.operators.estimate import copy_example
 from samples.engine_here import engine_here, hardly_training
 from samples.small_captures import QUICK, UNTRAINED
 

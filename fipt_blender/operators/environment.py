@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the preferences: set up the engine, check it, show its log."""
+"""Operators of the preferences: set up the engine, check it, show its log; the data folder."""
 
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,11 +16,14 @@ from .. import machine
 from ..core.run.errors import FiptError
 from ..jobs import running
 from ..jobs.tasks import Task
+from ..panels.sidebar import size_text
 from .action import REGISTER, action, reported
 from .polls import all_of, needs, no_job
 
 if TYPE_CHECKING:
-    from ..bridge.step import Step
+    from ..bridge.process import Message
+    from ..bridge.step import Slices, Step
+    from ..bridge.storage import Item
 
 
 class FIPT_OT_set_up_engine(bpy.types.Operator):
@@ -179,3 +183,169 @@ def copy_wheel_command(context: bpy.types.Context) -> str:
     command = wheel_command(read_pins(), sys.version_info[:2])
     context.window_manager.clipboard = command
     return iface_("Copied to the clipboard: {}").format(command)
+
+
+def used_paths() -> list[Path]:
+    """Paths that the open .blend file and the running job use: run folders and unpacked external files."""
+    paths = [scene.fipt.run_folder for scene in bpy.data.scenes]
+    blocks = [*bpy.data.images, *bpy.data.movieclips, *bpy.data.cache_files, *bpy.data.libraries]
+    paths += [block.filepath for block in blocks if not getattr(block, "packed_file", None)]
+    used = [Path(bpy.path.abspath(path)).absolute() for path in paths if path]
+    job = running.current()
+    if job is not None and job.run_folder != machine.data_folder():
+        used.append(job.run_folder.absolute())
+    return used
+
+
+def measure() -> Slices[None]:
+    """Measure every run and environment and store the sizes in the preferences."""
+    from ..bridge import storage
+
+    items = storage.list_items(machine.data_folder())
+    sizes = {}
+    for index, item in enumerate(items):
+        for size in storage.measure(item.folder):
+            sizes[item.folder.name] = size
+            yield index / len(items)
+    runs = [item.folder.name for item in items if item.kind == storage.RUN]
+    machine.store_usage({"time": time.time(), "sizes": sizes, "runs": runs})
+    return None
+
+
+class FIPT_PG_data_item(bpy.types.PropertyGroup):
+    """A folder in the data folder, to delete or keep; `name` is the folder's."""
+
+    ticked: bpy.props.BoolProperty(name="Clear", description="Delete this folder", default=True)
+    note: bpy.props.StringProperty()
+    kept: bpy.props.StringProperty(description="Why the folder can't be deleted; empty if it can")
+
+
+@action("Measure", needs=(no_job,), options=REGISTER)
+def measure_data(scene: bpy.types.Scene) -> Task:
+    """Measure the disk space that cached runs and the engine's environments use."""
+    from ..jobs.data_job import data_task
+
+    return data_task("Measure Data Folder", lambda: [_measure_step()])
+
+
+class FIPT_OT_clear_data(bpy.types.Operator):
+    """Select cached runs and engine environments to delete. Runs that the open file uses are kept"""
+
+    bl_idname = "fipt.clear_data"
+    bl_label = "Clear Cached Data"
+    bl_options = {"REGISTER"}
+
+    poll = all_of(no_job)
+
+    names: bpy.props.StringProperty(
+        name="Names",
+        description="Names of the folders to delete, separated by semicolons, for scripts. If empty, all runs"
+        " that are not in use are deleted",
+        options={"SKIP_SAVE"},
+    )
+    items: bpy.props.CollectionProperty(type=FIPT_PG_data_item, options={"SKIP_SAVE", "HIDDEN"})
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        from ..bridge import storage
+
+        if bpy.app.background:
+            return self.execute(context)
+        if self.names:
+            return context.window_manager.invoke_confirm(self, event)
+        self.items.clear()
+        used, sizes = used_paths(), machine.usage().get("sizes", {})
+        for stored in storage.list_items(machine.data_folder()):
+            item = self.items.add()
+            item.name = stored.folder.name
+            item.kept = storage.why_in_use(stored, used)
+            item.ticked = not item.kept and not stored.current
+            item.note = _describe(stored, sizes.get(item.name))
+        return context.window_manager.invoke_props_dialog(self, width=640, confirm_text=iface_("Delete"))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        if not self.items:
+            layout.label(text="There is nothing to delete", icon="INFO")
+            return
+        layout.label(text="Delete the ticked folders permanently?", icon="TRASH")
+        column = layout.box().column(align=True)
+        for item in self.items:
+            row = column.split(factor=0.45)
+            row.enabled = not item.kept
+            row.prop(item, "ticked", text=item.name, translate=False)
+            row.label(text=iface_(item.kept) if item.kept else item.note, translate=False)
+        if any("engine-" not in item.name for item in self.items):
+            column = layout.column(align=True)
+            column.scale_y = 0.8
+            column.label(
+                text="Other .blend files lose the textures that they use from these runs,", icon="ERROR"
+            )
+            column.label(text="unless the textures are packed into the files", icon="BLANK1")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        from_dialog = bool(self.items) and not bpy.app.background and context.window is not None
+        return reported(self, context, not from_dialog, self._task)
+
+    def _task(self) -> Task:
+        from ..jobs.data_job import data_task
+
+        return data_task("Clear Cached Data", self._steps)
+
+    def _steps(self) -> list[Step]:
+        from ..bridge import storage
+        from ..bridge.step import Step
+
+        data, used = machine.data_folder(), used_paths()
+        stored = {item.folder.name: item for item in storage.list_items(data)}
+        if self.names:
+            names = [name.strip() for name in self.names.split(";") if name.strip()]
+        elif self.items:
+            names = [item.name for item in self.items if item.ticked and not item.kept]
+        else:
+            names = [
+                name
+                for name, item in stored.items()
+                if item.kind == storage.RUN and not storage.why_in_use(item, used)
+            ]
+        unknown = [name for name in names if name not in stored]
+        if unknown:
+            raise FiptError(
+                "run-foreign",
+                f"There is no run and no environment named {', '.join(unknown)} in {data}.",
+                "Use names that the dialog Clear Cached Data lists.",
+            )
+        chosen = [stored[name] for name in names]
+        if any(item.current for item in chosen):
+            machine.store_status({})
+
+        def clear() -> Slices[list[Message]]:
+            warnings: list[Message] = []
+            for index, item in enumerate(chosen):
+                try:
+                    for _ in storage.delete(item, data, used):
+                        yield index / len(chosen)
+                except FiptError as error:
+                    message = {"code": error.code, "text": error.text, "remedy": error.remedy}
+                    warnings.append({"type": "warning", **message})
+            return warnings
+
+        return [Step("clear", "Deleting cached data", 5.0, function=clear), _measure_step()]
+
+
+def _measure_step() -> Step:
+    from ..bridge.step import Step
+
+    return Step("measure", "Measuring the data folder", 3.0, function=measure)
+
+
+def _describe(item: Item, size: int | None) -> str:
+    """Size, date and use of a folder, e.g. "3.2 GB, 2026-11-20 10:15, the engine's environment"."""
+    from ..bridge.storage import ENVIRONMENT
+
+    facts = [] if size is None else [size_text(size)]
+    facts.append(time.strftime("%Y-%m-%d %H:%M", time.localtime(item.modified)))
+    if item.current:
+        facts.append(iface_("the engine's environment"))
+    elif item.kind == ENVIRONMENT:
+        facts.append(iface_("an unused environment"))
+    return ", ".join(facts)

@@ -1,22 +1,30 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the section Estimate: start, resume and cancel the estimation of the current scene."""
+"""Operators of the section Estimate: start, resume and cancel it; parts, versions, the example."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..api import estimating
+from .. import machine
+from ..api import applying, estimating
 from ..core.run.declared import Option
+from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..core.run.settings import PRESETS
 from ..jobs import running, runstate
 from ..jobs.tasks import Task
 from .action import REGISTER, UNDO, action
-from .polls import needs, no_job
+from .polls import has_no_capture, has_run, in_object_mode, needs, no_job
 from .reporting import reports_errors
+
+if TYPE_CHECKING:
+    from ..bridge.process import Message
+    from ..bridge.sequence import Job
+    from ..bridge.step import Slices
 
 _can_start = (
     no_job,
@@ -186,3 +194,112 @@ def smaller_preset_of(preset: str) -> str | None:
     names = list(PRESETS)
     index = names.index(preset)
     return names[index - 1] if index else None
+
+
+@action(
+    "Show Parts",
+    needs=(
+        needs(
+            lambda context: context.scene.fipt.parts.counts,
+            "Use Check Views first, in the section Capture; it finds the parts as well",
+        ),
+    ),
+    options=REGISTER,
+)
+def show_parts(scene: bpy.types.Scene, show: Annotated[bool, "Show or hide the colors"] = True) -> None:
+    """Display the parts of the room, each in its own color."""
+    from ..blend.capture import overlay, survey
+
+    survey.show_parts(scene) if show else overlay.hide()
+
+
+Version = Annotated[str, Option("Name of its run folder", shown={"options": {"SKIP_SAVE", "HIDDEN"}})]
+
+
+@action("Apply Version", needs=(no_job, has_run, in_object_mode))
+def use_version(scene: bpy.types.Scene, version: Version = "") -> Task:
+    """Apply this estimate to the room; the scene goes on with its run folder."""
+    return applying.version_change(version)
+
+
+def _confirm(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    return context.window_manager.invoke_confirm(
+        self,
+        event,
+        title=iface_("Delete '{}'?").format(self.version),
+        message=iface_("This can't be undone."),
+        confirm_text=iface_("Delete"),
+    )
+
+
+@action(
+    "Delete Version",
+    needs=(needs(lambda context: running.current() is None, "Wait for the end of the running job"), has_run),
+    options=REGISTER,
+    invoke=_confirm,
+)
+def delete_version(scene: bpy.types.Scene, version: Version = "") -> None:
+    """Delete the run folder of this estimate from the disk. This can't be undone."""
+    applying.delete_version(scene, version)
+
+
+NAME = "Example Room"
+FOLDER = "example"  # of the package, and of the data folder that gets its copy
+
+
+@action("Try the Example", needs=(has_no_capture, in_object_mode, no_job))
+def try_example(context: bpy.types.Context) -> Task:
+    """Import a small room, estimate it and apply the results, in a scene of its own. Takes one to three
+    minutes, because its 20 photographs have only 128 x 72 pixels.
+    """
+    from ..jobs.run_job import find_launch
+
+    launch = find_launch()  # raises before anything is created
+    if context.scene.objects and context.window is not None:
+        context.window.scene = bpy.data.scenes.new(NAME)
+
+    def make(scene: bpy.types.Scene) -> Job:
+        from ..bridge.step import Step
+        from ..core.capture.options import CaptureOptions
+        from ..jobs.run_job import ingest_step, open_job
+        from ..jobs.scene_steps import apply_steps, camera_step, estimation_steps, scene_named
+
+        path = copy_example(machine.data_folder())
+        scene.fipt.capture.path = str(path)
+        scene.fipt.estimate.preset = "draft"
+        settings = estimating.scene_settings(scene)
+        run = RunFolder(machine.new_run_folder(NAME))
+        run.create(settings)
+        scene.fipt.run_folder = str(run.root)
+
+        def add_to_scene() -> Slices[list[Message]]:
+            from ..blend.capture.importing import import_capture
+
+            return import_capture(run, str(path))
+
+        steps = [
+            ingest_step(run, path, CaptureOptions(), "Reading the example", 2.0),
+            Step("import", "Adding cameras and mesh", 1.0, function=add_to_scene),
+            camera_step(run),
+            *estimation_steps(run, settings, resume=False),
+            *apply_steps(scene_named(scene.name), run, settings, estimated=True),
+        ]
+        return open_job(run, steps, record="example.json", launch=launch)
+
+    return Task("Example", "estimate", make, finished=applying.note_applied, undo=True)
+
+
+def copy_example(data: Path) -> Path:
+    """Copy the example to the data folder, since upgrades of the extension delete its own; returns its place.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    import shutil
+
+    from ..bridge.places import PACKAGE_FOLDER
+
+    target = data / FOLDER
+    with explained_write_errors(target):
+        shutil.copytree(PACKAGE_FOLDER / FOLDER, target, dirs_exist_ok=True)
+    return target

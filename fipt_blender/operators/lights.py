@@ -1,19 +1,21 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the section Lights: fixtures, new lights, light groups and the environment."""
+"""Operators of the section Lights: fixtures, their states and unit, light groups, EEVEE."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..blend.marks import FIXTURE, has_light_groups
+from ..blend.marks import BAKED, FIXTURE, NEW_LIGHT, fixture_lights, has_light_groups, light_probe
+from ..core.run.declared import Option
 from ..core.run.errors import FiptError
 from ..properties.lights import FIPT_Light
-from .action import action, note, warning
-from .polls import in_object_mode, is_own_room, needs
+from .action import REGISTER, action, dialog, file_dialog, note, warning
+from .polls import has_results, in_object_mode, is_own_room, needs
 from .reporting import Messages
 
 LightName = Annotated[str, "Name of the light. If empty, the active light of the list is used"]
@@ -187,3 +189,165 @@ def hide_other_lights(
     from ..blend.results.scene_state import mute_other_lights
 
     return iface_("{} lights changed").format(mute_other_lights(scene, hide))
+
+
+State = Annotated[str, "Name of the state. If empty, the active state of the list is used"]
+_has_states = needs(lambda context: len(context.scene.fipt.lights.states), "Save a light state first")
+
+
+@action("Save Light State", needs=own_lights)
+def save_light_state(
+    scene: bpy.types.Scene,
+    name: Annotated[str, "Name of the state; a state of that name is replaced. If empty, it is chosen"] = "",
+) -> None:
+    """Save the power, color and switch of all lights and of the environment under a name."""
+    from ..blend.lights import light_states
+    from ..core.run.parts import free_name
+
+    settings = scene.fipt.lights
+    entry = settings.states.get(name) if name else None
+    if entry is None:
+        entry = settings.states.add()
+        entry.name = name or free_name(iface_("Lights"), [each.name for each in settings.states])
+    entry.data = light_states.write(light_states.present(scene))
+    settings.active_state = settings.states.find(entry.name)
+
+
+@action("Recall Light State", needs=(_has_states,))
+def recall_light_state(scene: bpy.types.Scene, state: State = "") -> None:
+    """Give all lights and the environment the power, color and switch of a saved state."""
+    from ..blend.lights import light_states
+
+    light_states.recall(scene, light_states.read(scene.fipt.lights.states[_index(scene, state)].data))
+
+
+@action("Remove Light State", needs=(_has_states,))
+def remove_light_state(scene: bpy.types.Scene, state: State = "") -> None:
+    """Remove a saved state. The lights stay as they are."""
+    settings, index = scene.fipt.lights, _index(scene, state)
+    settings.states.remove(index)
+    settings.active_state = max(min(index, len(settings.states) - 1), 0)
+
+
+@action("IES Profile...", needs=own_lights, invoke=file_dialog)
+def set_ies_profile(
+    scene: bpy.types.Scene,
+    filepath: Annotated[str, Option("The file of the profile", "File", shown={"subtype": "FILE_PATH"})] = "",
+    filter_glob: Annotated[str, Option("Files to show", shown={"options": {"HIDDEN"}})] = "*.ies",
+    light: LightName = "",
+) -> None:
+    """Put the file of a lamp's IES profile into an IES Texture node of the light, which becomes a point and
+    shines along its -Z axis. The profile multiplies its power. Only Cycles renders it.
+    """
+    from ..blend.lights.ies import set_profile
+
+    for each in _blender_lights(scene, light):
+        set_profile(each, Path(bpy.path.abspath(filepath)))
+
+
+def _index(scene: bpy.types.Scene, state: str) -> int:
+    """A state's place in the list.
+
+    Raises:
+        FiptError: ``state-missing``.
+    """
+    settings = scene.fipt.lights
+    index = settings.states.find(state) if state else settings.active_state
+    if not 0 <= index < len(settings.states):
+        text = f"There is no light state '{state}'." if state else "No light state is selected."
+        raise FiptError("state-missing", text, "Select a state in the list Light States.")
+    return int(index)
+
+
+def _blender_lights(scene: bpy.types.Scene, name: str) -> list[bpy.types.Object]:
+    """The Blender lights of a row of the list.
+
+    Raises:
+        FiptError: ``fixture-missing``; ``fixture-emits`` for a fixture whose surface still emits.
+    """
+    item = find_light(scene, name)
+    lights = [item] if NEW_LIGHT in item and item.type == "LIGHT" else fixture_lights(item)
+    if not lights:
+        text = f"The surface of '{item.name}' emits by itself."
+        raise FiptError("fixture-emits", text, "Use Convert to Blender Light first.")
+    return lights
+
+
+BY = (
+    ("LUMENS", "Lumens of a Lamp", "What the package of the active lamp says; the lamp as it is set now"),
+    ("LUX", "Lux at the 3D Cursor", "What a lux meter has shown on a horizontal surface at the 3D cursor"),
+)
+
+
+def _draw(self: Any, context: bpy.types.Context) -> None:
+    self.layout.use_property_split = True
+    self.layout.prop(self, "by", expand=True)
+    self.layout.prop(self, "lumens" if self.by == "LUMENS" else "lux")
+
+
+@action("Calibrate Light...", needs=(has_lights, is_own_room, in_object_mode), invoke=dialog, draw=_draw)
+def calibrate_light(
+    scene: bpy.types.Scene,
+    by: Annotated[str, Option("What is known", choices=BY)] = "LUMENS",
+    lumens: Annotated[
+        float, Option("Luminous flux of the lamp", low=0.01, shown={"soft_max": 20000.0})
+    ] = 800.0,
+    lux: Annotated[
+        float, Option("Illuminance at the 3D cursor", low=0.01, shown={"soft_max": 100000.0})
+    ] = 300.0,
+    light: LightName = "",
+) -> str:
+    """Type the lumens of one lamp or the lux at one place: all lights and the environment are in watts
+    and lumens from then on, as a physical sky and lamps of other files are. Pictures stay as they are.
+    """
+    from ..blend.lights.calibration import calibrate_by_lamp, calibrate_by_lux
+
+    if by == "LUMENS":
+        factor = calibrate_by_lamp(scene, find_light(scene, light), lumens)
+    else:
+        factor = calibrate_by_lux(scene, tuple(scene.cursor.location), lux)
+    return iface_("All light was multiplied by {:.4g}").format(factor)
+
+
+@action("Set Up for EEVEE", needs=(has_results, in_object_mode))
+def prepare_eevee(
+    context: bpy.types.Context,
+    bake: Annotated[bool, "Bake the light probe volume, which needs a window"] = True,
+) -> str | None:
+    """Make EEVEE the scene's render engine, convert all fixtures to Blender lights, and add a light probe
+    volume of the room's size and bake it.
+    """
+    from ..blend.lights.eevee import prepare
+
+    inexact = prepare(context.scene)
+    if bake and not bpy.app.background:
+        _bake(context)
+    text = iface_("Lights of another shape than their fixtures: {}")
+    return text.format(", ".join(inexact)) if inexact else None
+
+
+@action(
+    "Bake Light Probe",
+    needs=(
+        needs(lambda context: light_probe(context.scene) is not None, "Use Set Up for EEVEE first"),
+        in_object_mode,
+    ),
+    options=REGISTER,
+)
+def bake_probe(context: bpy.types.Context) -> None:
+    """Bake the light probe volume again, after a change of the lights."""
+    if bpy.app.background:
+        text, remedy = "EEVEE bakes light probes only in a window.", "Open the file in Blender's window."
+        raise FiptError("window-missing", text, remedy)
+    _bake(context)
+
+
+def _bake(context: bpy.types.Context) -> None:
+    """Bake our light probe volume, with Blender's own progress bar."""
+    volume = light_probe(context.scene)
+    if volume is None:
+        return
+    context.view_layer.update()  # a new volume
+    with context.temp_override(active_object=volume, object=volume):
+        bpy.ops.object.lightprobe_cache_bake("INVOKE_DEFAULT", subset="ALL")
+    volume[BAKED] = 1
