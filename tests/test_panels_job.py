@@ -14,7 +14,7 @@ from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running, runstate
-from fipt_blender.panels import capture, estimate, parts
+from fipt_blender.panels import capture, estimate
 from samples.layouts import drawn_by
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -125,4 +125,4 @@ def test_what_is_not_known_of_another_version_is_left_out():
     texts, properties = drawn_by(capture.FIPT_PT_capture)[:2]
     assert "up" in properties and not any("is up" in text for text in texts)
     settings.parts.auto_source = "colors"
-    assert "Automatic uses: colors" in drawn_by(parts.FIPT_PT_parts)[0]
+    assert "Automatic uses: colors" in drawn_by(estimate.FIPT_PT_parts)[0]

@@ -14,7 +14,7 @@ from ..core.run.declared import Option
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
-from ..properties.insert import BACKDROPS
+from ..properties.check import BACKDROPS
 from .action import REGISTER, action
 from .polls import has_results, has_run, in_object_mode, needs, no_job
 

@@ -12,18 +12,15 @@ from . import (
     capture,
     check,
     estimate,
-    export_menu,
     hints,
     lights,
     materials,
     menus,
-    parts,
     photographs,
     presets,
     start,
     statusbar,
     swatches,
-    versions,
 )
 
 MODULES = (
@@ -32,9 +29,7 @@ MODULES = (
     capture,
     alignment,
     estimate,
-    parts,
     hints,
-    versions,
     materials,
     lights,
     check,
@@ -50,14 +45,12 @@ def register() -> None:
     """Register the panels, the job's place in the status bar, menus and keys."""
     _register()
     statusbar.register()
-    export_menu.register()
     menus.register()
 
 
 def unregister() -> None:
     """Unregister the panels and free their icons."""
     menus.unregister()
-    export_menu.unregister()
     statusbar.unregister()
     _unregister()
     swatches.clear()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The section Estimate: starts the engine's run, shows its state and its settings."""
+"""The section Estimate: starts the engine's run, shows its state, settings, parts and versions."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from ..blend.previews import estimate_pictures
 from ..core.run.runfolder import RunFolder
 from ..jobs import running, runstate
 from ..jobs.job_scene import uses_run_folder
+from ..properties.estimate import SOURCES
 from . import path
-from .capture import draw_thumbnail
+from .capture import draw_thumbnail, shown_colors
 from .job import draw_error, draw_job, draw_warnings, job_warnings
 from .presets import FIPT_PT_estimate_presets
 from .progress import draw_progress
@@ -24,6 +25,7 @@ from .statusbar import status_text
 
 if TYPE_CHECKING:
     from ..core.run.light_size import LightPlan
+    from ..core.run.versions import Version
 
 # Settings in one column belong together.
 _ADVANCED = (
@@ -194,3 +196,75 @@ def _draw_pictures(layout: bpy.types.UILayout, paths: tuple[Path, ...]) -> None:
         column = row.column(align=True)
         column.template_icon(icon_value=estimate_pictures.icon(picture), scale=7.0)
         column.label(text="Emission" if "emission" in picture.name else "Base Color")
+
+
+_NAMES = {identifier: name for identifier, name, _, _ in SOURCES}
+_TEXTS = {identifier: text for identifier, _, text, _ in SOURCES}
+
+
+class FIPT_PT_parts(SubSection, bpy.types.Panel):
+    """Select which surfaces are made of the same material"""
+
+    bl_label = "Parts"
+    bl_parent_id = "FIPT_PT_estimate"
+    bl_order = 0
+
+    def draw(self, context: bpy.types.Context) -> None:
+        import json
+
+        layout = self.fields()
+        parts = context.scene.fipt.parts
+        layout.prop(parts, "source")
+        if parts.source == "folder":
+            layout.prop(parts, "folder")
+        draw_text(layout, context, iface_(_TEXTS[parts.source]))
+        source = parts.engine_source
+        if parts.source == "auto" and parts.auto_source:
+            source = parts.auto_source
+            text = iface_("Automatic uses: {}").format(iface_(_NAMES.get(source, source)))
+            draw_text(layout, context, text, icon="SHADERFX")
+        if parts.counts:
+            count = json.loads(parts.counts).get(source)
+            if count is not None:
+                layout.label(text=iface_("{} parts").format(count), icon="MOD_EXPLODE", translate=False)
+        shown = shown_colors(context.scene) == "parts"
+        layout.operator(
+            "fipt.show_parts", text="Hide Parts" if shown else "Show Parts", icon="OVERLAY", depress=shown
+        ).show = not shown
+
+
+class FIPT_PT_estimate_versions(SubSection, bpy.types.Panel):
+    """Other estimates of this capture: apply and delete them"""
+
+    bl_label = "Versions"
+    bl_parent_id = "FIPT_PT_estimate"
+    bl_order = 2
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        state = runstate.known(context.scene.fipt.run_folder)
+        return bool(state.versions) or state.old_versions
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.fields()
+        state = runstate.known(context.scene.fipt.run_folder)
+        column = layout.column()
+        column.enabled = running.current() is None
+        for version in state.versions:
+            _draw_version(column.box(), version)
+        if state.old_versions:
+            text = "The run's folder 'versions' has results of an earlier release, which are not listed."
+            draw_text(layout, context, iface_(text), icon="INFO")
+
+
+def _draw_version(layout: bpy.types.UILayout, version: Version) -> None:
+    """One version: title, what it differs in, and what can be done with it."""
+    icon = "RADIOBUT_ON" if version.current else "RADIOBUT_OFF"
+    column = layout.column(align=True)
+    row = column.row()
+    button = row.operator("fipt.use_version", text=version.title, icon=icon, emboss=False, translate=False)
+    button.version = version.folder.name
+    if not version.current:
+        row.operator("fipt.delete_version", text="", icon="X", emboss=False).version = version.folder.name
+    if version.what:
+        column.label(text=version.what, icon="BLANK1", translate=False)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The menu View > FIPT, through which the menu search (F3) finds the operators, and the pie menu."""
+"""The menu View > FIPT, by which the menu search (F3) finds the operators; File > Export; the pie menu."""
 
 from __future__ import annotations
 
@@ -162,6 +162,7 @@ MENUS = [_section_menu(label, operators) for label, operators in SECTIONS.items(
 def register() -> None:
     """Add the menu, the key and the addresses of the documentation."""
     bpy.types.VIEW3D_MT_view.append(_draw_menu)
+    bpy.types.TOPBAR_MT_file_export.append(_draw_export)
     bpy.utils.register_manual_map(online_manual)
     configuration = bpy.context.window_manager.keyconfigs.addon
     if configuration is not None:
@@ -177,6 +178,7 @@ def unregister() -> None:
         keymap, item = _keymap_items.pop()
         keymap.keymap_items.remove(item)
     bpy.utils.unregister_manual_map(online_manual)
+    bpy.types.TOPBAR_MT_file_export.remove(_draw_export)
     bpy.types.VIEW3D_MT_view.remove(_draw_menu)
 
 
@@ -202,3 +204,7 @@ def online_manual() -> tuple[str, tuple[tuple[str, str], ...]]:
 def _draw_menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
     self.layout.separator()
     self.layout.menu("FIPT_MT_main")
+
+
+def _draw_export(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+    self.layout.operator("fipt.export_room", text="FIPT Room (.glb/.usd)")

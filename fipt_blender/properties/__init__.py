@@ -13,9 +13,9 @@ from types import FunctionType, ModuleType
 
 import bpy
 
-from . import alignment, capture, check, estimate, hints, insert, lights, materials, parts, photographs
+from . import alignment, capture, check, estimate, hints, lights, materials, photographs
 
-_MODULES = (photographs, capture, alignment, parts, estimate, hints, materials, lights, insert, check)
+_MODULES = (photographs, capture, alignment, estimate, hints, materials, lights, check)
 
 
 def classes_of(modules: Iterable[ModuleType]) -> list[type]:
@@ -44,12 +44,12 @@ class FIPT_SceneSettings(bpy.types.PropertyGroup):
     photographs: bpy.props.PointerProperty(type=photographs.FIPT_PhotographsSettings)
     capture: bpy.props.PointerProperty(type=capture.FIPT_CaptureSettings)
     alignment: bpy.props.PointerProperty(type=alignment.FIPT_AlignmentSettings)
-    parts: bpy.props.PointerProperty(type=parts.FIPT_PartsSettings)
+    parts: bpy.props.PointerProperty(type=estimate.FIPT_PartsSettings)
     estimate: bpy.props.PointerProperty(type=estimate.FIPT_EstimateSettings)
     hints: bpy.props.PointerProperty(type=hints.FIPT_HintsSettings)
     materials: bpy.props.PointerProperty(type=materials.FIPT_MaterialsSettings)
     lights: bpy.props.PointerProperty(type=lights.FIPT_LightsSettings)
-    insert: bpy.props.PointerProperty(type=insert.FIPT_InsertSettings)
+    insert: bpy.props.PointerProperty(type=check.FIPT_InsertSettings)
     check: bpy.props.PointerProperty(type=check.FIPT_CheckSettings)
 
 
