@@ -183,15 +183,15 @@ def test_set_up_runs_beside_the_users_work_and_is_cancelled(
     begin(operators.set_up_task(allow_large=False), bpy.context.scene, wait=False)
     for _ in range(3):
         running.tick()
-    assert not bpy.ops.fipt.check_engine.poll() and bpy.ops.fipt.cancel_set_up.poll()
-    bpy.ops.fipt.cancel_set_up()
+    assert not bpy.ops.fipt.check_engine.poll() and bpy.ops.fipt.cancel.poll()
+    bpy.ops.fipt.cancel()
     tick_until(lambda: running.current() is None)
     assert machine.status() == {"error": failure, "cancelled": True}
     texts: list[str] = []
     panel.draw(Layout(texts), bpy.context, values, panel.Facts(machine.status(), {}, "/data"))
     assert "set-up cancelled, press Set Up Engine" in " ".join(texts)
     assert "ensurepip" not in " ".join(texts)
-    assert not bpy.ops.fipt.cancel_set_up.poll()
+    assert not bpy.ops.fipt.cancel.poll()
 
 
 def test_measuring_and_clearing_take_what_is_ours_and_unused(values: Any, data: Path) -> None:

@@ -111,17 +111,6 @@ def check_engine(scene: bpy.types.Scene) -> Task:
     return data_task("Check Engine", lambda: [status.check_step()], status.store)
 
 
-def _set_up_runs(context: bpy.types.Context) -> bool:
-    job = running.current()
-    return job is not None and job.kind == running.DATA_KIND
-
-
-@action("Cancel", needs=(needs(_set_up_runs, "No set-up is running"),), options=REGISTER)
-def cancel_set_up(scene: bpy.types.Scene) -> None:
-    """Cancel the set-up. Finished downloads are kept for the next time."""
-    running.cancel()
-
-
 class FIPT_OT_show_log(bpy.types.Operator):
     """Show the last lines of the log of Set Up Engine and Check"""
 

@@ -18,8 +18,8 @@ from . import (
     menus,
     photographs,
     presets,
+    progress,
     start,
-    statusbar,
     swatches,
 )
 
@@ -44,13 +44,13 @@ _register, _unregister = bpy.utils.register_classes_factory(CLASSES)
 def register() -> None:
     """Register the panels, the job's place in the status bar, menus and keys."""
     _register()
-    statusbar.register()
+    progress.register()
     menus.register()
 
 
 def unregister() -> None:
     """Unregister the panels and free their icons."""
     menus.unregister()
-    statusbar.unregister()
+    progress.unregister()
     _unregister()
     swatches.clear()

@@ -19,9 +19,8 @@ from . import path
 from .capture import draw_thumbnail, shown_colors
 from .job import draw_error, draw_job, draw_warnings, job_warnings
 from .presets import FIPT_PT_estimate_presets
-from .progress import draw_progress
+from .progress import draw_progress, status_text
 from .sidebar import Section, SubSection, draw_text
-from .statusbar import status_text
 
 if TYPE_CHECKING:
     from ..core.run.light_size import LightPlan

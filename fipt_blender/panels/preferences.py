@@ -19,7 +19,7 @@ from ..core.run.runfolder import PRODUCT_VERSION
 from ..core.run.settings import DEVICES
 from ..jobs import running
 from .menus import draw_shortcut
-from .progress import time_text
+from .progress import draw_progress
 from .sidebar import draw_text
 
 if TYPE_CHECKING:
@@ -163,7 +163,7 @@ def _draw_engine(
 ) -> None:
     job = running.current()
     if job is not None and job.kind == running.DATA_KIND:
-        _draw_running(layout, context, job)
+        draw_progress(layout, context, job)
     else:
         text, icon = headline(facts.status)
         layout.label(text=text, icon=icon)
@@ -211,19 +211,6 @@ def _set_up_cancelled(status: machine.Status) -> bool:
     """Whether a set-up was cancelled where no engine works; an earlier error is out of date then."""
     ready = (status.get("engine") or {}).get("ready") and not status.get("error")
     return bool(status.get("cancelled")) and not ready
-
-
-def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:
-    layout.label(text=job.title, icon="SORTTIME")
-    text = f"{100.0 * job.fraction:.0f}%"
-    if job.remaining_seconds is not None:
-        text = iface_("{}, about {} left").format(text, time_text(job.remaining_seconds))
-    row = layout.split(factor=0.85, align=True)
-    row.progress(factor=job.fraction, text=text)
-    cancel = row.row(align=True)
-    cancel.enabled = not job.stopping
-    cancel.operator("fipt.cancel_set_up", icon="X")
-    draw_text(layout, context, iface_("Stopping...") if job.stopping else iface_(job.stage_text))
 
 
 def fact_lines(engine: dict[str, Any]) -> list[tuple[str, str]]:
