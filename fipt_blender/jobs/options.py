@@ -44,8 +44,7 @@ class MainJobOptions(CaptureOptions):
         " those of the run",
     ] = None
     hints_again: Annotated[
-        Path | None,
-        "With --resume: estimate materials again with these hints; the computed light is kept",
+        Path | None, "With --resume: estimate materials again with these hints; the computed light is kept"
     ] = None
     render_view: Annotated[str, "Name of the view to render; a held-back one if empty"] = ""
     render_spp: Annotated[int, "Cycles samples per pixel"] = 64

@@ -163,8 +163,7 @@ def look_through(
     view: Annotated[str, "Name of the view. If empty, the active view of the list is used"] = "",
     step: Annotated[int, Option("1 for the next view in the list, -1 for the previous one", low=-1)] = 0,
     toggle: Annotated[
-        bool,
-        Option("Also show the photograph over the view, or hide it if it is shown", "Toggle Photograph"),
+        bool, Option("Also show the photograph over the view, or hide it if it is shown", "Toggle Photograph")
     ] = False,
 ) -> None:
     """Look through the camera of a view."""
@@ -193,12 +192,9 @@ def tick_views(
     settings = scene.fipt.capture
     with settings.counting_later():
         for view in settings.views:
-            view.enabled = {
-                "ALL": True,
-                "NONE": False,
-                "INVERT": not view.enabled,
-                "GOOD": not view.warning,
-            }[action]
+            view.enabled = {"ALL": True, "NONE": False, "INVERT": not view.enabled, "GOOD": not view.warning}[
+                action
+            ]
     settings.count_views()
 
 

@@ -104,8 +104,7 @@ _has_parts = (
     has_results,
     in_object_mode,
     needs(
-        lambda context: context.scene.fipt.materials.parts,
-        "Apply the results again: they have no parts yet",
+        lambda context: context.scene.fipt.materials.parts, "Apply the results again: they have no parts yet"
     ),
     needs(lambda context: context.scene.fipt.materials.shown != "ORIGINAL", "Choose Estimated as Show first"),
 )

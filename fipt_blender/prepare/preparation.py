@@ -133,8 +133,7 @@ class PrepareSettings:
         ),
     ] = 2048
     response: Annotated[
-        str,
-        Option("Relation between light and the pixel values of JPEG, PNG and TIFF", choices=RESPONSES),
+        str, Option("Relation between light and the pixel values of JPEG, PNG and TIFF", choices=RESPONSES)
     ] = "auto"
     white_balance: Annotated[str, Option("White balance of RAW photographs", choices=WHITE_BALANCES)] = (
         "camera"

@@ -157,8 +157,7 @@ class CaptureOptions:
         " That takes seconds for each of them; a scan or a photogrammetry program makes a better one",
     ] = False
     undo_applied_transform: Annotated[
-        bool,
-        "For transforms.json: the mesh has the coordinates from before nerfstudio applied its transform",
+        bool, "For transforms.json: the mesh has the coordinates from before nerfstudio applied its transform"
     ] = False
     views: Annotated[int, Option("Use N photographs, evenly spread; 0 for all", zero=True, panel=False)] = 0
     voxel: Annotated[

@@ -79,7 +79,6 @@ class RunSettings:
         Option(
             "number of refinements of light and materials; 0 for none (stages 3 and 2, repeated after"
             " stages 1 and 2)",
-            "Rounds",
             zero=True,
             shown={"soft_max": 20},
         ),

@@ -73,7 +73,7 @@ class Seeded:
     """The seed of the random numbers."""
 
     seed: Annotated[
-        int, Option("seed of all random numbers: the same seed gives the same result", "Seed", zero=True)
+        int, Option("seed of all random numbers: the same seed gives the same result", zero=True)
     ] = 0
 
 
@@ -126,11 +126,8 @@ class Denoising:
 
     denoise: Annotated[
         bool,
-        Option(
-            "denoise the computed light, so that fewer samples are needed: diffuse shading, by Open Image"
-            " Denoise (paper: OptiX denoiser)",
-            "Denoise",
-        ),
+        "denoise the computed light, so that fewer samples are needed: diffuse shading, by Open Image"
+        " Denoise (paper: OptiX denoiser)",
     ] = True
     denoise_specular: Annotated[
         bool, "denoise the brightness of the specular shadings too (paper: their channels)"
@@ -150,7 +147,6 @@ class ViewSettings:
             "millions of pixels of all photographs together at which light is solved. Larger photographs"
             " are averaged: more pixels are slower and show smaller surfaces and shadows (not in the"
             " paper)",
-            "Light Pixels",
             shown={"min": 0.01, "max": 1000.0, "precision": 2},
         ),
     ] = 4.0
@@ -190,11 +186,7 @@ class Forced:
 
     force: Annotated[
         bool,
-        Option(
-            "estimate although mesh, poses or photographs look useless, or the disk too small (not in the"
-            " paper)",
-            "Force",
-        ),
+        "estimate although mesh, poses or photographs look useless, or the disk too small (not in the paper)",
     ] = False
 
 
@@ -203,18 +195,10 @@ class CheckSettings(Seeded, Forced):
     """The check of the views."""
 
     reject_views: Annotated[
-        bool,
-        Option(
-            "leave out photographs that do not agree with their camera poses (not in the paper)",
-            "Reject Views",
-        ),
+        bool, "leave out photographs that do not agree with their camera poses (not in the paper)"
     ] = True
     correct_exposure: Annotated[
-        bool,
-        Option(
-            "correct photographs whose exposure differs from that of the others (not in the paper)",
-            "Correct Exposure",
-        ),
+        bool, "correct photographs whose exposure differs from that of the others (not in the paper)"
     ] = True
 
 
@@ -365,11 +349,8 @@ class TrainingSettings(NetworkSettings):
 
     training_steps: Annotated[
         int,
-        Option(
-            "steps of the training: more steps give sharper textures (stage 2, after the last closed-form"
-            " estimate; paper: 2 epochs in each round)",
-            "Training Steps",
-        ),
+        "steps of the training: more steps give sharper textures (stage 2, after the last closed-form"
+        " estimate; paper: 2 epochs in each round)",
     ] = 300
     batch_size: Annotated[int, "stage 2: pixels per step"] = 8192
     learning_rate: Annotated[
@@ -424,7 +405,6 @@ class TextureSettings:
         float,
         Option(
             "resolution of the textures in texels per meter. Photographs rarely show more than 500",
-            "Texel Density",
             shown={"min": 1.0, "soft_min": 16.0, "soft_max": 1024.0, "precision": 0},
         ),
     ] = 128.0
