@@ -84,8 +84,7 @@ def main(argv: Sequence[str]) -> int:
             )
         if result.returncode:
             raise FiptError("run-failed", "The capture could not be read.", f"See {run.log}.")
-        from fipt_blender.jobs.batch_state import panel_state  # bpy
-        from fipt_blender.jobs.room_steps import RoomSteps
+        from fipt_blender.jobs.room_steps import RoomSteps, panel_state  # bpy
         from fipt_blender.jobs.scene_steps import export_scene_room
 
         with panel_state():

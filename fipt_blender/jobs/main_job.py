@@ -62,7 +62,7 @@ def make_main_job(options: MainJobOptions) -> Job:
 
 
 def _with_panel() -> AbstractContextManager[None]:
-    from .batch_state import panel_state
+    from .room_steps import panel_state
 
     return panel_state()
 

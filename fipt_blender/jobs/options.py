@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from ..core.capture.options import CaptureOptions
+from ..core.capture.options import PART_SOURCES, CaptureOptions
 from ..core.run.declared import Option
 from ..core.run.errors import FiptError
 from ..core.run.settings import Settings
 
 BLEND_NAME = "room.blend"
-PARTS = ("auto", "masks", "semantics", "materials", "objects", "loose", "none")
 RENDER_KINDS = ("rerender", "relight", "insert")
 MOST_RERENDERED = 3  # held-back views that are rendered
 
@@ -36,7 +35,10 @@ class MainJobOptions(CaptureOptions):
     renders: tuple[str, ...] = RENDER_KINDS
     parts: Annotated[
         str,
-        Option("How surfaces of the same material are recognized", choices=tuple((name,) for name in PARTS)),
+        Option(
+            "How surfaces of the same material are recognized",
+            choices=tuple(each for each in PART_SOURCES if each[0] != "folder"),
+        ),
     ] = "auto"
     hints: Annotated[
         Path | None,

@@ -7,10 +7,14 @@ Objects are kept by name, since undo and loading a file invalidate every pointer
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import bpy
 import numpy as np
 from mathutils import Vector
 
+from .. import properties
 from ..blend.capture import cameras
 from ..blend.capture.importing import import_capture
 from ..blend.capture.look import enter_camera_on_opening
@@ -29,11 +33,14 @@ from ..blend.room.rays import make_cast
 from ..blend.save import save_blend
 from ..bridge.process import Message
 from ..bridge.step import Slices
+from ..core.capture.options import CaptureOptions
 from ..core.run.contents import CapturedView, CapturedViews
 from ..core.run.errors import FiptError
 from ..core.run.run_files import read_capture
 from ..core.run.runfolder import RunFolder
-from .batch_state import show_options
+from ..core.run.settings import make_settings
+from ..core.run.stage_settings import TextureSettings
+from ..properties.declared import fill
 from .options import BLEND_NAME, MOST_RERENDERED, MainJobOptions, capture_source
 from .scene_steps import note_applied
 
@@ -185,3 +192,43 @@ def preferred_views(capture: CapturedViews, name: str = "") -> list[CapturedView
     """
     views = [capture.view(name)] if name else capture.views
     return sorted(views, key=lambda view: view.split != "held_back")
+
+
+@contextmanager
+def panel_state() -> Iterator[None]:
+    """Register the panel's state for a while; values set in that time are saved with the file."""
+    if hasattr(bpy.types.Scene, "fipt"):
+        yield
+        return
+    properties.register()
+    try:
+        yield
+    finally:
+        properties.unregister()
+
+
+def show_options(scene: bpy.types.Scene, options: MainJobOptions, run: RunFolder) -> None:
+    """Set the panel's state to a job's options, as far as the panel has them.
+
+    Args:
+        scene: inside `panel_state`.
+        options: the job's options.
+        run: its run folder.
+    """
+    state, settings = scene.fipt, options.settings
+    state.run_folder = str(run.root)
+    state.capture.path = str(capture_source(options.capture.absolute()))
+    fill(state.capture, CaptureOptions, vars(options))
+    state.parts.source = options.parts
+    estimate, materials = state.estimate, state.materials
+    estimate.preset = settings.preset
+    preset = make_settings(settings.preset)
+    for name, (of, *_) in properties.estimate.CHOICES.items():
+        value = getattr(settings, of)
+        if value != getattr(preset, of):
+            setattr(estimate, name, value)
+    if settings.device != "auto":
+        estimate.device = settings.device
+    fill(materials, TextureSettings, {**vars(settings), "texture_size": materials.texture_size})
+    sizes = materials.bl_rna.properties["texture_size"].enum_items.keys()
+    materials.texture_size = min(sizes, key=lambda size: abs(int(size) - settings.texture_size))

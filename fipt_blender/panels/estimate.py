@@ -11,10 +11,10 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..blend.previews import estimate_pictures
+from ..core.capture.options import PART_SOURCES
 from ..core.run.runfolder import RunFolder
 from ..jobs import running, runstate
 from ..jobs.job_scene import uses_run_folder
-from ..properties.estimate import SOURCES
 from . import path
 from .capture import draw_thumbnail, shown_colors
 from .job import draw_error, draw_job, draw_warnings, job_warnings
@@ -197,8 +197,8 @@ def _draw_pictures(layout: bpy.types.UILayout, paths: tuple[Path, ...]) -> None:
         column.label(text="Emission" if "emission" in picture.name else "Base Color")
 
 
-_NAMES = {identifier: name for identifier, name, _, _ in SOURCES}
-_TEXTS = {identifier: text for identifier, _, text, _ in SOURCES}
+_NAMES = {identifier: name for identifier, name, _, _ in PART_SOURCES}
+_TEXTS = {identifier: text for identifier, _, text, _ in PART_SOURCES}
 
 
 class FIPT_PT_parts(SubSection, bpy.types.Panel):

@@ -11,6 +11,7 @@ import functools
 
 import bpy
 
+from ..core.capture.options import PART_SOURCES
 from ..core.run.declared import declared
 from ..core.run.settings import DEVICES, PRESET_TEXTS, Settings
 from .declared import enum_items, property_of
@@ -115,54 +116,6 @@ class FIPT_EstimateSettings(bpy.types.PropertyGroup):
         }
 
 
-# Identifier, label, tooltip, icon. The engine knows "folder" as "masks", with the artist's own images.
-SOURCES = (
-    (
-        "auto",
-        "Automatic",
-        "Material slots or objects, divided further where the capture's masks agree; one of them if no "
-        "others; with a scan, masks or nothing",
-        "SHADERFX",
-    ),
-    (
-        "masks",
-        "Part Masks",
-        "ID images beside the photographs alone, with one ID per material; for meshes whose slots are wrong",
-        "IMAGE",
-    ),
-    (
-        "folder",
-        "Mask Folder",
-        "Your own ID images, named like the photographs, e.g. painted or made by a segmentation tool, whose "
-        "IDs may differ from photograph to photograph",
-        "FILE_FOLDER",
-    ),
-    (
-        "semantics",
-        "Semantic Masks",
-        "ID images of classes (wall, chair, ...), which may have several materials. Less precise than parts",
-        "IMAGE_RGB",
-    ),
-    (
-        "materials",
-        "Material Slots",
-        "One part per material slot, for rooms that were modeled or have assigned materials",
-        "MATERIAL",
-    ),
-    (
-        "objects",
-        "Objects",
-        "One part per object, for rooms where each object has one material",
-        "OBJECT_DATA",
-    ),
-    (
-        "loose",
-        "Loose Pieces",
-        "One part per connected piece of mesh, for models that are joined into one object",
-        "MESH_DATA",
-    ),
-    ("none", "None", "Each point is estimated separately, for a single scan without masks", "X"),
-)
 ENGINE_SOURCES = {"folder": "masks"}
 
 
@@ -172,7 +125,7 @@ class FIPT_PartsSettings(bpy.types.PropertyGroup):
     source: bpy.props.EnumProperty(
         name="Parts From",
         description="How surfaces of the same material are recognized. They share roughness and metallic",
-        items=[(*entry, index) for index, entry in enumerate(SOURCES)],
+        items=enum_items(PART_SOURCES),
         default="auto",
     )
     folder: bpy.props.StringProperty(
@@ -186,5 +139,5 @@ class FIPT_PartsSettings(bpy.types.PropertyGroup):
 
     @property
     def engine_source(self) -> str:
-        """The source as room.json names it, one of `jobs.options.PARTS`."""
+        """The source as room.json names it, of `core.capture.options.PART_SOURCES`."""
         return ENGINE_SOURCES.get(self.source, self.source)

@@ -64,7 +64,7 @@ def write_room(room: Room, run: RunFolder, parts: str, completed: bool = False) 
     Args:
         room: with at least one triangle.
         run: the run folder.
-        parts: source of the part labels, one of `jobs.options.PARTS`.
+        parts: source of the part labels, of `core.capture.options.PART_SOURCES`.
         completed: the engine adds nothing to a scan.
 
     Raises:

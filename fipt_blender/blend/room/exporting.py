@@ -39,7 +39,7 @@ def export_room(objects: Iterable[bpy.types.Object], run: RunFolder, parts: str 
     Args:
         objects: objects other than meshes are skipped.
         run: the run folder; room.npz and room.json are written.
-        parts: source of the part labels, one of `jobs.options.PARTS`; the engine resolves "auto".
+        parts: source of the part labels, of `core.capture.options.PART_SOURCES`; the engine resolves "auto".
 
     Raises:
         FiptError: ``mesh-empty`` where there is no triangle; the run folder's write errors.

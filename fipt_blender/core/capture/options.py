@@ -47,6 +47,54 @@ LAYER_TEXT = (
     "Layer or part of OpenEXR photographs that have several. If empty, the one without a name or with one"
     " like Combined, beauty, rgba, C or image is used"
 )
+# Identifier, label, tooltip, icon. The engine knows "folder" as "masks", with the artist's own images.
+PART_SOURCES = (
+    (
+        "auto",
+        "Automatic",
+        "Material slots or objects, divided further where the capture's masks agree; one of them if no "
+        "others; with a scan, masks or nothing",
+        "SHADERFX",
+    ),
+    (
+        "masks",
+        "Part Masks",
+        "ID images beside the photographs alone, with one ID per material; for meshes whose slots are wrong",
+        "IMAGE",
+    ),
+    (
+        "folder",
+        "Mask Folder",
+        "Your own ID images, named like the photographs, e.g. painted or made by a segmentation tool, whose "
+        "IDs may differ from photograph to photograph",
+        "FILE_FOLDER",
+    ),
+    (
+        "semantics",
+        "Semantic Masks",
+        "ID images of classes (wall, chair, ...), which may have several materials. Less precise than parts",
+        "IMAGE_RGB",
+    ),
+    (
+        "materials",
+        "Material Slots",
+        "One part per material slot, for rooms that were modeled or have assigned materials",
+        "MATERIAL",
+    ),
+    (
+        "objects",
+        "Objects",
+        "One part per object, for rooms where each object has one material",
+        "OBJECT_DATA",
+    ),
+    (
+        "loose",
+        "Loose Pieces",
+        "One part per connected piece of mesh, for models that are joined into one object",
+        "MESH_DATA",
+    ),
+    ("none", "None", "Each point is estimated separately, for a single scan without masks", "X"),
+)
 LEAST_TRIANGLES = 100  # of a budget; fewer are no room
 
 
