@@ -52,13 +52,7 @@ class FIPT_MT_tick_views(bpy.types.Menu):
     bl_label = "Tick Views"
 
     def draw(self, context: bpy.types.Context) -> None:
-        for action, text in (
-            ("ALL", "All"),
-            ("NONE", "None"),
-            ("INVERT", "Invert"),
-            ("GOOD", "Without Warnings"),
-        ):
-            self.layout.operator("fipt.tick_views", text=text).action = action
+        self.layout.operator_enum("fipt.tick_views", "action")
 
 
 class FIPT_PT_capture(Section, bpy.types.Panel):
