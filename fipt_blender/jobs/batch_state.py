@@ -56,7 +56,6 @@ def remember_run(scene: bpy.types.Scene, options: MainJobOptions, run: RunFolder
     state.capture.clamp_negative = options.clamp_negative
     state.capture.align_mesh = options.align_mesh
     state.capture.triangles = options.triangles
-    state.capture.mesh_from_photographs = options.mesh_from_photographs
     state.capture.undo_applied_transform = options.undo_applied_transform
     state.capture.panorama = "" if options.panorama is None else str(options.panorama.absolute())
     state.capture.panorama_place = options.panorama_place

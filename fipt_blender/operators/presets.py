@@ -26,7 +26,6 @@ class FIPT_OT_add_import_preset(AddPresetBase, bpy.types.Operator):
         "settings.clamp_negative",
         "settings.align_mesh",
         "settings.triangles",
-        "settings.mesh_from_photographs",
         "settings.undo_applied_transform",
     ]
 

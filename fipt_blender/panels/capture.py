@@ -112,7 +112,6 @@ class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
         column = layout.column(align=True)
         column.prop(settings, "up_axis")
         column.prop(settings, "scale")
-        column.prop(settings, "mesh_from_photographs")
         row = layout.row(align=True)
         row.prop(settings, "triangles")
         if settings.views:

@@ -239,12 +239,6 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         soft_max=2_000_000,
         step=10_000,
     )
-    mesh_from_photographs: bpy.props.BoolProperty(
-        name="Mesh from Photographs",
-        description="Where the capture has neither a mesh nor depth images, make a rough mesh of its"
-        " photographs alone. That takes seconds for each of them; a scan or a photogrammetry program makes a"
-        " better one",
-    )
     undo_applied_transform: bpy.props.BoolProperty(
         name="Undo Applied Transform",
         description="For transforms.json: the mesh has the coordinates from before nerfstudio applied its"

@@ -47,9 +47,6 @@ TEXTS = {
     "views": "use N photographs, evenly spread (default: all)",
     "voxel": "meters, of a mesh fused from depth images (default: 0.02)",
     "triangles": "simplify a mesh with more triangles to about N; 0 for none",
-    "mesh_from_photographs": (
-        "without a mesh and depth images, make a rough mesh of the photographs alone; takes seconds for each"
-    ),
     "depth_unit": "unit of 16-bit depth images in meters (default: 0.001)",
     "own_paths": "transforms.json: its paths may lead anywhere; only for files that you wrote yourself",
     "undo_applied_transform": (
@@ -97,7 +94,6 @@ class CaptureOptions:
     views: int = 0
     voxel: float = 0.02
     triangles: int = 0
-    mesh_from_photographs: bool = False
     depth_unit: float = 0.001
     own_paths: bool = False
     undo_applied_transform: bool = False

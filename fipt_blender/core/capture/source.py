@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -25,7 +24,6 @@ from .color_camera import with_color_camera
 from .depth_images import Fusion, checked_depths
 from .formats.registry import read_points, read_rig
 from .options import CaptureOptions
-from .photograph_mesh import Photograph, photograph_mesh
 from .rig import Note, Rig
 
 # Depth images are measured in metres, and often show a part of a room: only their unit can be wrong, which is
@@ -90,28 +88,6 @@ def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: Fus
         write_ply(run.simplified_ply, source.simplified)
         return run.simplified_ply
     return source.mesh
-
-
-def mesh_of_photographs(
-    run: RunFolder,
-    capture: Path,
-    source: Source,
-    photographs: Sequence[Photograph],
-    progress: Callable[[float], None],
-) -> tuple[Path, Note]:
-    """The mesh file that is made of photographs alone, and what to say of it.
-
-    Raises:
-        FiptError: those of `photograph_mesh`; ``disk-full`` or ``run-unwritable``.
-    """
-    try:
-        points = read_points(capture, source.rig.source)
-    except FiptError:  # the format has none
-        points = np.zeros((0, 3))
-    mesh, note = photograph_mesh(photographs, points, progress)
-    run.fused_json.unlink(missing_ok=True)  # of depth images
-    write_ply(run.fused_ply, mesh)
-    return run.fused_ply, note
 
 
 def size_note(capture: Path, source: Source, mesh: Path | None, world_from_source: np.ndarray) -> Note | None:
