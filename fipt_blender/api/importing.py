@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..properties.capture import FIPT_CaptureSettings
 
 _CAPTURE_SETTINGS = (
-    *("format", "up_axis", "layer", "clamp_negative", "align_mesh", "triangles", "undo_applied_transform"),
+    *("format", "up_axis", "layer", "clamp_negative", "triangles", "undo_applied_transform"),
 )
 
 

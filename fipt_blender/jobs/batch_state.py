@@ -54,7 +54,6 @@ def remember_run(scene: bpy.types.Scene, options: MainJobOptions, run: RunFolder
     if options.hold_back is not None:
         state.capture.hold_back = options.hold_back
     state.capture.clamp_negative = options.clamp_negative
-    state.capture.align_mesh = options.align_mesh
     state.capture.triangles = options.triangles
     state.capture.undo_applied_transform = options.undo_applied_transform
     state.capture.panorama = "" if options.panorama is None else str(options.panorama.absolute())

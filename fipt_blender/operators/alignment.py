@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .. import machine
 from ..core.run.runfolder import RunFolder
 from .job_operator import JobOperator
 from .pointer import NAVIGATION, WHEEL, WaitsForClicks, is_cancel, is_click, view_under_pointer
@@ -231,28 +230,15 @@ class FIPT_OT_align_by_pairs(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FIPT_OT_align_cameras(JobOperator, bpy.types.Operator):
-    """Let the engine find where the cameras belong in the room, and move them there. The mesh stays"""
+class FIPT_OT_refine_alignment(JobOperator, bpy.types.Operator):
+    """Move the cameras onto the mesh by the points of their solve or their depth images. They must be nearly
+    right, by pairs of points for example. The mesh stays"""
 
-    bl_idname = "fipt.align_cameras"
-    bl_label = "Align Cameras"
+    bl_idname = "fipt.refine_alignment"
+    bl_label = "Refine by Points"
     bl_options = {"REGISTER", "UNDO"}
-    title = "Align Cameras"
+    title = "Refine by Points"
     kind = "align"
-
-    how: bpy.props.EnumProperty(
-        name="Method",
-        description="What the cameras are aligned by",
-        items=[
-            ("points", "By Points", "By the sparse points of the camera solve, wherever the cameras are now"),
-            (
-                "near",
-                "Refine by Points",
-                "The same, if the cameras are nearly right, after pairs for example",
-            ),
-            ("edges", "Refine by Edges", "By the edges of mesh and photographs, by a few pixels at most"),
-        ],
-    )
 
     poll = all_of(has_views, in_object_mode, no_job)
 
@@ -273,42 +259,19 @@ class FIPT_OT_align_cameras(JobOperator, bpy.types.Operator):
             return write_views_and_room(run, target)
 
         settings = scene.fipt.capture
-        source = [f"--capture={settings.imported_path}", f"--format={settings.format}"]
-        command = ["align", str(target.root), self.how, f"--device={machine.device_setting()}", *source]
-        text = "Comparing edges" if self.how == "edges" else "Aligning the cameras to the mesh"
+        command = ["align", str(target.root), settings.imported_path, f"--format={settings.format}"]
+        text = "Aligning the cameras to the mesh"
         steps = [
             Step("align-input", "Preparing the room", 3.0, function=write_input, repeat=True),
-            Step("align", text, 20.0, command=command, outputs=[target.root / "align.json"]),
+            Step("align", text, 5.0, command=command, outputs=[target.root / "align.json"]),
         ]
         return open_job(run, steps, record="align.json")
 
     @staticmethod
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        from ..blend.capture.placements import take_alignment
+        from ..blend.capture.pairs import take_alignment
 
         take_alignment(scene, run)
-
-
-class FIPT_OT_choose_placement(bpy.types.Operator):
-    """Move the cameras to another place where they fit, in a room that looks alike from several sides"""
-
-    bl_idname = "fipt.choose_placement"
-    bl_label = "Choose Placement"
-    bl_options = {"REGISTER", "UNDO"}
-
-    index: bpy.props.IntProperty(name="Index", description="Number of the placement, from 0", min=0)
-
-    poll = all_of(
-        needs(lambda context: context.scene.fipt.alignment.candidates, "Align the cameras by points first"),
-        in_object_mode,
-    )
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.capture.placements import choose_placement
-
-        choose_placement(context.scene, self.index)
-        return {"FINISHED"}
 
 
 def _place(

@@ -24,7 +24,6 @@ class FIPT_OT_add_import_preset(AddPresetBase, bpy.types.Operator):
         "settings.hold_back",
         "settings.layer",
         "settings.clamp_negative",
-        "settings.align_mesh",
         "settings.triangles",
         "settings.undo_applied_transform",
     ]

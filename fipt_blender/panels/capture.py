@@ -108,7 +108,6 @@ class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
         settings = context.scene.fipt.capture
         column = layout.column(align=True)
         column.prop(settings, "mesh")
-        column.prop(settings, "align_mesh")
         column = layout.column(align=True)
         column.prop(settings, "up_axis")
         column.prop(settings, "scale")

@@ -225,11 +225,6 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         name="Clamp Negative",
         description="Treat all negative pixel values as black, instead of refusing large ones",
     )
-    align_mesh: bpy.props.BoolProperty(
-        name="Align to Mesh",
-        description="The mesh is from another program than the cameras. Move the cameras to it by the sparse"
-        " points of the camera solve, with any rotation and scale. The mesh must be OBJ, PLY, STL or glTF",
-    )
     triangles: bpy.props.IntProperty(
         name="Triangles",
         description="Simplify a mesh with more triangles to about this number: a scan when it is imported,"

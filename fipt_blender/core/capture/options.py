@@ -37,7 +37,6 @@ TEXTS = {
     "images": "folder of the photographs, searched first",
     "layer": "layer or part of EXR photographs that have several",
     "clamp_negative": "treat negative radiance in photographs as zero",
-    "align_mesh": "align the cameras to a mesh from another program by the solve's points",
     "panorama": (
         "an equirectangular panorama that the cameras lack, upright, at --panorama-place; black pixels of the"
         " image of its name in the folder masks beside it are left out"
@@ -87,7 +86,6 @@ class CaptureOptions:
     images: Path | None = None
     layer: str = ""
     clamp_negative: bool = False
-    align_mesh: bool = False
     panorama: Path | None = None
     panorama_place: tuple[float, ...] = (0.0, 0.0, 1.5)
     panorama_heading: float = 0.0

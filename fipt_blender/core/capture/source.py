@@ -18,7 +18,6 @@ from ..depth.simplification import collapsed
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder
-from .align_mesh import aligned_to_mesh
 from .checks import judge_size
 from .color_camera import with_color_camera
 from .depth_images import Fusion, checked_depths
@@ -36,7 +35,7 @@ class Source:
     """A capture as it was read, and where its mesh comes from.
 
     Attributes:
-        rig: cameras and images, aligned to the mesh where that was asked for.
+        rig: cameras and images.
         mesh: the mesh file; None without one.
         simplified: the same with fewer triangles, which is used instead; None where that is not wanted.
     """
@@ -50,15 +49,13 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
     """Read cameras and mesh, and warn of what the user should know of them.
 
     Raises:
-        FiptError: those of the readers, ``mesh-missing``; those of aligning.
+        FiptError: those of the readers, ``mesh-missing``.
     """
     rig = _with_layer(read_rig(capture, options.format, options), options.layer)
     mesh = _mesh(rig, options)
     rig = replace(rig, depths=checked_depths(rig.depths))
     if rig.one_camera:
         rig = with_color_camera(rig, options.scale)
-    if options.align_mesh:
-        rig = aligned_to_mesh(capture, rig, mesh)
     notes = list(rig.notes)
     simplified, budget = None, options.triangles
     if budget and mesh is not None and (fewer := simplified_mesh(mesh, budget)) is not None:
