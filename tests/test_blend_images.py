@@ -17,7 +17,7 @@ from fipt_blender.blend.marks import MAP
 from fipt_blender.blend.results.materials import is_uniform
 from fipt_blender.blend.room.atlas import file_names
 from fipt_blender.blend.room.mesh_arrays import corner_uvs
-from fipt_blender.blend.room.tiles import polygon_images, tile_number
+from fipt_blender.blend.room.tiles import tile_number
 from fipt_blender.core.run.parts import read_parts
 from fipt_blender.core.run.run_files import read_room_files
 from fipt_blender.core.textures import bake
@@ -84,7 +84,8 @@ def material(name):
 
 
 def test_a_part_on_several_images_has_one_material_also_after_saving(tiled, tmp_path):
-    images, count = np.unique(polygon_images(bpy.data.objects["cube"].data)), tiled.fipt.materials.image_count
+    mesh, count = bpy.data.objects["cube"].data, tiled.fipt.materials.image_count
+    images = np.unique(np.floor(corner_uvs(mesh, mesh.uv_layers["FIPT"]) - 1e-6) @ (1, 10)).astype(int)
     assert len(images) > 1 and count >= len(images)
     assert material("cube").name == "Cube FIPT"
     texture = material("cube").node_tree.nodes[MAP.format("Base Color")].image
@@ -97,7 +98,7 @@ def test_a_part_on_several_images_has_one_material_also_after_saving(tiled, tmp_
     assert_each_side_shows_its_place(bpy.context.scene)
 
 
-def test_other_programs_get_one_material_of_the_chosen_size(tiled, tmp_path):
+def test_other_programs_get_all_images_of_the_chosen_size(tiled, tmp_path):
     sizes = {"a.glb": 256, "b.usdc": 4096}
     for name, size in sizes.items():
         export_room(tiled, tmp_path / name, ExportOptions(size))
@@ -105,13 +106,17 @@ def test_other_programs_get_one_material_of_the_chosen_size(tiled, tmp_path):
     for name, size in sizes.items():
         item = opened(tmp_path / name)[0]["cube"]
         mesh = item.data
-        assert [each.name for each in mesh.materials] == ["Cube"]
         uv = corner_uvs(mesh, mesh.uv_layers[0])
-        assert uv.min() >= 0.0 and uv.max() <= 1.0
-        image = texture_behind(principled(mesh.materials[0]).inputs["Base Color"])
-        assert 128 < max(image.size) <= size
         for polygon in mesh.polygons:
-            seen = texel(image, uv[list(polygon.loop_indices)].mean(axis=0))
+            image = texture_behind(principled(mesh.materials[polygon.material_index]).inputs["Base Color"])
+            place = uv[list(polygon.loop_indices)].mean(axis=0)
+            assert 128 < max(image.size) <= size
+            if image.source == "TILED":
+                tile = tile_values(image, 1001 + int(place[0]) + 10 * int(place[1]))
+                row, column = ((place % 1.0)[::-1] * tile.shape[:2]).astype(int)
+                seen = tile[row, column, :3]
+            else:
+                seen = texel(image, place % 1.0)
             assert np.allclose(seen, encoded(color_at(item.matrix_world @ polygon.center)), atol=0.03), name
 
 

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.alignment.edges import corrected_pose
 from fipt_blender.core.capture.color_camera import find_color_camera, with_color_camera
-from fipt_blender.core.capture.photograph_poses import find_motions, with_photograph_poses
+from fipt_blender.core.capture.photograph_poses import corrected_pose, find_motions, with_photograph_poses
 from fipt_blender.core.capture.rig import Rig, RigView
 from samples.rgbd_wall import FOCAL, FRAMES, SIZE, facing, pose, write_frames
 

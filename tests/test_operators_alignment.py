@@ -16,7 +16,7 @@ from fipt_blender import machine
 from fipt_blender.blend.capture import cameras
 from fipt_blender.blend.capture.exporting import camera_pose
 from fipt_blender.blend.capture.importing import find_alignment
-from fipt_blender.blend.capture.placements import take_alignment
+from fipt_blender.blend.capture.pairs import place_camera, take_alignment
 from fipt_blender.blend.capture.view_geometry import view_geometry
 from fipt_blender.core import conventions
 from fipt_blender.core.capture.images import write_exr
@@ -114,7 +114,7 @@ def test_cameras_come_to_the_mesh_and_the_wrong_pair_is_seen_and_removed(truth, 
     ops.pick_pair(object="Wall", location=tuple(seen[0]), view=name, pixel=(min(u + 30.0, 199.0), v))
     errors = [pair.error for pair in settings.pairs]
     assert settings.error > 20.0 * good + 0.01 and max(errors) == pytest.approx(max(errors[0], errors[-1]))
-    assert "no pair 9" in refused(ops.remove_pair, index=9)
+    assert "no row 9" in refused(ops.remove_pair, index=9)
     assert ops.remove_pair(index=len(seen)) == {"FINISHED"}
     assert len(settings.pairs) == len(seen) and settings.error == pytest.approx(good, abs=1e-6)
     assert ops.align_by_pairs() == {"FINISHED"}
@@ -154,38 +154,24 @@ def test_the_artists_own_cameras_stay(truth, seen):
     assert [tuple(scene.objects[view.name].location) for view in truth] == before
 
 
-def test_placements_of_the_engine_are_taken_and_chosen(truth, tmp_path):
+def test_the_engines_placement_is_taken(truth, tmp_path):
     scene = bpy.context.scene
-    settings, run = scene.fipt.alignment, RunFolder(tmp_path)
     before = {view.name: camera_pose(scene.objects[view.name]) for view in truth}
-    moves = []
-    for angle, shift in ((0.5, 1.0), (2.0, -3.0)):
-        matrix = np.eye(4)
-        matrix[:3, :3] = 1.5 * np.array(Matrix.Rotation(angle, 3, "Z"))
-        matrix[0, 3] = shift
-        moves.append(matrix)
-    entries = [{"similarity": m.tolist(), "error": 0.004 * (i + 1), "inliers": 0.9} for i, m in enumerate(moves)]
+    matrix = np.eye(4)
+    matrix[:3, :3] = 1.5 * np.array(Matrix.Rotation(0.5, 3, "Z"))
+    matrix[0, 3] = 1.0
     (tmp_path / "align").mkdir()
-    data = {"format": "fipt-align", "version": 1, "candidates": entries, "text": "90% lie near", "poses": {}}
+    data = {"format": "fipt-align", "version": 1, "similarity": matrix.tolist(), "text": "90% lie near"}
     write_json(tmp_path / "align" / "align.json", data)
-    refused(ops.choose_placement, index=1)
-    take_alignment(scene, run)
-    assert len(settings.candidates) == 2 and settings.summary == "90% lie near"
-    for chosen in (0, 1, 0):
-        assert ops.choose_placement(index=chosen) == {"FINISHED"} and settings.active_candidate == chosen
-        for name, pose in before.items():
-            expected = conventions.transform_poses(moves[chosen], pose)
-            np.testing.assert_allclose(camera_pose(scene.objects[name]), expected, atol=1e-4)
-    assert "no placement 2" in refused(ops.choose_placement, index=2)
-    pose = np.array(truth[0].camera_to_world)
-    polished = {**data, "candidates": [], "poses": {truth[0].name: pose.tolist()}}
-    write_json(tmp_path / "align" / "align.json", polished)
-    take_alignment(scene, run)
-    np.testing.assert_allclose(camera_pose(scene.objects[truth[0].name]), pose, atol=1e-5)
-    assert not settings.candidates
+    scene.fipt.capture.views[0].checked = True
+    take_alignment(scene, RunFolder(tmp_path))
+    assert scene.fipt.alignment.summary == "90% lie near" and not scene.fipt.capture.views[0].checked
+    for name, pose in before.items():
+        expected = conventions.transform_poses(matrix, pose)
+        np.testing.assert_allclose(camera_pose(scene.objects[name]), expected, atol=1e-4)
     (tmp_path / "align" / "align.json").write_text("{}")
     with pytest.raises(FiptError):
-        take_alignment(scene, run)
+        take_alignment(scene, RunFolder(tmp_path))
 
 
 BOXES = [
@@ -196,6 +182,7 @@ BOXES = [
 ]
 POSES = [look_at([4.0, 1.0, 1.5], [1.0, 3.0, 1.0]), look_at([1.5, 3.0, 1.4], [4.0, 1.0, 1.0])]
 POSES += [look_at([2.0, 2.5, 1.6], [0.0, 1.0, 1.0])]
+NEAR = np.array(Matrix.Translation((0.05, -0.03, 0.04)) @ Matrix.Rotation(0.02, 4, "Z"))
 
 
 def quads() -> np.ndarray:
@@ -250,14 +237,16 @@ def test_cameras_come_to_an_imported_mesh(tmp_path: Path, monkeypatch: pytest.Mo
     bpy.context.view_layer.objects.active = item
     item.select_set(True)
     assert ops.set_room() == {"FINISHED"}
-    for how in ("points", "near"):
-        with engine_here():
-            assert ops.align_cameras(how=how) == {"FINISHED"}
-        for view, pose in zip(scene.fipt.capture.views, POSES, strict=True):
-            np.testing.assert_allclose(camera_pose(view.camera_object()), pose, atol=0.01)
-        assert how == "near" or ("% of the points" in scene.fipt.alignment.summary and scene.fipt.alignment.candidates)
-    before = [tuple(view.camera_object().location) for view in scene.fipt.capture.views]
+    for view, pose in zip(scene.fipt.capture.views, POSES, strict=True):  # as pairs leave them
+        place_camera(view.camera_object(), NEAR @ pose)
     with engine_here():
-        refused(ops.align_cameras, how="edges")  # photographs of noise
-    assert running.last("align").error["code"] == "alignment-edges"
+        assert ops.refine_alignment() == {"FINISHED"}
+    for view, pose in zip(scene.fipt.capture.views, POSES, strict=True):
+        np.testing.assert_allclose(camera_pose(view.camera_object()), pose, atol=0.01)
+    assert "% of the points" in scene.fipt.alignment.summary
+    before = [tuple(view.camera_object().location) for view in scene.fipt.capture.views]
+    item.location.x += 20.0
+    with engine_here():
+        refused(ops.refine_alignment)
+    assert running.last("align").error["code"] == "alignment-failed"
     assert [tuple(view.camera_object().location) for view in scene.fipt.capture.views] == before

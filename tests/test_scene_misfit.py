@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.alignment.edges import corrected_pose, edge_flow
 from fipt_blender.core.alignment.turns import turn_by
 from fipt_blender.core.capture.views import View
+from fipt_blender.core.checks.edges import edge_flow
 from fipt_blender.core.checks.misfit import edge_image, image_misfit, view_edges
 from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.surface.room import Room
@@ -73,12 +73,9 @@ def test_known_displacements_are_found_within_a_third(
         off = displaced(room, view, pixels, index + 5)
         found = image_misfit(room, off, edge_image(off, image))
         assert found is not None and found[1] == 1
-        assert found[0].misfit == pytest.approx(pixels, rel=1.0 / 3.0)
-        # The motion that it finds corrects the camera, and a camera that is right is not blamed.
-        corrected = replace(off, camera_to_world=corrected_pose(off.camera_to_world, found[0].motion))
-        for right, most in ((corrected, max(0.2, 0.1 * pixels)), (view, 0.2)):
-            again = image_misfit(room, right, edge_image(right, image))
-            assert again is not None and again[0].misfit < most
+        assert found[0] == pytest.approx(pixels, rel=1.0 / 3.0)
+        right = image_misfit(room, view, edge_image(view, image))
+        assert right is not None and right[0] < 0.2
 
 
 def test_without_edges_there_is_no_verdict(room: Room, views: list[View]) -> None:
@@ -99,4 +96,4 @@ def test_large_photographs_are_compared_smaller_in_their_own_pixels(
     large = replace(view, **{name: 6 * getattr(view, name) for name in ("width", "height", "fx", "fy", "cx", "cy")})
     found = image_misfit(room, large, edge_image(large, image))
     assert found is not None and found[1] == 2
-    assert found[0].misfit * found[1] == pytest.approx(12.0, rel=1.0 / 3.0)
+    assert found[0] * found[1] == pytest.approx(12.0, rel=1.0 / 3.0)

@@ -197,7 +197,7 @@ def export(
     Args:
         path: the suffix chooses the format.
         scene: the context's by default.
-        texture_size: the most texels of a side of a part's textures.
+        texture_size: the most texels of a texture's side.
         lamp_lights: in glTF, give lamps lights besides their glowing surfaces; path tracers need none.
 
     Raises:

@@ -29,7 +29,7 @@ COMMANDS = {
     "ingest": (".capture.ingest", "read a capture into a run folder"),
     "survey": (".checks.survey", "find out what each view sees of the room, and which parts there are"),
     "complete": (".estimate.complete", "add to a scan what photographs show that it lacks"),
-    "align": (".checks.align", "move the cameras to the mesh by the solve's points or by edges"),
+    "align": (".checks.align", "move the cameras onto the mesh by the solve's points"),
     "estimate": (".estimate.command", "estimate materials and lights of the room of a run folder"),
     "textures": (".textures.bake", "bake the estimated fields onto the UVs of atlas.npz"),
     "report": (".report.page", "write the HTML report of a run folder"),

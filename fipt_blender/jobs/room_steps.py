@@ -76,10 +76,9 @@ class RoomSteps:
             raise FiptError(
                 "mesh-missing",
                 "No mesh of the room was found beside the cameras: there is none, or there are several.",
-                "Give the room's mesh file (--mesh) or a capture with depth images: a scan by a phone with"
-                " LiDAR, or a mesh that RealityScan, Metashape or Meshroom makes. Or model the room in"
-                " Blender over the photographs: there it becomes the room by From Selection."
-                " --mesh-from-photographs makes a rough mesh of the photographs alone.",
+                "Give the room's mesh file (--mesh) or a capture with depth images: RealityScan and Meshroom"
+                " make a mesh of photographs, Polycam scans with a phone. Or model the room in Blender over"
+                " the photographs: there it becomes the room by From Selection.",
             )
         show_options(bpy.context.scene, self._options, self._run)
         source = str(capture_source(self._options.capture.absolute()))

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import bpy
 
-from ..core.run.declared import Declared, declared
+from ..core.run.declared import Declared, Option, declared
 from ..core.run.errors import FiptError
 from ..jobs.tasks import Task, begin
 from ..properties.declared import property_of, values_of
@@ -27,6 +27,7 @@ from .reporting import report_messages
 Function = TypeVar("Function", bound=Callable[..., Any])
 UNDO = frozenset({"REGISTER", "UNDO"})  # `options` of what changes Blender's data
 REGISTER = frozenset({"REGISTER"})
+RowIndex = Annotated[int, Option("Number in the list, from 0; the active one if negative", "Index", low=-1)]
 
 
 def action(

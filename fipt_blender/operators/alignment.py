@@ -4,16 +4,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .. import machine
-from ..core.run.declared import Option
 from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
-from .action import action
+from .action import RowIndex, action, row_index
 from .pointer import NAVIGATION, WHEEL, WaitsForClicks, is_cancel, is_click, view_under_pointer
 from .polls import all_of, has_views, in_object_mode, needs, no_job
 from .reporting import reports_errors
@@ -186,66 +184,30 @@ class FIPT_OT_pick_pair(WaitsForClicks, bpy.types.Operator):
             context.space_data.region_3d.view_perspective = "PERSP"
 
 
-class FIPT_OT_remove_pair(bpy.types.Operator):
-    """Remove this pair of points"""
+@action("Remove Pair", needs=(_has_pairs,))
+def remove_pair(scene: bpy.types.Scene, index: RowIndex = -1) -> None:
+    """Remove this pair of points."""
+    from ..blend.capture import pairs
 
-    bl_idname = "fipt.remove_pair"
-    bl_label = "Remove Pair"
-    bl_options = {"REGISTER", "UNDO"}
-
-    index: bpy.props.IntProperty(
-        name="Index",
-        description="Number of the pair in the list, from 0; the active one if negative",
-        default=-1,
-        options={"SKIP_SAVE"},
-    )
-
-    poll = all_of(_has_pairs)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.capture.pairs import remove_pair
-
-        settings = context.scene.fipt.alignment
-        index = settings.active_pair if self.index < 0 else self.index
-        if index >= len(settings.pairs):
-            self.report({"ERROR"}, f"There is no pair {index}. The list has {len(settings.pairs)}.")
-            return {"CANCELLED"}
-        remove_pair(context.scene, index)
-        return {"FINISHED"}
+    settings = scene.fipt.alignment
+    pairs.remove_pair(scene, row_index(settings.pairs, index, settings.active_pair))
 
 
-class FIPT_OT_align_by_pairs(bpy.types.Operator):
-    """Move all cameras to the mesh, with any rotation and scale, so that the picked points agree"""
+@action("Align Cameras by Pairs", needs=(_has_pairs, in_object_mode))
+def align_by_pairs(scene: bpy.types.Scene) -> str:
+    """Move all cameras to the mesh, with any rotation and scale, so that the picked points agree."""
+    from ..blend.capture import pairs
 
-    bl_idname = "fipt.align_by_pairs"
-    bl_label = "Align Cameras by Pairs"
-    bl_options = {"REGISTER", "UNDO"}
-
-    poll = all_of(_has_pairs, in_object_mode)
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.capture.pairs import align_by_pairs
-
-        fit = align_by_pairs(context.scene)
-        text = iface_("The cameras were aligned by {} pairs, which are off by {:.3g} m")
-        self.report({"INFO"}, text.format(len(fit.residuals), fit.error))
-        return {"FINISHED"}
+    fit = pairs.align_by_pairs(scene)
+    text = iface_("The cameras were aligned by {} pairs, which are off by {:.3g} m")
+    return text.format(len(fit.residuals), fit.error)
 
 
-METHODS = (
-    ("points", "By Points", "By the sparse points of the camera solve, wherever the cameras are now"),
-    ("near", "Refine by Points", "The same, if the cameras are nearly right, after pairs for example"),
-    ("edges", "Refine by Edges", "By the edges of mesh and photographs, by a few pixels at most"),
-)
-
-
-@action("Align Cameras", needs=(has_views, in_object_mode, no_job))
-def align_cameras(
-    scene: bpy.types.Scene,
-    how: Annotated[str, Option("What the cameras are aligned by", "Method", choices=METHODS)] = "points",
-) -> Task:
-    """Let the engine find where the cameras belong in the room, and move them there. The mesh stays."""
+@action("Refine by Points", needs=(has_views, in_object_mode, no_job))
+def refine_alignment(scene: bpy.types.Scene) -> Task:
+    """Move the cameras onto the mesh by the points of their solve or their depth images. They must be nearly
+    right, by pairs of points for example. The mesh stays.
+    """
 
     def make(scene: bpy.types.Scene) -> Job:
         from ..blend.capture.pairs import imported_cameras
@@ -263,43 +225,20 @@ def align_cameras(
             return write_views_and_room(run, target)
 
         settings = scene.fipt.capture
-        source = [f"--capture={settings.imported_path}", f"--format={settings.format}"]
-        command = ["align", str(target.root), how, f"--device={machine.device_setting()}", *source]
-        text = "Comparing edges" if how == "edges" else "Aligning the cameras to the mesh"
+        command = ["align", str(target.root), settings.imported_path, f"--format={settings.format}"]
+        text = "Aligning the cameras to the mesh"
         steps = [
             Step("align-input", "Preparing the room", 3.0, function=write_input, repeat=True),
-            Step("align", text, 20.0, command=command, outputs=[target.root / "align.json"]),
+            Step("align", text, 5.0, command=command, outputs=[target.root / "align.json"]),
         ]
         return open_job(run, steps, record="align.json")
 
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        from ..blend.capture.placements import take_alignment
+        from ..blend.capture.pairs import take_alignment
 
         take_alignment(scene, run)
 
-    return Task("Align Cameras", "align", make, finished, undo=True)
-
-
-class FIPT_OT_choose_placement(bpy.types.Operator):
-    """Move the cameras to another place where they fit, in a room that looks alike from several sides"""
-
-    bl_idname = "fipt.choose_placement"
-    bl_label = "Choose Placement"
-    bl_options = {"REGISTER", "UNDO"}
-
-    index: bpy.props.IntProperty(name="Index", description="Number of the placement, from 0", min=0)
-
-    poll = all_of(
-        needs(lambda context: context.scene.fipt.alignment.candidates, "Align the cameras by points first"),
-        in_object_mode,
-    )
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.capture.placements import choose_placement
-
-        choose_placement(context.scene, self.index)
-        return {"FINISHED"}
+    return Task("Refine by Points", "align", make, finished, undo=True)
 
 
 def _place(

@@ -14,7 +14,7 @@ from .polls import all_of, has_results, in_object_mode, needs
 from .reporting import report_messages, reports_errors
 
 SIZES = tuple(
-    (str(size), f"{size}", f"Textures of a part have {size} x {size} texels at most")
+    (str(size), f"{size}", f"Textures have {size} x {size} texels at most")
     for size in (512, 1024, 2048, 4096, 8192)
 )
 FORMATS = (
@@ -43,7 +43,7 @@ class FIPT_OT_export_room(bpy.types.Operator):
     )
     texture_size: bpy.props.EnumProperty(
         name="Texture Size",
-        description="The most texels of a side of a part's textures; smaller parts have smaller ones",
+        description="The most texels of a texture's side; larger ones are scaled down",
         items=SIZES,
         default="4096",
     )

@@ -16,7 +16,7 @@ from ..core.run.errors import FiptError
 from ..jobs import runstate
 from ..jobs.tasks import Task
 from ..properties.hints import ANSWERS, EMISSION
-from .action import action, row_index
+from .action import RowIndex, action, row_index
 from .lights import LightName, find_light, own_lights
 from .pointer import PicksAlongRay
 from .polls import all_of, has_run, in_object_mode, needs, no_job
@@ -31,7 +31,6 @@ def _state(context: bpy.types.Context) -> runstate.RunState:
 
 
 _in_room_mode = needs(lambda context: context.mode in ("OBJECT", "SCULPT"), "Switch to Object Mode first")
-Index = Annotated[int, Option("Number in the list, from 0; the active one if negative", low=-1)]
 _has_hint = needs(lambda context: context.scene.fipt.hints.hint() is not None, "Add a hint first")
 
 
@@ -125,7 +124,7 @@ def add_area_hint(context: bpy.types.Context) -> None:
 @action("Remove Hint", needs=(_has_hint,))
 def remove_hint(
     scene: bpy.types.Scene,
-    index: Index = -1,
+    index: RowIndex = -1,
     every: Annotated[bool, Option("Remove all hints", "All")] = False,
 ) -> None:
     """Remove this hint, or all of them."""
@@ -152,7 +151,7 @@ def read_doubts(scene: bpy.types.Scene) -> str:
 )
 def answer_doubt(
     scene: bpy.types.Scene,
-    index: Index = -1,
+    index: RowIndex = -1,
     answer: Annotated[str, Option("What the part is", choices=ANSWERS)] = "METAL",
 ) -> None:
     """Answer the question: makes a hint of it."""

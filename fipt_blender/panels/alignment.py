@@ -55,25 +55,11 @@ class FIPT_PT_capture_pairs(SubSection, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         settings = context.scene.fipt.alignment
-        layout.operator("fipt.align_cameras", text="Align by Points", icon="POINTCLOUD_DATA").how = "points"
         self._draw_pairs(context)
-        layout.separator()
-        row = layout.row(align=True)
-        row.operator("fipt.align_cameras", text="Refine by Points").how = "near"
-        row.operator("fipt.align_cameras", text="Refine by Edges").how = "edges"
+        layout.operator("fipt.refine_alignment", icon="POINTCLOUD_DATA")
         draw_job(layout, context, "align")
         if settings.summary:
             draw_text(layout, context, iface_(settings.summary), icon="INFO")
-        if len(settings.candidates) > 1:
-            draw_text(
-                layout, context, "The room looks alike from other sides. Placements, the best one first:"
-            )
-            row = layout.row(align=True)
-            for index, candidate in enumerate(settings.candidates):
-                text, active = f"{1000.0 * candidate.error:.3g} mm", index == settings.active_candidate
-                row.operator(
-                    "fipt.choose_placement", text=text, translate=False, depress=active
-                ).index = index
         draw_warnings(layout, context, "align", job_warnings(context, "align"))
 
     def _draw_pairs(self, context: bpy.types.Context) -> None:

@@ -102,11 +102,9 @@ class FIPT_PT_capture_import(SubSection, bpy.types.Panel):
         settings = context.scene.fipt.capture
         column = layout.column(align=True)
         column.prop(settings, "mesh")
-        column.prop(settings, "align_mesh")
         column = layout.column(align=True)
         column.prop(settings, "up_axis")
         column.prop(settings, "scale")
-        column.prop(settings, "mesh_from_photographs")
         row = layout.row(align=True)
         row.prop(settings, "triangles")
         if settings.views:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""State of the panel Alignment: picked points, and placements of the cameras that were found."""
+"""State of the panel Alignment: picked points, and how well the cameras fit."""
 
 from __future__ import annotations
 
@@ -37,16 +37,6 @@ class FIPT_AlignmentPair(bpy.types.PropertyGroup):
     )
 
 
-class FIPT_AlignmentCandidate(bpy.types.PropertyGroup):
-    """A placement of the cameras that the engine has found."""
-
-    matrix: bpy.props.FloatVectorProperty(
-        description="Similarity from the coordinates of ingest.json to the world, row by row", size=16
-    )
-    error: bpy.props.FloatProperty(description="Median distance of the points from the mesh in meters")
-    inliers: bpy.props.FloatProperty(description="Share of the points that lie near the mesh")
-
-
 class FIPT_AlignmentSettings(bpy.types.PropertyGroup):
     """The panel Alignment."""
 
@@ -65,8 +55,4 @@ class FIPT_AlignmentSettings(bpy.types.PropertyGroup):
         default=True,
         update=_marks_changed,
     )
-    summary: bpy.props.StringProperty(description="How well the placement fits that the engine has found")
-    candidates: bpy.props.CollectionProperty(type=FIPT_AlignmentCandidate)
-    active_candidate: bpy.props.IntProperty(
-        name="Placement", description="Placement of the cameras, the best one first"
-    )
+    summary: bpy.props.StringProperty(description="How well the cameras fit after Refine by Points")

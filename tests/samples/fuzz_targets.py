@@ -152,7 +152,7 @@ def _simplify(sample: Path, out: Path) -> None:
         if found is not None:
             write_ply(out / "small.ply", found[0])
         surface = sample_surface(*read_mesh(sample / name), np.random.default_rng(0), 500)
-        surface.nearest_triangle(surface.points[:50] + 0.1)
+        surface.nearest(surface.points[:50] + 0.1)
 
 
 def _points(sample: Path, out: Path) -> None:

@@ -272,9 +272,8 @@ def _import_room(scene: bpy.types.Scene, run: RunFolder, capture: CapturedViews)
             return []
         text = "No mesh of the room was found beside the cameras."
         remedy = (
-            "Press Import Mesh, or model the room over the photographs, select its objects and press From"
-            " Selection. Mesh from Photographs in the import settings makes a rough one of the photographs"
-            " alone."
+            "Press Import Mesh: RealityScan and Meshroom make a mesh of photographs, Polycam scans with a"
+            " phone. Or model the room over the photographs, select its objects and press From Selection."
         )
         return [_warning("mesh-missing", text, remedy)]
     path, matrix = run.resolve(capture.mesh), np.array(capture.world_from_source)

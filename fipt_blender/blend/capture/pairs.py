@@ -14,7 +14,10 @@ from mathutils import Matrix, Vector
 from ...core import conventions
 from ...core.alignment.pairs import PairFit
 from ...core.alignment.sights import Sights, fit_sights
+from ...core.run.contents import Placement
+from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
+from ...core.run.runfolder import RunFolder
 from ..marks import VIEW, is_view, view_cameras
 from ..outliner import CAMERAS, collection
 from .cameras import camera_geometry
@@ -152,18 +155,36 @@ def align_by_pairs(scene: bpy.types.Scene) -> PairFit:
         problem = scene.fipt.alignment.problem or "No points are picked."
         raise FiptError("alignment-pairs", problem, "Pick pairs of points in the panel Alignment.")
     move_cameras(scene, fit.similarity)
-    solve_pairs(scene)
     return fit
+
+
+def take_alignment(scene: bpy.types.Scene, run: RunFolder) -> None:
+    """Move the cameras as RUN/align/align.json says.
+
+    Raises:
+        FiptError: ``file-missing``, ``file-damaged`` or ``alignment-own-cameras``.
+    """
+    found = read_document(run.align / "align.json", Placement, "Align the cameras again.")
+    scene.fipt.alignment.summary = found.text
+    move_cameras(scene, np.array(found.similarity))
 
 
 def move_cameras(scene: bpy.types.Scene, similarity: np.ndarray) -> None:
     """Move all imported cameras by a similarity (4, 4) of the world; the mesh stays.
+
+    What depended on the cameras' poses is no longer known.
 
     Raises:
         FiptError: ``alignment-own-cameras`` where the views' cameras are the artist's.
     """
     for item in imported_cameras(scene):
         place_camera(item, conventions.transform_poses(similarity, camera_pose(item)))
+    solve_pairs(scene)
+    capture = scene.fipt.capture
+    for view in capture.views:
+        view.checked, view.warning, view.misfit = False, "", -1.0
+    capture.misfit = capture.unseen_share = -1.0
+    capture.count_views()
 
 
 def imported_cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:

@@ -12,8 +12,11 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ...bridge.process import Message
-from ..lights.area_lights import area_light_watts
+from ..lights.color import LUMINANCE
+from ..lights.convert import is_closed, vector_areas, world_triangles
+from ..lights.fixture_nodes import is_emission_material, side_radiance
 from ..lights.tint import split
+from ..room.mesh_arrays import polygon_slots, triangle_loops
 
 # What files don't hold of lights, by code: text after the lights' names, and remedy.
 _LOST = {
@@ -35,12 +38,22 @@ _LOST = {
         "Set Blend to 0 and remove the scale if the edge matters.",
     ),
     "export-light-size": (
-        "glTF has no size of these lights: their shadows have hard edges.",
-        "Export USD, or use area lights.",
+        "glTF has no size of these lights: their shadows have hard edges, and area lights are wide spots.",
+        "Export USD.",
+    ),
+    "export-light-shape": (
+        "USD has no ellipses and no sheared lights: these are disks and rectangles of the same power.",
+        "Use rectangles or disks without shear.",
     ),
 }
 # Blender's exporter of USD divides the strength of suns by this, which UsdLux does not know.
 _USD_SUN = 4.0
+# Metres by which the light of a lamp stands before its surface, which shadow maps would take for a blocker.
+_BEFORE = 0.01
+# Angle of the cone of a lamp's spot: browsers draw shadow maps of no hemisphere.
+_CONE = math.radians(170.0)
+# A lamp is a spot if its mean normal, weighted by power, is longer than this; a hemisphere's has 0.5.
+_DIRECTED = 0.8
 # Diameter of the sun as seen from the earth, radians. Suns as small are meant to be that.
 _SUN = 0.0094
 
@@ -97,21 +110,23 @@ def note_losses(name: str, item: bpy.types.Object, gltf: bool, lost: Lost) -> No
     size, least = sizes.get(light.type, ("size", math.inf))
     scale = item.matrix_world.to_scale()
     squashed = max(map(abs, scale)) > 1.001 * min(map(abs, scale))
+    is_area = light.type == "AREA"
     lost.add(
         name,
         {
             "export-light-nodes": not _node_factor(light)[1],
-            "export-light-spread": light.type == "AREA" and light.spread < math.pi - 1e-4,
+            "export-light-spread": is_area and light.spread < math.pi - 1e-4,
             "export-light-rays": not (light.use_shadow and item.visible_diffuse and item.visible_glossy)
             or bool(linked)
             or light.energy < 0.0,
             "export-light-edges": light.type == "SPOT" and (light.spot_blend > 0.0 or squashed),
-            "export-light-size": gltf and getattr(light, size) > least,
+            "export-light-size": gltf and (is_area or getattr(light, size) > least),
+            "export-light-shape": is_area and not gltf and not _is_plain_area(item),
         },
     )
 
 
-def is_plain_area(item: bpy.types.Object) -> bool:
+def _is_plain_area(item: bpy.types.Object) -> bool:
     """Whether USD has a light of this shape: a rectangle or a disk."""
     across, up = _axes(item)
     square = abs(across.dot(up)) <= 1e-4 * across.length * up.length
@@ -121,21 +136,73 @@ def is_plain_area(item: bpy.types.Object) -> bool:
 
 def plain_light(item: bpy.types.Object, gltf: bool) -> bpy.types.Light:
     """A new light of the same light, without nodes and scale, for the matrix of `turned`."""
-    light = item.data
-    made = bpy.data.lights.new(light.name, light.type)
-    if made.node_tree is not None:  # exporters of some versions take the color of these nodes, white
-        made.node_tree.nodes.clear()
-    made.color, made.energy = split(np.maximum(emitted_power(item), 0.0).tolist())
+    light, watts = item.data, np.maximum(emitted_power(item), 0.0)
+    if gltf and light.type == "AREA":
+        return wide_spot(watts)
+    made = _without_nodes(bpy.data.lights.new(light.name, light.type))
+    made.color, made.energy = split(watts.tolist())
     if light.type == "SUN" and not gltf:
         made.energy *= _USD_SUN
     if light.type == "AREA":
         across, up = _axes(item)
-        made.shape = "DISK" if light.shape in ("DISK", "ELLIPSE") else "RECTANGLE"
         made.size, made.size_y = 2.0 * across.length, 2.0 * up.length
+        made.shape = "RECTANGLE"
+        if light.shape in ("DISK", "ELLIPSE"):
+            made.shape, made.size = "DISK", math.sqrt(made.size * made.size_y)
     for name in ("angle", "shadow_soft_size", "use_soft_falloff", "spot_size", "spot_blend"):
         if hasattr(light, name):
             setattr(made, name, getattr(light, name))
     return made
+
+
+def lamp_light(item: bpy.types.Object) -> tuple[bpy.types.Light, Matrix] | None:
+    """A new light of the power and color of a fixture's surfaces, and its matrix to the world.
+
+    It is a spot for a lamp that shines to one side, otherwise a point. None where nothing emits.
+    """
+    vertices, triangles = world_triangles(item)
+    vectors = vector_areas(vertices, triangles)
+    slots = polygon_slots(item.data)[triangle_loops(item.data, False)[1]]
+    front, back = np.zeros((2, len(slots), 3))
+    for index, slot in enumerate(item.material_slots):
+        if slot.material is not None and is_emission_material(slot.material):
+            front[slots == index], back[slots == index] = side_radiance(slot.material)
+    if is_closed(vectors):
+        back[:] = 0.0  # the inside
+    areas = np.linalg.norm(vectors, axis=1)
+    total = (front + back).T @ areas  # (3,) area times radiance
+    weight = areas * ((front + back) @ LUMINANCE)
+    if total.max(initial=0.0) <= 0.0:
+        return None
+    place = Vector((vertices[triangles].mean(axis=1).T @ weight / weight.sum()).tolist())
+    axis = Vector((vectors.T @ ((front - back) @ LUMINANCE)).tolist())
+    if axis.length <= _DIRECTED * weight.sum():
+        light = bpy.data.lights.new("Light", "POINT")
+        light.color, light.energy = split((math.pi * total).tolist())
+        light.shadow_soft_size = 0.0
+        return _without_nodes(light), Matrix.Translation(place)
+    turn = axis.to_track_quat("-Z", "Y").to_matrix().to_4x4()
+    return wide_spot(math.pi * total), Matrix.Translation(place + _BEFORE * axis.normalized()) @ turn
+
+
+def wide_spot(watts: np.ndarray) -> bpy.types.Light:
+    """A new spot that sends out so many watts (rgb), as a surface sends them to its front.
+
+    Its edge is blended over the whole cone: readers then show about the cosine of a surface. With a
+    smoothstep of the cosine from that of the edge, e, to 1, a spot of intensity I sends out pi I (1 - e).
+    Blender takes the power of a spot for that of a point light, 4 pi I.
+    """
+    light = bpy.data.lights.new("Light", "SPOT")
+    light.color, light.energy = split((4.0 * watts / (1.0 - math.cos(0.5 * _CONE))).tolist())
+    light.spot_size, light.spot_blend, light.shadow_soft_size = _CONE, 1.0, 0.0
+    return _without_nodes(light)
+
+
+def _without_nodes(light: bpy.types.Light) -> bpy.types.Light:
+    """Without nodes, of which exporters of some versions take the color, white."""
+    if light.node_tree is not None:
+        light.node_tree.nodes.clear()
+    return light
 
 
 def turned(matrix: Matrix) -> Matrix:
@@ -145,32 +212,6 @@ def turned(matrix: Matrix) -> Matrix:
     rotation = Matrix((up.cross(back), up, back)).transposed().to_4x4()
     rotation.translation = matrix.translation
     return rotation
-
-
-def area_surface(item: bpy.types.Object) -> tuple[bpy.types.Mesh, tuple[float, ...]]:
-    """A new mesh of an area light in the frame of `turned`, and the radiance (rgb) of its front."""
-    inverse = turned(item.matrix_world).to_3x3().transposed()
-    across, up = (inverse @ axis for axis in _axes(item))
-    if across.cross(up).z < 0.0:
-        up = -up
-    area = 4.0 * across.length * up.length  # Cycles' area, also of a sheared light
-    if item.data.shape in ("DISK", "ELLIPSE"):
-        turns = [2.0 * math.pi * step / 32 for step in range(32)]
-        points = [across * math.cos(turn) - up * math.sin(turn) for turn in turns]
-        area *= 0.25 * math.pi
-    else:
-        points = [-across - up, -across + up, across + up, across - up]
-    mesh = bpy.data.meshes.new(item.data.name)
-    mesh.from_pydata(points, [], [tuple(range(len(points)))])
-    # A polygon is smaller than its ellipse; the power stays.
-    area *= mesh.polygons[0].area / _outline_area(item, across, up)
-    radiance = np.maximum(emitted_power(item), 0.0) / max(area_light_watts(1.0, area), 1e-12)
-    return mesh, tuple(radiance.tolist())
-
-
-def _outline_area(item: bpy.types.Object, across: Vector, up: Vector) -> float:
-    share = math.pi if item.data.shape in ("DISK", "ELLIPSE") else 4.0
-    return max(share * float(across.cross(up).length), 1e-12)
 
 
 def _axes(item: bpy.types.Object) -> tuple[Vector, Vector]:

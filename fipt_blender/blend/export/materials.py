@@ -1,24 +1,103 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Materials in the form that exporters understand: plain Principled with images, or with an emission."""
+"""Materials in the form that exporters understand: plain Principled with 8-bit images, or one that emits."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import bpy
+import numpy as np
 
+from ..color_spaces import from_scene_linear
+from ..image_datablocks import load_texture, load_tiles, tile_values
+from ..lights.fixture_nodes import side_radiance
 from ..marks import MAP, MATERIAL, PART_NAME
 from ..node_trees import node_tree
+from ..png16 import encode_srgb
 from ..results import adjust
 from ..results.materials import is_uniform, uniform_values
 from ..room.uv_layer import UV_LAYER
-from .part_textures import PartTextures
+
+# Relative difference of a lamp's sides, below which they are alike.
+_ALIKE = 1e-3
+# Width and height of the largest exported texture, in texels, unless another is chosen.
+TEXTURE_SIZE = 4096
 
 
-def plain_material(material: bpy.types.Material, textures: PartTextures | None) -> bpy.types.Material:
-    """A new Principled material of a part with the exported textures; of one value without (None)."""
+@dataclass(frozen=True)
+class PlainTextures:
+    """The exported textures of materials.
+
+    Attributes:
+        base_color: sRGB.
+        orm: occlusion (1: none), roughness and metallic in red, green and blue, as in glTF.
+    """
+
+    base_color: bpy.types.Image
+    orm: bpy.types.Image
+
+
+def texture_key(material: bpy.types.Material) -> tuple[bpy.types.Image, adjust.Adjustment]:
+    """What an estimated material's exported textures depend on; materials of one key share them."""
+    return _image(material, "Base Color"), adjust.read(material)
+
+
+def plain_textures(material: bpy.types.Material, stem: str, size: int) -> PlainTextures:
+    """Write the textures of an estimated material with the artist's adjustment in them.
+
+    Args:
+        material: with images.
+        stem: path that the files' names begin with.
+        size: the most texels of a texture's side; larger ones are scaled down.
+
+    Raises:
+        FiptError: ``file-missing``.
+    """
+    tiles = [tile.number for tile in _image(material, "Base Color").tiles]
+    tiled = _image(material, "Base Color").source == "TILED"
+    paths: dict[str, dict[int, Path]] = {"base_color": {}, "orm": {}}
+    for number in tiles if tiled else [0]:
+        maps = [tile_values(_image(material, label), number) for label in adjust.MAPS]
+        codes = np.ones((2, *maps[0].shape[:2], 3), np.float32)
+        for base_color, orm, *row in zip(*codes, *maps, strict=True):  # all at once take much memory
+            values = np.column_stack([row[0][:, :3], row[1][:, 0], row[2][:, 0]])
+            values = adjust.adjusted(adjust.read(material), values)
+            base_color[:], orm[:, 1:] = encode_srgb(from_scene_linear(values[:, :3])), values[:, 3:]
+        for kind, pixels in zip(paths, codes, strict=True):
+            path = Path(f"{stem}_{kind}{f'.{number}' if tiled else ''}.png")
+            _write_png(pixels, path, size)
+            paths[kind][number] = path
+
+    def load(kind: str, is_data: bool) -> bpy.types.Image:
+        return load_tiles(paths[kind], is_data) if tiled else load_texture(paths[kind][0], is_data)
+
+    return PlainTextures(load("base_color", False), load("orm", True))
+
+
+def _write_png(values: np.ndarray, path: Path, size: int) -> None:
+    """Save codes (H, W, 3) from 0 to 1, bottom row first, as a PNG of 8 bits with at most so many texels."""
+    height, width, _ = values.shape
+    image = bpy.data.images.new(path.stem, width, height, alpha=False, is_data=True)
+    pixels = np.ones((height, width, 4), np.float32)
+    pixels[..., :3] = values
+    image.pixels.foreach_set(pixels.ravel())
+    shrink = min(1.0, size / max(width, height))
+    if shrink < 1.0:
+        image.scale(max(1, round(width * shrink)), max(1, round(height * shrink)))
+    image.filepath_raw, image.file_format = str(path), "PNG"
+    image.save()
+    bpy.data.images.remove(image)
+
+
+def _image(material: bpy.types.Material, label: str) -> bpy.types.Image:
+    return node_tree(material).nodes[MAP.format(label)].image
+
+
+def plain_material(material: bpy.types.Material, textures: PlainTextures | None) -> bpy.types.Material:
+    """A new Principled material of a part with exported textures; of one value without (None)."""
     made = bpy.data.materials.new(material.name)
     principled = _principled(made)
     if textures is None:
@@ -52,15 +131,16 @@ def artists_name(material: bpy.types.Material, name: str) -> str:
     return part if part and ours else name
 
 
-def glowing_material(name: str, radiance: Sequence[float], one_sided: bool) -> bpy.types.Material:
-    """A new Principled material that emits a radiance (rgb, scene-linear), W/(m² sr) or nits.
+def plain_lamp(material: bpy.types.Material, unit: float) -> bpy.types.Material:
+    """A new Principled material that emits as the brighter side of a lamp's, on one side where they differ.
 
     Args:
-        name: of the material.
-        radiance: rgb.
-        one_sided: only its front is drawn, where the other program heeds that.
+        material: made by `emission_material`.
+        unit: by which radiance, W/(m² sr), is multiplied; 0 for a dark one.
     """
-    made = bpy.data.materials.new(name)
+    front, back = side_radiance(material)
+    radiance = [unit * value for value in max(front, back, key=max)]
+    made = bpy.data.materials.new(material.name)
     principled = _principled(made)
     strength = max(radiance)
     color = [value / strength for value in radiance] if strength > 0.0 else [0.0, 0.0, 0.0]
@@ -72,7 +152,7 @@ def glowing_material(name: str, radiance: Sequence[float], one_sided: bool) -> b
         ("Emission Strength", strength),
     ):
         principled.inputs[socket].default_value = value
-    made.use_backface_culling = one_sided
+    made.use_backface_culling = max(front) > (1.0 + _ALIKE) * max(back)
     return made
 
 

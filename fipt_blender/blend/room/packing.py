@@ -23,7 +23,6 @@ class Packing:
     image: np.ndarray  # (N,) i32
     offset: np.ndarray  # (N,2) f64 texels of the island's lower left corner
     scale: np.ndarray  # (N,) f64 factor on the wanted extent
-    pad: np.ndarray  # (N,) i32 texels kept free around each island
     sizes: list[tuple[int, int]]  # width, height of each image
 
 
@@ -51,7 +50,7 @@ def pack_islands(
         packing = _pack_boxes(boxes, group, size)
         if len(packing.sizes) <= max_images:
             packing.offset += pad
-            packing.scale, packing.pad = scale, np.full(len(extent), pad, np.int32)
+            packing.scale = scale
             return packing
         if pad > 1 and (2 * pad) ** 2 * len(boxes) > 0.25 * max_images * size * size:
             pad -= 1  # very many small islands, whose padding alone fills the images
@@ -73,7 +72,6 @@ def pack_apart(extent: np.ndarray, group: np.ndarray, size: int) -> Packing:
         packing = pack_islands(extent[members], np.zeros(len(members), np.int64), size, PAD, max_images=1)
         result.image[members] = index
         result.offset[members], result.scale[members] = packing.offset, packing.scale
-        result.pad[members] = packing.pad
         result.sizes.append(packing.sizes[0])
     return result
 
@@ -104,8 +102,7 @@ def _pack_boxes(boxes: np.ndarray, group: np.ndarray, size: int) -> Packing:
 
 def _empty(count: int) -> Packing:
     """Of so many islands, of which none lies anywhere yet."""
-    image, pad = np.zeros(count, np.int32), np.zeros(count, np.int32)
-    return Packing(image, np.zeros((count, 2)), np.ones(count), pad, [])
+    return Packing(np.zeros(count, np.int32), np.zeros((count, 2)), np.ones(count), [])
 
 
 def _shelves(

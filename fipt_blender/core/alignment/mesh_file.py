@@ -43,8 +43,8 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if suffix not in readers:
         raise FiptError(
             "mesh-format",
-            f"Cameras can't be aligned to {suffix or 'nameless'} files, nor are they simplified ({path}).",
-            "Export it as OBJ, PLY, STL or glTF, or import it and use Align by Points.",
+            f"{suffix or 'nameless'} files can't be simplified when they are imported ({path}).",
+            "Export it as OBJ, PLY, STL or glTF, or import it and use Simplify Room.",
         )
     if not path.is_file():
         raise FiptError("mesh-missing", f"The mesh {path} does not exist.", "Correct the path.")

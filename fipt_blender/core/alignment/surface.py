@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A mesh as points with normals, for finding what is nearest; its main directions and its unit."""
+"""A mesh as points, for finding which of its triangles are nearest."""
 
 from __future__ import annotations
 
@@ -9,15 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..conventions import transform_points
 from ..run.errors import FiptError
 from ..run.threads import cached_property
 
 SAMPLES = 200_000  # points of a mesh
 NEIGHBOURS = 12  # samples and triangles' middles around a position whose triangles are looked at
-# Height of an ordinary room from floor to ceiling in metres; no two units fit the same number.
-LEAST_HEIGHT, MOST_HEIGHT = 1.9, 4.6
-UNITS = {"meters": 1.0, "feet": 0.3048, "inches": 0.0254, "centimeters": 0.01, "millimeters": 0.001}
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,23 +22,16 @@ class Surface:
 
     Attributes:
         points: (N, 3) float64.
-        normals: (N, 3) float64 unit vectors, of either side.
         triangle: (N,) the triangle that each point lies on.
         corners: (T, 3, 3) float64 of all triangles.
     """
 
     points: np.ndarray
-    normals: np.ndarray
     triangle: np.ndarray
     corners: np.ndarray
 
     @cached_property
     def tree(self) -> cKDTree:
-        """Of the points; shaped for positions far from the surface, as an alignment starts with many."""
-        return cKDTree(self.points, leafsize=32, compact_nodes=False)
-
-    @cached_property
-    def triangle_tree(self) -> cKDTree:
         """Of the points and the middles of all triangles.
 
         A scan has more triangles than points: among the points' triangles alone, the nearest one to a
@@ -50,28 +39,9 @@ class Surface:
         """
         return cKDTree(np.concatenate([self.points, self.corners.mean(axis=1)]))
 
-    def moved(self, similarity: np.ndarray) -> Surface:
-        """The surface in other coordinates; the similarity (4, 4) does not turn it."""
-        corners = transform_points(similarity, self.corners)
-        return Surface(transform_points(similarity, self.points), self.normals, self.triangle, corners)
-
-    def part(self, chosen: np.ndarray) -> Surface:
-        """Some of the points."""
-        return Surface(self.points[chosen], self.normals[chosen], self.triangle[chosen], self.corners)
-
-    def nearest_point(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The nearest points of the surface's points, each with the plane through it.
-
-        Returns:
-            Distances (N,), distances along the normals (N,) and normals (N, 3).
-        """
-        distances, index = self.tree.query(positions)
-        normals = self.normals[index]
-        return np.asarray(distances), ((positions - self.points[index]) * normals).sum(axis=1), normals
-
-    def nearest_triangle(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same for the nearest triangles: at edges, the normal points to the position."""
-        found = self.triangle_tree.query(positions, min(NEIGHBOURS, self.triangle_tree.n))[1]
+    def nearest(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distances (N,) of positions (N, 3) from the nearest triangles, and directions (N, 3) from there."""
+        found = self.tree.query(positions, min(NEIGHBOURS, self.tree.n))[1]
         owners = np.concatenate([self.triangle, np.arange(len(self.corners))])
         index = owners[found.reshape(len(positions), -1)]
         nearest = closest_points(positions[:, None], self.corners[index])
@@ -83,7 +53,7 @@ class Surface:
         directions = offsets[rows, best] / np.maximum(distance, 1e-300)[:, None]
         touching = distance < 1e-9  # rounding alone gives the direction there
         directions[touching] = unit_normals(self.corners[index[rows, best][touching]])
-        return distance, distance, directions
+        return distance, directions
 
 
 def sample_surface(
@@ -112,7 +82,7 @@ def sample_surface(
     root, second = np.sqrt(rng.random(count)), rng.random(count)
     weights = np.stack([1.0 - root, root * (1.0 - second), root * second], axis=1)
     points = np.einsum("nk,nkc->nc", weights, corners[chosen])
-    return Surface(points, unit_normals(corners[chosen]), chosen, corners)
+    return Surface(points, chosen, corners)
 
 
 def unit_normals(corners: np.ndarray) -> np.ndarray:
@@ -145,40 +115,3 @@ def closest_points(positions: np.ndarray, corners: np.ndarray) -> np.ndarray:
     distances = ((positions[..., None, :] - on_edges) ** 2).sum(axis=-1)
     edge = np.take_along_axis(on_edges, distances.argmin(axis=-1)[..., None, None], axis=-2)[..., 0, :]
     return np.where(inside[..., None], best, edge)
-
-
-def main_axes(normals: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) whose rows are the directions that most of a mesh faces, at right angles.
-
-    Args:
-        normals: (N, 3) unit normals of points spread evenly over the mesh.
-    """
-    some = normals[:: max(len(normals) // 2000, 1)]
-    first = _main_direction(some, some)
-    beside = some - (some @ first)[:, None] * first
-    lengths = np.linalg.norm(beside, axis=1)
-    beside = beside[lengths > 0.9] / lengths[lengths > 0.9, None]
-    second = _main_direction(beside, beside) if len(beside) else _any_beside(first)
-    second = second - (second @ first) * first
-    second /= np.linalg.norm(second)
-    return np.stack([first, second, np.cross(first, second)])
-
-
-def _main_direction(directions: np.ndarray, candidates: np.ndarray) -> np.ndarray:
-    """The direction, of either sign, near which most directions lie; averaged over them."""
-    near = np.abs(candidates[:: max(len(candidates) // 300, 1)] @ directions.T) > 0.995
-    best = near[int(np.argmax(near.sum(axis=1)))]
-    return np.asarray(np.linalg.svd(directions[best], full_matrices=False)[2][0])
-
-
-def _any_beside(direction: np.ndarray) -> np.ndarray:
-    axis = np.eye(3)[int(np.argmin(np.abs(direction)))]
-    return axis - (axis @ direction) * direction
-
-
-def unit_of_height(height: float) -> tuple[str, float] | None:
-    """Name and length in metres of the unit in which a room of this height is an ordinary one, or None."""
-    for name, meters in UNITS.items():
-        if LEAST_HEIGHT <= height * meters <= MOST_HEIGHT:
-            return name, meters
-    return None

@@ -53,11 +53,10 @@ from .images import (
 )
 from .options import CaptureOptions
 from .panorama import pinhole_views, placed_panorama, says_panorama
-from .photograph_mesh import Photograph
 from .photograph_poses import with_photograph_poses
 from .places import MASK_FOLDER, MISSING_REMEDY
 from .rig import EQUIRECTANGULAR, Pinhole, RigView
-from .source import mesh_fusion, mesh_of_photographs, read_source, size_note, write_mesh
+from .source import mesh_fusion, read_source, size_note, write_mesh
 from .upright import Upright, doubts, find_upright
 
 # Photographs with more pixels than these are rewritten with the bits that they have, 8 (PNG) or 16 (EXR),
@@ -137,8 +136,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             reporter.warning(note.code, note.text, note.remedy)
 
     fusion = mesh_fusion(run_folder, source, options)
-    of_photographs = options.mesh_from_photographs and source.mesh is None and fusion is None
-    if fusion is not None or of_photographs:
+    if fusion is not None:
         reporter.plan([0.35, 0.6, 0.05])
     remedy = "use photographs whose distortion is undone already, or smaller ones"
     rewritten = sum(_rewritten_bytes(*each) for each in zip(views, pinholes, strict=True))
@@ -154,19 +152,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             if fusion is not None:
                 reporter.stage("fuse", "Fusing the depth images")
                 fused = None if fusion.is_kept else fusion.mesh(reporter.progress)
-
-            if of_photographs:
-                reporter.stage("mesh", "Making a mesh of the photographs")
-                posed = [
-                    Photograph(files.get("image", view.image), view.layer, pinhole, view.camera_to_world)
-                    for view, files, pinhole, index in zip(views, written, pinholes, number, strict=True)
-                    if view.split == "train" and index < solved
-                ]
-                given = run_folder, capture, source, posed
-                made = mesh_of_photographs(*given, reporter.progress)
-                reporter.warning(made[1].code, made[1].text, made[1].remedy)
             reporter.stage("write", "Writing the capture")
-            mesh = made[0] if of_photographs else write_mesh(run_folder, source, fusion, fused)
+            mesh = write_mesh(run_folder, source, fusion, fused)
             upright = upright or find_upright(poses, mesh)
     except FiptError:
         if is_new:

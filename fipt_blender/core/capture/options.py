@@ -181,14 +181,6 @@ class CaptureOptions:
     clamp_negative: Annotated[
         bool, "Treat all negative pixel values as black, instead of refusing large ones"
     ] = False
-    align_mesh: Annotated[
-        bool,
-        Option(
-            "The mesh is from another program than the cameras. Move the cameras to it by the sparse points"
-            " of the camera solve, with any rotation and scale. The mesh must be OBJ, PLY, STL or glTF",
-            "Align to Mesh",
-        ),
-    ] = False
     triangles: Annotated[
         int,
         Option(
@@ -199,11 +191,6 @@ class CaptureOptions:
             shown={"soft_max": 2_000_000, "step": 10_000},
         ),
     ] = 0
-    mesh_from_photographs: Annotated[
-        bool,
-        "Where the capture has neither a mesh nor depth images, make a rough mesh of its photographs alone."
-        " That takes seconds for each of them; a scan or a photogrammetry program makes a better one",
-    ] = False
     undo_applied_transform: Annotated[
         bool, "For transforms.json: the mesh has the coordinates from before nerfstudio applied its transform"
     ] = False

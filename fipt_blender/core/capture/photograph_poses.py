@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..alignment.edges import corrected_pose
+from ..alignment.turns import turn_by
 from .color_camera import (
     MOST_FRAMES,
     SCALE,
@@ -117,6 +117,14 @@ def find_motions(frames: Sequence[DepthView], scale: float) -> Motions | None:
     motion[(np.abs(motion / EXPECTED) > MOST).any(axis=1)] = 0.0
     after = _step(motion, finest, sightings, place, lens)[1]
     return Motions(motion, after / max(before, 1e-12))
+
+
+def corrected_pose(camera_to_world: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """The pose (4, 4) of a camera before which points move by a motion (6,): turn in radians, and shift."""
+    moved = np.eye(4)
+    moved[:3, :3] = turn_by(motion[:3])
+    moved[:3, 3] = motion[3:]
+    return np.asarray(camera_to_world, np.float64) @ np.linalg.inv(moved)
 
 
 def _at_scale(reduced: Sequence[np.ndarray], blur: float) -> np.ndarray:

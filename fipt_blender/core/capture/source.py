@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,13 +18,11 @@ from ..depth.simplification import collapsed
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder
-from .align_mesh import aligned_to_mesh
 from .checks import judge_size
 from .color_camera import with_color_camera
 from .depth_images import Fusion, checked_depths
 from .formats.registry import read_points, read_rig
 from .options import CaptureOptions
-from .photograph_mesh import Photograph, photograph_mesh
 from .rig import Note, Rig
 
 # Depth images are measured in metres, and often show a part of a room: only their unit can be wrong, which is
@@ -38,7 +35,7 @@ class Source:
     """A capture as it was read, and where its mesh comes from.
 
     Attributes:
-        rig: cameras and images, aligned to the mesh where that was asked for.
+        rig: cameras and images.
         mesh: the mesh file; None without one.
         simplified: the same with fewer triangles, which is used instead; None where that is not wanted.
     """
@@ -52,15 +49,13 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
     """Read cameras and mesh, and warn of what the user should know of them.
 
     Raises:
-        FiptError: those of the readers, ``mesh-missing``; those of aligning.
+        FiptError: those of the readers, ``mesh-missing``.
     """
     rig = _with_layer(read_rig(capture, options.format, options), options.layer)
     mesh = _mesh(rig, options)
     rig = replace(rig, depths=checked_depths(rig.depths))
     if rig.one_camera:
         rig = with_color_camera(rig, options.scale)
-    if options.align_mesh:
-        rig = aligned_to_mesh(capture, rig, mesh)
     notes = list(rig.notes)
     simplified, budget = None, options.triangles
     if budget and mesh is not None and (fewer := simplified_mesh(mesh, budget)) is not None:
@@ -90,28 +85,6 @@ def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: Fus
         write_ply(run.simplified_ply, source.simplified)
         return run.simplified_ply
     return source.mesh
-
-
-def mesh_of_photographs(
-    run: RunFolder,
-    capture: Path,
-    source: Source,
-    photographs: Sequence[Photograph],
-    progress: Callable[[float], None],
-) -> tuple[Path, Note]:
-    """The mesh file that is made of photographs alone, and what to say of it.
-
-    Raises:
-        FiptError: those of `photograph_mesh`; ``disk-full`` or ``run-unwritable``.
-    """
-    try:
-        points = read_points(capture, source.rig.source)
-    except FiptError:  # the format has none
-        points = np.zeros((0, 3))
-    mesh, note = photograph_mesh(photographs, points, progress)
-    run.fused_json.unlink(missing_ok=True)  # of depth images
-    write_ply(run.fused_ply, mesh)
-    return run.fused_ply, note
 
 
 def size_note(capture: Path, source: Source, mesh: Path | None, world_from_source: np.ndarray) -> Note | None:

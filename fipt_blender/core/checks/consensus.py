@@ -47,6 +47,7 @@ TRIED_VIEWS = 24  # views with which other placements of the mesh are tried
 LEAST_SEEN = 0.05  # share of the pixels that see the mesh, of a view or of all, below which they see nothing
 SAME = 0.02  # standard deviation of log radiance in all photographs, below which they show nothing
 _FORCE = " To estimate nevertheless, set Force in the section Estimate > Advanced (--force)."
+_ALIGN = "align the cameras to the mesh by pairs of points in Blender (Capture > Alignment > Cameras to Mesh)"
 _AXES = "XYZ"
 
 
@@ -218,12 +219,12 @@ def check_input(
     if not settings.force and 2 * blind >= len(views) > blind:  # where all are blind, see fill_pixels
         raise _insufficient(
             f"{blind} of {len(views)} cameras see nothing of the mesh",
-            "Leave these views out, correct their poses, or align the mesh with the cameras (--align-mesh).",
+            f"Leave these views out, correct their poses, or {_ALIGN}.",
         )
     if not settings.force and 0.0 < found.seen.mean() < LEAST_SEEN:  # where nothing is seen, see fill_pixels
         raise _insufficient(
             f"the cameras see the mesh in only {100.0 * found.seen.mean():.0f} % of their pixels",
-            "Use a mesh of the whole room, in the cameras' coordinates and unit.",
+            f"Use a mesh of the whole room, in the cameras' coordinates and unit, or {_ALIGN}.",
         )
     if few:
         return {}
@@ -250,7 +251,7 @@ def disagreement(wrong: int, judged: int, evidence: str = "", own_mesh: bool = F
         evidence: sentence on which of both, poses or mesh, is wrong.
         own_mesh: as of `check_input`.
     """
-    align = "" if own_mesh else ", or align them to the mesh (Align in the section Capture, --align-mesh)"
+    align = "" if own_mesh else f", or {_ALIGN}"
     mesh = "fuse the depth images with smaller voxels" if own_mesh else "use another mesh of the room"
     return FiptError(
         "views-disagree",

@@ -8,10 +8,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..alignment.edges import EdgeFit, MeshEdges, fit_edges, mesh_edges
 from ..capture.views import View
 from ..pixels.camera_rays import opaque_vector, trace_pixels
 from ..surface.room import Room
+from .edges import MeshEdges, edge_misfit, mesh_edges
 
 TRACED = 960  # least number of pixels that are traced along the longer side; at most twice as many are
 COMPARED = 1280  # most pixels along the longer side of the photograph that is compared
@@ -32,7 +32,7 @@ def edge_image(view: View, pixels: np.ndarray) -> np.ndarray | None:
     return np.log(gray + 1e-2 * float(np.median(lit)))
 
 
-def image_misfit(room: Room, view: View, image: np.ndarray | None) -> tuple[EdgeFit, int] | None:
+def image_misfit(room: Room, view: View, image: np.ndarray | None) -> tuple[float, int] | None:
     """Compare the mesh's edges with those of a photograph; None without a verdict.
 
     Args:
@@ -41,14 +41,14 @@ def image_misfit(room: Room, view: View, image: np.ndarray | None) -> tuple[Edge
         image: of its photograph, by `edge_image`.
 
     Returns:
-        The fit in pixels of the photograph reduced by an integer factor, and this factor.
+        The displacement in pixels of the photograph reduced by an integer factor, and this factor.
     """
     if image is None:
         return None
     factor = _factor(view)
     intrinsics = np.diag([1.0 / factor, 1.0 / factor, 1.0]) @ view.intrinsics
-    fit = fit_edges(image, view_edges(room, view).over(factor), intrinsics)
-    return None if fit is None else (fit, factor)
+    misfit = edge_misfit(image, view_edges(room, view).over(factor), intrinsics)
+    return None if misfit is None else (misfit, factor)
 
 
 def _factor(view: View) -> int:

@@ -196,8 +196,8 @@ def with_misfit(
     measured = image_misfit(room, view, image)
     if measured is None:
         return facts
-    fit, factor = measured
-    return replace(facts, misfit=round(fit.misfit * factor, 2), much_off=fit.misfit > MUCH_OFF)
+    misfit, factor = measured
+    return replace(facts, misfit=round(misfit * factor, 2), much_off=misfit > MUCH_OFF)
 
 
 def examined(view: View, folder: RunFolder | None = None) -> tuple[PhotographFacts, np.ndarray | None]:

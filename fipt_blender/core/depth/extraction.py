@@ -34,14 +34,6 @@ class FusedMesh:
     triangles: np.ndarray
     colors: np.ndarray | None = None
 
-    def joined(self, other: FusedMesh) -> FusedMesh:
-        """Both meshes as one; with colors where both have them."""
-        colors = None
-        if self.colors is not None and other.colors is not None:
-            colors = np.concatenate([self.colors, other.colors])
-        triangles = np.concatenate([self.triangles, other.triangles + np.int32(len(self.vertices))])
-        return FusedMesh(np.concatenate([self.vertices, other.vertices]), triangles, colors)
-
 
 def extract(volume: BlockVolume, least_weight: float = 1.0) -> FusedMesh:
     """The zero surface of a volume. Neighbouring cells share the vertices on their common edges exactly.

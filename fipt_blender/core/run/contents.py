@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
 from .errors import FiptError
-from .kinds import Choice, Count, Matrix, NotNegative, Number, Pixels, Share, Vector
+from .kinds import Choice, Count, Matrix, NotNegative, Number, Pixels, Vector
 from .shapes import FARTHEST, FARTHEST_UNITS, UP_AXES, UP_SOURCES
 
 
@@ -183,17 +183,7 @@ class SurveyNote:
 
 @dataclass(frozen=True)
 class Placement:
-    """A similarity that places the cameras on the mesh, its error, and the share of the points that fit."""
+    """align.json: a similarity that places the cameras on the mesh, and how well it fits."""
 
     similarity: Matrix
-    error: NotNegative
-    inliers: Share
-
-
-@dataclass(frozen=True)
-class Placements:
-    """align.json: the placements, the best one first, and the poses of views that were aligned one by one."""
-
-    candidates: tuple[Placement, ...]
     text: str
-    poses: Mapping[str, Matrix]

@@ -162,8 +162,8 @@ def read_points(path: Path, name: str, sure: bool = False) -> np.ndarray:
     if reader is None:
         raise FiptError(
             "alignment-points",
-            f"The format {name} holds no sparse points, by which cameras could be aligned or a room made.",
-            "Export the cameras as a COLMAP model with points, or move them by hand with FIPT Alignment.",
+            f"The format {name} holds no sparse points, by which cameras could be aligned.",
+            "Align by pairs of points alone, or export the cameras as a COLMAP model with points.",
         )
     found = module.find(path)
     if found is None:

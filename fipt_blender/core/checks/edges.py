@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far a mesh's edges are from those of a photograph, and the small motion of the camera that joins them.
+"""How far a mesh's edges are from those of a photograph, by the small motion of the camera that joins them.
 
 Edges of the mesh are jumps of depth and of the normal. Across each of them the photograph's gradient is
 searched; the motion that most edges agree with is found by shifts first, then by least squares with a search
@@ -14,8 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
-
-from .turns import turn_by
 
 REACH = 12  # pixels across an edge that are searched
 _STEP = 0.5  # of the search
@@ -50,23 +48,6 @@ class MeshEdges:
     def over(self, factor: float) -> MeshEdges:
         """The edges in an image that is smaller by a factor."""
         return MeshEdges(self.pixel / factor, self.normal, self.depth)
-
-
-@dataclass(frozen=True, eq=False)
-class EdgeFit:
-    """How a photograph's edges lie against the mesh's.
-
-    Attributes:
-        misfit: root mean square, in pixels, of the displacement of the mesh's edges by `motion`.
-        motion: (6,) turn in radians and shift of the points in the camera's axes that joins the edges.
-        information: (6, 6) inverse of the motion's covariance.
-        squares: (6, 6) m' S m is the mean square displacement in pixels by a motion m.
-    """
-
-    misfit: float
-    motion: np.ndarray
-    information: np.ndarray
-    squares: np.ndarray
 
 
 def mesh_edges(
@@ -127,8 +108,8 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.einsum("...c,...c->...", a, b)
 
 
-def fit_edges(image: np.ndarray, edges: MeshEdges, intrinsics: np.ndarray) -> EdgeFit | None:
-    """The motion of the camera that joins the mesh's edges with the photograph's; None without a verdict.
+def edge_misfit(image: np.ndarray, edges: MeshEdges, intrinsics: np.ndarray) -> float | None:
+    """Root mean square distance in pixels of the mesh's edges from the photograph's; None without a verdict.
 
     Args:
         image: (H, W) log radiance.
@@ -152,7 +133,7 @@ def fit_edges(image: np.ndarray, edges: MeshEdges, intrinsics: np.ndarray) -> Ed
     if spread > _UNSURE**2:
         return None
     square = float(motion @ squares @ motion) - spread  # less what chance adds to it
-    return EdgeFit(float(np.sqrt(max(square, 0.0))), motion, information, squares)
+    return float(np.sqrt(max(square, 0.0)))
 
 
 def edge_profiles(image: np.ndarray, edges: MeshEdges) -> np.ndarray:
@@ -196,14 +177,6 @@ def edge_flow(edges: MeshEdges, intrinsics: np.ndarray) -> np.ndarray:
     flow_x = [-x * y, 1.0 + x**2, -y, inverse, zero, -x * inverse]
     flow_y = [-(1.0 + y**2), x * y, x, zero, inverse, -y * inverse]
     return np.stack([fx * np.stack(flow_x, axis=1), fy * np.stack(flow_y, axis=1)], axis=1)
-
-
-def corrected_pose(camera_to_world: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """The pose (4, 4) of a camera after the motion (6,) that joins the edges."""
-    moved = np.eye(4)
-    moved[:3, :3] = turn_by(motion[:3])
-    moved[:3, 3] = motion[3:]
-    return np.asarray(camera_to_world, np.float64) @ np.linalg.inv(moved)
 
 
 def _best_shift(profiles: np.ndarray, edges: MeshEdges, flow: np.ndarray) -> np.ndarray:
