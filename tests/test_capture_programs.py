@@ -242,9 +242,7 @@ def all_formats(root: Path) -> dict[str, Path]:
 
 
 def test_command_line_and_panel_offer_all_formats() -> None:
-    from fipt_blender.properties import capture
-
-    assert {"auto", *options.FORMATS} == {name for name, *_ in capture.FORMATS} == {"auto", *FORMATS}
+    assert {name for name, *_ in options.FORMATS} == {"auto", *FORMATS}
 
 
 def test_photographs_are_found_in_a_named_folder_and_never_outside(tmp_path: Path) -> None:
