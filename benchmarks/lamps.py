@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fipt_blender.core.alignment.mesh_file import read_mesh
+from fipt_blender.core.capture.mesh_file import read_mesh
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.conventions import transform_points
 from fipt_blender.core.run.documents import read_document

@@ -1,21 +1,22 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A mesh file is one solid for the engine's reader and for Blender's importers: the one it was made of."""
+"""A mesh file is one solid for Blender's importers and for the engine, which asks them: the one it was made of."""
 
 from __future__ import annotations
 
 import itertools
 import zlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
 import pytest
 from mathutils import Matrix, Quaternion
 
-from fipt_blender.blend.capture.mesh_import import import_room
-from fipt_blender.blend.room.mesh_arrays import vertex_positions
-from fipt_blender.core.alignment.mesh_file import read_mesh
+from fipt_blender.blend.capture import mesh_reading
+from fipt_blender.core.capture.mesh_file import read_mesh
 from samples import mesh_writers
 from samples.combinations import pairs
 from samples.mesh_writers import CONVEX, Gltf, GltfStyle, ObjStyle, PlyStyle, Solid, together
@@ -38,27 +39,29 @@ def made(name: str, rng: np.random.Generator) -> Solid:
 
 
 def of_blender(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of what Blender imports, in the file's coordinates."""
-    vertices, triangles, count = [], [], 0
-    for name in import_room(path, np.eye(4)):
-        mesh = bpy.data.objects[name].data
-        mesh.calc_loop_triangles()
-        corners = np.empty(3 * len(mesh.loop_triangles), np.int32)
-        mesh.loop_triangles.foreach_get("vertices", corners)
-        vertices.append(vertex_positions(mesh).astype(np.float64))
-        triangles.append(corners.reshape(-1, 3) + count)
-        count += len(mesh.vertices)
-        bpy.data.objects.remove(bpy.data.objects[name])
-    return np.concatenate(vertices), np.concatenate(triangles)
+    """Vertices and triangles as the Blender that reads for the engine finds them."""
+    mesh_reading.read(path, path.with_suffix(".npz"))
+    bpy.data.batch_remove(bpy.data.objects)
+    with np.load(path.with_suffix(".npz")) as found:
+        return found["vertices"], found["triangles"]
 
 
-def check_file(path: Path, solid: Solid, exact: float = 2e-5) -> None:
-    """Both readers find the solid: its triangles, area, volume and bounds, all within `exact` of its size."""
-    for read in (read_mesh, of_blender):
-        vertices, triangles = read(path)
-        found = Solid(vertices[np.unique(triangles)], np.searchsorted(np.unique(triangles), triangles).tolist())
-        assert len(triangles) == solid.triangle_count, (read, len(triangles))
-        np.testing.assert_allclose(found.figures, solid.figures, atol=exact * np.abs(solid.figures).max())
+def check_file(path: Path, solid: Solid, exact: float = 2e-5, read: Callable[[Path], Any] = of_blender) -> None:
+    """The solid is found: its triangles, area, volume and bounds, all within `exact` of its size."""
+    vertices, triangles = read(path)
+    found = Solid(vertices[np.unique(triangles)], np.searchsorted(np.unique(triangles), triangles).tolist())
+    assert len(triangles) == solid.triangle_count, len(triangles)
+    np.testing.assert_allclose(found.figures, solid.figures, atol=exact * np.abs(solid.figures).max())
+
+
+def test_the_engine_asks_a_blender_of_its_own(tmp_path: Path, drawn: np.random.Generator) -> None:
+    solid, file = made("box", drawn), Gltf()
+    mesh, decode = file.add_mesh(solid, GltfStyle())
+    file.write(tmp_path / "room.glb", [{"mesh": mesh, **node_of(decode)}], scenes=[{"nodes": [0]}])
+    check_file(tmp_path / "room.glb", solid, read=read_mesh)
+    assert error_of(read_mesh, tmp_path / "gone.obj").code == "mesh-missing"
+    (tmp_path / "room.xyz").write_text("0 0 0")
+    assert error_of(read_mesh, tmp_path / "room.xyz").code == "mesh-format"
 
 
 @pytest.mark.parametrize(
@@ -180,7 +183,7 @@ def test_nodes_of_gltf(tmp_path: Path, drawn: np.random.Generator, parent: str, 
 @pytest.mark.parametrize("scene", [None, 0, 1])
 @pytest.mark.parametrize("others", ["", "camera", "mesh"])
 def test_scenes_of_gltf(tmp_path: Path, drawn: np.random.Generator, scene: int | None, others: str) -> None:
-    """A file whose meshes are not all in its scene is refused by both, as Blender imports all of them."""
+    """A file whose meshes are not all in its scene is refused, as Blender imports all of them."""
     file, solid = Gltf(), made("box", drawn)
     nodes: list[dict] = [{"mesh": file.add_mesh(solid, GltfStyle())[0]}, {"name": "empty"}]
     more: dict = {"scenes": [{"nodes": [0]}, {"nodes": [1]}], "scene": scene}
@@ -192,9 +195,8 @@ def test_scenes_of_gltf(tmp_path: Path, drawn: np.random.Generator, scene: int |
     path = tmp_path / "room.glb"
     file.write(path, nodes, **more)
     if scene == 1 or others == "mesh":
-        for read in (read_mesh, of_blender):
-            error = error_of(read, path)
-            assert error.code == "mesh-unreadable" and "several scenes" in error.text
+        error = error_of(of_blender, path)
+        assert error.code == "mesh-unreadable" and "several scenes" in error.text
     else:
         check_file(path, solid)
     file.write(path, nodes[:1])

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.capture.depth_images import DepthView, read_depth
 from fipt_blender.core.capture.formats.registry import read_points, read_rig
 from fipt_blender.core.capture.formats.rig_files import stored_rotation
@@ -57,20 +56,6 @@ def test_points_at_infinity_are_left_out(tmp_path: Path) -> None:
         data[0]["points"]["0"]["coordinates"][2], data[0]["points"]["1"]["coordinates"][2] = 1e308, 1e20
     points = read_points(tmp_path, "opensfm")
     assert len(points) == 148 and np.abs(points).max() < 10.0
-
-
-# ------------------------------------------------------------------------------------------------- meshes
-
-
-@pytest.mark.parametrize("kind", ["int", "uint", "float"])
-@pytest.mark.parametrize("name", ["vertex_indices", "vertex_index"])
-def test_corners_of_a_ply_that_are_no_list(tmp_path: Path, kind: str, name: str) -> None:
-    for form, body in (("ascii", b"0 0 0\n0\n"), ("binary_little_endian", bytes(16))):
-        header = f"ply\nformat {form} 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
-        header += f"property float z\nelement face 1\nproperty {kind} {name}\nend_header\n"
-        (tmp_path / "mesh.ply").write_bytes(header.encode() + body)
-        error = error_of(read_mesh, tmp_path / "mesh.ply")
-        assert error.code == "mesh-unreadable" and name in error.text
 
 
 # --------------------------------------------------------------------------------------------------- JSON

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fipt_blender.core.alignment.mesh_file import read_mesh
 from fipt_blender.core.capture.depth_images import fuse, read_depth
 from fipt_blender.core.capture.formats.registry import detect_format, read_rig
+from fipt_blender.core.capture.mesh_file import read_mesh
 from fipt_blender.core.capture.options import CaptureOptions, FusionOptions
 from fipt_blender.core.run.runfolder import RunFolder
 from samples import rgbd_frames

@@ -25,8 +25,8 @@ PREPARE = PACKAGE / "prepare"  # of the engine, too
 HEAVY = "mitsuba drjit torch OpenEXR OpenImageIO pycolmap pyoidn rawpy exifread lensfunpy trimesh".split()
 # What Blender's side may import of the engine: the standard library and numpy are enough for these.
 SHARED = """
-    alignment.gltf_document alignment.obj_file alignment.pairs alignment.ply_file alignment.polygons
-    alignment.sights alignment.turns capture.averaging capture.files capture.options capture.suffixes
+    alignment.pairs alignment.sights alignment.turns capture.averaging capture.files capture.mesh_file
+    capture.options capture.suffixes
     conventions device.cuda optics.factorised run.arrays run.contents run.declared run.documents run.errors run.hints
     run.kinds run.light_size run.lock run.messages run.method run.parts run.paths run.process_identity
     run.result_contents run.run_files run.runfolder run.settings run.shapes run.stage_settings

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..core.run.errors import FiptError
+from ..core.run.process_identity import BLENDER_VARIABLE, running_blender
 from .pins import managed_environments
 from .places import PACKAGE_FOLDER, default_data_folder, environment_python
 
@@ -132,6 +133,7 @@ def engine_environment(python: Path | None = None) -> dict[str, str]:
         python: the engine's interpreter; the child finds the libraries of its `system_folder`.
     """
     environment = {key: value for key, value in os.environ.items() if not key.upper().startswith("PYTHON")}
+    environment.setdefault(BLENDER_VARIABLE, running_blender())
     environment.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     environment.setdefault("KMP_BLOCKTIME", "0")
     if python is not None and sys.platform == "linux" and (folder := system_folder(python)).is_dir():

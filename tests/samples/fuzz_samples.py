@@ -17,7 +17,7 @@ from fipt_blender.core.run.hints import Hint, write_hints
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.run.shapes import ROOM_ARRAYS
-from samples import capture_files, mesh_writers, rig_writers
+from samples import capture_files, rig_writers
 
 PINHOLE = Lens("PINHOLE", (9.0, 9.0, 6.0, 4.0))
 
@@ -203,27 +203,6 @@ def write_named_meshes(folder: Path) -> None:
         "nodes": [{"mesh": 0}],
     }
     (folder / "a.gltf").write_text(json.dumps(data))
-
-
-def write_meshes(folder: Path) -> None:
-    """A wavy surface of 242 triangles as OBJ, PLY, STL and GLB."""
-    from fipt_blender.core.depth.extraction import FusedMesh
-    from fipt_blender.core.depth.ply import write_ply
-
-    steps = np.arange(12)
-    x, y = (part.ravel() for part in np.meshgrid(steps, steps))
-    vertices = np.stack([x, y, np.sin(x)], axis=1).astype(np.float32)
-    first = np.add.outer(12 * steps[:-1], steps[:-1]).ravel()
-    triangles = (first[:, None] + [0, 1, 13, 0, 13, 12]).reshape(-1, 3).astype(np.int32)
-    write_ply(folder / "mesh.ply", FusedMesh(vertices, triangles))
-    lines = ["v {:.6g} {:.6g} {:.6g}".format(*vertex) for vertex in vertices]
-    lines += ["f {} {} {}".format(*(triangle + 1)) for triangle in triangles]
-    (folder / "mesh.obj").write_text("\n".join([*lines, ""]))
-    solid = mesh_writers.Solid(vertices.astype(np.float64), triangles.tolist())
-    mesh_writers.write_stl(folder / "mesh.stl", solid, text=False)
-    file = mesh_writers.Gltf()
-    mesh, decode = file.add_mesh(solid, mesh_writers.GltfStyle(5, position="<u2"))
-    file.write(folder / "mesh.glb", [{"mesh": mesh, "matrix": decode.T.reshape(-1).tolist()}])
 
 
 def write_points(folder: Path) -> None:

@@ -105,7 +105,7 @@ def _preparation(sample: Path, out: Path) -> None:
 
 def _named_meshes(sample: Path, out: Path) -> None:
     """The checks before Blender's importers, and what a resumed job compares."""
-    from fipt_blender.blend.capture.mesh_files import check_mesh_file
+    from fipt_blender.blend.capture.mesh_names import check_mesh_file
     from fipt_blender.jobs.fingerprints import mesh_fingerprint
 
     refused = None
@@ -138,21 +138,6 @@ def _depth_points(sample: Path, out: Path) -> None:
 
     rig = read_rig(sample, "rgbd", CaptureOptions())
     alignment_points(sample, replace(rig, depths=checked_depths(rig.depths)))
-
-
-def _simplify(sample: Path, out: Path) -> None:
-    """Simplification of mesh files, and the surface to which cameras are aligned."""
-    from fipt_blender.core.alignment.mesh_file import read_mesh
-    from fipt_blender.core.alignment.surface import sample_surface
-    from fipt_blender.core.capture.source import simplified_mesh
-    from fipt_blender.core.depth.ply import write_ply
-
-    for name in ("mesh.ply", "mesh.obj", "mesh.stl", "mesh.glb"):
-        found = simplified_mesh(sample / name, 100)
-        if found is not None:
-            write_ply(out / "small.ply", found[0])
-        surface = sample_surface(*read_mesh(sample / name), np.random.default_rng(0), 500)
-        surface.nearest(surface.points[:50] + 0.1)
 
 
 def _points(sample: Path, out: Path) -> None:
@@ -212,7 +197,6 @@ TARGETS = (
     *(Target(name, _program(write), fuzz_samples.import_sample) for name, write in PROGRAMS.items()),
     Target("rgbd", _rgbd, fuzz_samples.import_sample),
     Target("depth-points", _rgbd, _depth_points),
-    Target("meshes", fuzz_samples.write_meshes, _simplify),
     Target("points", fuzz_samples.write_points, _points),
     Target("images", fuzz_samples.write_image_files, _image_files),
     Target("capture", fuzz_samples.write_capture, _load_capture),

@@ -18,12 +18,13 @@ import numpy as np
 from mathutils import Matrix
 
 from ...core import conventions
+from ...core.capture.mesh_file import read_mesh
 from ...core.run.errors import FiptError
 from ...core.run.shapes import FARTHEST
 from ..image_datablocks import check_length
 from ..outliner import ROOM, collection, move_to
 from ..room.mesh_arrays import corner_normals, corner_vertices
-from .mesh_files import check_mesh_file
+from .mesh_names import check_mesh_file
 
 _AS_STORED = {"forward_axis": "Y", "up_axis": "Z"}
 # suffix -> (operator module, operator, arguments); the first operator that exists is used.
@@ -66,6 +67,15 @@ def import_room(
     path = Path(path)
     if not path.is_file():
         raise FiptError("mesh-missing", f"The mesh {path} does not exist.", "Restore it, or choose another.")
+    if path.suffix.lower() == ".ply":  # its importer crashes at damaged files
+        read_mesh(path)
+    return import_meshes(path, world_from_source, scene)
+
+
+def import_meshes(
+    path: Path, world_from_source: np.ndarray, scene: bpy.types.Scene | None = None
+) -> list[str]:
+    """`import_room` of a file at which the importer may crash."""
     check_length(path)
     check_mesh_file(path)
     existing = {item.as_pointer() for item in bpy.data.objects}

@@ -13,8 +13,9 @@ import urllib.parse
 from collections.abc import Iterator
 from pathlib import Path
 
-from ...core.alignment.gltf_document import read_document
+from ...core.run.errors import FiptError
 from ...core.run.paths import is_network, is_special, leads_outside
+from .gltf_document import check_scenes, read_document
 
 # Not anchored to the line, as searching for plain text is many times faster. Names in comments do no harm.
 _LIBRARY = re.compile(rb"mtllib[ \t]+([^\r\n]{1,4096})")
@@ -34,6 +35,24 @@ def named_files(path: Path) -> set[str]:
     if path.suffix.lower() == ".obj":
         return _obj_names(path)
     return _gltf_names(path) if path.suffix.lower() in _GLTF else set()
+
+
+def check_mesh_file(path: Path) -> None:
+    """Refuse a mesh file that names files which it may not name, or that Blender's importer takes wrongly.
+
+    Raises:
+        FiptError: ``mesh-unreadable``.
+    """
+    try:
+        check_named_files(path)
+        if path.suffix.lower() in _GLTF:
+            check_scenes(read_document(path))
+    except (OSError, ValueError) as error:
+        raise FiptError(
+            "mesh-unreadable",
+            f"The mesh {path} can't be used: {error}.",
+            "Copy or export the file again, or choose another mesh.",
+        ) from None
 
 
 def check_named_files(path: Path) -> None:
@@ -85,6 +104,6 @@ def _matches(path: Path, pattern: re.Pattern[bytes]) -> Iterator[str]:
 
 def _gltf_names(path: Path) -> set[str]:
     """Buffers and images of a glTF file."""
-    document, _ = read_document(path)
+    document = read_document(path)
     names = {each.uri or "data:" for each in (*document.buffers, *document.images)}
     return {urllib.parse.unquote(name) for name in names if not name.startswith("data:")}

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ..alignment.mesh_file import read_mesh
 from ..conventions import transform_points
 from ..depth.extraction import FusedMesh
 from ..depth.ply import write_ply
@@ -22,6 +21,7 @@ from .checks import judge_size
 from .color_camera import with_color_camera
 from .depth_images import Fusion, checked_depths
 from .formats.registry import read_points, read_rig
+from .mesh_file import read_mesh
 from .options import CaptureOptions
 from .rig import Note, Rig
 

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import conventions
-from ..alignment.mesh_file import read_mesh
 from ..alignment.turns import rotation_between, turn_by
 from ..robust import deviation, student_weights
 from ..run.errors import FiptError
 from ..run.shapes import FARTHEST_UNITS
+from .mesh_file import read_mesh
 from .rig import Note
 
 # Length of the mean up direction of the cameras' images above which it tells which way is up; it is short

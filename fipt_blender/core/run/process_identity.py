@@ -16,6 +16,9 @@ import threading
 import time
 from pathlib import Path
 
+# The Blender that reads meshes, or a Python that has it as a module; of the engine's environment.
+BLENDER_VARIABLE = "FIPT_BLENDER"
+
 
 def host_name() -> str:
     """The name of this machine."""
@@ -83,3 +86,9 @@ def end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def running_blender() -> str:
+    """The program that is this Blender: its executable, or the Python that has it as a module."""
+    blender = getattr(sys.modules.get("bpy"), "app", None)
+    return os.environ.get(BLENDER_VARIABLE) or getattr(blender, "binary_path", "") or sys.executable

@@ -1,49 +1,21 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The JSON of glTF files, for the engine's reader and for the checks before Blender's importer.
-
-Standard library only.
-"""
+"""The JSON of glTF files, for the checks before Blender's importer."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from ..run.documents import MOST_BYTES, parse_document
-from ..run.kinds import Number, Row, Vector, as_kind
+from ...core.run.documents import MOST_BYTES, parse_document
+from ...core.run.kinds import Number, as_kind
 
 _Count = Annotated[int, Number(0, 1 << 40)]
 
 # Fields are named as in the files.
-
-
-@dataclass(frozen=True)
-class Attributes:
-    """Indices of accessors."""
-
-    POSITION: _Count | None = None
-
-
-@dataclass(frozen=True)
-class Primitive:
-    """Triangles, lines or points."""
-
-    attributes: Attributes
-    indices: _Count | None = None
-    mode: Annotated[int, Number(0, 6)] = 4
-    extensions: dict = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """Its pieces."""
-
-    primitives: tuple[Primitive, ...]
-    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -52,11 +24,6 @@ class Node:
 
     children: tuple[_Count, ...] = ()
     mesh: _Count | None = None
-    extensions: dict = field(default_factory=dict)
-    matrix: tuple[float, ...] | None = None
-    translation: Vector | None = None
-    rotation: Row | None = None
-    scale: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -64,30 +31,6 @@ class Scene:
     """Its nodes without parents."""
 
     nodes: tuple[_Count, ...] = ()
-
-
-@dataclass(frozen=True)
-class Accessor:
-    """How values lie in a view of a buffer."""
-
-    componentType: _Count
-    count: _Count
-    type: str
-    bufferView: _Count | None = None
-    byteOffset: _Count = 0
-    sparse: dict | None = None
-    normalized: bool = False
-
-
-@dataclass(frozen=True)
-class BufferView:
-    """A part of a buffer, bytes."""
-
-    buffer: _Count
-    byteLength: _Count
-    byteOffset: _Count = 0
-    byteStride: _Count | None = None
-    extensions: dict = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -104,15 +47,12 @@ class Document:
     scene: _Count = 0
     scenes: tuple[Scene, ...] = ()
     nodes: tuple[Node, ...] = ()
-    meshes: tuple[Mesh, ...] = ()
-    accessors: tuple[Accessor, ...] = ()
-    bufferViews: tuple[BufferView, ...] = ()
     buffers: tuple[Named, ...] = ()
     images: tuple[Named, ...] = ()
 
 
-def read_document(path: Path) -> tuple[Document, int]:
-    """The JSON of a .gltf or .glb file, and the byte behind it, where a binary file has its buffer.
+def read_document(path: Path) -> Document:
+    """The JSON of a .gltf or .glb file.
 
     Raises:
         OSError: the system's.
@@ -130,11 +70,11 @@ def read_document(path: Path) -> tuple[Document, int]:
         text = file.read(size)
     if len(text) < size:
         raise ValueError("it is cut off")
-    return as_kind(parse_document(text.decode("utf-8"), strict=False), Document), start + size
+    return as_kind(parse_document(text.decode("utf-8"), strict=False), Document)
 
 
-def scene_roots(document: Document) -> list[int]:
-    """The nodes of a file's scene, without their children; without scenes those that have no parent.
+def check_scenes(document: Document) -> None:
+    """Refuse a file whose meshes are not all in its scene.
 
     Blender imports the nodes of all scenes, and how it tells them apart depends on its version.
 
@@ -158,7 +98,6 @@ def scene_roots(document: Document) -> list[int]:
         waiting += nodes[index].children
     if any(node.mesh is not None for index, node in enumerate(nodes) if index not in shown):
         raise ValueError("it has several scenes, or meshes in none; export one scene alone")
-    return roots
 
 
 def item(document: Document, name: str, index: int) -> Any:
