@@ -336,13 +336,6 @@ def test_metashape_reads_the_largest_of_several_chunks(tmp_path: Path) -> None:
     assert [note.code for note in rig.notes] == ["several-models"] and "(1, 3 " in rig.notes[0].text
 
 
-def test_metashape_with_geographic_coordinates_is_named(tmp_path: Path) -> None:
-    shots = write.make_shots(count=2)
-    chunk = Chunk([replace(shot, centre=shot.centre + 4e6) for shot in shots], 1.0, np.eye(3), np.full(3, 4e6))
-    write_metashape(tmp_path, [metashape_chunk(chunk)])
-    assert [note.code for note in read(tmp_path).notes] == ["georeferenced"]
-
-
 @pytest.mark.parametrize(
     ("old", "new", "code"),
     [
@@ -434,16 +427,6 @@ def test_blocksexchange_largest_component_and_photographs_without_a_pose(tmp_pat
     assert_same(rig, [shots[0], shots[3]])
     assert [note.code for note in rig.notes] == ["several-models", "pose-lost"]
     assert "2 photographs" in rig.notes[1].text and "IMG_0002.jpg" in rig.notes[1].text
-
-
-@pytest.mark.parametrize(
-    ("system", "offset", "notes"),
-    [('LOCAL_CS["m"]', 0.0, []), ("ENU:1,2", 0.0, []), ("EPSG:2154", 6e5, ["georeferenced"])],
-)
-def test_blocksexchange_reference_systems(tmp_path: Path, system: str, offset: float, notes: list[str]) -> None:
-    shots = [replace(shot, centre=shot.centre + offset) for shot in write.make_shots(count=2)]
-    write.write_blocksexchange(tmp_path, shots, system=system)
-    assert [note.code for note in read(tmp_path).notes] == notes
 
 
 @pytest.mark.parametrize(

@@ -144,13 +144,11 @@ def _simplify(sample: Path, out: Path) -> None:
     """Simplification of mesh files, and the surface to which cameras are aligned."""
     from fipt_blender.core.alignment.mesh_file import read_mesh
     from fipt_blender.core.alignment.surface import sample_surface
-    from fipt_blender.core.capture.source import simplified_mesh
+    from fipt_blender.core.capture.source import fewer_triangles
     from fipt_blender.core.depth.ply import write_ply
 
     for name in ("mesh.ply", "mesh.obj", "mesh.stl", "mesh.glb"):
-        found = simplified_mesh(sample / name, 100)
-        if found is not None:
-            write_ply(out / "small.ply", found[0])
+        write_ply(out / "small.ply", fewer_triangles(*read_mesh(sample / name), 100))
         surface = sample_surface(*read_mesh(sample / name), np.random.default_rng(0), 500)
         surface.nearest_triangle(surface.points[:50] + 0.1)
 

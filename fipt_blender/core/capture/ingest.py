@@ -183,6 +183,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         source=rig.source,
         world_from_source=as_matrix(world_from_source),
         mesh=None if mesh is None else str(mesh),
+        offset=tuple(source.offset.tolist()),
         views=tuple(
             _captured(run_folder, *one)
             for one in zip(

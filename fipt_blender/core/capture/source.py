@@ -26,6 +26,7 @@ from .depth_images import Fusion, checked_depths
 from .formats.registry import read_points, read_rig
 from .options import CaptureOptions
 from .photograph_mesh import Photograph, photograph_mesh
+from .relation import relate
 from .rig import Note, Rig
 
 # Depth images are measured in metres, and often show a part of a room: only their unit can be wrong, which is
@@ -40,12 +41,18 @@ class Source:
     Attributes:
         rig: cameras and images, aligned to the mesh where that was asked for.
         mesh: the mesh file; None without one.
-        simplified: the same with fewer triangles, which is used instead; None where that is not wanted.
+        made: what is used instead of the file: fewer triangles or other coordinates; None for the file.
+        offset: (3,) what must be added for the coordinates of the camera file.
+        vertices: (V, 3) of the mesh, None without one that can be read here.
+        fits: see `relation.Related`.
     """
 
     rig: Rig
     mesh: Path | None
-    simplified: FusedMesh | None
+    made: FusedMesh | None
+    offset: np.ndarray
+    vertices: np.ndarray | None
+    fits: bool
 
 
 def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> Source:
@@ -61,14 +68,21 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
         rig = with_color_camera(rig, options.scale)
     if options.align_mesh:
         rig = aligned_to_mesh(capture, rig, mesh)
-    notes = list(rig.notes)
-    simplified, budget = None, options.triangles
-    if budget and mesh is not None and (fewer := simplified_mesh(mesh, budget)) is not None:
-        simplified = fewer[0]
-        notes.append(fewer[1])
+    related = relate(capture, rig, mesh, options.align_mesh)
+    notes, made = list(related.rig.notes), None
+    vertices, triangles = related.vertices, related.triangles
+    if vertices is not None and (related.moved or 0 < options.triangles < len(triangles)):
+        made = fewer_triangles(vertices, triangles, options.triangles)
+        text = (
+            f"The mesh {mesh} was written anew with {len(made.triangles):,} of {len(triangles):,} triangles."
+        )
+        remedy = "Its material slots, colors and UVs are not kept."
+        if not related.moved:
+            remedy += " Set the triangles to 0 to use the mesh itself."
+        notes.append(Note("mesh-simplified", text, remedy))
     for note in notes:
         reporter.warning(note.code, note.text, note.remedy)
-    return Source(rig, mesh, simplified)
+    return Source(related.rig, mesh, made, related.offset, vertices, related.fits)
 
 
 def mesh_fusion(run: RunFolder, source: Source, options: CaptureOptions) -> Fusion | None:
@@ -86,8 +100,8 @@ def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: Fus
     """
     if fusion is not None:
         return run.fused_ply if fused is None else fusion.keep(fused)
-    if source.simplified is not None:
-        write_ply(run.simplified_ply, source.simplified)
+    if source.made is not None:
+        write_ply(run.simplified_ply, source.made)
         return run.simplified_ply
     return source.mesh
 
@@ -105,7 +119,7 @@ def mesh_of_photographs(
         FiptError: those of `photograph_mesh`; ``disk-full`` or ``run-unwritable``.
     """
     try:
-        points = read_points(capture, source.rig.source)
+        points = read_points(capture, source.rig.source) - source.offset
     except FiptError:  # the format has none
         points = np.zeros((0, 3))
     mesh, note = photograph_mesh(photographs, points, progress)
@@ -121,12 +135,16 @@ def size_note(capture: Path, source: Source, mesh: Path | None, world_from_sourc
         mesh: the capture's mesh file, if it has one.
         world_from_source: (4, 4) similarity.
     """
-    try:
-        points = read_mesh(mesh)[0] if mesh is not None else read_points(capture, source.rig.source)
-    except FiptError:  # told where it is used, or the format has no points
-        return None
+    points = source.vertices
+    if points is None:
+        try:
+            points = read_mesh(mesh)[0] if mesh is not None else read_points(capture, source.rig.source)
+        except FiptError:  # told where it is used, or the format has no points
+            return None
     slack = MEASURED if source.mesh is None and source.rig.depths else 1.0
-    return judge_size(transform_points(world_from_source, points), slack) if len(points) else None
+    if not source.fits or not len(points):  # what is known already explains it
+        return None
+    return judge_size(transform_points(world_from_source, points), slack)
 
 
 def _with_layer(rig: Rig, layer: str) -> Rig:
@@ -144,22 +162,14 @@ def _mesh(rig: Rig, options: CaptureOptions) -> Path | None:
     return options.mesh.absolute()
 
 
-def simplified_mesh(path: Path, triangles: int) -> tuple[FusedMesh, Note] | None:
-    """The mesh of a file with at most about `triangles` triangles; None where it has no more.
-
-    Raises:
-        FiptError: one of `read_mesh`.
-    """
-    vertices, faces = read_mesh(path)
-    if len(faces) <= triangles:
-        return None
+def fewer_triangles(vertices: np.ndarray, triangles: np.ndarray, most: int) -> FusedMesh:
+    """A mesh with at most about so many triangles; all of them with 0."""
+    if not 0 < most < len(triangles):
+        return FusedMesh(vertices.astype(np.float32), triangles.astype(np.int32))
     # Formats with a vertex for each face corner would fall apart into single triangles.
     welded, index = np.unique(vertices, axis=0, return_inverse=True)
-    faces = index.reshape(-1)[faces]
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    fewer = faces.astype(np.int32)
-    if len(fewer) > triangles:
-        welded, fewer = collapsed(welded, fewer, triangles)
-    text = f"The mesh {path} was simplified from {len(faces):,} to {len(fewer):,} triangles."
-    remedy = "Its material slots, colors and UVs are not kept. Set the triangles to 0 to use the mesh itself."
-    return FusedMesh(welded.astype(np.float32), fewer), Note("mesh-simplified", text, remedy)
+    faces = index.reshape(-1)[triangles]
+    fewer = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)].astype(np.int32)
+    if len(fewer) > most:
+        welded, fewer = collapsed(welded, fewer, most)
+    return FusedMesh(welded.astype(np.float32), fewer)

@@ -18,7 +18,6 @@ from ...run.shapes import MOST_SIDE
 from ..rig import Note, RigView, WellFormed, damaged
 
 MOST_TEXT_BYTES = 256_000_000  # of a camera file
-FAR = 1e5  # units from the origin; rooms with local coordinates are nearer
 
 
 # ------------------------------------------------------------------------------------------------ recognition
@@ -193,11 +192,3 @@ def largest_model(
         "To use another one, or all of them together, connect them in the program that solved the cameras.",
     )
     return tuple(chosen), (note,)
-
-
-def far_notes(file: Path, views: Sequence[RigView], remedy: str) -> tuple[Note, ...]:
-    """A warning of cameras with the Earth's coordinates, in which meshes are exported otherwise."""
-    if not views or max(float(np.abs(view.camera_to_world[:3, 3]).max()) for view in views) < FAR:
-        return ()
-    text = f"The cameras of {file} lie more than {FAR:g} units from the origin, in geographic coordinates."
-    return (Note("georeferenced", text, remedy),)
