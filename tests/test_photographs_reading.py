@@ -33,7 +33,7 @@ from fipt_blender.prepare.preparation import (
 )
 from fipt_blender.prepare.reading import list_photographs, without_doubles
 from samples.photographs import exif, write_brackets, write_jpeg
-from samples.prepared_captures import prepare
+from samples.prepared_captures import facts, prepare
 from samples.refusals import error_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -156,6 +156,38 @@ def test_the_jpeg_beside_a_raw_photograph_is_left_out() -> None:
     photographs = [shot("1.jpg", 1.0), shot("1.DNG", 1.0, kind="raw"), shot("2.jpg", 1.0)]
     kept, doubles = without_doubles(photographs)
     assert [item.path for item in kept] == ["1.DNG", "2.jpg"] and doubles == photographs[:1]
+
+
+def test_copies_in_other_folders_and_of_other_edits_are_left_out() -> None:
+    photographs = [
+        shot("RAW/1.DNG", 1.0, 10.0, kind="raw"),
+        shot("JPG/1.JPG", 1.0, 10.0),
+        shot("other/1.JPG", 1.0, 99.0),  # another camera's, whose counter was there, too
+        shot("IMG_100.JPG", 1.0, 20.0),
+        shot("IMG_E100.JPG", 1.0, 20.0),
+        shot("IMG_E101.JPG", 1.0, 30.0),  # without its original
+        shot("day/a.jpg", 1.0, 40.0),
+        shot("day/a-edited.jpg", 1.0, 40.0),
+    ]
+    kept, copies = without_doubles(photographs)
+    assert [item.path for item in copies] == ["JPG/1.JPG", "IMG_E100.JPG", "day/a-edited.jpg"]
+    assert len(kept) == 5
+
+
+def test_maps_and_companions_are_no_photographs(tmp_path: Path) -> None:
+    source, capture = tmp_path / "in", tmp_path / "out"
+    write_brackets(source, 2, (1 / 60, 1 / 240))
+    (source / "._IMG_1.jpg").write_bytes(bytes.fromhex("00051607") + bytes(200))
+    for name in ("depth/1.png", "depth/2.png", "confidence/1.png", "IMG_1_normal.png"):
+        (source / name).parent.mkdir(exist_ok=True)
+        Image.fromarray(GREY[..., 0]).save(source / name)
+    write_jpeg(source / "depth of the room.jpg", GREY, exif(1 / 15))  # of a camera
+    reporter = read(source, capture)
+    found = facts(PreparationFolder(capture), "read")
+    assert found["photographs"] == 5 and len(found["skipped"]) == 4
+    assert "._IMG_1.jpg" not in {item["path"] for item in found["skipped"]}
+    said = [warning for warning in reporter.warnings if warning["code"] == "images-left-out"]
+    assert len(said) == 1 and "2 depth maps" in said[0]["text"] and "1 confidence maps" in said[0]["text"]
 
 
 def test_reading_a_folder(tmp_path: Path) -> None:

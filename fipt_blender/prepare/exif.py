@@ -24,6 +24,7 @@ from ..core.capture.encoded import (
     relative_exposure,
     shutter_aperture_iso,
 )
+from ..core.capture.files import stand_in
 from ..core.capture.images import image_tags, open_picture
 from ..core.capture.suffixes import RAW_SUFFIXES
 from ..core.run.errors import FiptError
@@ -52,6 +53,8 @@ def describe(path: Path, name: str) -> Photograph:
     Raises:
         FiptError: ``photograph-unreadable`` for RAW files, and those of `read_size`.
     """
+    if (error := stand_in(path)) is not None:
+        raise error
     if path.suffix.lower() not in RAW_SUFFIXES:
         picture, tags = open_picture(path), image_tags(path)
         if picture.type != "float32":

@@ -24,6 +24,7 @@ from ..run.runfolder import PRODUCT_VERSION, RunFolder, write_json
 from . import checks
 from .encoded import srgb_encoded
 from .exr_file import read_exr_values
+from .files import stand_in
 from .images import is_encoded, open_picture, read_radiance, read_size, stored_values
 from .options import FusionOptions
 from .rig import DepthView, Pinhole, RigView
@@ -82,7 +83,7 @@ def _stored(path: Path) -> np.ndarray:
             return np.nan_to_num(read_exr_values(path)[..., 0], nan=0.0, posinf=0.0, neginf=0.0)
         values = stored_values(path, picture)
     except FiptError as error:
-        raise _unreadable(path, error.text) from None
+        raise stand_in(path) or _unreadable(path, error.text) from None
     if picture.kind != "png" or values.shape[2] > 1 or values.dtype != np.uint16:
         raise FiptError(
             "depth-format",
@@ -244,7 +245,7 @@ def depth_size(path: Path) -> tuple[int, int]:
     try:
         return read_size(path)
     except FiptError as error:
-        raise _unreadable(path, error.text) from None
+        raise stand_in(path) or _unreadable(path, error.text) from None
 
 
 def registered_depths(

@@ -37,6 +37,7 @@ from .encoded import (
     unreadable,
 )
 from .exr_file import exr_is_plain, exr_size, read_exr, read_exr_values
+from .files import stand_in
 from .primaries import Colors
 from .suffixes import IMAGE_SUFFIXES, RAW_SUFFIXES
 
@@ -92,6 +93,8 @@ def open_picture(path: Path, layer: str = "") -> Picture:
             found = _STARTS.match(file.read(16))
         kind, suffix = str(found and found.lastgroup), path.suffix.lower()
         if found is None or suffix in RAW_SUFFIXES:
+            if (error := stand_in(path)) is not None:
+                raise error
             if suffix in IMAGE_SUFFIXES:
                 raise ValueError(f"its content is none of {FORMATS}")
             raise FiptError(

@@ -24,6 +24,7 @@ from .files import (
     is_plain,
     key,
     name_parts,
+    role,
     stem_of,
     suffix_of,
     view_name,
@@ -219,6 +220,7 @@ class Places:
         suffixes, folders = {suffix_of(path.name) for path in used}, {path.parent for path in used}
         beside = [path for folder in sorted(folders) for path in self.folders.images(folder)]
         beside = [path for path in beside if suffix_of(path.name) in suffixes and not self.own_paths]
+        beside = [path for path in beside if not role(str(path))]  # maps and masks of photographs
         unused = [_unused("images-unused", "image files", "camera", beside, used)]
         for kind, folder in self.id_folders.items():
             roots = [root for root in self.roots if root in (self.roots[0], self.inside)]

@@ -85,7 +85,7 @@ def relate(capture: Path, rig: Rig, mesh: Path | None, aligned: bool) -> Related
         aligned: whether the cameras have been aligned to it, which has its own checks.
 
     Raises:
-        FiptError: ``pose-unsupported`` for positions in degrees.
+        FiptError: ``pose-unsupported`` for positions in degrees; ``mesh-unreadable``.
     """
     places = np.array([view.camera_to_world[:3, 3] for view in rig.views]).reshape(-1, 3)
     usable = len(places) > 0 and all(np.isfinite(view.camera_to_world).all() for view in rig.views)
@@ -94,8 +94,11 @@ def relate(capture: Path, rig: Rig, mesh: Path | None, aligned: bool) -> Related
     notes = _coordinate_notes(places, folders) if usable else []
     vertices, triangles, place = None, np.zeros((0, 3), np.int64), np.eye(4)
     if mesh is not None:
-        with suppress(FiptError):  # told by who uses it
+        try:
             vertices, triangles = read_mesh(mesh)
+        except FiptError:
+            if mesh.suffix.lower() in (".ply", ".obj"):  # of others, Blender's importers read more
+                raise
     fits = True
     if usable and vertices is not None and len(triangles) and not aligned:
         cameras = _Cameras(rig, _samples(vertices, triangles))
@@ -288,7 +291,7 @@ def _judged(capture: Path, rig: Rig, mesh: Path | None, cameras: _Cameras, place
 
 
 def _cures(cameras: _Cameras) -> list[str]:
-    """What exporters do with meshes that makes this one fit: another unit, or else a turn; the tightest unit."""
+    """What exporters do with meshes that makes this one fit: another unit, the tightest, or else a turn."""
     for turns in (TURNS[:1], TURNS[1:]):
         cures = []
         for turn, degrees in turns:

@@ -23,6 +23,7 @@ from .align_mesh import aligned_to_mesh
 from .checks import judge_size
 from .color_camera import with_color_camera
 from .depth_images import Fusion, checked_depths
+from .files import stand_in
 from .formats.registry import read_points, read_rig
 from .options import CaptureOptions
 from .photograph_mesh import Photograph, photograph_mesh
@@ -155,11 +156,12 @@ def _with_layer(rig: Rig, layer: str) -> Rig:
 
 
 def _mesh(rig: Rig, options: CaptureOptions) -> Path | None:
-    if options.mesh is None:
-        return None if rig.mesh is None else rig.mesh.absolute()
-    if not options.mesh.is_file():
+    if options.mesh is not None and not options.mesh.is_file():
         raise FiptError("mesh-missing", f"The mesh {options.mesh} does not exist.", "Correct the path.")
-    return options.mesh.absolute()
+    mesh = options.mesh or rig.mesh
+    if mesh is not None and (error := stand_in(mesh)) is not None:
+        raise error
+    return None if mesh is None else mesh.absolute()
 
 
 def fewer_triangles(vertices: np.ndarray, triangles: np.ndarray, most: int) -> FusedMesh:

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...conventions import opengl_to_opencv_camera, transform_poses
 from ..depth_images import registered_depths
+from ..files import visible
 from ..options import CaptureOptions
 from ..places import Places
 from ..rig import Lens, Rig, RigView, WellFormed, read_json_rig, read_pose
@@ -37,7 +38,7 @@ def find(path: Path) -> tuple[Path, str] | None:
     for root in (path / "keyframes", path):
         for cameras, photographs in FOLDERS:
             folder = root / cameras
-            if folder.is_dir() and any(file.suffix.lower() == ".json" for file in folder.iterdir()):
+            if folder.is_dir() and any(file.suffix.lower() == ".json" for file in visible(folder)):
                 return folder, photographs
     return None
 
@@ -52,7 +53,7 @@ def read(found: tuple[Path, str], options: CaptureOptions) -> Rig:
     keyframes = cameras.parent
     folders = tuple(f"keyframes/{name}" for name in (photographs, "hdr", "exr"))
     places = Places(cameras, (keyframes.parent,), options.images, (*folders, "hdr", "exr", "."))
-    files = sorted(file for file in cameras.iterdir() if file.suffix.lower() == ".json")
+    files = sorted(file for file in visible(cameras) if file.suffix.lower() == ".json")
     alignment = _alignment(keyframes.parent)
     views = tuple(_view(file, places, alignment) for file in files)
     images = [places.depth(keyframes / "depth", file.stem) for file in files]

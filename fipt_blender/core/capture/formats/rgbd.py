@@ -16,6 +16,7 @@ import numpy as np
 
 from ...run.errors import FiptError
 from ..depth_images import depth_size
+from ..files import visible
 from ..images import read_size
 from ..options import CaptureOptions
 from ..places import Places
@@ -48,7 +49,7 @@ def find(path: Path) -> Path | None:
             continue
         if all((root / name).is_dir() for name in ("depth", "pose", "intrinsic")):
             return root
-        names = [path.name.lower() for path in root.iterdir()]
+        names = [path.name.lower() for path in visible(root)]
         if all(any(name.endswith(end) for name in names) for end in (POSE, ".depth.png")):
             return root
     return None
@@ -94,13 +95,13 @@ def read(root: Path, options: CaptureOptions) -> Rig:
 def _frames(root: Path, places: Places) -> list[_Frame]:
     """All frames with a pose, by name."""
     if (root / "intrinsic").is_dir():
-        poses = [file for file in (root / "pose").iterdir() if file.suffix.lower() == ".txt"]
+        poses = [file for file in visible(root / "pose") if file.suffix.lower() == ".txt"]
         found = [
             _Frame(pose.stem, places.depth(root / "depth", pose.stem), pose, pose.stem) for pose in poses
         ]
         # Frames are numbered without leading zeros.
         return sorted(found, key=lambda frame: (len(frame.name), frame.name))
-    poses = sorted(file for file in root.iterdir() if file.name.lower().endswith(POSE))
+    poses = sorted(file for file in visible(root) if file.name.lower().endswith(POSE))
     stems = [pose.name[: -len(POSE)] for pose in poses]
     return [
         _Frame(stem, places.depth(root, f"{stem}.depth"), pose, f"{stem}.color")

@@ -15,6 +15,7 @@ import numpy as np
 from ...alignment.turns import quaternion_rotation
 from ...run.documents import decoded, read_limited
 from ...run.shapes import MOST_SIDE
+from ..files import visible
 from ..rig import Note, RigView, WellFormed, damaged
 
 MOST_TEXT_BYTES = 256_000_000  # of a camera file
@@ -41,7 +42,7 @@ def camera_files(path: Path, suffixes: Iterable[str], folders: Sequence[str] = (
         return
     for folder in folders:
         if (path / folder).is_dir():
-            for entry in sorted((path / folder).iterdir()):
+            for entry in visible(path / folder):
                 if entry.suffix.lower() in wanted and entry.is_file():
                     yield entry
 
