@@ -31,6 +31,7 @@ FORMATS = (
     ("polycam", "Polycam", "The raw data that Polycam exports"),
     ("record3d", "Record3D", "A file metadata.json beside the folder rgb or rgbd"),
     ("3d-scanner-app", "3D Scanner App", "The export All Data, with files frame_00000.json"),
+    ("stray-scanner", "Stray Scanner", "Folders of the app Stray Scanner, with the video's pictures in rgb"),
     ("rgbd", "RGB-D Frames", "Photographs, depth images and poses of 7-Scenes, tsdf-fusion or ScanNet"),
     ("scannetpp", "ScanNet++", "The DSLR photographs of a ScanNet++ scene"),
     ("fipt-synthetic", "FIPT Synthetic", "Folders train and val with Image, IndexMA and segmentation"),

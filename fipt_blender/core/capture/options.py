@@ -21,7 +21,7 @@ from ..run.shapes import SCALES
 FORMATS = (
     *("fipt-synthetic", "fipt-real", "scannetpp", "transforms", "colmap", "metashape", "blocksexchange"),
     *("realityscan", "meshroom", "opensfm", "openmvg", "bundler", "nvm", "polycam", "record3d"),
-    *("3d-scanner-app", "rgbd"),
+    *("3d-scanner-app", "stray-scanner", "rgbd"),
 )
 VOXELS = (0.002, 1.0)  # metres
 LEAST_TRIANGLES = 100  # of a budget; fewer are no room
@@ -45,7 +45,7 @@ TEXTS = {
     "panorama_place": "where it was taken: meters in the imported scene, Z up; =-1,0,1.5 if X is negative",
     "panorama_heading": "degrees by which its centre is turned from Y to the left (default: 0)",
     "views": "use N photographs, evenly spread (default: all)",
-    "voxel": "meters, of a mesh fused from depth images (default: 0.02)",
+    "voxel": "meters, of a mesh fused from depth images; 0 to follow their pixels (default: 0)",
     "triangles": "simplify a mesh with more triangles to about N; 0 for none",
     "mesh_from_photographs": (
         "without a mesh and depth images, make a rough mesh of the photographs alone; takes seconds for each"
@@ -71,7 +71,7 @@ _TYPES: dict[str, tuple[Callable[[str], Any], str | None]] = {
 class FusionOptions:
     """How depth images are fused; see `CaptureOptions`."""
 
-    voxel: float = 0.02
+    voxel: float = 0.0
     triangles: int = 0
 
 
@@ -95,7 +95,7 @@ class CaptureOptions:
     panorama_place: tuple[float, ...] = (0.0, 0.0, 1.5)
     panorama_heading: float = 0.0
     views: int = 0
-    voxel: float = 0.02
+    voxel: float = 0.0
     triangles: int = 0
     mesh_from_photographs: bool = False
     depth_unit: float = 0.001
@@ -137,9 +137,9 @@ class CaptureOptions:
                 "Give three coordinates in meters: --panorama-place=X,Y,Z.",
             ),
             (
-                finest <= self.voxel <= coarsest,
+                self.voxel == 0.0 or finest <= self.voxel <= coarsest,
                 f"Voxels of {self.voxel:g} m are impossible.",
-                f"Set voxels from {finest:g} to {coarsest:g} meters.",
+                f"Set voxels from {finest:g} to {coarsest:g} meters, or 0 to follow the depth images.",
             ),
             (
                 self.triangles == 0 or self.triangles >= LEAST_TRIANGLES,

@@ -18,7 +18,7 @@ from ...run.kinds import Row
 from ..depth_images import registered_depths
 from ..options import CaptureOptions
 from ..places import IMAGE_FOLDERS, Places
-from ..rig import Lens, Rig, WellFormed, damaged, read_json_rig
+from ..rig import Lens, Note, Rig, WellFormed, damaged, read_json_rig
 from .rig_files import MOST_TEXT_BYTES, pixel_size, stored_rotation
 
 NAME = "record3d"
@@ -80,4 +80,8 @@ def read(file: Path, options: CaptureOptions) -> Rig:
             views.append(places.view(str(index), size, lens, opengl_to_opencv_camera(pose)))
     images = [places.depth(file.parent / "depth", str(index)) for index in range(count)]
     depths = registered_depths(views, images, options.depth_unit)
-    return places.rig(NAME, views, "y", places.mesh(), depths=depths)
+    notes: tuple[Note, ...] = ()
+    if not depths and any(file.parent.glob("rgbd/*.depth")):
+        text = f"The depth images beside {file} are compressed as in Record3D's .r3d, which is not read."
+        notes = (Note("depth-format", text, "Export EXR + RGBD from Record3D, or give a mesh (--mesh)."),)
+    return places.rig(NAME, views, "y", places.mesh(), notes, depths)

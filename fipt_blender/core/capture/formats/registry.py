@@ -38,6 +38,7 @@ from . import (
     rgbd,
     scanner_app,
     scannetpp,
+    stray_scanner,
     transforms,
 )
 
@@ -64,6 +65,7 @@ FORMATS: dict[str, ModuleType] = {
         polycam,
         record3d,
         scanner_app,
+        stray_scanner,
         rgbd,
     )
 }

@@ -3,7 +3,8 @@
 """Reader for the export *All Data* of 3D Scanner App (Laan Labs): frame_00000.json beside frame_00000.jpg.
 
 Source: exports of the app. ``cameraPoseARFrame`` is ARKit's camera-to-world (4, 4) by rows, ``intrinsics``
-the camera matrix by rows in pixels of the photograph; axes are OpenGL's. Most frames have no photograph.
+the camera matrix by rows in pixels of the photograph; axes are OpenGL's. Most frames have no photograph, but
+a depth image.
 """
 
 from __future__ import annotations
@@ -45,24 +46,26 @@ def find(path: Path) -> Path | None:
 
 
 def read(folder: Path, options: CaptureOptions) -> Rig:
-    """Read the frames with a photograph, and their depth images. The world is Y up, as in the mesh.
+    """Read the frames with a photograph, and all depth images. The world is Y up, as in the mesh.
 
     Raises:
         FiptError: ``rig-damaged`` or ``depth-unreadable``.
     """
     files = _frames(folder)
     places = Places.around(files[0], options)
-    files = [file for file in files if places.find(file.stem)]
-    views = [_view(file, places) for file in files]
+    shown = next((file.stem for file in files if places.find(file.stem)), files[0].stem)
+    views = [_view(file, places, places.size(shown)) for file in files]
     images = [places.depth(folder, file.stem.replace("frame_", "depth_")) for file in files]
     depths = registered_depths(views, images, options.depth_unit)
-    return places.rig(NAME, views, "y", places.mesh(MESHES), depths=depths)
+    photographs = [view for view in views if not view.missing]
+    return places.rig(NAME, photographs, "y", places.mesh(MESHES), depths=depths)
 
 
-def _view(file: Path, places: Places) -> RigView:
+def _view(file: Path, places: Places, size: tuple[int, int]) -> RigView:
     frame = read_json_rig(file, _Frame)
     with WellFormed(file):
         pose = np.array(frame.cameraPoseARFrame, np.float64).reshape(4, 4)
         fx, _, cx, _, fy, cy, *_ = np.array(frame.intrinsics, np.float64).reshape(9).tolist()
     lens = Lens("PINHOLE", (fx, fy, cx, cy))
-    return places.view(file.stem, places.size(file.stem), lens, opengl_to_opencv_camera(pose))
+    size = places.size(file.stem) if places.find(file.stem) else size
+    return places.view(file.stem, size, lens, opengl_to_opencv_camera(pose))
