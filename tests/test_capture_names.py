@@ -175,6 +175,14 @@ def test_a_photograph_is_never_that_of_two_or_of_another_camera(tmp_path: Path, 
         assert error.code == "image-missing" and "1.jpg" in error.text
 
 
+@pytest.mark.parametrize("kind", WITH_FOLDERS)
+def test_names_as_in_web_addresses(tmp_path: Path, kind: str) -> None:
+    names = [f"images/my%20room%20{index}.jpg" for index in range(3)]
+    files = [f"images/my room {index}.jpg" for index in range(3)]
+    shots = write_capture(kind, tmp_path / "capture", names, files)
+    assert_found(tmp_path / "capture", shots, files)
+
+
 @pytest.mark.parametrize("kind", ANYWHERE)
 def test_what_is_not_found_is_told_alike(tmp_path: Path, kind: str) -> None:
     write_capture(kind, tmp_path / "in", ["kitchen_1.jpg", "hall.jpg"], ["images/kitchen-1.jpg", "hall.jpg"])
@@ -418,6 +426,8 @@ def test_existing_solves_find_groups_by_paths(tmp_path: Path) -> None:
 def test_companions_of_files_are_ignored(tmp_path: Path, kind: str) -> None:
     """Macs write ``._NAME`` beside each file on disks of other systems."""
     folder, shots = tmp_path / "capture", write.make_shots(count=3)
+    if kind == "3d-scanner-app":
+        shots = [replace(shot, name=f"frame_{index:05d}.jpg") for index, shot in enumerate(shots)]
     others: dict[str, Callable[[], object]] = {
         "polycam": lambda: write.write_polycam(folder, shots, np.eye(4), True),
         "record3d": lambda: write.write_record3d(folder, shots, True),

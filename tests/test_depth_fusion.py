@@ -11,7 +11,7 @@ import pytest
 
 from fipt_blender.core.depth.cleaning import without_specks
 from fipt_blender.core.depth.extraction import FusedMesh, extract
-from fipt_blender.core.depth.gaps import gap_image
+from fipt_blender.core.depth.gaps import SURE, gap_image
 from fipt_blender.core.depth.range_image import RangeImage
 from fipt_blender.core.depth.simplification import simplified
 from fipt_blender.core.depth.volume import BlockVolume, pack, unpack
@@ -114,12 +114,12 @@ def test_colors_are_means_of_the_views() -> None:
     assert np.abs(mesh.colors - [0.3, 0.5, 0.0]).max() < 1e-5
 
 
-def wall_image(place: float, hole: bool = True, depth: float = 1.0) -> RangeImage:
+def wall_image(place: float, hole: bool = True, depth: float = 1.0, slope: float = 0.3) -> RangeImage:
     """What a camera beside others measures of a slanting wall, with a hole in its middle."""
     _, x = (np.mgrid[:48, :48] + 0.5 - 24.0) / 48.0
     pose = np.eye(4)
     pose[0, 3] = place
-    values = (depth + 0.3 * place) / (1.0 - 0.3 * x)
+    values = (depth + slope * place) / (1.0 - slope * x)
     values[16:32, 16:32] = 0.0 if hole else values[16:32, 16:32]
     return RangeImage(values.astype(np.float32), 48.0, 48.0, 24.0, 24.0, pose)
 
@@ -147,14 +147,14 @@ def test_no_curtain_hangs_from_an_edge_and_nothing_continues_beyond_the_image() 
 
 def test_gaps_are_taken_over_where_images_agree_and_nothing_is_known() -> None:
     volume, gaps = BlockVolume(VOXEL), BlockVolume(VOXEL)
-    volume.integrate(wall_image(0.0))
-    gaps.integrate(gap_image(wall_image(0.0)))
+    volume.integrate(wall_image(0.0, slope=0.7))
+    gaps.integrate(replace(gap_image(wall_image(0.0, slope=0.7)), weight=None))
     before = len(extract(volume, 1e-3).triangles)
-    volume.adopt(gaps, 1.5)
+    volume.adopt(gaps, SURE)
     assert len(extract(volume, 1e-3).triangles) == before  # one image alone
-    gaps.integrate(gap_image(wall_image(0.01)))
+    gaps.integrate(replace(gap_image(wall_image(0.01, slope=0.7)), weight=None))
     measured = volume.distance[volume.weight > 0.0].copy(), volume.weight > 0.0
-    volume.adopt(gaps, 1.5)
+    volume.adopt(gaps, SURE)
     assert len(extract(volume, 1e-3).triangles) > 1.05 * before
     kept = volume.distance[: len(measured[1])][measured[1]]
     np.testing.assert_array_equal(kept, measured[0])

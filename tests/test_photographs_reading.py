@@ -190,6 +190,28 @@ def test_maps_and_companions_are_no_photographs(tmp_path: Path) -> None:
     assert len(said) == 1 and "2 depth maps" in said[0]["text"] and "1 confidence maps" in said[0]["text"]
 
 
+def test_digital_zoom_is_another_focal_length(tmp_path: Path) -> None:
+    tags = exif(1 / 60)
+    tags.get_ifd(0x8769).update({0x920A: 6.5, 0xA405: 24, 0xA404: 2.0})
+    zoomed = describe(write_jpeg(tmp_path / "a.jpg", GREY, tags), "a.jpg")
+    assert zoomed.focal_length == pytest.approx(13.0) and zoomed.focal_35mm is None
+    tags.get_ifd(0x8769)[0xA404] = 1.0
+    plain = describe(write_jpeg(tmp_path / "b.jpg", GREY, tags), "b.jpg")
+    assert plain.focal_length == pytest.approx(6.5) and plain.focal_35mm == 24.0
+
+
+def test_brackets_by_aperture_may_repeat_an_exposure() -> None:
+    apertures = (6.3, 5.0, 3.2, 2.8, 2.8, 4.0, 8.0)
+    photographs = [
+        shot(f"{7 * burst + index:02d}.jpg", 1.0 / aperture**2, 180.0 * burst + index + 1.0)
+        for burst in range(3)
+        for index, aperture in enumerate(apertures)
+    ]
+    assert [len(group.photographs) for group in find_groups(photographs, "auto")] == [7, 7, 7]
+    alike = [shot(f"{index}.jpg", 1.0, 2.0 * index + 1.0) for index in range(6)]  # and no bracket
+    assert len(find_groups(alike, "auto")) == 6
+
+
 def test_reading_a_folder(tmp_path: Path) -> None:
     source, capture = tmp_path / "in", tmp_path / "out"
     write_brackets(source, 2, (1 / 60, 1 / 240))

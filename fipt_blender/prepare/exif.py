@@ -31,6 +31,7 @@ from ..core.run.errors import FiptError
 from .preparation import Photograph
 
 DAMAGE = (*encoded.DAMAGE, rawpy.LibRawError)  # what the libraries raise for damaged files
+JPEG_XL = "52546"  # compression of a DNG, which LibRaw does not read
 _TIMES = (
     ("EXIF DateTimeOriginal", "EXIF SubSecTimeOriginal"),
     ("EXIF DateTimeDigitized", "EXIF SubSecTimeDigitized"),
@@ -65,6 +66,8 @@ def describe(path: Path, name: str) -> Photograph:
     try:
         if path.stat().st_size == 0:
             raise unreadable(path, "the file is empty")
+        if any(name.endswith("Compression") and str(value) == JPEG_XL for name, value in tags.items()):
+            raise unreadable(path, "its mosaic is compressed with JPEG XL; export it with lossless JPEG")
         with rawpy.imread(str(path)) as raw:
             size, tags = (raw.sizes.width, raw.sizes.height), _raw_tags(raw, tags) | tags
     except DAMAGE as error:
@@ -86,6 +89,8 @@ def unreadable(path: Path, reason: object) -> FiptError:
 
 def _photograph(name: str, kind: str, size: tuple[int, int], tags: Mapping[str, Any]) -> Photograph:
     shutter, aperture, iso = shutter_aperture_iso(tags)
+    zoom = exif_number(tags, "EXIF DigitalZoomRatio") or 1.0
+    focal = exif_number(tags, "EXIF FocalLength")
     exposure = relative_exposure(tags)
     return Photograph(
         path=name,
@@ -96,8 +101,9 @@ def _photograph(name: str, kind: str, size: tuple[int, int], tags: Mapping[str, 
         shutter=shutter,
         aperture=aperture,
         iso=iso,
-        focal_length=exif_number(tags, "EXIF FocalLength"),
-        focal_35mm=exif_number(tags, "EXIF FocalLengthIn35mmFilm"),
+        focal_length=zoom * focal if focal else None,
+        # Cameras do not agree whether it contains the digital zoom.
+        focal_35mm=exif_number(tags, "EXIF FocalLengthIn35mmFilm") if zoom == 1.0 else None,
         make=_text(tags, "Image Make"),
         model=_text(tags, "Image Model"),
         lens=_text(tags, "EXIF LensModel") or _text(tags, "MakerNote LensModel"),

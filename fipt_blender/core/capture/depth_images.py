@@ -14,7 +14,7 @@ import numpy as np
 
 from ..depth.cleaning import without_specks
 from ..depth.extraction import FusedMesh, extract
-from ..depth.gaps import gap_image
+from ..depth.gaps import SURE, gap_image
 from ..depth.ply import write_ply
 from ..depth.range_image import RangeImage
 from ..depth.simplification import simplified
@@ -43,9 +43,6 @@ DOUBTFUL = 0.05
 LEAST_WEIGHT = 1e-3
 # Edge of voxels, where none is given: in the pixels' spacing at their median distance; the smallest, metres.
 SPACINGS, FINEST = 2.0, 0.02
-# Images that must continue measured surfaces alike before gaps between them are closed: of one, 3 % of the
-# pixels of a real room showed surfaces in the air.
-ALIKE = 1.5
 SPECK_VOXELS = 10.0  # pieces of less area than a square of this side are dropped
 
 
@@ -192,7 +189,7 @@ def fuse(
         volume.integrate(image)
         gaps.integrate(gap_image(image))
         progress((index + 1) / (len(views) + 1))
-    volume.adopt(gaps, ALIKE)
+    volume.adopt(gaps, SURE)
     mesh = without_specks(extract(volume, LEAST_WEIGHT), (SPECK_VOXELS * voxel) ** 2)
     if not len(mesh.triangles):
         raise FiptError(
