@@ -27,7 +27,6 @@ from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
 from samples import metashape_writers, rig_writers
 from samples.camera_poses import drawn_similarity
-from samples.ingesting import run_ingest
 from samples.refusals import error_of
 from samples.scans import grid_triangles
 from samples.small_rooms import block, make_room
@@ -209,21 +208,11 @@ def test_cameras_are_aligned_to_a_mesh_in_inches(tmp_path: Path) -> None:
         np.testing.assert_allclose(np.array(view["camera_to_world"]), shot.pose, atol=0.005)
     messages = [json.loads(line) for line in stream.getvalue().splitlines()]
     warnings = {message["code"]: message for message in messages if message["type"] == "warning"}
-    assert set(warnings) == {"mesh-aligned", "mesh-unit"} and "inches" in warnings["mesh-unit"]["text"]
+    assert (
+        set(warnings) == {"mesh-aligned", "mesh-unit", "cameras-one-place"}
+        and "inches" in warnings["mesh-unit"]["text"]
+    )
     assert messages[-1]["data"]["up_axis"] == "z"
-
-
-def test_aligning_is_named_for_a_mesh_elsewhere_where_it_fits(tmp_path: Path) -> None:
-    rng = np.random.default_rng(11)
-    write_solve(tmp_path / "solve", drawn_similarity(rng, 0.4), sparse_points(rng, 200))
-    vertices, triangles = furnished_room()
-    for name, shown in (("room", triangles), ("other", triangles[:2])):
-        lines = [f"v {x + 300.0} {y} {z}" for x, y, z in vertices]
-        mesh = tmp_path / f"{name}.obj"
-        mesh.write_text("\n".join(lines + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in shown]))
-        messages = run_ingest(tmp_path / "solve", RunFolder(tmp_path / name), mesh=mesh)
-        told = next(message for message in messages if message.get("code") == "mesh-elsewhere")
-        assert ("--align-mesh" in told["remedy"]) == (name == "room")
 
 
 def test_cameras_of_another_room_are_not_aligned(tmp_path: Path) -> None:

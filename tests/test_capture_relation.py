@@ -58,8 +58,8 @@ def test_a_mesh_around_the_cameras_is_right(tmp_path):
 @pytest.mark.parametrize(
     ("place", "remedy"),
     [
-        (similarity(shift=(30.0, 0.0, 0.0)), "Choose the mesh"),
-        (similarity(shift=(0.0, 0.0, -520.0)), "Choose the mesh"),
+        (similarity(shift=(30.0, 0.0, 0.0)), "Choose the cameras' own mesh"),
+        (similarity(shift=(0.0, 0.0, -520.0)), "Choose the cameras' own mesh"),
         (similarity(1000.0), "scaled by 0.001:"),
         (similarity(0.01), "scaled by 100:"),
     ],

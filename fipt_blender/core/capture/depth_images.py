@@ -14,7 +14,7 @@ import numpy as np
 
 from ..depth.cleaning import without_specks
 from ..depth.extraction import FusedMesh, extract
-from ..depth.gaps import SURE, gap_image
+from ..depth.gaps import gap_image
 from ..depth.ply import write_ply
 from ..depth.range_image import RangeImage
 from ..depth.simplification import simplified
@@ -185,11 +185,13 @@ def fuse(
     with_color = any(view.photograph is not None and is_encoded(view.photograph.image) for view in views)
     volume, gaps = BlockVolume(voxel, with_color), BlockVolume(voxel, with_color)
     for index, view in enumerate(views):
-        image = read_depth(view, scale)
-        volume.integrate(image)
-        gaps.integrate(gap_image(image))
-        progress((index + 1) / (len(views) + 1))
-    volume.adopt(gaps, SURE)
+        gaps.integrate(gap_image(read_depth(view, scale)))
+        progress(0.5 * (index + 1) / (len(views) + 1))
+    volume.allocate(gaps.keys)  # so that it is known which of them images look through
+    for index, view in enumerate(views):
+        volume.integrate(read_depth(view, scale))
+        progress(0.5 + 0.5 * (index + 1) / (len(views) + 1))
+    volume.adopt(gaps)
     mesh = without_specks(extract(volume, LEAST_WEIGHT), (SPECK_VOXELS * voxel) ** 2)
     if not len(mesh.triangles):
         raise FiptError(

@@ -22,7 +22,6 @@ from ..alignment.turns import turn_by
 from ..conventions import transform_points, transform_poses
 from ..run.documents import decoded, load_document, read_limited
 from ..run.errors import FiptError
-from .align_mesh import aligned_to_mesh
 from .distortion import lens_pinhole
 from .panorama import pinhole_views
 from .rig import DepthView, Note, Rig, RigView
@@ -76,13 +75,12 @@ class Related:
     fits: bool
 
 
-def relate(capture: Path, rig: Rig, mesh: Path | None, aligned: bool) -> Related:
+def relate(capture: Path, rig: Rig, mesh: Path | None) -> Related:
     """Relate the cameras of a capture to its mesh, and move both to the origin.
 
     Args:
         capture: folder or camera file.
         mesh: in whatever coordinates.
-        aligned: whether the cameras have been aligned to it, which has its own checks.
 
     Raises:
         FiptError: ``pose-unsupported`` for positions in degrees; ``mesh-unreadable``.
@@ -100,10 +98,10 @@ def relate(capture: Path, rig: Rig, mesh: Path | None, aligned: bool) -> Related
             if mesh.suffix.lower() in (".ply", ".obj"):  # of others, Blender's importers read more
                 raise
     fits = True
-    if usable and vertices is not None and len(triangles) and not aligned:
+    if usable and vertices is not None and len(triangles):
         cameras = _Cameras(rig, _samples(vertices, triangles))
         place, more = _placed(cameras, folders)
-        judged = _judged(capture, rig, mesh, cameras, place)
+        judged = _judged(mesh, cameras, place)
         fits = not judged
         notes += more + judged
     offset = _offset(places) if usable else np.zeros(3)
@@ -262,7 +260,7 @@ def _side_placement(file: Path) -> np.ndarray | None:
     return None
 
 
-def _judged(capture: Path, rig: Rig, mesh: Path | None, cameras: _Cameras, place: np.ndarray) -> list[Note]:
+def _judged(mesh: Path | None, cameras: _Cameras, place: np.ndarray) -> list[Note]:
     """A warning where cameras and mesh do not belong together, with a remedy that was tried, if one fits."""
     seen, inside = cameras.fit(place)
     path, diagonal = cameras.size(place)
@@ -283,10 +281,10 @@ def _judged(capture: Path, rig: Rig, mesh: Path | None, cameras: _Cameras, place
     )
     if len(cures) == 1:
         remedy = f"The mesh fits around the cameras if it is {cures[0]}: export it like this."
-    elif _can_align(capture, rig, mesh):
-        remedy = "Align the cameras to the mesh (Import Settings, --align-mesh), which was tried and fits."
     else:
-        remedy = f"Choose the mesh that belongs to the cameras, or {_TOGETHER}, or move it (FIPT Alignment)."
+        remedy = (
+            f"Choose the mesh that belongs to the cameras, {_TOGETHER}, or align them (Capture > Alignment)."
+        )
     return [Note("mesh-elsewhere", text, remedy)]
 
 
@@ -310,11 +308,3 @@ def _distance(cameras: _Cameras, place: np.ndarray) -> float:
     return float(
         np.linalg.norm(cameras.places.mean(axis=0) - 0.5 * (points.min(axis=0) + points.max(axis=0)))
     )
-
-
-def _can_align(capture: Path, rig: Rig, mesh: Path | None) -> bool:
-    """Whether the solve's points, or depth images, place the cameras in the mesh."""
-    with suppress(FiptError):
-        aligned_to_mesh(capture, rig, mesh)
-        return True
-    return False

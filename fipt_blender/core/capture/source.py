@@ -69,7 +69,7 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
         rig = with_color_camera(rig, options.scale)
     if options.align_mesh:
         rig = aligned_to_mesh(capture, rig, mesh)
-    related = relate(capture, rig, mesh, options.align_mesh)
+    related = relate(capture, rig, mesh)
     notes, made = list(related.rig.notes), None
     vertices, triangles = related.vertices, related.triangles
     if vertices is not None and (related.moved or 0 < options.triangles < len(triangles)):

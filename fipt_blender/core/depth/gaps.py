@@ -4,7 +4,7 @@
 
 The inverse of the depth is linear on a plane, so that a plane on both sides of a gap is continued exactly.
 Between two surfaces at different depths that would be a curtain: steep ones are left out, and fusion keeps
-only what is level or what several images continue alike, and what none looks through.
+only what no image looks through.
 """
 
 from __future__ import annotations
@@ -15,12 +15,8 @@ import numpy as np
 
 from .range_image import RangeImage
 
-# Change of the depth across a gap, in the gap's width: of one surface, and the most that is continued. More
-# is the edge of what stands before another surface.
-LEVEL, STEEPEST = 0.5, 1.0
-# Weight from which on a gap is closed: one image is enough for level ones, of others two must agree. If one
-# were enough for all, 3 % of the pixels of a real room would show surfaces in the air.
-SURE = 1.5
+# Change of the depth across a gap, in the gap's width; more is an edge between two surfaces.
+STEEPEST = 2.0
 
 
 def gap_image(image: RangeImage) -> RangeImage:
@@ -28,25 +24,17 @@ def gap_image(image: RangeImage) -> RangeImage:
 
     Pixels with no measurement on two opposite sides stay 0, and so do the measured ones.
     """
-    level, steep = _between(image, LEVEL), _between(image, STEEPEST)
-    depth, weight = np.where(level > 0.0, level, steep), np.where(level > 0.0, SURE, 1.0)
-    return replace(image, depth=depth.astype(np.float32), weight=weight.astype(np.float32))
-
-
-def _between(image: RangeImage, steepest: float) -> np.ndarray:
-    """(H, W) depths of pixels that were not measured, 0 where none is continued as steeply at most."""
     known = image.depth > 0.0
     inverse = np.divide(1.0, image.depth, out=np.zeros(known.shape), where=known)
-    along, weights = _continued(inverse, known, image.fx, steepest)
-    across, others = (values.T for values in _continued(inverse.T, known.T, image.fy, steepest))
+    along, weights = _continued(inverse, known, image.fx)
+    across, others = (values.T for values in _continued(inverse.T, known.T, image.fy))
     total = np.where(known, 0.0, weights + others)
     mean = (weights * along + others * across) / np.maximum(total, 1e-12)
-    return np.divide(1.0, mean, out=np.zeros(known.shape), where=(total > 0.0) & (mean > 0.0))
+    depth = np.divide(1.0, mean, out=np.zeros(known.shape), where=(total > 0.0) & (mean > 0.0))
+    return replace(image, depth=depth.astype(np.float32), weight=None)
 
 
-def _continued(
-    inverse: np.ndarray, known: np.ndarray, focal: float, steepest: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _continued(inverse: np.ndarray, known: np.ndarray, focal: float) -> tuple[np.ndarray, np.ndarray]:
     """Inverse depths (H, W) between the known pixels of each row, and their weights, 0 without both sides."""
     height, width = inverse.shape
     place, row = np.broadcast_to(np.arange(width), known.shape), np.arange(height)[:, None]
@@ -56,6 +44,6 @@ def _continued(
     before, after = np.maximum(before, 0), np.minimum(after, width - 1)
     start, end, gap = inverse[row, before], inverse[row, after], np.maximum(after - before, 1)
     # |1 / start - 1 / end| against the gap's width at the nearer side
-    level = np.abs(end - start) * focal <= steepest * gap * np.minimum(start, end)
+    level = np.abs(end - start) * focal <= STEEPEST * gap * np.minimum(start, end)
     values = start + (end - start) * (place - before) / gap
     return values, np.where(between & level, 1.0 / gap, 0.0)

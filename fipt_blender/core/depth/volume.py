@@ -125,11 +125,10 @@ class BlockVolume:
         self._order = np.argsort(self.keys)
         self._sorted = self.keys[self._order]
 
-    def adopt(self, other: BlockVolume, least: float) -> None:
-        """Take over voxels of which this volume knows nothing and the other one at least a weight."""
-        self.allocate(other.keys)
+    def adopt(self, other: BlockVolume) -> None:
+        """Take over the voxels of which this volume knows nothing; blocks that both have."""
         blocks = self.find(other.keys)
-        taken = (self._weight[blocks] <= 0.0) & (other.weight >= least)
+        taken = self._weight[blocks] <= 0.0
         for mine, others in ((self._distance, other.distance), (self._weight, other.weight)):
             mine[blocks] = np.where(taken, others, mine[blocks])
         if self._color is not None and other.color is not None:
