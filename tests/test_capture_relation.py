@@ -14,6 +14,7 @@ from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.conventions import transform_points
 from fipt_blender.core.run.run_files import read_capture
 from fipt_blender.core.run.runfolder import RunFolder
+from samples import rig_writers
 from samples.capture_files import make_samples, write_colmap, write_transforms
 from samples.ingesting import run_ingest, warnings
 from samples.refusals import error_of
@@ -79,7 +80,7 @@ def test_a_mesh_with_y_up_is_told(tmp_path):
 
     turned = similarity(turn=-0.5 * np.pi) @ similarity(shift=(0.0, 0.0, 5.0))
     _, messages = imported(tmp_path, turned, above_the_floor)
-    assert "turned from Y up to Z up:" in note(messages, "mesh-elsewhere")["remedy"]
+    assert "turned by 90 degrees about X:" in note(messages, "mesh-elsewhere")["remedy"]
 
 
 @pytest.mark.parametrize("written", [write_transforms, lambda root, samples: write_colmap(root, samples, True)])
@@ -99,6 +100,28 @@ def test_map_coordinates_are_moved_in_double_precision(tmp_path, written):
     vertices = transform_points(capture.world_from_source, read_mesh(capture.mesh)[0])
     found = sorted(map(tuple, np.round(vertices + offset - UTM, 4)))
     np.testing.assert_allclose(found, sorted(map(tuple, BOX)), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("place", "remedy"),
+    [
+        (np.eye(4), None),
+        (similarity(0.3048), "scaled by 3.281:"),
+        (similarity(1.0, turn=-0.5 * np.pi), "turned by 90 degrees about X:"),
+        (similarity(shift=(3.0, 0.0, 0.0)), "(Capture > Alignment)"),  # the cameras are still within its box
+    ],
+)
+def test_points_of_the_solve_tell_where_the_mesh_belongs(tmp_path, place, remedy):
+    size = np.array([5.0, 4.0, 9.0])
+    rng = np.random.default_rng(0)
+    points, side = rng.uniform(-0.5, 0.5, (600, 3)), rng.choice(3, 600, p=[0.4, 0.5, 0.1])
+    points[np.arange(600), side] = rng.choice([-0.5, 0.5], 600)
+    shots = rig_writers.make_shots(count=4)
+    rig_writers.write_opensfm(tmp_path / "in", [shots], "perspective", points * size)
+    write_room(tmp_path / "in" / "mesh.obj", place @ np.diag([*(size / 5.0), 1.0]))
+    messages = run_ingest(tmp_path / "in", RunFolder(tmp_path / "run"), hold_back=0)
+    told = [message for message in messages if message.get("code") == "mesh-elsewhere"]
+    assert not told if remedy is None else remedy in told[0]["remedy"]
 
 
 def test_degrees_are_refused(tmp_path):

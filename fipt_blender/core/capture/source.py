@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -69,7 +70,11 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
         rig = with_color_camera(rig, options.scale)
     if options.align_mesh:
         rig = aligned_to_mesh(capture, rig, mesh)
-    related = relate(capture, rig, mesh)
+    solved = np.zeros((0, 3))
+    if mesh is not None and not options.align_mesh:
+        with suppress(FiptError):  # the format has none
+            solved = read_points(capture, rig.source, sure=True)
+    related = relate(capture, rig, mesh, solved)
     notes, made = list(related.rig.notes), None
     vertices, triangles = related.vertices, related.triangles
     if vertices is not None and (related.moved or 0 < options.triangles < len(triangles)):

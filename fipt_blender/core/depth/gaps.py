@@ -16,7 +16,7 @@ import numpy as np
 from .range_image import RangeImage
 
 # Change of the depth across a gap, in the gap's width; more is an edge between two surfaces.
-STEEPEST = 2.0
+STEEPEST = 1.0
 
 
 def gap_image(image: RangeImage) -> RangeImage:
