@@ -148,7 +148,9 @@ def _simplify(sample: Path, out: Path) -> None:
     from fipt_blender.core.depth.ply import write_ply
 
     for name in ("mesh.ply", "mesh.obj", "mesh.stl", "mesh.glb"):
-        write_ply(out / "small.ply", fewer_triangles(*read_mesh(sample / name), 100))
+        vertices, triangles = read_mesh(sample / name)
+        if len(triangles) > 100:
+            write_ply(out / "small.ply", fewer_triangles(vertices, triangles, 100))
         surface = sample_surface(*read_mesh(sample / name), np.random.default_rng(0), 500)
         surface.nearest_triangle(surface.points[:50] + 0.1)
 

@@ -77,7 +77,7 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
     related = relate(capture, rig, mesh, solved)
     notes, made = list(related.rig.notes), None
     vertices, triangles = related.vertices, related.triangles
-    if vertices is not None and (related.moved or 0 < options.triangles < len(triangles)):
+    if vertices is not None and len(triangles) and (related.moved or 0 < options.triangles < len(triangles)):
         made = fewer_triangles(vertices, triangles, options.triangles)
         text = (
             f"The mesh {mesh} was written anew with {len(made.triangles):,} of {len(triangles):,} triangles."
