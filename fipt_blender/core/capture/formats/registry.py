@@ -34,7 +34,6 @@ from . import (
     openmvg,
     opensfm,
     realityscan,
-    rgbd,
     scannetpp,
     scans,
     transforms,
@@ -61,7 +60,6 @@ FORMATS: dict[str, ModuleType | scans.ScanApp] = {
         bundler,
         nvm,
         *scans.APPS,
-        rgbd,
     )
 }
 

@@ -1,16 +1,17 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Readers for the folders of scanning apps: photographs and depth images with one pose for both.
+"""Readers for scans: photographs and depth images with one pose for both, of apps and of data sets.
 
-Each app is a `ScanApp`: how its folder is found, and what it says of its frames. Sources: Polycam's polyform;
-Record3D's .r3d; exports of 3D Scanner App (Laan Labs); the documentation of Stray Scanner.
+Each is a `ScanApp`: how its folder is found, and what it says of its frames. Sources: Polycam's polyform;
+Record3D's .r3d; exports of 3D Scanner App (Laan Labs); the documentation of Stray Scanner; 7-Scenes,
+tsdf-fusion and ScanNet's exporter.
 """
 
 from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from ...conventions import opengl_to_opencv_camera, transform_poses
 from ...run.documents import decoded, read_limited
 from ...run.errors import FiptError
 from ...run.kinds import Row
-from ..depth_images import registered_depths
+from ..depth_images import depth_size, registered_depths
 from ..files import visible
 from ..options import CaptureOptions
 from ..places import IMAGE_FOLDERS, MESH_STEMS, Places
@@ -42,6 +43,8 @@ from .rig_files import (
 _POLYCAM = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
 _POLYCAM_POSE = [[f"t_{row}{column}" for column in range(4)] for row in range(3)]
 _RECORD3D = ("metadata.json", "metadata", "EXR_RGBD/metadata.json")
+_POSE = ".pose.txt"
+MOST_POSE_BYTES = 10_000  # of a file of one frame
 _STRAY = ("odometry.csv", "camera_matrix.csv")
 
 
@@ -52,16 +55,18 @@ class _Frame:
     Attributes:
         name: of its photograph.
         pose: (4, 4) camera to world, OpenCV axes.
-        intrinsics: fx, fy, cx, cy in pixels of the photograph.
+        intrinsics: fx, fy, cx, cy in pixels of the photograph; None for the field of view of the depth image.
         size: width and height of the photograph, None for those of the file.
         depth: name of its depth image; "" for the photograph's.
+        called: the view's name; "" for the photograph's.
     """
 
     name: str
     pose: np.ndarray
-    intrinsics: tuple[float, ...]
+    intrinsics: tuple[float, ...] | None
     size: tuple[int, int] | None = None
     depth: str = ""
+    called: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +78,16 @@ class _Scan:
         depths: folder of the depth images.
         frames: of the scan.
         without: what to do if no frame has a photograph; None where each must have one.
+        depth_camera: fx, fy, cx, cy in pixels of the depth images; None for the photographs'.
+        lost: how many frames have no pose.
     """
 
     places: Places
     depths: Path
     frames: Sequence[_Frame]
     without: str | None = None
+    depth_camera: tuple[float, ...] | None = None
+    lost: int = 0
 
 
 @dataclass(frozen=True)
@@ -102,20 +111,37 @@ class ScanApp:
         places, shown = scan.places, next((each for each in scan.frames if scan.places.find(each.name)), None)
         if scan.without is not None and shown is None:
             raise FiptError("image-missing", f"No frame of {places.file} has a photograph.", scan.without)
+        images = [places.depth(scan.depths, frame.depth or frame.name) for frame in scan.frames]
+        whole = depth_size(next(filter(None, images), scan.depths)) if scan.depth_camera else (1, 1)
         views = []
         for frame in scan.frames:
             optional = shown is not None and scan.without is not None and not places.find(frame.name)
             size = frame.size or places.size(shown.name if shown and optional else frame.name)
-            views.append(places.view(frame.name, size, Lens("PINHOLE", frame.intrinsics), frame.pose))
-        images = [places.depth(scan.depths, frame.depth or frame.name) for frame in scan.frames]
+            wider, higher = size[0] / whole[0], size[1] / whole[1]
+            fx, fy, cx, cy = scan.depth_camera or (0.0,) * 4
+            lens = Lens("PINHOLE", frame.intrinsics or (fx * wider, fy * higher, cx * wider, cy * higher))
+            views.append(places.view(frame.name, size, lens, frame.pose, called=frame.called))
         depths = registered_depths(views, images, options.depth_unit)
-        notes: tuple[Note, ...] = ()
+        if scan.depth_camera is not None:
+            fx, fy, cx, cy = scan.depth_camera
+            width, height = whole
+            depths = tuple(
+                replace(depth, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy) for depth in depths
+            )
+        notes: list[Note] = []
         if not depths and any(places.file.parent.glob("rgbd/*.depth")):
             text = f"The depth images beside {places.file} are compressed as in Record3D's .r3d: not read."
-            notes = (Note("depth-format", text, "Export EXR + RGBD from Record3D, or give a mesh (--mesh)."),)
+            remedy = "Export EXR + RGBD from Record3D, or give a mesh (--mesh)."
+            notes.append(Note("depth-format", text, remedy))
+        if scan.lost:
+            text = f"{scan.lost} of {scan.lost + len(scan.frames)} frames have no pose, since the tracking"
+            remedy = "Nothing needs to be done."
+            notes.append(Note("pose-lost", f"{text} was lost; they are left out.", remedy))
         if scan.without is not None:
             views = [view for view in views if not view.missing]
-        return places.rig(self.NAME, views, self.UP, places.mesh(self.MESHES), notes, depths)
+        one_camera = scan.depth_camera is not None and scan.frames[0].intrinsics is None
+        mesh = places.mesh(self.MESHES)
+        return places.rig(self.NAME, views, self.UP, mesh, notes, depths, one_camera)
 
 
 # ---------------------------------------------------------------------------------------------------- Polycam
@@ -276,7 +302,65 @@ def _stray(folder: Path, options: CaptureOptions) -> _Scan:
     return _Scan(places, folder / "depth", frames, extract)
 
 
+# ------------------------------------------------------------------ 7-Scenes, tsdf-fusion, ScanNet's exporter
+
+
+def _find_rgbd(path: Path) -> Path | None:
+    """The folder itself or its folder data, if it has one of the layouts, else None."""
+    for root in (path, path / "data"):
+        if not root.is_dir():
+            continue
+        if all((root / name).is_dir() for name in ("depth", "pose", "intrinsic")):
+            return root
+        names = [file.name.lower() for file in visible(root)]
+        if all(any(name.endswith(end) for name in names) for end in (_POSE, ".depth.png")):
+            return root
+    return None
+
+
+def _rgbd(root: Path, options: CaptureOptions) -> _Scan:
+    """frame-000000.color.jpg, .depth.png, .pose.txt, or folders color, depth, pose and intrinsic.
+
+    Poses are camera to world with OpenCV axes, in metres, and infinity or NaN where the tracking was lost.
+    """
+    color, places = None, Places(root, (root,), options.images, ("color", "."))
+    if (root / "intrinsic").is_dir():
+        depth_file, color_file = (root / "intrinsic" / f"intrinsic_{kind}.txt" for kind in ("depth", "color"))
+        color = _camera_matrix(color_file) if color_file.is_file() else None
+        files = [file for file in visible(root / "pose") if file.suffix.lower() == ".txt"]
+        files.sort(key=lambda file: (len(file.stem), file.stem))  # numbered without leading zeros
+        named = [(file.stem, file.stem, file.stem) for file in files]
+    else:
+        depth_file = root / "camera-intrinsics.txt"
+        files = [file for file in visible(root) if file.name.lower().endswith(_POSE)]
+        stems = [file.name[: -len(_POSE)] for file in files]
+        named = [(stem, f"{stem}.color", f"{stem}.depth") for stem in stems]
+    frames = []
+    for file, (stem, photograph, depth) in zip(files, named, strict=True):
+        words = read_text_rig(file, MOST_POSE_BYTES).split()
+        with WellFormed(file):
+            pose = np.array([float(word) for word in words], np.float64).reshape(4, 4)
+        places.find(photograph)  # those of lost frames are told of here, and not as ones without a camera
+        if np.isfinite(pose).all():
+            frames.append(_Frame(photograph, pose, color, None, depth, stem))
+    folder = root / "depth" if (root / "intrinsic").is_dir() else root
+    lost, camera = len(files) - len(frames), _camera_matrix(depth_file)
+    return _Scan(places, folder, frames, "Add the photographs of the frames.", camera, lost)
+
+
+def _camera_matrix(path: Path) -> tuple[float, ...]:
+    if not path.is_file():
+        remedy = "Write the three rows of the depth camera's matrix into this file."
+        raise FiptError("intrinsics-missing", f"{path} does not exist.", remedy)
+    text = read_text_rig(path, MOST_POSE_BYTES)
+    side = 4 if len(text.split()) == 16 else 3
+    with WellFormed(path):
+        matrix = numbers(text, side * side).reshape(side, side)
+    return tuple(float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+
+
 _KEYFRAMES = "keyframes/corrected_cameras or keyframes/cameras with JSON files"
+_FRAMES = "frame-*.depth.png, frame-*.pose.txt and camera-intrinsics.txt, or folders depth, pose, color"
 APPS = (
     ScanApp("polycam", _KEYFRAMES, _find_polycam, _polycam, ("raw", "mesh", "scene")),
     ScanApp("record3d", "metadata.json (or metadata) with poses, K, w and h", _find_record3d, _record3d),
@@ -288,4 +372,5 @@ APPS = (
         ("export", "textured_output", *MESH_STEMS),
     ),
     ScanApp("stray-scanner", " and ".join(_STRAY), _find_stray, _stray, UP=None),
+    ScanApp("rgbd", _FRAMES, _find_rgbd, _rgbd, UP=None),
 )
