@@ -110,7 +110,9 @@ class ScanApp:
         scan = self.scan(found, options)
         places, shown = scan.places, next((each for each in scan.frames if scan.places.find(each.name)), None)
         if scan.without is not None and shown is None:
-            raise FiptError("image-missing", f"No frame of {places.file} has a photograph.", scan.without)
+            raise FiptError(
+                "image-missing", f"No frame of {places.file} with a pose has a photograph.", scan.without
+            )
         images = [places.depth(scan.depths, frame.depth or frame.name) for frame in scan.frames]
         whole = depth_size(next(filter(None, images), scan.depths)) if scan.depth_camera else (1, 1)
         views = []
