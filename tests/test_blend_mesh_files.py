@@ -17,6 +17,7 @@ import pytest
 
 from fipt_blender.blend.capture.mesh_import import import_room
 from fipt_blender.blend.capture.mesh_names import check_mesh_file
+from fipt_blender.core import conventions
 from samples.child_processes import PATIENCE_SECONDS, posix
 from samples.refusals import error_of
 
@@ -171,3 +172,28 @@ def test_vertices_that_are_far_and_long_paths_are_told(tmp_path):
     deep.mkdir(parents=True)
     (deep / "a.obj").write_bytes(OBJ)
     assert code(deep / "a.obj")[0] == "path-long"
+
+
+@pytest.mark.parametrize("stage", ["", 'upAxis = "Y"', 'upAxis = "Z"'])
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_usd_keeps_the_coordinates_of_its_file(tmp_path, stage, up):
+    """As other formats: the capture says what is up, for cameras and mesh alike."""
+    points = [(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)]
+    text = f"""#usda 1.0
+(
+ metersPerUnit = 1
+ {stage}
+)
+def Mesh "m"
+{{
+ int[] faceVertexCounts = [3, 3]
+ int[] faceVertexIndices = [0, 1, 2, 0, 2, 3]
+ point3f[] points = {points}
+}}
+"""
+    (tmp_path / "room.usda").write_text(text)
+    world = conventions.world_from_source(up)
+    (name,) = import_room(tmp_path / "room.usda", world)
+    found = [tuple(round(value, 4) + 0.0 for value in vertex.co) for vertex in bpy.data.objects[name].data.vertices]
+    expected = conventions.transform_points(world, np.array(points, np.float64))
+    np.testing.assert_allclose(found, expected, atol=1e-4)

@@ -78,6 +78,16 @@ def test_colmap_point_cloud_is_no_mesh(tmp_path):
     assert read(tmp_path).mesh == tmp_path / "dense" / "meshed-poisson.ply"
 
 
+def test_colmap_text_without_second_lines(tmp_path):
+    samples = make_samples(4)
+    write_colmap(tmp_path, samples, True)
+    file = tmp_path / "sparse" / "0" / "images.txt"
+    before = read_rig(tmp_path, "colmap", CaptureOptions()).views
+    file.write_text("".join(f"{line}\n" for line in file.read_text().splitlines() if line.strip()))
+    after = read_rig(tmp_path, "colmap", CaptureOptions()).views
+    assert len(after) == 4 and [view.image for view in after] == [view.image for view in before]
+
+
 def test_the_only_mesh_needs_no_certain_name(tmp_path):
     write_transforms(tmp_path, make_samples(2))
     for known in ("scene", "mesh"):

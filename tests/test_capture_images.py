@@ -221,6 +221,24 @@ def test_png_chunks_say_primaries_and_gamma(tmp_path, gamma, primaries):
         assert np.array_equal(read_codes(path)[0], samples)  # all sixteen bits
 
 
+@pytest.mark.parametrize(("number", "primaries"), [(1, "Rec.709"), (12, "P3")])
+@pytest.mark.parametrize("transfer", [1, 8, 13])
+def test_png_chunks_say_colors_by_numbers(tmp_path, number, primaries, transfer):
+    linear = in_primaries(0.2 + 0.6 * RADIANCE, primaries)
+    codes = {1: 1.099 * linear**0.45 - 0.099, 8: linear, 13: srgb_encoded(linear)}[transfer]
+    chunks = [(b"gAMA", (45455).to_bytes(4, "big")), (b"cICP", bytes([number, transfer, 0, 1]))]
+    path = write_png(tmp_path / "a.png", np.round(codes * 65535), 16, 2, *chunks)
+    np.testing.assert_allclose(read_radiance(path), 0.2 + 0.6 * RADIANCE, atol=3e-3)
+
+
+@pytest.mark.parametrize(("number", "transfer", "word"), [(9, 16, "HDR"), (9, 18, "HDR"), (22, 13, "H.273")])
+def test_png_chunks_of_video_are_refused(tmp_path, number, transfer, word):
+    chunk = (b"cICP", bytes([number, transfer, 0, 1]))
+    path = write_png(tmp_path / "a.png", np.full((8, 8, 3), 999), 16, 2, chunk)
+    error = error_of(read_radiance, path)
+    assert error.code == "image-unreadable" and word in error.text
+
+
 @pytest.mark.parametrize(
     "damage", [lambda p: b"", lambda p: p[:140], lambda p: p[:-150], lambda p: p.replace(b"RGB ", b"CMYK")]
 )

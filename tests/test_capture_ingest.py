@@ -65,13 +65,38 @@ def test_masks_of_pixels_to_leave_out(tmp_path, run, model):
     assert kept.pop("up")["source"] == "format" and kept == json.loads(run.capture_json.read_text())
 
 
+@pytest.mark.parametrize("model", ["PINHOLE", "OPENCV"])
+@pytest.mark.parametrize("masked", [False, True])
+def test_transparent_pixels_are_left_out(tmp_path, run, model, masked):
+    samples = make_samples(2, model=model)
+    write_transforms(tmp_path / "in", samples)
+    pixels = np.random.default_rng(0).integers(30, 200, (32, 48, 4)).astype(np.uint8)
+    pixels[..., 3] = 255
+    pixels[:, 36:, 3] = 0
+    pixels[:, 20:30, 3] = 1
+    (tmp_path / "in" / "images" / "000_0001.exr").unlink()
+    Image.fromarray(pixels).save(tmp_path / "in" / "images" / "000_0001.png")
+    if masked:
+        (tmp_path / "in" / "masks").mkdir()
+        mask = np.full((32, 48), 255, np.uint8)
+        mask[:, :10] = 0
+        Image.fromarray(mask).save(tmp_path / "in" / "masks" / "a.png")
+        with edited_json(tmp_path / "in" / "transforms.json") as data:
+            data["frames"][0]["mask_path"] = "masks/a.png"
+    assert "image-transparent" in warnings(run_ingest(tmp_path / "in", run))
+    first, second = load_capture(run).views
+    assert second.masked() is None
+    left_out = first.masked()
+    assert left_out[:, -6:].all() and not left_out[:, 14:28].any() and left_out[:, :6].all() == masked
+
+
 def test_transforms_become_views_in_metres(tmp_path, run):
     samples = make_samples(9, up=(0.0, 1.0, 0.0))
     write_transforms(tmp_path / "in", samples)
     write_mesh(tmp_path / "room.obj")
     run.create(make_settings("draft"))
     messages = run_ingest(tmp_path / "in", run, up_axis="y", scale=0.5, mesh=tmp_path / "room.obj", hold_back=4)
-    assert warnings(messages) == ["size-implausible"]  # half a meter high
+    assert warnings(messages) == ["mesh-elsewhere"]  # hardly any camera sees the triangle
     assert messages[-1]["type"] == "done" and messages[-1]["data"]["held_back"] == 2
     assert [message["fraction"] for message in messages if message["type"] == "progress"][-1] >= 0.8
     assert run.read().preset == "draft"  # settings are not changed

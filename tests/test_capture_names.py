@@ -28,6 +28,7 @@ from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.prepare.models import WantedView, model_from_rig
 from samples import rig_writers as write
 from samples.capture_files import make_samples, write_fipt_real, write_fipt_synthetic
+from samples.capture_files import write_transforms as write_sample_transforms
 from samples.child_processes import posix
 from samples.combinations import pairs
 from samples.ingesting import edited_json, run_ingest
@@ -172,6 +173,14 @@ def test_a_photograph_is_never_that_of_two_or_of_another_camera(tmp_path: Path, 
         write_capture(kind, folder, [f"{start}day/1.jpg", f"{start}night/2.jpg"], ["night/1.jpg", "night/2.jpg"])
         error = error_of(run_ingest, folder, RunFolder(tmp_path / "run"), hold_back=0)
         assert error.code == "image-missing" and "1.jpg" in error.text
+
+
+@pytest.mark.parametrize("kind", WITH_FOLDERS)
+def test_names_as_in_web_addresses(tmp_path: Path, kind: str) -> None:
+    names = [f"images/my%20room%20{index}.jpg" for index in range(3)]
+    files = [f"images/my room {index}.jpg" for index in range(3)]
+    shots = write_capture(kind, tmp_path / "capture", names, files)
+    assert_found(tmp_path / "capture", shots, files)
 
 
 @pytest.mark.parametrize("kind", ANYWHERE)
@@ -411,3 +420,47 @@ def test_existing_solves_find_groups_by_paths(tmp_path: Path) -> None:
     for wanted in ([WantedView("1", 480, 320, ("1",))],
                    [WantedView(name, 480, 320, ("day/1.CR2",)) for name in ("1", "2")]):  # fmt: skip
         assert error_of(model_from_rig, rig, wanted).code == "file-ambiguous"
+
+
+@pytest.mark.parametrize("kind", [*WRITERS, "polycam", "record3d", "3d-scanner-app", "rgbd", "realityscan-xmp"])
+def test_companions_of_files_are_ignored(tmp_path: Path, kind: str) -> None:
+    """Macs write ``._NAME`` beside each file on disks of other systems."""
+    folder, shots = tmp_path / "capture", write.make_shots(count=3)
+    if kind == "3d-scanner-app":
+        shots = [replace(shot, name=f"frame_{index:05d}.jpg") for index, shot in enumerate(shots)]
+    others: dict[str, Callable[[], object]] = {
+        "polycam": lambda: write.write_polycam(folder, shots, np.eye(4), True),
+        "record3d": lambda: write.write_record3d(folder, shots, True),
+        "3d-scanner-app": lambda: write.write_scanner_app(folder, shots),
+        "rgbd": lambda: write_frames(folder, 3, (12, 16), 9.0),
+        "realityscan-xmp": lambda: write_realityscan_xmp(folder, shots),
+    }
+    if kind in others:
+        folder.mkdir()
+        others[kind]()
+    else:
+        files = [f"{'resized_images/' * (kind == 'scannetpp')}{stem}.jpg" for stem in STEMS]
+        write_capture(kind, folder, files, files)
+    before = read_rig(folder, "auto", CaptureOptions())
+    for file in [path for path in folder.rglob("*") if path.is_file()]:
+        (file.parent / f"._{file.name}").write_bytes(bytes.fromhex("0005160700020000") + bytes(200))
+    after = read_rig(folder, "auto", CaptureOptions())
+    assert [view.image for view in after.views] == [view.image for view in before.views]
+    assert [depth.path for depth in after.depths] == [depth.path for depth in before.depths]
+    assert after.mesh == before.mesh and after.notes == before.notes
+
+
+@pytest.mark.parametrize("name", ["images/000_0001.exr", "mesh.ply", "transforms.json"])
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:aa\nsize 4\n", "lfs"),
+        (b"<!DOCTYPE html><html>", "web"),
+    ],
+)
+def test_files_that_stand_for_others_are_named(tmp_path: Path, name: str, content: bytes, word: str) -> None:
+    write_sample_transforms(tmp_path / "in", make_samples(2))
+    (tmp_path / "in" / name).write_bytes(content)
+    error = error_of(run_ingest, tmp_path / "in", RunFolder(tmp_path / "run"))
+    assert error.code == "file-stand-in" and name.split("/")[-1] in error.text
+    assert word in (error.text + error.remedy).lower()

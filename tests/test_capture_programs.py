@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -43,6 +44,23 @@ def test_meshroom(tmp_path: Path, version: tuple[int, int, int]) -> None:
         rig = read(path)
         assert rig.source == "meshroom" and rig.up_axis == "y"
         assert_same(rig, shots)
+
+
+def test_meshroom_projects_are_read_from_their_cache(tmp_path: Path) -> None:
+    shots = write.make_shots(count=2)
+    nodes = tmp_path / "MeshroomCache" / "StructureFromMotion"
+    write.write_meshroom(nodes / "a", shots[:1], (1, 2, 8))
+    write.write_meshroom(nodes / "b", shots, (1, 2, 8))
+    os.utime(nodes / "a" / "cameras.sfm", (1.0, 1.0))
+    for file in list(tmp_path.rglob("*.jpg")):
+        file.unlink()
+    write.write_photographs(tmp_path / "photos", shots)
+    mesh = tmp_path / "MeshroomCache" / "Texturing" / "c" / "texturedMesh.obj"
+    mesh.parent.mkdir(parents=True)
+    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    rig = read(tmp_path)
+    assert_same(rig, shots)
+    assert rig.mesh == mesh and rig.views[0].image.parent == tmp_path / "photos"
 
 
 @pytest.mark.parametrize(
@@ -334,13 +352,6 @@ def test_metashape_reads_the_largest_of_several_chunks(tmp_path: Path) -> None:
     assert [note.code for note in rig.notes] == ["several-models"] and "(1, 3 " in rig.notes[0].text
 
 
-def test_metashape_with_geographic_coordinates_is_named(tmp_path: Path) -> None:
-    shots = write.make_shots(count=2)
-    chunk = Chunk([replace(shot, centre=shot.centre + 4e6) for shot in shots], 1.0, np.eye(3), np.full(3, 4e6))
-    write_metashape(tmp_path, [metashape_chunk(chunk)])
-    assert [note.code for note in read(tmp_path).notes] == ["georeferenced"]
-
-
 @pytest.mark.parametrize(
     ("old", "new", "code"),
     [
@@ -368,6 +379,15 @@ def test_realityscan(tmp_path: Path, writer) -> None:
     rig = read(tmp_path)
     assert rig.source == "realityscan" and rig.up_axis == "z"
     assert_same(rig, shots)
+
+
+def test_realityscan_2_has_other_names_of_columns(tmp_path: Path) -> None:
+    shots = write.make_shots(count=2)
+    write_realityscan_csv(tmp_path, shots)
+    file = tmp_path / "cameras.csv"
+    text = file.read_text()
+    file.write_text(text.replace("heading", "yaw").replace(",f,px,py", ", f_35mm,px_norm,py_norm"))
+    assert_same(read(tmp_path), shots)
 
 
 def test_realityscan_xmp_values_may_be_attributes(tmp_path: Path) -> None:
@@ -432,16 +452,6 @@ def test_blocksexchange_largest_component_and_photographs_without_a_pose(tmp_pat
     assert_same(rig, [shots[0], shots[3]])
     assert [note.code for note in rig.notes] == ["several-models", "pose-lost"]
     assert "2 photographs" in rig.notes[1].text and "IMG_0002.jpg" in rig.notes[1].text
-
-
-@pytest.mark.parametrize(
-    ("system", "offset", "notes"),
-    [('LOCAL_CS["m"]', 0.0, []), ("ENU:1,2", 0.0, []), ("EPSG:2154", 6e5, ["georeferenced"])],
-)
-def test_blocksexchange_reference_systems(tmp_path: Path, system: str, offset: float, notes: list[str]) -> None:
-    shots = [replace(shot, centre=shot.centre + offset) for shot in write.make_shots(count=2)]
-    write.write_blocksexchange(tmp_path, shots, system=system)
-    assert [note.code for note in read(tmp_path).notes] == notes
 
 
 @pytest.mark.parametrize(

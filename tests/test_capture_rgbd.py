@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fipt_blender.core.capture.depth_images import fuse, read_depth
+from fipt_blender.core.capture.depth_images import fuse, pixel_spacing, read_depth
 from fipt_blender.core.capture.formats.registry import detect_format, read_rig
 from fipt_blender.core.capture.mesh_file import read_mesh
 from fipt_blender.core.capture.options import CaptureOptions, FusionOptions
@@ -80,23 +80,79 @@ def test_ingest_fuses_the_mesh_once(tmp_path: Path) -> None:
     data = import_frames(capture, run)
     assert data["mesh"] == str(run / "fused.ply")
     vertices, triangles = read_mesh(run / "fused.ply")
-    assert np.abs(vertices[:, 2] - WALL).max() < 1e-3 and len(triangles) > 1000
+    assert np.abs(vertices[:, 2] - WALL).max() < 1e-3 and len(triangles) > 500
     corners = vertices[triangles]
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
     assert (facing < 0.0).all()  # towards the cameras
     made = (run / "fused.ply").stat().st_mtime_ns
     import_frames(capture, run)
     assert (run / "fused.ply").stat().st_mtime_ns == made
-    import_frames(capture, run, voxel=0.05)
-    assert len(read_mesh(run / "fused.ply")[1]) < 0.3 * len(triangles)
+    import_frames(capture, run, voxel=0.02)  # otherwise twice the pixels' distance, 6 cm
+    assert len(read_mesh(run / "fused.ply")[1]) > 6 * len(triangles)
+
+
+def test_voxels_follow_the_pixels_and_confidence_maps_weigh(tmp_path: Path) -> None:
+    folder = rgbd_frames.write_exported_scan(tmp_path / "scan", (WIDTH, HEIGHT), FOCAL)
+    views = read_rig(folder, "auto", CaptureOptions()).depths
+    assert pixel_spacing([read_depth(view, 1.0) for view in views]) == pytest.approx(WALL / FOCAL, rel=1e-3)
+    assert (read_depth(views[0], 1.0).weight == 1.0).all()  # as near as that, noise does not grow
+    (folder / "confidence").mkdir()
+    Image.fromarray(np.full((HEIGHT, WIDTH), 1, np.uint8)).save(folder / "confidence" / views[0].path.name)
+    Image.fromarray(np.zeros((HEIGHT, WIDTH), np.uint8)).save(folder / "confidence" / views[1].path.name)
+    assert (read_depth(views[0], 1.0).weight == 0.5).all()
+    assert (read_depth(views[1], 1.0).weight == np.float32(0.05)).all()
+
+
+def write_stray_scanner(folder: Path, pictures: int) -> None:
+    for name in ("depth", "rgb"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    (folder / "camera_matrix.csv").write_text(f"{2 * FOCAL}, 0.0, {WIDTH}\n0.0, {2 * FOCAL}, {HEIGHT}\n0.0, 0.0, 1.0\n")
+    rows = ["timestamp, frame, x, y, z, qx, qy, qz, qw"]
+    for index in range(FRAMES):
+        rows.append(f"{index / 60:.6f}, {index:06d}, {0.1 * index}, 0, 0, 0, 0, 0, 1")
+        rgbd_frames.write_depth(folder / "depth" / f"{index:06d}.png", (WIDTH, HEIGHT))
+        if index < pictures:
+            rgbd_frames.write_color(folder / "rgb" / f"{index:06d}.jpg", (2 * WIDTH, 2 * HEIGHT))
+    (folder / "odometry.csv").write_text("\n".join(rows))
+
+
+def test_stray_scanner_gives_all_depth_images_with_poses(tmp_path: Path) -> None:
+    write_stray_scanner(tmp_path, pictures=2)
+    rig = read_rig(tmp_path, "auto", CaptureOptions())
+    assert rig.source == "stray-scanner" and len(rig.views) == 2 and len(rig.depths) == FRAMES
+    assert rig.depths[3].photograph is None and rig.depths[1].photograph is rig.views[1]
+    np.testing.assert_allclose(rig.depths[3].camera_to_world, frame_pose(3))
+    assert (rig.depths[3].fx, rig.depths[3].cx) == (FOCAL, WIDTH / 2)
+    for file in (tmp_path / "rgb").iterdir():
+        file.unlink()
+    error = error_of(read_rig, tmp_path, "auto", CaptureOptions())
+    assert error.code == "image-missing" and "ffmpeg" in error.remedy
+
+
+@pytest.mark.parametrize(
+    ("field", "unit"), [("depth_file_path", "depth_unit_scale_factor"), ("depth_path", "integer_depth_scale")]
+)
+def test_depth_images_of_transforms_are_fused(tmp_path: Path, field: str, unit: str) -> None:
+    folder, frames = tmp_path / "in", []
+    folder.mkdir()
+    for index in range(FRAMES):
+        rgbd_frames.write_color(folder / f"{index}.png", (WIDTH, HEIGHT))
+        rgbd_frames.write_depth(folder / f"{index}.depth.png", (WIDTH, HEIGHT), 0.5 * WALL)
+        pose = (frame_pose(index) @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist()
+        frames.append({"file_path": f"{index}.png", field: f"{index}.depth.png", "transform_matrix": pose})
+    lens = {"w": WIDTH, "h": HEIGHT, "fl_x": FOCAL, "fl_y": FOCAL}
+    (folder / "transforms.json").write_text(json.dumps({**lens, unit: 0.002, "frames": frames}))
+    data = import_frames(folder, tmp_path / "run")
+    vertices, _ = read_mesh(Path(data["mesh"]))
+    assert np.abs(vertices[:, 2] - WALL).max() < 1e-3
 
 
 def test_the_fused_mesh_keeps_to_its_budget(tmp_path: Path) -> None:
     capture, run = write_frames(tmp_path / "room"), tmp_path / "run"
-    import_frames(capture, run, triangles=200)
+    import_frames(capture, run, triangles=200, voxel=0.02)
     vertices, triangles = read_mesh(run / "fused.ply")
     assert 100 <= len(triangles) <= 200 and np.abs(vertices[:, 2] - WALL).max() < 5e-3
-    for impossible in ({"triangles": 5}, *({"voxel": voxel} for voxel in (0.0, -1.0, 5.0, float("nan")))):
+    for impossible in ({"triangles": 5}, *({"voxel": voxel} for voxel in (1e-4, -1.0, 5.0, float("nan")))):
         error = error_of(import_frames, capture, tmp_path / "other", **impossible)
         assert error.code == "setting-invalid" and not (tmp_path / "other").exists()
 

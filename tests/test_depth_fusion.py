@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fipt_blender.core.depth.cleaning import without_specks
 from fipt_blender.core.depth.extraction import FusedMesh, extract
+from fipt_blender.core.depth.gaps import gap_image
 from fipt_blender.core.depth.range_image import RangeImage
 from fipt_blender.core.depth.simplification import simplified
 from fipt_blender.core.depth.volume import BlockVolume, pack, unpack
@@ -109,6 +112,66 @@ def test_colors_are_means_of_the_views() -> None:
     mesh = fused(views)
     assert mesh.colors is not None
     assert np.abs(mesh.colors - [0.3, 0.5, 0.0]).max() < 1e-5
+
+
+def wall_image(place: float, hole: bool = True, depth: float = 1.0) -> RangeImage:
+    """What a camera beside others measures of a slanting wall, with a hole in its middle."""
+    _, x = (np.mgrid[:48, :48] + 0.5 - 24.0) / 48.0
+    pose = np.eye(4)
+    pose[0, 3] = place
+    values = (depth + 0.3 * place) / (1.0 - 0.3 * x)
+    values[16:32, 16:32] = 0.0 if hole else values[16:32, 16:32]
+    return RangeImage(values.astype(np.float32), 48.0, 48.0, 24.0, 24.0, pose)
+
+
+def test_a_plane_is_continued_through_a_gap_exactly() -> None:
+    gap, whole = gap_image(wall_image(0.0)), wall_image(0.0, hole=False)
+    inside = np.zeros((48, 48), bool)
+    inside[16:32, 16:32] = True
+    np.testing.assert_allclose(gap.depth[inside], whole.depth[inside], rtol=1e-5)
+    assert not gap.depth[~inside].any()
+
+
+def test_no_curtain_hangs_from_an_edge_and_nothing_continues_beyond_the_image() -> None:
+    image = wall_image(0.0)
+    image.depth[:, 24:] *= np.float32(0.5)  # something stands before the wall
+    image.depth[16:32] = 0.0
+    gap = gap_image(image).depth
+    assert gap[20, 5] > 0.85 and 0.0 < gap[20, 40] < 0.7  # along columns
+    image = wall_image(0.0, hole=False)
+    image.depth[:, 30:] *= np.float32(0.5)
+    image.depth[:, 20:30] = 0.0
+    image.depth[:, :4] = 0.0
+    assert not gap_image(image).depth.any()
+
+
+def test_gaps_are_taken_over_where_nothing_is_known() -> None:
+    volume, gaps = BlockVolume(VOXEL), BlockVolume(VOXEL)
+    gaps.integrate(gap_image(wall_image(0.0)))
+    volume.allocate(gaps.keys)
+    volume.integrate(wall_image(0.0))
+    before, measured = extract(volume, 1e-3), volume.weight > 0.0
+    distance = volume.distance[measured].copy()
+    volume.adopt(gaps)
+    np.testing.assert_array_equal(volume.distance[: len(measured)][measured], distance)
+    mesh = extract(volume, 1e-3)
+    assert len(mesh.triangles) > 1.05 * len(before.triangles)
+    assert np.abs(mesh.vertices[:, 2] - 0.3 * mesh.vertices[:, 0] - 1.0).max() < 0.01
+    seen_through = BlockVolume(VOXEL)
+    seen_through.allocate(gaps.keys)
+    seen_through.integrate(wall_image(0.0, hole=False, depth=2.0))
+    seen_through.adopt(gaps)
+    assert np.abs(extract(seen_through, 1e-3).vertices[:, 2]).min() > 1.5
+
+
+def test_weights_of_measurements() -> None:
+    near, far = wall_image(0.0, hole=False), wall_image(0.0, hole=False, depth=1.03)
+    volume = BlockVolume(VOXEL)
+    volume.integrate(near)
+    volume.integrate(replace(far, weight=np.full((48, 48), 0.01, np.float32)))
+    lone = extract(volume, 1e-3).vertices
+    plain = lone[:, 2] - 0.3 * lone[:, 0]
+    assert np.abs(plain - 1.0).max() < 0.01
 
 
 def test_nothing_measured_gives_no_surface() -> None:

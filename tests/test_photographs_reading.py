@@ -33,7 +33,7 @@ from fipt_blender.prepare.preparation import (
 )
 from fipt_blender.prepare.reading import list_photographs, without_doubles
 from samples.photographs import exif, write_brackets, write_jpeg
-from samples.prepared_captures import prepare
+from samples.prepared_captures import facts, prepare
 from samples.refusals import error_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -156,6 +156,60 @@ def test_the_jpeg_beside_a_raw_photograph_is_left_out() -> None:
     photographs = [shot("1.jpg", 1.0), shot("1.DNG", 1.0, kind="raw"), shot("2.jpg", 1.0)]
     kept, doubles = without_doubles(photographs)
     assert [item.path for item in kept] == ["1.DNG", "2.jpg"] and doubles == photographs[:1]
+
+
+def test_copies_in_other_folders_and_of_other_edits_are_left_out() -> None:
+    photographs = [
+        shot("RAW/1.DNG", 1.0, 10.0, kind="raw"),
+        shot("JPG/1.JPG", 1.0, 10.0),
+        shot("other/1.JPG", 1.0, 99.0),  # another camera's, whose counter was there, too
+        shot("IMG_100.JPG", 1.0, 20.0),
+        shot("IMG_E100.JPG", 1.0, 20.0),
+        shot("IMG_E101.JPG", 1.0, 30.0),  # without its original
+        shot("day/a.jpg", 1.0, 40.0),
+        shot("day/a-edited.jpg", 1.0, 40.0),
+    ]
+    kept, copies = without_doubles(photographs)
+    assert [item.path for item in copies] == ["JPG/1.JPG", "IMG_E100.JPG", "day/a-edited.jpg"]
+    assert len(kept) == 5
+
+
+def test_maps_and_companions_are_no_photographs(tmp_path: Path) -> None:
+    source, capture = tmp_path / "in", tmp_path / "out"
+    write_brackets(source, 2, (1 / 60, 1 / 240))
+    (source / "._IMG_1.jpg").write_bytes(bytes.fromhex("00051607") + bytes(200))
+    for name in ("depth/1.png", "depth/2.png", "confidence/1.png", "IMG_1_normal.png"):
+        (source / name).parent.mkdir(exist_ok=True)
+        Image.fromarray(GREY[..., 0]).save(source / name)
+    write_jpeg(source / "depth of the room.jpg", GREY, exif(1 / 15))  # of a camera
+    reporter = read(source, capture)
+    found = facts(PreparationFolder(capture), "read")
+    assert found["photographs"] == 5 and len(found["skipped"]) == 4
+    assert "._IMG_1.jpg" not in {item["path"] for item in found["skipped"]}
+    said = [warning for warning in reporter.warnings if warning["code"] == "images-left-out"]
+    assert len(said) == 1 and "2 depth maps" in said[0]["text"] and "1 confidence maps" in said[0]["text"]
+
+
+def test_digital_zoom_is_another_focal_length(tmp_path: Path) -> None:
+    tags = exif(1 / 60)
+    tags.get_ifd(0x8769).update({0x920A: 6.5, 0xA405: 24, 0xA404: 2.0})
+    zoomed = describe(write_jpeg(tmp_path / "a.jpg", GREY, tags), "a.jpg")
+    assert zoomed.focal_length == pytest.approx(13.0) and zoomed.focal_35mm is None
+    tags.get_ifd(0x8769)[0xA404] = 1.0
+    plain = describe(write_jpeg(tmp_path / "b.jpg", GREY, tags), "b.jpg")
+    assert plain.focal_length == pytest.approx(6.5) and plain.focal_35mm == 24.0
+
+
+def test_brackets_by_aperture_may_repeat_an_exposure() -> None:
+    apertures = (6.3, 5.0, 3.2, 2.8, 2.8, 4.0, 8.0)
+    photographs = [
+        shot(f"{7 * burst + index:02d}.jpg", 1.0 / aperture**2, 180.0 * burst + index + 1.0)
+        for burst in range(3)
+        for index, aperture in enumerate(apertures)
+    ]
+    assert [len(group.photographs) for group in find_groups(photographs, "auto")] == [7, 7, 7]
+    alike = [shot(f"{index}.jpg", 1.0, 2.0 * index + 1.0) for index in range(6)]  # and no bracket
+    assert len(find_groups(alike, "auto")) == 6
 
 
 def test_reading_a_folder(tmp_path: Path) -> None:

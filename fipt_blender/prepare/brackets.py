@@ -61,6 +61,8 @@ def find_groups(
             folders.setdefault(PurePath(photograph.path).parent, []).append(photograph)
         lists = list(folders.values())
         return _named(lists, by_folder=True)
+    elif (bursts := _equal_bursts(ordered)) and grouping == "auto":
+        lists = bursts
     else:
         lists = []
         for photograph in ordered:
@@ -69,6 +71,23 @@ def find_groups(
             else:
                 lists.append([photograph])
     return _named(lists, by_folder=False)
+
+
+def _equal_bursts(ordered: Sequence[Photograph]) -> list[list[Photograph]]:
+    """The bursts of a camera that repeats one series in which an exposure occurs twice; none otherwise."""
+    bursts: list[list[Photograph]] = []
+    for item in ordered:
+        last = bursts[-1][-1] if bursts else item
+        apart = (item.time or 0.0) - (last.time or 0.0)
+        if last.time and item.time and _same_camera(last, item) and 0.0 < apart <= GAP_SECONDS:
+            bursts[-1].append(item)
+        else:
+            bursts.append([item])
+    series = {tuple(round(math.log2(item.exposure or 1.0), 1) for item in burst) for burst in bursts}
+    first = next(iter(series), ())
+    if len(bursts) > 1 and len(series) == 1 and len(first) - 1 == len(set(first)) > 1:
+        return bursts
+    return []
 
 
 def in_order(photographs: Iterable[Photograph]) -> list[Photograph]:

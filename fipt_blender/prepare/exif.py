@@ -24,12 +24,14 @@ from ..core.capture.encoded import (
     relative_exposure,
     shutter_aperture_iso,
 )
+from ..core.capture.files import stand_in
 from ..core.capture.images import image_tags, open_picture
 from ..core.capture.suffixes import RAW_SUFFIXES
 from ..core.run.errors import FiptError
 from .preparation import Photograph
 
 DAMAGE = (*encoded.DAMAGE, rawpy.LibRawError)  # what the libraries raise for damaged files
+JPEG_XL = "52546"  # compression of a DNG, which LibRaw does not read
 _TIMES = (
     ("EXIF DateTimeOriginal", "EXIF SubSecTimeOriginal"),
     ("EXIF DateTimeDigitized", "EXIF SubSecTimeDigitized"),
@@ -52,6 +54,8 @@ def describe(path: Path, name: str) -> Photograph:
     Raises:
         FiptError: ``photograph-unreadable`` for RAW files, and those of `read_size`.
     """
+    if (error := stand_in(path)) is not None:
+        raise error
     if path.suffix.lower() not in RAW_SUFFIXES:
         picture, tags = open_picture(path), image_tags(path)
         if picture.type != "float32":
@@ -62,6 +66,8 @@ def describe(path: Path, name: str) -> Photograph:
     try:
         if path.stat().st_size == 0:
             raise unreadable(path, "the file is empty")
+        if any(name.endswith("Compression") and str(value) == JPEG_XL for name, value in tags.items()):
+            raise unreadable(path, "its mosaic is compressed with JPEG XL; export it with lossless JPEG")
         with rawpy.imread(str(path)) as raw:
             size, tags = (raw.sizes.width, raw.sizes.height), _raw_tags(raw, tags) | tags
     except DAMAGE as error:
@@ -83,6 +89,8 @@ def unreadable(path: Path, reason: object) -> FiptError:
 
 def _photograph(name: str, kind: str, size: tuple[int, int], tags: Mapping[str, Any]) -> Photograph:
     shutter, aperture, iso = shutter_aperture_iso(tags)
+    zoom = exif_number(tags, "EXIF DigitalZoomRatio") or 1.0
+    focal = exif_number(tags, "EXIF FocalLength")
     exposure = relative_exposure(tags)
     return Photograph(
         path=name,
@@ -93,8 +101,9 @@ def _photograph(name: str, kind: str, size: tuple[int, int], tags: Mapping[str, 
         shutter=shutter,
         aperture=aperture,
         iso=iso,
-        focal_length=exif_number(tags, "EXIF FocalLength"),
-        focal_35mm=exif_number(tags, "EXIF FocalLengthIn35mmFilm"),
+        focal_length=zoom * focal if focal else None,
+        # Cameras do not agree whether it contains the digital zoom.
+        focal_35mm=exif_number(tags, "EXIF FocalLengthIn35mmFilm") if zoom == 1.0 else None,
         make=_text(tags, "Image Make"),
         model=_text(tags, "Image Model"),
         lens=_text(tags, "EXIF LensModel") or _text(tags, "MakerNote LensModel"),

@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
 
+from ..core.capture.files import is_hidden, original_of, role
 from ..core.capture.panorama import says_panorama
 from ..core.capture.suffixes import SUFFIXES
 from ..core.run.errors import FiptError
@@ -41,12 +43,17 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     photographs: list[Photograph] = []
     skipped: list[Skipped] = []
     panoramas: list[Skipped] = []
+    maps: list[Skipped] = []
     names = list_photographs(preparation.source)
     for index, name in enumerate(names):
         try:
             photograph = describe(preparation.source / name, name)
             size = photograph.width, photograph.height
-            if not preparation.settings.cameras and says_panorama(preparation.source / name, size):
+            # Cameras and phones write what a photograph was taken with, programs that make maps do not.
+            what = "" if photograph.model or photograph.shutter else role(name)
+            if what:
+                maps.append(Skipped(name, f"it is one of the {what}"))
+            elif not preparation.settings.cameras and says_panorama(preparation.source / name, size):
                 panoramas.append(Skipped(name, "it is an equirectangular panorama, which is not solved here"))
             else:
                 photographs.append(photograph)
@@ -56,8 +63,8 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
         reporter.progress(0.7 * (index + 1) / len(names))  # of the time; the rest compares photographs
     photographs, doubles = without_doubles(in_order(photographs))
     damaged = list(skipped)
-    skipped += [Skipped(item.path, "the RAW photograph of the same name is used") for item in doubles]
-    skipped += panoramas
+    copies = [Skipped(item.path, "the photograph that it was made of is used") for item in doubles]
+    skipped += [*copies, *maps, *panoramas]
     if not photographs:
         raise _none_usable(preparation.source, skipped)
     photographs = with_entered_exposures(photographs, preparation.photographs)
@@ -71,6 +78,12 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
             "Give the panorama and its place to the import (Import Settings > Advanced > Panorama,"
             " --panorama), or use an existing solve that has it (COLMAP, Metashape, OpenSfM).",
         )
+    if copies or maps:
+        kinds = Counter(item.reason.removeprefix("it is one of the ") for item in maps)
+        said = [f"{count} {kind}" for kind, count in kinds.items()]
+        said += [f"{len(copies)} JPEGs of RAW photographs or edited copies"] if copies else []
+        remedy = "To use them instead, move the others out of the folder."
+        reporter.warning("images-left-out", f"{' and '.join(said)} are left out.", remedy)
     _warn(reporter, damaged, photographs, groups)
     write_preparation(folder, replace(preparation, photographs=tuple(photographs), groups=tuple(groups)))
     return ReadFacts(tuple(skipped), len(photographs), len(groups))
@@ -88,9 +101,9 @@ def list_photographs(source: Path) -> list[str]:
         )
     names = []
     for top, folders, files in os.walk(source):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        folders[:] = sorted(name for name in folders if not is_hidden(name))
         for name in sorted(files):
-            if not name.startswith(".") and name.lower().endswith(SUFFIXES):
+            if not is_hidden(name) and name.lower().endswith(SUFFIXES):
                 names.append(Path(top, name).relative_to(source).as_posix())
         if len(names) > 20_000:
             raise FiptError(
@@ -108,10 +121,23 @@ def list_photographs(source: Path) -> list[str]:
 
 
 def without_doubles(photographs: Sequence[Photograph]) -> tuple[list[Photograph], list[Photograph]]:
-    """Photographs without the JPEGs that a camera saves beside its RAW files, and those JPEGs."""
-    raws = {_stem(item) for item in photographs if item.kind == "raw"}
-    kept = [item for item in photographs if item.kind != "ldr" or _stem(item) not in raws]
-    return kept, [item for item in photographs if item.kind == "ldr" and _stem(item) in raws]
+    """Photographs without copies of others, and these copies.
+
+    They are the JPEGs that a camera saves beside its RAW files, in their folder or with their names and times
+    in another one, and edited copies beside the photographs that a phone has made them of.
+    """
+    raws, all_of = [item for item in photographs if item.kind == "raw"], {_stem(item) for item in photographs}
+    of_raws: set[object] = {_stem(item) for item in raws}
+    of_raws |= {(_stem(item).rpartition("/")[2], item.time) for item in raws if item.time is not None}
+
+    def is_copy(item: Photograph) -> bool:
+        folder, _, stem = _stem(item).rpartition("/")
+        original = original_of(stem)
+        edited = bool(original) and f"{folder}/{original}".lstrip("/") in all_of
+        return item.kind == "ldr" and (edited or _stem(item) in of_raws or (stem, item.time) in of_raws)
+
+    copies = [item for item in photographs if is_copy(item)]
+    return [item for item in photographs if item not in copies], copies
 
 
 def with_entered_exposures(
@@ -126,7 +152,7 @@ def with_entered_exposures(
 
 
 def _stem(photograph: Photograph) -> str:
-    return str(PurePath(photograph.path).with_suffix("")).casefold()
+    return PurePath(photograph.path).with_suffix("").as_posix().casefold()
 
 
 def _none_usable(source: Path, skipped: Sequence[Skipped]) -> FiptError:

@@ -8,6 +8,7 @@ does that for cameras and mesh alike.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -40,8 +41,8 @@ IMPORTERS: dict[str, list[tuple[str, str, dict[str, Any]]]] = {
     ".usda": [("wm", "usd_import", {})],
     ".usdz": [("wm", "usd_import", {})],
 }
-# glTF is Y up by definition, and its importer always converts to Z up: this undoes that.
-_UNDO = {suffix: np.linalg.inv(conventions.world_from_source("y")) for suffix in (".gltf", ".glb")}
+# What importers have converted from Y up to Z up is turned back: glTF always, USD by its own up axis.
+_UNDO = np.linalg.inv(conventions.world_from_source("y"))
 
 
 def import_room(
@@ -49,8 +50,8 @@ def import_room(
 ) -> list[str]:
     """Import a mesh file into the collection of the room's parts.
 
-    Transforms are applied to the mesh data, so that every object's matrix is the identity. FBX and USD files
-    state their own axes and units: Blender's importer converts them before `world_from_source` is applied.
+    Transforms are applied to the mesh data, so that every object's matrix is the identity. FBX files state
+    their own axes: Blender's importer converts them before `world_from_source` is applied.
 
     Args:
         path: OBJ, PLY, STL, glTF, FBX or USD file.
@@ -85,7 +86,7 @@ def import_meshes(
     bpy.context.view_layer.update()
     matrices = {item.name: np.array(item.matrix_world, np.float64) for item in new}
     target = collection(scene or bpy.context.scene, ROOM)
-    similarity = np.asarray(world_from_source, np.float64) @ _UNDO.get(path.suffix.lower(), np.eye(4))
+    similarity = np.asarray(world_from_source, np.float64) @ (_UNDO if _is_y_up(path) else np.eye(4))
     meshes = [item for item in new if item.type == "MESH" and len(item.data.polygons)]
     for item in meshes:
         if item.data.users > 1:
@@ -109,6 +110,19 @@ def import_meshes(
     if not names:
         raise FiptError("mesh-empty", f"{path} holds no faces.", "Choose a file with a triangle mesh.")
     return names
+
+
+def _is_y_up(path: Path) -> bool:
+    """Whether Blender's importer has turned a file from Y up to Z up."""
+    suffix = path.suffix.lower()
+    if not suffix.startswith(".usd"):
+        return suffix in (".gltf", ".glb")
+    try:
+        from pxr import Usd, UsdGeom
+    except ImportError:  # of Blender as a module: only text says it; without a word Y is up
+        with path.open("rb") as file:
+            return re.search(rb'upAxis\s*=\s*"Z"', file.read(1 << 16)) is None
+    return str(UsdGeom.GetStageUpAxis(Usd.Stage.Open(str(path)))) == "Y"
 
 
 def _wrong_vertices(mesh: bpy.types.Mesh) -> int:

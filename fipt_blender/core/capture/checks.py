@@ -107,12 +107,14 @@ class PixelStatistics:
         median: median of the positive values, 0 where there are none.
         looks_ldr: all values are 8-bit steps between 0 and 1, linear or sRGB-encoded.
         clipped: share of pixels at the highest value, 0 unless that looks like a sensor's limit.
+        transparent: share of pixels whose alpha is 0.
     """
 
     minimum: float
     median: float
     looks_ldr: bool
     clipped: float
+    transparent: float = 0.0
 
 
 def pixel_statistics(path: Path, pixels: np.ndarray) -> PixelStatistics:
@@ -214,6 +216,11 @@ def judge_pixels(
                 "Resampling filters produce such values; nothing needs to be done.",
             )
         )
+    clear = [item.transparent for _, item in pairs if item.transparent > 0.0]
+    if clear:
+        text = f"{len(clear)} photographs have pixels with alpha 0 (up to {100.0 * max(clear):.0f} %)."
+        remedy = "They are left out, as by a mask; remove the alpha channel to use them."
+        notes.append(Note("image-transparent", text, remedy))
     ldr = [name for name, item in pairs if item.looks_ldr]
     if ldr:
         notes.append(

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..depth.cleaning import without_specks
 from ..depth.extraction import FusedMesh, extract
+from ..depth.gaps import gap_image
 from ..depth.ply import write_ply
 from ..depth.range_image import RangeImage
 from ..depth.simplification import simplified
@@ -24,6 +25,7 @@ from ..run.runfolder import PRODUCT_VERSION, RunFolder, write_json
 from . import checks
 from .encoded import srgb_encoded
 from .exr_file import read_exr_values
+from .files import stand_in
 from .images import is_encoded, open_picture, read_radiance, read_size, stored_values
 from .options import FusionOptions
 from .rig import DepthView, Pinhole, RigView
@@ -32,6 +34,15 @@ from .rig import DepthView, Pinhole, RigView
 FARTHEST = 8.0
 # Medians outside of this are no distances in a room: the unit of the depth images is another one.
 PLAUSIBLE_MEDIAN = (0.1, 20.0)
+# Noise of depth cameras grows with the distance from about here, metres.
+NEAR = 2.0
+# Weight of measurements of which the camera is not confident: they count where nothing else was measured.
+DOUBTFUL = 0.05
+# Weight from which on a voxel is known. A count would leave out what one image alone shows, and surfaces that
+# are seen at grazing angles, behind which measurements count little: 8 to 17 % of the pixels of real rooms.
+LEAST_WEIGHT = 1e-3
+# Edge of voxels, where none is given: in the pixels' spacing at their median distance; the smallest, metres.
+SPACINGS, FINEST = 2.0, 0.02
 SPECK_VOXELS = 10.0  # pieces of less area than a square of this side are dropped
 
 
@@ -70,8 +81,22 @@ def read_depth(view: DepthView, scale: float) -> RangeImage:
     depth = np.where(np.isfinite(depth) & (depth > 0.0) & (depth < FARTHEST), depth, 0.0)
     pose = view.camera_to_world.copy()
     pose[:3, 3] *= scale
-    intrinsics = (view.fx, view.fy, view.cx, view.cy)
-    return RangeImage(depth.astype(np.float32), *intrinsics, pose, _colors(view, depth, scale))
+    weight = _confidence(view.path, depth.shape) * (NEAR / np.maximum(depth, NEAR)) ** 2
+    given = (view.fx, view.fy, view.cx, view.cy, pose, _colors(view, depth, scale))
+    return RangeImage(depth.astype(np.float32), *given, weight.astype(np.float32))
+
+
+def _confidence(path: Path, shape: tuple[int, ...]) -> np.ndarray | np.float32:
+    """Weights (H, W) from `DOUBTFUL` to 1 by the confidence map beside a depth image; 1 without one."""
+    for word in ("confidence", "conf"):
+        file = path.parent.parent / word / path.name if path.parent.name.lower() == "depth" else path
+        file = file if file != path else path.with_name(path.name.replace("depth", word))
+        if file == path or not file.is_file():
+            continue
+        values = stored_values(file, open_picture(file))[..., 0].astype(np.float32)
+        if values.shape == shape:  # apps write 0 to 2, or 0 to 255
+            return np.clip(values / (2.0 if values.max() <= 2.0 else 255.0), DOUBTFUL, 1.0)
+    return np.float32(1.0)
 
 
 def _stored(path: Path) -> np.ndarray:
@@ -82,7 +107,7 @@ def _stored(path: Path) -> np.ndarray:
             return np.nan_to_num(read_exr_values(path)[..., 0], nan=0.0, posinf=0.0, neginf=0.0)
         values = stored_values(path, picture)
     except FiptError as error:
-        raise _unreadable(path, error.text) from None
+        raise stand_in(path) or _unreadable(path, error.text) from None
     if picture.kind != "png" or values.shape[2] > 1 or values.dtype != np.uint16:
         raise FiptError(
             "depth-format",
@@ -105,6 +130,7 @@ def _colors(view: DepthView, depth: np.ndarray, scale: float) -> np.ndarray | No
         return None
     pixels = srgb_encoded(read_radiance(photograph.image))
     from_depth = np.linalg.inv(photograph.camera_to_world) @ view.camera_to_world
+    depth = np.where(depth > 0.0, depth, NEAR)  # also what is not measured has a color
     y, x = np.mgrid[: view.height, : view.width] + 0.5
     local = (
         np.stack([(x - view.cx) / view.fx, (y - view.cy) / view.fy, np.ones_like(x)], axis=2)
@@ -153,14 +179,20 @@ def fuse(
     Raises:
         FiptError: those of `read_depth` and `check_unit`; ``depth-empty`` where no surface is found.
     """
-    check_unit([read_depth(view, scale) for view in views[:: max(1, len(views) // 8)]])
+    some = [read_depth(view, scale) for view in views[:: max(1, len(views) // 8)]]
+    check_unit(some)
+    voxel = options.voxel or max(FINEST, SPACINGS * pixel_spacing(some))
     with_color = any(view.photograph is not None and is_encoded(view.photograph.image) for view in views)
-    volume = BlockVolume(options.voxel, with_color)
+    volume, gaps = BlockVolume(voxel, with_color), BlockVolume(voxel, with_color)
+    for index, view in enumerate(views):
+        gaps.integrate(gap_image(read_depth(view, scale)))
+        progress(0.5 * (index + 1) / (len(views) + 1))
+    volume.allocate(gaps.keys)  # so that it is known which of them images look through
     for index, view in enumerate(views):
         volume.integrate(read_depth(view, scale))
-        progress((index + 1) / (len(views) + 1))
-    mesh = extract(volume, min(2.0, len(views)))
-    mesh = without_specks(mesh, (SPECK_VOXELS * options.voxel) ** 2)
+        progress(0.5 + 0.5 * (index + 1) / (len(views) + 1))
+    volume.adopt(gaps)
+    mesh = without_specks(extract(volume, LEAST_WEIGHT), (SPECK_VOXELS * voxel) ** 2)
     if not len(mesh.triangles):
         raise FiptError(
             "depth-empty",
@@ -173,12 +205,17 @@ def fuse(
     return FusedMesh(mesh.vertices / np.float32(scale), mesh.triangles, mesh.colors)
 
 
+def pixel_spacing(images: Sequence[RangeImage]) -> float:
+    """Median distance in metres between the points that neighbouring pixels measure."""
+    spacings = [image.depth[image.depth > 0.0] / min(image.fx, image.fy) for image in images]
+    return float(np.median(np.concatenate(spacings)))
+
+
 @dataclass(frozen=True)
 class _FusedNote:
-    """fused.json: a key of all that the mesh depends on, and the edge of its voxels."""
+    """fused.json: a key of all that the mesh depends on."""
 
     input: str
-    voxel: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +254,7 @@ class Fusion:
         """
         key = self._key()
         write_ply(self.run.fused_ply, mesh)
-        write_json(self.run.fused_json, _FusedNote(key, self.options.voxel))
+        write_json(self.run.fused_json, _FusedNote(key))
         return self.run.fused_ply
 
     def _key(self) -> str:
@@ -244,7 +281,7 @@ def depth_size(path: Path) -> tuple[int, int]:
     try:
         return read_size(path)
     except FiptError as error:
-        raise _unreadable(path, error.text) from None
+        raise stand_in(path) or _unreadable(path, error.text) from None
 
 
 def registered_depths(
@@ -253,7 +290,7 @@ def registered_depths(
     """The depth images that exist; they have the camera and field of view of a photograph, and other sizes.
 
     Args:
-        views: with pinhole lenses.
+        views: with pinhole lenses; their photographs need not exist.
         paths: for each view, None where it has none.
         unit: metres per stored unit; EXR files always hold metres.
 
@@ -270,4 +307,5 @@ def _registered_depth(view: RigView, path: Path, unit: float) -> DepthView:
     fx, fy, cx, cy = view.lens.parameters
     unit = 1.0 if path.suffix.lower() == ".exr" else unit
     pose = view.camera_to_world
-    return DepthView(path, width, height, fx * x, fy * y, cx * x, cy * y, unit, pose, view)
+    photograph = None if view.missing else view
+    return DepthView(path, width, height, fx * x, fy * y, cx * x, cy * y, unit, pose, photograph)

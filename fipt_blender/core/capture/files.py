@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import unicodedata
 from collections.abc import Callable, Iterable, Sequence
 from itertools import chain
@@ -30,8 +31,62 @@ DEPTHS_FIRST = (".png", ".exr")
 MOST_FOLDERS = 5_000  # of a capture; larger ones are searched only where photographs are expected
 MOST_PARTS = 8  # of a name, from its end
 MOST_PART_BYTES = 120  # of one part of a view's name; file systems take 255 with suffix and number
-# Folders of images that have the photographs' names.
-NO_PHOTOGRAPHS = frozenset(("parts", "semantics", "masks", "mask", "depth", "confidence"))
+# What images are that lie beside photographs, by a word of their name or of their folder's.
+ROLES = {
+    **dict.fromkeys(("depth", "depths", "depthmap", "depthmaps", "disparity"), "depth maps"),
+    **dict.fromkeys(("confidence", "conf"), "confidence maps"),
+    **dict.fromkeys(("normal", "normals", "normalmap", "normalmaps"), "normal maps"),
+    **dict.fromkeys(("mask", "masks", "parts", "semantics"), "masks"),
+    **dict.fromkeys(("contactsheet", "contactsheets", "thumbnail", "thumbnails", "thumbs"), "previews"),
+}
+_EDITED = re.compile(r"(?i)^(img_)e(\d+)$|^(.+)-edited$")  # what phones call edited copies: IMG_E0012
+# How files begin that only stand for others, what they are, and how to get the others.
+STAND_INS = (
+    (rb"version https://git-lfs", "a Git LFS pointer", "Fetch the files themselves: git lfs pull."),
+    (rb"[./]*/?annex/objects/", "a git-annex pointer", "Fetch the files themselves: git annex get."),
+    (rb"\x00\x05\x16\x07", "a companion of macOS (AppleDouble)", "Copy the file without ._ in its name."),
+    (rb"bplist00", "a placeholder of iCloud", "Download the files (Download Now in Finder)."),
+    (rb"(?i)\s*<(!doctype )?html", "a web page", "Download the file itself."),
+)
+
+
+def is_hidden(name: str) -> bool:
+    """Whether a file or folder is no part of a capture by its name: hidden, or ``._NAME``."""
+    return name.startswith(".")
+
+
+def visible(folder: Path) -> list[Path]:
+    """What lies in a folder, by name, without what is hidden; all readers list folders by this."""
+    return sorted(path for path in folder.iterdir() if not is_hidden(path.name))
+
+
+def stand_in(path: Path) -> FiptError | None:
+    """The error for a file that only stands for another one, by its content; None for any other.
+
+    It has the code ``file-stand-in``.
+    """
+    try:
+        with path.open("rb") as file:
+            start = file.read(64)
+    except OSError:
+        return None
+    for begins, what, remedy in STAND_INS:
+        if re.match(begins, start):
+            return FiptError("file-stand-in", f"{path} is {what}, not the file itself.", remedy)
+    return None
+
+
+def role(path: str) -> str:
+    """What an image beside photographs is by its path, one of `ROLES`; "" for a photograph."""
+    names = path.replace("\\", "/").lower().split("/")[-2:]
+    words = [word for name in names for word in re.split(r"[^a-z]+", name)]
+    return next((ROLES[word] for word in words if word in ROLES), "")
+
+
+def original_of(stem: str) -> str:
+    """The stem of the photograph that an edited copy was made of; "" for what is none by its name."""
+    found = _EDITED.match(stem)
+    return "" if found is None else found[3] or found[1] + found[2]
 
 
 def key(name: str) -> str:
@@ -246,6 +301,8 @@ class Folders:
             try:
                 with os.scandir(folder) as entries:
                     for entry in entries:
+                        if is_hidden(entry.name):
+                            continue
                         if entry.is_dir():
                             folders.setdefault(key(entry.name), []).append(entry.name)
                         elif entry.is_file():  # not a pipe, whose reading may never end
@@ -279,7 +336,7 @@ class Folders:
                 paths += [path + name for name in files]
                 for name in sorted(chain.from_iterable(folders.values())):
                     real = os.path.realpath(folder / name)
-                    if not name.startswith(".") and key(name) not in NO_PHOTOGRAPHS and real not in seen:
+                    if key(name) not in ROLES and real not in seen:
                         seen.add(real)
                         todo.append((folder / name, f"{path}{name}/"))
                 if len(todo) > MOST_FOLDERS:

@@ -37,6 +37,7 @@ from .encoded import (
     unreadable,
 )
 from .exr_file import exr_is_plain, exr_size, read_exr, read_exr_values
+from .files import stand_in
 from .primaries import Colors
 from .suffixes import IMAGE_SUFFIXES, RAW_SUFFIXES
 
@@ -52,6 +53,7 @@ _STARTS = re.compile(
     rb"|(?P<tiff>II[*+]\0|MM\0[*+])|(?P<webp>RIFF....WEBP)|(?P<hdr>#\?)|(?P<jpegxl>\xff\x0a|....JXL )",
     re.DOTALL,
 )
+MOST_CHUNK = 64  # bytes of a PNG's chunk that are read
 _TYPES = {"uint8": "uint8", "uint16": "uint16", **dict.fromkeys(("half", "float", "double"), "float32")}
 
 
@@ -92,6 +94,8 @@ def open_picture(path: Path, layer: str = "") -> Picture:
             found = _STARTS.match(file.read(16))
         kind, suffix = str(found and found.lastgroup), path.suffix.lower()
         if found is None or suffix in RAW_SUFFIXES:
+            if (error := stand_in(path)) is not None:
+                raise error
             if suffix in IMAGE_SUFFIXES:
                 raise ValueError(f"its content is none of {FORMATS}")
             raise FiptError(
@@ -182,6 +186,22 @@ def read_codes(path: Path, as_stored: bool = False) -> tuple[np.ndarray, np.ndar
     if picture.colors.curve is not None and not as_stored:
         codes = _mapped(np.round(65535.0 * srgb_encoded(_curve_table(picture))).astype(np.uint16), codes)
     return codes, picture.colors.matrix
+
+
+def transparent(path: Path) -> np.ndarray | None:
+    """(height, width) bool: whose alpha is 0, so that they show nothing; None where none or all are."""
+    picture = open_picture(path)
+    if picture.kind == "heif":
+        return None
+    file = oiio.ImageInput.open(str(path))
+    alpha = -1 if file is None else file.spec().alpha_channel
+    if alpha < 0:
+        return None
+    values = file.read_image(0, 0, alpha, alpha + 1, "float")
+    if values is None or np.shape(values)[:2] != picture.size[::-1]:
+        return None
+    clear = np.asarray(values)[..., 0] <= 0.0
+    return clear if clear.any() and not clear.all() else None
 
 
 def image_tags(path: Path) -> dict[str, Any]:
@@ -303,8 +323,8 @@ def _open_heif(path: Path) -> Picture:
     if icc:
         colors = primaries.icc_colors(icc)
     elif nclx:
-        if nclx["transfer_characteristics"] in (16, 18):  # of ITU-T H.273
-            raise ValueError("it is encoded as HDR video, PQ or HLG; export it without HDR, or as OpenEXR")
+        if nclx["transfer_characteristics"] in (16, 18):
+            primaries.cicp_colors(1, nclx["transfer_characteristics"])
         corners = [f"color_primary_{name}" for name in ("red", "green", "blue", "white")]
         values = [nclx[f"{corner}_{axis}"] for corner in corners for axis in "xy"]
         colors = Colors(None, primaries.to_rec709(np.array(values)))
@@ -327,10 +347,13 @@ def _open_by_oiio(path: Path, kind: str) -> Picture:
     icc = spec.getattribute("ICCProfile")
     if icc is not None:
         colors = primaries.icc_colors(bytes(icc))
-    elif kind == "png":
+    if kind == "png" and (coded := _png_chunk(path, b"cICP")) is not None:  # it counts before all others
+        colors = primaries.cicp_colors(coded[0], coded[1])
+    elif icc is None and kind == "png":
         with PngImagePlugin.PngImageFile(path) as image:
             colors = primaries.png_colors(image.info)
-    elif kind == "jpeg" and str(exif_tags(path).get("Interoperability InteroperabilityIndex")) == "R03":
+    tag = "Interoperability InteroperabilityIndex"
+    if icc is None and kind == "jpeg" and str(exif_tags(path).get(tag)) == "R03":
         # Adobe RGB, for which cameras embed no profile.
         colors = Colors(primaries.power(563.0 / 256.0), primaries.to_rec709(primaries.ADOBE_RGB))
     exif: Path | bytes = path
@@ -345,6 +368,18 @@ def _open_by_oiio(path: Path, kind: str) -> Picture:
         return pixels
 
     return Picture(kind, (spec.width, spec.height), name, colors, read, exif)
+
+
+def _png_chunk(path: Path, name: bytes) -> bytes | None:
+    """The content of a PNG's chunk before its pixels; None without it."""
+    with path.open("rb") as file:
+        file.seek(8)
+        while len(head := file.read(8)) == 8 and head[4:] != b"IDAT":
+            length = int.from_bytes(head[:4], "big")
+            if head[4:] == name:
+                return file.read(min(length, MOST_CHUNK))
+            file.seek(length + 4, io.SEEK_CUR)
+    return None
 
 
 def _radiance_colors(path: Path) -> Colors:

@@ -47,6 +47,7 @@ from .images import (
     read_radiance,
     read_size,
     threads_for,
+    transparent,
     write_codes,
     write_exr,
     write_ids,
@@ -172,6 +173,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         source=rig.source,
         world_from_source=as_matrix(world_from_source),
         mesh=None if mesh is None else str(mesh),
+        offset=tuple(source.offset.tolist()),
         views=tuple(
             _captured(run_folder, *one)
             for one in zip(
@@ -388,8 +390,12 @@ def _read_photograph(
         pixels = np.maximum(pixels, 0.0)
     plain = not negative and is_plain(image, layer)
     ids = {kind: read_ids(path) for kind in ID_IMAGES if (path := getattr(views[0], kind)) is not None}
+    clear = transparent(image)
+    if clear is not None:
+        ids["mask"] = np.where(clear, 0, ids.get("mask", 1)).astype(np.int32)
+        found = replace(found, transparent=float(clear.mean()))
     return found, [
-        _write_view(folder, view, resampling, pixels, plain, ids)
+        _write_view(folder, view, resampling, pixels, plain, ids, clear is not None)
         for view, resampling in zip(views, resamplings, strict=True)
     ]
 
@@ -401,6 +407,7 @@ def _write_view(
     pixels: np.ndarray,
     plain: bool,
     ids: dict[str, np.ndarray],
+    hides: bool,
 ) -> dict[str, Path]:
     """Write the images of a view that must be converted.
 
@@ -408,6 +415,7 @@ def _write_view(
         pixels: (height, width, 3) of its photograph, without negative values.
         plain: whether these are what the file shows to any program.
         ids: id images of its photograph.
+        hides: whether its transparent pixels are in the mask, which its file has not.
     """
     written: dict[str, Path] = {}
 
@@ -422,9 +430,9 @@ def _write_view(
             write_codes(target("image", ".png"), srgb_encoded(pixels))
         else:
             write_exr(target("image"), pixels, half=_fits_half(pixels))
-    if resampling is not None:
-        for kind, values in ids.items():
-            cut = resampling.ids(values)
+    for kind, values in ids.items():
+        if resampling is not None or (kind == "mask" and hides):
+            cut = values if resampling is None else resampling.ids(values)
             if cut.min() >= 0 and cut.max() <= MAX_PNG_ID:  # faster to read, and smaller
                 write_ids(target(kind, ".png"), cut)
             else:

@@ -34,6 +34,7 @@ FORMATS = (  # identifier, label, tooltip
     ("polycam", "Polycam", "The raw data that Polycam exports"),
     ("record3d", "Record3D", "A file metadata.json beside the folder rgb or rgbd"),
     ("3d-scanner-app", "3D Scanner App", "The export All Data, with files frame_00000.json"),
+    ("stray-scanner", "Stray Scanner", "Folders of the app Stray Scanner, with the video's pictures in rgb"),
     ("rgbd", "RGB-D Frames", "Photographs, depth images and poses of 7-Scenes, tsdf-fusion or ScanNet"),
     ("scannetpp", "ScanNet++", "The DSLR photographs of a ScanNet++ scene"),
     ("fipt-synthetic", "FIPT Synthetic", "Folders train and val with Image, IndexMA and segmentation"),
@@ -102,7 +103,7 @@ LEAST_TRIANGLES = 100  # of a budget; fewer are no room
 class FusionOptions:
     """How depth images are fused; see `CaptureOptions`."""
 
-    voxel: float = 0.02
+    voxel: float = 0.0
     triangles: int = 0
 
 
@@ -198,9 +199,13 @@ class CaptureOptions:
     voxel: Annotated[
         float,
         Option(
-            "Voxels in meters of a mesh that is fused from depth images", low=0.002, high=1.0, panel=False
+            "Voxels in meters of a mesh that is fused from depth images; 0 to follow their pixels",
+            low=0.002,
+            high=1.0,
+            zero=True,
+            panel=False,
         ),
-    ] = 0.02
+    ] = 0.0
     depth_unit: Annotated[float, Option("Unit of 16-bit depth images in meters", high=1.0, panel=False)] = (
         0.001
     )

@@ -11,6 +11,7 @@ from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from .files import (
     is_plain,
     key,
     name_parts,
+    role,
     stem_of,
     suffix_of,
     view_name,
@@ -102,8 +104,12 @@ class Places:
         if self.own_paths and (self.file.parent / name).is_file():
             return Found(self.file.parent / name, name_parts(name))
         fits = None if size is None else lambda path: _has_size(path, size)
-        found = self.images and self.folders.find(name, [self.images], self.images, fits=fits)
-        return found or self.folders.find(name, self._below(self.image_folders), self.inside, fits=fits)
+        for each in dict.fromkeys((name, unquote(name))):  # some programs write names as web addresses
+            found = self.images and self.folders.find(each, [self.images], self.images, fits=fits)
+            found = found or self.folders.find(each, self._below(self.image_folders), self.inside, fits=fits)
+            if found:
+                return found
+        return None
 
     def _once(self, of: tuple, find: Callable[[], Any]) -> Any:
         if of not in self._found:
@@ -219,6 +225,7 @@ class Places:
         suffixes, folders = {suffix_of(path.name) for path in used}, {path.parent for path in used}
         beside = [path for folder in sorted(folders) for path in self.folders.images(folder)]
         beside = [path for path in beside if suffix_of(path.name) in suffixes and not self.own_paths]
+        beside = [path for path in beside if not role(str(path))]  # maps and masks of photographs
         unused = [_unused("images-unused", "image files", "camera", beside, used)]
         for kind, folder in self.id_folders.items():
             roots = [root for root in self.roots if root in (self.roots[0], self.inside)]

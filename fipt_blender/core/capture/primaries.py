@@ -18,6 +18,12 @@ from .encoded import srgb_decoded
 # x, y of red, green, blue and white.
 REC709 = np.array([0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290])
 ADOBE_RGB = np.array([0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.3290])
+# By their numbers in ITU-T H.273: BT.709, BT.2020 and Display P3.
+CICP_PRIMARIES = {
+    1: REC709,
+    9: np.array([0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.3290]),
+    12: np.array([0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.3290]),
+}
 CIE_XYZ = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0 / 3.0, 1.0 / 3.0])
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 _ROUNDED = 4e-3  # of colours from 0 to 1; programs round primaries and curves differently
@@ -73,6 +79,26 @@ def png_colors(info: dict[Any, Any]) -> Colors:
     if "chromaticity" in info and "srgb" not in info:
         matrix = to_rec709(np.roll(info["chromaticity"], -2))  # white comes first
     return Colors(None if abs(gamma - 0.45455) < 1e-3 or gamma <= 0.0 else power(1.0 / gamma), matrix)
+
+
+def cicp_colors(primaries: int, transfer: int) -> Colors:
+    """Colors by the numbers of ITU-T H.273 (cICP).
+
+    Raises:
+        ValueError: they are those of HDR video, or unusual ones.
+    """
+    if transfer in (16, 18):
+        raise ValueError("it is encoded as HDR video, PQ or HLG; export it without HDR, or as OpenEXR")
+    if primaries not in CICP_PRIMARIES or transfer not in (1, 6, 8, 13, 14, 15):
+        raise ValueError(f"its colors are those of H.273's {primaries} and {transfer}; convert it to sRGB")
+    curve = {8: power(1.0), 13: None}.get(transfer, _video)
+    return Colors(curve, to_rec709(CICP_PRIMARIES[primaries]))
+
+
+def _video(values: np.ndarray) -> np.ndarray:
+    """The inverse of BT.709's curve, for `Colors`."""
+    linear = np.where(values < 0.081, values / 4.5, ((values + 0.099) / 1.099) ** (1.0 / 0.45))
+    return np.repeat(linear[:, None], 3, axis=1)
 
 
 def icc_colors(data: bytes) -> Colors:

@@ -21,7 +21,7 @@ import numpy as np
 from ..run.documents import load_document
 from ..run.errors import FiptError
 from ..run.kinds import T
-from .files import key
+from .files import key, stand_in, visible
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 PARTS_FOLDER = "parts"
@@ -147,7 +147,7 @@ class Rig:
 
 def damaged(path: Path, reason: object) -> FiptError:
     """The error for a rig file that does not conform to its format."""
-    return FiptError(
+    return stand_in(path) or FiptError(
         "rig-damaged", f"{path} does not conform to its format ({reason}).", "Export the capture again."
     )
 
@@ -217,7 +217,7 @@ def _meshes(folder: Path) -> list[Path]:
     """All meshes in a folder, by name."""
     if not folder.is_dir():
         return []
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in MESH_SUFFIXES)
+    files = [path for path in visible(folder) if path.suffix.lower() in MESH_SUFFIXES]
     return [path for path in files if path.is_file() and _has_faces(path)]
 
 
@@ -227,4 +227,6 @@ def _has_faces(path: Path) -> bool:
         return True
     with path.open("rb") as file:
         start = file.read(65536)
-    return re.search(rb"\nelement[ \t]+(face|tristrips)[ \t]+0*[1-9]", start) is not None
+    if re.search(rb"\nelement[ \t]+(face|tristrips)[ \t]+0*[1-9]", start) is not None:
+        return True
+    return stand_in(path) is not None  # whoever reads the mesh says what is wrong with it

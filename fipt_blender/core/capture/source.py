@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,9 +21,11 @@ from ..run.runfolder import RunFolder
 from .checks import judge_size
 from .color_camera import with_color_camera
 from .depth_images import Fusion, checked_depths
+from .files import stand_in
 from .formats.registry import read_points, read_rig
 from .mesh_file import read_mesh
 from .options import CaptureOptions
+from .relation import relate
 from .rig import Note, Rig
 
 # Depth images are measured in metres, and often show a part of a room: only their unit can be wrong, which is
@@ -37,12 +40,18 @@ class Source:
     Attributes:
         rig: cameras and images.
         mesh: the mesh file; None without one.
-        simplified: the same with fewer triangles, which is used instead; None where that is not wanted.
+        made: what is used instead of the file: fewer triangles or other coordinates; None for the file.
+        offset: (3,) what must be added for the coordinates of the camera file.
+        vertices: (V, 3) of the mesh, None without one that can be read here.
+        fits: see `relation.Related`.
     """
 
     rig: Rig
     mesh: Path | None
-    simplified: FusedMesh | None
+    made: FusedMesh | None
+    offset: np.ndarray
+    vertices: np.ndarray | None
+    fits: bool
 
 
 def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> Source:
@@ -56,14 +65,25 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
     rig = replace(rig, depths=checked_depths(rig.depths))
     if rig.one_camera:
         rig = with_color_camera(rig, options.scale)
-    notes = list(rig.notes)
-    simplified, budget = None, options.triangles
-    if budget and mesh is not None and (fewer := simplified_mesh(mesh, budget)) is not None:
-        simplified = fewer[0]
-        notes.append(fewer[1])
+    solved = np.zeros((0, 3))
+    if mesh is not None:
+        with suppress(FiptError):  # the format has none
+            solved = read_points(capture, rig.source, sure=True)
+    related = relate(capture, rig, mesh, solved)
+    notes, made = list(related.rig.notes), None
+    vertices, triangles = related.vertices, related.triangles
+    if vertices is not None and len(triangles) and (related.moved or 0 < options.triangles < len(triangles)):
+        made = fewer_triangles(vertices, triangles, options.triangles)
+        text = (
+            f"The mesh {mesh} was written anew with {len(made.triangles):,} of {len(triangles):,} triangles."
+        )
+        remedy = "Its material slots, colors and UVs are not kept."
+        if not related.moved:
+            remedy += " Set the triangles to 0 to use the mesh itself."
+        notes.append(Note("mesh-simplified", text, remedy))
     for note in notes:
         reporter.warning(note.code, note.text, note.remedy)
-    return Source(rig, mesh, simplified)
+    return Source(related.rig, mesh, made, related.offset, vertices, related.fits)
 
 
 def mesh_fusion(run: RunFolder, source: Source, options: CaptureOptions) -> Fusion | None:
@@ -81,8 +101,8 @@ def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: Fus
     """
     if fusion is not None:
         return run.fused_ply if fused is None else fusion.keep(fused)
-    if source.simplified is not None:
-        write_ply(run.simplified_ply, source.simplified)
+    if source.made is not None:
+        write_ply(run.simplified_ply, source.made)
         return run.simplified_ply
     return source.mesh
 
@@ -94,12 +114,16 @@ def size_note(capture: Path, source: Source, mesh: Path | None, world_from_sourc
         mesh: the capture's mesh file, if it has one.
         world_from_source: (4, 4) similarity.
     """
-    try:
-        points = read_mesh(mesh)[0] if mesh is not None else read_points(capture, source.rig.source)
-    except FiptError:  # told where it is used, or the format has no points
-        return None
+    points = source.vertices
+    if points is None:
+        try:
+            points = read_mesh(mesh)[0] if mesh is not None else read_points(capture, source.rig.source)
+        except FiptError:  # told where it is used, or the format has no points
+            return None
     slack = MEASURED if source.mesh is None and source.rig.depths else 1.0
-    return judge_size(transform_points(world_from_source, points), slack) if len(points) else None
+    if not source.fits or not len(points):  # what is known already explains it
+        return None
+    return judge_size(transform_points(world_from_source, points), slack)
 
 
 def _with_layer(rig: Rig, layer: str) -> Rig:
@@ -110,29 +134,22 @@ def _with_layer(rig: Rig, layer: str) -> Rig:
 
 
 def _mesh(rig: Rig, options: CaptureOptions) -> Path | None:
-    if options.mesh is None:
-        return None if rig.mesh is None else rig.mesh.absolute()
-    if not options.mesh.is_file():
+    if options.mesh is not None and not options.mesh.is_file():
         raise FiptError("mesh-missing", f"The mesh {options.mesh} does not exist.", "Correct the path.")
-    return options.mesh.absolute()
+    mesh = options.mesh or rig.mesh
+    if mesh is not None and (error := stand_in(mesh)) is not None:
+        raise error
+    return None if mesh is None else mesh.absolute()
 
 
-def simplified_mesh(path: Path, triangles: int) -> tuple[FusedMesh, Note] | None:
-    """The mesh of a file with at most about `triangles` triangles; None where it has no more.
-
-    Raises:
-        FiptError: one of `read_mesh`.
-    """
-    vertices, faces = read_mesh(path)
-    if len(faces) <= triangles:
-        return None
+def fewer_triangles(vertices: np.ndarray, triangles: np.ndarray, most: int) -> FusedMesh:
+    """A mesh with at most about so many triangles; all of them with 0."""
+    if not 0 < most < len(triangles):
+        return FusedMesh(vertices.astype(np.float32), triangles.astype(np.int32))
     # Formats with a vertex for each face corner would fall apart into single triangles.
     welded, index = np.unique(vertices, axis=0, return_inverse=True)
-    faces = index.reshape(-1)[faces]
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    fewer = faces.astype(np.int32)
-    if len(fewer) > triangles:
-        welded, fewer = collapsed(welded, fewer, triangles)
-    text = f"The mesh {path} was simplified from {len(faces):,} to {len(fewer):,} triangles."
-    remedy = "Its material slots, colors and UVs are not kept. Set the triangles to 0 to use the mesh itself."
-    return FusedMesh(welded.astype(np.float32), fewer), Note("mesh-simplified", text, remedy)
+    faces = index.reshape(-1)[triangles]
+    fewer = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)].astype(np.int32)
+    if len(fewer) > most:
+        welded, fewer = collapsed(welded, fewer, most)
+    return FusedMesh(welded.astype(np.float32), fewer)

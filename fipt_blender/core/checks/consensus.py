@@ -35,8 +35,8 @@ AGREE = 0.5
 SOFTNESS = 0.1  # width of the transition to credible views, in mean correlation
 ROUNDS = 20  # at most, of weighing views by each other
 # Other placements of the mesh are tried if the median correlation is below `MEND` or a view is contradicted.
-# One is reported if its correlation is above `MEND` and if it reduces 1 - correlation to less than the share
-# `LACK`. Above `WELL`, no further placement is tried.
+# One is reported if its correlation is above `MEND_LEFT` and if it reduces 1 - correlation to less than the
+# share `LACK`. Above `WELL`, no further placement is tried.
 MEND, LACK, WELL = 0.75, 0.6, 0.9
 # Where more than this share of the views is contradicted and the rest agrees less than this in the median, it
 # is the mesh that is wrong: right poses agree by 0.9.
@@ -330,7 +330,7 @@ def _check_mesh(room: Room, small: SmallViews, given: PairAgreement, anything: b
             best, name = found.median, text
         if best > WELL:
             break
-    if best > MEND and 1.0 - best < LACK * (1.0 - reference):
+    if best > MEND_LEFT and 1.0 - best < LACK * (1.0 - reference):
         raise FiptError(
             "mesh-misplaced",
             f"The photographs do not agree on this mesh (correlation {reference:.2f}), but they do after:"

@@ -39,7 +39,7 @@ def extract(volume: BlockVolume, least_weight: float = 1.0) -> FusedMesh:
     """The zero surface of a volume. Neighbouring cells share the vertices on their common edges exactly.
 
     Args:
-        least_weight: voxels with fewer measurements are unknown; cells with such corners stay empty.
+        least_weight: voxels with less weight are unknown; cells with such corners stay empty.
     """
     keys: list[np.ndarray] = []
     places: list[np.ndarray] = []

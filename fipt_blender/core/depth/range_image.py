@@ -18,6 +18,7 @@ class RangeImage:
         fx, fy, cx, cy: pinhole intrinsics in pixels; the centre of the first pixel is (0.5, 0.5).
         camera_to_world: (4, 4) float64, OpenCV axes.
         color: (H, W, 3) float32 of the surfaces, or None.
+        weight: (H, W) float32 of the measurements, inverse to their variances; None for 1.
     """
 
     depth: np.ndarray
@@ -27,6 +28,7 @@ class RangeImage:
     cy: float
     camera_to_world: np.ndarray
     color: np.ndarray | None = None
+    weight: np.ndarray | None = None
 
     def points(self, step: int = 1) -> tuple[np.ndarray, np.ndarray]:
         """Measured points and the directions of their rays.

@@ -45,7 +45,7 @@ class BlockVolume:
         keys: (B,) int64 packed block positions, in the order in which blocks were added.
         distance: (B, 512) float32 mean signed distance in units of the truncation, positive in front of
             surfaces; voxels of a block are in the order x, y, z.
-        weight: (B, 512) float32 number of measurements; those far behind a surface count less.
+        weight: (B, 512) float32 sum of the measurements' weights; those far behind a surface count less.
         color: (B, 512, 3) float32 mean color near surfaces, or None.
     """
 
@@ -125,6 +125,15 @@ class BlockVolume:
         self._order = np.argsort(self.keys)
         self._sorted = self.keys[self._order]
 
+    def adopt(self, other: BlockVolume) -> None:
+        """Take over the voxels of which this volume knows nothing; blocks that both have."""
+        blocks = self.find(other.keys)
+        taken = self._weight[blocks] <= 0.0
+        for mine, others in ((self._distance, other.distance), (self._weight, other.weight)):
+            mine[blocks] = np.where(taken, others, mine[blocks])
+        if self._color is not None and other.color is not None:
+            self._color[blocks] = np.where(taken[..., None], other.color, self._color[blocks])
+
     def _in_frustum(self, image: RangeImage) -> np.ndarray:
         """Blocks of which the camera may see a part in front of its farthest measurement."""
         size = SIDE * self.voxel
@@ -164,8 +173,10 @@ class BlockVolume:
         weights, distances = self._weight.reshape(-1), self._distance.reshape(-1)
         # What is far behind a surface is rather hidden by it than inside it (Bylow et al. 2013).
         counts = np.clip((value + 1.0) * np.float32(1.0 / (1.0 - 1.0 / TRUNCATION_VOXELS)), 0.0, 1.0)
+        if image.weight is not None:
+            counts *= image.weight.reshape(-1)[pixel[known]]
         weight = weights[index] + counts
-        share = counts / np.maximum(weight, np.float32(1e-6))
+        share = counts / np.maximum(weight, np.float32(1e-9))
         distances[index] += (value - distances[index]) * share
         weights[index] = weight
         if self._color is not None and image.color is not None:

@@ -66,7 +66,8 @@ class UpAxis:
 class CapturedViews:
     """capture.json, and ingest.json with all views, and with `up` but in runs of earlier versions.
 
-    `world_from_source` is the similarity for anything in source coordinates, `mesh` included.
+    `world_from_source` is the similarity for anything in source coordinates, `mesh` included; these are the
+    camera file's without `offset`, by which far ones were moved to the origin.
     """
 
     document: ClassVar[str] = "capture"
@@ -75,6 +76,7 @@ class CapturedViews:
     mesh: str | None
     views: tuple[CapturedView, ...]
     up: UpAxis | None = None
+    offset: Vector = (0.0, 0.0, 0.0)
 
     def view(self, name: str) -> CapturedView:
         """The view of a name.

@@ -20,7 +20,7 @@ from ..options import CaptureOptions
 from ..places import Places
 from ..rig import Lens, Note, Rig, RigView, WellFormed
 from .radial import distorting_lens
-from .rig_files import camera_file, camera_pose, far_notes, largest_model, number, pixel_size, read_xml_rig
+from .rig_files import camera_file, camera_pose, largest_model, number, pixel_size, read_xml_rig
 
 NAME = "blocksexchange"
 LOOKS_FOR = "an XML file with BlocksExchange and Photogroups"
@@ -68,7 +68,7 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     if lost:
         notes += (Note("pose-lost", text, "Align these photographs, too, or leave them out there."),)
     views = tuple(sorted(views, key=lambda view: view.name))
-    return places.rig(NAME, views, None, places.mesh(), (*notes, *far_notes(file, views, _LOCAL)))
+    return places.rig(NAME, views, None, places.mesh(), notes)
 
 
 def _view(file: Path, system: str, group: Element, photo: Element, places: Places) -> RigView:

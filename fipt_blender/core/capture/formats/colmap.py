@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -109,7 +110,7 @@ def opened(found: Model) -> pycolmap.Reconstruction:
     """
     try:
         check_model(found.folder)
-        with _without_marks(found.folder) as folder:
+        with _plain(found.folder) as folder:
             model = pycolmap.Reconstruction(str(folder))
             for number, name in _text_names(folder):
                 model.images[number].name = name
@@ -119,16 +120,30 @@ def opened(found: Model) -> pycolmap.Reconstruction:
 
 
 @contextmanager
-def _without_marks(folder: Path) -> Iterator[Path]:
-    """The folder of a model, or a copy of it where a text file begins with a byte-order mark."""
-    files = sorted(folder.glob("*.txt"))
-    if not any(has_mark(file) for file in files) or (folder / "images.bin").is_file():
+def _plain(folder: Path) -> Iterator[Path]:
+    """The folder of a model, or a copy of a text model that COLMAP would read wrongly.
+
+    That is one with byte-order marks, or without the second lines of images, which some programs leave out.
+    """
+    files = [] if (folder / "images.bin").is_file() else sorted(folder.glob("*.txt"))
+    texts = {file.name: decoded(read_limited(file, MOST_BYTES)) for file in files}
+    lines = [line for line in texts.get("images.txt", "").splitlines() if not line.startswith("#")]
+    single = len(lines) > 1 and all(map(_is_pose, lines))
+    if not single and not any(has_mark(file) for file in files):
         yield folder
         return
+    if single:
+        texts["images.txt"] = "".join(f"{line}\n\n" for line in lines)
     with TemporaryDirectory(prefix="fipt-colmap-") as copy:
-        for file in files:
-            (Path(copy) / file.name).write_bytes(decoded(read_limited(file, MOST_BYTES)).encode())
+        for name, text in texts.items():
+            (Path(copy) / name).write_bytes(text.encode())
         yield Path(copy)
+
+
+def _is_pose(line: str) -> bool:
+    """Whether a line of images.txt has an image's name behind its numbers, as those with points do not."""
+    words = line.split(maxsplit=9)
+    return len(words) == 10 and re.fullmatch(r"[-+.\d\seE]+", words[9]) is None
 
 
 def _text_names(folder: Path) -> Iterator[tuple[int, str]]:

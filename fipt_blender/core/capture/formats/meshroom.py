@@ -14,8 +14,8 @@ import numpy as np
 
 from ...run.errors import FiptError
 from ..options import CaptureOptions
-from ..places import Places
-from ..rig import Lens, Rig, RigView, WellFormed, read_json_rig
+from ..places import MESH_STEMS, Places
+from ..rig import Lens, Rig, RigView, WellFormed, find_mesh, read_json_rig
 from .radial import distorting_lens
 from .rig_files import camera_file, number, numbers, pixel_size
 
@@ -37,7 +37,14 @@ _COUNTS = {"none": 0, "radialk1": 1, "radialk3": 3, "brown": 5, "fisheye": 4, "f
 def find(path: Path) -> Path | None:
     """The camera file at a path or in a folder, None without one."""
     keys = ('"version"', '"views"', '"viewId"')
-    return camera_file(path, (".sfm", ".json"), lambda text: all(key in text for key in keys))
+    found = camera_file(path, (".sfm", ".json"), lambda text: all(key in text for key in keys))
+    nodes = (path if path.is_dir() else path.parent).glob("MeshroomCache/StructureFromMotion/*")
+    # Of a project's several nodes the one that was computed last.
+    return found or max((file for node in nodes if (file := find(node))), key=_time, default=None)
+
+
+def _time(file: Path) -> float:
+    return file.stat().st_mtime
 
 
 def read(file: Path, options: CaptureOptions) -> Rig:
@@ -48,6 +55,9 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     """
     data = read_json_rig(file, dict)
     places = Places.around(file, options)
+    project = next((folder.parent for folder in file.parents if folder.name == "MeshroomCache"), None)
+    if project is not None:
+        places = Places(file, (project,), options.images, inside=project)
     with WellFormed(file):
         version = tuple(int(value) for value in numbers(data["version"], 3))
         lenses = {str(entry["intrinsicId"]): _lens(file, entry, version) for entry in data["intrinsics"]}
@@ -58,7 +68,8 @@ def read(file: Path, options: CaptureOptions) -> Rig:
         }
         views = [view for entry in data["views"] for view in _view(entry, lenses, poses, rigs, places)]
     views.sort(key=lambda view: view.name)
-    return places.rig(NAME, views, "y", places.mesh())
+    textured = project and find_mesh(sorted(project.glob("MeshroomCache/Texturing/*")), MESH_STEMS)
+    return places.rig(NAME, views, "y", places.mesh() or textured)
 
 
 def points(file: Path) -> np.ndarray:

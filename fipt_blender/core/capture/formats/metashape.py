@@ -23,7 +23,6 @@ from .radial import distorting_lens
 from .rig_files import (
     camera_file,
     cameras_off,
-    far_notes,
     largest_model,
     number,
     numbers,
@@ -34,7 +33,6 @@ from .rig_files import (
 
 NAME = "metashape"
 LOOKS_FOR = "an XML file with chunk, sensors and cameras"
-_LOCAL = "Set the chunk's coordinate system to Local Coordinates, then export cameras and mesh again."
 _RADIAL = ("k1", "k2", "k3", "k4")
 _UNSUPPORTED = ("p3", "p4", "b2")
 
@@ -69,7 +67,7 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     views, notes = largest_model(models, str(file))
     off = [camera for chunk in chunks for camera in _cameras(chunk) if not _is_on(camera)]
     notes = (*notes, *cameras_off(file, [camera.get("label", "") for camera in off]))
-    return places.rig(NAME, views, None, places.mesh(), (*notes, *far_notes(file, views, _LOCAL)))
+    return places.rig(NAME, views, None, places.mesh(), notes)
 
 
 def _models(file: Path, chunk: Element, places: Places) -> list[list[RigView]]:

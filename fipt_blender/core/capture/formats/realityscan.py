@@ -41,6 +41,8 @@ LOOKS_FOR = (
 FOLDERS = (".", "images", "input")
 _XCR = "{http://www.capturingreality.com/ns/xcr/1.1#}"
 _COLUMNS = ("x", "y", "alt", "heading", "pitch", "roll", "f", "px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
+# What RealityScan 2 calls columns.
+_NEW_NAMES = {"yaw": "heading", "f_35mm": "f", "px_norm": "px", "py_norm": "py"}
 _XMP_IMAGES = tuple(dict.fromkeys((*IMAGE_FOLDERS, *FOLDERS)))
 
 
@@ -81,7 +83,11 @@ def read(found: tuple[Path, list[Path]], options: CaptureOptions) -> Rig:
 
 def _is_camera_table(text: str) -> bool:
     columns = text.split("\n", 1)[0].strip().split(",")
-    return columns[0].strip() == "#name" and set(_COLUMNS[:7]) <= {column.strip() for column in columns}
+    return columns[0].strip() == "#name" and set(_COLUMNS[:7]) <= {_column(column) for column in columns}
+
+
+def _column(name: str) -> str:
+    return _NEW_NAMES.get(name.strip(), name.strip())
 
 
 def _has_pose(file: Path) -> bool:
@@ -92,7 +98,8 @@ def _has_pose(file: Path) -> bool:
 def _csv_views(file: Path, places: Places) -> list[RigView]:
     views = []
     with WellFormed(file):
-        for row in csv.DictReader(read_text_rig(file).splitlines(), skipinitialspace=True):
+        for entries in csv.DictReader(read_text_rig(file).splitlines(), skipinitialspace=True):
+            row = {_column(key): value for key, value in entries.items()}
             values = {key: number(row[key]) for key in _COLUMNS}
             name = str(row["#name"])
             size = places.size(name)

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The registry of capture formats.
 
-Each is a module with NAME and LOOKS_FOR; `find(path)`, what a capture is read from, or None where it has
-another format; `read(found, options)`; and, if it holds points, `points(found)`, perhaps `sure_points`.
+Each is a module, or an app of `scans`, with NAME and LOOKS_FOR; `find(path)`, what a capture is read from, or
+None where it has another format; `read(found, options)`; and, if it holds points, `points(found)`, perhaps
+`sure_points`.
 """
 
 from __future__ import annotations
@@ -32,12 +33,9 @@ from . import (
     nvm,
     openmvg,
     opensfm,
-    polycam,
     realityscan,
-    record3d,
-    rgbd,
-    scanner_app,
     scannetpp,
+    scans,
     transforms,
 )
 
@@ -45,7 +43,7 @@ MOST_FOLDERS = 200  # that are searched for a capture below one that is none
 # Formats of data sets, which contain files of other formats, too.
 COMPLETE = ("fipt-synthetic", "fipt-real", "scannetpp")
 # The first match is used: nerfstudio, for example, keeps a COLMAP model beside its transforms.json.
-FORMATS: dict[str, ModuleType] = {
+FORMATS: dict[str, ModuleType | scans.ScanApp] = {
     module.NAME: module
     for module in (
         fipt_synthetic,
@@ -61,10 +59,7 @@ FORMATS: dict[str, ModuleType] = {
         openmvg,
         bundler,
         nvm,
-        polycam,
-        record3d,
-        scanner_app,
-        rgbd,
+        *scans.APPS,
     )
 }
 

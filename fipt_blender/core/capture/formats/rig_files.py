@@ -15,10 +15,10 @@ import numpy as np
 from ...alignment.turns import quaternion_rotation
 from ...run.documents import decoded, read_limited
 from ...run.shapes import MOST_SIDE
+from ..files import visible
 from ..rig import Note, RigView, WellFormed, damaged
 
 MOST_TEXT_BYTES = 256_000_000  # of a camera file
-FAR = 1e5  # units from the origin; rooms with local coordinates are nearer
 
 
 # ------------------------------------------------------------------------------------------------ recognition
@@ -42,7 +42,7 @@ def camera_files(path: Path, suffixes: Iterable[str], folders: Sequence[str] = (
         return
     for folder in folders:
         if (path / folder).is_dir():
-            for entry in sorted((path / folder).iterdir()):
+            for entry in visible(path / folder):
                 if entry.suffix.lower() in wanted and entry.is_file():
                     yield entry
 
@@ -193,11 +193,3 @@ def largest_model(
         "To use another one, or all of them together, connect them in the program that solved the cameras.",
     )
     return tuple(chosen), (note,)
-
-
-def far_notes(file: Path, views: Sequence[RigView], remedy: str) -> tuple[Note, ...]:
-    """A warning of cameras with the Earth's coordinates, in which meshes are exported otherwise."""
-    if not views or max(float(np.abs(view.camera_to_world[:3, 3]).max()) for view in views) < FAR:
-        return ()
-    text = f"The cameras of {file} lie more than {FAR:g} units from the origin, in geographic coordinates."
-    return (Note("georeferenced", text, remedy),)

@@ -16,11 +16,13 @@ from ...conventions import UP_AXES, opengl_to_opencv_camera, transform_poses
 from ...run.errors import FiptError
 from ...run.kinds import Choice, Number
 from ...run.shapes import MOST_SIDE
+from ..depth_images import registered_depths
 from ..files import key, name_parts, stem_of
 from ..options import CaptureOptions
 from ..places import Places
 from ..rig import (
     EQUIRECTANGULAR,
+    DepthView,
     Lens,
     Note,
     Rig,
@@ -67,6 +69,8 @@ class Common:
     camera_model: str | None = None
     is_fisheye: bool | None = None
     mask_path: str | None = None
+    depth_file_path: str | None = None
+    depth_path: str | None = None
     name: str | None = None
 
 
@@ -90,6 +94,8 @@ class Transforms(Common):
     up_axis: Annotated[str, Choice(*UP_AXES)] | None = None
     applied_transform: list | None = None
     applied_scale: float = 1.0
+    depth_unit_scale_factor: float | None = None
+    integer_depth_scale: float | None = None
 
     def whole(self, frame: Frame) -> Frame:
         """A frame with what stands once for all."""
@@ -113,8 +119,9 @@ def read(path: Path, options: CaptureOptions) -> Rig:
     Intrinsics (fl_x, fl_y, cx, cy, w, h, k1 k2 p1 p2 k3, or k1 to k4 of a fisheye) belong to each frame or to
     the whole file; ``camera_angle_x`` and ``camera_angle_y`` replace missing focal lengths. A panorama
     (``camera_model`` EQUIRECTANGULAR) has none of them; its centre shows what is before the camera. Black
-    pixels of a frame's ``mask_path`` are left out. A frame may name its view with ``name``, our own
-    extension.
+    pixels of a frame's ``mask_path`` are left out. Depth images are nerfstudio's ``depth_file_path`` and
+    NeRFCapture's ``depth_path``, in the unit that the file has. A frame may name its view with ``name``, our
+    own extension.
 
     Raises:
         FiptError: ``rig-damaged``, ``camera-model``, ``intrinsics-missing``, ``image-missing``,
@@ -138,6 +145,7 @@ def read(path: Path, options: CaptureOptions) -> Rig:
     )
     notes: list[Note] = []
     views: list[RigView] = []
+    depths: list[DepthView] = []
     up_axis: str | None = None
     for json_path, split in files.items():
         data = read_json_rig(json_path, Transforms)
@@ -154,12 +162,16 @@ def read(path: Path, options: CaptureOptions) -> Rig:
             if undo is not None:
                 view = replace(view, camera_to_world=transform_poses(undo, view.camera_to_world))
             views.append(view)
+            if (name := frame.depth_file_path or frame.depth_path) and view.lens.model == "PINHOLE":
+                image = places.depth(json_path.parent, name)
+                unit = data.integer_depth_scale if frame.depth_path else data.depth_unit_scale_factor
+                depths += registered_depths([view], [image], unit or options.depth_unit)
         if split_of:
             text = f"{len(split_of)} of {len(lists)} names in the splits of {json_path} belong to no frame"
             text += f"; the first is {next(name for name in lists if _identity(places, name) in split_of)}."
             notes.append(Note("splits-unknown", text, "Correct these names, or leave them out."))
     mesh = find_mesh([root], ["scene", "mesh", "meshed-poisson", "poisson_mesh"])
-    return places.rig(NAME, views, up_axis, mesh, notes)
+    return places.rig(NAME, views, up_axis, mesh, notes, tuple(depths))
 
 
 def _identity(places: Places, name: str) -> Path | str:
