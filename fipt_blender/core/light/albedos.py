@@ -44,13 +44,18 @@ def without_albedo(
     size = len(known)
     weight = np.full(len(residual), 1.0 / (spread**2 * POINTS_PER_SAMPLE))
     albedo, samples = np.full(size, np.log(ALBEDO)), np.bincount(group, minlength=size) / POINTS_PER_SAMPLE
+    mean = albedo
     for step in range(7):
-        if step:
-            ratio = ((residual - albedo[group]) / spread) ** 2
+        if step:  # about their own mean: a whole group above white is no outlier, its light is too low
+            ratio = ((residual - mean[group]) / spread) ** 2
             weight = student_weights(ratio) / (spread**2 * POINTS_PER_SAMPLE)
+        of_points, pull = (
+            np.bincount(group, weight * each, size) for each in (np.ones(len(residual)), residual)
+        )
+        mean = pull / np.maximum(of_points, 1e-12)
         expected, precision = _expected_albedo(albedo, known, samples)
-        total = np.bincount(group, weight, size) + precision
-        albedo = (np.bincount(group, weight * residual, size) + precision * expected) / total
+        total = of_points + precision
+        albedo = (pull + precision * expected) / total
     sums = np.stack([np.bincount(group, weight * column, size) for column in jacobian.T], axis=1)
     mean = sums / total[:, None]
     return AlbedoRows(
