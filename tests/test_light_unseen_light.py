@@ -15,6 +15,7 @@ import pytest
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.conventions import equirect_pixel_directions
 from fipt_blender.core.estimate.light_stages import light_excess
+from fipt_blender.core.light.albedos import MOST_ALBEDO
 from fipt_blender.core.light.cache import SurfaceLookup
 from fipt_blender.core.light.clipped import ON_LAMP, OUTSIDE, LitPoints, hemisphere_rays, light_on_points, solve_lamps
 from fipt_blender.core.light.clipped import Expectation as LampExpectation
@@ -22,7 +23,7 @@ from fipt_blender.core.light.environment import MOST_PIXELS, Environment, Hull, 
 from fipt_blender.core.light.observations import Observations
 from fipt_blender.core.light.radiance import CachedRadiance, OutsideRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
-from fipt_blender.core.light.sources import MOST_ALBEDO, SPECULAR, Expectation, Transport, held_back_gain, solve_sources
+from fipt_blender.core.light.sources import SPECULAR, Expectation, Transport, held_back_gain, solve_sources
 from fipt_blender.core.light.unseen_light import free_radius, lamp_light, with_unseen_light
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable

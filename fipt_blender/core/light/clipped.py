@@ -16,9 +16,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..pixels.camera_rays import rays_along
-from ..robust import deviation, gauss_newton, student_weights, without_means
+from ..robust import deviation, gauss_newton
 from ..run.stage_files import UNKNOWN
 from ..surface.room import Room
+from .albedos import LEAST_GROUP, without_albedo
 from .cache import VoxelGrid
 
 RAYS = 128  # over the hemisphere of each point; their noise would make the contrast too high
@@ -31,12 +32,9 @@ _LONGEST_STEP = 0.7  # of any logarithm
 # Standard deviation of the logarithm of a point's radiance, due to texture and gloss.
 _TEXTURE = 0.15
 _LEAST_SPREAD = 0.02  # of a point, however well all agree
-# Neighbouring points share textures and errors of the light: about this many count as one.
-POINTS_PER_SAMPLE = 10.0
 # Standard deviation of the logarithm of a lamp's radiance before anything is known, and its expectation as a
 # multiple of the radiance at which it is clipped.
 _UNKNOWN, _EXPECTED = 2.0, 8.0
-_LEAST_PART = 8  # points of a part that are used
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,45 +231,34 @@ class _Fit:
 
     def system(self, x: np.ndarray, spread: float) -> tuple[np.ndarray, np.ndarray, float]:
         """Normal matrix, right side and spread of a step; see :func:`.gauss_newton`."""
-        residual, jacobian = self.evaluate(x, spread)
-        spread = deviation(residual, _LEAST_SPREAD)
-        weight = student_weights((residual / spread) ** 2) / spread**2 / POINTS_PER_SAMPLE
-        normal = jacobian.T @ (weight[:, None] * jacobian) + np.diag(self._precision)
-        return normal, -jacobian.T @ (weight * residual) + self._precision * (self._mean - x), spread
+        normal, right, left = np.diag(self._precision), self._precision * (self._mean - x), []
+        for channel in range(3):
+            residual, jacobian, weight, points = self._channel(x, channel, spread)
+            normal = normal + jacobian.T @ (weight[:, None] * jacobian)
+            right = right - jacobian.T @ (weight * residual)
+            left.append(residual[:points])
+        return normal, right, deviation(np.concatenate(left), _LEAST_SPREAD)
 
-    def evaluate(self, x: np.ndarray, spread: float) -> tuple[np.ndarray, np.ndarray]:
-        """(R,) residuals and (R, P) derivatives."""
+    def _channel(
+        self, x: np.ndarray, channel: int, spread: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+        """Residuals (R,), derivatives (R, P) and weights (R,), and how many of the rows are points."""
         points, contrast = self._points, float(np.exp(x[0]))
         radiance = np.exp(x[1:]).reshape(-1, 3)
-        residuals, rows = [], []
-        for channel in range(3):
-            logs = contrast * self._cache[:, channel]
-            light = np.exp(logs)
-            indirect = np.where(self._shown, light[self._entry], 0.0).mean(axis=1)
-            by_contrast = np.where(self._shown, (light * logs)[self._entry], 0.0).mean(axis=1)
-            cast = points.direct * radiance[:, channel]
-            total = np.maximum(indirect + cast.sum(axis=1), 1e-9)
-            good = np.isfinite(points.value[:, channel])
-            jacobian = np.zeros((len(total), len(x)))
-            logarithm = np.log(total) + self._correction[:, channel]
-            jacobian[:, 0] = (logarithm - by_contrast / total) / contrast
-            jacobian[:, 1 + channel :: 3] = -cast / total[:, None] / contrast
-            residual = points.value[:, channel] - logarithm / contrast
-            residual, jacobian = residual[good], jacobian[good]
-            residual, jacobian = _without_parts(residual, jacobian, self._group[good], spread)
-            residuals.append(residual)
-            rows.append(jacobian)
-        return np.concatenate(residuals), np.concatenate(rows)
-
-
-def _without_parts(
-    residual: np.ndarray, jacobian: np.ndarray, group: np.ndarray, spread: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals and derivatives less their robust means over each part; parts of few points are left out."""
-    enough = np.bincount(group)[group] >= _LEAST_PART
-    residual, jacobian, group = residual[enough], jacobian[enough], group[enough]
-    left, weight = residual, np.ones(len(residual))
-    for _ in range(6):
-        left = without_means(residual, group, weight)
-        weight = 1.0 / (1.0 + (left / spread) ** 2)
-    return left, without_means(jacobian, group, weight)
+        logs = contrast * self._cache[:, channel]
+        light = np.exp(logs)
+        indirect = np.where(self._shown, light[self._entry], 0.0).mean(axis=1)
+        by_contrast = np.where(self._shown, (light * logs)[self._entry], 0.0).mean(axis=1)
+        cast = points.direct * radiance[:, channel]
+        total = np.maximum(indirect + cast.sum(axis=1), 1e-9)
+        good = np.isfinite(points.value[:, channel])
+        good &= np.bincount(self._group, good)[self._group] >= LEAST_GROUP
+        jacobian = np.zeros((len(total), len(x)))
+        logarithm = np.log(total) + self._correction[:, channel]
+        jacobian[:, 0] = logarithm - by_contrast / total
+        jacobian[:, 1 + channel :: 3] = -cast / total[:, None]
+        residual = contrast * points.value[:, channel] - logarithm
+        unknown = np.full(int(self._group.max(initial=-1)) + 1, np.nan)
+        rows = without_albedo(residual[good], jacobian[good], self._group[good], unknown, contrast * spread)
+        # In contrasts, as errors are those of codes: else a low contrast would have small residuals.
+        return rows.residual / contrast, rows.jacobian / contrast, rows.weight * contrast**2, int(good.sum())

@@ -17,18 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..robust import DEGREES, deviation, gauss_newton, student_weights
-from .clipped import POINTS_PER_SAMPLE
+from .albedos import LEAST_GROUP, POINTS_PER_SAMPLE, AlbedoRows, without_albedo
 
 # Standard deviations of logarithms: of a source from what is expected, of the level that sources outside the
 # mesh share, and of color from gray, as photographs are white-balanced: that of all sources, and of one. With
 # less for the first two, hundreds of sources keep a room dark together.
 SOURCE, LEVEL, COLOR, SOURCE_COLOR = 3.0, 3.0, 0.15, 0.15
-# Expected albedo and its standard deviation (of the logarithm): broad, as rooms are dark or light as a whole;
-# the highest albedo, and its deviation.
-ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD = 0.4, 1.0, 0.9, 0.1
-# Specular reflectance of dielectrics at normal incidence (paper Sec. 3), and deviation of a known albedo.
-SPECULAR, KNOWN_SPREAD = 0.04, 0.05
-LEAST_GROUP = 8  # points of one albedo
+SPECULAR = 0.04  # reflectance of dielectrics at normal incidence (paper Sec. 3)
 HELD_BACK = 0.1  # share of the points
 DARKEST = 1e-4  # radiance, in units of the capture's median
 _SPREAD, _LEAST_SPREAD = 0.15, 0.02  # of a point's logarithm: to begin with, and at least
@@ -150,18 +145,7 @@ def held_back_gain(points: Transport, expected: Expectation, rng: np.random.Gene
     return total / POINTS_PER_SAMPLE
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Residuals (R,) less the albedo of their group, their derivatives (R, K), and weights (R,); the points
-    first, then the prior of the albedo of each group. And logarithms of the albedos (G,)."""
-
-    residual: np.ndarray
-    jacobian: np.ndarray
-    weight: np.ndarray
-    albedo: np.ndarray
-
-
-def _channels(points: Transport, radiance: np.ndarray, spread: float) -> list[_Rows]:
+def _channels(points: Transport, radiance: np.ndarray, spread: float) -> list[AlbedoRows]:
     """The rows of each channel, for a radiance (3, K)."""
     found, known = [], points.log_albedos()
     for channel in range(3):
@@ -169,55 +153,8 @@ def _channels(points: Transport, radiance: np.ndarray, spread: float) -> list[_R
         total = np.maximum(points.seen[:, channel] + cast.sum(axis=1), DARKEST)
         residual = points.log_radiance[:, channel] - np.log(total)
         jacobian = -cast / total[:, None]
-        found.append(_without_albedo(residual, jacobian, points.group, known[:, channel], spread))
+        found.append(without_albedo(residual, jacobian, points.group, known[:, channel], spread))
     return found
-
-
-def _without_albedo(
-    residual: np.ndarray, jacobian: np.ndarray, group: np.ndarray, known: np.ndarray, spread: float
-) -> _Rows:
-    """Eliminate the logarithm of the albedo of each group.
-
-    Args:
-        residual, jacobian: as in `_Rows`, of N points. known: (G,) logarithms of known albedos, else NaN.
-    """
-    size = len(known)
-    weight = np.full(len(residual), 1.0 / (spread**2 * POINTS_PER_SAMPLE))
-    albedo, samples = np.full(size, np.log(ALBEDO)), np.bincount(group, minlength=size) / POINTS_PER_SAMPLE
-    for step in range(7):
-        if step:
-            ratio = ((residual - albedo[group]) / spread) ** 2
-            weight = student_weights(ratio) / (spread**2 * POINTS_PER_SAMPLE)
-        expected, precision = _expected_albedo(albedo, known, samples)
-        total = np.bincount(group, weight, size) + precision
-        albedo = (np.bincount(group, weight * residual, size) + precision * expected) / total
-    sums = np.stack([np.bincount(group, weight * column, size) for column in jacobian.T], axis=1)
-    mean = sums / total[:, None]
-    return _Rows(
-        np.concatenate([residual - albedo[group], expected - albedo]),
-        np.concatenate([jacobian - mean[group], -mean]),
-        np.concatenate([weight, precision]),
-        albedo,
-    )
-
-
-def _expected_albedo(
-    albedo: np.ndarray, known: np.ndarray, samples: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Prior mean of the logarithms of albedos (G,), and its precision.
-
-    Usual albedos are a habit, therefore robust: red paint reflects hardly any blue.
-
-    Args:
-        known: (G,) those that are known, else NaN.
-        samples: (G,) independent ones that the points of each group count as.
-    """
-    above = albedo > np.log(MOST_ALBEDO)
-    usual = student_weights(((albedo - np.log(ALBEDO)) / ALBEDO_SPREAD) ** 2) / ALBEDO_SPREAD**2
-    expected = np.log(np.where(above, MOST_ALBEDO, ALBEDO))
-    precision = np.where(above, samples / MOST_SPREAD**2, usual)
-    unknown = np.isnan(known)
-    return np.where(unknown, expected, known), np.where(unknown, precision, samples / KNOWN_SPREAD**2)
 
 
 def _precision(x: np.ndarray, expected: Expectation) -> np.ndarray:

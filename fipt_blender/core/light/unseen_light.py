@@ -26,6 +26,7 @@ from ..pixels.store import PixelStore
 from ..run.stage_settings import LightSettings
 from ..run.threads import cached_property
 from ..surface.room import Room
+from .albedos import LEAST_GROUP
 from .cache import SIDES, SurfaceLookup, VoxelGrid
 from .clipped import MOST_POINTS, OUTSIDE
 from .environment import Environment, diffused
@@ -35,7 +36,6 @@ from .shadings import SampleCounts, ShadingPoints, bake
 from .source_cells import DARK_OUTSIDE, FINER, Cells, Landed, middles, traced
 from .sources import (
     DARKEST,
-    LEAST_GROUP,
     Expectation,
     SourceLight,
     Transport,
