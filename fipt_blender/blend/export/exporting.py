@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from ...bridge.process import Message
 from ...core.run.errors import FiptError
@@ -31,8 +32,10 @@ from ..marks import (
 from ..results.adjust import NO_ADJUSTMENT, Adjustment
 from ..results.materials import is_uniform
 from ..room.atlas import file_names
+from ..room.mesh_arrays import corner_uvs, polygon_slots, polygon_starts
 from ..room.originals import shows_original
-from ..room.uv_layer import UV_LAYER
+from ..room.tiles import image_uvs, polygon_images
+from ..room.uv_layer import UV_LAYER, write_layer
 from .color import colors_in_rec709
 from .environment import plain_world, read_environment
 from .lights import Lost, emits, lamp_light, note_losses, plain_light, turned, warning
@@ -41,6 +44,7 @@ from .materials import (
     PlainTextures,
     artists_name,
     has_maps,
+    is_tiled,
     plain_lamp,
     plain_material,
     plain_textures,
@@ -140,6 +144,8 @@ def _show_surfaces(stage: Stage, shown: list[bpy.types.Object], warnings: list[M
     others: list[str] = []
     meshes: dict[bpy.types.Mesh, bpy.types.Mesh] = {}
     for item in shown:
+        if has_results(item) and not len(item.data.polygons):  # all of it is a lamp
+            continue
         if item.type in _SURFACES or (item.type == "EMPTY" and item.instance_collection is not None):
             stage.show(item)
         elif item.type in ("CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL") or item.is_instancer:
@@ -166,24 +172,61 @@ def _materials(stage: Stage) -> list[bpy.types.Material]:
     return list(dict.fromkeys(slot.material for slot in slots if slot.material is not None))
 
 
+class _Plain:
+    """The plain materials of parts, made when they are asked for: one for each image on which a part lies.
+
+    Args:
+        pictures: path that the files of textures begin with.
+        texture_size: the most texels of their sides.
+    """
+
+    def __init__(self, stage: Stage, pictures: str, texture_size: int) -> None:
+        self._stage, self._pictures, self._size = stage, pictures, texture_size
+        self._made: dict[tuple[bpy.types.Material, int], bpy.types.Material] = {}
+        self._textures: dict[tuple[bpy.types.Image, Adjustment, int], PlainTextures] = {}
+        self._files: list[str] = []
+        self.names: set[str] = set()
+
+    def material(self, material: bpy.types.Material, tile: int) -> bpy.types.Material:
+        """What stands for an estimated material on an image of the atlas."""
+        if (material, tile) not in self._made:
+            name = artists_name(material, self._stage.name(material))
+            textures = None if is_uniform(material) else self._textures_of(material, tile, name)
+            self._made[material, tile] = self._stage.add(plain_material(material, textures), name)
+            self.names.add(name)
+        return self._made[material, tile]
+
+    def _textures_of(self, material: bpy.types.Material, tile: int, name: str) -> PlainTextures:
+        key = texture_key(material, tile)
+        if key not in self._textures:
+            self._files.append(name if key[1] != NO_ADJUSTMENT else material[MATERIAL])
+            stem = self._pictures + file_names(self._files)[-1]
+            self._textures[key] = found = plain_textures(material, tile, stem, self._size)
+            for image in (found.base_color, found.orm):
+                self._stage.add(image, Path(image.filepath).stem)
+        return self._textures[key]
+
+
 def _plain_room(stage: Stage, pictures: str, texture_size: int) -> set[str]:
-    """Give the parts plain materials, whose names are returned; files of pictures begin with a path."""
-    names: set[str] = set()
-    made: dict[tuple[bpy.types.Image, Adjustment], PlainTextures] = {}
-    taken: list[str] = []
-    for material in filter(has_maps, _materials(stage)):
-        name, textures = artists_name(material, stage.name(material)), None
-        if not is_uniform(material):
-            key = texture_key(material)
-            if key not in made:
-                taken.append(name if key[1] != NO_ADJUSTMENT else material[MATERIAL])
-                made[key] = plain_textures(material, pictures + file_names(taken)[-1], texture_size)
-                for image in (made[key].base_color, made[key].orm):
-                    stage.add(image, Path(image.filepath).stem)
-            textures = made[key]
-        stage.replace(material, plain_material(material, textures), name)
-        names.add(name)
-    return names
+    """Give the room's meshes on the stage plain materials, whose names are returned."""
+    plain = _Plain(stage, pictures, texture_size)
+    for mesh in {item.data: None for item in stage.scene.objects if has_results(item)}:
+        materials = [each if has_maps(each) else None for each in mesh.materials]
+        slots, tiles = polygon_slots(mesh), np.zeros(len(mesh.polygons), np.int64)
+        if any(each is not None and is_tiled(each) for each in materials):  # few readers know tiles
+            tiles, uv = polygon_images(mesh), corner_uvs(mesh, mesh.uv_layers[UV_LAYER])
+            size = np.diff(polygon_starts(mesh), append=len(uv))
+            write_layer(mesh, image_uvs(uv, np.repeat(tiles, size)))
+        for index, material in enumerate(materials):
+            if material is None:
+                continue
+            first, *others = np.unique(tiles[slots == index]).tolist() if is_tiled(material) else [0]
+            mesh.materials[index] = plain.material(material, first)
+            for tile in others:
+                mesh.materials.append(plain.material(material, tile))
+                slots[(slots == index) & (tiles == tile)] = len(mesh.materials) - 1
+        mesh.polygons.foreach_set("material_index", slots.astype(np.int32))
+    return plain.names
 
 
 def _plain_lamps(

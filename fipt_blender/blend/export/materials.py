@@ -12,13 +12,14 @@ import bpy
 import numpy as np
 
 from ..color_spaces import from_scene_linear
-from ..image_datablocks import load_texture, load_tiles, tile_values
+from ..image_datablocks import load_texture, tile_values
 from ..lights.fixture_nodes import side_radiance
 from ..marks import MAP, MATERIAL, PART_NAME
 from ..node_trees import node_tree
 from ..png16 import encode_srgb
 from ..results import adjust
 from ..results.materials import is_uniform, uniform_values
+from ..room.tiles import tile_number
 from ..room.uv_layer import UV_LAYER
 
 # Relative difference of a lamp's sides, below which they are alike.
@@ -40,41 +41,38 @@ class PlainTextures:
     orm: bpy.types.Image
 
 
-def texture_key(material: bpy.types.Material) -> tuple[bpy.types.Image, adjust.Adjustment]:
-    """What an estimated material's exported textures depend on; materials of one key share them."""
-    return _image(material, "Base Color"), adjust.read(material)
+def is_tiled(material: bpy.types.Material) -> bool:
+    """Whether an estimated material's images have tiles."""
+    return not is_uniform(material) and _image(material, "Base Color").source == "TILED"
 
 
-def plain_textures(material: bpy.types.Material, stem: str, size: int) -> PlainTextures:
+def texture_key(material: bpy.types.Material, tile: int) -> tuple[bpy.types.Image, adjust.Adjustment, int]:
+    """What an estimated material's exported textures depend on; those of one key are shared."""
+    return _image(material, "Base Color"), adjust.read(material), tile
+
+
+def plain_textures(material: bpy.types.Material, tile: int, stem: str, size: int) -> PlainTextures:
     """Write the textures of an estimated material with the artist's adjustment in them.
 
     Args:
         material: with images.
+        tile: number of the atlas image.
         stem: path that the files' names begin with.
         size: the most texels of a texture's side; larger ones are scaled down.
 
     Raises:
         FiptError: ``file-missing``.
     """
-    tiles = [tile.number for tile in _image(material, "Base Color").tiles]
-    tiled = _image(material, "Base Color").source == "TILED"
-    paths: dict[str, dict[int, Path]] = {"base_color": {}, "orm": {}}
-    for number in tiles if tiled else [0]:
-        maps = [tile_values(_image(material, label), number) for label in adjust.MAPS]
-        codes = np.ones((2, *maps[0].shape[:2], 3), np.float32)
-        for base_color, orm, *row in zip(*codes, *maps, strict=True):  # all at once take much memory
-            values = np.column_stack([row[0][:, :3], row[1][:, 0], row[2][:, 0]])
-            values = adjust.adjusted(adjust.read(material), values)
-            base_color[:], orm[:, 1:] = encode_srgb(from_scene_linear(values[:, :3])), values[:, 3:]
-        for kind, pixels in zip(paths, codes, strict=True):
-            path = Path(f"{stem}_{kind}{f'.{number}' if tiled else ''}.png")
-            _write_png(pixels, path, size)
-            paths[kind][number] = path
-
-    def load(kind: str, is_data: bool) -> bpy.types.Image:
-        return load_tiles(paths[kind], is_data) if tiled else load_texture(paths[kind][0], is_data)
-
-    return PlainTextures(load("base_color", False), load("orm", True))
+    maps = [tile_values(_image(material, label), tile_number(tile)) for label in adjust.MAPS]
+    codes = np.ones((2, *maps[0].shape[:2], 3), np.float32)
+    for base_color, orm, *row in zip(*codes, *maps, strict=True):  # all at once take much memory
+        values = np.column_stack([row[0][:, :3], row[1][:, 0], row[2][:, 0]])
+        values = adjust.adjusted(adjust.read(material), values)
+        base_color[:], orm[:, 1:] = encode_srgb(from_scene_linear(values[:, :3])), values[:, 3:]
+    paths = [Path(f"{stem}_base_color.png"), Path(f"{stem}_orm.png")]
+    for path, pixels in zip(paths, codes, strict=True):
+        _write_png(pixels, path, size)
+    return PlainTextures(load_texture(paths[0], False), load_texture(paths[1], True))
 
 
 def _write_png(values: np.ndarray, path: Path, size: int) -> None:

@@ -4,7 +4,11 @@
 
 from __future__ import annotations
 
+import bpy
 import numpy as np
+
+from .mesh_arrays import corner_uvs, polygon_starts
+from .uv_layer import UV_LAYER
 
 _ROW = 10  # tiles side by side
 
@@ -23,3 +27,19 @@ def tiled_uvs(corner_uv: np.ndarray, triangle_image: np.ndarray) -> np.ndarray:
     """
     image = np.maximum(triangle_image, 0)
     return corner_uv + np.stack([image % _ROW, image // _ROW], axis=1)[:, None].astype(corner_uv.dtype)
+
+
+def image_uvs(uv: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """UVs (N, 2) in the tiles of atlas images (N,) as UVs in the images."""
+    return uv - np.stack([image % _ROW, image // _ROW], axis=1).astype(uv.dtype)
+
+
+def polygon_images(mesh: bpy.types.Mesh) -> np.ndarray:
+    """(P,) int64 atlas image of each polygon, by the UVs of its corners."""
+    if not len(mesh.polygons):
+        return np.zeros(0, np.int64)
+    uv = corner_uvs(mesh, mesh.uv_layers[UV_LAYER])
+    starts = polygon_starts(mesh)
+    size = np.diff(starts, append=len(uv))
+    column, row = np.floor(np.add.reduceat(uv.astype(np.float64), starts, axis=0) / size[:, None]).T
+    return (column + _ROW * row).astype(np.int64)
