@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fipt_blender.core.capture.mesh_file import read_mesh
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.conventions import transform_points
 from fipt_blender.core.run.documents import read_document
@@ -105,6 +104,14 @@ def count_lamps(
     )
 
 
+def _corners(path: Path) -> np.ndarray:
+    """(T, 3, 3) of an OBJ file of triangles, in its order: importers sort them by objects."""
+    lines = [line.split() for line in path.read_text(encoding="utf-8").splitlines() if line]
+    vertices = np.array([words[1:4] for words in lines if words[0] == "v"], float)
+    faces = [[int(word.partition("/")[0]) - 1 for word in words[1:]] for words in lines if words[0] == "f"]
+    return vertices[np.array(faces)]
+
+
 def lamps_of_run(run: RunFolder, capture: Path, least: float = 0.0) -> LampCounts:
     """A run's lamps of a probability of at least `least`, against `emitters.json` of its capture.
 
@@ -113,8 +120,7 @@ def lamps_of_run(run: RunFolder, capture: Path, least: float = 0.0) -> LampCount
     """
     if not (capture / "emitters.json").is_file():
         raise FiptError("truth-missing", f"{capture} has no emitters.json.", "Use a rendered capture.")
-    vertices, triangles = read_mesh(capture / "scene.obj")
-    corners = transform_points(load_capture(run).world_from_source, vertices)[triangles]
+    corners = transform_points(load_capture(run).world_from_source, _corners(capture / "scene.obj"))
     table = json.loads((capture / "emitters.json").read_text())
     true = [corners[slice(*lamp["triangles"])] for lamp in table]
     shining = float(sum(np.pi * lamp["area"] * np.mean(lamp["radiance"]) for lamp in table))

@@ -38,7 +38,7 @@ class JudgedView:
     Attributes:
         name: of the view.
         pictures: (3, H, W, 3) float32 display values: photograph, render, projection.
-        errors: (2, 3) mean squared errors of render and projection in each channel.
+        errors: (2, 3) mean squared errors of render, without its noise, and projection in each channel.
     """
 
     name: str
@@ -163,13 +163,17 @@ def judge(
     for number, full in enumerate(chosen):
         view, photograph, used = judged_photograph(full, area, scale)
         display, traced = Display.of(view, photometry), trace_view(estimate.room, view)
-        pictures = [photograph]
-        for image in (renderer.render(view, number), projected(pixels, place, view, traced)):
-            pictures.append(display.shown(image, view, display.factor(photograph, image, view)))
-        squared = (np.array(pictures[1:]) - pictures[0])[:, used] ** 2
+        pair = np.array([renderer.render(view, 2 * number + half) for half in range(2)])
+        plain = projected(pixels, place, view, traced)
+        factors = [display.factor(photograph, image, view) for image in (pair.mean(axis=0), plain)]
+        pair = np.array([display.shown(image, view, factors[0]) for image in pair])
+        pictures = [photograph, pair.mean(axis=0), display.shown(plain, view, factors[1])]
+        # The noise of one render is independent of the other's: their product has none on average.
+        squared = np.array([(pair - photograph).prod(axis=0), (pictures[2] - photograph) ** 2])[:, used]
         errors.append(squared)
         on_mesh.append(traced.triangle.reshape(used.shape)[used] != NO_TRIANGLE)
-        views.append(JudgedView(view.name, np.array(pictures, np.float32), squared.mean(axis=1)))
+        mean = np.maximum(squared.mean(axis=1), 0.0)
+        views.append(JudgedView(view.name, np.array(pictures, np.float32), mean))
         progress((number + 1) / count)
     every, hit = np.concatenate(errors, axis=1), np.concatenate(on_mesh)
     rendered, plain = map(_psnr, every)

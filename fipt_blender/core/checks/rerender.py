@@ -35,12 +35,10 @@ from ..surface.room import Room, Surface
 
 # (N, 3) positions, metres, and (N,) triangles -> (N, 3) base colour, (N,) roughness, (N,) metallic.
 FieldQuery = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
-SPP = 32  # paths a pixel, before denoising
+SPP = 16  # paths a pixel, before denoising
 DEPTH = 32  # most surfaces of a path, as in our Cycles renders; Russian roulette ends most before
 VOXELS = 128  # along each axis, for the materials that reflections show
 PATHS_AT_ONCE = 1 << 20  # bounds memory
-# Steps of a Kronecker sequence in the six dimensions of a first surface: powers of the root of x^7 = x + 1.
-KRONECKER = 1.1127756842787055 ** -np.arange(1.0, 7.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,25 +91,6 @@ class _Paths(TracedRadiance):
             reach = dr.select(hit.valid, hit.distance, dr.inf)
             path.radiance += path.throughput * _crossed(self, path, direction, reach, mi.Bool(active))
         return super().step(path, direction, hit, rng, active)
-
-
-class _FirstSamples:
-    """Random numbers of the paths of pixels at their first surface, evenly spread over the `SPP` of a pixel.
-
-    A sequence of low discrepancy (Kronecker's), shifted at random in each pixel and dimension (Cranley and
-    Patterson 1976).
-    """
-
-    def __init__(self, paths: int, seed: int) -> None:
-        index = dr.arange(mi.UInt32, paths)
-        self._pixel, self._number, self._seed, self._axis = index // SPP, mi.Float(index % SPP), seed, 0
-
-    def next_float32(self) -> mi.Float:
-        """(paths,) in the next dimension."""
-        key = dr.opaque(mi.UInt32, (self._seed * len(KRONECKER) + self._axis) & 0xFFFFFFFF)
-        value = mi.sample_tea_float32(self._pixel, key) + self._number * float(KRONECKER[self._axis])
-        self._axis += 1
-        return value - dr.floor(value)
 
 
 class Renderer:
@@ -227,10 +206,10 @@ class Renderer:
         wo = dr.normalize(wo)
         vertex = Vertex(position + mi.Vector3f(side) * self._source.offset, frame, side, wo, material)
         path = new_path(dr.width(position))
-        even = _FirstSamples(dr.width(position), seed)
-        path.radiance = mi.Color3f(self._source.sample_emitter(vertex, even, active))
-        lobe, sample = even.next_float32(), mi.Point2f(even.next_float32(), even.next_float32())
-        wi, weight, density = brdf.sample(lobe, sample, wo, *material)
+        path.radiance = mi.Color3f(self._source.sample_emitter(vertex, rng, active))
+        wi, weight, density = brdf.sample(
+            rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32()), wo, *material
+        )
         onward = frame.to_world(wi)
         active = active & (density > 0.0) & (dr.dot(onward, side) > 0.0)
         path.throughput = dr.select(active, weight, mi.Color3f(0.0))
