@@ -26,8 +26,27 @@ UTM = np.array([691_000.25, 5_334_000.75, 520.5])
 
 def write_room(path, place=None):
     points = BOX if place is None else transform_points(place, BOX)
+    if path.suffix == ".ply":
+        write_ply(path, points)
+        return
     vertices = "".join(f"v {x:.9f} {y:.9f} {z:.9f}\n" for x, y, z in points)
     path.write_text(vertices + "".join(f"f {quad}\n" for quad in QUADS))
+
+
+def write_ply(path, points):
+    """In double precision, as laser scanners' programs do."""
+    kind = "ascii" if path.stem == "ascii" else "binary_little_endian"
+    header = f"ply\nformat {kind} 1.0\nelement vertex {len(points)}\n"
+    header += "".join(f"property double {axis}\n" for axis in "xyz")
+    header += f"element face {len(QUADS)}\nproperty list uchar int vertex_indices\nend_header\n"
+    faces = [[int(index) - 1 for index in quad.split()] for quad in QUADS]
+    if kind == "ascii":
+        rows = [" ".join(map(repr, point)) for point in points.tolist()]
+        rows += [" ".join(map(str, [4, *face])) for face in faces]
+        path.write_text(header + "".join(f"{row}\n" for row in rows))
+    else:
+        table = np.array([(4, face) for face in faces], [("count", "u1"), ("corners", "<i4", 4)])
+        path.write_bytes(header.encode() + points.astype("<f8").tobytes() + table.tobytes())
 
 
 def similarity(scale=1.0, shift=(0.0, 0.0, 0.0), turn=0.0):
@@ -84,13 +103,14 @@ def test_a_mesh_with_y_up_is_told(tmp_path):
 
 
 @pytest.mark.parametrize("written", [write_transforms, lambda root, samples: write_colmap(root, samples, True)])
-def test_map_coordinates_are_moved_in_double_precision(tmp_path, written):
+@pytest.mark.parametrize("mesh", ["mesh.obj", "mesh.ply", "ascii.ply"])
+def test_map_coordinates_are_moved_in_double_precision(tmp_path, written, mesh):
     samples = make_samples(6)
     near = np.array([sample.pose[:3, 3].copy() for sample in samples])
     for sample in samples:
         sample.pose[:3, 3] += UTM
     written(tmp_path / "in", samples)
-    write_room(tmp_path / "in" / "mesh.obj", similarity(shift=UTM))
+    write_room(tmp_path / "in" / mesh, similarity(shift=UTM))
     run = RunFolder(tmp_path / "run")
     assert "georeferenced" in warnings(run_ingest(tmp_path / "in", run, up_axis="z"))
     capture, offset = load_capture(run), np.array(read_capture(run.capture_json).offset)
