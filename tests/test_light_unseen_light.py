@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import drjit as dr
 import mitsuba as mi
@@ -23,8 +24,8 @@ from fipt_blender.core.light.environment import MOST_PIXELS, Environment, Hull, 
 from fipt_blender.core.light.observations import Observations
 from fipt_blender.core.light.radiance import CachedRadiance, OutsideRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
-from fipt_blender.core.light.sources import SPECULAR, Expectation, Transport, held_back_gain, solve_sources
-from fipt_blender.core.light.unseen_light import free_radius, lamp_light, with_unseen_light
+from fipt_blender.core.light.sources import SPECULAR, Expectation, SourceLight, Transport, held_back_gain, solve_sources
+from fipt_blender.core.light.unseen_light import Sources, free_radius, lamp_light, with_unseen_light
 from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.pixels.store import open_pixels, trace_view
@@ -198,6 +199,43 @@ def test_lamps_are_not_where_photographs_looked_through() -> None:
     assert free_radius(np.array([4.5, 0.3, 0.0]), x, camera, seen) == np.inf  # behind what is seen
     assert free_radius(np.array([2.0, 0.3, 0.4]), None, camera, seen) == pytest.approx(0.5)
     assert free_radius(np.array([-0.3, -0.4, 0.0]), None, camera, seen) == pytest.approx(0.5)
+
+
+def test_what_shines_through_a_wide_opening_are_lamps_beside_it() -> None:
+    """In the world's image it would be far away, and its light would not fall off in the room."""
+    x, z = np.meshgrid(np.arange(-1.75, 2.0, 0.5), np.arange(0.25, 3.0, 0.5))  # 12 square metres at y = 2
+    place = np.stack([x.ravel(), np.full(x.size, 2.0), z.ravel()], axis=1)
+    floor = np.array([[a, b, 0.0] for a in np.linspace(-1.5, 1.5, 7) for b in np.linspace(-4.0, 1.0, 11)])
+    toward = place[None] - floor[:, None]
+    squared = (toward**2).sum(axis=2)
+    unseen = 0.25 * toward[..., 1] * toward[..., 2] / (np.pi * squared**2)
+    count, radiance = len(place), np.full((len(place), 3), 10.0)
+    found = Sources(
+        points=Transport(np.zeros_like(floor), np.zeros(len(floor), int), np.full_like(floor, 0.1), unseen),
+        pixel=np.zeros(0, np.int64),
+        position=floor,
+        normal=np.tile(UP, (len(floor), 1)),
+        expected=Expectation(np.zeros((count, 3)), np.ones(count, bool)),
+        light=SourceLight(radiance, np.zeros((3, count, 3, count)), 0.1, np.zeros((1, 3))),
+        entries=np.zeros(0, np.int64),
+        of_entry=np.zeros(0, np.int64),
+        cells=SimpleNamespace(size=0.5),  # type: ignore[arg-type]
+        of_hull=np.zeros(0, np.int64),
+        place=place,
+        toward=np.tile([0.0, 1.0, 0.0], (count, 1)),
+        width=np.full(count, 0.5),
+        side=np.full(count, 3),
+        looks=(np.zeros((0, 3)), np.zeros((0, 3))),
+    )
+    cast = np.zeros(len(floor))
+    for lamp in found.lamps():
+        assert lamp["facing"] == [0.0, -1.0, 0.0]
+        assert lamp["position"][1] == pytest.approx(2.0, abs=0.1)
+        off = np.array(lamp["position"]) - floor
+        far = (off**2).sum(axis=1) + lamp["radius"] ** 2
+        cast += lamp["radius"] ** 2 * lamp["radiance"][0] * off[:, 1] * off[:, 2] / far**2
+    ratio = cast / (unseen @ radiance[:, 0])
+    assert np.abs(np.log(ratio)).max() < 0.35, ratio
 
 
 def test_light_that_the_photographs_explain_stays_to_the_bit(tmp_path: Path) -> None:

@@ -62,8 +62,7 @@ LAMP = 4.0
 # Sources of one side are one lamp if they are closer than so many of their widths; others, of a whole one.
 APART, CLOSE = 1.5, 0.5
 LEAST_LAMP = 0.005  # share of the light that a lamp casts
-# Least radius of a lamp in widths of a whole source, and most of these that an opening has to be a lamp.
-BALL, MOST_OF_LAMP = 0.2, 16
+BALL = 0.2  # least radius of a lamp in widths of a whole source
 LEAST_RADIUS = 0.04  # where photographs looked past it, in widths of a whole source
 WIDEST = 2.0  # radius of a disc in widths of a whole source; what is wider is divided
 FLAT = 0.7  # it is a disc if more than this share of its light leaves to one side
@@ -163,7 +162,11 @@ class Sources:
 
     @cached_property
     def lamp(self) -> np.ndarray:
-        """(K,) int64 lamp or window that each source belongs to; -1 for dim ones and wide openings."""
+        """(K,) int64 lamp or window that each source belongs to; -1 for dim ones.
+
+        Openings are lamps however wide they are: in the world's image, what shines through them would be far
+        away, and its light would not fall off in the room.
+        """
         level = LAMP * float(np.median(self.points.seen))
         members = np.flatnonzero(self.light.radiance.mean(axis=1) > level)
         result = np.full(len(self.place), -1, np.int64)
@@ -175,9 +178,7 @@ class Sources:
         near = distance < APART * np.maximum(width[one], width[other])
         near &= (side[one] == side[other]) | (distance < CLOSE * self.cells.size)
         lamp = graph_components(np.stack([one, other], axis=1)[near], len(members))
-        own = np.bincount(lamp, width**2) <= MOST_OF_LAMP * self.cells.size**2
-        own |= np.bincount(lamp, self.expected.outside[members]) == 0.0  # the world can't shine from a mesh
-        own &= np.bincount(lamp, self.shares[members]) > LEAST_LAMP
+        own = np.bincount(lamp, self.shares[members]) > LEAST_LAMP
         result[members] = np.where(own, np.cumsum(own) - 1, -1)[lamp]
         return result
 
