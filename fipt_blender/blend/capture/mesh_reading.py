@@ -74,8 +74,8 @@ def _moved_ply(data: bytes) -> tuple[bytes, np.ndarray]:
         rows = [line.split() for line in lines[:count]]
         offset = np.round([float(rows[0][axis]) for axis in place])
         for row in rows:
-            for axis, word in zip(place, _less([row[axis] for axis in place], offset), strict=True):
-                row[axis] = word
+            for index, word in zip(place, _less([row[index] for index in place], offset), strict=True):
+                row[index] = word
         return header[0] + b"\n".join([*map(b" ".join, rows), *lines[count:]]), offset
     order = "<" if b"little_endian" in header[0] else ">"
     table = np.frombuffer(rest, [(name, order + kind) for name, kind in kinds.items()], count).copy()

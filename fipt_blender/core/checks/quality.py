@@ -164,10 +164,10 @@ def judge(
         view, photograph, used = judged_photograph(full, area, scale)
         display, traced = Display.of(view, photometry), trace_view(estimate.room, view)
         pair = np.array([renderer.render(view, 2 * number + half) for half in range(2)])
-        plain = projected(pixels, place, view, traced)
-        factors = [display.factor(photograph, image, view) for image in (pair.mean(axis=0), plain)]
+        projection = projected(pixels, place, view, traced)
+        factors = [display.factor(photograph, image, view) for image in (pair.mean(axis=0), projection)]
         pair = np.array([display.shown(image, view, factors[0]) for image in pair])
-        pictures = [photograph, pair.mean(axis=0), display.shown(plain, view, factors[1])]
+        pictures = [photograph, pair.mean(axis=0), display.shown(projection, view, factors[1])]
         # The noise of one render is independent of the other's: their product has none on average.
         squared = np.array([(pair - photograph).prod(axis=0), (pictures[2] - photograph) ** 2])[:, used]
         errors.append(squared)
