@@ -38,48 +38,57 @@ def near_origin(path: Path, copy: Path) -> tuple[Path, np.ndarray]:
         ValueError, IndexError, KeyError: the file is damaged.
     """
     move = {".obj": _moved_obj, ".ply": _moved_ply}.get(path.suffix.lower())
-    moved, offset = (b"", np.zeros(3)) if move is None else move(path.read_bytes())
-    if not np.abs(offset).max() > FAR:
+    moved = None if move is None else move(path.read_bytes())
+    if moved is None:
         return path, np.zeros(3)
     copy = copy.with_suffix(path.suffix)
-    copy.write_bytes(moved)
-    return copy, offset
+    copy.write_bytes(moved[0])
+    return copy, moved[1]
 
 
-def _moved_obj(data: bytes) -> tuple[bytes, np.ndarray]:
-    """An OBJ file less the whole part of its first vertex, and that."""
+def _moved_obj(data: bytes) -> tuple[bytes, np.ndarray] | None:
+    """An OBJ file less the whole part of its first vertex, and that; None for one that is not far."""
+    first = re.search(rb"^v[ \t].*", data, re.MULTILINE)
+    offset = np.round(np.array(first[0].split()[1:4] if first else [0.0] * 3, float))
+    if not np.abs(offset).max() > FAR:
+        return None
     lines = data.split(b"\n")
-    places = [index for index, line in enumerate(lines) if line.startswith((b"v ", b"v\t"))]
-    offset = np.round(np.array(lines[places[0]].split()[1:4], float))
-    for index in places if np.abs(offset).max() > FAR else ():
-        words = lines[index].split()
-        lines[index] = b" ".join([b"v", *_less(words[1:4], offset), *words[4:]])
+    for index, line in enumerate(lines):
+        if line.startswith((b"v ", b"v\t")):
+            words = line.split()
+            lines[index] = b" ".join([b"v", *_less(words[1:4], offset), *words[4:]])
     return b"\n".join(lines), offset
 
 
-def _moved_ply(data: bytes) -> tuple[bytes, np.ndarray]:
+def _moved_ply(data: bytes) -> tuple[bytes, np.ndarray] | None:
     """As `_moved_obj`, of a PLY file that begins with its vertices."""
     header = re.match(
         rb"ply\s.*?element vertex (\d+)\r?\n(.*?)(element.*?)?end_header\r?\n", data[:65536], re.DOTALL
     )
     if header is None:
-        return data, np.zeros(3)
-    count, rest = int(header[1]), data[header.end() :]
+        return None
+    count, rest = int(header[1]), memoryview(data)[header.end() :]
     kinds = {
         name.decode(): _TYPES[kind.decode()] for kind, name in re.findall(rb"property (\w+) (\w+)", header[2])
     }
     if b"format ascii" in header[0]:
         place = [list(kinds).index(axis) for axis in "xyz"]
-        lines = rest.split(b"\n", count)
+        first = data[header.end() :].partition(b"\n")[0].split()
+        offset = np.round([float(first[axis]) for axis in place])
+        if not np.abs(offset).max() > FAR:
+            return None
+        lines = data[header.end() :].split(b"\n", count)
         rows = [line.split() for line in lines[:count]]
-        offset = np.round([float(rows[0][axis]) for axis in place])
         for row in rows:
             for index, word in zip(place, _less([row[index] for index in place], offset), strict=True):
                 row[index] = word
         return header[0] + b"\n".join([*map(b" ".join, rows), *lines[count:]]), offset
     order = "<" if b"little_endian" in header[0] else ">"
-    table = np.frombuffer(rest, [(name, order + kind) for name, kind in kinds.items()], count).copy()
+    table = np.frombuffer(rest, [(name, order + kind) for name, kind in kinds.items()], count)
     offset = np.round([float(table[axis][0]) for axis in "xyz"])
+    if not np.abs(offset).max() > FAR:
+        return None
+    table = table.copy()
     for axis, less in zip("xyz", offset, strict=True):
         table[axis] -= less
     return header[0] + table.tobytes() + rest[table.nbytes :], offset
