@@ -177,7 +177,10 @@ def test_engine_environment_is_clean(tmp_path: Path, monkeypatch: pytest.MonkeyP
         monkeypatch.setenv(name, "/nowhere")
     monkeypatch.setenv(llvm.LLVM_VARIABLE, "/a/libLLVM.so")
     (tmp_path / "system").mkdir()
+    monkeypatch.delenv(interpreter.BLENDER_VARIABLE, raising=False)
+    monkeypatch.delitem(sys.modules, "bpy", raising=False)
     environment = interpreter.engine_environment(tmp_path / "bin" / "python")
+    assert interpreter.BLENDER_VARIABLE not in environment, "this Python has no Blender to offer"
     assert not [name for name in environment if name.startswith("PYTHON")]
     assert environment[llvm.LLVM_VARIABLE] == "/a/libLLVM.so"
     if sys.platform == "linux":

@@ -133,7 +133,8 @@ def engine_environment(python: Path | None = None) -> dict[str, str]:
         python: the engine's interpreter; the child finds the libraries of its `system_folder`.
     """
     environment = {key: value for key, value in os.environ.items() if not key.upper().startswith("PYTHON")}
-    environment.setdefault(BLENDER_VARIABLE, running_blender())
+    if "bpy" in sys.modules:  # else the engine's own environment may have it as a module
+        environment.setdefault(BLENDER_VARIABLE, running_blender())
     environment.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     environment.setdefault("KMP_BLOCKTIME", "0")
     if python is not None and sys.platform == "linux" and (folder := system_folder(python)).is_dir():

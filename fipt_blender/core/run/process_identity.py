@@ -89,6 +89,6 @@ def end_with_parent() -> None:
 
 
 def running_blender() -> str:
-    """The program that is this Blender: its executable, or the Python that has it as a module."""
+    """The program that is this Blender: its executable, or the Python that may have it as a module."""
     blender = getattr(sys.modules.get("bpy"), "app", None)
     return os.environ.get(BLENDER_VARIABLE) or getattr(blender, "binary_path", "") or sys.executable
