@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from benchmarks.metrics import Maps
+from benchmarks.tracer.environment import EnvironmentLight
 from benchmarks.tracer.forward import LitRoom, camera_rays, switched_off
 from benchmarks.tracer.surfaces import LatticeMaterials, SurfaceMaterials
 from fipt_blender.core.capture.images import read_radiance
@@ -24,7 +25,6 @@ from fipt_blender.core.material.confidence import UNIFORM_DEVIATION
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.optics import brdf, factorised
 from fipt_blender.core.optics.brdf import Material
-from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.run.run_files import read_emitters

@@ -123,7 +123,7 @@ def read_relight(folder: Path, capture: Capture) -> Relight | None:
         light = data["light"]
         vertices = conventions.transform_points(capture.world_from_source, light["vertices"])
         triangles = np.array(light["faces"], np.int64).reshape(-1, 3)
-        normal = conventions.transform_normals(capture.world_from_source, light["normal"])
+        normal = conventions.split_similarity(capture.world_from_source)[1] @ light["normal"]
         if np.cross(vertices[1] - vertices[0], vertices[2] - vertices[1]) @ normal < 0.0:
             vertices, triangles = vertices[::-1], len(vertices) - 1 - triangles
         corners = vertices[triangles]

@@ -26,7 +26,7 @@ from fipt_blender.core.estimate.results import RoomLight, write_results
 from fipt_blender.core.light.emitters import Fixture, emitter_table
 from fipt_blender.core.light.environment import Environment
 from fipt_blender.core.optics.brdf import set_masking
-from fipt_blender.core.pixels.store import fill_pixels, open_pixels, trace_view
+from fipt_blender.core.pixels.store import create_pixels, fill_pixels, trace_view
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
@@ -127,7 +127,7 @@ def test_the_judge_and_cycles_agree(name: str, tmp_path: Path, monkeypatch: pyte
     truth = Renderer(Estimate(room, true.query, emitter_table(fixtures), environment), 1)
     for number, view in enumerate((held_back, *training)):
         write_exr(view.image, truth.render(view, number) * SCALE)
-    pixels = open_pixels(tmp_path / "pixels", training, create=True)
+    pixels = create_pixels(tmp_path / "pixels", training)
     fill_pixels(pixels, room, lambda done: None)
     quality = judge(
         pixels, [held_back], Estimate(room, wrong.query, emitter_table(fixtures), environment), {}, SCALE, 0

@@ -15,7 +15,7 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.checks.projection import projected
 from fipt_blender.core.checks.quality import judge
 from fipt_blender.core.checks.rerender import Estimate, Renderer
-from fipt_blender.core.pixels.store import LEFT_OUT, PixelStore, fill_pixels, open_pixels, trace_view
+from fipt_blender.core.pixels.store import LEFT_OUT, PixelStore, create_pixels, fill_pixels, trace_view
 from samples.small_captures import COLORS, PANEL_RADIANCE, PANEL_TRIANGLES, SmallCapture, panel_capture, pinhole
 from samples.small_rooms import table
 
@@ -34,7 +34,7 @@ def stored(capture: SmallCapture, folder: Path) -> tuple[PixelStore, View, float
         write_exr(folder / f"{index}.exr", image)
         views.append(View(str(index), "train", folder / f"{index}.exr", **vars(pinhole(pose))))
     held_back = replace(views.pop(HELD_BACK), split="held_back")
-    pixels = open_pixels(folder / "pixels", views, create=True)
+    pixels = create_pixels(folder / "pixels", views)
     return pixels, held_back, fill_pixels(pixels, capture.room, lambda done: None)
 
 

@@ -21,12 +21,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.tracer.environment import EnvironmentLight
 from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.light import baking
 from fipt_blender.core.material import training
 from fipt_blender.core.material.fields import RoomFields
-from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.pixels.store import trace_view
 from fipt_blender.core.run import chain, finished_views

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from benchmarks.ldr import Camera, draw_gains, photograph, write_photograph
+from benchmarks.tracer.environment import EnvironmentLight
 from benchmarks.tracer.surfaces import TriangleMaterials
 from fipt_blender.core.capture.encoded import srgb_decoded
 from fipt_blender.core.conventions import direction_to_equirect
@@ -20,7 +21,6 @@ from fipt_blender.core.estimate.estimation import chain_of, stages_of
 from fipt_blender.core.estimate.input import prepare_input
 from fipt_blender.core.light.emitters import Fixture
 from fipt_blender.core.material.fields import RoomFields
-from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder, write_json

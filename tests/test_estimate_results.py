@@ -21,7 +21,7 @@ from fipt_blender.core.estimate.previews import Preview
 from fipt_blender.core.material.groups import Units
 from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.parts.labels import Parts, label_parts
-from fipt_blender.core.pixels.store import fill_pixels, open_pixels
+from fipt_blender.core.pixels.store import create_pixels, fill_pixels
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.parts import read_parts
@@ -161,7 +161,7 @@ def preview(tmp_path: Path) -> Preview:
     )
     views = [downward_view(tmp_path, "floor", 0.0, 4.0)]
     views.append(downward_view(tmp_path, "panel", 9.5, 2.0))
-    pixels = open_pixels(tmp_path / "pixels", views, create=True)
+    pixels = create_pixels(tmp_path / "pixels", views)
     fill_pixels(pixels, room, lambda done: None)
     return Preview(tmp_path / "previews", pixels, np.array([0, 0, 1, 1]))
 

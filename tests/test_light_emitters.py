@@ -29,7 +29,7 @@ from fipt_blender.core.light.radiance import CachedRadiance, new_path
 from fipt_blender.core.light.scan_fixtures import scan_groups, seen_sides
 from fipt_blender.core.optics.lights import AreaLights
 from fipt_blender.core.parts.labels import NO_PART, Parts
-from fipt_blender.core.pixels.store import NO_TRIANGLE, PixelStore, open_pixels
+from fipt_blender.core.pixels.store import NO_TRIANGLE, PixelStore, create_pixels
 from fipt_blender.core.surface.room import Room
 from samples.scans import scanned_box
 from samples.shading_points import grid_of
@@ -252,7 +252,7 @@ def store(folder: Path, pictures: list[tuple[list[str], list[list[float]]]], wei
         View(f"train/{i}", "train", Path(), len(rows[0]), len(rows), 1.0, 1.0, 0.0, 0.0, np.eye(4))
         for i, (rows, _) in enumerate(pictures)
     ]
-    pixels = open_pixels(folder / "pixels", views, create=True)
+    pixels = create_pixels(folder / "pixels", views)
     for index, (rows, grey) in enumerate(pictures):
         seen = [OPTIONS.get(letter, (NO_TRIANGLE, True)) for letter in "".join(rows)]
         place = pixels.rows(index)

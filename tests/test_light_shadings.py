@@ -24,7 +24,7 @@ from fipt_blender.core.light.radiance import CachedRadiance, TracedRadiance, new
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, Shadings, bake, roughness_levels
 from fipt_blender.core.optics import brdf
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
-from fipt_blender.core.pixels.store import fill_pixels, open_pixels
+from fipt_blender.core.pixels.store import create_pixels, fill_pixels
 from fipt_blender.core.surface.room import Room
 from samples.panel_pixels import IS_PANEL, PARTS, ROOM, SETTINGS, WALL_RADIANCE, make_pixels
 from samples.shading_points import (
@@ -230,7 +230,7 @@ def starts(tmp_path: Path, gap: float, labels: list[int]) -> list[np.ndarray]:
     # The middle column's centre looks at x = 0, its right quarter over the ridge.
     view = View("train/0", "train", image, WIDTH, HEIGHT, 20.0, 20.0, WIDTH / 2, HEIGHT / 2, pose)
     room = roof(gap)
-    store = open_pixels(tmp_path / "pixels", [view], create=True)
+    store = create_pixels(tmp_path / "pixels", [view])
     fill_pixels(store, room, lambda done: None)
     tables = TriangleTables.of(room, np.array(labels))
     rows = np.arange(WIDTH * HEIGHT)[::-1]  # any pixels in any order

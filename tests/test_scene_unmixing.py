@@ -16,7 +16,7 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.environment import outside_pixels
 from fipt_blender.core.pixels.fragments import OUTSIDE, SUBPIXELS, Fragments, group_samples
 from fipt_blender.core.pixels.mixed_pixels import find_donors, mark_pure
-from fipt_blender.core.pixels.store import LEFT_OUT, NO_TRIANGLE, PixelStore, fill_pixels, open_pixels
+from fipt_blender.core.pixels.store import LEFT_OUT, NO_TRIANGLE, PixelStore, create_pixels, fill_pixels
 from fipt_blender.core.pixels.unmixing import at_centres, fit_unknown, posterior, standard_error, unmix_pixels, weights
 from fipt_blender.core.surface.room import Room
 from samples.small_rooms import make_room
@@ -48,7 +48,7 @@ def photograph(view: View, bounds: list[float], colors: np.ndarray) -> None:
 
 
 def unmixed(room: Room, views: list[View], folder: Path, labels: np.ndarray, workers: Any = None) -> PixelStore:
-    store = open_pixels(folder, views, create=True)
+    store = create_pixels(folder, views)
     scale = fill_pixels(store, room, lambda done: None)
     store.radiance[:] *= scale
     mark_pure(store, room, labels, lambda done: None)
@@ -60,7 +60,7 @@ def test_a_mixed_pixel_takes_a_donor_of_its_own_part(tmp_path: Path) -> None:
     """A floor of two coplanar halves that meet at x = 0.03: inside a column of pixels."""
     write_exr(tmp_path / "image.exr", np.full((HEIGHT, WIDTH, 3), 0.5, np.float32))
     room = make_room([strip(-3, 0.03), strip(0.03, 3)])
-    store = open_pixels(tmp_path / "pixels", [floor_camera(tmp_path / "image.exr")], create=True)
+    store = create_pixels(tmp_path / "pixels", [floor_camera(tmp_path / "image.exr")])
     assert fill_pixels(store, room, lambda done: None) == pytest.approx(0.5)
     labels = np.array([0, 0, 1, 1])
     mark_pure(store, room, labels, lambda done: None)
@@ -88,7 +88,7 @@ def test_masked_pixels_are_neither_room_nor_outside(tmp_path: Path) -> None:
     ids[:, :8] = 0.0
     write_exr(mask, ids)
     room = make_room([[[-3, -3, 0], [3, -3, 0], [3, 0.3, 0], [-3, 0.3, 0]]])  # the upper rows look outside
-    store = open_pixels(tmp_path / "pixels", [replace(floor_camera(image), mask=mask)], create=True)
+    store = create_pixels(tmp_path / "pixels", [replace(floor_camera(image), mask=mask)])
     assert fill_pixels(store, room, lambda done: None) == pytest.approx(0.5)
     mark_pure(store, room, np.zeros(2, int), lambda done: None)
     triangle = np.asarray(store.triangle).reshape(HEIGHT, WIDTH)

@@ -28,8 +28,11 @@ def test_the_correction_is_exact_for_greys_and_never_negative(masking):
     share, diffuse = write_back.correction(base_color, sigma, m, cosine, masking)
     assert share.min() >= 0.0 and share.max() <= 1.0
     assert diffuse.min() >= 0.0 and (diffuse <= base_color).all()
-    principled = write_back.principled_albedo(base_color, sigma, m, cosine)
-    wanted = write_back.paper_albedo(base_color, sigma, m, cosine, masking)
+    f = {name: values[:, None] for name, values in write_back.table(masking).at(cosine, sigma).items()}
+    metal = m[:, None]
+    principled = (1.0 - metal) * (base_color * f["t"] + f["e"]) + metal * (base_color * f["f0"] + f["f1"])
+    specular = 0.04 * (1.0 - metal) + base_color * metal
+    wanted = base_color * (1.0 - metal) + specular * f["s0"] + f["s1"]
     # A share of more than all is out of reach: at straight views the two G differ by the table's noise
     # only, and edge-on Schlick's Fresnel term is above the real one, which Principled has.
     whole = share < 1.0

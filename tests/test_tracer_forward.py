@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from benchmarks.tracer import bsdf
+from benchmarks.tracer.environment import EnvironmentLight
 from benchmarks.tracer.forward import LitRoom, RenderSettings, denoise, render_view, trace_paths
 from benchmarks.tracer.surfaces import LatticeMaterials, TriangleMaterials
 from fipt_blender.core.optics import brdf
-from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.surface.room import Room
 from samples.small_rooms import BOX as WALLS

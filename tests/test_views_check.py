@@ -16,7 +16,7 @@ from fipt_blender.core.checks.misaligned import CLEARLY_BETTER
 from fipt_blender.core.checks.registration import Fit, register
 from fipt_blender.core.checks.view_check import ViewCheck, check_views
 from fipt_blender.core.pixels.mixed_pixels import mark_pure
-from fipt_blender.core.pixels.store import LEFT_OUT, NO_TRIANGLE, PixelStore, fill_pixels, open_pixels
+from fipt_blender.core.pixels.store import LEFT_OUT, NO_TRIANGLE, PixelStore, create_pixels, fill_pixels
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.settings import make_settings
 from samples.ingesting import edited_json
@@ -72,7 +72,7 @@ def run_check(
     with edited_json(run.capture_json) as data:
         for index in faces:
             data["views"][index]["panorama"] = "panorama"
-    pixels = open_pixels(root / "pixels", load_capture(run).train, create=True)
+    pixels = create_pixels(root / "pixels", load_capture(run).train)
     fill_pixels(pixels, capture.room, lambda _: None)
     part = capture.room.triangle_object
     mark_pure(pixels, capture.room, part, lambda _: None)

@@ -9,7 +9,7 @@ import numpy as np
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.photometry.clipped_surfaces import find_clipped_surfaces
 from fipt_blender.core.photometry.codes import Codes
-from fipt_blender.core.pixels.store import open_pixels
+from fipt_blender.core.pixels.store import create_pixels
 from samples.scans import scanned_box
 from samples.small_rooms import BOX, make_room
 
@@ -23,7 +23,7 @@ def codes_of(folder: Path, triangles: np.ndarray, clipped: np.ndarray) -> Codes:
     """One photograph with a pixel on each triangle (N,), white where it is clipped (N,)."""
     count = len(triangles)
     view = View("train/0", "train", Path(), count, 1, 1.0, 1.0, 0.0, 0.0, np.eye(4))
-    pixels = open_pixels(folder / "pixels", [view], create=True)
+    pixels = create_pixels(folder / "pixels", [view])
     pixels.triangle[:] = triangles
     stored = np.where(clipped, 65535, 30000).astype(np.uint16)
     return Codes(pixels, [0], np.repeat(stored[:, None], 3, axis=1))

@@ -24,7 +24,7 @@ from fipt_blender.core.photometry.encoded_photographs import (
 )
 from fipt_blender.core.photometry.refit import refit_photographs
 from fipt_blender.core.pixels.mixed_pixels import mark_pure
-from fipt_blender.core.pixels.store import PixelStore, fill_pixels, open_pixels
+from fipt_blender.core.pixels.store import PixelStore, create_pixels, fill_pixels
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.settings import make_settings
 from samples.small_captures import CAMERAS, COLORS, PANEL, PANEL_RADIANCE, matt, photograph_room, write_run
@@ -44,7 +44,7 @@ def store(tmp_path_factory) -> tuple[PixelStore, object]:
         room, materials, table([12, 13], PANEL_RADIANCE), cameras=[*CAMERAS, *MORE], scale=2, spp=32
     )
     folder = tmp_path_factory.mktemp("photometry")
-    pixels = open_pixels(folder / "pixels", load_capture(write_run(folder / "run", capture)).train, create=True)
+    pixels = create_pixels(folder / "pixels", load_capture(write_run(folder / "run", capture)).train)
     fill_pixels(pixels, room, lambda _: None)
     mark_pure(pixels, room, room.triangle_object, lambda _: None)
     return pixels, room

@@ -16,11 +16,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from benchmarks.tracer.environment import EnvironmentLight
 from benchmarks.tracer.surfaces import SurfaceMaterials
 from fipt_blender.core.conventions import PinholeView
 from fipt_blender.core.optics import brdf, factorised
 from fipt_blender.core.optics.denoise import Denoiser
-from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import AreaLights, DirectSample, EmitterTable
 from fipt_blender.core.surface.room import Room
 

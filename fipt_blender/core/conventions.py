@@ -48,32 +48,18 @@ class PinholeView(Protocol):
 
 
 def opencv_to_blender_camera(camera_to_world: ArrayLike) -> FloatArray:
-    """Camera-to-world (..., 4, 4) with OpenCV axes to a Blender camera's `matrix_world` (Y and Z negated)."""
+    """Camera-to-world (..., 4, 4) with OpenCV axes to a Blender camera's `matrix_world` (Y and Z negated).
+
+    A Blender camera has OpenGL's axes, as those of NeRF and instant-ngp; the way back is the same.
+    """
     return np.asarray(camera_to_world, np.float64) @ _OPENGL_AXES
 
 
-def blender_to_opencv_camera(matrix_world: ArrayLike) -> FloatArray:
-    """A Blender camera's `matrix_world` (..., 4, 4) without scale to camera-to-world with OpenCV axes."""
-    return np.asarray(matrix_world, np.float64) @ _OPENGL_AXES
-
-
-def opengl_to_opencv_camera(camera_to_world: ArrayLike) -> FloatArray:
-    """Camera-to-world (..., 4, 4) with OpenGL axes (NeRF, nerfstudio, instant-ngp) to OpenCV axes."""
-    return np.asarray(camera_to_world, np.float64) @ _OPENGL_AXES
-
-
-def opencv_to_opengl_camera(camera_to_world: ArrayLike) -> FloatArray:
-    """Camera-to-world (..., 4, 4) with OpenCV axes to OpenGL axes (NeRF, nerfstudio, instant-ngp)."""
-    return np.asarray(camera_to_world, np.float64) @ _OPENGL_AXES
+blender_to_opencv_camera = opengl_to_opencv_camera = opencv_to_opengl_camera = opencv_to_blender_camera
 
 
 def fipt_to_opencv_camera(camera_to_world: ArrayLike) -> FloatArray:
     """Camera-to-world (..., 4, 4) of the FIPT authors' synthetic data (X left, Y up, Z forward) to OpenCV."""
-    return np.asarray(camera_to_world, np.float64) @ _FIPT_AXES
-
-
-def opencv_to_fipt_camera(camera_to_world: ArrayLike) -> FloatArray:
-    """Camera-to-world (..., 4, 4) with OpenCV axes to those of the FIPT authors' synthetic data."""
     return np.asarray(camera_to_world, np.float64) @ _FIPT_AXES
 
 
@@ -128,12 +114,6 @@ def transform_points(similarity: ArrayLike, points: ArrayLike) -> FloatArray:
     """Transform points (..., 3) by a similarity (4, 4)."""
     matrix = np.asarray(similarity, np.float64)
     return np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-
-
-def transform_normals(similarity: ArrayLike, normals: ArrayLike) -> FloatArray:
-    """Rotate directions (..., 3) by a similarity (4, 4); their length does not change."""
-    _, rotation, _ = split_similarity(similarity)
-    return np.asarray(normals, np.float64) @ rotation.T
 
 
 # --- pinhole rays ----------------------------------------------------------------------------------------

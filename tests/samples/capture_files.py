@@ -127,7 +127,7 @@ def write_fipt_synthetic(root: Path, splits: dict[str, list[np.ndarray]], named:
     for split, poses in splits.items():
         frames = []
         for index, pose in enumerate(poses):
-            frames.append({"transform_matrix": conventions.opencv_to_fipt_camera(pose).tolist()})
+            frames.append({"transform_matrix": conventions.fipt_to_opencv_camera(pose).tolist()})
             if named:
                 frames[-1]["file_path"] = f"Image/{index:03d}_0001.exr"
             write_exr(root / split / "Image" / f"{index:03d}_0001.exr", radiance(index, width, height), half=True)

@@ -11,7 +11,7 @@ import numpy as np
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.parts.labels import Parts
 from fipt_blender.core.pixels.mixed_pixels import mark_pure
-from fipt_blender.core.pixels.store import PixelStore, open_pixels, trace_view
+from fipt_blender.core.pixels.store import PixelStore, create_pixels, trace_view
 from fipt_blender.core.pixels.unmixing import unmix_pixels
 from fipt_blender.core.run.settings import make_settings
 from samples.camera_poses import look_at
@@ -29,10 +29,8 @@ PANEL_RADIANCE, WALL_RADIANCE = 50.0, 1.0
 def make_pixels(folder: Path, views: int) -> PixelStore:
     """Pixels of views that see a box with a bright panel."""
     cameras = [look_at(*CAMERAS[i % len(CAMERAS)]) for i in range(views)]
-    pixels = open_pixels(
-        folder,
-        [View(str(i), "train", Path("none"), **vars(pinhole(pose, SCALE))) for i, pose in enumerate(cameras)],
-        create=True,
+    pixels = create_pixels(
+        folder, [View(str(i), "train", Path("none"), **vars(pinhole(pose, SCALE))) for i, pose in enumerate(cameras)]
     )
     for index, view in enumerate(pixels.views):
         rows, traced = pixels.rows(index), trace_view(ROOM, view)

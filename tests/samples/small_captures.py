@@ -15,6 +15,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
+from benchmarks.tracer.environment import EnvironmentLight
 from benchmarks.tracer.forward import LitRoom, RenderSettings, render_view
 from benchmarks.tracer.surfaces import TriangleMaterials
 from fipt_blender.core.capture.images import write_exr
@@ -22,7 +23,6 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.estimate import command, training_stages
 from fipt_blender.core.light import source_cells, unseen_light
 from fipt_blender.core.material import training
-from fipt_blender.core.optics.environment import EnvironmentLight
 from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.run.contents import CapturedView, CapturedViews
 from fipt_blender.core.run.kinds import as_matrix

@@ -66,14 +66,14 @@ def torch_device() -> str:
     return "cuda" if cuda else "cpu"
 
 
-def cuda_verdict(python: Path, cache: Path | None = None) -> Verdict:
+def cuda_verdict(python: Path) -> Verdict:
     """Whether Mitsuba's CUDA variant works here; if there is a driver, it is tried in a child process."""
     driver = cuda_driver_version()
     if driver is None:
         return Verdict(False, "this machine has no NVIDIA driver with a GPU")
     visible = os.environ.get(VISIBLE_VARIABLE, "")
     key = f"{package_key(python)}|cuda|{driver}|{visible}"
-    return remembered(key, lambda: try_variant(python, VARIANTS["cuda"]), cache)
+    return remembered(key, lambda: try_variant(python, VARIANTS["cuda"]))
 
 
 def _current_variant() -> str | None:

@@ -23,7 +23,7 @@ from ..photometry.encoded_photographs import Photometry, adjust_photographs, war
 from ..photometry.refit import refit_photographs
 from ..pixels.fragments import SUBPIXELS
 from ..pixels.mixed_pixels import mark_pure
-from ..pixels.store import PixelStore, fill_pixels, open_pixels
+from ..pixels.store import PixelStore, create_pixels, fill_pixels
 from ..pixels.unmixing import keep_pure, unmix_pixels
 from ..run.chain import Tools
 from ..run.stage_settings import (
@@ -64,7 +64,7 @@ class TracedPixels:
 
 def trace_pixels(inputs: TraceInputs, settings: NoSettings, tools: Tools) -> TracedPixels:
     """Intersect the photographs' pixels with the mesh, and choose the parts of its triangles."""
-    pixels = open_pixels(tools.folder, inputs.views, create=True)
+    pixels = create_pixels(tools.folder, inputs.views)
     scale = fill_pixels(pixels, inputs.room, tools.progress_within(0.0, 0.6), tools.workers)
     parts = parts_of(inputs.room, pixels)
     mark_pure(pixels, inputs.room, parts.triangle_part, tools.progress_within(0.6, 1.0), tools.workers)

@@ -19,7 +19,6 @@ import numpy as np
 
 from ..optics import brdf, factorised
 from ..optics.brdf import Material
-from ..optics.environment import EnvironmentLight
 from ..optics.lights import AreaLights
 from ..surface.room import Room, Surface
 from .cache import SurfaceLookup
@@ -87,7 +86,8 @@ class OutsideRadiance:
     """Radiance of rays that leave the mesh: by direction, or by place on the hull where that is inferred."""
 
     def __init__(self, environment: Environment) -> None:
-        self._far = EnvironmentLight(environment.image)
+        self._height, self._width = environment.seen.shape
+        self._far = mi.Float(np.ascontiguousarray(environment.image, np.float32).reshape(-1))
         self._hull = hull = environment.hull
         if hull is not None:
             self._seen = mi.Bool(environment.seen.reshape(-1))
@@ -97,12 +97,21 @@ class OutsideRadiance:
 
     def radiance(self, origin: mi.Point3f, direction: mi.Vector3f, active: mi.Bool) -> mi.Color3f:
         """Radiance that arrives at points from unit directions, which point away from them."""
-        far = self._far.radiance(direction, active)
+        pixel = self._pixel(direction)
+        far = dr.gather(mi.Color3f, self._far, pixel, active)
         if self._hull is None:
             return far
-        seen = dr.gather(mi.Bool, self._seen, self._far.pixel(direction), active)
+        seen = dr.gather(mi.Bool, self._seen, pixel, active)
         near = dr.gather(mi.Color3f, self._near, self._cell(origin, direction), active & ~seen)
         return dr.select(seen | (near.x < 0.0), far, near)
+
+    def _pixel(self, direction: mi.Vector3f) -> mi.UInt32:
+        """Of the map, as :func:`.environment.map_cells`."""
+        u = 0.5 - dr.atan2(direction.y, direction.x) * (0.5 * dr.inv_pi)
+        v = dr.acos(dr.clip(direction.z, -1.0, 1.0)) * dr.inv_pi
+        column = dr.minimum(mi.UInt32(dr.clip(u, 0.0, 1.0) * self._width), self._width - 1)
+        row = dr.minimum(mi.UInt32(v * self._height), self._height - 1)
+        return row * self._width + column
 
     def _cell(self, origin: mi.Point3f, direction: mi.Vector3f) -> mi.UInt32:
         """As :meth:`.environment.Hull.cells`."""

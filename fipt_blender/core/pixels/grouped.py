@@ -125,17 +125,13 @@ def _merged(
     return merge(held)
 
 
-def grouped_median(
-    values: np.ndarray, group: np.ndarray, count: int, middle: Literal["mean", "low", "high"] = "mean"
-) -> np.ndarray:
-    """Median of each group's values, column by column; 0 for empty groups.
+def grouped_median(values: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """Median of each group's values, column by column, as ``numpy.median``; 0 for empty groups.
 
     Args:
         values: (N,) or (N, C) floats.
         group: (N,) int in 0..count - 1.
         count: number of groups G.
-        middle: which of the two middle values of an even number of them is the median: their mean (as
-            ``numpy.median``), the lower or the higher one (as ``statistics.median_low``, ``median_high``).
 
     Returns:
         (G,) or (G, C) of the values' type.
@@ -155,8 +151,7 @@ def grouped_median(
             rows = np.full((len(size), longest), np.nan, values.dtype)
             rows[np.arange(longest) < size[:, None]] = column[order]
             ordered = np.sort(rows, axis=1, kind="stable").reshape(-1)  # NaN to the end
-        low, high = ordered[first + (size - 1) // 2], ordered[first + size // 2]
-        median[known] = (low + high) / 2 if middle == "mean" else low if middle == "low" else high
+        median[known] = (ordered[first + (size - 1) // 2] + ordered[first + size // 2]) / 2
     return medians
 
 

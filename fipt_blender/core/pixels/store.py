@@ -173,13 +173,13 @@ def open_array(
     return array
 
 
-def open_pixels(folder: Path, views: list[View], create: bool = False) -> PixelStore:
-    """Open or create the arrays of the given views in `folder`."""
+def create_pixels(folder: Path, views: list[View]) -> PixelStore:
+    """The arrays of the given views in `folder`, new and zero."""
     counts = [view.width * view.height for view in views]
     ranges = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     total = int(ranges[-1])
     arrays = {
-        name: open_array(folder / f"{name}.npy", (total, *tail), dtype, create)
+        name: open_array(folder / f"{name}.npy", (total, *tail), dtype, create=True)
         for name, (dtype, tail) in _ARRAYS.items()
     }
     return PixelStore(views=views, ranges=ranges, **arrays)

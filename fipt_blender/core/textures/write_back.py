@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..optics.factorised import DIELECTRIC_REFLECTANCE, specular_reflectance
+from ..optics.factorised import DIELECTRIC_REFLECTANCE
 
 TABLE = Path(__file__).with_name("write_back.json")
 FUNCTIONS = ("s0", "s1", "t", "f0", "f1", "e")
@@ -63,33 +63,6 @@ def table(masking: str = MASKINGS[0]) -> Table:
     data = json.loads(TABLE.read_text(encoding="utf-8"))
     functions = {**data["principled"], **data[masking]}
     return Table(np.stack([np.array(functions[name], np.float64) for name in FUNCTIONS], axis=-1))
-
-
-def paper_albedo(
-    base_color: np.ndarray,
-    roughness: np.ndarray,
-    metallic: np.ndarray,
-    cosine: np.ndarray,
-    masking: str = MASKINGS[0],
-) -> np.ndarray:
-    """Albedo (N,3) of the paper's BRDF (Eq. 1) under uniform light, seen at n.v = `cosine`.
-
-    Args:
-        base_color: (N,3). roughness, metallic, cosine: (N,).
-    """
-    f, m = table(masking).at(cosine, roughness), np.asarray(metallic, np.float64)
-    specular = specular_reflectance(base_color, m[:, None])
-    return base_color * (1.0 - m)[:, None] + specular * f["s0"][:, None] + f["s1"][:, None]
-
-
-def principled_albedo(
-    base_color: np.ndarray, roughness: np.ndarray, metallic: np.ndarray, cosine: np.ndarray
-) -> np.ndarray:
-    """Albedo (N,3) of Cycles' Principled BSDF (GGX, IOR 1.5); see `paper_albedo`."""
-    f, m = table().at(cosine, roughness), np.asarray(metallic, np.float64)[:, None]
-    dielectric = base_color * f["t"][:, None] + f["e"][:, None]
-    metal = base_color * f["f0"][:, None] + f["f1"][:, None]
-    return (1.0 - m) * dielectric + m * metal
 
 
 def correction(

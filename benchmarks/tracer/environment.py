@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .lights import LUMINANCE, DirectSample
+from fipt_blender.core.optics.lights import LUMINANCE, DirectSample
 
 
 class EnvironmentLight:
