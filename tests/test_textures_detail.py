@@ -20,7 +20,8 @@ from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.surface.smoothing import SmoothingGrid
 from fipt_blender.core.textures import detail
-from fipt_blender.core.textures.texel_views import Seen, Texels
+from fipt_blender.core.textures.texel_views import Seen
+from fipt_blender.core.textures.texels import Texels
 from samples.combinations import pairs
 from samples.small_captures import write_views
 from samples.small_rooms import mesh_room
@@ -146,7 +147,7 @@ def improved(given, shelf=False, estimate=plain):
     """(texels, base colour) with detail; wall and shelf are different parts."""
     room, texels = make_room(shelf), wall_texels(estimate)
     part = np.array([0, 0, 1, 1][: len(room.triangles)], np.int32)
-    return texels, detail.add_detail(texels, given, room, part)
+    return texels, detail.add_detail(given, room, part, texels)
 
 
 def middle(texels):

@@ -10,95 +10,52 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from ..capture.views import load_capture
 from ..device.variant import set_variant
 from ..run.arrays import write_arrays
-from ..run.documents import read_document
 from ..run.messages import Reporter
 from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
-from ..run.result_contents import AtlasImage, AtlasImages, TextureImage, Textures, UniformPart
+from ..run.result_contents import AtlasImage, TextureImage, Textures, UniformPart
 from ..run.run_files import read_atlas, read_room_files
 from ..run.runfolder import RunFolder, write_json
 from ..run.shapes import CORNER_FIELDS_ARRAYS
 from ..surface.stored import stored_geometry
 from .padding import pad
 from .raster import nearest_triangle_map
+from .texels import FieldSource, Texels, sample_fields
 
-if TYPE_CHECKING:
-    from .detail import DetailInput
-
-QUERY_POINTS = 1 << 18  # points per query
 MAPS = ("base_color", "roughness", "metallic", "confidence")
 # A part whose texels differ by less has one value: half a step of 8-bit textures.
 ONE_VALUE = 0.002
+# Texels and a function that is told the share that is done, to their (N, 3) base colour with more detail.
+Detail = Callable[[Texels, Callable[[float], None]], np.ndarray]
 
 
-class FieldSource(Protocol):
-    """What baking needs of an estimate; `core.material.fields.RoomFields` implements it."""
-
-    def query(
-        self, positions: np.ndarray, triangles: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...
-    def confidence(self, positions: np.ndarray, triangles: np.ndarray) -> np.ndarray: ...
-
-
-@dataclass
-class Samples:
-    """The estimate at surface points; float32."""
-
-    base_color: np.ndarray  # (N,3)
-    roughness: np.ndarray  # (N,)
-    metallic: np.ndarray  # (N,)
-    confidence: np.ndarray  # (N,3) of the three above, 0 where no photograph saw the point
-
-
-class PartRanges:
-    """The values that the texels of each part have: of a part of one value, a material needs no textures.
-
-    Args:
-        parts: of the room; None where they do not matter.
-    """
-
-    def __init__(self, parts: RoomParts | None) -> None:
-        self._parts = parts
-        count = 0 if parts is None else len(parts.parts)
-        self._low, self._high = np.full((count, 5), np.inf), np.full((count, 5), -np.inf)
-
-    def add(self, samples: Samples, triangles: np.ndarray) -> None:
-        """Texels on triangles (N,)."""
-        if self._parts is None or not len(triangles):
-            return
-        values = np.column_stack([samples.base_color, samples.roughness, samples.metallic])
-        part = self._parts.triangle[triangles]
+def uniform_parts(parts: RoomParts, images: Iterable[Texels]) -> tuple[UniformPart, ...]:
+    """The parts whose texels all have one value: their material needs no textures."""
+    low = np.full((len(parts.parts), 5), np.inf)
+    high = -low
+    for texels in images:
+        values = np.column_stack([texels.base_color, texels.roughness, texels.metallic])
+        part = parts.triangle[texels.triangle]
         order = np.argsort(part, kind="stable")
-        values, part = values[order], part[order]
-        first = np.flatnonzero(np.concatenate([[True], part[1:] != part[:-1]]))
-        of = part[first]
-        self._low[of] = np.minimum(self._low[of], np.minimum.reduceat(values, first))
-        self._high[of] = np.maximum(self._high[of], np.maximum.reduceat(values, first))
-
-    def uniform(self) -> tuple[UniformPart, ...]:
-        """The parts of one value."""
-        if self._parts is None:
-            return ()
-        of_one = (self._high - self._low <= ONE_VALUE).all(axis=1) & (self._low[:, 0] < np.inf)
-        middle = (0.5 * (self._low + self._high)).tolist()
-        return tuple(
-            UniformPart(part.key, (red, green, blue), roughness, metallic)
-            for part, is_one, (red, green, blue, roughness, metallic) in zip(
-                self._parts.parts, of_one, middle, strict=True
-            )
-            if is_one
-        )
+        of, first = np.unique(part[order], return_index=True)
+        if len(of):
+            low[of] = np.minimum(low[of], np.minimum.reduceat(values[order], first))
+            high[of] = np.maximum(high[of], np.maximum.reduceat(values[order], first))
+    found = []
+    for index in np.flatnonzero((high - low <= ONE_VALUE).all(axis=1) & (low[:, 0] < np.inf)):
+        red, green, blue, roughness, metallic = (0.5 * (low[index] + high[index])).tolist()
+        found.append(UniformPart(parts.parts[index].key, (red, green, blue), roughness, metallic))
+    return tuple(found)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -117,19 +74,19 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     set_variant(folder.read().device)
     # Imported here because these modules import Mitsuba, for which the variant must be chosen first.
     from ..material.fields import RoomFields
-    from .detail import load_input
+    from ..surface.room import load_room
+    from .detail import add_detail, load_input
     from .view_maps import write_view_maps
 
     fields = RoomFields.load(folder)
     reporter.plan([1.0])
     reporter.stage("textures", "Baking textures")
-    given = load_input(folder, reporter)
+    given, detail = load_input(folder, reporter), None
+    if given is not None:
+        detail = partial(add_detail, given, load_room(folder), fields.units.triangle)
     room, names = read_room_files(folder)
-    ranges = PartRanges(read_parts(folder, room["triangle_object"], names.objects))
-    if given is not None and read_document(folder.atlas_json, AtlasImages).mode != "color_attribute":
-        files = bake_with_detail(folder, fields, given, fields.units.triangle, ranges, reporter.progress)
-    else:
-        files = bake(folder, fields, reporter.progress, ranges)
+    parts = read_parts(folder, room["triangle_object"], names.objects)
+    files = bake(folder, fields, reporter.progress, parts, detail)
     files += write_view_maps(folder, fields, load_capture(folder).views)
     reporter.done([str(path) for path in files])
 
@@ -138,7 +95,8 @@ def bake(
     folder: RunFolder,
     fields: FieldSource,
     progress: Callable[[float], None] = lambda fraction: None,
-    ranges: PartRanges | None = None,
+    parts: RoomParts | None = None,
+    detail: Detail | None = None,
 ) -> list[Path]:
     """Replace textures/: textures.json and its images, or corner_fields.npz in colour-attribute mode.
 
@@ -146,126 +104,92 @@ def bake(
         folder: the run, with room and atlas.
         fields: the estimate.
         progress: called with the share that is done.
-        ranges: of the room's parts, by which textures.json says which have one value.
+        parts: of the room, of which textures.json says which have one value.
+        detail: of the photographs, which images get.
 
     Returns:
         The files written.
     """
     room, _ = read_room_files(folder)
     atlas, arrays = read_atlas(folder, len(room["triangles"]))
-    scan = stored_geometry(folder, room)
+    scan = stored_geometry(folder, room, outlined=True)
     corners = (scan.vertices if scan else room["vertices"])[room["triangles"]]
-    with atomic_folder(folder.textures) as new:
+    folder.stage.mkdir(parents=True, exist_ok=True)
+    with (
+        atomic_folder(folder.textures) as new,
+        TemporaryDirectory(dir=folder.stage, prefix="texels-", ignore_cleanup_errors=True) as scratch,
+    ):
         if atlas.mode == "color_attribute":
             names = [_bake_corners(new, fields, corners)]
         else:
-            ranges = ranges or PartRanges(None)
-            names = _bake_images(new, fields, atlas.images, arrays, corners, progress, ranges)
+            surface = _sampled(Path(scratch), fields, atlas.images, arrays, corners, progress)
+            names = _write_images(new, atlas.images, *surface, progress, parts, detail)
     progress(1.0)
     return [folder.textures / name for name in names]
 
 
-def _bake_images(
+def _sampled(
     folder: Path,
     fields: FieldSource,
     entries: Sequence[AtlasImage],
     arrays: dict[str, np.ndarray],
     corners: np.ndarray,
     progress: Callable[[float], None],
-    ranges: PartRanges,
+) -> tuple[list[Texels], list[np.ndarray], Texels]:
+    """The estimate at the texels of all images.
+
+    Args:
+        folder: for arrays. entries: the images in atlas.json. arrays: content of atlas.npz.
+        corners: (T, 3, 3) float32 world.
+
+    Returns:
+        The texels of each image, their flat indices in it, and the texels of all images, on the same memory.
+    """
+    store = Texels.create(sum(entry.width * entry.height for entry in entries), folder)
+    first, of_images, places = 0, [], []
+    for index, entry in enumerate(entries):
+        texel, positions, triangles = _surface_points(entry, index, arrays, corners)
+        # Texels beside each other stay together, so that views skip what they can't see.
+        order = np.argsort(_tile(texel, entry.width), kind="stable")
+        texels = store.rows(slice(first, first + len(order)))
+        texels.position[:], texels.triangle[:] = positions[order], triangles[order]
+        size = np.array([entry.width, entry.height], np.int64)
+        texels.size[:] = _texel_sizes(arrays["corner_uv"] * size, corners)[triangles[order]]
+        sample_fields(fields, texels)
+        of_images.append(texels)
+        places.append(texel[order].astype(np.int32))
+        first += len(order)
+        progress(0.5 * (index + 1) / len(entries))
+    return of_images, places, store.rows(slice(first))
+
+
+def _write_images(
+    folder: Path,
+    entries: Sequence[AtlasImage],
+    of_images: Sequence[Texels],
+    places: Sequence[np.ndarray],
+    every: Texels,
+    progress: Callable[[float], None],
+    parts: RoomParts | None,
+    detail: Detail | None,
 ) -> list[str]:
-    """Write the maps of all images of the atlas, and textures.json; returns the names of the files.
+    """Write the maps of all images and textures.json; returns the names of the files.
 
     Args:
-        folder: for the files.
-        fields: the estimate.
-        entries: the images in atlas.json.
-        arrays: content of atlas.npz.
-        corners: (T,3,3) f32 world.
-        progress: called with the share that is done.
-        ranges: to which the texels are added.
+        of_images, places, every: what :func:`_sampled` returned; others as of :func:`bake`.
     """
-    listed: list[TextureImage] = []
-    # One image is padded and written, and the surface of the next one found, while an image is sampled.
-    with ThreadPoolExecutor(1) as writer, ThreadPoolExecutor(1) as finder:
-        writing: Future[TextureImage] | None = None
-        finding = [finder.submit(_surface_points, entry, 0, arrays, corners) for entry in entries[:1]]
-        for index, entry in enumerate(entries):
-            texel, positions, triangles = finding.pop().result()
-            if index + 1 < len(entries):
-                following = entries[index + 1]
-                finding.append(finder.submit(_surface_points, following, index + 1, arrays, corners))
-            samples = sample_fields(fields, positions, triangles)
-            ranges.add(samples, triangles)
-            if writing is not None:
-                listed.append(writing.result())
-            writing = writer.submit(_write_image, folder, entry, texel, samples)
-            progress((index + 1) / (len(entries) + 1))
-        if writing is not None:
-            listed.append(writing.result())
-    return _list_images(folder, listed, ranges)
-
-
-def _list_images(folder: Path, listed: list[TextureImage], ranges: PartRanges) -> list[str]:
-    """Write textures.json with the images that :func:`_write_image` has written; returns all files' names."""
-    write_json(folder / "textures.json", Textures(tuple(listed), ranges.uniform()))
+    color = every.base_color
+    if detail is not None:
+        color = detail(every, lambda share: progress(0.5 + 0.4 * share))
+    baked, listed, first = [], [], 0
+    for index, (entry, texels, place) in enumerate(zip(entries, of_images, places, strict=True)):
+        baked.append(dataclasses.replace(texels, base_color=color[first : first + len(texels)]))
+        first += len(texels)
+        listed.append(_write_image(folder, entry, place, baked[-1]))
+        progress(0.9 + 0.1 * (index + 1) / len(entries))
+    uniform = uniform_parts(parts, baked) if parts else ()
+    write_json(folder / "textures.json", Textures(tuple(listed), uniform))
     return [*(Path(getattr(image, name)).name for image in listed for name in MAPS), "textures.json"]
-
-
-def bake_with_detail(
-    folder: RunFolder,
-    fields: FieldSource,
-    given: DetailInput,
-    part: np.ndarray,
-    ranges: PartRanges,
-    progress: Callable[[float], None] = lambda fraction: None,
-) -> list[Path]:
-    """Like :func:`bake`, with the photographs' detail in base colour; not in colour-attribute mode.
-
-    Args:
-        given: views, photographs and shadings.
-        part: (T,) int part of each triangle, -1 without one.
-        ranges: of the room's parts.
-        progress: called with the share that is done.
-    """
-    from ..surface.room import load_room
-    from .detail import add_detail, stored_texels
-
-    room = load_room(folder)
-    atlas, arrays = read_atlas(folder, len(room.triangles))
-    corners = room.vertices[room.triangles]
-    entries = atlas.images
-    sizes = [np.array([entry.width, entry.height], np.int64) for entry in entries]
-    listed: list[TextureImage] = []
-    with stored_texels(folder, int(sum(size.prod() for size in sizes))) as store:
-        ends, places = [0], []
-        for index, entry in enumerate(entries):
-            texel, positions, triangles = _surface_points(entry, index, arrays, corners)
-            # Texels beside each other stay together, so that views skip what they can't see.
-            order = np.argsort(_tile(texel, entry.width), kind="stable")
-            places.append(texel[order].astype(np.int32))
-            rows = slice(ends[-1], ends[-1] + len(order))
-            positions, triangles = positions[order], triangles[order]
-            samples = sample_fields(fields, positions, triangles)
-            store.position[rows], store.triangle[rows] = positions, triangles
-            store.size[rows] = _texel_sizes(arrays["corner_uv"] * sizes[index], corners)[triangles]
-            for item in dataclasses.fields(samples):
-                getattr(store, item.name)[rows] = getattr(samples, item.name)
-            ends.append(rows.stop)
-            progress(0.5 * (index + 1) / len(entries))
-        texels = store.first(ends[-1])
-        color = add_detail(texels, given, room, part, lambda share: progress(0.5 + 0.4 * share))
-        with atomic_folder(folder.textures) as new:
-            for index, entry in enumerate(entries):
-                rows = slice(ends[index], ends[index + 1])
-                samples = Samples(
-                    color[rows], texels.roughness[rows], texels.metallic[rows], texels.confidence[rows]
-                )
-                ranges.add(samples, np.asarray(texels.triangle[rows]))
-                listed.append(_write_image(new, entry, places[index], samples))
-                progress(0.9 + 0.1 * (index + 1) / len(entries))
-            names = _list_images(new, listed, ranges)
-    return [folder.textures / name for name in names]
 
 
 def _tile(texel: np.ndarray, width: int) -> np.ndarray:
@@ -305,32 +229,7 @@ def _surface_points(
     return texel, positions, of_image[triangle]
 
 
-def sample_fields(fields: FieldSource, positions: np.ndarray, triangles: np.ndarray) -> Samples:
-    """Query the estimate in chunks; values are clipped to [0, 1].
-
-    Args:
-        fields: the estimate.
-        positions: (N,3) f32 world.
-        triangles: (N,) int triangle of each position.
-    """
-    count = len(positions)
-    result = Samples(
-        np.zeros((count, 3), np.float32),
-        np.zeros(count, np.float32),
-        np.zeros(count, np.float32),
-        np.zeros((count, 3), np.float32),
-    )
-    for first in range(0, count, QUERY_POINTS):
-        chunk = slice(first, first + QUERY_POINTS)
-        base_color, roughness, metallic = fields.query(positions[chunk], triangles[chunk])
-        result.base_color[chunk] = np.clip(base_color, 0.0, 1.0)
-        result.roughness[chunk] = np.clip(np.reshape(roughness, -1), 0.0, 1.0)
-        result.metallic[chunk] = np.clip(np.reshape(metallic, -1), 0.0, 1.0)
-        result.confidence[chunk] = fields.confidence(positions[chunk], triangles[chunk])
-    return result
-
-
-def _write_image(folder: Path, entry: AtlasImage, texel: np.ndarray, samples: Samples) -> TextureImage:
+def _write_image(folder: Path, entry: AtlasImage, texel: np.ndarray, texels: Texels) -> TextureImage:
     """Pad and write the maps of one image; returns the names of their files."""
     from ..capture.images import write_exr
 
@@ -338,9 +237,7 @@ def _write_image(folder: Path, entry: AtlasImage, texel: np.ndarray, samples: Sa
     filled = np.zeros(width * height, bool)
     filled[texel] = True
     image = np.zeros((width * height, 8), np.float32)
-    image[texel] = np.column_stack(
-        [samples.base_color, samples.roughness, samples.metallic, samples.confidence]
-    )
+    image[texel] = np.column_stack([texels.base_color, texels.roughness, texels.metallic, texels.confidence])
     # Row 0 is v = 0 here, but the top row in image files. Islands grow by 8 texels.
     padded = pad(image.reshape(height, width, 8), filled.reshape(height, width), 8)[::-1]
     planes = padded[..., :3], padded[..., 3], padded[..., 4], padded[..., 5:]
@@ -355,8 +252,9 @@ def _bake_corners(folder: Path, fields: FieldSource, corners: np.ndarray) -> str
     count = len(corners)
     # Sampled a thousandth inwards: a corner itself may lie on the neighbouring surface too.
     inwards = corners + 1e-3 * (corners.mean(axis=1, keepdims=True) - corners)
-    positions = inwards.reshape(-1, 3).astype(np.float32)
-    samples = sample_fields(fields, positions, np.repeat(np.arange(count), 3))
+    samples = Texels.create(3 * count)
+    samples.position[:], samples.triangle[:] = inwards.reshape(-1, 3), np.repeat(np.arange(count), 3)
+    sample_fields(fields, samples)
     path = folder / "corner_fields.npz"
     write_arrays(
         path,

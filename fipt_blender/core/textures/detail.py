@@ -10,11 +10,8 @@ as they agree (a Wiener filter). Photographs are decoded one at a time, each onc
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, fields
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -39,7 +36,8 @@ from ..run.shapes import RESOLUTION_ARRAYS
 from ..run.stage_files import loaded, saved, stages_of
 from ..surface.room import Room, triangle_normals
 from ..surface.smoothing import SmoothingGrid
-from .texel_views import LightPixels, Seen, Texels, see_texels
+from .texel_views import LightPixels, Seen, see_texels
+from .texels import Texels
 
 # Width of the cells of the low-pass filter in median widths of a pixel of light: what is wider than about two
 # cells is the estimate's.
@@ -210,31 +208,11 @@ def write_resolution(run: RunFolder, triangles: int) -> None:
     write_arrays(run.resolution_npz, RESOLUTION_ARRAYS, density=result)
 
 
-@contextmanager
-def stored_texels(run: RunFolder, count: int) -> Iterator[Texels]:
-    """Room for up to `count` texels in files of the stage folder, mapped to memory and removed in the end."""
-    run.stage.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=run.stage, prefix="texels-", ignore_cleanup_errors=True) as scratch:
-        shapes = dict.fromkeys(("position", "base_color", "confidence"), (count, 3))
-        kinds = {"triangle": np.int32}
-        yield Texels(
-            **{
-                item.name: np.lib.format.open_memmap(
-                    Path(scratch, f"{item.name}.npy"),
-                    mode="w+",
-                    dtype=kinds.get(item.name, np.float32),
-                    shape=shapes.get(item.name, (count,)),
-                )
-                for item in fields(Texels)
-            }
-        )
-
-
 def add_detail(
-    texels: Texels,
     given: DetailInput,
     room: Room,
     part: np.ndarray,
+    texels: Texels,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> np.ndarray:
     """(N, 3) float32 base colour of texels with the photographs' detail.

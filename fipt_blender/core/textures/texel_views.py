@@ -9,7 +9,7 @@ the same surface and part. So shadings go along surfaces, never across a border.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
@@ -20,6 +20,7 @@ from ..light.emitters import CHUNK
 from ..optics.factorised import color_line, level_share
 from ..pixels.camera_rays import opaque_vector
 from ..surface.room import Room
+from .texels import Texels
 
 LEAST_COSINE = 0.17  # of the angle between normal and view, below which texels are stretched too much
 MARGIN = 1.0  # pixels around a texel in which its surface must be seen: blur mixes neighbours
@@ -31,35 +32,6 @@ LEAST_MATCH = 0.3  # least share of the weight of the 3 x 3 pixels of light that
 SLOPE_ERROR = 0.4
 VIEW_ERROR = 0.05  # relative error of L_d with which a view has half the weight of one without
 GLOSS = 0.5  # share of gloss in a photograph's radiance from which it does not count for base colour
-
-
-@dataclass(frozen=True)
-class Texels:
-    """Surface points of texels, N of them; float32 unless said otherwise.
-
-    Attributes:
-        position: (N, 3) world metres.
-        triangle: (N,) int32.
-        base_color: (N, 3) of the estimate.
-        roughness, metallic: (N,).
-        confidence: (N, 3) of the three above.
-        size: (N,) width of a texel, metres.
-    """
-
-    position: np.ndarray
-    triangle: np.ndarray
-    base_color: np.ndarray
-    roughness: np.ndarray
-    metallic: np.ndarray
-    confidence: np.ndarray
-    size: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.triangle)
-
-    def first(self, count: int) -> Texels:
-        """The first texels, on the same memory."""
-        return Texels(**{item.name: getattr(self, item.name)[:count] for item in fields(self)})
 
 
 @dataclass(frozen=True)
