@@ -16,7 +16,7 @@ from fipt_blender.core.checks.quality import JudgedView, Quality
 from fipt_blender.core.report.comparison import psnr, to_display
 from fipt_blender.core.report.fixture_names import fixture_names
 from fipt_blender.core.report.page import MAPS, write_report
-from fipt_blender.core.report.quality_files import write_quality
+from fipt_blender.core.report.pictures import write_quality
 from fipt_blender.core.run.parts import RoomPart, RoomParts
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings

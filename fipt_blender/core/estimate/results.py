@@ -29,7 +29,7 @@ from ..material.hints import SurfaceHints
 from ..parts.labels import Parts
 from ..photometry.encoded_photographs import Photometry
 from ..pixels.store import PixelStore
-from ..report.quality_files import write_quality
+from ..report.pictures import write_quality
 from ..run.light_size import LightPlan
 from ..run.messages import Reporter, peak_memory_gb
 from ..run.replacing import atomic_folder

@@ -13,27 +13,24 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..capture.averaging import means, narrowed
 from ..capture.images import is_encoded, read_radiance
-from ..capture.views import Capture, View, load_capture
+from ..capture.views import View, load_capture
 from ..run.contents import Steps
 from ..run.declared import declared
 from ..run.documents import read_document
 from ..run.kinds import T
 from ..run.messages import Reporter
 from ..run.result_contents import (
-    EmitterEnvironment,
     EmitterFixture,
     Emitters,
     Maps,
     QualityFigures,
     Render,
     Renders,
-    StageFigures,
     Statistics,
 )
 from ..run.runfolder import PRODUCT_VERSION, RunFolder, explained_write_errors
@@ -41,8 +38,7 @@ from ..run.settings import Settings
 from .comparison import ERROR_FULL, choose_exposure, error_picture, psnr, to_display
 from .fixture_names import run_fixture_names
 from .html import write_page
-from .pictures import write_png
-from .quality_files import KINDS
+from .pictures import KINDS, write_png
 
 MAPS = ("base_color", "roughness", "metallic", "emission")
 PICTURE_WIDTH = 1280  # of photographs and renders on the page, at most; larger ones are averaged
@@ -65,28 +61,6 @@ class Shot:
     error: str | None = None
     psnr: float | None = None
     held_back: bool = False
-
-
-@dataclass(frozen=True)
-class FixtureRow:
-    """One fixture of emitters.json, with the name of its object in Blender and a CSS colour of its light."""
-
-    name: str
-    triangles: int
-    radiance: Sequence[float]
-    area: float
-    power: Sequence[float]
-    swatch: str
-
-
-@dataclass(frozen=True)
-class StageRow:
-    """Cost of one stage of the estimation."""
-
-    name: str
-    seconds: float
-    rays: float | None
-    mrays_per_second: float | None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -114,20 +88,23 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
             ``run-unwritable``.
     """
     settings = run.read_estimated()
-    capture = load_capture(run) if run.capture_json.exists() else None
-    album = _Album(run)
+    pictures = _Pictures(run)
+    capture = pictures.capture
     listed = _optional(run.renders_json, Renders)
     renders = listed.renders if listed else ()
-    photographs = _Photographs()
-    exposure = _exposure(capture, {render.view for render in renders}, photographs)
+    pictures.expose({render.view for render in renders})
     shots = []
     for index, render in enumerate(renders):
-        shots.append(_shot(run, capture, render, album, exposure, photographs))
+        shots.append(_shot(run, render, pictures))
         progress(0.6 * (index + 1) / len(renders))
     values = [shot.psnr for shot in shots if shot.psnr is not None]
-    photos = [] if capture is None else _photos(capture, album, exposure, photographs)
+    photos = []
+    if capture is not None:  # up to eight training views
+        stride = max(1, math.ceil(len(capture.train) / 8))
+        photos = [(view.name, pictures.add_photograph(view)) for view in capture.train[::stride]]
     progress(0.8)
     emitters = _optional(run.emitters_json, Emitters) or Emitters((), None)
+    environment = emitters.environment if run.environment_exr.exists() else None
     statistics = _optional(run.statistics_json, Statistics) or Statistics()
     quality = _optional(run.quality_json, QualityFigures)
     record = _optional(run.root / "steps.json", Steps)
@@ -140,14 +117,19 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
         "shots": shots,
         "mean_psnr": float(np.mean(values)) if values else None,
         "quality": quality,
-        "judged_views": _judged_views(run, quality, album),
+        "judged_views": _judged_views(run, quality, pictures),
         "photos": photos,
-        "exposure": exposure,
+        "exposure": pictures.exposure,
         "error_full": ERROR_FULL,
-        "map_rows": _map_rows(run, album, exposure),
-        "fixtures": _fixture_rows(run, emitters.fixtures),
-        "environment": _environment(run, emitters.environment, album, exposure),
-        "stages": [_stage_row(stage) for stage in statistics.stages],
+        "map_rows": _map_rows(run, pictures),
+        "fixtures": [
+            (name, fixture, swatch(fixture.radiance)) for name, fixture in _named(run, emitters.fixtures)
+        ],
+        "environment": environment,
+        "environment_picture": pictures.add_radiance("environment", run.environment_exr)
+        if environment
+        else None,
+        "stages": statistics.stages,
         "steps": [(name, step.seconds) for name, step in steps.items() if step.finished],
         "hints": statistics.hints,
         "numbers": _numbers(statistics),
@@ -162,12 +144,32 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
     return page
 
 
-class _Album:
-    """Writes the page's images under names of its own, because names of views may contain any character."""
+class _Pictures:
+    """The page's pictures: written under names of its own, as names of views may contain any character.
+
+    Attributes:
+        capture: of the run; None without one.
+        exposure: of all pictures of radiance.
+    """
 
     def __init__(self, run: RunFolder) -> None:
-        self._folder = run.report / "images"
-        self._count = 0
+        self.capture = load_capture(run) if run.capture_json.exists() else None
+        self.exposure = 1.0
+        self._folder, self._count = run.report / "images", 0
+        self._known: dict[str, np.ndarray] = {}
+
+    def expose(self, names: set[str]) -> None:
+        """Choose the exposure by the photographs of the views `names`, or else by the first one."""
+        if self.capture is not None:
+            views = [view for view in self.capture.views if view.name in names]
+            medians = [np.median(self.photograph(view)) for view in views or self.capture.views[:1]]
+            self.exposure = choose_exposure(float(np.median(medians)) if medians else 0.0)
+
+    def photograph(self, view: View) -> np.ndarray:
+        """Scene-linear radiance (h, w, 3) of a view, as the page shows it; each is decoded once."""
+        if view.name not in self._known:
+            self._known[view.name] = narrowed(view.radiance(), PICTURE_WIDTH)
+        return self._known[view.name]
 
     def add(self, kind: str, display: np.ndarray | Path) -> str:
         """Write display values as PNG, or copy such a file; returns the address relative to the page."""
@@ -181,18 +183,13 @@ class _Album:
             write_png(self._folder / name, display)
         return f"images/{name}"
 
+    def add_photograph(self, view: View) -> str:
+        """Add the photograph of a view."""
+        return self.add("photo", to_display(self.photograph(view), self.exposure))
 
-class _Photographs:
-    """Photographs of the capture as the page shows them; each is decoded once."""
-
-    def __init__(self) -> None:
-        self._known: dict[str, np.ndarray] = {}
-
-    def of(self, view: View) -> np.ndarray:
-        """Scene-linear radiance (h, w, 3) of a view."""
-        if view.name not in self._known:
-            self._known[view.name] = narrowed(view.radiance(), PICTURE_WIDTH)
-        return self._known[view.name]
+    def add_radiance(self, kind: str, path: Path) -> str:
+        """Add an image of radiance."""
+        return self.add(kind, to_display(read_radiance(path), self.exposure))
 
 
 def _optional(path: Path, kind: type[T]) -> T | None:
@@ -200,66 +197,39 @@ def _optional(path: Path, kind: type[T]) -> T | None:
     return read_document(path, kind, "Repeat the step that writes it.") if path.exists() else None
 
 
-def _exposure(capture: Capture | None, names: set[str], photographs: _Photographs) -> float:
-    """Exposure for all pictures, from the photographs of the views `names` or else from the first one."""
-    if capture is None:
-        return 1.0
-    views = [view for view in capture.views if view.name in names] or list(capture.views[:1])
-    medians = [np.median(photographs.of(view)) for view in views]
-    return choose_exposure(float(np.median(medians)) if medians else 0.0)
-
-
-def _shot(
-    run: RunFolder,
-    capture: Capture | None,
-    render: Render,
-    album: _Album,
-    exposure: float,
-    photographs: _Photographs,
-) -> Shot:
+def _shot(run: RunFolder, render: Render, pictures: _Pictures) -> Shot:
     """One Cycles render with the photograph of its view; only a re-render is compared with it."""
-    kind, name = render.kind, render.view
+    kind, name, capture, exposure = render.kind, render.view, pictures.capture, pictures.exposure
     path = run.resolve(render.image)
     image = narrowed(read_radiance(path), PICTURE_WIDTH)
     shown = to_display(image, 1.0 if is_encoded(path) else exposure)
-    shot = Shot(_TITLES.get(kind, kind), name, album.add("render", shown))
+    shot = Shot(_TITLES.get(kind, kind), name, pictures.add("render", shown))
     view = next((view for view in capture.views if view.name == name), None) if capture else None
     if view is None:
         return shot
-    photo = means(photographs.of(view), image.shape[1], image.shape[0])
-    shot = replace(shot, photo=album.add("photo", to_display(photo, exposure)))
+    photo = means(pictures.photograph(view), image.shape[1], image.shape[0])
+    shot = replace(shot, photo=pictures.add("photo", to_display(photo, exposure)))
     if kind != "rerender":
         return shot
-    error = album.add("error", error_picture(image, photo, exposure))
+    error = pictures.add("error", error_picture(image, photo, exposure))
     held_back = view.split == "held_back"
     return replace(shot, error=error, psnr=psnr(image, photo, exposure), held_back=held_back)
 
 
-def _photos(
-    capture: Capture, album: _Album, exposure: float, photographs: _Photographs
-) -> list[dict[str, str]]:
-    """Name and picture of up to eight training views."""
-    stride = max(1, math.ceil(len(capture.train) / 8))
-    return [
-        {"name": view.name, "image": album.add("photo", to_display(photographs.of(view), exposure))}
-        for view in capture.train[::stride]
-    ]
-
-
 def _judged_views(
-    run: RunFolder, quality: QualityFigures | None, album: _Album
+    run: RunFolder, quality: QualityFigures | None, pictures: _Pictures
 ) -> list[tuple[str, dict[str, str]]]:
     """Name and pictures, by their kind, of the photographs by which the result was judged."""
     rows = []
     for view in quality.views if quality else ():
         paths = {kind: run.quality / getattr(view, kind) for kind in KINDS}
         rows.append(
-            (view.name, {kind: album.add(kind, path) for kind, path in paths.items() if path.is_file()})
+            (view.name, {kind: pictures.add(kind, path) for kind, path in paths.items() if path.is_file()})
         )
     return rows
 
 
-def _map_rows(run: RunFolder, album: _Album, exposure: float) -> list[tuple[str, dict[str, str]]]:
+def _map_rows(run: RunFolder, pictures: _Pictures) -> list[tuple[str, dict[str, str]]]:
     """The view and the pictures by map's name of each row of material maps that `textures` wrote."""
     rows = []
     maps = _optional(run.results / "maps" / "maps.json", Maps)
@@ -269,28 +239,18 @@ def _map_rows(run: RunFolder, album: _Album, exposure: float) -> list[tuple[str,
             values = read_radiance(run.resolve(getattr(view, name)))
             # Roughness and metallic are data and are shown unchanged.
             if name in ("base_color", "emission"):
-                values = to_display(values, exposure if name == "emission" else 1.0)
-            images[name] = album.add(name.replace("_", "-"), values)
+                values = to_display(values, pictures.exposure if name == "emission" else 1.0)
+            images[name] = pictures.add(name.replace("_", "-"), values)
         rows.append((view.view, images))
     return rows
 
 
-def _fixture_rows(run: RunFolder, fixtures: Sequence[EmitterFixture]) -> list[FixtureRow]:
-    """One row for each fixture, with the name that its object has in Blender."""
+def _named(run: RunFolder, fixtures: Sequence[EmitterFixture]) -> list[tuple[str, EmitterFixture]]:
+    """The fixtures with the names that their objects have in Blender."""
     names = [fixture.name for fixture in fixtures]
     if run.room_json.exists():
         names = run_fixture_names(run, fixtures)
-    return [
-        FixtureRow(
-            name=name,
-            triangles=len(fixture.triangles),
-            radiance=fixture.radiance,
-            area=fixture.area,
-            power=fixture.power or (),
-            swatch=swatch(fixture.radiance),
-        )
-        for fixture, name in zip(fixtures, names, strict=True)
-    ]
+    return list(zip(names, fixtures, strict=True))
 
 
 def swatch(radiance: Sequence[float]) -> str:
@@ -298,22 +258,6 @@ def swatch(radiance: Sequence[float]) -> str:
     peak = max(max(radiance), 1e-12)
     values = to_display(np.array(radiance, np.float32) / peak)
     return "#" + "".join(f"{round(255 * float(value)):02x}" for value in values)
-
-
-def _environment(
-    run: RunFolder, environment: EmitterEnvironment | None, album: _Album, exposure: float
-) -> dict[str, Any] | None:
-    """Picture of the environment, and the share (0 to 1) of all directions that was observed."""
-    if environment is None or not run.environment_exr.exists():
-        return None
-    image = album.add("environment", to_display(read_radiance(run.environment_exr), exposure))
-    return {"image": image, "observed_share": environment.observed_share}
-
-
-def _stage_row(stage: StageFigures) -> StageRow:
-    seconds, rays = stage.seconds or 0.0, stage.rays
-    rate = rays / seconds / 1e6 if rays and seconds > 0.0 else None
-    return StageRow(stage.name, seconds, rays, rate)
 
 
 def _numbers(statistics: Statistics) -> list[tuple[str, str | int | float]]:

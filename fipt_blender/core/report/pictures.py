@@ -1,15 +1,21 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Writing pictures as PNG and JPEG files."""
+"""Writing pictures as PNG and JPEG files, and the files of what a result was judged by."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
-from ..run.runfolder import atomic_path
+from ..run.runfolder import RunFolder, atomic_path, write_json
+
+if TYPE_CHECKING:  # the report shows the files without the renderer and torch, which take seconds to load
+    from ..checks.quality import Quality
+
+KINDS = ("photograph", "render", "projection")  # of the pictures of a judged view
 
 
 def write_png(path: Path, display: np.ndarray) -> None:
@@ -34,3 +40,17 @@ def write_jpeg(path: Path, display: np.ndarray, quality: int = 88) -> None:
 
 def _image(display: np.ndarray) -> Image.Image:
     return Image.fromarray(np.round(np.clip(display, 0.0, 1.0) * 255.0).astype(np.uint8))
+
+
+def write_quality(run: RunFolder, quality: Quality) -> None:
+    """Write results/quality.json and the pictures of the judged views in results/quality.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    document = quality.document()
+    for index, (entry, view) in enumerate(zip(document["views"], quality.views, strict=True)):
+        for kind, picture in zip(KINDS, view.pictures, strict=True):
+            entry[kind] = f"{index:03d}-{kind}.png"
+            write_png(run.quality / entry[kind], picture)
+    write_json(run.quality_json, document)
