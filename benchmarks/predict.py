@@ -20,7 +20,7 @@ from benchmarks.tracer.forward import LitRoom, camera_rays, switched_off
 from benchmarks.tracer.surfaces import LatticeMaterials, SurfaceMaterials
 from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.light.added_lights import add_lamp, add_light, joined
+from fipt_blender.core.light.added_lights import add_lamp, add_light
 from fipt_blender.core.material.confidence import UNIFORM_DEVIATION
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.optics import brdf, factorised
@@ -61,7 +61,7 @@ def with_inferred_lamps(lit: LitRoom, table: EmitterTable, run: RunFolder) -> Li
         if lamp.inferred:
             shape = np.array(lamp.position), lamp.radius, np.array(lamp.radiance)
             room, added = add_lamp(room, *shape, lamp.facing)
-            emitters = joined(emitters, added)
+            emitters = emitters.joined(added)
     if room is lit.room:
         return lit
     lights = AreaLights(room.vertices, room.triangles, emitters)
@@ -82,7 +82,7 @@ class _Padded:
 def relit(lit: LitRoom, table: EmitterTable, relight: Relight) -> LitRoom:
     """The same room with its lights and environment switched off, and one new light."""
     room, added = add_light(lit.room, relight.vertices, relight.triangles, relight.radiance)
-    lights = AreaLights(room.vertices, room.triangles, joined(switched_off(table), added))
+    lights = AreaLights(room.vertices, room.triangles, switched_off(table).joined(added))
     return LitRoom(room, _Padded(lit.materials, len(lit.room.triangles)), lights)
 
 

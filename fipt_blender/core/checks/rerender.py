@@ -21,7 +21,7 @@ from scipy.ndimage import map_coordinates
 
 from ..capture.views import View
 from ..conventions import direction_to_equirect
-from ..light.added_lights import add_lamp, joined
+from ..light.added_lights import add_lamp
 from ..light.baking import SUBPIXELS
 from ..light.cache import SurfaceLookup, fill_grid, grid_frame, pool, sample_surface
 from ..light.environment import Environment
@@ -71,7 +71,7 @@ class _Paths(TracedRadiance):
         for lamp in () if environment is None else environment.lamps:
             shape = np.array(lamp["position"]), lamp["radius"], np.array(lamp["radiance"], np.float32)
             extended, added = add_lamp(extended, *shape, lamp.get("facing"))
-            emitters = joined(emitters, added)
+            emitters = emitters.joined(added)
         self.lights = AreaLights(extended.vertices, extended.triangles, emitters)
         # The .blend has the image alone: light that the hull has by place is in its lamps, or in the image.
         outside = None if environment is None else OutsideRadiance(replace(environment, hull=None))

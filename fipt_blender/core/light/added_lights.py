@@ -14,21 +14,8 @@ from ..surface.room import Room
 
 # A cube of width 2 around the origin, whose triangles face outwards.
 _CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-_CUBE_TRIANGLES = np.array(
-    [
-        [0, 1, 3],
-        [0, 3, 2],
-        [4, 6, 7],
-        [4, 7, 5],
-        [0, 4, 5],
-        [0, 5, 1],
-        [2, 3, 7],
-        [2, 7, 6],
-        [0, 2, 6],
-        [0, 6, 4],
-    ]
-    + [[1, 5, 7], [1, 7, 3]]
-)
+_CUBE_SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+_HALVES = np.array([[0, 1, 2], [0, 2, 3]])  # of a quadrilateral: its triangles
 
 
 def add_light(
@@ -78,7 +65,7 @@ def add_lamp(
     """
     if facing is None:
         corners = position + radius * float(np.sqrt(np.pi / 6.0)) * _CUBE
-        return add_light(room, corners, _CUBE_TRIANGLES, radiance)
+        return add_light(room, corners, _CUBE_SIDES[:, _HALVES].reshape(-1, 3), radiance)
     normal = np.asarray(facing, np.float64)
     first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     first *= 0.5 * np.sqrt(np.pi) * radius / np.linalg.norm(first)
@@ -86,13 +73,4 @@ def add_lamp(
     corners = np.asarray(position) + np.array(
         [-first - second, first - second, first + second, second - first]
     )
-    return add_light(room, corners, np.array([[0, 1, 2], [0, 2, 3]]), radiance)
-
-
-def joined(first: EmitterTable, second: EmitterTable) -> EmitterTable:
-    """The emitters of both tables."""
-    return EmitterTable(
-        np.concatenate([first.triangles, second.triangles]),
-        np.concatenate([first.radiance, second.radiance]),
-        np.concatenate([first.back_radiance, second.back_radiance]),
-    )
+    return add_light(room, corners, _HALVES, radiance)

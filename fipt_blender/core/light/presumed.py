@@ -53,13 +53,8 @@ def presume_lamps(room: Room, pixels: EmitterPixels, bright: EmitterTable) -> tu
     table = emitter_table([each for each, kept in zip(fixtures, shown, strict=True) if kept])
     lamps[table.triangles] = True
     others = ~lamps[bright.triangles]
-    joined = EmitterTable(
-        np.concatenate([table.triangles, bright.triangles[others]]),
-        np.concatenate([table.radiance, bright.radiance[others]]),
-        np.concatenate([table.back_radiance, bright.back_radiance[others]]),
-        reflective=np.arange(len(table.triangles) + int(others.sum())) >= len(table.triangles),
-    )
-    return joined, lamps
+    columns = (bright.triangles[others], bright.radiance[others], bright.back_radiance[others])
+    return table.joined(EmitterTable(*columns, reflective=np.ones(int(others.sum()), bool))), lamps
 
 
 def _seen(pixels: EmitterPixels, triangles: int) -> np.ndarray:

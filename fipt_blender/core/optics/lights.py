@@ -46,6 +46,16 @@ class EmitterTable:
         kept = ~self.reflective_mask()
         return EmitterTable(self.triangles[kept], self.radiance[kept], self.back_radiance[kept])
 
+    def joined(self, other: EmitterTable) -> EmitterTable:
+        """The emitters of both tables."""
+        pairs = (
+            (self.triangles, other.triangles),
+            (self.radiance, other.radiance),
+            (self.back_radiance, other.back_radiance),
+            (self.reflective_mask(), other.reflective_mask()),
+        )
+        return EmitterTable(*(np.concatenate(pair) for pair in pairs))
+
     @classmethod
     def empty(cls) -> EmitterTable:
         """A table without emitters."""

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, cast
 
+import mitsuba as mi
 import numpy as np
 
 from ..capture.averaging import means
@@ -229,12 +230,10 @@ def add_detail(
     total = Totals.of(count)
     larger = given.larger()
     for done, index in enumerate(larger, 1):
-        light = light_pixels(given, index, part)
-        if (light.part < NO_PART).all():
-            continue  # left out
         view = given.photographs[index]
         rows = _candidates(view, low, high, count)
-        if len(rows):
+        light = light_pixels(given, index, part)
+        if len(rows) and light is not None:
             radiance = photograph(given, index)
             seen = see_texels(texels, rows, room, part, normals, light, view, radiance, given.levels)
             total.add(seen, with_low_frequencies(seen, texels, cells), texels.base_color)
@@ -242,20 +241,21 @@ def add_detail(
     return total.result(texels, cells, part)
 
 
-def light_pixels(given: DetailInput, index: int, part: np.ndarray) -> LightPixels:
-    """The pixels of light of one view; those that see nothing have a part below `NO_PART`."""
+def light_pixels(given: DetailInput, index: int, part: np.ndarray) -> LightPixels | None:
+    """The pixels of light of one view; those that see nothing have a part below `NO_PART`. None if all do."""
     pixels = given.pixels
     rows = pixels.rows(index)
     triangle = np.asarray(pixels.triangle[rows])
+    if (triangle < 0).all():
+        return None
     own = np.where(triangle >= 0, part[np.maximum(triangle, 0)], NO_PART - 1)
+    arrays = pixels.position, pixels.normal, given.shadings.diffuse, given.shadings.specular
+    position, normal, diffuse, specular = (
+        mi.Float(np.array(array[rows], np.float32).reshape(-1)) for array in arrays
+    )
+    pure = mi.Bool(np.array(pixels.pure[rows]))
     return LightPixels(
-        pixels.views[index],
-        np.asarray(pixels.position[rows]),
-        np.asarray(pixels.normal[rows]),
-        own.astype(np.int32),
-        np.asarray(pixels.pure[rows]),
-        np.asarray(given.shadings.diffuse[rows]),
-        np.asarray(given.shadings.specular[rows]),
+        pixels.views[index], position, normal, mi.Int32(own.astype(np.int32)), pure, diffuse, specular
     )
 
 

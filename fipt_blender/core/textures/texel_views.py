@@ -36,24 +36,24 @@ GLOSS = 0.5  # share of gloss in a photograph's radiance from which it does not 
 
 @dataclass(frozen=True)
 class LightPixels:
-    """The pixels of light of one view, with what is known of the surfaces that they see; M pixels.
+    """The M pixels of light of one view, with what is known of the surfaces they see; flat Dr.Jit arrays.
 
     Attributes:
         view: at light resolution.
-        position, normal: (M, 3) float32.
-        part: (M,) int32, negative where a pixel does not count.
-        pure: (M,) bool, whether the whole pixel sees one smooth surface.
+        position, normal: (M, 3).
+        part: (M,), negative where a pixel does not count.
+        pure: (M,), whether the whole pixel sees one smooth surface.
         diffuse: (M, 3) L_d in the unit of the photographs' radiance.
         specular: (M, K, 2, 3) L_s0 and L_s1 at each roughness level.
     """
 
     view: View
-    position: np.ndarray
-    normal: np.ndarray
-    part: np.ndarray
-    pure: np.ndarray
-    diffuse: np.ndarray
-    specular: np.ndarray
+    position: mi.Float
+    normal: mi.Float
+    part: mi.Int32
+    pure: mi.Bool
+    diffuse: mi.Float
+    specular: mi.Float
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def see_texels(
     """The base colours of one view.
 
     Args:
-        candidates: (n,) int64 texels that the view may see.
+        candidates: (n,) int64 texels that the view may see, one at least.
         part: (T,) int32 part of each triangle.
         normals: (T, 3) float32 unit normals of the triangles.
         light: shadings of the view at light resolution.
@@ -95,19 +95,7 @@ def see_texels(
         radiance: (H, W, 3) float32 of the photograph, in the unit of the shadings; NaN where it is clipped.
         levels: (K,) roughness of the baked shadings.
     """
-    pyramid, starts, sizes = _pyramid(radiance)
-    shared = _Shared(
-        mi.Float(np.ascontiguousarray(light.position, np.float32).reshape(-1)),
-        mi.Float(np.ascontiguousarray(light.normal, np.float32).reshape(-1)),
-        mi.Int32(light.part.astype(np.int32)),
-        mi.Bool(np.ascontiguousarray(light.pure)),
-        mi.Float(np.asarray(light.diffuse, np.float32).reshape(-1)),
-        mi.Float(np.asarray(light.specular, np.float32).reshape(-1)),
-        mi.Float(pyramid),
-        mi.UInt32(starts),
-        mi.UInt32(sizes.reshape(-1)),
-    )
-    parts = mi.Int32(part.astype(np.int32))
+    pyramid, parts = _Pyramid.of(radiance), mi.Int32(part.astype(np.int32))
     found = []
     for first in range(0, len(candidates), CHUNK):
         rows = candidates[first : first + CHUNK]
@@ -125,13 +113,10 @@ def see_texels(
             mi.Float(np.asarray(texels.metallic[rows], np.float32)),
             mi.Float(np.asarray(texels.size[rows], np.float32)),
         )
-        color, weight, error, seen = _see(points, shared, room, parts, light.view, view, len(levels))
+        color, weight, error, seen = _see(points, light, pyramid, room, parts, view, len(levels))
         dr.eval(color, weight, error, seen)
         kept = np.flatnonzero(np.array(seen))
         found.append(Seen(rows[kept], np.array(color).T[kept], np.array(weight)[kept], np.array(error)[kept]))
-    if not found:
-        empty = np.zeros(0, np.float32)
-        return Seen(np.zeros(0, np.int64), np.zeros((0, 3), np.float32), empty, empty)
     return Seen(
         *(
             np.concatenate([getattr(one, name) for one in found])
@@ -152,33 +137,35 @@ class _Points:
 
 
 @dataclass
-class _Shared:
-    position: mi.Float
-    normal: mi.Float
-    part: mi.Int32
-    pure: mi.Bool
-    diffuse: mi.Float
-    specular: mi.Float
+class _Pyramid:
+    """All levels of a photograph behind each other, where each begins, and (L, 2) widths and heights."""
+
     image: mi.Float
     starts: mi.UInt32
     sizes: mi.UInt32
 
-
-def _pyramid(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """All levels of a photograph behind each other, where each begins, and (L, 2) widths and heights."""
-    levels = [np.asarray(radiance, np.float32)]
-    while len(levels) < 5 and min(levels[-1].shape[:2]) >= 4:
-        last = levels[-1]
-        height, width = last.shape[0] // 2, last.shape[1] // 2
-        levels.append(last[: 2 * height, : 2 * width].reshape(height, 2, width, 2, 3).mean(axis=(1, 3)))
-    starts = np.cumsum([0, *(level.shape[0] * level.shape[1] for level in levels[:-1])])
-    sizes = np.array([(level.shape[1], level.shape[0]) for level in levels])
-    flat = np.concatenate([level.reshape(-1, 3) for level in levels])
-    return flat.reshape(-1), starts.astype(np.uint32), sizes.astype(np.uint32)
+    @classmethod
+    def of(cls, radiance: np.ndarray) -> _Pyramid:
+        """That of a photograph (H, W, 3)."""
+        levels = [np.asarray(radiance, np.float32)]
+        while len(levels) < 5 and min(levels[-1].shape[:2]) >= 4:
+            last = levels[-1]
+            height, width = last.shape[0] // 2, last.shape[1] // 2
+            levels.append(last[: 2 * height, : 2 * width].reshape(height, 2, width, 2, 3).mean(axis=(1, 3)))
+        starts = np.cumsum([0, *(level.shape[0] * level.shape[1] for level in levels[:-1])])
+        sizes = np.array([(level.shape[1], level.shape[0]) for level in levels], np.uint32)
+        flat = np.concatenate([level.reshape(-1) for level in levels])
+        return cls(mi.Float(flat), mi.UInt32(starts.astype(np.uint32)), mi.UInt32(sizes.reshape(-1)))
 
 
 def _see(
-    points: _Points, shared: _Shared, room: Room, parts: mi.Int32, light: View, view: View, levels: int
+    points: _Points,
+    light: LightPixels,
+    pyramid: _Pyramid,
+    room: Room,
+    parts: mi.Int32,
+    view: View,
+    levels: int,
 ) -> tuple[mi.Color3f, mi.Float, mi.Float, mi.Bool]:
     """Base colour, weight, error and whether the texel is seen."""
     pose = np.asarray(view.camera_to_world, np.float64)
@@ -203,7 +190,7 @@ def _see(
     seen &= cosine > LEAST_COSINE
 
     # Shadings of the 3 x 3 pixels of light around it that see its surface, by quadratic B-splines
-    light_width, light_height = opaque(light.width), opaque(light.height)
+    light_width, light_height = opaque(light.view.width), opaque(light.view.height)
     columns, rows = mi.Int32(light_width), mi.Int32(light_height)
     lx, ly = x * (light_width / width), y * (light_height / height)
     column = dr.clip(mi.Int32(dr.floor(lx)), 1, columns - 2)
@@ -216,16 +203,16 @@ def _see(
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             pixel = mi.UInt32((row + dy) * columns + column + dx)
-            place = dr.gather(mi.Point3f, shared.position, pixel, seen)
-            facing = dr.gather(mi.Vector3f, shared.normal, pixel, seen)
-            same = seen & (dr.gather(mi.Int32, shared.part, pixel, seen) == points.part)
+            place = dr.gather(mi.Point3f, light.position, pixel, seen)
+            facing = dr.gather(mi.Vector3f, light.normal, pixel, seen)
+            same = seen & (dr.gather(mi.Int32, light.part, pixel, seen) == points.part)
             same &= dr.abs(dr.dot(place - points.position, normal)) < reach
             same &= dr.dot(facing, normal) > LEAST_NORMAL
             weight = _spline(lx - (mi.Float(column + dx) + 0.5)) * _spline(ly - (mi.Float(row + dy) + 0.5))
             total += weight
             weight = dr.select(same, weight, 0.0)
-            alone &= same & dr.gather(mi.Bool, shared.pure, pixel, seen)
-            light_here = dr.gather(mi.Color3f, shared.diffuse, pixel, same)
+            alone &= same & dr.gather(mi.Bool, light.pure, pixel, seen)
+            light_here = dr.gather(mi.Color3f, light.diffuse, pixel, same)
             matched += weight
             diffuse += weight * light_here
             shades.append((dr.mean(light_here), same))
@@ -234,8 +221,8 @@ def _see(
                 upper = at + (2 if levels > 1 else 0)
                 for number, step in ((0, at), (1, upper)):
                     lobe = weight * (points.share if number else 1.0 - points.share)
-                    s0 += lobe * dr.gather(mi.Color3f, shared.specular, step, same)
-                    s1 += lobe * dr.gather(mi.Color3f, shared.specular, step + 1, same)
+                    s0 += lobe * dr.gather(mi.Color3f, light.specular, step, same)
+                    s1 += lobe * dr.gather(mi.Color3f, light.specular, step + 1, same)
     seen &= matched > LEAST_MATCH * total
     scale = dr.select(seen, 1.0 / matched, 0.0)
     slope, offset = color_line(diffuse * scale, s0 * scale, s1 * scale, points.metallic)
@@ -252,10 +239,10 @@ def _see(
 
     # The photograph, from the coarsest level of its pyramid whose pixels are not larger than the texel
     span = dr.maximum(points.size * fx / depth, 1.0)
-    level = mi.UInt32(dr.clip(dr.floor(dr.log2(span)), 0, dr.width(shared.starts) - 1))
-    start = dr.gather(mi.UInt32, shared.starts, level, seen)
-    level_width = dr.gather(mi.UInt32, shared.sizes, 2 * level, seen)
-    level_height = dr.gather(mi.UInt32, shared.sizes, 2 * level + 1, seen)
+    level = mi.UInt32(dr.clip(dr.floor(dr.log2(span)), 0, dr.width(pyramid.starts) - 1))
+    start = dr.gather(mi.UInt32, pyramid.starts, level, seen)
+    level_width = dr.gather(mi.UInt32, pyramid.sizes, 2 * level, seen)
+    level_height = dr.gather(mi.UInt32, pyramid.sizes, 2 * level + 1, seen)
     shrunk = dr.power(0.5, mi.Float(level))
     u, v = x * shrunk - 0.5, y * shrunk - 0.5
     left = dr.clip(dr.floor(u), 0, mi.Float(level_width) - 2)
@@ -266,7 +253,7 @@ def _see(
         for dx in (0, 1):
             pixel = start + (mi.UInt32(top) + dy) * level_width + mi.UInt32(left) + dx
             share = (across if dx else 1.0 - across) * (down if dy else 1.0 - down)
-            photograph += share * dr.gather(mi.Color3f, shared.image, pixel, seen)
+            photograph += share * dr.gather(mi.Color3f, pyramid.image, pixel, seen)
     seen &= dr.all(dr.isfinite(photograph))
 
     color = (photograph - offset) / dr.maximum(slope, 1e-6)
