@@ -310,10 +310,10 @@ def test_constant_radiance_in_varying_light_is_emitted(rng: np.random.Generator)
     texture = np.log(rng.uniform(0.2, 0.8, count))
     even = np.full(count, 0.7)
     radiance = np.concatenate([noise, light + noise, light + texture, even + noise])
-    found = constancy(radiance, np.concatenate([light, light, light, even]), np.repeat([0, 1, 2, 3], count), 5)
+    found = constancy(radiance, np.concatenate([light, light, light, even]), np.repeat([0, 1, 2, 3], count), 5, 0.03)
     assert found[0] > 20.0 and found[1] < -20.0 and abs(found[2]) < 8.0 and abs(found[3]) < 0.5
     assert found[4] == 0.0
-    few = constancy(noise[:20], light[:20], np.zeros(20, np.int64), 1)
+    few = constancy(noise[:20], light[:20], np.zeros(20, np.int64), 1, 0.03)
     assert 0.0 < few[0] < 0.3 * found[0]
 
 

@@ -11,7 +11,6 @@ few, and each is connected and has one radiance. docs/method.md states the model
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -30,19 +29,17 @@ from .evidence import PixelEvidence, log_ratio, read_evidence
 
 # Prior probability that a surface is a lamp, where pixels are brighter than a white surface.
 PRIOR = 0.003
-# Relative errors: of the shadings of a modelled room and of a scan, of unmixed radiance beside its standard
-# error, and of the radiance of photographs that are not HDR.
-SHADING_ERROR, SCAN_ERROR, MIXED_ERROR, PHOTOGRAPH_ERROR = 0.15, 0.2, 0.3, 0.3
+# Relative errors: of unmixed radiance beside its standard error, and of the radiance of photographs that are
+# not HDR.
+MIXED_ERROR, PHOTOGRAPH_ERROR = 0.3, 0.3
 # Lamps are brighter than white surfaces by orders of magnitude, evenly on a logarithmic scale, most of them
 # up to this logarithm; the density falls with this power of the radiance below.
 BRIGHTEST, DIM_POWER = 7.0, 2.0
-# Most independent samples that the pixels of a lamp count as: they share errors of the shadings.
-MOST_SAMPLES, MOST_SAMPLES_SCAN = 50.0, 10.0
 # Constant radiance in varying light: pixels per sample, most samples, spread due to noise alone, relative
 # deviation of the radiance of one lamp, and how many of these deviations a part of a lamp may differ from it.
 ALIKE_PIXELS, ALIKE_SAMPLES, ALIKE_SPREAD, ALIKE, MOST_OFF = 10.0, 30.0, 0.03, 0.05, 3.0
-# Positions of a lamp and of what it lights are known to an edge of a scan: the relative error of the light is
-# so many edges over their distance, at most 1. A lamp lights what is less bright than itself by this factor.
+# The relative error of a lamp's light is so many times the error of positions over the distance, at most 1. A
+# lamp lights what is less bright than itself by this factor.
 PLACE_ERROR, LIT = 3.0, 2.0
 # Where lamps may be close that nothing shows, one is likelier than the surface that it lights by HIDDEN, in
 # full from this share of the directions on.
@@ -50,19 +47,6 @@ MUCH_UNSEEN, HIDDEN = 0.1, 2.0
 ROUNDS = 4  # of lamps and what they light; more change nothing
 POSSIBLE = 0.05  # least probability of lamps that are extended to adjacent units, and that light others
 CHUNK = 256  # lit units at a time
-
-
-@dataclass(frozen=True)
-class _Sums:
-    """Evidence of U units: logarithms of likelihood ratios, and the number of samples that they are."""
-
-    evidence: np.ndarray
-    samples: np.ndarray
-
-    @property
-    def mean(self) -> np.ndarray:
-        """(U,) evidence of a sample; minus infinity without any."""
-        return np.where(self.samples > 0.0, self.evidence / np.maximum(self.samples, 1e-9), -np.inf)
 
 
 def emission_probability(
@@ -118,7 +102,7 @@ def log_evidence(low: np.ndarray, high: np.ndarray, error: np.ndarray) -> np.nda
 
 
 def constancy(
-    radiance: np.ndarray, diffuse: np.ndarray, group: np.ndarray, groups: int, least: float = ALIKE_SPREAD
+    radiance: np.ndarray, diffuse: np.ndarray, group: np.ndarray, groups: int, least: float
 ) -> np.ndarray:
     """(groups,) evidence by radiance that is constant where the light varies, or that follows the light.
 
@@ -144,10 +128,15 @@ def constancy(
 
 
 class _Lamps:
-    """The evidence of a room's units, and the lamps that they form; arguments as above."""
+    """The evidence of a room's units, and the lamps that they form; arguments as above.
+
+    Attributes:
+        evidence, samples: (U,) sums of the logarithms of likelihood ratios, and the number of independent
+            samples that the pixels of each unit are equivalent to.
+    """
 
     def __init__(self, room: Room, surfaces: EmitterSurfaces, seen: PixelEvidence, hdr: bool) -> None:
-        self.surfaces, self.seen, self.hdr, self.scan = surfaces, seen, hdr, room.scan
+        self.surfaces, self.seen, self.hdr = surfaces, seen, hdr
         self.units = int(surfaces.unit.max(initial=-1)) + 1
         self.component = np.zeros(self.units, np.int64)
         self.component[surfaces.unit] = surfaces.component
@@ -162,39 +151,34 @@ class _Lamps:
         self.radiance = np.bincount(seen.unit, self.luminance, self.units) / count
         unseen = 0.0 if surfaces.unseen is None else surfaces.unseen
         self.unseen = np.bincount(surfaces.unit, unseen * room.areas, self.units)
-        self.corners = None if self.scan is not None else weld(room.vertices)[room.triangles]
-        self.most = MOST_SAMPLES if self.scan is None else MOST_SAMPLES_SCAN
-        self.sums = self._sums(np.arange(len(seen.unit)), np.zeros(self.units))
+        self.corners = None if surfaces.place else weld(room.vertices)[room.triangles]
+        self.evidence, self.samples = self._sums(np.arange(len(seen.unit)), np.zeros(self.units))
 
     @property
-    def samples(self) -> np.ndarray:
-        """(U,) number of independent samples to which the pixels of each unit are equivalent."""
-        return self.sums.samples
+    def mean(self) -> np.ndarray:
+        """(U,) evidence of a sample; minus infinity without any."""
+        return np.where(self.samples > 0.0, self.evidence / np.maximum(self.samples, 1e-9), -np.inf)
 
     def probability(self, baked: np.ndarray) -> np.ndarray:
         """(U,) of each unit; `baked`: as of :func:`emission_probability`."""
         of_part = self._constant_parts()
         lamp, of_lamp = self._lamps(of_part)
-        if self.scan is not None:
-            lit_by_bake = np.bincount(self.surfaces.unit, baked * 1.0, self.units) > 0.0
-            for _ in range(ROUNDS - 1):
-                added = self._added_light(np.append(of_lamp, 0.0)[lamp], lit_by_bake)
-                changed = self._sums(np.flatnonzero(added[self.seen.unit] > 0.0), added)
-                lit = added > 0.0
-                self.sums = _Sums(
-                    np.where(lit, changed.evidence, self.sums.evidence),
-                    np.where(lit, changed.samples, self.sums.samples),
-                )
-                lamp, of_lamp = self._lamps(of_part)
+        lit_by_bake = np.bincount(self.surfaces.unit, baked * 1.0, self.units) > 0.0
+        for _ in range(ROUNDS - 1 if self.surfaces.place else 0):
+            added = self._added_light(np.append(of_lamp, 0.0)[lamp], lit_by_bake)
+            lit = added > 0.0
+            evidence, samples = self._sums(np.flatnonzero(lit[self.seen.unit]), added)
+            self.evidence[lit], self.samples[lit] = evidence[lit], samples[lit]
+            lamp, of_lamp = self._lamps(of_part)
         return self._extended(lamp, of_lamp)
 
-    def _sums(self, rows: np.ndarray, added: np.ndarray) -> _Sums:
-        """Evidence of the pixels `rows` (R,) if light of (U,) luminance is added to their units.
+    def _sums(self, rows: np.ndarray, added: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Evidence and samples of the pixels `rows` (R,) if light of (U,) luminance is added to their units.
 
         However many pixels of one view show a unit, they are one sample at most.
         """
         seen, unit = self.seen, self.seen.unit[rows]
-        error = np.full(len(rows), (SHADING_ERROR if self.scan is None else SCAN_ERROR) ** 2)
+        error = np.full(len(rows), self.surfaces.shading_error**2)
         error += self.surfaces.light_error**2
         error += np.where(seen.pure[rows], 0.0, MIXED_ERROR**2) + (0.0 if self.hdr else PHOTOGRAPH_ERROR**2)
         own, reflected = seen.own[rows], seen.reflected[rows] + added[unit, None]
@@ -205,7 +189,7 @@ class _Lamps:
         count = np.bincount(pair, weight)
         samples = count / (1.0 + count)
         mean = np.bincount(pair, evidence * weight) / count
-        return _Sums(np.bincount(unit, mean * samples, self.units), np.bincount(unit, samples, self.units))
+        return np.bincount(unit, mean * samples, self.units), np.bincount(unit, samples, self.units)
 
     def _constancy(self, group_of_unit: np.ndarray, groups: int) -> np.ndarray:
         """(groups,) :func:`constancy` of the pure pixels of groups of units ((U,) int, negative for none)."""
@@ -213,8 +197,7 @@ class _Lamps:
             return np.zeros(groups)
         group = np.where(self.seen.pure, group_of_unit[self.seen.unit], -1)
         radiance, diffuse = (np.log(np.maximum(a, 1e-6)) for a in (self.luminance, self.seen.diffuse))
-        least = ALIKE_SPREAD if self.scan is None else SCAN_ERROR
-        return constancy(radiance, diffuse, group, groups, least)
+        return constancy(radiance, diffuse, group, groups, self.surfaces.spread)
 
     def _constant_parts(self) -> np.ndarray | None:
         """(U,) evidence by the constant radiance of known parts; None without parts."""
@@ -229,19 +212,19 @@ class _Lamps:
     def _lamps(self, of_part: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """(U,) lamp that each unit belongs to if it emits, -1 without, and the probability of each lamp."""
         constant = np.zeros(self.units) if of_part is None else of_part
-        units = np.flatnonzero(self.sums.mean + constant > 0.0)
+        units = np.flatnonzero(self.mean + constant > 0.0)
         lamp = np.full(self.units, -1, np.int64)
         lamp[units] = self._connected(units)
         count = int(lamp.max(initial=-1)) + 1
         samples, evidence = (
-            np.bincount(lamp[units], each[units], count) for each in (self.samples, self.sums.evidence)
+            np.bincount(lamp[units], each[units], count) for each in (self.samples, self.evidence)
         )
         constant = np.zeros(count)
         if of_part is None:
             constant = self._constancy(lamp, count)
         else:
             constant[lamp[units]] = of_part[units]
-        total = evidence / (1.0 + samples / self.most) + constant
+        total = evidence / (1.0 + samples / self.surfaces.most_samples) + constant
         odds = np.exp(-np.clip(total + logit(PRIOR), -50.0, 50.0))
         if self.surfaces.unseen is not None:  # what a hidden lamp lights is not of one radiance, either
             area, close = (np.bincount(lamp[units], a[units], count) for a in (self.area, self.unseen))
@@ -276,7 +259,7 @@ class _Lamps:
             radiance = np.median(self.radiance[core])
             off = np.log(np.maximum(self.radiance, 1e-12) / radiance) / ALIKE
             alike = np.exp(-0.5 * off**2) / (ALIKE * np.sqrt(2.0 * np.pi))
-            known = self.sums.mean + np.log(0.5 + 0.5 * alike * (BRIGHTEST + 1.0 / DIM_POWER))
+            known = self.mean + np.log(0.5 + 0.5 * alike * (BRIGHTEST + 1.0 / DIM_POWER))
             of_surface = self.component == self.component[np.argmax(core)]
             units = np.flatnonzero(core | ((known > 0.0) & of_surface & (np.abs(off) < MOST_OFF)))
             surface = self._connected(units)
@@ -285,12 +268,11 @@ class _Lamps:
         return result
 
     def _added_light(self, probability: np.ndarray, baked: np.ndarray) -> np.ndarray:
-        """(U,) luminance of brighter lamps of a scan that the shadings may lack.
+        """(U,) luminance of brighter lamps that the shadings may lack.
 
         For lamps whose radiance was baked it is the error due to their position, for others all their light.
         """
-        assert self.scan is not None
-        edge, added = self.scan.edge, np.zeros(self.units)
+        edge, added = self.surfaces.place, np.zeros(self.units)
         units = np.flatnonzero(probability > POSSIBLE)
         power = (probability * self.area * self.radiance)[units]
         for start in range(0, len(units), CHUNK):

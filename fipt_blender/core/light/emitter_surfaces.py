@@ -21,6 +21,11 @@ from .environment import Environment
 # Width of the patches of a scan without part masks, in pixel widths, and largest distance between the centers
 # of adjacent patches of one lamp, in widths of a patch.
 PATCH, GAP = 2.0, 2.5
+# Relative errors of the shadings of a modelled room and of a scan.
+SHADING_ERROR, SCAN_ERROR = 0.15, 0.2
+# Most independent samples that the pixels of a lamp count as: they share errors of the shadings.
+MOST_SAMPLES, MOST_SAMPLES_SCAN = 50.0, 10.0
+SPREAD = 0.03  # deviation of radiance over light on one surface of a modelled room, by errors of the light
 
 
 @dataclass(frozen=True)
@@ -32,10 +37,14 @@ class EmitterSurfaces:
         component: (T,) int larger surface, from 0; triangles that no pixel judged get the mean of theirs.
         part: (T,) int part of each triangle, negative for none; None where parts are unknown.
         reach: largest distance in pixels between the surface that a pixel shows and the one that it hits.
-        gap: metres between the centers of units of one lamp at most, on a scan.
+        gap: metres between the centers of units of one lamp at most; 0 where units are triangles.
         unseen: (T,) share of the directions in which lamps may be that nothing shows, too close for
             :mod:`.unseen_light`; None for none.
         light_error: standard deviation of the logarithm of the light, because some of it is inferred.
+        shading_error: relative error of the shadings.
+        most_samples: independent ones that the pixels of a lamp count as, at most.
+        spread: least deviation of the logarithm of radiance over light on one surface.
+        place: metres to which positions of a lamp and of what it lights are known; 0 where they are exact.
     """
 
     unit: np.ndarray
@@ -45,6 +54,10 @@ class EmitterSurfaces:
     gap: float = 0.0
     unseen: np.ndarray | None = None
     light_error: float = 0.0
+    shading_error: float = SHADING_ERROR
+    most_samples: float = MOST_SAMPLES
+    spread: float = SPREAD
+    place: float = 0.0
 
 
 def emitter_surfaces(
@@ -58,18 +71,22 @@ def emitter_surfaces(
     """
     pieces = room_pieces(room)
     part = parts.triangle_part if parts.kind == "part" else None
-    doubt = (None, 0.0) if environment is None else (environment.unseen, environment.unseen_error)
+    unseen, light_error = (
+        (None, 0.0) if environment is None else (environment.unseen, environment.unseen_error)
+    )
     if room.scan is None:
         # Photographs see most of a lamp shade's outside and little of its inside, which may be one piece.
         component = pieces if part is None else numbered([pieces, part])
-        return EmitterSurfaces(np.arange(len(room.triangles)), component, part, 0, 0.0, *doubt)
+        units = np.arange(len(room.triangles))
+        return EmitterSurfaces(units, component, part, unseen=unseen, light_error=light_error)
     # Detail finer than an edge is lost: rims of thin things face sideways, but pixels show their tops.
     reach = round(room.scan.edge / max(footprint, 1e-9))
     patch, gap = surface_patches(room.scan, pieces, PATCH * footprint), GAP * PATCH * footprint
-    if part is None:
-        return EmitterSurfaces(patch, pieces, None, reach, gap, *doubt)
-    patch = numbered([part >= 0, np.where(part >= 0, part, patch)])
-    return EmitterSurfaces(patch, patch, part, reach, gap, *doubt)
+    component = pieces
+    if part is not None:
+        patch = component = numbered([part >= 0, np.where(part >= 0, part, patch)])
+    errors = SCAN_ERROR, MOST_SAMPLES_SCAN, SCAN_ERROR, room.scan.edge
+    return EmitterSurfaces(patch, component, part, reach, gap, unseen, light_error, *errors)
 
 
 def surface_patches(scan: Scan, pieces: np.ndarray, edge: float) -> np.ndarray:
