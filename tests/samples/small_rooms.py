@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
-from fipt_blender.core.surface.room import Room, triangle_normals
+from fipt_blender.core.surface.adjacency import face_vectors
+from fipt_blender.core.surface.room import Room
 
 # Quadrilaterals of a box 4 x 4 x 3 m, fronts inwards: floor, ceiling, back (+y), left (-x), right, front.
 BOX = [
@@ -37,7 +38,7 @@ def make_room(quads: list, objects: np.ndarray | None = None, **names) -> Room:
 
 def mesh_room(vertices: np.ndarray, triangles: np.ndarray, objects: np.ndarray, **names) -> Room:
     """A room with flat normals."""
-    normals = np.repeat(triangle_normals(vertices, triangles)[:, None], 3, axis=1).astype(np.float32)
+    normals = np.repeat(face_vectors(np.asarray(vertices, float), triangles)[0][:, None], 3, axis=1).astype(np.float32)
     objects = np.asarray(objects, np.int32)
     return Room(np.asarray(vertices, np.float32), np.asarray(triangles, np.int32), normals, objects, objects, **names)
 
@@ -114,4 +115,4 @@ def surface_points(
     root = np.sqrt(u)
     weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
     points = np.einsum("nc,ncd->nd", weights, room.vertices.astype(float)[room.triangles[ids]])
-    return points, triangle_normals(room.vertices, room.triangles)[ids], ids
+    return points, room.normals[ids], ids

@@ -120,7 +120,7 @@ class Baking:
     masking: str
     seed: int
 
-    def prepare(self) -> TwoSteps[ViewPixels, NoisyView, BakedView]:
+    def prepare(self) -> TwoSteps[ViewPixels, NoisyView, tuple[Shadings, int]]:
         """The function of one view: a view is denoised while the next one is traced."""
         set_masking(self.masking)
         lights = AreaLights(self.room.vertices, self.room.triangles, self.emitters)
@@ -169,15 +169,6 @@ class NoisyView:
     rays: int
 
 
-@dataclass(frozen=True)
-class BakedView:
-    """Shadings of one view's pixels as in :class:`ShadingStore`, and the number of primary rays traced."""
-
-    diffuse: np.ndarray
-    specular: np.ndarray
-    rays: int
-
-
 def bake_views(
     store: ShadingStore,
     pixels: PixelStore,
@@ -190,11 +181,11 @@ def bake_views(
     count = len(pixels.views)
     remaining = [index for index in range(count) if index not in finished.views]
     items = (pixels.of_view(index) for index in remaining)
-    for number, baked in workers.map(baking, items):
+    for number, (baked, rays) in workers.map(baking, items):
         index = remaining[number]
         rows = pixels.rows(index)
         store.diffuse[rows], store.specular[rows] = baked.diffuse, baked.specular
-        finished.add(index, baked.rays)
+        finished.add(index, rays)
         progress(len(finished.views) / count)
     return finished.rays
 
@@ -248,16 +239,16 @@ def bake_view(
     return NoisyView(shadings, normal, (view.height, view.width), len(rows) * samples * len(SUBPIXELS))
 
 
-def finish_view(baking: Baking, view: NoisyView) -> BakedView:
-    """Denoise the shadings of one view, if wanted, and round them."""
+def finish_view(baking: Baking, view: NoisyView) -> tuple[Shadings, int]:
+    """Denoise the shadings of one view, if wanted, and round them to float16; and the primary rays traced."""
     shadings, normal = view.shadings, view.normal
     if baking.denoise:
         normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
         shadings = denoised(shadings, normal, view.size, baking.denoise_specular)
-    diffuse, specular = (
+    rounded = (
         array.clip(0.0, HALF_LARGEST).astype(np.float16) for array in (shadings.diffuse, shadings.specular)
     )
-    return BakedView(diffuse, specular, view.rays)
+    return Shadings(*rounded), view.rays
 
 
 def samples_per_start(samples: int) -> int:

@@ -75,13 +75,11 @@ class SourceLight:
         radiance: (K, 3).
         covariance: (3, K, 3, K) of its logarithms, by channel and source.
         spread: robust standard deviation of a point's logarithm.
-        log_albedo: (G, 3) of the groups.
     """
 
     radiance: np.ndarray
     covariance: np.ndarray
     spread: float
-    log_albedo: np.ndarray
 
     def shares(self, points: Transport) -> np.ndarray:
         """(N, K) share of the light on each point that each source casts."""
@@ -117,9 +115,8 @@ def solve_sources(points: Transport, expected: Expectation) -> SourceLight:
 
     found = gauss_newton(system, mean, _SPREAD, most_steps=_ITERATIONS, longest=_LONGEST_STEP, settled=1e-2)
     radiance = np.exp(found.x.reshape(3, sources))
-    albedo = [rows.albedo for rows in _channels(points, radiance, found.spread)]
     covariance = np.linalg.inv(found.normal).reshape(3, sources, 3, sources)
-    return SourceLight(radiance.T, covariance, found.spread, np.stack(albedo, axis=1))
+    return SourceLight(radiance.T, covariance, found.spread)
 
 
 def held_back_gain(points: Transport, expected: Expectation, rng: np.random.Generator) -> float:

@@ -198,11 +198,6 @@ class Room:
         return max(float(5e-5 * np.linalg.norm(high - low)), OFFSET_NOISE * self.noise)
 
 
-def triangle_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(T, 3) float64 unit geometric normals of any mesh, as :attr:`Room.normals`."""
-    return face_vectors(np.asarray(vertices, np.float64), triangles)[0]
-
-
 def load_room(run: RunFolder, outlined: bool = True, cleaned: bool = True) -> Room:
     """Read room.npz, room.json and, where the mesh is a scan that was cleaned, geometry.npz.
 
@@ -229,28 +224,6 @@ def load_room(run: RunFolder, outlined: bool = True, cleaned: bool = True) -> Ro
         parts=names.parts,
         exact=arrays.get("triangle_exact"),
     )
-    check_room(room)
-    return room
-
-
-def check_room(room: Room) -> None:
-    """Refuse a mesh on which no ray can be traced.
-
-    Raises:
-        FiptError: ``mesh-empty`` or ``mesh-damaged``.
-    """
-    count = len(room.triangles)
-    shapes = (
-        (room.vertices.shape[1:], (3,)),
-        (room.triangles.shape[1:], (3,)),
-        (room.corner_normals.shape, (count, 3, 3)),
-        (room.triangle_object.shape, (count,)),
-        (room.triangle_material.shape, (count,)),
-    )
-    if any(shape != needed for shape, needed in shapes):
-        raise FiptError("mesh-damaged", "The arrays of the room's mesh disagree.", "Export it again.")
-    if count and (room.triangles.min() < 0 or room.triangles.max() >= len(room.vertices)):
-        raise FiptError("mesh-damaged", "The room's mesh refers to missing vertices.", "Export it again.")
     if not np.isfinite(room.vertices).all():
         raise FiptError(
             "mesh-damaged",
@@ -259,3 +232,4 @@ def check_room(room: Room) -> None:
         )
     if not room.areas.max(initial=0.0) > 0.0:
         raise FiptError("mesh-empty", "The room's mesh has no surface.", "Choose a mesh with faces.")
+    return room

@@ -69,14 +69,10 @@ def find_scan(
     """
     mesh, _ = make_mesh(vertices, triangles)
     normals, areas = face_vectors(mesh.vertices, mesh.triangles)
-    noise = noise or _noise(mesh, normals, areas, exact)
+    rows = slice(None) if exact is None else ~exact
+    judged = Mesh(mesh.vertices, mesh.triangles[rows]), normals[rows], areas[rows]
+    noise = noise or noise_level(*judged)[0]
     if noise <= 0.0:
         return None
     centers = mesh.vertices[mesh.triangles].mean(axis=1)
     return Scan(mesh, centers, normals * areas[:, None], noise)
-
-
-def _noise(mesh: Mesh, normals: np.ndarray, areas: np.ndarray, exact: np.ndarray | None) -> float:
-    if exact is not None:
-        mesh, normals, areas = Mesh(mesh.vertices, mesh.triangles[~exact]), normals[~exact], areas[~exact]
-    return noise_level(mesh, normals, areas)[0]

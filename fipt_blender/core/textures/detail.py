@@ -35,7 +35,7 @@ from ..run.result_contents import Stages, Statistics
 from ..run.runfolder import RunFolder, write_json
 from ..run.shapes import RESOLUTION_ARRAYS
 from ..run.stage_files import loaded, saved, stages_of
-from ..surface.room import Room, triangle_normals
+from ..surface.room import Room
 from ..surface.smoothing import SmoothingGrid
 from .texel_views import LightPixels, Seen, see_texels
 from .texels import Texels
@@ -222,7 +222,7 @@ def add_detail(
         part: (T,) int part of each triangle, -1 without one.
     """
     count = len(texels)
-    normals = triangle_normals(room.vertices, room.triangles).astype(np.float32)
+    normals = room.normals.astype(np.float32)
     width = CELL * median_footprint(given.pixels)
     cells = SmoothingGrid.around(texels.position, part, texels.triangle, width)
     starts = np.arange(0, len(texels.position), BLOCK)
