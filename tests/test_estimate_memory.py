@@ -95,7 +95,7 @@ def test_memory_of_the_views(action: str, captures: list, tmp_path: Path, monkey
     monkeypatch.setattr(emitters, "CHUNK", 4096)
     monkeypatch.setattr(observations, "FOOTPRINT_PIXELS", 1000)
     monkeypatch.setattr(exposure, "GAIN_PIXELS", 5000)
-    monkeypatch.setattr(environment, "MOST_PIXELS", 3)
+    monkeypatch.setattr(environment, "MAX_PIXELS", 3)
     monkeypatch.setattr(training_input_module, "PROJECTION_PIXELS", 500)
     # How many views are in memory at the same moment is otherwise chance.
     monkeypatch.setattr(os, "cpu_count", lambda: 1)

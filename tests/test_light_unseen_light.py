@@ -16,11 +16,11 @@ import pytest
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.conventions import equirect_pixel_directions
 from fipt_blender.core.estimate.light_stages import light_excess
-from fipt_blender.core.light.albedos import MOST_ALBEDO
+from fipt_blender.core.light.albedos import MAX_ALBEDO
 from fipt_blender.core.light.cache import SurfaceLookup
 from fipt_blender.core.light.clipped import ON_LAMP, OUTSIDE, LitPoints, hemisphere_rays, light_on_points, solve_lamps
 from fipt_blender.core.light.clipped import Expectation as LampExpectation
-from fipt_blender.core.light.environment import MOST_PIXELS, Environment, Hull, estimate_environment
+from fipt_blender.core.light.environment import MAX_PIXELS, Environment, Hull, estimate_environment
 from fipt_blender.core.light.observations import Observations
 from fipt_blender.core.light.radiance import CachedRadiance, OutsideRadiance
 from fipt_blender.core.light.shadings import SampleCounts, ShadingPoints, bake
@@ -301,7 +301,7 @@ def test_no_albedo_is_above_white(share: float, others: list[float]) -> None:
     logs = np.log(albedo * (seen + unseen * 2.0)) + 0.1 * rng.normal(size=(count, 3))
     found = solve_sources(Transport(logs, group, seen, unseen), Expectation(np.full((1, 3), -2.0), np.ones(1, bool)))
     white = logs[group == 0] - np.log(seen + unseen @ found.radiance)[group == 0]
-    assert np.exp(white.mean()) < 1.5 * MOST_ALBEDO  # 2.4 with the expected light
+    assert np.exp(white.mean()) < 1.5 * MAX_ALBEDO  # 2.4 with the expected light
 
 
 def test_a_known_albedo_tells_the_level_and_the_color_of_the_light() -> None:
@@ -367,9 +367,9 @@ def test_unseen_cells_take_the_nearest_ones(rng: np.random.Generator) -> None:
 
 
 def test_of_many_pixels_some_are_enough(rng: np.random.Generator) -> None:
-    """Beyond MOST_PIXELS a cell's median is that of a sample: unbiased, and stray pixels stay forgotten."""
+    """Beyond MAX_PIXELS a cell's median is that of a sample: unbiased, and stray pixels stay forgotten."""
     image = rng.uniform(0.1, 2.0, (8, 16, 3))
-    times = 20 * MOST_PIXELS
+    times = 20 * MAX_PIXELS
     directions = np.repeat(equirect_pixel_directions(16, 8).reshape(-1, 3), times, axis=0)
     radiance = np.repeat(image.reshape(-1, 3), times, axis=0)
     radiance *= rng.uniform(0.9, 1.1, (len(radiance), 1))
@@ -380,7 +380,7 @@ def test_of_many_pixels_some_are_enough(rng: np.random.Generator) -> None:
     # A fifth lies above all others, so the median is at 5/8 of these: 0.9 + 0.2 * 5/8; its error by chance
     # is half a range over the square root of the sample.
     assert abs(ratio.mean() - 1.025) < 0.003
-    assert 0.2 < ratio.std() / (0.125 / MOST_PIXELS**0.5) < 2.0
+    assert 0.2 < ratio.std() / (0.125 / MAX_PIXELS**0.5) < 2.0
 
 
 def test_no_pixel_outside_or_a_hole_in_the_mesh_is_no_environment(rng: np.random.Generator) -> None:

@@ -182,8 +182,8 @@ def run_here(run: RunFolder, train: bool = True) -> list[dict]:
 
 def few_sources(monkeypatch: pytest.MonkeyPatch) -> None:
     """Unseen light of fewer sources, on whose number the time depends most."""
-    monkeypatch.setattr(unseen_light, "MOST_SOURCES", 100)
-    monkeypatch.setattr(source_cells, "MOST_DIVIDED", 100)
+    monkeypatch.setattr(unseen_light, "MAX_SOURCES", 100)
+    monkeypatch.setattr(source_cells, "MAX_DIVIDED", 100)
 
 
 def stages_of(messages: list[dict]) -> list[str]:

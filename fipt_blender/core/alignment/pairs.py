@@ -13,7 +13,7 @@ import numpy as np
 
 from ..run.errors import FiptError
 
-LEAST_PAIRS = 3  # of points: a similarity has seven unknowns
+MIN_PAIRS = 3  # of points: a similarity has seven unknowns
 FLAT = 1e-4  # spread across a line over the spread along it, below which a turn about the line is undecided
 MIRRORED = 0.5  # share of the error that is left if one side is mirrored, below which it is said
 
@@ -50,7 +50,7 @@ def fit_pairs(source: np.ndarray, target: np.ndarray) -> PairFit:
     source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:
         raise ValueError(f"pairs of shapes {source.shape} and {target.shape}")
-    if len(source) < LEAST_PAIRS:
+    if len(source) < MIN_PAIRS:
         raise _unusable(f"{len(source)} pairs of points are too few")
     for name, points in (("photographs", source), ("mesh", target)):
         if not np.isfinite(points).all():
@@ -62,7 +62,7 @@ def fit_pairs(source: np.ndarray, target: np.ndarray) -> PairFit:
     residuals = _distances(fitted, source, target)
     flat = np.linalg.svd(source - source.mean(axis=0), compute_uv=False)
     mirrored = False
-    if len(source) > LEAST_PAIRS and flat[2] > 1e-3 * flat[0]:  # points in one plane fit both ways
+    if len(source) > MIN_PAIRS and flat[2] > 1e-3 * flat[0]:  # points in one plane fit both ways
         other = source * [-1.0, 1.0, 1.0]
         left = _distances(fit_similarity(other, target), other, target)
         mirrored = bool(np.linalg.norm(left) < MIRRORED * np.linalg.norm(residuals))

@@ -17,7 +17,7 @@ from ..run.errors import FiptError
 from .surface import Surface
 from .turns import turn_by
 
-LEAST_POINTS = 50  # of a solve
+MIN_POINTS = 50  # of a solve
 STEPS = 30  # of Gauss-Newton
 REACH = 0.05  # of the points' extent, from which points count less at first
 NEAR = 0.02  # of the extent: points of another room lie within 5 % of some surface too often to tell
@@ -50,10 +50,10 @@ def refine(points: np.ndarray, surface: Surface) -> Refined:
     Raises:
         FiptError: ``alignment-points`` for too few points.
     """
-    if len(points) < LEAST_POINTS:
+    if len(points) < MIN_POINTS:
         raise FiptError(
             "alignment-points",
-            f"The camera solve has {len(points)} points; refining needs at least {LEAST_POINTS}.",
+            f"The camera solve has {len(points)} points; refining needs at least {MIN_POINTS}.",
             "Keep the placement by pairs of points, or solve the cameras with more features.",
         )
     low, high = np.percentile(points, [2.0, 98.0], axis=0)  # every solve has a few points far away

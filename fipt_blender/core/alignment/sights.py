@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..run.errors import FiptError
-from .pairs import LEAST_PAIRS, MIRRORED, PairFit, fit_pairs
+from .pairs import MIN_PAIRS, MIRRORED, PairFit, fit_pairs
 from .turns import cross_matrix, even_turns, turn_by
 
 _TURNS = 1000  # rotations that are tried, about 25 degrees apart
-_LEAST_NUMBERS = 7  # of a similarity; a ray gives two, a point three
+_MIN_NUMBERS = 7  # of a similarity; a ray gives two, a point three
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def fit_sights(sights: Sights, target: np.ndarray) -> PairFit:
     mirrored = False
     flat = np.linalg.svd(target - target.mean(axis=0), compute_uv=False)
     # Points in one plane fit both ways, and too few points fit anything.
-    if 3 * known.sum() + 2 * (~known).sum() > _LEAST_NUMBERS + 2 and flat[2] > 1e-3 * flat[0]:
+    if 3 * known.sum() + 2 * (~known).sum() > _MIN_NUMBERS + 2 and flat[2] > 1e-3 * flat[0]:
         mirrored = bool(_solve(sights, target * [-1.0, 1.0, 1.0])[1] < MIRRORED**2 * cost)
     residuals = np.zeros(len(target))
     positions = target[sights.pair] @ inverse[:3, :3].T + inverse[:3, 3]
@@ -83,7 +83,7 @@ def fit_sights(sights: Sights, target: np.ndarray) -> PairFit:
 def _check_count(sights: Sights, target: np.ndarray) -> None:
     known = sights.is_point
     numbers = 3 * int(known.sum()) + 2 * int((~known).sum())
-    if len(np.unique(sights.pair)) < LEAST_PAIRS or numbers < _LEAST_NUMBERS:
+    if len(np.unique(sights.pair)) < MIN_PAIRS or numbers < _MIN_NUMBERS:
         raise FiptError(
             "alignment-pairs",
             "There are too few picked points.",

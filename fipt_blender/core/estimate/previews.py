@@ -14,7 +14,7 @@ import numpy as np
 
 from ..light.baking import ShadingStore
 from ..optics.lights import EmitterTable
-from ..photometry.refit import LEAST_LIGHT
+from ..photometry.refit import MIN_LIGHT
 from ..pixels.store import PixelStore
 from ..report.comparison import to_display
 from ..report.pictures import write_png
@@ -56,7 +56,7 @@ class Preview:
             FiptError: ``disk-full`` or ``run-unwritable``.
         """
         rows = self._rows.reshape(-1)
-        light = np.maximum(np.asarray(shadings.diffuse[rows], np.float32), LEAST_LIGHT)
+        light = np.maximum(np.asarray(shadings.diffuse[rows], np.float32), MIN_LIGHT)
         color = np.asarray(self._pixels.radiance[rows]) / light
         color[np.asarray(self._pixels.triangle[rows]) < 0] = 0.0
         return [self._write(self._paths(stage)[0], color, self._rows.shape)]

@@ -15,8 +15,8 @@ from ..robust import student_weights
 
 # Expected albedo and its standard deviation (of the logarithm): broad, as rooms are dark or light as a whole;
 # the highest albedo, and its deviation; the deviation of a known albedo.
-ALBEDO, ALBEDO_SPREAD, MOST_ALBEDO, MOST_SPREAD, KNOWN_SPREAD = 0.4, 1.0, 0.9, 0.1, 0.05
-LEAST_GROUP = 8  # points of one albedo
+ALBEDO, ALBEDO_SPREAD, MAX_ALBEDO, MAX_SPREAD, KNOWN_SPREAD = 0.4, 1.0, 0.9, 0.1, 0.05
+MIN_GROUP = 8  # points of one albedo
 # Neighbouring points share textures and errors of the light: about this many count as one.
 POINTS_PER_SAMPLE = 10.0
 
@@ -77,9 +77,9 @@ def _expected_albedo(
         known: (G,) those that are known, else NaN.
         samples: (G,) independent ones that the points of each group count as.
     """
-    above = albedo > np.log(MOST_ALBEDO)
+    above = albedo > np.log(MAX_ALBEDO)
     usual = student_weights(((albedo - np.log(ALBEDO)) / ALBEDO_SPREAD) ** 2) / ALBEDO_SPREAD**2
-    expected = np.log(np.where(above, MOST_ALBEDO, ALBEDO))
-    precision = np.where(above, samples / MOST_SPREAD**2, usual)
+    expected = np.log(np.where(above, MAX_ALBEDO, ALBEDO))
+    precision = np.where(above, samples / MAX_SPREAD**2, usual)
     unknown = np.isnan(known)
     return np.where(unknown, expected, known), np.where(unknown, precision, samples / KNOWN_SPREAD**2)

@@ -19,19 +19,19 @@ from ..pixels.camera_rays import rays_along
 from ..robust import deviation, gauss_newton
 from ..run.stage_files import UNKNOWN
 from ..surface.room import Room
-from .albedos import LEAST_GROUP, without_albedo
+from .albedos import MIN_GROUP, without_albedo
 from .cache import VoxelGrid
 
 RAYS = 128  # over the hemisphere of each point; their noise would make the contrast too high
 LAMP_SAMPLES = 32  # points on each lamp
-MOST_POINTS = 3000  # that are compared; more only cost time
-MOST_LAMPS = 24  # the largest ones
+MAX_POINTS = 3000  # that are compared; more only cost time
+MAX_LAMPS = 24  # the largest ones
 ON_LAMP, OUTSIDE = -1, -2  # in place of cache entries
 _ITERATIONS = 25  # of Gauss-Newton; it ends earlier
 _LONGEST_STEP = 0.7  # of any logarithm
 # Standard deviation of the logarithm of a point's radiance, due to texture and gloss.
 _TEXTURE = 0.15
-_LEAST_SPREAD = 0.02  # of a point, however well all agree
+_MIN_SPREAD = 0.02  # of a point, however well all agree
 # Standard deviation of the logarithm of a lamp's radiance before anything is known, and its expectation as a
 # multiple of the radiance at which it is clipped.
 _UNKNOWN, _EXPECTED = 2.0, 8.0
@@ -237,7 +237,7 @@ class _Fit:
             normal = normal + jacobian.T @ (weight[:, None] * jacobian)
             right = right - jacobian.T @ (weight * residual)
             left.append(residual[:points])
-        return normal, right, deviation(np.concatenate(left), _LEAST_SPREAD)
+        return normal, right, deviation(np.concatenate(left), _MIN_SPREAD)
 
     def _channel(
         self, x: np.ndarray, channel: int, spread: float
@@ -252,7 +252,7 @@ class _Fit:
         cast = points.direct * radiance[:, channel]
         total = np.maximum(indirect + cast.sum(axis=1), 1e-9)
         good = np.isfinite(points.value[:, channel])
-        good &= np.bincount(self._group, good)[self._group] >= LEAST_GROUP
+        good &= np.bincount(self._group, good)[self._group] >= MIN_GROUP
         jacobian = np.zeros((len(total), len(x)))
         logarithm = np.log(total) + self._correction[:, channel]
         jacobian[:, 0] = logarithm - by_contrast / total

@@ -37,7 +37,7 @@ MIXED_ERROR, PHOTOGRAPH_ERROR = 0.3, 0.3
 BRIGHTEST, DIM_POWER = 7.0, 2.0
 # Constant radiance in varying light: pixels per sample, most samples, spread due to noise alone, relative
 # deviation of the radiance of one lamp, and how many of these deviations a part of a lamp may differ from it.
-ALIKE_PIXELS, ALIKE_SAMPLES, ALIKE_SPREAD, ALIKE, MOST_OFF = 10.0, 30.0, 0.03, 0.05, 3.0
+ALIKE_PIXELS, ALIKE_SAMPLES, ALIKE_SPREAD, ALIKE, MAX_OFF = 10.0, 30.0, 0.03, 0.05, 3.0
 # The relative error of a lamp's light is so many times the error of positions over the distance, at most 1. A
 # lamp lights what is less bright than itself by this factor.
 PLACE_ERROR, LIT = 3.0, 2.0
@@ -261,7 +261,7 @@ class _Lamps:
             alike = np.exp(-0.5 * off**2) / (ALIKE * np.sqrt(2.0 * np.pi))
             known = self.mean + np.log(0.5 + 0.5 * alike * (BRIGHTEST + 1.0 / DIM_POWER))
             of_surface = self.component == self.component[np.argmax(core)]
-            units = np.flatnonzero(core | ((known > 0.0) & of_surface & (np.abs(off) < MOST_OFF)))
+            units = np.flatnonzero(core | ((known > 0.0) & of_surface & (np.abs(off) < MAX_OFF)))
             surface = self._connected(units)
             touching = units[np.isin(surface, surface[core[units]])]
             result[touching] = np.maximum(result[touching], of_lamp[index])

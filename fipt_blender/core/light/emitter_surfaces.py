@@ -24,7 +24,7 @@ PATCH, GAP = 2.0, 2.5
 # Relative errors of the shadings of a modelled room and of a scan.
 SHADING_ERROR, SCAN_ERROR = 0.15, 0.2
 # Most independent samples that the pixels of a lamp count as: they share errors of the shadings.
-MOST_SAMPLES, MOST_SAMPLES_SCAN = 50.0, 10.0
+MAX_SAMPLES, MAX_SAMPLES_SCAN = 50.0, 10.0
 SPREAD = 0.03  # deviation of radiance over light on one surface of a modelled room, by errors of the light
 
 
@@ -55,7 +55,7 @@ class EmitterSurfaces:
     unseen: np.ndarray | None = None
     light_error: float = 0.0
     shading_error: float = SHADING_ERROR
-    most_samples: float = MOST_SAMPLES
+    most_samples: float = MAX_SAMPLES
     spread: float = SPREAD
     place: float = 0.0
 
@@ -85,7 +85,7 @@ def emitter_surfaces(
     component = pieces
     if part is not None:
         patch = component = numbered([part >= 0, np.where(part >= 0, part, patch)])
-    errors = SCAN_ERROR, MOST_SAMPLES_SCAN, SCAN_ERROR, room.scan.edge
+    errors = SCAN_ERROR, MAX_SAMPLES_SCAN, SCAN_ERROR, room.scan.edge
     return EmitterSurfaces(patch, component, part, reach, gap, unseen, light_error, *errors)
 
 

@@ -26,7 +26,7 @@ DIM_SIDE = 0.1
 ALIKE = 1.5
 # A triangle's radiance is measured if the weights of its pixels sum to at least this (a pure pixel has 1);
 # others take that of their neighbours.
-LEAST_MEASURED = 1.0
+MIN_MEASURED = 1.0
 # Triangles that exceed the room's mean by this factor are aimed at before emitters are known.
 BRIGHT = 8.0
 # Pixels per chunk: arrays of all pixels of a large capture would take gigabytes.
@@ -137,14 +137,14 @@ def group_fixtures(
     emitter[ids] = np.arange(len(ids))
     medians, weights = side_medians(pixels, emitter)
     luminance = (medians @ LUMINANCE).max(axis=1)
-    measured = weights.sum(axis=1) >= LEAST_MEASURED
+    measured = weights.sum(axis=1) >= MIN_MEASURED
     group = np.full(len(emitting), -1, np.int64)
     if room.scan is None:
         group[ids] = emitter_components(corners[ids], luminance, measured)
     else:
         group[ids] = scan_groups(room.scan, ids, surface)
     medians, total = side_medians(pixels, group)
-    known = total >= np.minimum(total.max(axis=1, keepdims=True, initial=0.0), LEAST_MEASURED)
+    known = total >= np.minimum(total.max(axis=1, keepdims=True, initial=0.0), MIN_MEASURED)
     if room.scan is not None:
         known &= seen_sides(room.areas[ids], weights > 0.0, group[ids])
     fixtures = []

@@ -19,9 +19,9 @@ from ..pixels.store import NO_TRIANGLE, PixelStore
 
 # A smaller observed share of the sphere is a hole in the mesh, not a window; extrapolated to all directions,
 # it would light the room through all other holes.
-LEAST_SHARE = 1e-3
+MIN_SHARE = 1e-3
 # Most pixels, on average, for the median of a cell of the map; bounds memory for any number of views.
-MOST_PIXELS = 200
+MAX_PIXELS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ def estimate_environment(
     """Median radiance of the pixels in each cell of the map; None if hardly any pixel looks outside.
 
     Cells without pixels take the radiance of the nearest observed ones (diffused outwards), so that a window
-    seen from a few places lights the room from all angles. At most about `MOST_PIXELS` random pixels per cell
+    seen from a few places lights the room from all angles. At most about `MAX_PIXELS` random pixels per cell
     are used.
 
     Args:
@@ -129,7 +129,7 @@ def estimate_environment(
         count += np.bincount(map_cells(directions, width), minlength=len(count))
     if not count.any():
         return None
-    share_kept = MOST_PIXELS / np.maximum(count, 1)
+    share_kept = MAX_PIXELS / np.maximum(count, 1)
     cells, kept = [np.zeros(0, np.int64)], [np.zeros((0, 3), np.float32)]
     for directions, radiance in outside():
         cell = map_cells(directions, width)
@@ -142,7 +142,7 @@ def estimate_environment(
     latitude = np.pi * (0.5 - (np.arange(height) + 0.5) / height)
     weight = np.repeat(np.cos(latitude), width)
     share = float(weight[known].sum() / weight.sum())
-    if share < LEAST_SHARE:
+    if share < MIN_SHARE:
         return None
     seen = known.reshape(height, width)
     return Environment(diffused(image.reshape(height, width, 3), seen), share, seen)

@@ -24,7 +24,7 @@ from .baking import ShadingStore
 # its centre, 16 to 30 % by a camera's blur (a Gaussian of half a pixel).
 SPILL = 0.5
 # `brighter_than_white`: least factor (noise makes white surfaces brighter, too), and most pixels compared.
-BRIGHTER, MOST_COMPARED = 1.1, 200_000
+BRIGHTER, MAX_COMPARED = 1.1, 200_000
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def brighter_than_white(pixels: PixelStore, shadings: ShadingStore) -> float:
     With the shadings of stage 1 it is the share of lamps and highlights, unless light comes from lamps that
     no photograph shows. Evenly spaced pixels stand for all.
     """
-    rows = np.arange(0, len(pixels), max(1, len(pixels) // MOST_COMPARED))
+    rows = np.arange(0, len(pixels), max(1, len(pixels) // MAX_COMPARED))
     rows = rows[(np.asarray(pixels.weight[rows]) > 0.0) & (np.asarray(pixels.triangle[rows]) >= 0)]
     diffuse = np.asarray(shadings.diffuse[rows], np.float32) @ LUMINANCE
     return float(np.mean(np.asarray(pixels.own[rows]) @ LUMINANCE > BRIGHTER * diffuse)) if len(rows) else 0.0

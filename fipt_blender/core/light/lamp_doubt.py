@@ -22,7 +22,7 @@ from ..surface.room import Room
 from .emitters import Fixture, pixels_on
 
 # Points on a lamp, and lamps, the brightest first.
-SAMPLES, MOST_LAMPS = 8, 6
+SAMPLES, MAX_LAMPS = 8, 6
 # Number of neighbouring points over which a variance is averaged, because there are few moves.
 NEIGHBOURS = 27
 # Lamps are not closer than this, metres.
@@ -30,7 +30,7 @@ CLOSEST = 0.02
 # A lamp with fewer pure pixels is hardly seen. The bulb of the example room has 16 at
 # 128 x 72 pixels, and its light is right; of the inside of its shade, which ten views show without the
 # bulb, there are 3.
-LEAST_PURE = 10
+MIN_PURE = 10
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def hardly_seen(lamps: Sequence[Fixture], pixels: PixelStore, triangles: int) ->
     found = []
     for index, place in enumerate(shown_by):
         rows = on_lamps[place]
-        if np.count_nonzero(pixels.pure[rows]) >= LEAST_PURE:
+        if np.count_nonzero(pixels.pure[rows]) >= MIN_PURE:
             continue
         weight = np.asarray(pixels.weight[rows], np.float64)
         shown = np.asarray(pixels.own[rows]) @ LUMINANCE
@@ -106,7 +106,7 @@ def light_errors(
     rng = np.random.default_rng([seed, 23])
     brightest = sorted(lamps, key=lambda lamp: -lamp.area * float((lamp.radiance + lamp.back_radiance).sum()))
     variance = np.zeros(len(points))
-    for lamp in brightest[:MOST_LAMPS]:
+    for lamp in brightest[:MAX_LAMPS]:
         chosen = _sample(room, lamp, rng)
         received = [_received(room, lamp, chosen, move, points, normals) for move in moves]
         variance += np.var(received, axis=0)

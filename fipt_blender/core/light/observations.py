@@ -29,7 +29,7 @@ from .environment import Environment, estimate_environment, outside_pixels
 # Distance in pixels within which a pure pixel of the same part replaces a mixed one.
 DONOR_REACH = 4
 # Least information of a mixed pixel that is used, relative to that of a pure one.
-LEAST_WEIGHT = 0.01
+MIN_WEIGHT = 0.01
 # Stream of the random numbers that draw the pixels to train on.
 POOL_STREAM = 9
 # Approximate number of pixels for the median footprint.
@@ -78,7 +78,7 @@ class Observations:
             if without is not None and without.any():
                 near = self._near(index, without)
                 rows = rows[~near[rows - self.pixels.ranges[index]]]
-            rows = rows[self.pixels.weight[rows] >= LEAST_WEIGHT]
+            rows = rows[self.pixels.weight[rows] >= MIN_WEIGHT]
             pooled.add(self.entry[rows], self.pixels.own[rows], self.pixels.weight[rows])
         cache = pooled.filled()[0]
         environment = self.environment
@@ -147,7 +147,7 @@ class Observations:
         for index, hit in enumerate(self.hits()):
             rows = self.pixels.rows(index)
             found = find_donors(self.pixels, index, np.asarray(self.part[rows]), reach)
-            known = np.asarray(self.pixels.weight[hit]) >= LEAST_WEIGHT
+            known = np.asarray(self.pixels.weight[hit]) >= MIN_WEIGHT
             alone = hit[known & (found[hit - rows.start] < 0)]
             found[alone - rows.start] = alone
             if self.left_alone is not None:

@@ -23,7 +23,7 @@ CONSTANT_DEVIATION = 0.08
 # Triangles that no pixel shows are bright if more than this share of their component's seen area is.
 MAJORITY = 0.5
 # Least weight of the pixels that show a lamp: the radiance of single ones is constant in any case.
-LEAST_PIXELS = 5.0
+MIN_PIXELS = 5.0
 
 
 def presume_lamps(room: Room, pixels: EmitterPixels, bright: EmitterTable) -> tuple[EmitterTable, np.ndarray]:
@@ -48,7 +48,7 @@ def presume_lamps(room: Room, pixels: EmitterPixels, bright: EmitterTable) -> tu
     for index, each in enumerate(fixtures):
         fixture[each.triangles] = index
     on_them = pixels.rows(pixels_on(pixels.triangle, fixture >= 0))
-    shown = np.bincount(fixture[on_them.triangle], on_them.weight, minlength=len(fixtures)) >= LEAST_PIXELS
+    shown = np.bincount(fixture[on_them.triangle], on_them.weight, minlength=len(fixtures)) >= MIN_PIXELS
     shown &= _deviation(on_them, fixture, len(fixtures)) < CONSTANT_DEVIATION
     table = emitter_table([each for each, kept in zip(fixtures, shown, strict=True) if kept])
     lamps[table.triangles] = True

@@ -26,7 +26,7 @@ from .environment import Environment
 
 # Russian roulette: the probability to continue is the throughput times the first, and at least the second:
 # the 4 % of a dielectric are not worth a ray each time.
-SURVIVAL, LEAST_SURVIVAL = 2.5, 0.1
+SURVIVAL, MIN_SURVIVAL = 2.5, 0.1
 
 
 @dataclass  # not frozen: Dr.Jit's loops write their state back into it
@@ -288,7 +288,7 @@ class TracedRadiance:
 
         # ---------------------------------- Russian roulette ---------------------------------
 
-        survival = dr.clip(SURVIVAL * dr.max(path.throughput), LEAST_SURVIVAL, 1.0)
+        survival = dr.clip(SURVIVAL * dr.max(path.throughput), MIN_SURVIVAL, 1.0)
         active &= rng.next_float32() < survival
         path.throughput *= dr.select(active, 1.0 / survival, 1.0)
 

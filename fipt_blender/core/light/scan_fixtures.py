@@ -13,7 +13,7 @@ from ..surface.scan import Scan
 # A connected piece of emitting triangles is a fixture if it has at least this many of them. If its area is
 # less than this share of the largest of its surface, and a fixture is within this many median edges, it
 # belongs to that fixture.
-LEAST_TRIANGLES = 12
+MIN_TRIANGLES = 12
 FIXTURE_SHARE = 0.1
 NEAR = 5.0
 # A side shines if pixels see it on this share of the fixture's measured area. Through holes and at rims,
@@ -40,11 +40,11 @@ def scan_groups(scan: Scan, ids: np.ndarray, surface: np.ndarray | None) -> np.n
     surface_of[component] = of
     largest = np.zeros(int(surface_of.max(initial=0)) + 2)
     np.maximum.at(largest, surface_of, size)
-    large = (size >= FIXTURE_SHARE * largest[surface_of]) & (number >= LEAST_TRIANGLES)
+    large = (size >= FIXTURE_SHARE * largest[surface_of]) & (number >= MIN_TRIANGLES)
     fixture = np.where(large, np.cumsum(large) - 1, -1)
     reach = NEAR * scan.edge
     beside = _fixture_beside(scan.centers[ids], component, surface_of, fixture, reach)
-    alone = (beside < 0) & (number >= LEAST_TRIANGLES)
+    alone = (beside < 0) & (number >= MIN_TRIANGLES)
     return np.where(alone, large.sum() + np.cumsum(alone) - 1, beside)[component]
 
 

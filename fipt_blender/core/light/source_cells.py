@@ -19,10 +19,10 @@ from .sources import DARKEST, Expectation, SourceLight, Transport
 
 RAYS, CHUNK = 1024, 256  # from each point; points at a time
 # Width of sources in metres, and at most this share of the room's largest side, which has at most so many.
-SIZE, SIZE_SHARE, MOST_CELLS = 0.5, 0.1, 32
+SIZE, SIZE_SHARE, MAX_CELLS = 0.5, 0.1, 32
 # A source consists of cells, so many along its width. It is halved as long as it casts more than this share
 # of the light, and there are fewer sources than that.
-FINER, DIVIDED_SHARE, MOST_DIVIDED = 4, 0.005, 400
+FINER, DIVIDED_SHARE, MAX_DIVIDED = 4, 0.005, 400
 HALVES = 4  # of a source that is halved along both sides: most are flat
 UNSEEN = 4  # voxels along each side of the cubes of which a side is unseen if no pixel sees it
 DARK_OUTSIDE = 0.01  # least expected radiance outside, in units of the capture's median
@@ -104,7 +104,7 @@ class Cells:
         cameras = observed.pixels.camera_positions()
         low, high = np.minimum(room.bounds[0], cameras.min(0)), np.maximum(room.bounds[1], cameras.max(0))
         longest = float((high - low).max())
-        size = max(min(SIZE, SIZE_SHARE * longest), longest / MOST_CELLS)
+        size = max(min(SIZE, SIZE_SHARE * longest), longest / MAX_CELLS)
         hull, grid = Hull.around((low, high), size / FINER), observed.grid
         count, seen = len(hull.radiance), np.zeros(len(grid.voxels) * SIDES, bool)
         for rows in observed.hits():
@@ -226,7 +226,7 @@ class Landed:
         share = light.shares(points).mean(axis=0)
         much = (share > DIVIDED_SHARE) & (width > 1) & ~expected.outside
         order = np.argsort(-np.where(much, share, 0.0), kind="stable")
-        much[order[max(MOST_DIVIDED - len(width), 0) // HALVES :]] = False
+        much[order[max(MAX_DIVIDED - len(width), 0) // HALVES :]] = False
         if not much.any():
             return None
         own = np.flatnonzero((self.source >= 0) & (self.number > 0.0))

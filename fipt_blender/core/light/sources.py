@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..robust import DEGREES, deviation, gauss_newton, student_weights
-from .albedos import LEAST_GROUP, POINTS_PER_SAMPLE, AlbedoRows, without_albedo
+from .albedos import MIN_GROUP, POINTS_PER_SAMPLE, AlbedoRows, without_albedo
 
 # Standard deviations of logarithms: of a source from what is expected, of the level that sources outside the
 # mesh share, and of color from gray, as photographs are white-balanced: that of all sources, and of one. With
@@ -26,7 +26,7 @@ SOURCE, LEVEL, COLOR, SOURCE_COLOR = 3.0, 3.0, 0.15, 0.15
 SPECULAR = 0.04  # reflectance of dielectrics at normal incidence (paper Sec. 3)
 HELD_BACK = 0.1  # share of the points
 DARKEST = 1e-4  # radiance, in units of the capture's median
-_SPREAD, _LEAST_SPREAD = 0.15, 0.02  # of a point's logarithm: to begin with, and at least
+_SPREAD, _MIN_SPREAD = 0.15, 0.02  # of a point's logarithm: to begin with, and at least
 _ITERATIONS, _LONGEST_STEP = 20, 0.7  # of Gauss-Newton; more only move sources that hardly cast light
 
 
@@ -111,7 +111,7 @@ def solve_sources(points: Transport, expected: Expectation) -> SourceLight:
             normal[mine, mine] += weighted.T @ rows.jacobian
             pull[mine] -= weighted.T @ rows.residual
             left.append(rows.residual[: len(points.group)])
-        return normal, pull, deviation(np.array(left), _LEAST_SPREAD)
+        return normal, pull, deviation(np.array(left), _MIN_SPREAD)
 
     found = gauss_newton(system, mean, _SPREAD, most_steps=_ITERATIONS, longest=_LONGEST_STEP, settled=1e-2)
     radiance = np.exp(found.x.reshape(3, sources))
@@ -123,7 +123,7 @@ def held_back_gain(points: Transport, expected: Expectation, rng: np.random.Gene
     """Logarithm of the likelihood of points held back, with sources over that with the expected ones."""
     held = rng.random(len(points.group)) < HELD_BACK
     size = int(points.group.max()) + 1
-    held &= (np.bincount(points.group[~held], minlength=size) >= LEAST_GROUP)[points.group]
+    held &= (np.bincount(points.group[~held], minlength=size) >= MIN_GROUP)[points.group]
     columns = points.log_radiance, points.group, points.seen, points.unseen
     log_radiance, group, seen, unseen = (column[~held] for column in columns)
     kept = Transport(log_radiance, group, seen, unseen, points.known)
@@ -131,7 +131,7 @@ def held_back_gain(points: Transport, expected: Expectation, rng: np.random.Gene
     total = 0.0
     for radiance, sign in ((found.radiance, 1.0), (known, -1.0)):
         for channel, rows in enumerate(_channels(kept, radiance.T, found.spread)):
-            spread = deviation(rows.residual[: len(kept.group)], _LEAST_SPREAD)
+            spread = deviation(rows.residual[: len(kept.group)], _MIN_SPREAD)
             light = points.seen[held, channel] + points.unseen[held] @ radiance[:, channel]
             residual = points.log_radiance[held, channel] - np.log(np.maximum(light, DARKEST))
             residual -= rows.albedo[points.group[held]]

@@ -26,9 +26,9 @@ from ..pixels.store import PixelStore
 from ..run.stage_settings import LightSettings
 from ..run.threads import cached_property
 from ..surface.room import Room
-from .albedos import LEAST_GROUP
+from .albedos import MIN_GROUP
 from .cache import SIDES, SurfaceLookup, VoxelGrid
-from .clipped import MOST_POINTS, OUTSIDE
+from .clipped import MAX_POINTS, OUTSIDE
 from .environment import Environment, diffused
 from .observations import Observations
 from .radiance import CachedRadiance
@@ -44,16 +44,16 @@ from .sources import (
 )
 
 # Sources on which fewer of all rays land are left as they are, and at most so many are solved for.
-LEAST_SHARE, MOST_SOURCES = 2e-5, 200
+MIN_SHARE, MAX_SOURCES = 2e-5, 200
 # Points of one surface whose colors differ by less, in logarithms of ratios, have one albedo.
 COLOR_STEP = 0.25
-LEAST_POINTS, LEAST_WEIGHT = 200, 0.5  # pixels that are compared, and the weight of each
+MIN_POINTS, MIN_WEIGHT = 200, 0.5  # pixels that are compared, and the weight of each
 KNOWN_POINTS = 4  # one of so many pixels is added of surfaces of known albedo, where there are some
 LAMP_SAMPLES = SampleCounts(16, 0, 64)  # of the light of presumed lamps at each
 # Relative error of the inferred part of the light beside its covariance: root mean square of five rooms.
 MODEL_ERROR = 0.3
 GAIN = 3.0  # least logarithm of the likelihood of points held back
-CLOSE_RAYS, MOST_CLOSE = (
+CLOSE_RAYS, MAX_CLOSE = (
     64,
     20_000,
 )  # to unseen places closer than a source is wide, and pixels that send them
@@ -61,14 +61,14 @@ CLOSE_RAYS, MOST_CLOSE = (
 LAMP = 4.0
 # Sources of one side are one lamp if they are closer than so many of their widths; others, of a whole one.
 APART, CLOSE = 1.5, 0.5
-LEAST_LAMP = 0.005  # share of the light that a lamp casts
+MIN_LAMP = 0.005  # share of the light that a lamp casts
 BALL = 0.2  # least radius of a lamp in widths of a whole source
-LEAST_RADIUS = 0.04  # where photographs looked past it, in widths of a whole source
+MIN_RADIUS = 0.04  # where photographs looked past it, in widths of a whole source
 WIDEST = 2.0  # radius of a disc in widths of a whole source; what is wider is divided
 FLAT = 0.7  # it is a disc if more than this share of its light leaves to one side
 # Of discs from the surface that shines or, outwards, from the hull, in widths of a source.
 CLEARANCE = 0.1
-MOST_LOOKS = 100_000  # rays of pixels on which no lamp may lie
+MAX_LOOKS = 100_000  # rays of pixels on which no lamp may lie
 
 
 def with_unseen_light(
@@ -178,7 +178,7 @@ class Sources:
         near = distance < APART * np.maximum(width[one], width[other])
         near &= (side[one] == side[other]) | (distance < CLOSE * self.cells.size)
         lamp = graph_components(np.stack([one, other], axis=1)[near], len(members))
-        own = np.bincount(lamp, self.shares[members]) > LEAST_LAMP
+        own = np.bincount(lamp, self.shares[members]) > MIN_LAMP
         result[members] = np.where(own, np.cumsum(own) - 1, -1)[lamp]
         return result
 
@@ -186,7 +186,7 @@ class Sources:
         """Discs and balls that cast the light of bright sources, as lamps that the mesh lacks.
 
         What shines to one side is a disc as wide as its sources are spread, or several; others are balls.
-        They are as small as what photographs looked through demands, down to LEAST_RADIUS.
+        They are as small as what photographs looked through demands, down to MIN_RADIUS.
         """
         clusters = [np.flatnonzero(self.lamp == index) for index in range(int(self.lamp.max(initial=-1)) + 1)]
         while clusters:
@@ -223,7 +223,7 @@ class Sources:
         self, own: np.ndarray, center: np.ndarray, radius: float, facing: np.ndarray | None
     ) -> dict[str, Any]:
         """The lamp of a place and at most a radius, metres, that casts about the light of sources (n,)."""
-        free = max(free_radius(center, facing, *self.looks), LEAST_RADIUS * self.cells.size)
+        free = max(free_radius(center, facing, *self.looks), MIN_RADIUS * self.cells.size)
         radius = min(radius, free)
         cast = self.points.unseen[:, own] @ self.light.radiance[own]
         lit = cast.sum(axis=1) > 0.0
@@ -260,15 +260,15 @@ def find_sources(
         base_color = np.full((len(room.triangles), 3), np.nan)
     of_known = np.isfinite(base_color[:, 0])
     where, group = _comparable(pixels, label, of_known, np.random.default_rng([seed, 23]))
-    if len(where) < LEAST_POINTS:
+    if len(where) < MIN_POINTS:
         return None
     lit = pixels.surface(room, where)
     cells, known = Cells.of(observed, room), np.isin(np.arange(len(room.triangles)), lamps.triangles)
     rays = traced(observed, room, cells, known, lit, seed)
     source = cells.sources(FINER)
     count = np.bincount(source[rays.cell[rays.cell >= 0]], minlength=int(source.max(initial=-1)) + 1)
-    chosen = np.argsort(-count, kind="stable")[:MOST_SOURCES]
-    chosen = np.sort(chosen[count[chosen] > LEAST_SHARE * rays.cell.size])
+    chosen = np.argsort(-count, kind="stable")[:MAX_SOURCES]
+    chosen = np.sort(chosen[count[chosen] > MIN_SHARE * rays.cell.size])
     if not len(chosen):
         return None
     number = np.full(len(count), -1, np.int64)
@@ -288,7 +288,7 @@ def find_sources(
         light = solve_sources(points, expected)
     of_entry = np.append(landed.source, -1)[cells.of_entry]
     entries = np.flatnonzero(of_entry >= 0)
-    means, shown = landed.means(), pixels.some_hits(MOST_LOOKS)
+    means, shown = landed.means(), pixels.some_hits(MAX_LOOKS)
     own, side = np.flatnonzero(landed.source >= 0), np.zeros(len(width), np.int64)
     side[landed.source[own]] = cells.side[own]
     return Sources(
@@ -345,7 +345,7 @@ def close_share(
 ) -> np.ndarray:
     """(T,) float32 share of the directions around each triangle, or the nearest that pixels see, in which
     unseen places are closer than a source is wide."""
-    rows = observed.pixels.some_hits(MOST_CLOSE)
+    rows = observed.pixels.some_hits(MAX_CLOSE)
     known = np.isin(np.arange(len(room.triangles)), lamps.triangles)
     lit = observed.pixels.surface(room, rows)
     rays = traced(observed, room, found.cells, known, lit, seed, CLOSE_RAYS)
@@ -365,12 +365,12 @@ def _comparable(
     Args:
         known: (T,) bool, triangles whose albedo is known: however small they are, they are compared.
     """
-    share = max(1, MOST_POINTS // max(len(pixels.views), 1))
+    share = max(1, MAX_POINTS // max(len(pixels.views), 1))
     chosen = [np.zeros(0, np.int64)]
     for index in range(len(pixels.views)):
         rows = pixels.rows(index)
         good = (np.asarray(pixels.triangle[rows]) >= 0) & np.asarray(pixels.pure[rows])
-        good &= (np.asarray(pixels.weight[rows]) >= LEAST_WEIGHT) & (pixels.own[rows] > DARKEST).all(axis=1)
+        good &= (np.asarray(pixels.weight[rows]) >= MIN_WEIGHT) & (pixels.own[rows] > DARKEST).all(axis=1)
         some = rng.permutation(np.flatnonzero(good))
         given = some[known[np.asarray(pixels.triangle[rows])[some]]]
         some = np.concatenate([some[:share], given[: share // KNOWN_POINTS]])
@@ -380,5 +380,5 @@ def _comparable(
     ratio = np.floor((logs[:, [0, 2]] - logs[:, [1]]) / COLOR_STEP).astype(np.int64)
     triangle = np.asarray(pixels.triangle[where])
     group = numbered([label[triangle], known[triangle], *ratio.T])
-    enough = np.bincount(group, minlength=1)[group] >= LEAST_GROUP
+    enough = np.bincount(group, minlength=1)[group] >= MIN_GROUP
     return where[enough], np.unique(group[enough], return_inverse=True)[1].reshape(-1)

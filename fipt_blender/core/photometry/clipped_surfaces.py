@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..light.cache import Pool, seen_grid
-from ..light.clipped import MOST_LAMPS, MOST_POINTS, LampLight, LitPoints, light_on_points
+from ..light.clipped import MAX_LAMPS, MAX_POINTS, LampLight, LitPoints, light_on_points
 from ..light.emitter_surfaces import PATCH, surface_patches
 from ..parts.components import graph_components, mesh_components
 from ..pixels.grouped import numbered
@@ -85,7 +85,7 @@ class ClippedSurfaces:
 def find_clipped_surfaces(room: Room, codes: Codes, label: np.ndarray, footprint: float) -> np.ndarray:
     """(T,) int32 clipped surface that each triangle belongs to, from 0; -1 without.
 
-    A surface is connected triangles most of whose pixels are clipped; the largest `MOST_LAMPS` in the views.
+    A surface is connected triangles most of whose pixels are clipped; the largest `MAX_LAMPS` in the views.
     Triangles of a scan are smaller than pixels, many of them seen by none, and a lamp and the wall around it
     are one mesh. There, patches of one label take the place of triangles, and a surface has one label. A
     label most of whose pixels are clipped is one surface: bars in front of a lamp divide it, and the light of
@@ -114,7 +114,7 @@ def find_clipped_surfaces(room: Room, codes: Codes, label: np.ndarray, footprint
         else:
             whole = _mostly(numbered([label]), clipped, count)
             component = _pieces_of_scan(room.scan, members, label, whole)
-        order = np.argsort(-np.bincount(component, clipped[members]), kind="stable")[:MOST_LAMPS]
+        order = np.argsort(-np.bincount(component, clipped[members]), kind="stable")[:MAX_LAMPS]
         rank = np.full(int(component.max()) + 1, -1, np.int32)
         rank[order] = np.arange(len(order))
         lamp[members] = rank[component]
@@ -187,7 +187,7 @@ def light_on_surfaces(
         weight = np.where(good[hit].all(axis=1) & pixels.pure[rows][hit], 1.0, 1e-3)
         pooled.add(grid.entries(*pixels.surface(room, hit + rows.start)), value[hit], weight)
         able = hit[pixels.pure[rows][hit] & good[hit].any(axis=1) & (part[triangle[hit]] >= 0)]
-        drawn = rng.permutation(able)[: max(1, MOST_POINTS // len(encoded))]
+        drawn = rng.permutation(able)[: max(1, MAX_POINTS // len(encoded))]
         chosen.append(drawn + rows.start)
         values.append(np.where(good[drawn], value[drawn], np.nan))
     where = np.concatenate(chosen)

@@ -20,7 +20,7 @@ from ..radiometry.adjustment import Samples
 # Largest difference of codes in the 3 x 3 pixels around one that is compared: edges would mix surfaces.
 CALM_CODES = 24.0
 # Approximate number of samples that are compared, one for each cell and view.
-MOST_SAMPLES = 40_000
+MAX_SAMPLES = 40_000
 # Width of clusters, in cells: errors of the samples in one cluster are correlated.
 CLUSTER = 8.0
 
@@ -77,7 +77,7 @@ def calm_samples(cells: SurfaceCells, codes: Codes) -> Samples:
     """Mean codes of surface cells in each of the views that are not HDR."""
     pixels = codes.pixels
     # Cells are thinned out rather than pixels, so that each keeps all views that share it.
-    step = max(1, cells.pixel_count // (2 * MOST_SAMPLES))
+    step = max(1, cells.pixel_count // (2 * MAX_SAMPLES))
     coarse = replace(cells.grid, size=CLUSTER * cells.grid.size)
     columns: list[tuple[np.ndarray, ...]] = []
     for place, index in enumerate(codes.encoded):

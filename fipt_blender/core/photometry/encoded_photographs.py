@@ -39,8 +39,8 @@ from .codes import Codes, calm_samples
 
 # Systematic error of the contrast inferred from light, due to gloss, textures and the coarse cache.
 LIGHT_DEVIATION = 0.06
-LEAST_POINTS = 200
-MOST_DEVIATIONS = 4.0  # by which the contrast by light may differ from that of the other sources
+MIN_POINTS = 200
+MAX_DEVIATIONS = 4.0  # by which the contrast by light may differ from that of the other sources
 UNKNOWN_CONTRAST = 1.0  # standard deviation of its logarithm where light alone shall determine it
 # Share of the light from directions that no photograph shows from which on it makes the contrast uncertain.
 OPEN = 0.05
@@ -126,7 +126,7 @@ def solve_light(
     Args:
         error: systematic standard deviation of the contrast that is inferred from light.
     """
-    if np.isfinite(points.value).any(axis=1).sum() < LEAST_POINTS:
+    if np.isfinite(points.value).any(axis=1).sum() < MIN_POINTS:
         return radiometry, None
     broad = radiometry.contrast.value, UNKNOWN_CONTRAST
     value, deviation = solve_lamps(points, cache, expected, broad).log_contrast
@@ -135,7 +135,7 @@ def solve_light(
     sources = [source for source in radiometry.sources if source.name != "light"]
     light, others = Source("light", value, float(np.hypot(deviation, error))), combined(sources)
     # A larger deviation has another cause than the contrast, and would make all radiances wrong.
-    if abs(value - others.value) < MOST_DEVIATIONS * np.hypot(light.deviation, others.deviation):
+    if abs(value - others.value) < MAX_DEVIATIONS * np.hypot(light.deviation, others.deviation):
         sources.append(light)
     found = Radiometry(radiometry.adjustment, combined(sources), tuple(sources))
     return found, solve_lamps(points, cache, expected, (found.contrast.value, 0.0))

@@ -31,19 +31,19 @@ POINT_SAMPLES, PIXEL_SAMPLES = SampleCounts(1024, 0, 256), SampleCounts(64, 0, 3
 # Systematic error of the contrast inferred from the light of shadings, as measured.
 REFIT_DEVIATION = 0.03
 # Largest correction of the logarithm of light: beyond it, the model or the shading is wrong.
-MOST_CORRECTION = 1.0
+MAX_CORRECTION = 1.0
 # Points are not used if their correction differs from the median by more than this over the standard
 # deviation of the position of surfaces in metres (by 0.15 on a scan with edges of 2 cm): where normals are
 # rough and lamps torn, the baked light is as often wrong as the model. Errors of light raise the contrast.
-MOST_DIFFERENCE = 0.003
-MOST_LIGHT = 6.0e4  # in half floats
+MAX_DIFFERENCE = 0.003
+MAX_LIGHT = 6.0e4  # in half floats
 # Darkest L_d, in units of the capture's median, that is compared and by which is divided.
-LEAST_LIGHT = 1e-3
+MIN_LIGHT = 1e-3
 # Standard deviation of the logarithm of what a clipped surface reflects, due to its albedo and its shadings.
 _REFLECTED = 0.5
 # Albedo of a part of which no unclipped pixel is known, and the highest that is believed.
-_USUAL_ALBEDO, _MOST_ALBEDO = 0.5, 0.9
-_LEAST_PIXELS = 20
+_USUAL_ALBEDO, _MAX_ALBEDO = 0.5, 0.9
+_MIN_PIXELS = 20
 # Most pixels of a part from which its albedo is found.
 _ALBEDO_PIXELS = 400
 
@@ -67,11 +67,11 @@ def refit_photographs(
     seen = lit.pixel[np.asarray(pixels.triangle[lit.pixel]) >= 0]
     others = np.unique(np.concatenate([albedo_rows, *clipped_rows]))
     diffuse = np.zeros((len(pixels), 3), np.float16)
-    diffuse[others] = np.minimum(light_of(others, PIXEL_SAMPLES), MOST_LIGHT)
-    diffuse[seen] = np.minimum(light_of(seen, POINT_SAMPLES), MOST_LIGHT)
+    diffuse[others] = np.minimum(light_of(others, PIXEL_SAMPLES), MAX_LIGHT)
+    diffuse[seen] = np.minimum(light_of(seen, POINT_SAMPLES), MAX_LIGHT)
     light = np.asarray(diffuse[lit.pixel], np.float64)
     radiance = np.asarray(pixels.radiance[lit.pixel], np.float64)
-    valid = (np.asarray(pixels.triangle[lit.pixel]) >= 0) & (light > LEAST_LIGHT).all(axis=1)
+    valid = (np.asarray(pixels.triangle[lit.pixel]) >= 0) & (light > MIN_LIGHT).all(axis=1)
     valid &= (radiance > 0.0).all(axis=1)
     if not valid.any():
         return before
@@ -80,13 +80,13 @@ def refit_photographs(
     )
     shift = found.radiometry.adjustment.log_gains - radiometry.adjustment.log_gains
     model = lit.points.light(lit.cache, _shown(pixels, found, unit), contrast)
-    correction = np.log(np.maximum(light, LEAST_LIGHT)) + unit - np.log(np.maximum(model, 1e-12))
+    correction = np.log(np.maximum(light, MIN_LIGHT)) + unit - np.log(np.maximum(model, 1e-12))
     usual = np.median(correction[valid], axis=0)
-    valid &= (room.place * np.abs(correction - usual) < MOST_DIFFERENCE).all(axis=1)
+    valid &= (room.place * np.abs(correction - usual) < MAX_DIFFERENCE).all(axis=1)
     points = replace(
         lit.points,
         value=np.where(valid[:, None], lit.points.value + shift[lit.place], np.nan),
-        correction=np.clip(correction, -MOST_CORRECTION, MOST_CORRECTION),
+        correction=np.clip(correction, -MAX_CORRECTION, MAX_CORRECTION),
     )
     albedos = _albedos(pixels, part, albedo_rows, diffuse)
     reflecting, reflected, albedo = _reflected(pixels, part, diffuse, found, unit, albedos)
@@ -219,7 +219,7 @@ def _albedos(
 ) -> dict[int, np.ndarray]:
     """(3,) median albedo of the pixels (M,) of each part that has enough of them."""
     light = np.asarray(diffuse[rows], np.float64)
-    good = (light > LEAST_LIGHT).all(axis=1)
+    good = (light > MIN_LIGHT).all(axis=1)
     if not good.any():
         return {}
     own, ratio = part[pixels.triangle[rows]][good], pixels.radiance[rows][good] / light[good]
@@ -227,7 +227,7 @@ def _albedos(
     parts, first = np.unique(own[order], return_index=True)
     groups = zip(parts.tolist(), np.split(ratio[order], first[1:]), strict=True)
     return {
-        number: np.clip(np.median(values, axis=0), 0.0, _MOST_ALBEDO)
+        number: np.clip(np.median(values, axis=0), 0.0, _MAX_ALBEDO)
         for number, values in groups
-        if len(values) >= _LEAST_PIXELS
+        if len(values) >= _MIN_PIXELS
     }

@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-MOST_KEYS = 1 << 62  # so that keys fit into 64 bits
-MOST_PADDED = 4  # times the values, of rows as long as the largest group
+MAX_KEYS = 1 << 62  # so that keys fit into 64 bits
+MAX_PADDED = 4  # times the values, of rows as long as the largest group
 
 # Keys (n,) int64, and a value (n, ...) for each.
 Keyed = tuple[np.ndarray, np.ndarray]
@@ -22,9 +22,9 @@ def numbered(columns: Sequence[np.ndarray]) -> np.ndarray:
     for column in columns:
         values = column.astype(np.int64) - int(column.min(initial=0))
         range_ = int(values.max(initial=0)) + 1
-        if count * range_ >= MOST_KEYS:
+        if count * range_ >= MAX_KEYS:
             number, count = _ranks(number), len(number)
-        if count * range_ >= MOST_KEYS:
+        if count * range_ >= MAX_KEYS:
             values, range_ = _ranks(values), len(number)
         number, count = number * range_ + values, count * range_
     return _ranks(number)
@@ -140,7 +140,7 @@ def grouped_median(values: np.ndarray, group: np.ndarray, count: int) -> np.ndar
     known = size > 0
     size = size[known]
     longest = int(size.max(initial=0))
-    padded = longest * len(size) <= MOST_PADDED * len(group)
+    padded = longest * len(size) <= MAX_PADDED * len(group)
     first = np.arange(len(size)) * longest if padded else np.cumsum(size) - size
     order = np.argsort(group, kind="stable") if padded else None
     medians = np.zeros((count, *values.shape[1:]), values.dtype)

@@ -24,7 +24,7 @@ FALLOFF_TERMS = 2  # r² and r⁴ of the logarithm of the share of light
 _GAIN_DEVIATION, _FALLOFF_DEVIATION = 3.0, 0.1
 # Standard deviation of a code of a small calm area: rounding, JPEG, noise.
 CODE_NOISE = 1.0
-_FIRST_NOISE, _LEAST_NOISE = 0.02, 2e-3  # of the logarithm of radiance, in contrasts
+_FIRST_NOISE, _MIN_NOISE = 0.02, 2e-3  # of the logarithm of radiance, in contrasts
 # Neighbouring points share the errors of the model (gloss, mesh): about so many rows count as one.
 ROWS_PER_SAMPLE = 10.0
 
@@ -124,7 +124,7 @@ def _model_noise(error: np.ndarray, slopes: np.ndarray) -> float:
     if not len(error):
         return _FIRST_NOISE
     spread = deviation(error * slopes)
-    return float(np.sqrt(max(spread**2 - float(np.median(CODE_NOISE * slopes)) ** 2, _LEAST_NOISE**2)))
+    return float(np.sqrt(max(spread**2 - float(np.median(CODE_NOISE * slopes)) ** 2, _MIN_NOISE**2)))
 
 
 def usable(codes: np.ndarray) -> np.ndarray:

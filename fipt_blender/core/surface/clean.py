@@ -24,7 +24,7 @@ _ROUGH_SHARE = 0.75
 # reaches 0.010 in a scan with voxels of 2 cm, and 0.001 in modelled rooms.
 _ROUGHNESS = 0.004
 # A scan has at least so many triangles.
-_LEAST_TRIANGLES = 2000
+_MIN_TRIANGLES = 2000
 # Angles between neighbouring triangles that count as noise, as a multiple of their median.
 _NOISE_ANGLES = 2.5
 # Rounds of the filter before the planes are known; a few, because noise is averaged over patches then.
@@ -67,7 +67,7 @@ def noise_level(mesh: Mesh, normals: np.ndarray, areas: np.ndarray) -> tuple[flo
     Args:
         normals: (T, 3) unit normals. areas: (T,).
     """
-    if len(areas) < _LEAST_TRIANGLES:
+    if len(areas) < _MIN_TRIANGLES:
         return 0.0, 0.0
     deviation, edge = bumps(mesh, normals, areas, np.random.default_rng(0))
     if not len(edge) or not np.quantile(deviation / edge, 1.0 - _ROUGH_SHARE) > _ROUGHNESS:

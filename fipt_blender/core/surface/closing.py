@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .adjacency import NONE, Mesh
-from .holes import LEAST_AREA, LEAST_RIM, median_edge, rim_hole
+from .holes import MIN_AREA, MIN_RIM, median_edge, rim_hole
 
 # A loop is no hole but the rim of a surface if the triangles along it face away from what would close it:
 # mean cosine between the normals, -1 at the border of a flat speck, 1 at a hole in a wall.
@@ -27,7 +27,7 @@ SHAPE = 0.05
 LONGEST_EDGE = 1.7
 _REFINEMENTS, _RELAXATIONS = 8, 20
 # Most triangles around a vertex.
-_MOST_AROUND = 64
+_MAX_AROUND = 64
 # Numbers in an array of the dynamic programming.
 _CHUNK = 2_000_000
 
@@ -69,7 +69,7 @@ class _Loop:
 def close_small_holes(mesh: Mesh, normals: np.ndarray, most_edges: int) -> Closing:
     """Close the holes of a mesh that have at most so many edges.
 
-    A flat hole of more than `holes.LEAST_AREA` squared edges may be a window or a mirror and stays open:
+    A flat hole of more than `holes.MIN_AREA` squared edges may be a window or a mirror and stays open:
     photographs decide. So do larger holes, the rims of surfaces, and loops at triangles of other winding.
 
     Args:
@@ -94,7 +94,7 @@ def close_small_holes(mesh: Mesh, normals: np.ndarray, most_edges: int) -> Closi
     is_hole = np.add.reduceat(facing, first) >= RIM_COSINE * area * np.add.reduceat(length, first)
     edge = median_edge(mesh)
     large = size > most_edges
-    for index in np.flatnonzero(is_hole & ~large & (size >= LEAST_RIM) & (area >= LEAST_AREA * edge**2)):
+    for index in np.flatnonzero(is_hole & ~large & (size >= MIN_RIM) & (area >= MIN_AREA * edge**2)):
         rim = loops[index].vertices
         large[index] = rim_hole(mesh.vertices, np.stack([np.roll(rim, -1), rim], axis=1), edge) is not None
     small, left = is_hole & ~large, is_hole & large
@@ -161,7 +161,7 @@ def _following(mesh: Mesh, first: np.ndarray, open_edges: np.ndarray, single: np
     current = after[open_edges]
     vertex = first[current]
     turning = ~single[current]
-    for _ in range(_MOST_AROUND):
+    for _ in range(_MAX_AROUND):
         rows = np.flatnonzero(turning)
         if not len(rows):
             break

@@ -21,14 +21,14 @@ from .adjacency import NONE, Mesh
 # A rim is flat if it lies within so many edges of its plane (root mean square).
 FLATNESS = 1.0
 # Least area of a hole, in squared edges: those of smaller ones are details that were lost.
-LEAST_AREA = 100.0
+MIN_AREA = 100.0
 # Fewer edges are no rim.
-LEAST_RIM = 12
+MIN_RIM = 12
 # A pane lies so many edges behind its rim, and extends under it by so many cells, so that no ray passes
 # between both.
 SET_BACK, OVERLAP = 0.5, 2
 # Most cells of a pane along an axis.
-MOST_CELLS = 500
+MAX_CELLS = 500
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def rim_hole(vertices: np.ndarray, ends: np.ndarray, edge: float) -> FlatHole | 
     Args:
         ends: (E, 2) vertices of its edges, in the direction of the triangles at them.
     """
-    if len(ends) < LEAST_RIM:
+    if len(ends) < MIN_RIM:
         return None
     corners = vertices[ends]
     centre = corners[:, 0].mean(axis=0)
@@ -119,14 +119,14 @@ def rim_hole(vertices: np.ndarray, ends: np.ndarray, edge: float) -> FlatHole | 
         return None
     # The border of a surface runs counter-clockwise around the surface, and clockwise around a hole in it.
     enclosed = 0.5 * float(_cross(local[:, 0, :2], local[:, 1, :2]).sum())
-    if abs(enclosed) < LEAST_AREA * edge**2:
+    if abs(enclosed) < MIN_AREA * edge**2:
         return None
     if enclosed > 0.0:
         axes = axes * [[1.0], [-1.0], [-1.0]]
         local = local * [1.0, -1.0, -1.0]
     low, high = local[..., :2].min(axis=(0, 1)), local[..., :2].max(axis=(0, 1))
     columns, rows = np.ceil((high - low) / edge).astype(int) + 1
-    if max(rows, columns) > MOST_CELLS:
+    if max(rows, columns) > MAX_CELLS:
         return None
     inside = _inside(local[..., :2] - low, edge, (rows, columns))
     return FlatHole(centre, axes, low, edge, inside)

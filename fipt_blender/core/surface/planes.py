@@ -24,7 +24,7 @@ PATCH_COSINE, TRIANGLE_COSINE = 0.985, 0.7
 # The flatness of a patch that starts or joins a plane, in units of the noise.
 FLAT = 2.0
 # Patches of a plane, at least.
-LEAST_PATCHES = 4
+MIN_PATCHES = 4
 # A plane follows one that is larger by this factor, and that has the area of so many patches.
 LARGER, GUIDE_PATCHES = 2.0, 20.0
 # Width of patches, in edges of the mesh.
@@ -129,7 +129,7 @@ def _grow(patches: Moments, facing: np.ndarray, touching: csr_array, noise: floa
         if region[seed] != NONE:
             continue
         members = _region_of(seed, patches, own, flat & (region == NONE), touching, noise)
-        if len(members) >= LEAST_PATCHES:
+        if len(members) >= MIN_PATCHES:
             region[members] = number
             number += 1
     return region

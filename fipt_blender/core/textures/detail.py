@@ -44,7 +44,7 @@ from .texels import Texels
 # cells is the estimate's.
 CELL = 2.5
 # By which factor the low frequencies of a view are corrected at most.
-MOST_GAIN = 4.0
+MAX_GAIN = 4.0
 # Texels in a block that is culled as a whole.
 BLOCK = 1 << 12
 # Least number of texels of a part that two views saw, from which its noise is known.
@@ -293,7 +293,7 @@ def with_low_frequencies(seen: Seen, texels: Texels, cells: SmoothingGrid) -> np
     estimate = texels.base_color[seen.texel]
     smooth = cells.smooth(seen.texel, position, seen.weight, np.concatenate([seen.color, estimate], axis=1))
     ratio = smooth[:, 3:] / np.maximum(smooth[:, :3], 1e-4)
-    return seen.color * np.clip(ratio, 1.0 / MOST_GAIN, MOST_GAIN)
+    return seen.color * np.clip(ratio, 1.0 / MAX_GAIN, MAX_GAIN)
 
 
 @dataclass

@@ -22,11 +22,11 @@ from ..pixels.camera_rays import opaque_vector
 from ..surface.room import Room
 from .texels import Texels
 
-LEAST_COSINE = 0.17  # of the angle between normal and view, below which texels are stretched too much
+MIN_COSINE = 0.17  # of the angle between normal and view, below which texels are stretched too much
 MARGIN = 1.0  # pixels around a texel in which its surface must be seen: blur mixes neighbours
 PLANE = 0.4  # distance from a texel's plane that still is its surface, in widths of a pixel of light
-LEAST_NORMAL = 0.8  # least cosine between a texel's normal and that of a pixel of light beside it
-LEAST_MATCH = 0.3  # least share of the weight of the 3 x 3 pixels of light that sees the texel's surface
+MIN_NORMAL = 0.8  # least cosine between a texel's normal and that of a pixel of light beside it
+MIN_MATCH = 0.3  # least share of the weight of the 3 x 3 pixels of light that sees the texel's surface
 # Error of L_d where it slopes evenly, as a share of its change in a pixel of light: an edge within a pixel is
 # an even slope, too.
 SLOPE_ERROR = 0.4
@@ -187,7 +187,7 @@ def _see(
     cosine = -dr.dot(points.normal, along) / dr.norm(along)
     normal = dr.select(cosine < 0.0, -points.normal, points.normal)
     cosine = dr.abs(cosine)
-    seen &= cosine > LEAST_COSINE
+    seen &= cosine > MIN_COSINE
 
     # Shadings of the 3 x 3 pixels of light around it that see its surface, by quadratic B-splines
     light_width, light_height = opaque(light.view.width), opaque(light.view.height)
@@ -207,7 +207,7 @@ def _see(
             facing = dr.gather(mi.Vector3f, light.normal, pixel, seen)
             same = seen & (dr.gather(mi.Int32, light.part, pixel, seen) == points.part)
             same &= dr.abs(dr.dot(place - points.position, normal)) < reach
-            same &= dr.dot(facing, normal) > LEAST_NORMAL
+            same &= dr.dot(facing, normal) > MIN_NORMAL
             weight = _spline(lx - (mi.Float(column + dx) + 0.5)) * _spline(ly - (mi.Float(row + dy) + 0.5))
             total += weight
             weight = dr.select(same, weight, 0.0)
@@ -223,7 +223,7 @@ def _see(
                     lobe = weight * (points.share if number else 1.0 - points.share)
                     s0 += lobe * dr.gather(mi.Color3f, light.specular, step, same)
                     s1 += lobe * dr.gather(mi.Color3f, light.specular, step + 1, same)
-    seen &= matched > LEAST_MATCH * total
+    seen &= matched > MIN_MATCH * total
     scale = dr.select(seen, 1.0 / matched, 0.0)
     slope, offset = color_line(diffuse * scale, s0 * scale, s1 * scale, points.metallic)
     error = _unresolved(shades, dr.mean(diffuse) * scale)
