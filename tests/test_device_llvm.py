@@ -29,7 +29,7 @@ def make_library(folder: Path, name: str) -> Path:
 
 
 def fake_python(folder: Path, script: str) -> Path:
-    """An interpreter that records each start and then runs a shell script."""
+    """An interpreter that records each start, with the LLVM that it was given, and then runs a shell script."""
     folder.mkdir(parents=True, exist_ok=True)
     python = folder / "python"
     python.write_text(f'#!/bin/sh\necho "$DRJIT_LIBLLVM_PATH" >> "{folder}/starts"\n{script}\n')
@@ -43,8 +43,10 @@ def starts(python: Path) -> list[str]:
 
 
 @pytest.fixture
-def no_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither the system nor a variable names a library."""
+def no_other(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Neither the system nor a variable names a library; the environment and the cache are empty."""
+    monkeypatch.setattr(llvm.sys, "prefix", str(tmp_path))
+    monkeypatch.setenv("FIPT_CACHE", str(tmp_path / "cache"))
     monkeypatch.delenv(llvm.LLVM_VARIABLE, raising=False)
     monkeypatch.setattr(llvm, "system_patterns", lambda: iter([]))
 
@@ -75,24 +77,25 @@ def test_named_library_and_own_folder_lead(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(llvm, "system_patterns", lambda: iter([(tmp_path / "system", "libLLVM*")]))
     monkeypatch.setattr(llvm.sys, "platform", "linux")
     monkeypatch.setenv(llvm.LLVM_VARIABLE, str(named))
-    candidates = llvm.llvm_candidates(tmp_path / "env" / "bin" / "python")
-    assert candidates == [named, own, system]
+    monkeypatch.setattr(llvm.sys, "prefix", str(tmp_path / "env"))
+    assert llvm.llvm_candidates() == [named, own, system]
     assert llvm.companions(system) == []
 
 
 @linux
 @pytest.mark.usefixtures("no_other")
-def test_aborting_library_is_survived_and_the_next_one_taken(tmp_path: Path) -> None:
+def test_aborting_library_is_survived_and_the_next_one_taken(tmp_path: Path, monkeypatch) -> None:
     bad = make_library(tmp_path / "lib", "libLLVM.so.20.1")
     good = make_library(tmp_path / "lib", "libLLVM.so.19.1")
     abort = 'case "$DRJIT_LIBLLVM_PATH" in *20.1) kill -ABRT $$;; esac'
     python = fake_python(tmp_path / "bin", f"echo {probe.IMPORTED}; {abort}; echo {probe.PASSED}")
-    assert llvm.find_llvm(python, tmp_path / "cache") == good
+    monkeypatch.setattr(llvm.sys, "executable", str(python))
+    assert llvm.find_llvm() == good
     assert starts(python) == [str(bad), str(good)]
-    assert llvm.find_llvm(python, tmp_path / "cache") == good
+    assert llvm.find_llvm() == good
     assert len(starts(python)) == 2, "verdicts are remembered"
     os.utime(good, ns=(1, 1))
-    llvm.find_llvm(python, tmp_path / "cache")
+    llvm.find_llvm()
     assert starts(python)[2:] == [str(good)], "a changed library is tried again"
 
 
@@ -101,8 +104,9 @@ def test_aborting_library_is_survived_and_the_next_one_taken(tmp_path: Path) -> 
 def test_no_working_library_names_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bad = make_library(tmp_path / "lib", "libLLVM.so.18.1")
     python = fake_python(tmp_path / "bin", f"echo {probe.IMPORTED}; kill -ABRT $$")
+    monkeypatch.setattr(llvm.sys, "executable", str(python))
     monkeypatch.setattr(llvm.platform, "freedesktop_os_release", lambda: {"ID": "debian"})
-    caught = error_of(llvm.find_llvm, python, tmp_path / "cache")
+    caught = error_of(llvm.find_llvm)
     assert caught.code == "llvm-missing"
     assert str(bad) in caught.text and "signal 6" in caught.text
     assert "apt-get install libllvm19" in caught.remedy
@@ -110,25 +114,27 @@ def test_no_working_library_names_the_remedy(tmp_path: Path, monkeypatch: pytest
     bad.write_bytes(b"another")
     python = fake_python(tmp_path / "bin", f"echo {probe.IMPORTED}; kill -KILL $$")
     for count in (2, 3):
-        assert "signal 9" in str(error_of(llvm.find_llvm, python, tmp_path / "cache"))
+        assert "signal 9" in str(error_of(llvm.find_llvm))
         assert len(starts(python)) == count
     python = fake_python(tmp_path / "bin", 'echo "ModuleNotFoundError: No module named mitsuba"; exit 1')
-    assert error_of(llvm.find_llvm, python, tmp_path / "cache").code == "package-missing"
+    assert error_of(llvm.find_llvm).code == "package-missing"
 
 
-def test_unusable_cache_costs_nothing_but_time(tmp_path: Path) -> None:
+def test_unusable_cache_costs_nothing_but_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("no folder")
-    assert llvm.remembered("key", lambda: llvm.Verdict(True, ""), blocked).works
+    monkeypatch.setenv("FIPT_CACHE", str(blocked))
+    assert llvm.remembered("key", lambda: llvm.Verdict(True, "")).works
+    monkeypatch.setenv("FIPT_CACHE", str(tmp_path))
     (tmp_path / "devices.json").write_text("{damaged")
-    assert llvm.remembered("key", lambda: llvm.Verdict(True, ""), tmp_path).works
+    assert llvm.remembered("key", lambda: llvm.Verdict(True, "")).works
     assert json.loads((tmp_path / "devices.json").read_text())["key"]["works"] is True
 
 
 def test_real_library_is_found_and_wrong_ones_refused(tmp_path: Path) -> None:
-    library = llvm.find_llvm(PYTHON)
-    assert llvm.try_variant(PYTHON, "llvm_ad_rgb", library).works
-    verdict = llvm.try_variant(PYTHON, "llvm_ad_rgb", make_library(tmp_path, "libLLVM.so.19.1"))
+    library = llvm.find_llvm()
+    assert llvm.try_variant("llvm_ad_rgb", library).works
+    verdict = llvm.try_variant("llvm_ad_rgb", make_library(tmp_path, "libLLVM.so.19.1"))
     assert not verdict.works and verdict.reason
 
 

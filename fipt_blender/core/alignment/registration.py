@@ -15,7 +15,7 @@ from ..conventions import transform_points
 from ..robust import MAD_TO_DEVIATION
 from ..run.errors import FiptError
 from .surface import Surface
-from .turns import turn_by
+from .turns import moved_about
 
 MIN_POINTS = 50  # of a solve
 STEPS = 30  # of Gauss-Newton
@@ -74,9 +74,7 @@ def refine(points: np.ndarray, surface: Surface) -> Refined:
         hessian += (1e-6 * np.trace(hessian) / 7.0 + 1e-12) * np.eye(7)
         change = np.linalg.solve(hessian, -(weighted @ off))
         scale = float(np.exp(np.clip(change[6], -GROWTH, GROWTH)))
-        motion = np.eye(4)
-        motion[:3, :3] = scale * turn_by(change[:3])
-        motion[:3, 3] = middle - motion[:3, :3] @ middle + extent * change[3:6]
+        motion = moved_about(middle, change[:3], extent * change[3:6], scale)
         similarity, moved, extent = motion @ similarity, transform_points(motion, moved), scale * extent
     distance = surface.nearest(moved)[0]
     return Refined(similarity, float(np.median(distance)), float((distance < NEAR * extent).mean()))

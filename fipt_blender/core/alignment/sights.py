@@ -14,7 +14,7 @@ import numpy as np
 
 from ..run.errors import FiptError
 from .pairs import MIN_PAIRS, MIRRORED, PairFit, fit_pairs
-from .turns import cross_matrix, even_turns, turn_by
+from .turns import cross_matrix, even_turns, moved_about
 
 _TURNS = 1000  # rotations that are tried, about 25 degrees apart
 _MIN_NUMBERS = 7  # of a similarity; a ray gives two, a point three
@@ -167,7 +167,9 @@ def _improved(sights: Sights, target: np.ndarray, start: np.ndarray) -> tuple[np
     for _ in range(40):
         normal, slope = matrix.T @ matrix, matrix.T @ residual
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-9), -slope)
-        tried = _moved(step, points, current)
+        middle = points.mean(axis=0) @ current[:3, :3].T + current[:3, 3]
+        growth = float(np.exp(np.clip(step[6], -1.0, 1.0)))
+        tried = moved_about(middle, step[:3], step[3:6], growth) @ current
         new_residual, new_matrix = _angles(sights, points, tried)
         if new_residual @ new_residual < residual @ residual:
             current, residual, matrix, damping = tried, new_residual, new_matrix, 0.3 * damping
@@ -198,12 +200,3 @@ def _angles(sights: Sights, points: np.ndarray, similarity: np.ndarray) -> tuple
     columns = np.concatenate([turns, shifts, arms[..., None]], axis=2)
     residual = weights[:, None] * sights.beside(positions)
     return residual.reshape(-1), (weights[:, None, None] * (projectors @ columns)).reshape(-1, 7)
-
-
-def _moved(step: np.ndarray, points: np.ndarray, similarity: np.ndarray) -> np.ndarray:
-    """The similarity after a turn, shift and growth (7,) about the middle of the mapped points."""
-    middle = points.mean(axis=0) @ similarity[:3, :3].T + similarity[:3, 3]
-    change = np.eye(4)
-    change[:3, :3] = np.exp(np.clip(step[6], -1.0, 1.0)) * turn_by(step[:3])
-    change[:3, 3] = middle - change[:3, :3] @ middle + step[3:6]
-    return change @ similarity

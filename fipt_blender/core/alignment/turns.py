@@ -50,6 +50,14 @@ def cross_matrix(vector: np.ndarray) -> np.ndarray:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+def moved_about(middle: np.ndarray, turn: np.ndarray, shift: np.ndarray, scale: float) -> np.ndarray:
+    """The similarity (4, 4) that turns by a vector (3,) and grows about a point (3,), then shifts (3,)."""
+    change = np.eye(4)
+    change[:3, :3] = scale * turn_by(turn)
+    change[:3, 3] = middle - change[:3, :3] @ middle + shift
+    return change
+
+
 def turn_by(vector: np.ndarray) -> np.ndarray:
     """The rotation (3, 3) about a vector (3,) by its length in radians (Rodrigues)."""
     angle = float(np.linalg.norm(vector))

@@ -10,7 +10,6 @@ import os
 import platform
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from ..run.errors import FiptError
 from ..run.messages import Reporter
@@ -47,13 +46,12 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     gpus = cuda_devices()  # all of them; afterwards only the chosen one is visible to this process
     if arguments.gpu:
         os.environ[VISIBLE_VARIABLE] = arguments.gpu
-    python = Path(sys.executable)
     llvm: str | None = None
     cuda: str | None = None
     if packages["mitsuba"] and packages["drjit"]:
         if arguments.device != "llvm":
-            cuda = find_cuda(python, gpus, arguments, reporter)
-        llvm = _find_llvm(python, cuda is not None, reporter)
+            cuda = find_cuda(gpus, arguments, reporter)
+        llvm = _find_llvm(cuda is not None, reporter)
     oidn = oidn_works()
     if not oidn:
         reporter.warning(
@@ -88,9 +86,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     )
 
 
-def find_cuda(
-    python: Path, gpus: Sequence[Gpu], arguments: argparse.Namespace, reporter: Reporter
-) -> str | None:
+def find_cuda(gpus: Sequence[Gpu], arguments: argparse.Namespace, reporter: Reporter) -> str | None:
     """Name of the GPU that the engine can use, or None; warns if there is one that it can't use."""
     chosen = [gpu for gpu in gpus if arguments.gpu in ("", gpu.uuid)]
     if gpus and not chosen:
@@ -109,7 +105,7 @@ def find_cuda(
         return None
     name = chosen[0].name
     try:
-        verdict = cuda_verdict(python)
+        verdict = cuda_verdict()
     except FiptError as error:
         reporter.warning(error.code, error.text, error.remedy)
         return None
@@ -129,10 +125,10 @@ def find_cuda(
     return name
 
 
-def _find_llvm(python: Path, has_gpu: bool, reporter: Reporter) -> str | None:
+def _find_llvm(has_gpu: bool, reporter: Reporter) -> str | None:
     """Path of an LLVM that works, or None; warns, unless a GPU is used and LLVM is simply missing."""
     try:
-        return str(find_llvm(python))
+        return str(find_llvm())
     except FiptError as error:
         if not has_gpu or error.code != "llvm-missing":
             reporter.warning(error.code, error.text, error.remedy)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Finding an LLVM with which Mitsuba's CPU variants work. Each candidate is tried in a child process.
+"""Finding an LLVM with which Mitsuba's CPU variants work. Each candidate is tried in a process of its own.
 
 Dr.Jit takes the first libLLVM that the loader finds, and many of them abort the process (LLVM 14 to 16 on
 CPUs with AVX-512). Verdicts are cached, so that only the first start on a machine takes the time of a trial.
@@ -56,16 +56,6 @@ def cache_folder() -> Path:
     return base / "fipt_blender"
 
 
-def environment_folder(python: Path) -> Path:
-    """The folder of the environment of an interpreter (``sys.prefix`` in a virtual environment)."""
-    return python.parent.parent if python.parent.name in ("bin", "Scripts") else python.parent
-
-
-def private_folder(python: Path) -> Path:
-    """The folder of an environment's own LLVM and of the libraries that this LLVM needs."""
-    return environment_folder(python) / "llvm"
-
-
 def system_patterns() -> Iterator[tuple[Path, str]]:
     """Where LLVM is usually installed, as (folder, glob pattern)."""
     if sys.platform == "win32":
@@ -113,19 +103,19 @@ def order_candidates(libraries: Sequence[Path]) -> list[Path]:
     return sorted(unique, key=rank)
 
 
-def llvm_candidates(python: Path) -> list[Path]:
+def llvm_candidates() -> list[Path]:
     """All LLVM libraries to try, best first.
 
-    The first is the one that the user names in DRJIT_LIBLLVM_PATH; then come those of the environment, then
-    those of the system.
+    The first is the one that the user names in DRJIT_LIBLLVM_PATH; then come those of this environment, in
+    its folder "llvm" with the libraries that they need or in "lib", then those of the system.
     """
     preferred: list[Path] = []
     if named := os.environ.get(LLVM_VARIABLE):
         preferred += [path for path in [Path(named)] if path.is_file()]
     names = {"win32": "LLVM-C*.dll", "darwin": "libLLVM*.dylib"}.get(sys.platform, "libLLVM*.so*")
     in_environment: list[Path] = []
-    for folder in (private_folder(python), environment_folder(python) / "lib"):
-        in_environment += folder.glob(names)
+    for folder in ("llvm", "lib"):
+        in_environment += Path(sys.prefix, folder).glob(names)
     preferred += order_candidates(in_environment)
     system = [path for base, pattern in system_patterns() for path in base.glob(pattern)]
     return list(dict.fromkeys([path.resolve() for path in preferred] + order_candidates(system)))
@@ -141,26 +131,23 @@ def companions(library: Path) -> list[str]:
     return [str(path) for path in sorted(library.parent.iterdir()) if not path.name.startswith("libLLVM")]
 
 
-def try_variant(python: Path, variant: str, library: Path | None = None) -> Verdict:
-    """Run the workload of :mod:`.probe` in a child process of an interpreter.
+def try_variant(variant: str, library: Path | None = None) -> Verdict:
+    """Run the workload of :mod:`.probe` in a child process.
 
     Args:
-        python: interpreter with Mitsuba.
         variant: ``"llvm_ad_rgb"`` or ``"cuda_ad_rgb"``.
         library: the LLVM to use.
 
     Raises:
-        FiptError: ``package-missing`` if Mitsuba can't be imported, ``engine-missing`` if the interpreter
-            can't be started.
+        FiptError: ``package-missing`` if Mitsuba can't be imported.
     """
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     libraries: list[str] = []
     if library is not None:
         environment[LLVM_VARIABLE] = str(library)
         libraries = companions(library)
-    same = _is_this_interpreter(python)
-    paths = [entry for entry in sys.path if Path(entry).is_absolute()] if same else []
-    command = [str(python), "-I", probe.__file__, variant, json.dumps(paths), json.dumps(libraries)]
+    paths = [entry for entry in sys.path if Path(entry).is_absolute()]
+    command = [sys.executable, "-I", probe.__file__, variant, json.dumps(paths), json.dumps(libraries)]
     with tempfile.TemporaryFile() as log:
         try:
             status = subprocess.run(
@@ -174,18 +161,12 @@ def try_variant(python: Path, variant: str, library: Path | None = None) -> Verd
             ).returncode
         except subprocess.TimeoutExpired:
             return Verdict(False, f"no answer within {PROBE_SECONDS:.0f} seconds", lasting=False)
-        except OSError as error:
-            raise FiptError(
-                "engine-missing",
-                f"The engine's Python {python} can't be started ({error}).",
-                "Choose another interpreter, or set up the engine again.",
-            ) from None
         log.seek(0)
         output = log.read().decode("utf-8", "replace")
     if probe.IMPORTED not in output:
         raise FiptError(
             "package-missing",
-            f"Mitsuba can't be imported by {python} ({_reason(output) or f'exit status {status}'}).",
+            f"Mitsuba can't be imported by {sys.executable} ({_reason(output) or f'exit status {status}'}).",
             "Set up the engine again.",
         )
     if status == 0 and probe.PASSED in output:
@@ -196,12 +177,12 @@ def try_variant(python: Path, variant: str, library: Path | None = None) -> Verd
     return Verdict(False, _reason(output) or f"exit status {status}")
 
 
-def remembered(key: str, trial: Callable[[], Verdict], cache: Path | None = None) -> Verdict:
+def remembered(key: str, trial: Callable[[], Verdict]) -> Verdict:
     """The cached verdict for a key, or else the verdict of the trial, which is then cached.
 
     A cache that can't be read or written only costs time.
     """
-    file = (cache or cache_folder()) / "devices.json"
+    file = cache_folder() / "devices.json"
     verdicts = optional_document(file, dict[str, Verdict]) or {}
     if key in verdicts:
         return verdicts[key]
@@ -213,36 +194,23 @@ def remembered(key: str, trial: Callable[[], Verdict], cache: Path | None = None
     return verdict
 
 
-def package_key(python: Path) -> str:
+def package_key() -> str:
     """Key of what a verdict depends on besides the library: machine, Mitsuba and Dr.Jit."""
-    if _is_this_interpreter(python):
-        versions = [importlib.metadata.version(name) for name in ("mitsuba", "drjit")]
-    else:
-        site = environment_folder(python)
-        patterns = ("lib/python*/site-packages/*.dist-info", "Lib/site-packages/*.dist-info")
-        infos = [info for pattern in patterns for info in site.glob(pattern)]
-        versions = sorted(info.name for info in infos if info.name.split("-")[0] in ("mitsuba", "drjit"))
-        versions = [name.removesuffix(".dist-info").partition("-")[2] for name in reversed(versions)]
+    versions = [importlib.metadata.version(name) for name in ("mitsuba", "drjit")]
     return "|".join([platform.node(), platform.machine(), *versions])
 
 
-def find_llvm(python: Path, cache: Path | None = None) -> Path:
-    """The best LLVM that works with an interpreter's Mitsuba.
-
-    Args:
-        python: the engine's interpreter.
-        cache: folder of the cached verdicts; None: ``cache_folder()``.
+def find_llvm() -> Path:
+    """The best LLVM that works with Mitsuba.
 
     Raises:
-        FiptError: ``llvm-missing``, which says what to install, ``package-missing``, ``engine-missing``.
+        FiptError: ``llvm-missing``, which says what to install, or ``package-missing``.
     """
     failures: list[str] = []
-    machine = None
-    for library in llvm_candidates(python):
-        machine = machine or package_key(python)
+    for library in llvm_candidates():
         status = library.stat()
-        key = f"{machine}|{library}|{status.st_mtime_ns}|{status.st_size}"
-        verdict = remembered(key, partial(try_variant, python, "llvm_ad_rgb", library), cache)
+        key = f"{package_key()}|{library}|{status.st_mtime_ns}|{status.st_size}"
+        verdict = remembered(key, partial(try_variant, "llvm_ad_rgb", library))
         if verdict.works:
             return library
         failures.append(f"{library} ({verdict.reason})")
@@ -280,10 +248,6 @@ def _os_release() -> dict[str, str]:
         return platform.freedesktop_os_release()
     except OSError:
         return {}
-
-
-def _is_this_interpreter(python: Path) -> bool:
-    return os.path.normcase(python) == os.path.normcase(sys.executable)
 
 
 def _reason(output: str) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import sys
-from pathlib import Path
 
 from ..run.errors import FiptError
 from .cuda import VISIBLE_VARIABLE, cuda_driver_version
@@ -37,17 +36,16 @@ def set_variant(device: str = "auto") -> str:
     current = _current_variant()
     if current is not None and (device == "auto" or current == VARIANTS[device]):
         return current
-    python = Path(sys.executable)
     if device == "auto":
-        device = "cuda" if cuda_verdict(python).works else "llvm"
-    elif device == "cuda" and not (verdict := cuda_verdict(python)).works:
+        device = "cuda" if cuda_verdict().works else "llvm"
+    elif device == "cuda" and not (verdict := cuda_verdict()).works:
         raise FiptError(
             "cuda-missing",
             f"CUDA was chosen but does not work on this machine: {verdict.reason}.",
             "Install NVIDIA's driver (with OptiX), or choose the device 'auto' or 'llvm'.",
         )
     if device == "llvm":
-        library = find_llvm(python)
+        library = find_llvm()
         if "mitsuba" in sys.modules and os.environ.get(LLVM_VARIABLE) != str(library):
             raise RuntimeError("Mitsuba was imported before set_variant, so that Dr.Jit uses another LLVM")
         os.environ[LLVM_VARIABLE] = str(library)
@@ -66,14 +64,14 @@ def torch_device() -> str:
     return "cuda" if cuda else "cpu"
 
 
-def cuda_verdict(python: Path) -> Verdict:
+def cuda_verdict() -> Verdict:
     """Whether Mitsuba's CUDA variant works here; if there is a driver, it is tried in a child process."""
     driver = cuda_driver_version()
     if driver is None:
         return Verdict(False, "this machine has no NVIDIA driver with a GPU")
     visible = os.environ.get(VISIBLE_VARIABLE, "")
-    key = f"{package_key(python)}|cuda|{driver}|{visible}"
-    return remembered(key, lambda: try_variant(python, VARIANTS["cuda"]))
+    key = f"{package_key()}|cuda|{driver}|{visible}"
+    return remembered(key, lambda: try_variant(VARIANTS["cuda"]))
 
 
 def _current_variant() -> str | None:
