@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..robust import student_weights
+from ..robust import student_weights, without_means
 
 # Expected albedo and its standard deviation (of the logarithm): broad, as rooms are dark or light as a whole;
 # the highest albedo, and its deviation; the deviation of a known albedo.
@@ -54,16 +54,11 @@ def without_albedo(
         )
         mean = pull / np.maximum(of_points, 1e-12)
         expected, precision = _expected_albedo(albedo, known, samples)
-        total = of_points + precision
-        albedo = (pull + precision * expected) / total
-    sums = np.stack([np.bincount(group, weight * column, size) for column in jacobian.T], axis=1)
-    mean = sums / total[:, None]
-    return AlbedoRows(
-        np.concatenate([residual - albedo[group], expected - albedo]),
-        np.concatenate([jacobian - mean[group], -mean]),
-        np.concatenate([weight, precision]),
-        albedo,
-    )
+        albedo = (pull + precision * expected) / (of_points + precision)
+    every, weight = np.concatenate([group, np.arange(size)]), np.concatenate([weight, precision])
+    residual = without_means(np.concatenate([residual, expected]), every, weight)
+    jacobian = np.concatenate([jacobian, np.zeros((size, jacobian.shape[1]))])
+    return AlbedoRows(residual, without_means(jacobian, every, weight), weight, albedo)
 
 
 def _expected_albedo(

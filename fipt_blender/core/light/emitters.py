@@ -14,7 +14,7 @@ import numpy as np
 
 from ..optics.lights import LUMINANCE, EmitterTable
 from ..parts.components import graph_components
-from ..pixels.grouped import grouped_weighted_median
+from ..pixels.grouped import grouped_sums, grouped_weighted_median
 from ..pixels.store import PixelStore
 from ..surface.adjacency import weld
 from ..surface.room import Room
@@ -210,19 +210,15 @@ def bright_triangles(
 
     They affect the variance only, never the expectation.
     """
-    number = np.zeros((2, len(room.triangles)))
-    sums = np.zeros((2, 3, len(room.triangles)))
+    sums = np.zeros((2 * len(room.triangles), 4))
     for start in range(0, len(triangle), CHUNK):
         rows = slice(start, start + CHUNK)
-        seen = np.asarray(triangle[rows]) >= 0
-        for side in range(2):
-            chosen = np.flatnonzero(seen & (front[rows] != bool(side)))
-            on = triangle[rows][chosen]
-            np.add.at(number[side], on, 1.0)
-            for channel in range(3):
-                np.add.at(sums[side, channel], on, radiance[rows][chosen, channel].astype(np.float64))
-    sides = (sums / np.maximum(number, 1.0)[:, None]).transpose(0, 2, 1)
-    light = np.maximum(sides[0] @ LUMINANCE, sides[1] @ LUMINANCE)
+        hit = np.flatnonzero(np.asarray(triangle[rows]) >= 0)
+        side = np.asarray(triangle[rows])[hit] * 2 + ~front[rows][hit]
+        sums += grouped_sums(np.insert(radiance[rows][hit], 3, 1.0, axis=1), side, len(sums))
+    means = sums[:, :3] / np.maximum(sums[:, 3:], 1.0)
+    sides = means[0::2], means[1::2]
+    light = np.maximum(*(side @ LUMINANCE for side in sides))
     seen = light > 0
     mean = float(np.average(light[seen], weights=room.areas[seen])) if (room.areas * seen).sum() > 0 else 0.0
     bright = np.flatnonzero(light > BRIGHT * mean) if mean > 0 else np.zeros(0, np.int64)

@@ -10,8 +10,9 @@ known.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -68,20 +69,6 @@ class PathStep(NamedTuple):
     active: mi.Bool
 
 
-class RadianceSource(Protocol):
-    """Incident radiance for the baking kernel, one surface of the path at a time."""
-
-    offset: float  # metres by which a ray starts above a surface
-
-    def intersect(self, ray: mi.Ray3f, active: mi.Bool) -> Surface:
-        """First surface along the ray."""
-
-    def step(
-        self, path: Path, direction: mi.Vector3f, hit: Surface, rng: mi.PCG32, active: mi.Bool
-    ) -> PathStep:
-        """Add the radiance that leaves `hit` against `direction`, and choose the next direction."""
-
-
 class OutsideRadiance:
     """Radiance of rays that leave the mesh: by direction, or by place on the hull where that is inferred."""
 
@@ -130,7 +117,35 @@ class OutsideRadiance:
         return mi.UInt32(flat) * 6 + 2 * side + dr.select(component > 0.0, mi.UInt32(1), 0)
 
 
-class CachedRadiance:
+class RadianceSource(ABC):
+    """Incident radiance for the baking kernel, one surface of the path at a time.
+
+    Attributes:
+        offset: metres by which a ray starts above a surface.
+    """
+
+    def __init__(self, room: Room, environment: OutsideRadiance | None) -> None:
+        self._room, self._environment, self.offset = room, environment, room.offset
+        # Makes the room's arrays now: that is impossible while the baking loop is recorded.
+        room.intersect(mi.Ray3f([0, 0, 0], [0, 0, 1]))
+
+    def intersect(self, ray: mi.Ray3f, active: mi.Bool) -> Surface:
+        """First surface along the ray."""
+        return self._room.intersect(ray, active)
+
+    def _outside(self, origin: mi.Point3f, direction: mi.Vector3f, active: mi.Bool) -> mi.Color3f:
+        """Radiance of the environment; black without one."""
+        environment = self._environment
+        return mi.Color3f(0.0) if environment is None else environment.radiance(origin, direction, active)
+
+    @abstractmethod
+    def step(
+        self, path: Path, direction: mi.Vector3f, hit: Surface, rng: mi.PCG32, active: mi.Bool
+    ) -> PathStep:
+        """Add the radiance that leaves `hit` against `direction`, and choose the next direction."""
+
+
+class CachedRadiance(RadianceSource):
     """Stage 1: the cache at the first hit (paper Eq. 9), the environment where there is none.
 
     Args:
@@ -144,14 +159,8 @@ class CachedRadiance:
         environment: OutsideRadiance | None,
         lights: AreaLights | None = None,
     ) -> None:
-        self._room, self._cache, self._environment = room, cache, environment
-        self._lights = lights
-        self.offset = room.offset
-        _make_ready(room)
-
-    def intersect(self, ray: mi.Ray3f, active: mi.Bool) -> Surface:
-        """First surface along the ray."""
-        return self._room.intersect(ray, active)
+        super().__init__(room, environment)
+        self._cache, self._lights = cache, lights
 
     def step(
         self, path: Path, direction: mi.Vector3f, hit: Surface, rng: mi.PCG32, active: mi.Bool
@@ -164,7 +173,7 @@ class CachedRadiance:
             emits = self._lights.is_emitter(hit.triangle, met)
             cosine = -dr.dot(hit.geometric_normal, direction)
             found = dr.select(emits, self._lights.radiance(hit.triangle, cosine, emits), found)
-        escaped = _outside(self._environment, path.origin, direction, active & ~hit.valid)
+        escaped = self._outside(path.origin, direction, active & ~hit.valid)
         path.radiance = dr.select(active, dr.select(hit.valid, found, escaped), mi.Color3f(0.0))
         return PathStep(path, direction, mi.Bool(False))
 
@@ -187,7 +196,7 @@ class Vertex(NamedTuple):
     material: Material
 
 
-class TracedRadiance:
+class TracedRadiance(RadianceSource):
     """Stage 3: paths over surfaces with roughness up to `cache_roughness`, ending in emitters or the cache.
 
     Emitters are sampled at every vertex and combined with BRDF samples by the balance heuristic.
@@ -214,15 +223,9 @@ class TracedRadiance:
         cache_roughness: float,
         depth: int,
     ) -> None:
-        self._room, self._cache, self._materials, self._diffuse = room, cache, materials, diffuse
-        self._lights, self._environment = lights, environment
+        super().__init__(room, environment)
+        self._cache, self._materials, self._diffuse, self._lights = cache, materials, diffuse, lights
         self._cache_roughness, self._depth = cache_roughness, depth
-        self.offset = room.offset
-        _make_ready(room)
-
-    def intersect(self, ray: mi.Ray3f, active: mi.Bool) -> Surface:
-        """First surface along the ray."""
-        return self._room.intersect(ray, active)
 
     def step(
         self, path: Path, direction: mi.Vector3f, hit: Surface, rng: mi.PCG32, active: mi.Bool
@@ -232,7 +235,7 @@ class TracedRadiance:
 
         # ---------------------- Direct emission: R = L_e (Eq. 11) ----------------------
 
-        radiance = _outside(self._environment, path.origin, direction, active & ~hit.valid)
+        radiance = self._outside(path.origin, direction, active & ~hit.valid)
         active = active & hit.valid
         cosine = -dr.dot(hit.geometric_normal, direction)
         is_emitter = lights.is_emitter(hit.triangle, active)
@@ -311,15 +314,3 @@ class TracedRadiance:
         value = brdf.evaluate(wi, vertex.wo, *vertex.material)
         density = light.pdf + brdf.pdf(wi, vertex.wo, *vertex.material)
         return dr.select(usable, value * light.radiance / dr.maximum(density, 1e-20), mi.Color3f(0.0))
-
-
-def _make_ready(room: Room) -> None:
-    """Make the room's arrays now: that is impossible while the baking loop is recorded."""
-    room.intersect(mi.Ray3f([0, 0, 0], [0, 0, 1]))
-
-
-def _outside(
-    environment: OutsideRadiance | None, origin: mi.Point3f, direction: mi.Vector3f, active: mi.Bool
-) -> mi.Color3f:
-    """Radiance of the environment; black without one."""
-    return mi.Color3f(0.0) if environment is None else environment.radiance(origin, direction, active)
