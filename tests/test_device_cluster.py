@@ -22,7 +22,7 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.device import cluster
 from fipt_blender.core.estimate import command, training_stages
 from fipt_blender.core.material import training
-from fipt_blender.core.pixels.store import Tracing
+from fipt_blender.core.pixels.store import ViewFunction, trace_view
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder
@@ -107,7 +107,7 @@ def kill_a_busy_worker(address: str) -> str:
 def work_error(cluster_: LocalCluster, capture: SmallCapture, items: Iterable[View]) -> FiptError:
     """With what the work on views ends."""
     with cluster.workers_at(cluster_.scheduler_address) as workers:
-        return error_of(lambda: list(workers.map(Tracing(capture.room), items)))
+        return error_of(lambda: list(workers.map(ViewFunction(trace_view, (capture.room,)), items)))
 
 
 def test_a_cluster_finds_the_same_bits_though_a_worker_is_killed(

@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
 
 import drjit as dr
 import mitsuba as mi
@@ -16,23 +14,7 @@ from ..capture.views import View
 from ..run.per_view import LocalWorkers, Workers
 from ..surface.room import Room, Surface
 from .camera_rays import opaque_vector, trace_pixels
-from .store import LEFT_OUT, PixelStore
-
-
-@dataclass(frozen=True)
-class Marking:
-    """Work on views: which of their pixels are pure.
-
-    Attributes:
-        labels: (T,) int part of each triangle.
-    """
-
-    room: Room
-    labels: np.ndarray
-
-    def prepare(self) -> Callable[[View], np.ndarray]:
-        """The function that marks one view: (H * W,) bool."""
-        return partial(_pure, self.room, mi.Int32(self.labels.astype(np.int32)))
+from .store import LEFT_OUT, PixelStore, ViewFunction
 
 
 def mark_pure(
@@ -49,18 +31,19 @@ def mark_pure(
         progress: called with the share (0..1) that is done.
         workers: trace the views; this process where None.
     """
-    marked = (workers or LocalWorkers()).map(Marking(room, labels), store.views)
+    marked = (workers or LocalWorkers()).map(ViewFunction(_pure, (room, labels)), store.views)
     for done, (index, pure) in enumerate(marked, 1):
         rows = store.rows(index)
         store.pure[rows] = pure & (store.triangle[rows] != LEFT_OUT)
         progress(done / len(store.views))
 
 
-def _pure(room: Room, labels: mi.Int32, view: View) -> np.ndarray:
+def _pure(room: Room, labels: np.ndarray, view: View) -> np.ndarray:
     """(H * W,) bool, pixels whose corners see one part at similar positions and slopes, or the outside."""
     centre = trace_pixels(room, view)
     valid = centre.valid
-    here = dr.gather(mi.Int32, labels, centre.triangle, valid)
+    label_of = mi.Int32(labels.astype(np.int32))
+    here = dr.gather(mi.Int32, label_of, centre.triangle, valid)
     cosine = dr.abs(dr.dot(centre.normal, _toward(view, centre)))
     # Half a pixel's diagonal on the tangent plane, with a margin for curvature.
     pixel = centre.distance / dr.opaque(mi.Float, float(min(view.fx, view.fy)))
@@ -71,7 +54,7 @@ def _pure(room: Room, labels: mi.Int32, view: View) -> np.ndarray:
         outside &= ~corner.valid
         pure &= corner.valid & (dr.norm(corner.position - centre.position) < reach)
         pure &= dr.dot(corner.normal, centre.normal) > 0.8
-        pure &= dr.gather(mi.Int32, labels, corner.triangle, corner.valid) == here
+        pure &= dr.gather(mi.Int32, label_of, corner.triangle, corner.valid) == here
     return np.array(pure | outside)
 
 

@@ -199,14 +199,15 @@ class TracedView:
 
 
 @dataclass(frozen=True)
-class Tracing:
-    """Work on views: what their pixels see."""
+class ViewFunction:
+    """Work on views: a function of what all views share and of one view, which is the last argument."""
 
-    room: Room
+    function: Callable[..., Any]
+    shared: tuple[Any, ...]
 
-    def prepare(self) -> Callable[[View], TracedView]:
-        """The function that traces one view."""
-        return partial(trace_view, self.room)
+    def prepare(self) -> Callable[[Any], Any]:
+        """The function of one view."""
+        return partial(self.function, *self.shared)
 
 
 def trace_view(room: Room, view: View) -> TracedView:
@@ -241,7 +242,7 @@ def fill_pixels(
     luminances = []
     view_luminances = max(1, min(VIEW_LUMINANCES, LUMINANCES // max(len(store.views), 1)))
     mesh_seen = False
-    traced_views = (workers or LocalWorkers()).map(Tracing(room), store.views)
+    traced_views = (workers or LocalWorkers()).map(ViewFunction(trace_view, (room,)), store.views)
     for done, (index, traced) in enumerate(traced_views, 1):
         rows, view = store.rows(index), store.views[index]
         image = read_radiance(view.image).reshape(-1, 3)

@@ -25,7 +25,7 @@ from ..run.per_view import LocalWorkers, Workers
 from ..surface.room import Room
 from .fragments import OUTSIDE, Fragments, trace_fragments
 from .grouped import grouped_sums
-from .store import LEFT_OUT, NO_TRIANGLE, PixelStore
+from .store import LEFT_OUT, NO_TRIANGLE, PixelStore, ViewFunction
 
 # The expected radiance of a fragment is that of pure pixels of its surface within this distance in pixels, at
 # most this many of them.
@@ -62,22 +62,6 @@ class ViewPhotograph:
     pure: np.ndarray
 
 
-@dataclass(frozen=True)
-class Unmixing:
-    """Work on views: the radiance of the surface at the centre of each pixel.
-
-    Attributes:
-        labels: (T,) int surface of each triangle: its part, or its piece of the mesh where parts are unknown.
-    """
-
-    room: Room
-    labels: np.ndarray
-
-    def prepare(self) -> Callable[[ViewPhotograph], tuple[np.ndarray, np.ndarray]]:
-        """The function of one view: (H * W, 3) float32 radiance and (H * W,) float32 weights."""
-        return partial(_unmix_view, self.room, self.labels, mi.Int32(self.labels.astype(np.int32)))
-
-
 def unmix_pixels(
     store: PixelStore,
     room: Room,
@@ -88,7 +72,7 @@ def unmix_pixels(
     """Fill `store.own` and `store.weight`; needs the photographs and the pure pixels.
 
     Args:
-        labels: (T,) int surface of each triangle; see :class:`Unmixing`.
+        labels: (T,) int surface of each triangle: its part, or its piece of the mesh where parts are unknown.
         progress: called with the share (0..1) that is done.
         workers: unmix the views; this process where None.
     """
@@ -99,7 +83,7 @@ def unmix_pixels(
             arrays = store.radiance, store.position, store.triangle, store.pure
             yield ViewPhotograph(view, *(np.array(array[rows]) for array in arrays))
 
-    unmixed = (workers or LocalWorkers()).map(Unmixing(room, labels), views())
+    unmixed = (workers or LocalWorkers()).map(ViewFunction(_unmix_view, (room, labels)), views())
     for done, (index, (own, weight)) in enumerate(unmixed, 1):
         rows = store.rows(index)
         store.own[rows], store.weight[rows] = own, weight
@@ -119,11 +103,9 @@ def standard_error(own: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return model * np.sqrt(np.maximum(1.0 / np.maximum(weight, 1e-12) - 1.0, 0.0))
 
 
-def _unmix_view(
-    room: Room, labels: np.ndarray, device_labels: mi.Int32, photograph: ViewPhotograph
-) -> tuple[np.ndarray, np.ndarray]:
-    """See :meth:`Unmixing.prepare`."""
-    triangle = photograph.triangle
+def _unmix_view(room: Room, labels: np.ndarray, photograph: ViewPhotograph) -> tuple[np.ndarray, np.ndarray]:
+    """(H * W, 3) float32 radiance of the surface at each pixel's centre, and (H * W,) float32 weights."""
+    triangle, device_labels = photograph.triangle, mi.Int32(labels.astype(np.int32))
     label = np.where(triangle >= 0, labels[np.maximum(triangle, 0)], OUTSIDE)
     own = photograph.radiance.copy()
     weight = photograph.pure.astype(np.float32)
