@@ -9,7 +9,7 @@ import importlib.metadata
 import os
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from ..run.errors import FiptError
 from ..run.messages import Reporter
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     uuid and memory_gb of each), ``device`` (which one the setting chooses, or null), ``oidn``, ``cores``,
     ``memory_gb``, ``memory_free_gb``, ``ready``.
     """
-    packages = package_versions()
+    packages = package_versions(PACKAGES)
     missing = [name for name, version in packages.items() if version is None]
     for name in missing:
         reporter.warning("package-missing", f"The package {name} is missing.", _SET_UP_AGAIN)
@@ -145,10 +145,10 @@ def torch_has_cuda() -> bool:
         return False
 
 
-def package_versions() -> dict[str, str | None]:
-    """Version of each package that the engine needs, None if it is missing."""
+def package_versions(names: Iterable[str]) -> dict[str, str | None]:
+    """Version of each package, None if it is missing."""
     versions: dict[str, str | None] = {}
-    for name in PACKAGES:
+    for name in names:
         try:
             versions[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import importlib
-import importlib.metadata
 import platform
 import threading
 import time
@@ -20,6 +19,7 @@ import uuid
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -28,6 +28,7 @@ from ..run.extras import optional
 from ..run.method import method_digest
 from ..run.per_view import Item, LocalWorkers, Result, ViewWork, Workers
 from ..run.runfolder import PRODUCT_VERSION
+from .check import package_versions
 from .variant import VARIANTS, set_variant
 
 if TYPE_CHECKING:
@@ -54,13 +55,13 @@ class Needs:
         product: version of fipt_blender.
         method: digest of the engine's source code (:func:`method_digest`).
         device: ``"llvm"`` or ``"cuda"``.
-        packages: version by name.
+        packages: version by name, None where one is missing.
     """
 
     product: str
     method: str
     device: str
-    packages: dict[str, str]
+    packages: dict[str, str | None]
 
 
 @contextmanager
@@ -162,7 +163,7 @@ class ClusterWorkers:
 
         device = next(name for name, variant in VARIANTS.items() if variant == mitsuba.variant())
         self._client = client
-        self._needs = Needs(PRODUCT_VERSION, method_digest(), device, _versions())
+        self._needs = Needs(PRODUCT_VERSION, method_digest(), device, package_versions(_PACKAGES))
 
     def map(self, work: ViewWork[Item, Result], items: Iterable[Item]) -> Iterator[tuple[int, Result]]:
         """See :class:`per_view.Workers`.
@@ -183,7 +184,8 @@ class ClusterWorkers:
         try:
             while True:
                 # Two views for each worker, so that none waits for its next one.
-                for index, item in _take(remaining, 2 * max(1, self._count()) - len(pending)):
+                free = max(0, 2 * max(1, self._count()) - len(pending))
+                for index, item in islice(remaining, free):
                     arguments = (self._needs, stage_key, stage, serialize_bytes(item))
                     pending[self._client.submit(_work_on, *arguments, key=f"{name}-{index}")] = index
                 if not pending:
@@ -231,15 +233,6 @@ class ClusterWorkers:
                     "Start workers as described in docs/cluster.md and resume the run. If there were "
                     "workers before, their logs show why they ended.",
                 )
-
-
-def _take(remaining: Iterator[tuple[int, Item]], count: int) -> Iterator[tuple[int, Item]]:
-    """Yield up to `count` of the remaining items."""
-    for _ in range(count):
-        try:
-            yield next(remaining)
-        except StopIteration:
-            return
 
 
 @contextmanager
@@ -295,17 +288,6 @@ def _unfit(subject: str, error: Exception) -> FiptError:
     )
 
 
-def _versions() -> dict[str, str]:
-    """Version of each package of `_PACKAGES`, "none" if it is missing."""
-    versions = {}
-    for name in _PACKAGES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = "none"
-    return versions
-
-
 # Functions that run in the workers
 
 
@@ -333,7 +315,7 @@ def _check(needs: Needs) -> None:
     Raises:
         FiptError: ``cluster-worker-unfit``.
     """
-    here = Needs(PRODUCT_VERSION, method_digest(), needs.device, _versions())
+    here = Needs(PRODUCT_VERSION, method_digest(), needs.device, package_versions(_PACKAGES))
     reason = "" if here == needs else f"it has {_text(here)}, but the run has {_text(needs)}"
     try:
         if not reason:
