@@ -51,7 +51,7 @@ def scene(scene, monkeypatch):
     def with_parts(run, fields):
         room, names = read_room_files(run)
         parts = read_parts(run, room["triangle_object"], names.objects)
-        return real(run, PlacedFields(), ranges=bake.PartRanges(parts))
+        return real(run, PlacedFields(), parts=parts)
 
     monkeypatch.setattr(bake, "bake", with_parts)
     return scene
