@@ -15,38 +15,6 @@ from fipt_blender.blend.results.write_back_nodes import agree_with_model
 from fipt_blender.core.textures import write_back
 
 
-def columns(a, sigma, m, cosine):
-    each = np.meshgrid(a, sigma, m, cosine, indexing="ij")
-    return np.repeat(each[0].reshape(-1, 1), 3, axis=1), *(axis.ravel() for axis in each[1:])
-
-
-@pytest.mark.parametrize("masking", write_back.MASKINGS)
-def test_the_correction_is_exact_for_greys_and_never_negative(masking):
-    base_color, sigma, m, cosine = columns(
-        np.linspace(0, 1, 5), np.linspace(0, 1, 9), (0, 0.5, 1), np.linspace(0, 1, 11)
-    )
-    share, diffuse = write_back.correction(base_color, sigma, m, cosine, masking)
-    assert share.min() >= 0.0 and share.max() <= 1.0
-    assert diffuse.min() >= 0.0 and (diffuse <= base_color).all()
-    f = {name: values[:, None] for name, values in write_back.table(masking).at(cosine, sigma).items()}
-    metal = m[:, None]
-    principled = (1.0 - metal) * (base_color * f["t"] + f["e"]) + metal * (base_color * f["f0"] + f["f1"])
-    specular = 0.04 * (1.0 - metal) + base_color * metal
-    wanted = base_color * (1.0 - metal) + specular * f["s0"] + f["s1"]
-    # A share of more than all is out of reach: at straight views the two G differ by the table's noise
-    # only, and edge-on Schlick's Fresnel term is above the real one, which Principled has.
-    whole = share < 1.0
-    assert whole.mean() > 0.7
-    assert np.allclose((share[:, None] * principled + diffuse)[whole], wanted[whole], atol=1e-9)
-    assert np.allclose(share[:, None] * principled + diffuse, wanted, atol=2e-3 if masking == "schlick" else 0.04)
-
-
-def test_the_table_interpolates_between_its_entries():
-    table = write_back.Table(np.arange(24, dtype=np.float64).reshape(2, 2, 6))
-    middle = table.at(np.array([0.5, 0.0, 2.0]), np.array([0.5, 1.0, -1.0]))
-    assert middle["s0"].tolist() == [9.0, 12.0, 6.0]
-
-
 @pytest.fixture(scope="module")
 def sweep():
     """Colours, dielectrics and metals at all angles."""

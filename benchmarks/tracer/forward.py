@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import pyoidn
 
 from benchmarks.tracer.environment import EnvironmentLight
 from benchmarks.tracer.surfaces import SurfaceMaterials
@@ -273,9 +274,28 @@ def render_view(lit: LitRoom, view: PinholeView, settings: RenderSettings, strea
     return denoise(radiance, albedo, normal) if settings.denoise else radiance
 
 
+class _NoisyGuides(Denoiser):
+    """Guides with noise, each of which is denoised first, as in Cycles."""
+
+    def _guide(self, kind: int, image: np.ndarray) -> np.ndarray:
+        guide = super()._guide(kind, image)
+        output = np.zeros_like(guide)
+        alone = pyoidn.Filter(self._device, pyoidn.OIDN_FILTER_TYPE_RT)
+        alone.set_image(kind, guide, pyoidn.OIDN_FORMAT_FLOAT3)
+        alone.set_image(pyoidn.OIDN_IMAGE_OUTPUT, output, pyoidn.OIDN_FORMAT_FLOAT3)
+        alone.set_int("quality", pyoidn.OIDN_QUALITY_HIGH)
+        alone.commit()
+        alone.execute()
+        error = self._device.get_error()
+        alone.release()
+        if error:
+            raise RuntimeError(f"Open Image Denoise failed: {error}")
+        return output
+
+
 def denoise(radiance: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Open Image Denoise on an HDR image (H, W, 3) float32, guided by albedo and world normals."""
-    with Denoiser(albedo, normal, clean_guides=False) as denoiser:
+    with _NoisyGuides(albedo, normal) as denoiser:
         return denoiser(radiance)
 
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A node group between Principled and the output that makes Cycles agree with the fitted model.
 
-The formulas are those of `core.textures.write_back.correction`. The textures stay connected to Principled, so
+The formulas are those of `core.textures.write_back`. The textures stay connected to Principled, so
 that exporters find them; muting the group leaves plain Principled.
 """
 
@@ -48,7 +48,7 @@ def agree_with_model(material: bpy.types.Material, masking: str = write_back.MAS
 
 def agreement_group(masking: str = write_back.MASKINGS[0]) -> bpy.types.NodeTree:
     """The file's group for a masking term; made where the file has none of the current version."""
-    values = write_back.table(masking).values.astype(np.float32)
+    values = write_back.table(masking).astype(np.float32)
     weights = from_scene_linear(np.eye(3)).mean(axis=1)  # of a scene-linear colour in the mean of Rec.709's
     digest = hashlib.sha256(values.tobytes() + weights.tobytes()).hexdigest()[:16]
     for tree in bpy.data.node_groups:

@@ -137,7 +137,7 @@ class Renderer:
             found = self._traced(view, rows, seed)
             planes[rows] = found.reshape(len(rows), starts, 9).mean(axis=1)
         color, albedo, normal = planes.reshape(view.height, view.width, 3, 3).transpose(2, 0, 1, 3)
-        with Denoiser(albedo, normal, clean_guides=True) as denoiser:
+        with Denoiser(albedo, normal) as denoiser:
             return denoiser(color)
 
     def _traced(self, view: View, rows: np.ndarray, seed: int) -> np.ndarray:

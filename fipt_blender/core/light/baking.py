@@ -336,7 +336,7 @@ def denoised(shadings: Shadings, normal: np.ndarray, size: tuple[int, int], spec
     their own would take five times as long and not improve the materials.
     """
     guide = np.ones((*size, 3), np.float32)
-    with Denoiser(guide, normal.reshape(*size, 3), clean_guides=True, fast=True) as denoiser:
+    with Denoiser(guide, normal.reshape(*size, 3), fast=True) as denoiser:
         diffuse = denoiser(shadings.diffuse.reshape(*size, 3)).reshape(-1, 3)
         if not specular_too:
             return Shadings(diffuse, shadings.specular)
