@@ -54,7 +54,6 @@ class Preferences(Protocol):
     device: str
     gpu_uuid: str
     data_folder: str
-    on_close: str
     status: str
     usage: str
 
@@ -68,7 +67,6 @@ class Defaults:
     device: str = "auto"
     gpu_uuid: str = ""
     data_folder: str = ""
-    on_close: str = "STOP"
     status: str = ""
     usage: str = ""
 
@@ -167,12 +165,12 @@ def new_run_folder(name: str, parent: Path | None = None) -> Path:
 
 def is_unused_run(folder: Path) -> bool:
     """Whether a folder of `new_run_folder` has neither capture nor room, and no engine works in it."""
-    from .bridge.attached import find_engine
+    from .core.run.lock import holder
 
     run = RunFolder(folder)
     files = run.ingest_json, run.capture_json, run.room_json
     in_data_folder = run.root.parent == places.runs_folder(data_folder())
-    return in_data_folder and not any(path.exists() for path in files) and find_engine(run) is None
+    return in_data_folder and not any(path.exists() for path in files) and holder(run) is None
 
 
 def status() -> Status:

@@ -118,17 +118,17 @@ def test_gpu_is_chosen_by_its_identity(values: Any) -> None:
 
 def test_kept_values_return_after_a_removal_but_override_none(data: Path) -> None:
     addon = enable()
-    addon.preferences.data_folder, addon.preferences.on_close = str(data / "far"), "KEEP"
+    addon.preferences.data_folder, addon.preferences.device = str(data / "far"), "cuda"
     machine.store_status(check_result())
     disable(addon)
     addon = enable()
-    assert (addon.preferences.data_folder, addon.preferences.on_close) == (str(data / "far"), "KEEP")
+    assert (addon.preferences.data_folder, addon.preferences.device) == (str(data / "far"), "cuda")
     assert machine.status() == check_result()
     disable(addon)
     file = data / machine.KEPT_NAME
-    file.write_text(json.dumps({"on_close": "NONSENSE", "device": "llvm", "unknown": 1}))
+    file.write_text(json.dumps({"device": "NONSENSE", "gpu_uuid": "GPU-2", "on_close": "KEEP"}))
     addon = enable()
-    assert (addon.preferences.on_close, addon.preferences.device) == ("STOP", "llvm")
+    assert (addon.preferences.device, addon.preferences.gpu_uuid) == ("auto", "GPU-2")
     disable(addon)
     file.write_text("{")
     disable(enable())

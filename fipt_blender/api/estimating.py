@@ -8,7 +8,6 @@ Operators import it while Blender starts, so it imports heavier modules inside f
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +16,6 @@ import bpy
 from .. import machine
 from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
-from ..jobs.window import push_undo
 from .applying import chosen_settings, note_applied, run_of, show_doubts
 
 if TYPE_CHECKING:
@@ -60,21 +58,6 @@ def estimation(
     return Task("Estimate", "estimate", make, finished=show_doubts)
 
 
-def resumption() -> Task:
-    """Continue the estimation that was stopped, or watch the engine that is still at work on it."""
-    again = estimation(keep_stages=True, keep_hints=True)
-
-    def make(scene: bpy.types.Scene) -> Job:
-        from ..jobs.run_job import attach_job
-        from ..jobs.scene_steps import estimate_step
-
-        run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-        # An engine that is still at work, started from here or elsewhere, is watched to its end.
-        return attach_job(run, [estimate_step(run, run.read())]) or again.make(scene)
-
-    return replace(again, make=make)
-
-
 def run_for(scene: bpy.types.Scene, keep_stages: bool) -> RunFolder:
     """The scene's run folder; a new one beside it where that has results already, which stay.
 
@@ -95,7 +78,6 @@ def run_for(scene: bpy.types.Scene, keep_stages: bool) -> RunFolder:
     else:
         run = RunFolder(machine.new_run_folder(Path(bpy.data.filepath).stem or scene.name))
     scene.fipt.run_folder = str(run.root)
-    push_undo("Estimate")
     return run
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import explained_write_errors
-from .process import Engine, Message
+from .process import EngineProcess, Message
 from .step import JobProgress, Step, StepRecord, StepSlices, chain_keys
 
 QUIET_SECONDS = 5.0  # of an engine, after which the time that is left is told anew
@@ -35,7 +35,7 @@ def own_job(steps: Sequence[Step], record: Path, log: Path) -> Job:
         FiptError: ``run-unwritable``.
     """
 
-    def start_engine(arguments: Sequence[str]) -> Engine:
+    def start_engine(arguments: Sequence[str]) -> EngineProcess:
         raise AssertionError(f"no step of this job has an engine command: {arguments}")
 
     with explained_write_errors(record):
@@ -53,7 +53,6 @@ class Job:
         log: file for tracebacks of functions.
         result: called at the end; returns files and data for the message `done`.
         resume: whether finished steps are skipped.
-        keys: of the steps, if they are known; None: those of `chain_keys`.
 
     Attributes:
         error: the message `error` that ended the job, or None.
@@ -66,17 +65,16 @@ class Job:
         self,
         steps: Sequence[Step],
         record: StepRecord,
-        start_engine: Callable[[Sequence[str]], Engine],
+        start_engine: Callable[[Sequence[str]], EngineProcess],
         log: Path,
         result: Callable[[], tuple[list[str], dict[str, Any]]],
         resume: bool = True,
-        keys: Sequence[str] | None = None,
     ) -> None:
         self.error: Message | None = None
         self.cancelled = False
         self.around: Callable[[], AbstractContextManager[Any]] = nullcontext
         self._steps = list(steps)
-        self._keys = chain_keys(self._steps) if keys is None else list(keys)
+        self._keys = chain_keys(self._steps)
         self._record = record
         self._start_engine = start_engine
         self._log = log
@@ -85,7 +83,7 @@ class Job:
         self._position = -1
         self._heard = 0.0  # when the engine has last sent something
         self._announced = False
-        self._process: Engine | None = None
+        self._process: EngineProcess | None = None
         self._slices: StepSlices | None = None
         self._ended = False
         self._warnings: list[Message] = []
@@ -168,33 +166,15 @@ class Job:
             self._process = None
 
     def request_cancel(self) -> None:
-        """End the job without waiting; `advance` makes sure that the engine ends within two seconds.
-
-        Raises:
-            FiptError: ``engine-elsewhere`` for an engine that this process can't end; the job goes on.
-        """
+        """End the job without waiting; `advance` makes sure that the engine ends within two seconds."""
         if self._ended:
             return
-        if self._process is not None and self._process.elsewhere:
-            raise FiptError(
-                "engine-elsewhere",
-                f"The engine can't be stopped from here. It runs {self._process.elsewhere}.",
-                "Stop it there.",
-            )
         self.cancelled = True
         self._close_slices()
         if self._process is None:
             self._ended = True
         else:
             self._process.request_cancel()
-
-    def leave(self) -> None:
-        """End the job, but let its engine continue."""
-        self._ended = self.cancelled = True
-        self._close_slices()
-        if self._process is not None:
-            self._process.leave()
-            self._process = None
 
     def _advance(self) -> list[Message]:
         if self._process is not None:
@@ -272,7 +252,7 @@ class Job:
         stage = {"type": "stage", "name": step.name, "index": self._position, "count": len(self._steps)}
         return [*repeated, {**stage, "text": step.text}, self._progress_message(0.0)]
 
-    def _watch(self, process: Engine) -> list[Message]:
+    def _watch(self, process: EngineProcess) -> list[Message]:
         step = self._steps[self._position]
         messages, received = [], process.poll()
         if received:

@@ -21,7 +21,7 @@ from ..core.run.documents import read_document
 from ..core.run.errors import FiptError
 from ..core.run.lock import briefly_locked
 from ..core.run.runfolder import write_json
-from .process import Engine, Message
+from .process import EngineProcess, Message
 
 Result = TypeVar("Result")
 # Work in slices: a generator that yields the share that is done (0 to 1), or None, between two slices.
@@ -57,7 +57,7 @@ class Step:
     weight: float
     inputs: Mapping[str, Any] = field(default_factory=dict)
     command: Sequence[str] | None = None
-    process: Callable[[], Engine] | None = None
+    process: Callable[[], EngineProcess] | None = None
     function: StepFunction | None = None
     outputs: Sequence[Path] = ()
     repeat: bool = False

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Jobs on a run folder: steps with a new engine process, or watching an engine that is at work there.
+"""Jobs on a run folder.
 
 bpy is imported only to read the preferences, where it exists.
 """
@@ -10,17 +10,16 @@ from __future__ import annotations
 import importlib.util
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from ..bridge.attached import AttachedEngine, find_engine
 from ..bridge.interpreter import engine_command, engine_environment, find_engine_python
 from ..bridge.process import EngineProcess
 from ..bridge.sequence import Job
 from ..bridge.step import Step, StepRecord
 from ..core.capture.options import CaptureOptions
 from ..core.run.errors import FiptError
-from ..core.run.lock import busy
+from ..core.run.lock import busy, holder
 from ..core.run.process_identity import PARENT_VARIABLE
 from ..core.run.runfolder import RunFolder
 
@@ -90,34 +89,6 @@ def open_job(
     )
 
 
-def attach_job(run: RunFolder, steps: Sequence[Step], record: str = STEPS_NAME) -> Job | None:
-    """A job that watches the engine at work in a run folder, whoever started it; None if there is none.
-
-    Args:
-        run, record: see `open_job`.
-        steps: steps of the job that may have started it; the one with the engine's command is recorded as
-            finished at the end.
-    """
-    engine = find_engine(run)
-    if engine is None:
-        return None
-    name = engine.command[0]
-    step_record = StepRecord(run.root / record)
-    matching = [step for step in steps if step.command and step.command[0] == name]
-    step = (
-        replace(matching[0], reset=None) if matching else Step(name, name.capitalize(), 1.0, command=[name])
-    )
-    return Job(
-        steps=[step],
-        record=step_record,
-        start_engine=lambda arguments: AttachedEngine(run, engine),
-        log=run.log,
-        result=lambda: ([], {"run": str(run.root)}),
-        resume=False,
-        keys=[step_record.key(step.name) or ""],
-    )
-
-
 def refuse_busy(run: RunFolder) -> None:
     """Let two engines never work in one run folder, nor any engine in one whose links lead out of it.
 
@@ -125,7 +96,7 @@ def refuse_busy(run: RunFolder) -> None:
         FiptError: ``run-busy`` or ``run-linked``.
     """
     run.refuse_links()
-    if find_engine(run) is not None:
+    if holder(run) is not None:
         raise busy(run)
 
 
@@ -144,16 +115,12 @@ def find_launch(explicit: str | None = None) -> Launch:
         FiptError: ``engine-missing``.
     """
     variables: dict[str, str] = {}
-    window = False
     if explicit or importlib.util.find_spec("bpy") is None:
         python = find_engine_python(explicit)
     else:
-        import bpy
-
         from .. import machine
 
-        python, window = machine.engine_python(), not bpy.app.background
+        python = machine.engine_python()
         variables = dict(machine.engine_variables())
-    if not window:  # it ends with this process, since no window could attach it later
-        variables[PARENT_VARIABLE] = str(os.getpid())
+    variables[PARENT_VARIABLE] = str(os.getpid())  # it ends with this process; Resume does the rest
     return Launch(python, {**engine_environment(python), **variables})

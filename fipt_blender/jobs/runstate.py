@@ -37,7 +37,6 @@ class RunState:
         continues: whether Re-estimate with Hints can go on from the stages of the results.
         versions: the estimates of the same capture, the newest first.
         old_versions: whether an earlier release kept earlier results in the folder.
-        engine: the command of the engine at work there, or "".
         warnings, error: warnings of the last run, and the error that ended it.
         pictures: the newest preview images.
         quality: dB with which photographs that were held back are re-rendered from the results, and projected
@@ -51,7 +50,6 @@ class RunState:
     continues: bool = False
     versions: tuple[Version, ...] = ()
     old_versions: bool = False
-    engine: str = ""
     warnings: tuple[Message, ...] = ()
     error: Message | None = None
     pictures: tuple[Path, ...] = ()
@@ -105,12 +103,10 @@ def forget(folder: Path) -> None:
 def look(run: RunFolder) -> RunState:
     """Read the state of a run folder from the disk."""
     from ..blend.collecting import missing_pictures
-    from ..bridge.attached import find_engine
     from ..core.run import versions
     from ..core.run.documents import optional_document
     from ..core.run.result_contents import QualityFigures, Stages
 
-    engine = find_engine(run)
     warnings, pictures, error = [], (), None
     for message in _messages(run.messages("estimate")):
         if message["type"] == "warning":
@@ -129,7 +125,6 @@ def look(run: RunFolder) -> RunState:
         continues=results and versions.can_continue(run),
         versions=tuple(versions.list_versions(run)),
         old_versions=run.versions.is_dir(),
-        engine=engine.command[0] if engine is not None else "",
         warnings=tuple(warnings),
         error=error,
         pictures=pictures,

@@ -19,7 +19,6 @@ from ..jobs import running, runstate
 from ..jobs.tasks import Task
 from .action import REGISTER, UNDO, action
 from .polls import has_no_capture, has_run, in_object_mode, needs, no_job
-from .reporting import reports_errors
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -62,11 +61,11 @@ def _state(context: bpy.types.Context) -> runstate.RunState:
     needs=(
         *_can_start,
         needs(
-            lambda context: _state(context).stages or _state(context).engine,
+            lambda context: _state(context).stages,
             "There is no stopped run to resume",
         ),
         needs(
-            lambda context: not _state(context).finished or _state(context).engine,
+            lambda context: not _state(context).finished,
             "The last run is finished. Use Estimate to start a new one",
         ),
     ),
@@ -76,7 +75,7 @@ def resume(scene: bpy.types.Scene) -> Task:
     """Continue the last run where it was stopped. If room, views or settings have changed since, it starts
     again at the first stage that depends on the change.
     """
-    return estimating.resumption()
+    return estimating.estimation(keep_stages=True, keep_hints=True)
 
 
 class FIPT_OT_notice(bpy.types.Operator):
@@ -154,7 +153,6 @@ class FIPT_OT_cancel(bpy.types.Operator):
             confirm_text=iface_("Stop"),
         )
 
-    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         running.cancel()
         return {"FINISHED"}

@@ -27,11 +27,6 @@ if TYPE_CHECKING:
 
 _PACKAGES = (("mitsuba", "Mitsuba"), ("drjit", "Dr.Jit"), ("torch", "PyTorch"), ("numpy", "NumPy"))
 
-_ON_CLOSE = [
-    ("STOP", "Stop; Resume Later", "The run stops with Blender. Finished stages are kept for Resume"),
-    ("KEEP", "Keep Computing", "The engine continues without Blender. Resume takes over its results"),
-]
-
 # Blender holds no reference to the strings that a callback returns, so they are kept here.
 _gpu_items: list[tuple[str, str, str]] = []
 
@@ -102,13 +97,6 @@ class FIPT_Preferences(bpy.types.AddonPreferences):
         " used. Updating or removing the extension does not change it",
         subtype="DIR_PATH",
         update=_engine_changed,
-    )
-    on_close: bpy.props.EnumProperty(
-        name="On Closing Blender",
-        description="What happens to a run when you close Blender",
-        items=_ON_CLOSE,
-        default="STOP",
-        update=_changed,
     )
     gpu_uuid: bpy.props.StringProperty(options={"HIDDEN"}, update=_changed)
     status: bpy.props.StringProperty(
@@ -295,7 +283,6 @@ def _draw_data(
     row.label(text=usage_text(facts.usage), translate=False)
     row.operator("fipt.measure_data", icon="FILE_REFRESH")
     row.operator("fipt.clear_data", text="Clear...", icon="TRASH")
-    layout.prop(preferences, "on_close")
 
 
 def usage_text(usage: machine.Usage) -> str:
