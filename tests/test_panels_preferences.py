@@ -180,7 +180,7 @@ def test_set_up_runs_beside_the_users_work_and_is_cancelled(
     failure = {"code": "pip-missing", "text": "Python has neither pip nor ensurepip.", "remedy": "Install it."}
     machine.store_status({"error": failure})
     monkeypatch.setattr(data_job, "setup_command", lambda *arguments: [sys.executable, "-c", SLEEPER])
-    begin(operators.set_up_task(allow_large=False), bpy.context.scene, wait=False)
+    begin(operators.set_up_engine(bpy.context.scene), bpy.context.scene, wait=False)
     for _ in range(3):
         running.tick()
     assert not bpy.ops.fipt.check_engine.poll() and bpy.ops.fipt.cancel.poll()

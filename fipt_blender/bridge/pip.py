@@ -10,6 +10,7 @@ from __future__ import annotations
 import queue
 import re
 import subprocess
+import tempfile
 import threading
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -163,6 +164,28 @@ def run_pip(python: Path, arguments: Sequence[str], progress: PipProgress, bar: 
                 break
             progress.line(line)
     return child.returncode
+
+
+def run_locked(
+    python: Path, arguments: Sequence[str], locked: Sequence[str], progress: PipProgress, bar: str = "off"
+) -> int:
+    """As `run_pip`, for locked requirements, without what they need; pip refuses files with other hashes.
+
+    Args:
+        python, arguments, progress, bar: see `run_pip`.
+        locked: lines of name, version, marker and hashes (`pins.read_pins`).
+    """
+    with tempfile.TemporaryDirectory() as temporary:
+        file = Path(temporary) / "engine.lock"
+        file.write_text("\n".join(locked) + "\n", encoding="utf-8")
+        more = ["--require-hashes", "--no-deps", "--requirement", str(file)]
+        return run_pip(python, [*arguments, *more], progress, bar)
+
+
+def source(wheels: Path | None) -> list[str]:
+    """Options of pip that say where packages come from: from a folder, or None for the network."""
+    folder = ["--no-index", "--find-links", str(wheels)] if wheels else []
+    return ["--only-binary", ":all:", *folder]
 
 
 def _read(stream: Iterable[str], lines: queue.SimpleQueue[str | None]) -> None:

@@ -43,15 +43,9 @@ def data_task(
     return Task(title, running.DATA_KIND, make_job, folder=data, ended=ended)
 
 
-def set_up_step(
-    python: Path,
-    data: Path,
-    device: str,
-    wheels: Path | None,
-    allow_large: bool = False,
-) -> Step:
+def set_up_step(python: Path, data: Path, device: str, wheels: Path | None) -> Step:
     """The step that creates the engine's environment; for the arguments see `setup_command`."""
-    command = setup_command(python, data, device, wheels, allow_large)
+    command = setup_command(python, data, device, wheels)
     return Step(
         "set-up", "Setting up the engine", 180.0, process=lambda: start_process(command, engine_environment())
     )

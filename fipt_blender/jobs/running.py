@@ -327,7 +327,8 @@ def _end() -> None:
     runstate.forget(info.run_folder)
     redraw()
     if info.error is not None:
-        show_notice(iface_("{} failed: {}").format(iface_(info.title), info.error["text"]), "ERROR")
+        # No popup: the job's section shows the error with what helps.
+        show_notice(iface_("{} failed: {}").format(iface_(info.title), info.error["text"]), "WARNING")
     elif info.state == "finished":
         text = iface_("{}: finished").format(iface_(info.title))
         show_notice(f"{text}, {count_text(len(info.warnings))}" if info.warnings else text, "INFO")

@@ -32,11 +32,6 @@ def likely_failure() -> str:
     )
 
 
-def was_too_large() -> bool:
-    """Whether the last set-up stopped before a larger download than it was allowed."""
-    return (machine.status().get("error") or {}).get("code") == "torch-large"
-
-
 def size() -> Size:
     """The size of the download; asks the driver."""
     from ..bridge.torch_build import SIZES, choose_torch_build
@@ -44,7 +39,7 @@ def size() -> Size:
 
     device = machine.device_setting()
     _known[device] = choose_torch_build(device, cuda_driver_version(), cuda_devices())
-    return SIZES["" if was_too_large() else _known[device]]
+    return SIZES[_known[device]]
 
 
 def known_size() -> Size | None:
@@ -53,7 +48,7 @@ def known_size() -> Size | None:
 
     build = _known.get(machine.device_setting())
     if build is not None:
-        return SIZES["" if was_too_large() else build]
+        return SIZES[build]
     if not bpy.app.background and not bpy.app.timers.is_registered(_ask):
         bpy.app.timers.register(_ask, first_interval=0.0)
     return None

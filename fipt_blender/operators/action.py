@@ -89,12 +89,15 @@ def _property(item: Declared) -> object:
 
 def reported(operator: Any, context: bpy.types.Context, wait: bool, work: Callable[[], object]) -> set[str]:
     """Do what an operator does, and report what it returns or raises; see the module."""
+    result = None
     try:
         result = work()
         if isinstance(result, Task):
             return _started(operator, begin(result, context.scene, wait), wait)
     except FiptError as error:
-        operator.report({"ERROR"}, str(error))
+        # Why a job could not start is in its section, too, with what helps: a popup would say it twice.
+        shown = isinstance(result, Task) and result.folder is None and not wait
+        operator.report({"WARNING" if shown else "ERROR"}, str(error))
         return {"CANCELLED"}
     if isinstance(result, str):
         operator.report({"INFO"}, result)

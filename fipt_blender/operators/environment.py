@@ -7,12 +7,13 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
+from ..core.run.declared import Option
 from ..core.run.errors import FiptError
 from ..jobs import running
 from ..jobs.tasks import Task
@@ -26,49 +27,26 @@ if TYPE_CHECKING:
     from ..bridge.storage import Item
 
 
-class FIPT_OT_set_up_engine(bpy.types.Operator):
-    bl_idname = "fipt.set_up_engine"
-    bl_label = "Set Up Engine"
-    bl_description = (
-        "Create a Python environment for the engine and install its packages there. Blender's own"
-        " Python is not changed. If you cancel, the finished downloads are kept"
+def _ask(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    """State the size of the download before anything is downloaded, unless the button has done so."""
+    from ..jobs import setup_size
+
+    if bpy.app.background or machine.get_preferences().wheel_folder or self.confirmed:
+        return self.run(context, wait=bpy.app.background)
+    self.confirmed, size = True, setup_size.size()
+    message = iface_("Downloads about {:.1f} GB and needs {:.1f} GB on the disk").format(
+        size.download_gb, size.disk_gb
     )
-    bl_options = {"REGISTER"}
-
-    allow_large: bpy.props.BoolProperty(
-        name="Allow Large Download",
-        description="Download PyTorch's build with CUDA if the one for the CPU can't be reached",
-        options={"SKIP_SAVE"},
+    if failure := setup_size.likely_failure():
+        message = f"{failure} {message}"
+    return context.window_manager.invoke_confirm(
+        self, event, title=iface_(self.bl_label), message=message, confirm_text=iface_("Set Up")
     )
-    # In a window, which must not wait: by the dialog, or by a button beside which the size is written.
-    confirmed: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """State the size of the download before anything is downloaded, unless the button has done so."""
-        from ..jobs import setup_size
 
-        if bpy.app.background or machine.get_preferences().wheel_folder:
-            return self._start(context, wait=bpy.app.background)
-        self.allow_large = self.allow_large or setup_size.was_too_large()
-        if self.confirmed:
-            return self.execute(context)
-        self.confirmed, size = True, setup_size.size()
-        message = iface_("Downloads about {:.1f} GB and needs {:.1f} GB on the disk").format(
-            size.download_gb, size.disk_gb
-        )
-        if failure := setup_size.likely_failure():
-            message = f"{failure} {message}"
-        return context.window_manager.invoke_confirm(
-            self, event, title=iface_(self.bl_label), message=message, confirm_text=iface_("Set Up")
-        )
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        return self._start(context, wait=not self.confirmed)
-
-    def _start(self, context: bpy.types.Context, wait: bool) -> set[str]:
-        return reported(self, context, wait, lambda: set_up_task(self.allow_large))
-
-    poll = all_of(
+@action(
+    "Set Up Engine",
+    needs=(
         no_job,
         needs(
             lambda _: not machine.get_preferences().engine_python,
@@ -78,11 +56,20 @@ class FIPT_OT_set_up_engine(bpy.types.Operator):
             lambda _: machine.get_preferences().wheel_folder or bpy.app.online_access,
             "Enable Allow Online Access in Preferences > System > Network, or select a Folder of Wheels",
         ),
-    )
-
-
-def set_up_task(allow_large: bool) -> Task:
-    """Create the engine's environment, and check it."""
+    ),
+    options=REGISTER,
+    invoke=_ask,
+    execute=lambda self, context: self.run(context, wait=not self.confirmed),
+)
+def set_up_engine(
+    scene: bpy.types.Scene,
+    confirmed: Annotated[
+        bool, Option("Whether the size of the download was told", shown={"options": {"HIDDEN", "SKIP_SAVE"}})
+    ] = False,
+) -> Task:
+    """Create a Python environment for the engine and install its packages there. Blender's own Python is not
+    changed. If you cancel, the finished downloads are kept.
+    """
     from ..jobs.data_job import EngineStatus, data_task, set_up_step
 
     status = EngineStatus(set_up=True)
@@ -96,8 +83,7 @@ def set_up_task(allow_large: bool) -> Task:
                 f"The folder {wheels} does not exist.",
                 "Select another folder as Folder of Wheels.",
             )
-        step = set_up_step(Path(sys.executable), data, values.device, wheels, allow_large)
-        return [step, status.check_step()]
+        return [set_up_step(Path(sys.executable), data, values.device, wheels), status.check_step()]
 
     return data_task("Set Up Engine", steps, status.store)
 
