@@ -38,14 +38,6 @@ class Status(TypedDict, total=False):
     cancelled: bool  # whether a later set-up was cancelled
 
 
-class Usage(TypedDict, total=False):
-    """Last measurement of the data folder; empty before the first."""
-
-    time: float  # seconds since the epoch
-    sizes: dict[str, int]  # bytes by folder name
-    runs: list[str]  # names of the folders that are runs
-
-
 class Preferences(Protocol):
     """The values that the add-on's preferences and `Defaults` have in common."""
 
@@ -55,7 +47,6 @@ class Preferences(Protocol):
     gpu_uuid: str
     data_folder: str
     status: str
-    usage: str
 
 
 @dataclass
@@ -68,7 +59,6 @@ class Defaults:
     gpu_uuid: str = ""
     data_folder: str = ""
     status: str = ""
-    usage: str = ""
 
 
 DEFAULTS = Defaults()
@@ -180,17 +170,11 @@ def status() -> Status:
 
 def store_status(data: Status) -> None:
     """Store the result of Set Up Engine or Check; {} deletes it."""
-    _store("status", data)
+    import json
 
-
-def usage() -> Usage:
-    """The stored sizes in the data folder."""
-    return cast(Usage, _parse(get_preferences().usage))
-
-
-def store_usage(data: Usage) -> None:
-    """Store the measured sizes."""
-    _store("usage", data)
+    get_preferences().status = json.dumps(data) if data else ""
+    if get_preferences() is not DEFAULTS:
+        bpy.context.preferences.is_dirty = True  # so that Blender auto-saves them
 
 
 def keep() -> None:
@@ -202,7 +186,7 @@ def keep() -> None:
     if preferences is DEFAULTS:
         return
     try:
-        kept = {name: getattr(preferences, name) for name in asdict(DEFAULTS) if name != "usage"}
+        kept = {name: getattr(preferences, name) for name in asdict(DEFAULTS)}
         write_json(places.default_data_folder() / KEPT_NAME, kept)
     except FiptError as error:  # no value is lost yet, and no operator runs that could report it
         print(f"fipt: {error.text}")
@@ -223,14 +207,6 @@ def recall() -> None:
                 setattr(preferences, name, value)
             except TypeError:  # an enum value of another version
                 pass
-
-
-def _store(name: str, data: Status | Usage) -> None:
-    import json
-
-    setattr(get_preferences(), name, json.dumps(data) if data else "")
-    if get_preferences() is not DEFAULTS:
-        bpy.context.preferences.is_dirty = True  # so that Blender auto-saves them
 
 
 @functools.lru_cache(maxsize=8)

@@ -188,13 +188,13 @@ def test_set_up_runs_beside_the_users_work_and_is_cancelled(
     tick_until(lambda: running.current() is None)
     assert machine.status() == {"error": failure, "cancelled": True}
     texts: list[str] = []
-    panel.draw(Layout(texts), bpy.context, values, panel.Facts(machine.status(), {}, "/data"))
+    panel.draw(Layout(texts), bpy.context, values, panel.Facts(machine.status(), "/data"))
     assert "set-up cancelled, press Set Up Engine" in " ".join(texts)
     assert "ensurepip" not in " ".join(texts)
     assert not bpy.ops.fipt.cancel.poll()
 
 
-def test_measuring_and_clearing_take_what_is_ours_and_unused(values: Any, data: Path) -> None:
+def test_clearing_takes_what_is_ours_and_unused(values: Any, data: Path) -> None:
     groups = pins.read_pins()
     old, used, held, fresh = (make_run(data, name) for name in ("old", "used", "held", "fresh"))
     age(fresh.root, time.time())
@@ -204,10 +204,9 @@ def test_measuring_and_clearing_take_what_is_ours_and_unused(values: Any, data: 
     empty = machine.new_run_folder("empty")
     age(empty, OLD)
     current, other = make_environment(data, groups), make_environment(data, {"engine": ["torch==1"]})
-    assert bpy.ops.fipt.measure_data() == {"FINISHED"}
-    usage = machine.usage()
-    assert set(usage["runs"]) == {"old", "used", "held", "fresh", empty.name}
-    assert usage["sizes"]["old"] > 1000 and {current.name, other.name} < set(usage["sizes"])
+    runs, environments = {old.root, used.root, held.root, fresh.root, empty}, {current, other}
+    assert {item.folder for item in storage.list_items(data)} == runs | environments
+    assert storage.size(old.root) > 1000
     bpy.context.scene.fipt.run_folder = str(used.root)
     with hold(held, ["estimate"]):
         age(held.root, OLD)
@@ -218,7 +217,6 @@ def test_measuring_and_clearing_take_what_is_ours_and_unused(values: Any, data: 
     assert current.exists() and other.exists()
     assert bpy.ops.fipt.clear_data(names=other.name) == {"FINISHED"}
     assert current.exists() and not other.exists()
-    assert set(machine.usage()["sizes"]) == {"used", "held", "fresh", current.name}
 
 
 def test_clearing_never_takes_what_is_named_but_not_ours(values: Any, data: Path, tmp_path: Path) -> None:
@@ -249,7 +247,7 @@ def test_images_of_the_open_file_keep_their_run(values: Any, data: Path) -> None
 def test_drawing_asks_no_disk_and_starts_nothing(values: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     machine.store_status(check_result())
     values_draw = panel.FIPT_Preferences.draw
-    stand_in = type("Self", (), {"layout": Layout([]), "status": values.status, "usage": values.usage})()
+    stand_in = type("Self", (), {"layout": Layout([]), "status": values.status})()
     for name in machine.Defaults.__dataclass_fields__:
         setattr(stand_in, name, getattr(values, name))
     for name in ("builtins.open", "os.open", "os.stat", "os.listdir", "os.scandir", "subprocess.Popen"):

@@ -172,35 +172,12 @@ def used_paths() -> list[Path]:
     return used
 
 
-def measure() -> Slices[None]:
-    """Measure every run and environment and store the sizes in the preferences."""
-    from ..bridge import storage
-
-    items = storage.list_items(machine.data_folder())
-    sizes = {}
-    for index, item in enumerate(items):
-        for size in storage.measure(item.folder):
-            sizes[item.folder.name] = size
-            yield index / len(items)
-    runs = [item.folder.name for item in items if item.kind == storage.RUN]
-    machine.store_usage({"time": time.time(), "sizes": sizes, "runs": runs})
-    return None
-
-
 class FIPT_PG_data_item(bpy.types.PropertyGroup):
     """A folder in the data folder, to delete or keep; `name` is the folder's."""
 
     ticked: bpy.props.BoolProperty(name="Clear", description="Delete this folder", default=True)
     note: bpy.props.StringProperty()
     kept: bpy.props.StringProperty(description="Why the folder can't be deleted; empty if it can")
-
-
-@action("Measure", needs=(no_job,), options=REGISTER)
-def measure_data(scene: bpy.types.Scene) -> Task:
-    """Measure the disk space that cached runs and the engine's environments use."""
-    from ..jobs.data_job import data_task
-
-    return data_task("Measure Data Folder", lambda: [_measure_step()])
 
 
 class FIPT_OT_clear_data(bpy.types.Operator):
@@ -228,13 +205,13 @@ class FIPT_OT_clear_data(bpy.types.Operator):
         if self.names:
             return context.window_manager.invoke_confirm(self, event)
         self.items.clear()
-        used, sizes = used_paths(), machine.usage().get("sizes", {})
+        used = used_paths()
         for stored in storage.list_items(machine.data_folder()):
             item = self.items.add()
             item.name = stored.folder.name
             item.kept = storage.why_in_use(stored, used)
             item.ticked = not item.kept and not stored.current
-            item.note = _describe(stored, sizes.get(item.name))
+            item.note = _describe(stored)
         return context.window_manager.invoke_props_dialog(self, width=640, confirm_text=iface_("Delete"))
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -304,23 +281,18 @@ class FIPT_OT_clear_data(bpy.types.Operator):
                     warnings.append({"type": "warning", **message})
             return warnings
 
-        return [Step("clear", "Deleting cached data", 5.0, function=clear), _measure_step()]
+        return [Step("clear", "Deleting cached data", 5.0, function=clear)]
 
 
-def _measure_step() -> Step:
-    from ..bridge.step import Step
+def _describe(item: Item) -> str:
+    """Size of a run, date and use of a folder, e.g. "2026-11-20 10:15, the engine's environment"."""
+    from ..bridge.storage import ENVIRONMENT, size
 
-    return Step("measure", "Measuring the data folder", 3.0, function=measure)
-
-
-def _describe(item: Item, size: int | None) -> str:
-    """Size, date and use of a folder, e.g. "3.2 GB, 2026-11-20 10:15, the engine's environment"."""
-    from ..bridge.storage import ENVIRONMENT
-
-    facts = [] if size is None else [size_text(size)]
-    facts.append(time.strftime("%Y-%m-%d %H:%M", time.localtime(item.modified)))
+    facts = [time.strftime("%Y-%m-%d %H:%M", time.localtime(item.modified))]
     if item.current:
         facts.append(iface_("the engine's environment"))
     elif item.kind == ENVIRONMENT:
         facts.append(iface_("an unused environment"))
+    else:
+        facts.insert(0, size_text(size(item.folder)))
     return ", ".join(facts)

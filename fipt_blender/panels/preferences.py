@@ -102,16 +102,13 @@ class FIPT_Preferences(bpy.types.AddonPreferences):
     status: bpy.props.StringProperty(
         description="Last result of Set Up Engine or Check, as JSON", options={"HIDDEN"}, update=_changed
     )
-    usage: bpy.props.StringProperty(
-        description="Sizes in the data folder at the last measurement, as JSON", options={"HIDDEN"}
-    )
 
     def draw(self, context: bpy.types.Context) -> None:
         draw(
             self.layout,
             context,
             self,
-            Facts(machine.status(), machine.usage(), str(places.default_data_folder())),
+            Facts(machine.status(), str(places.default_data_folder())),
         )
 
 
@@ -132,12 +129,10 @@ class Facts:
 
     Attributes:
         status: last result of set-up or check, see `data_job.EngineStatus`; empty before the first.
-        usage: sizes by folder name, and which folders are runs; empty before the first measurement.
         data_folder: the default data folder, used where the preference is empty.
     """
 
     status: machine.Status
-    usage: machine.Usage
     data_folder: str
 
     @property
@@ -279,18 +274,4 @@ def _draw_data(
 ) -> None:
     layout.use_property_split = True
     layout.prop(preferences, "data_folder", placeholder=facts.data_folder)
-    row = layout.row(align=True)
-    row.label(text=usage_text(facts.usage), translate=False)
-    row.operator("fipt.measure_data", icon="FILE_REFRESH")
-    row.operator("fipt.clear_data", text="Clear...", icon="TRASH")
-
-
-def usage_text(usage: machine.Usage) -> str:
-    """The sizes in the data folder in one line."""
-    if not usage:
-        return iface_("Size of cached runs: not measured yet")
-    runs = [usage["sizes"][name] for name in usage["runs"]]
-    others = sum(usage["sizes"].values()) - sum(runs)
-    return iface_("{} cached runs: {:.1f} GB; engine: {:.1f} GB").format(
-        len(runs), sum(runs) / 1e9, others / 1e9
-    )
+    layout.operator("fipt.clear_data", text="Clear...", icon="TRASH")
