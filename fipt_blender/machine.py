@@ -76,6 +76,11 @@ def data_folder() -> Path:
     return Path(bpy.path.abspath(chosen)).absolute() if chosen else places.default_data_folder()
 
 
+def set_up_log() -> Path:
+    """The log of Set Up Engine and Check."""
+    return data_folder() / "environment.log"
+
+
 def engine_python() -> Path:
     """The interpreter that runs the engine. This starts a process, so never call it while drawing.
 

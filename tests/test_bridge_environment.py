@@ -15,14 +15,12 @@ import subprocess
 import sys
 import tarfile
 from collections import namedtuple
-from contextlib import nullcontext
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from pytest import MonkeyPatch
 
-from fipt_blender.bridge import environment, interpreter, native, pins, places, provision, setup
+from fipt_blender.bridge import environment, interpreter, native, pins, pip_bootstrap, places, setup
 from fipt_blender.bridge.pip import PipProgress, pip_error
 from fipt_blender.bridge.plan import Plan
 from fipt_blender.bridge.torch_build import TORCH_INDEX, Size, choose_torch_build, torch_index, torch_requirement
@@ -178,20 +176,13 @@ def test_set_up_names_what_the_wheels_lack_and_a_package_that_breaks(tmp_path: P
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell script stands for Python")
-@pytest.mark.parametrize("has_package", [True, False])
-def test_python_without_pip_and_wheels_takes_the_systems_package(
-    has_package: bool, tmp_path: Path, monkeypatch: MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("online", [True, False])
+def test_python_without_pip_downloads_the_pinned_one(online: bool, tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
     install = "import sys, sysconfig, zipfile\nzipfile.ZipFile(sys.argv[-1]).extractall(sysconfig.get_path('purelib'))"
-    make_wheel(tmp_path / "root" / "python-wheels", "pip", "1.0", install, "pip/__main__.py")
-
-    def unpack(names: list[str]) -> Path | None:
-        return tmp_path / "root" if has_package and names == ["python3-pip-whl"] else None
-
-    packages = SimpleNamespace(available=True, unpack=unpack)
-    monkeypatch.setattr(provision, "DebianPackages", lambda: nullcontext(packages))
-    plan = make_plan(tmp_path, base=without_pip(tmp_path), wheels=None)
-    if not has_package:
+    wheel = make_wheel(tmp_path / "index", "pip", "1.0", install, "pip/__main__.py")
+    monkeypatch.setattr(pip_bootstrap, "PIP_WHEELS", (wheel.parent if online else tmp_path / "none").as_uri())
+    plan = make_plan(tmp_path, base=without_pip(tmp_path), wheels=None, pip=(locked(wheel),))
+    if not online:
         assert error_of(environment.make_environment, plan).code == "python-unfit"
         return
     environment.make_environment(plan)

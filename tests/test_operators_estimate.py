@@ -126,7 +126,6 @@ def test_estimate_works_on_the_scene_as_it_is_and_starts_anew_unless_stages_are_
         new = RunFolder(scene.fipt.run_folder)
         assert new.root.parent == run.root.parent and worked(new) == STAGES
         assert {version.folder for version in api.versions()} == {run.root, new.root}
-        assert all("training_steps=12" in version.changes for version in api.versions())
 
 
 def stop(stage: str, killed: bool) -> RunFolder:

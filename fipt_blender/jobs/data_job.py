@@ -22,11 +22,6 @@ from .tasks import Task
 _RECORD = "environment.json"
 
 
-def log_file() -> Path:
-    """The log of set-up and check."""
-    return machine.data_folder() / "environment.log"
-
-
 def data_task(
     title: str,
     make: Callable[[], list[Step]],
@@ -38,7 +33,7 @@ def data_task(
     def make_job(_: object) -> Job:
         with explained_write_errors(data):
             data.mkdir(parents=True, exist_ok=True)
-        return own_job(make(), data / _RECORD, log_file())
+        return own_job(make(), data / _RECORD, machine.set_up_log())
 
     return Task(title, running.DATA_KIND, make_job, folder=data, ended=ended)
 
@@ -111,7 +106,7 @@ def start_process(command: list[str], environment: dict[str, str]) -> EngineProc
         FiptError: ``engine-missing`` where its interpreter can't be started.
     """
     try:
-        return EngineProcess(command, log_file(), environment)
+        return EngineProcess(command, machine.set_up_log(), environment)
     except OSError as error:
         raise FiptError(
             "engine-missing",

@@ -24,7 +24,7 @@ from .expected import PICTURE, render_seconds
 from .fingerprints import folder_fingerprint, mesh_fingerprint
 from .options import BLEND_NAME, MOST_RERENDERED, MainJobOptions, check_options
 from .run_job import find_launch, ingest_step, open_job, refuse_busy
-from .scene_steps import apply_steps, estimation_steps
+from .scene_steps import room_steps
 
 if TYPE_CHECKING:
     import bpy
@@ -132,8 +132,7 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
             function=lambda: room().import_room(),
             repeat=True,
         ),
-        *estimation_steps(run, options.settings, options.resume, options.cluster),
-        *apply_steps(_scene, run, options.settings, estimated=True),
+        *room_steps(_scene, run, options.settings, options.resume, options.cluster),
         Step(
             "save",
             "Saving the .blend file",

@@ -97,57 +97,6 @@ def check_engine(scene: bpy.types.Scene) -> Task:
     return data_task("Check Engine", lambda: [status.check_step()], status.store)
 
 
-class FIPT_OT_show_log(bpy.types.Operator):
-    """Show the last lines of the log of Set Up Engine and Check"""
-
-    bl_idname = "fipt.show_log"
-    bl_label = "Set-Up Log"
-
-    _lines: list[str]
-
-    poll = all_of(
-        needs(
-            lambda context: (
-                machine.get_preferences().status or running.current() or running.last(running.DATA_KIND)
-            ),
-            "Use Set Up Engine or Check first",
-        )
-    )
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self._lines = read_log()
-        return context.window_manager.invoke_popup(self, width=800)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        print("\n".join(read_log()))
-        return {"FINISHED"}
-
-    def draw(self, context: bpy.types.Context) -> None:
-        from ..jobs.data_job import log_file
-
-        layout = self.layout
-        row = layout.row()
-        row.label(text=str(log_file()), translate=False, icon="TEXT")
-        row.operator("wm.path_open", text="Open Log File").filepath = str(log_file())
-        column = layout.box().column(align=True)
-        column.scale_y = 0.7
-        for line in self._lines:
-            column.label(text=line[:150], translate=False)
-
-
-def read_log() -> list[str]:
-    """The last lines of the log."""
-    from collections import deque
-
-    from ..jobs.data_job import log_file
-
-    try:
-        with open(log_file(), encoding="utf-8", errors="replace") as file:
-            return [line.rstrip() for line in deque(file, 30)]
-    except OSError as error:
-        return [f"{log_file()}: {error.strerror}"]
-
-
 @action("Copy Download Command", options=REGISTER)
 def copy_wheel_command(context: bpy.types.Context) -> str:
     """Copy a command that downloads all packages into a folder. Run it on a machine that is online and has

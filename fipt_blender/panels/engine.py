@@ -41,7 +41,7 @@ def draw_set_up(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     row = layout.row(align=True)
     row.operator("preferences.addon_show", text="Other Ways...", icon="PREFERENCES").module = machine.ADDON
     if machine.status():
-        row.operator("fipt.show_log", text="Show Log", icon="TEXT")
+        row.operator("wm.path_open", text="Show Log", icon="TEXT").filepath = str(machine.set_up_log())
 
 
 def _draw_problem(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -155,7 +155,7 @@ def _draw_engine(
     row = layout.row(align=True)
     row.operator("fipt.set_up_engine", icon="IMPORT")
     row.operator("fipt.check_engine", icon="VIEWZOOM")
-    row.operator("fipt.show_log", text="Show Log", icon="TEXT")
+    row.operator("wm.path_open", text="Show Log", icon="TEXT").filepath = str(machine.set_up_log())
     column = layout.column()
     column.use_property_split = True
     column.prop(preferences, "engine_python")

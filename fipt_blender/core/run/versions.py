@@ -11,19 +11,16 @@ import shutil
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from .contents import RunNote
 from .documents import optional_document
 from .errors import FiptError
 from .result_contents import Stages, Statistics
 from .runfolder import RunFolder, explained_write_errors
-from .settings import TEXTURE_SETTINGS, make_settings, stored_settings
 
 HINTED = "hinted-"  # how the names of the stages of Re-estimate with Hints begin
-_NOT_SHOWN = {*TEXTURE_SETTINGS, "preset", "device", "detail"}
 
 
 @dataclass(frozen=True)
@@ -34,16 +31,12 @@ class Version:
         folder: its run folder.
         time: when it was finished, seconds since 1970.
         preset: "" where it is not known.
-        changes: settings that differ from the preset, as NAME=VALUE.
-        hints: names of the hints that it honours.
         current: whether it is the run that was asked about.
     """
 
     folder: Path
     time: float
     preset: str
-    changes: tuple[str, ...]
-    hints: tuple[str, ...]
     current: bool
 
     @property
@@ -51,13 +44,6 @@ class Version:
         """Preset, and local date and time of its end."""
         date = time.strftime("%Y-%m-%d %H:%M", time.localtime(self.time))
         return " ".join(filter(None, (self.preset.capitalize(), date)))
-
-    @property
-    def what(self) -> str:
-        """What it differs in from its preset, in a few words; "" where it does not."""
-        hints = len(self.hints)
-        counted = () if not hints else ("1 hint" if hints == 1 else f"{hints} hints",)
-        return ", ".join((*self.changes, *counted))
 
 
 def list_versions(run: RunFolder) -> list[Version]:
@@ -159,29 +145,8 @@ def _describe(folder: Path, current: bool) -> Version:
     run = RunFolder(folder)
     settings = (optional_document(run.run_json, RunNote) or RunNote()).settings
     statistics = optional_document(run.statistics_json, Statistics) or Statistics()
-    settings = statistics.settings or settings
-    return Version(
-        folder=folder,
-        time=run.fields_npz.stat().st_mtime,
-        preset=str(settings.get("preset", "")),
-        changes=_changes(settings),
-        hints=tuple(hint.name for hint in statistics.hints),
-        current=current,
-    )
-
-
-def _changes(settings: Mapping[str, Any]) -> tuple[str, ...]:
-    """The settings that differ from those of the preset, as NAME=VALUE."""
-    try:
-        stored = stored_settings(settings)
-        usual = asdict(make_settings(stored.preset))
-    except (FiptError, TypeError):
-        return ()
-    return tuple(
-        f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
-        for name, value in asdict(stored).items()
-        if name not in _NOT_SHOWN and value != usual[name]
-    )
+    preset = str((statistics.settings or settings).get("preset", ""))
+    return Version(folder, run.fields_npz.stat().st_mtime, preset, current)
 
 
 def _keys(folder: Path) -> dict[str, str]:
