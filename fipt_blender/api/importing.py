@@ -138,7 +138,7 @@ def import_steps(
     text: str = "Adding cameras and mesh",
     add_to_scene: StepFunction | None = None,
 ) -> list[Step]:
-    """The engine reads and checks a capture, which is then added to the scene: as imported, if nothing else."""
+    """The engine reads and checks a capture, which then is added to the scene; by default as imported."""
     from ..blend.capture.importing import import_capture
     from ..bridge.step import Step
     from ..jobs.run_job import ingest_step
