@@ -89,7 +89,8 @@ def start(resume: bool) -> running.RunningJob:
     settings = estimating.scene_settings(scene)
     run = estimating.run_for(scene, resume)
     run.create(settings)
-    job = run_job.open_job(run, [camera_step(run), *estimation_steps(run, settings, resume)], resume=resume)
+    steps = [camera_step(run), *estimation_steps(run, settings, resume)]
+    job = run_job.open_job(run, steps, record=run_job.STEPS_NAME, resume=resume)
     return running.start(job, running.RunningJob("Estimate", "estimate", scene.name, run.root))
 
 

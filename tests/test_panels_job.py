@@ -81,7 +81,7 @@ def notices(monkeypatch) -> list[tuple[str, str]]:
 
 
 def do_job(tmp_path: Path, function) -> running.RunningJob:
-    job = own_job([Step("one", "One", 1.0, function=function)], tmp_path / "steps.json", tmp_path / "log.txt")
+    job = own_job([Step("one", "One", 1.0, function=function)], tmp_path / "log.txt")
     return running.run(job, running.RunningJob("Check Views", "views", "", tmp_path))
 
 

@@ -50,6 +50,7 @@ def estimation(
         return run_job.open_job(
             run,
             [camera_step(run), *estimation_steps(run, settings, keep_stages)],
+            record=run_job.STEPS_NAME,
             resume=keep_stages,
             result=lambda: result_files(run),
             launch=launch,
@@ -115,7 +116,7 @@ def reestimation() -> Task:
     def make(scene: bpy.types.Scene) -> Job:
         from ..blend.hints.exchange import write_hints_rerun
         from ..core.run.versions import refuse_other_stages
-        from ..jobs.run_job import find_launch, open_job, refuse_busy
+        from ..jobs.run_job import STEPS_NAME, find_launch, open_job, refuse_busy
         from ..jobs.scene_steps import apply_steps, estimate_step, scene_named
 
         run = run_of(scene)
@@ -131,7 +132,7 @@ def reestimation() -> Task:
             estimate_step(run, settings, resume=True),
             *apply_steps(scene_named(scene.name), run, settings, estimated=True),
         ]
-        return open_job(run, steps, resume=False, launch=launch)
+        return open_job(run, steps, record=STEPS_NAME, launch=launch)
 
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
         note_applied(scene, run)

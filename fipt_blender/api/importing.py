@@ -57,7 +57,7 @@ def _import_capture(scene: bpy.types.Scene) -> Job:
     machine.engine_python()  # raises before anything is created
     run = open_run(scene, str(path), path.stem if path.is_file() else path.name)
 
-    return open_job(run, import_steps(run, path, options), record="import.json")
+    return open_job(run, import_steps(run, path, options))
 
 
 def scene_cameras_import() -> Task:
@@ -97,7 +97,7 @@ def _use_scene_cameras(scene: bpy.types.Scene) -> Job:
         return [{"type": "warning", "code": "cameras-left-out", "text": text, "remedy": remedy}]
 
     steps = import_steps(run, path, options, "Listing the cameras", adopt)
-    return open_job(run, steps, record="import.json")
+    return open_job(run, steps)
 
 
 def open_run(scene: bpy.types.Scene, source: str, name: str) -> RunFolder:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from ..core.run.errors import FiptError
-from ..core.run.runfolder import explained_write_errors
 from .process import EngineProcess, Message
 from .step import JobProgress, Step, StepRecord, StepSlices, chain_keys
 
@@ -23,24 +22,18 @@ QUIET_SECONDS = 5.0  # of an engine, after which the time that is left is told a
 SLICE_SECONDS = 0.05  # time for which a function on Blender's data works in one call of `advance`
 
 
-def own_job(steps: Sequence[Step], record: Path, log: Path) -> Job:
+def own_job(steps: Sequence[Step], log: Path) -> Job:
     """A job whose steps start their own processes or are functions; it always starts from the beginning.
 
     Args:
         steps: none of which has an engine command.
-        record: file for the record of the steps, which is overwritten.
         log: file for tracebacks of functions.
-
-    Raises:
-        FiptError: ``run-unwritable``.
     """
 
     def start_engine(arguments: Sequence[str]) -> EngineProcess:
         raise AssertionError(f"no step of this job has an engine command: {arguments}")
 
-    with explained_write_errors(record):
-        record.unlink(missing_ok=True)
-    return Job(steps, StepRecord(record), start_engine, log, lambda: ([], {}), resume=False)
+    return Job(steps, StepRecord(None), start_engine, log, lambda: ([], {}), resume=False)
 
 
 class Job:

@@ -77,14 +77,14 @@ _VERSION = 1  # of steps.json
 class StepRecord:
     """The file steps.json: key, finished, seconds and warnings by the name of a step.
 
-    A damaged file counts as none. Another Blender may work on the same run folder: what it has recorded
-    meanwhile stays in the file.
+    A damaged file counts as none, and jobs that are not resumed have none. Another Blender may work on the
+    same run folder: what it has recorded meanwhile stays in the file.
 
     Attributes:
         problem: why the file could not be read, "" without a problem.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path | None) -> None:
         self._path = path
         self._steps: dict[str, StepNote] = {}
         self._changed: set[str] = set()  # steps that this record has stored or forgotten
@@ -128,6 +128,8 @@ class StepRecord:
         noted = tuple(Problem(each["code"], each["text"], each["remedy"]) for each in warnings)
         self._steps[name] = StepNote(key, finished, round(seconds, 2), noted)
         self._changed.add(name)
+        if self._path is None:
+            return
         with briefly_locked(self._path.with_name(f".{self._path.name}.lock")):
             self._take_others()
             write_json(self._path, Steps(_VERSION, self._steps))
@@ -138,7 +140,7 @@ class StepRecord:
         Raises:
             FiptError: ``file-damaged``.
         """
-        if not self._path.exists():
+        if self._path is None or not self._path.exists():
             return {}
         record = read_document(self._path, Steps)
         return dict(record.steps) if record.version == _VERSION else {}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Jobs on the data folder: set up and check the engine, measure and delete its contents."""
+"""Jobs on the data folder: set up and check the engine, delete its contents."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ from ..core.run.runfolder import PRODUCT_VERSION, explained_write_errors
 from . import running
 from .tasks import Task
 
-_RECORD = "environment.json"
-
 
 def data_task(
     title: str,
@@ -33,7 +31,7 @@ def data_task(
     def make_job(_: object) -> Job:
         with explained_write_errors(data):
             data.mkdir(parents=True, exist_ok=True)
-        return own_job(make(), data / _RECORD, machine.set_up_log())
+        return own_job(make(), machine.set_up_log())
 
     return Task(title, running.DATA_KIND, make_job, folder=data, ended=ended)
 

@@ -13,7 +13,6 @@ from ..core.run.runfolder import RunFolder
 from ..prepare.preparation import PreparationFolder, refuse_foreign
 from .run_job import open_job
 
-_RECORD = "stage/window.json"
 _TEXT = "Preparing the photographs"
 
 
@@ -38,4 +37,4 @@ def make_prepare_job(
     command = ["prepare", *options, "--", str(photographs), str(folder.root)]
     step = Step("prepare", _TEXT, 60.0, command=command)
     refuse_foreign(folder, photographs)
-    return open_job(run, [step], record=_RECORD)
+    return open_job(run, [step])

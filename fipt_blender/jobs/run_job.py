@@ -43,7 +43,7 @@ def ingest_step(run: RunFolder, capture: Path, options: CaptureOptions, text: st
 def open_job(
     run: RunFolder,
     steps: Sequence[Step],
-    record: str = STEPS_NAME,
+    record: str = "",
     resume: bool = False,
     result: Callable[[], list[str]] | None = None,
     launch: Launch | None = None,
@@ -53,8 +53,8 @@ def open_job(
     Args:
         run: the run folder, which also holds the log and the steps file.
         steps: engine commands and functions on Blender's data.
-        record: name of the steps file, which records finished steps; jobs that share one need different step
-            names.
+        record: name of the steps file, which records finished steps, of a job that can be resumed; jobs that
+            share one need different step names.
         resume: whether finished steps with the same inputs are skipped.
         result: called at the end; returns the paths of the results.
         launch: the engine, if the caller has found it already; None finds it by the preferences.
@@ -64,7 +64,7 @@ def open_job(
     """
     engine = launch or find_launch()
     refuse_busy(run)
-    step_record = StepRecord(run.root / record)
+    step_record = StepRecord(run.root / record if record else None)
     if not resume:
         step_record.forget(step.name for step in steps)  # so that each of them runs
 

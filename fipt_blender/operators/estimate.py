@@ -271,7 +271,7 @@ def try_example(context: bpy.types.Context) -> Task:
             camera_step(run),
             *room_steps(scene_named(scene.name), run, settings, resume=False),
         ]
-        return open_job(run, steps, record="example.json", launch=launch)
+        return open_job(run, steps, launch=launch)
 
     return Task("Example", "estimate", make, finished=applying.note_applied, undo=True)
 

@@ -52,7 +52,7 @@ def make_job(order: Order) -> Job:
     run = RunFolder(order.run)
     in_second_blender = not bpy.app.background and bool(bpy.app.binary_path)
     steps = _steps_in_second_blender(order, run) if in_second_blender else [_step_here(order)]
-    return own_job(steps, run.renders / "steps.json", run.log)
+    return own_job(steps, run.log)
 
 
 def _seconds(order: Order) -> float:
