@@ -31,7 +31,11 @@ RowIndex = Annotated[int, Option("Number in the list, from 0; the active one if 
 
 
 def action(
-    label: str, needs: Sequence[Condition] = (), options: Collection[str] = UNDO, **members: Any
+    label: str,
+    needs: Sequence[Condition] = (),
+    options: Collection[str] = UNDO,
+    bases: tuple[type, ...] = (),
+    **members: Any,
 ) -> Callable[[Function], Function]:
     """Declare the operator that calls a function; it becomes the function's attribute `operator`.
 
@@ -39,6 +43,7 @@ def action(
         label: of buttons.
         needs: conditions for which the button is enabled.
         options: `bl_options`.
+        bases: mix-ins, such as `pointer.PicksAlongRay`.
         members: further members of the class, such as `invoke`, which may return `self.run(context)`.
     """
 
@@ -57,7 +62,7 @@ def action(
             **({"poll": all_of(*needs)} if needs else {}),
             **members,
         }
-        function.operator = type(f"FIPT_OT_{name}", (_Action, bpy.types.Operator), made)  # type: ignore[attr-defined]
+        function.operator = type(f"FIPT_OT_{name}", (*bases, _Action, bpy.types.Operator), made)  # type: ignore[attr-defined]
         return function
 
     return declare
