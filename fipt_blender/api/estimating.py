@@ -115,7 +115,6 @@ def reestimation() -> Task:
 
     def make(scene: bpy.types.Scene) -> Job:
         from ..blend.hints.exchange import write_hints_rerun
-        from ..core.run.versions import refuse_other_stages
         from ..jobs.run_job import STEPS_NAME, find_launch, open_job, refuse_busy
         from ..jobs.scene_steps import apply_steps, estimate_step, scene_named
 
@@ -123,7 +122,6 @@ def reestimation() -> Task:
         launch = find_launch()
         refuse_busy(run)
         chosen = chosen_settings(scene, run)
-        refuse_other_stages(run)
         run.create(chosen)
         settings = run.read_estimated()
         run.create(settings)

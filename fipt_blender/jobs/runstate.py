@@ -34,7 +34,6 @@ class RunState:
         stages: number of finished stages.
         results: whether the results of an estimation exist.
         finished: whether they are those of the last estimation, which has finished then.
-        continues: whether Re-estimate with Hints can go on from the stages of the results.
         versions: the estimates of the same capture, the newest first.
         old_versions: whether an earlier release kept earlier results in the folder.
         warnings, error: warnings of the last run, and the error that ended it.
@@ -47,7 +46,6 @@ class RunState:
     stages: int = 0
     results: bool = False
     finished: bool = False
-    continues: bool = False
     versions: tuple[Version, ...] = ()
     old_versions: bool = False
     warnings: tuple[Message, ...] = ()
@@ -122,7 +120,6 @@ def look(run: RunFolder) -> RunState:
         stages=0 if stages is None else len(stages.stages),
         results=results,
         finished=results and _of_last_estimation(run, stages),
-        continues=results and versions.can_continue(run),
         versions=tuple(versions.list_versions(run)),
         old_versions=run.versions.is_dir(),
         warnings=tuple(warnings),

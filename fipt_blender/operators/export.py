@@ -16,7 +16,7 @@ from .action import REGISTER, action, file_dialog, note
 from .polls import has_results, in_object_mode, needs
 from .reporting import Messages
 
-KEPT = {"options": set()}  # what was chosen last is offered again
+KEPT: dict[str, Any] = {"options": set()}  # what was chosen last is offered again
 
 SIZES = tuple(
     (str(size), f"{size}", f"Textures have {size} x {size} texels at most")

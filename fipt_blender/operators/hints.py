@@ -175,12 +175,13 @@ def hint_on_lamp(
     needs=(
         no_job,
         has_run,
-        needs(lambda context: _state(context).continues, "Finish an estimate first"),
+        needs(lambda context: _state(context).results, "Finish an estimate first"),
         in_object_mode,
     ),
 )
 def reestimate(scene: bpy.types.Scene) -> Task:
     """Estimate the materials again with the hints and apply them. The light that the last estimate has
-    computed is kept, so that it takes about a minute. Estimate uses the hints from its beginning.
+    computed is kept, so that it takes about a minute; what a stopped one has replaced is done again. Estimate
+    uses the hints from its beginning.
     """
     return estimating.reestimation()

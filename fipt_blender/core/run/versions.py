@@ -9,7 +9,6 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +18,6 @@ from .documents import optional_document
 from .errors import FiptError
 from .result_contents import Stages, Statistics
 from .runfolder import RunFolder, explained_write_errors
-
-HINTED = "hinted-"  # how the names of the stages of Re-estimate with Hints begin
 
 
 @dataclass(frozen=True)
@@ -84,32 +81,6 @@ def results_id(run: RunFolder) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def can_continue(run: RunFolder) -> bool:
-    """Whether the stages are those of the results, so that Re-estimate with Hints can go on from them."""
-    stages = optional_document(run.stages_json, Stages)
-    if stages is None:
-        return False
-    keys = _before_hints(stages.keys)
-    if not keys.keys() <= stages.stages.keys():
-        return False
-    made = _keys(run.results)
-    return not made or _before_hints(made) == keys
-
-
-def refuse_other_stages(run: RunFolder) -> None:
-    """Refuse to continue an estimate whose stages are not there any more.
-
-    Raises:
-        FiptError: ``version-stages``.
-    """
-    if not can_continue(run):
-        raise FiptError(
-            "version-stages",
-            "The stages of these results are gone: an estimate that was stopped has replaced them.",
-            "Resume that one, or use Estimate, which honors the hints, too.",
-        )
-
-
 def copy_capture(run: RunFolder, target: RunFolder) -> None:
     """Give another run folder the capture of a run as `ingest` has read it; photographs cost no space again.
 
@@ -153,10 +124,6 @@ def _keys(folder: Path) -> dict[str, str]:
     """The keys in a folder's stages.json; none without one."""
     stages = optional_document(folder / "stages.json", Stages)
     return {} if stages is None else dict(stages.keys)
-
-
-def _before_hints(keys: Mapping[str, str]) -> dict[str, str]:
-    return {name: key for name, key in keys.items() if not name.startswith(HINTED)}
 
 
 def _link_or_copy(source: str | Path, target: str | Path) -> None:
