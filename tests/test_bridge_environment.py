@@ -30,7 +30,7 @@ from fipt_blender.core.run.lock import hold
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import RunFolder
 from samples.refusals import error_of
-from samples.wheels import make_wheel
+from samples.wheels import make_wheel, site_packages
 
 PYTHON = Path(sys.executable)
 NO_MATCH = "ERROR: No matching distribution found for torch"
@@ -130,8 +130,8 @@ def device_works(monkeypatch: MonkeyPatch) -> None:
         ([], None, "packages-failed"),
     ],
 )
-def test_pips_failures_have_words(lines: list[str], wheels: Path | None, code: str, tmp_path: Path) -> None:
-    progress = PipProgress(tmp_path, 1.0, Listener())
+def test_pips_failures_have_words(lines: list[str], wheels: Path | None, code: str) -> None:
+    progress = PipProgress(1.0, Listener())
     for line in lines:
         progress.line(line)
     error = pip_error(progress, wheels)
@@ -186,7 +186,7 @@ def test_python_without_pip_downloads_the_pinned_one(online: bool, tmp_path: Pat
         assert error_of(environment.make_environment, plan).code == "python-unfit"
         return
     environment.make_environment(plan)
-    assert (places.site_packages(plan.folder) / "pip").is_dir()
+    assert (site_packages(plan.folder) / "pip").is_dir()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell script stands for Python")
@@ -195,7 +195,7 @@ def test_python_without_pip_takes_one_from_the_wheels_or_says_how_to_mend_it(bar
     plan = make_plan(tmp_path, base=without_pip(tmp_path))
     caught = error_of(environment.make_environment, plan)
     assert caught.code == "python-unfit" and "neither pip nor ensurepip" in caught.text and not plan.folder.exists()
-    assert (places.site_packages(bare) / "pip").is_dir()
+    assert (site_packages(bare) / "pip").is_dir()
     # a forged pip never runs: refused if it has the pinned version, and passed over if it has another one
     forged = make_pip(tmp_path, "0.1")
     plan = dataclasses.replace(plan, pip=(locked(forged, "0" * 64),))
@@ -221,7 +221,7 @@ def test_locked_packages_are_installed_only_with_the_hashes_of_the_lock(tmp_path
     make_pip(tmp_path, "99.0")  # is left out, since the lock has no hash of it
     listener = Listener()
     environment.set_up(make_plan(tmp_path, lock=(locked(tiny), locked(other)), pip=("pip==99.0",)), listener)
-    packages = places.site_packages(tmp_path / "env")
+    packages = site_packages(tmp_path / "env")
     assert (packages / "fipttiny.py").exists() and (packages / "fiptother.py").exists()
     assert listener.fractions == sorted(listener.fractions) and not (tmp_path / "ran").exists()
 
@@ -269,7 +269,7 @@ def test_the_package_indexs_build_takes_the_place_of_one_that_cant_be_reached(
     listener = Listener()
     environment.set_up(make_plan(tmp_path, torch="cpu", **values), listener)
     assert listener.warnings == ["torch-index"]
-    packages = places.site_packages(tmp_path / "env")
+    packages = site_packages(tmp_path / "env")
     assert (packages / "torch.py").exists() and (packages / "fipttiny.py").exists()
 
 

@@ -16,7 +16,6 @@ from .child import answer, output_end, run_quietly
 from .native import provide_llvm, provide_system_libraries
 from .pip import PipProgress, Teller, pip_error, progress_bar, run_locked, run_pip, source
 from .pip_bootstrap import PIP_INSIDE, VERSION, bootstrap_pip
-from .places import site_packages
 from .plan import Plan
 from .torch_build import LOCKED_GB, SIZES, torch_index, torch_requirement
 
@@ -122,9 +121,8 @@ def install(plan: Plan, tell: Teller) -> None:
     Raises:
         FiptError: ``package-hash`` and those of `pip_error`.
     """
-    packages = site_packages(plan.folder)
     if (pins.read_stamp(plan.folder).torch or plan.torch) != plan.torch:
-        run_pip(plan.python, ["uninstall", "--yes", "torch"], PipProgress(packages, 0.01, tell))
+        run_pip(plan.python, ["uninstall", "--yes", "torch"], PipProgress(0.01, tell))
     _update_pip(plan, tell)
     bar = progress_bar(answer(plan.python, _PIP_VERSION) or "")
     size = 0.0 if plan.wheels else SIZES[plan.torch].download_gb
@@ -134,7 +132,7 @@ def install(plan: Plan, tell: Teller) -> None:
         build = _install_torch(plan, tell, bar)
         size = 0.0 if plan.wheels else SIZES[build].download_gb
         _install_locked(plan, tell, bar, (_TORCH_SHARE, _LOCKED_SHARE))
-    progress = PipProgress(packages, size, tell, (_LOCKED_SHARE if plan.lock else 0.0, 1.0))
+    progress = PipProgress(size, tell, (_LOCKED_SHARE if plan.lock else 0.0, 1.0))
     if run_pip(plan.python, ["install", *source(plan.wheels), *plan.requirements], progress, bar):
         raise pip_error(progress, plan.wheels)
 
@@ -148,7 +146,7 @@ def _update_pip(plan: Plan, tell: Teller) -> None:
     if not plan.pip or f"pip=={answer(plan.python, _PIP_VERSION)}" in map(pins.without_hashes, plan.pip):
         return
     tell.detail("Updating pip")
-    progress = PipProgress(site_packages(plan.folder), 0.01, tell)
+    progress = PipProgress(0.01, tell)
     run_locked(plan.python, ["install", *source(plan.wheels)], plan.pip, progress)
     if progress.mismatch:
         raise pip_error(progress, plan.wheels)
@@ -160,11 +158,11 @@ def _install_torch(plan: Plan, tell: Teller, bar: str) -> str:
     Raises:
         FiptError: ``disk-full`` and those of `pip_error`.
     """
-    packages, build = site_packages(plan.folder), plan.torch
+    build = plan.torch
     requirement, index = torch_requirement(plan.requirements, build), torch_index(build)
     if requirement and index and not plan.wheels:
         patience = ["--retries", "1", "--timeout", "20", "--extra-index-url", index]
-        progress = PipProgress(packages, SIZES[build].torch_gb, tell, (0.0, _TORCH_SHARE))
+        progress = PipProgress(SIZES[build].torch_gb, tell, (0.0, _TORCH_SHARE))
         arguments = ["install", "--no-deps", *source(plan.wheels), *patience, requirement]
         if run_pip(plan.python, arguments, progress, bar) == 0:
             return build
@@ -178,7 +176,7 @@ def _install_torch(plan: Plan, tell: Teller, bar: str) -> str:
     pin = next((each for each in plan.requirements if each.startswith("torch==")), "")
     if pin:
         size = 0.0 if plan.wheels else SIZES[build].torch_gb
-        progress = PipProgress(packages, size, tell, (0.0, _TORCH_SHARE))
+        progress = PipProgress(size, tell, (0.0, _TORCH_SHARE))
         if run_pip(plan.python, ["install", "--no-deps", *source(plan.wheels), pin], progress, bar):
             raise pip_error(progress, plan.wheels)
     return build
@@ -190,6 +188,6 @@ def _install_locked(plan: Plan, tell: Teller, bar: str, span: tuple[float, float
     Raises:
         FiptError: those of `pip_error`.
     """
-    progress = PipProgress(site_packages(plan.folder), 0.0 if plan.wheels else LOCKED_GB, tell, span)
+    progress = PipProgress(0.0 if plan.wheels else LOCKED_GB, tell, span)
     if run_locked(plan.python, ["install", *source(plan.wheels)], plan.lock, progress, bar):
         raise pip_error(progress, plan.wheels)

@@ -16,7 +16,6 @@ from . import provision
 from .child import output_end, run_quietly
 from .interpreter import engine_command, system_folder
 from .pip import PipProgress, Teller, pip_error, run_locked, source
-from .places import site_packages
 from .plan import Plan
 
 LLVM_LIBRARIES = ("libLLVM", "libc++", "libunwind")  # how the names of the files that are kept begin
@@ -95,7 +94,7 @@ def _fetch_llvm_package(plan: Plan, folder: Path, tell: Teller) -> bool:
     """
     with tempfile.TemporaryDirectory() as temporary:
         arguments = ["download", "--dest", temporary, *source(plan.wheels)]
-        progress = PipProgress(site_packages(plan.folder), 0.1, tell)
+        progress = PipProgress(0.1, tell)
         if plan.llvm and run_locked(plan.python, arguments, plan.llvm, progress) and progress.mismatch:
             raise pip_error(progress, plan.wheels)
         wheels = Path(temporary).glob("*.whl")
