@@ -1,17 +1,15 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What Set Up Engine needs and would download, for the panel, which must not ask the GPU's driver.
+"""What Set Up Engine would download, for the panel, which must not ask the GPU's driver.
 
 While drawing, the answer comes from a cache, which a timer fills soon after.
 """
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import bpy
-from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
 from .window import redraw
@@ -20,16 +18,6 @@ if TYPE_CHECKING:
     from ..bridge.torch_build import Size
 
 _known: dict[str, str] = {}  # build by the device of the preferences
-
-
-def likely_failure() -> str:
-    """Why the set-up fails unless this machine has another Python that fits, and what helps; else ""."""
-    if find_spec("venv") is not None:
-        return ""
-    return iface_(
-        "Blender's Python lacks the module venv, so that the set-up fails unless there is another Python."
-        " Install it first (Debian, Ubuntu: apt-get install python3-venv), or use a Blender of blender.org."
-    )
 
 
 def size() -> Size:

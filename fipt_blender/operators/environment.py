@@ -37,8 +37,6 @@ def _ask(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[s
     message = iface_("Downloads about {:.1f} GB and needs {:.1f} GB on the disk").format(
         size.download_gb, size.disk_gb
     )
-    if failure := setup_size.likely_failure():
-        message = f"{failure} {message}"
     return context.window_manager.invoke_confirm(
         self, event, title=iface_(self.bl_label), message=message, confirm_text=iface_("Set Up")
     )

@@ -24,8 +24,6 @@ def draw_set_up(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         "The engine computes materials and lights. It gets a Python environment of its own beside Blender's."
     )
     draw_text(layout, context, text, icon="INFO")
-    if failure := setup_size.likely_failure():
-        draw_text(layout, context, failure, icon="ERROR", alert=True)
     values = machine.get_preferences()
     local = bool(values.wheel_folder)
     if not local:
