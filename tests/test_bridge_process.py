@@ -21,7 +21,7 @@ from fipt_blender.bridge import process as engine_process
 from fipt_blender.bridge.death import explain_death
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import Job
-from fipt_blender.bridge.step import Step, StepRecord
+from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.lock import hold, holder
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.process_identity import PARENT_VARIABLE
@@ -227,8 +227,7 @@ def test_a_request_to_cancel_never_waits(run_folder, monkeypatch):
     stubborn = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('{}', flush=True)\n"
     command, log = [sys.executable, "-c", stubborn + SLEEPER], run_folder.log
     engine = EngineProcess(command, log, messages=run_folder.messages("a"))
-    step, record = Step("estimate", "Estimate", 1.0, command=["estimate"]), StepRecord(run_folder.root / "steps.json")
-    job = Job([step], record, lambda arguments: engine, log, lambda: ([], {}), resume=False)
+    job = Job([Step("estimate", "Estimate", 1.0, process=lambda: engine)], log)
     for _ in range(3):
         job.advance()
     wait_for(lambda: run_folder.messages("a").stat().st_size)

@@ -22,28 +22,13 @@ QUIET_SECONDS = 5.0  # of an engine, after which the time that is left is told a
 SLICE_SECONDS = 0.05  # time for which a function on Blender's data works in one call of `advance`
 
 
-def own_job(steps: Sequence[Step], log: Path) -> Job:
-    """A job whose steps start their own processes or are functions; it always starts from the beginning.
-
-    Args:
-        steps: none of which has an engine command.
-        log: file for tracebacks of functions.
-    """
-
-    def start_engine(arguments: Sequence[str]) -> EngineProcess:
-        raise AssertionError(f"no step of this job has an engine command: {arguments}")
-
-    return Job(steps, StepRecord(None), start_engine, log, lambda: ([], {}), resume=False)
-
-
 class Job:
     """Runs steps one after another and turns their messages into messages of the job.
 
     Args:
-        steps: in order.
-        record: the steps that an earlier run has finished.
-        start_engine: starts an engine command; raises FiptError if that fails.
+        steps: in order; each has a function or starts a process.
         log: file for tracebacks of functions.
+        record: the steps that an earlier run has finished; None for a job that is never resumed.
         result: called at the end; returns files and data for the message `done`.
         resume: whether finished steps are skipped.
 
@@ -57,19 +42,17 @@ class Job:
     def __init__(
         self,
         steps: Sequence[Step],
-        record: StepRecord,
-        start_engine: Callable[[Sequence[str]], EngineProcess],
         log: Path,
-        result: Callable[[], tuple[list[str], dict[str, Any]]],
-        resume: bool = True,
+        record: StepRecord | None = None,
+        result: Callable[[], tuple[list[str], dict[str, Any]]] = lambda: ([], {}),
+        resume: bool = False,
     ) -> None:
         self.error: Message | None = None
         self.cancelled = False
         self.around: Callable[[], AbstractContextManager[Any]] = nullcontext
         self._steps = list(steps)
         self._keys = chain_keys(self._steps)
-        self._record = record
-        self._start_engine = start_engine
+        self._record = record or StepRecord(None)
         self._log = log
         self._result = result
         self._modes = self._plan() if resume else ["run"] * len(self._steps)
@@ -178,8 +161,8 @@ class Job:
             return self._announce_next()
         step = self._steps[self._position]
         self._announced = False
-        if self._modes[self._position] != "restore" and (step.process or step.command is not None):
-            self._process = step.process() if step.process else self._start_engine(step.command or ())
+        if self._modes[self._position] != "restore" and step.process is not None:
+            self._process = step.process()
             self._heard = time.monotonic()
             return []
         function = step.restore if self._modes[self._position] == "restore" else step.function

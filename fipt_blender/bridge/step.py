@@ -42,9 +42,9 @@ class Step:
         expected: the same from what the steps before have found; None while that is unknown, and with it the
             time that the job will take.
         inputs: JSON-serialisable values on which the result depends besides the steps before.
-        command: arguments of an engine command, or None.
-        process: instead of `command`, starts another process that writes messages like the engine's.
-        function: instead of `command`, is called on Blender's data; see `StepFunction`.
+        command: arguments of an engine command, which becomes the process in a job on a run folder.
+        process: starts a process that writes messages like the engine's.
+        function: instead of a process, is called on Blender's data; see `StepFunction`.
         outputs: files that must exist if the step counts as finished.
         repeat: whether a finished step is done again because its result exists only in Blender's memory.
         reset: called to remove stale results if the inputs have changed.

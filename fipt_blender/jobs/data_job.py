@@ -12,7 +12,7 @@ from .. import machine
 from ..bridge.interpreter import engine_command, engine_environment, setup_command
 from ..bridge.pins import other_versions, read_pins
 from ..bridge.process import EngineProcess
-from ..bridge.sequence import Job, own_job
+from ..bridge.sequence import Job
 from ..bridge.step import Step
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import PRODUCT_VERSION, explained_write_errors
@@ -31,7 +31,7 @@ def data_task(
     def make_job(_: object) -> Job:
         with explained_write_errors(data):
             data.mkdir(parents=True, exist_ok=True)
-        return own_job(make(), machine.set_up_log())
+        return Job(make(), machine.set_up_log())
 
     return Task(title, running.DATA_KIND, make_job, folder=data, ended=ended)
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 import importlib.util
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from ..bridge.interpreter import engine_command, engine_environment, find_engine_python
@@ -80,12 +81,11 @@ def open_job(
             ) from error
 
     return Job(
-        steps=steps,
-        record=step_record,
-        start_engine=start,
-        log=run.log,
-        result=lambda: (result() if result else [], {"run": str(run.root)}),
-        resume=resume,
+        [replace(step, process=partial(start, step.command)) if step.command else step for step in steps],
+        run.log,
+        step_record,
+        lambda: (result() if result else [], {"run": str(run.root)}),
+        resume,
     )
 
 

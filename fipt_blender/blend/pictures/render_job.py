@@ -23,7 +23,7 @@ import bpy
 
 from ...bridge.interpreter import PACKAGE_FOLDER
 from ...bridge.process import EngineProcess, Message
-from ...bridge.sequence import Job, own_job
+from ...bridge.sequence import Job
 from ...bridge.step import Step
 from ...core.run.errors import FiptError
 from ...core.run.messages import Reporter, claim_stdout
@@ -52,7 +52,7 @@ def make_job(order: Order) -> Job:
     run = RunFolder(order.run)
     in_second_blender = not bpy.app.background and bool(bpy.app.binary_path)
     steps = _steps_in_second_blender(order, run) if in_second_blender else [_step_here(order)]
-    return own_job(steps, run.log)
+    return Job(steps, run.log)
 
 
 def _seconds(order: Order) -> float:
