@@ -65,8 +65,7 @@ class EngineProcess:
         cancelled: whether it was asked to end.
 
     Raises:
-        OSError: the interpreter can't be started.
-        FiptError: ``run-busy`` where another engine writes its messages there; ``disk-full`` or
+        FiptError: ``engine-missing`` where the interpreter can't be started; ``run-busy`` where another engine writes its messages there; ``disk-full`` or
             ``run-unwritable``.
     """
 
@@ -107,9 +106,13 @@ class EngineProcess:
         self._stream = open(messages, "rb")
         try:
             self._process = self._start(command, environment)
-        except BaseException:
+        except OSError as error:
             self._close()
-            raise
+            raise FiptError(
+                "engine-missing",
+                f"{command[0]} can't be started ({error.strerror}).",
+                "Choose another interpreter (preferences, --engine-python), or set up the engine again.",
+            ) from error
         if sys.platform != "win32":
             # Not by preexec_fn, which is unsafe in a process with threads such as Blender.
             try:

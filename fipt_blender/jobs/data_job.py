@@ -14,7 +14,6 @@ from ..bridge.pins import other_versions, read_pins
 from ..bridge.process import EngineProcess
 from ..bridge.sequence import Job
 from ..bridge.step import Step
-from ..core.run.errors import FiptError
 from ..core.run.runfolder import PRODUCT_VERSION, explained_write_errors
 from . import running
 from .tasks import Task
@@ -39,8 +38,12 @@ def data_task(
 def set_up_step(python: Path, data: Path, device: str, wheels: Path | None) -> Step:
     """The step that creates the engine's environment; for the arguments see `setup_command`."""
     command = setup_command(python, data, device, wheels)
+    log = machine.set_up_log()
     return Step(
-        "set-up", "Setting up the engine", 180.0, process=lambda: start_process(command, engine_environment())
+        "set-up",
+        "Setting up the engine",
+        180.0,
+        process=lambda: EngineProcess(command, log, engine_environment()),
     )
 
 
@@ -66,7 +69,7 @@ class EngineStatus:
         if gpu:
             arguments.append(f"--gpu={gpu}")
         command = engine_command(python, *arguments)
-        self._check = start_process(command, engine_environment(python))
+        self._check = EngineProcess(command, machine.set_up_log(), engine_environment(python))
         return self._check
 
     def store(self, info: running.RunningJob) -> None:
@@ -95,19 +98,3 @@ class EngineStatus:
                 "error": info.error,
             }
         )
-
-
-def start_process(command: list[str], environment: dict[str, str]) -> EngineProcess:
-    """Start a process that writes to the environment's log.
-
-    Raises:
-        FiptError: ``engine-missing`` where its interpreter can't be started.
-    """
-    try:
-        return EngineProcess(command, machine.set_up_log(), environment)
-    except OSError as error:
-        raise FiptError(
-            "engine-missing",
-            f"{command[0]} can't be started ({error.strerror}).",
-            "Select another Own Interpreter in the preferences, or use Set Up Engine.",
-        ) from error

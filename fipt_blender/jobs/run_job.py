@@ -19,7 +19,6 @@ from ..bridge.process import EngineProcess
 from ..bridge.sequence import Job
 from ..bridge.step import Step, StepRecord
 from ..core.capture.options import CaptureOptions
-from ..core.run.errors import FiptError
 from ..core.run.lock import busy, holder
 from ..core.run.process_identity import PARENT_VARIABLE
 from ..core.run.runfolder import RunFolder
@@ -71,14 +70,7 @@ def open_job(
 
     def start(arguments: Sequence[str]) -> EngineProcess:
         command = engine_command(engine.python, *arguments)
-        try:
-            return EngineProcess(command, run.log, engine.environment, run.messages(arguments[0]))
-        except OSError as error:
-            raise FiptError(
-                "engine-missing",
-                f"The engine's Python {engine.python} can't be started ({error.strerror}).",
-                "Choose another interpreter, or set up the engine again.",
-            ) from error
+        return EngineProcess(command, run.log, engine.environment, run.messages(arguments[0]))
 
     return Job(
         [replace(step, process=partial(start, step.command)) if step.command else step for step in steps],

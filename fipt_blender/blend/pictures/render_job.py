@@ -79,14 +79,7 @@ def _steps_in_second_blender(order: Order, run: RunFolder) -> list[Step]:
             raise write_error(blend, error, "blend-unwritable") from None
 
     def start() -> EngineProcess:
-        try:
-            return EngineProcess(child_command(blend, order_json), run.log, None, run.messages("render"))
-        except OSError as error:
-            raise FiptError(
-                "render-failed",
-                f"A second Blender can't be started ({error.strerror}).",
-                "Check whether Blender's program file was moved.",
-            ) from error
+        return EngineProcess(child_command(blend, order_json), run.log, None, run.messages("render"))
 
     return [
         Step("copy", "Copying the scene", 1.0, function=save),
