@@ -16,6 +16,7 @@ import bpy
 from .. import machine
 from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
+from ..jobs.window import push_undo
 from .applying import chosen_settings, note_applied, run_of, show_doubts
 
 if TYPE_CHECKING:
@@ -79,6 +80,7 @@ def run_for(scene: bpy.types.Scene, keep_stages: bool) -> RunFolder:
     else:
         run = RunFolder(machine.new_run_folder(Path(bpy.data.filepath).stem or scene.name))
     scene.fipt.run_folder = str(run.root)
+    push_undo("Estimate")  # so that redo brings back what the job begins with
     return run
 
 

@@ -78,6 +78,7 @@ class _Active:
     job: Job
     on_end: Callable[[RunningJob], None] | None
     blend_file: str
+    scene_uid: int
     content: int = 0  # of `_content`, before an undo
     undone: bool = False  # whether an undo took some of that away
 
@@ -128,7 +129,8 @@ def start(job: Job, info: RunningJob, on_end: Callable[[RunningJob], None] | Non
             "Wait for its end, or cancel it first.",
         )
     job.around = lambda: scene_context(info.scene_name, info.run_folder)
-    _active = _Active(info, job, on_end, bpy.data.filepath)
+    scene = find_scene(info.scene_name, info.run_folder) if info.scene_name else None
+    _active = _Active(info, job, on_end, bpy.data.filepath, scene.session_uid if scene else 0)
     runstate.forget(info.run_folder)
     if not bpy.app.background and not bpy.app.timers.is_registered(tick):
         bpy.app.timers.register(tick, persistent=True)
@@ -249,13 +251,14 @@ def is_saved() -> bool:
 
 
 def _keep_run_folder(active: _Active) -> None:
-    """Set the run folder again in the job's scene where reloading the file took it back."""
-    info = active.info
-    if not active.blend_file or bpy.data.filepath != active.blend_file or _content(info):
+    """Set the run folder again in the job's scene where undo or reloading the file took it back."""
+    if not active.scene_uid or _content(active.info):
         return
-    scene = bpy.data.scenes.get(info.scene_name)
-    if scene is not None and not scene.fipt.run_folder:
-        scene.fipt.run_folder = str(info.run_folder)
+    for scene in bpy.data.scenes:
+        same_file = active.blend_file and bpy.data.filepath == active.blend_file
+        same = scene.session_uid == active.scene_uid or (same_file and scene.name == active.info.scene_name)
+        if same and not scene.fipt.run_folder:
+            scene.fipt.run_folder = str(active.info.run_folder)
 
 
 def _content(info: RunningJob) -> int:

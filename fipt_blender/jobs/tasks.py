@@ -61,8 +61,6 @@ def begin(task: Task, scene: bpy.types.Scene, wait: bool) -> running.RunningJob:
     end = task.ended if task.folder is not None else partial(_end, task.finished, task.failed, undo)
     try:
         job = task.make(scene)
-        if task.folder is None:
-            push_undo(task.title)  # redo can bring back what the job begins with
         return start(job, _info(task, scene), end)
     except FiptError as error:
         running.refuse(_info(task, scene), error)
