@@ -65,8 +65,8 @@ class EngineProcess:
         cancelled: whether it was asked to end.
 
     Raises:
-        FiptError: ``engine-missing`` where the interpreter can't be started; ``run-busy`` where another engine
-            writes its messages there; ``disk-full`` or ``run-unwritable``.
+        FiptError: ``engine-missing`` where the interpreter can't be started; ``run-busy`` where another
+            engine writes its messages there; ``disk-full`` or ``run-unwritable``.
     """
 
     def __init__(

@@ -252,7 +252,7 @@ def is_saved() -> bool:
 
 def _keep_run_folder(active: _Active) -> None:
     """Set the run folder again in the job's scene where undo or reloading the file took it back."""
-    if not active.scene_uid or _content(active.info):
+    if not active.scene_uid or find_scene(active.info.scene_name, active.info.run_folder) is not None:
         return
     for scene in bpy.data.scenes:
         same_file = active.blend_file and bpy.data.filepath == active.blend_file
