@@ -58,18 +58,12 @@ class RunState:
 # Time of the last look (monotonic seconds) and state, by folder.
 _known: dict[str, tuple[float, RunState]] = {}
 _wanted: set[str] = set()  # folders that the timer looks at next
-# Called after each look at the disk, with the folder, its state, and whether that has changed.
-_listeners: list[Callable[[Path, RunState, bool], None]] = []
-
-
-def register(on_look: Callable[[Path, RunState, bool], None]) -> None:
-    """Add a function that is called after each look at the disk."""
-    _listeners.append(on_look)
+# Called by the timer with a state that has changed; `session` sets it.
+on_change: Callable[[RunState], None] = lambda state: None  # noqa: E731
 
 
 def unregister() -> None:
-    """Clear the cache and the listeners, and stop the timer."""
-    _listeners.clear()
+    """Clear the cache, and stop the timer."""
     _known.clear()
     _wanted.clear()
     if bpy.app.timers.is_registered(_look_soon):
@@ -136,8 +130,8 @@ def _look_soon() -> None:
         _, previous = _known.get(folder, (0.0, None))
         state = look(RunFolder(folder))
         _known[folder] = (time.monotonic(), state)
-        for listener in _listeners:
-            listener(Path(folder), state, state != previous)
+        if state != previous:
+            on_change(state)
 
 
 def _of_last_estimation(run: RunFolder, stages: Stages | None) -> bool:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
@@ -35,7 +34,7 @@ def register() -> None:
         item.properties.by_key = True
         _keymap_items.append((keymap, item))
     bpy.app.handlers.animation_playback_post.append(_note_playback_end)
-    runstate.register(_after_look)
+    runstate.on_change = _show_state
     running.register(after_job)
     saving.register()
 
@@ -84,9 +83,8 @@ def after_job(info: running.RunningJob) -> None:
                 bpy.ops.fipt.apply_results("INVOKE_DEFAULT")
 
 
-def _after_look(folder: Path, state: runstate.RunState, changed: bool) -> None:
+def _show_state(state: runstate.RunState) -> None:
     """Show what changed in a run folder."""
-    if changed:
-        if running.current() is None:
-            previews.estimate_pictures.load(state.pictures)
-        redraw()
+    if running.current() is None:
+        previews.estimate_pictures.load(state.pictures)
+    redraw()

@@ -22,15 +22,19 @@ PARENT_VARIABLE = "FIPT_PARENT"  # process id of the parent, if the engine is to
 def end_with_parent() -> None:
     """Start a thread that ends this process within a second of the end of its parent.
 
-    Nothing is done unless the environment names the parent (`PARENT_VARIABLE`), or on Windows, where a
-    process can't see that its parent has ended.
+    Nothing is done unless the environment names the parent (`PARENT_VARIABLE`).
     """
     parent = os.environ.get(PARENT_VARIABLE, "")
-    if not parent.isdecimal() or sys.platform == "win32":
+    if not parent.isdecimal():
         return
 
     def watch() -> None:
-        while os.getppid() == int(parent):
+        if sys.platform == "win32":  # where the parent's id stays after its end
+            import _winapi
+
+            handle = _winapi.OpenProcess(_winapi.SYNCHRONIZE, False, int(parent))
+            _winapi.WaitForSingleObject(handle, _winapi.INFINITE)
+        while os.getppid() == int(parent) and sys.platform != "win32":
             time.sleep(1.0)
         os._exit(1)
 
