@@ -118,7 +118,6 @@ def set_up() -> None:
             pip=pins["pip"],
             lock=pins["lock"],
             key=key,
-            allow_large=True,
         )
         environment.set_up(plan, Terminal())
     except FiptError as error:

@@ -38,14 +38,6 @@ class Status(TypedDict, total=False):
     cancelled: bool  # whether a later set-up was cancelled
 
 
-class Usage(TypedDict, total=False):
-    """Last measurement of the data folder; empty before the first."""
-
-    time: float  # seconds since the epoch
-    sizes: dict[str, int]  # bytes by folder name
-    runs: list[str]  # names of the folders that are runs
-
-
 class Preferences(Protocol):
     """The values that the add-on's preferences and `Defaults` have in common."""
 
@@ -54,9 +46,7 @@ class Preferences(Protocol):
     device: str
     gpu_uuid: str
     data_folder: str
-    on_close: str
     status: str
-    usage: str
 
 
 @dataclass
@@ -68,9 +58,7 @@ class Defaults:
     device: str = "auto"
     gpu_uuid: str = ""
     data_folder: str = ""
-    on_close: str = "STOP"
     status: str = ""
-    usage: str = ""
 
 
 DEFAULTS = Defaults()
@@ -86,6 +74,11 @@ def data_folder() -> Path:
     """The folder for runs and the engine's environments; it may not exist yet."""
     chosen = get_preferences().data_folder
     return Path(bpy.path.abspath(chosen)).absolute() if chosen else places.default_data_folder()
+
+
+def set_up_log() -> Path:
+    """The log of Set Up Engine and Check."""
+    return data_folder() / "environment.log"
 
 
 def engine_python() -> Path:
@@ -167,12 +160,12 @@ def new_run_folder(name: str, parent: Path | None = None) -> Path:
 
 def is_unused_run(folder: Path) -> bool:
     """Whether a folder of `new_run_folder` has neither capture nor room, and no engine works in it."""
-    from .bridge.attached import find_engine
+    from .core.run.lock import holder
 
     run = RunFolder(folder)
     files = run.ingest_json, run.capture_json, run.room_json
     in_data_folder = run.root.parent == places.runs_folder(data_folder())
-    return in_data_folder and not any(path.exists() for path in files) and find_engine(run) is None
+    return in_data_folder and not any(path.exists() for path in files) and holder(run) is None
 
 
 def status() -> Status:
@@ -182,17 +175,11 @@ def status() -> Status:
 
 def store_status(data: Status) -> None:
     """Store the result of Set Up Engine or Check; {} deletes it."""
-    _store("status", data)
+    import json
 
-
-def usage() -> Usage:
-    """The stored sizes in the data folder."""
-    return cast(Usage, _parse(get_preferences().usage))
-
-
-def store_usage(data: Usage) -> None:
-    """Store the measured sizes."""
-    _store("usage", data)
+    get_preferences().status = json.dumps(data) if data else ""
+    if get_preferences() is not DEFAULTS:
+        bpy.context.preferences.is_dirty = True  # so that Blender auto-saves them
 
 
 def keep() -> None:
@@ -204,7 +191,7 @@ def keep() -> None:
     if preferences is DEFAULTS:
         return
     try:
-        kept = {name: getattr(preferences, name) for name in asdict(DEFAULTS) if name != "usage"}
+        kept = {name: getattr(preferences, name) for name in asdict(DEFAULTS)}
         write_json(places.default_data_folder() / KEPT_NAME, kept)
     except FiptError as error:  # no value is lost yet, and no operator runs that could report it
         print(f"fipt: {error.text}")
@@ -225,14 +212,6 @@ def recall() -> None:
                 setattr(preferences, name, value)
             except TypeError:  # an enum value of another version
                 pass
-
-
-def _store(name: str, data: Status | Usage) -> None:
-    import json
-
-    setattr(get_preferences(), name, json.dumps(data) if data else "")
-    if get_preferences() is not DEFAULTS:
-        bpy.context.preferences.is_dirty = True  # so that Blender auto-saves them
 
 
 @functools.lru_cache(maxsize=8)

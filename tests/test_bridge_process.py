@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine's process, watched or not: misbehaving children, its lock, finding it, a full disk, stopping it."""
+"""The engine's process: misbehaving children, its lock, a full disk, stopping it."""
 
 from __future__ import annotations
 
@@ -18,11 +18,10 @@ from unittest.mock import Mock
 import pytest
 
 from fipt_blender.bridge import process as engine_process
-from fipt_blender.bridge.attached import AttachedEngine, find_engine
 from fipt_blender.bridge.death import explain_death
-from fipt_blender.bridge.process import Engine, EngineProcess
+from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import Job
-from fipt_blender.bridge.step import Step, StepRecord
+from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.lock import hold, holder
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.process_identity import PARENT_VARIABLE
@@ -204,7 +203,7 @@ def engine(run_folder: RunFolder) -> Iterator[EngineProcess]:
     """An engine that works in `run_folder` as if another Blender had started it."""
     command = [sys.executable, "-c", ENGINE, str(ROOT), str(run_folder.root)]
     process = EngineProcess(command, run_folder.log, messages=run_folder.messages("estimate"))
-    wait_for(lambda: find_engine(run_folder))
+    wait_for(lambda: holder(run_folder))
     yield process
     process.cancel()
 
@@ -224,114 +223,11 @@ def test_the_lock_keeps_others_out_and_names_its_holder(run_folder, engine):
 
 
 @posix
-def test_the_lock_goes_with_a_killed_engine_whose_death_is_explained(run_folder, engine):
-    engine.leave()
-    attached = AttachedEngine(run_folder, find_engine(run_folder))
-    os.kill(engine.pid, signal.SIGKILL)
-    messages: list[dict] = []
-    wait_for(lambda: messages.extend(attached.poll()) or not attached.running)
-    assert messages[-1]["code"] == "engine-crashed" and "Resume" in messages[-1]["remedy"]
-    with hold(run_folder, ["report"]):
-        assert holder(run_folder).command == ("report",)
-    assert holder(run_folder) is None
-
-
-def test_an_engine_that_was_left_is_watched_to_its_end(run_folder, engine):
-    engine.leave()
-    assert engine.poll() == [] and is_alive(engine.pid)
-    command, messages_file = [sys.executable, "-c", "pass"], run_folder.messages("estimate")
-    assert error_of(EngineProcess, command, run_folder.log, messages=messages_file).code == "run-busy"
-    attached = AttachedEngine(run_folder, find_engine(run_folder))
-    messages: list[dict] = []
-    wait_for(lambda: messages.extend(attached.poll()) or len(messages) == 4)
-    assert [message["type"] for message in messages] == ["stage", "progress", "progress", "warning"]
-    assert attached.running
-    (run_folder.root / "stop").touch()
-    wait_for(lambda: messages.extend(attached.poll()) or not attached.running)
-    assert messages[-1]["type"] == "done" and attached.error is None
-    assert "a stray line" in run_folder.log.read_text()
-
-
-def job_of(engine: Engine, run: RunFolder) -> Job:
-    """A job of one step, whose engine this is."""
-    step, record = Step("estimate", "Estimate", 1.0, command=["estimate"]), StepRecord(run.root / "steps.json")
-    return Job([step], record, lambda arguments: engine, run.log, lambda: ([], {}), resume=False)
-
-
-@posix
-def test_a_process_with_the_id_of_a_dead_engine_is_left_alone(run_folder):
-    other = subprocess.Popen([sys.executable, "-c", SLEEPER], start_new_session=True)
-    try:
-        dead = json.dumps({"pid": other.pid, "command": ["estimate"]})
-        run_folder.messages("estimate").parent.mkdir()
-        run_folder.messages("estimate").touch()
-        run_folder.engine_lock.write_text(dead)
-        assert find_engine(run_folder) is None
-        with hold(run_folder, ["estimate"]):
-            attached = AttachedEngine(run_folder, find_engine(run_folder))
-        run_folder.engine_lock.write_text(dead)
-        attached.cancel()
-        assert other.poll() is None
-    finally:
-        other.kill()
-        other.wait()
-
-
-@posix
-def test_a_process_is_left_alone_where_the_engine_runs_on_another_machine(run_folder, engine):
-    """On storage that machines share, the lock's id may be that of an innocent process here."""
-    content = json.loads(run_folder.engine_lock.read_text())
-    for other in ({"host": "another-machine"}, {"started": "another boot 5"}, {"host": "", "started": ""}):
-        run_folder.engine_lock.write_text(json.dumps({**content, **other}))  # still locked
-        found = find_engine(run_folder)
-        assert found is not None and not found.is_here
-        attached = AttachedEngine(run_folder, found)
-        job = job_of(attached, run_folder)
-        while not job.waits:
-            job.advance()
-        caught = error_of(job.request_cancel)
-        assert caught.code == "engine-elsewhere" and str(engine.pid) in caught.text and not job.cancelled
-        assert (other.get("host") or str(engine.pid)) in error_of(run_job.refuse_busy, run_folder).text
-        attached.request_cancel()
-        attached.poll()
-        job.cancel()
-        assert is_alive(engine.pid) and not attached.running
-
-
-def test_the_command_of_a_lock_names_no_other_file_and_nonsense_is_nobodys(run_folder):
-    (run_folder.root.parent / "evil.jsonl").touch()
-    run_folder.messages("estimate").parent.mkdir()
-    with hold(run_folder, ["../../evil"]):
-        assert holder(run_folder) is not None and find_engine(run_folder) is None
-        for text in ("", "{", "[]", '{"pid": "x", "command": []}', '{"pid": 1}'):  # still locked
-            run_folder.engine_lock.write_text(text)
-            assert holder(run_folder) is None and find_engine(run_folder) is None
-
-
-def test_a_job_attaches_and_notes_that_its_step_is_finished(run_folder, engine):
-    record = StepRecord(run_folder.root / "steps.json")
-    record.store("estimate", "the key of then", finished=False)
-    steps = [Step("estimate", "Estimating", 1.0, command=["estimate"], reset=lambda: pytest.fail("kept"))]
-    job = run_job.attach_job(run_folder, steps)
-    assert job is not None
-    messages: list[dict] = []
-    for _ in range(5):
-        messages += job.advance()
-    assert "estimate/shadings" in [message.get("name") for message in messages]
-    (run_folder.root / "stop").touch()
-    assert job.run(messages.append) and messages[-1]["type"] == "done"
-    step = json.loads((run_folder.root / "steps.json").read_text())["steps"]["estimate"]
-    assert step["finished"] and step["key"] == "the key of then"
-    assert [warning["code"] for warning in step["warnings"]] == ["odd"]
-    assert run_job.attach_job(run_folder, steps) is None
-
-
-@posix
 def test_a_request_to_cancel_never_waits(run_folder, monkeypatch):
     stubborn = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('{}', flush=True)\n"
     command, log = [sys.executable, "-c", stubborn + SLEEPER], run_folder.log
     engine = EngineProcess(command, log, messages=run_folder.messages("a"))
-    job = job_of(engine, run_folder)
+    job = Job([Step("estimate", "Estimate", 1.0, process=lambda: engine)], log)
     for _ in range(3):
         job.advance()
     wait_for(lambda: run_folder.messages("a").stat().st_size)
@@ -345,8 +241,8 @@ def test_a_request_to_cancel_never_waits(run_folder, monkeypatch):
 
 
 @posix
-def test_in_background_the_engine_ends_with_who_started_it(tmp_path):
-    # The child starts the engine's watch in a grandchild and is then killed, as a batch run may be.
+def test_the_engine_ends_with_who_started_it(tmp_path):
+    # The child starts the engine's watch in a grandchild and is then killed, as Blender may be.
     watch = "import os\nfrom fipt_blender.core.run.process_identity import end_with_parent\nend_with_parent()\n"
     watch += f"print(os.getpid(), flush=True)\n{SLEEPER}"
     script = f"import os, subprocess, sys\nos.environ[{PARENT_VARIABLE!r}] = str(os.getpid())\n"

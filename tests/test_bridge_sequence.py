@@ -8,6 +8,7 @@ import json
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -29,9 +30,9 @@ class Steps:
         self.ran: list[str] = []
         self.engine = "import json, pathlib, sys; pathlib.Path(sys.argv[1]).touch()\n" + DONE
 
-    def start(self, arguments):
-        self.ran.append(Path(arguments[0]).name)
-        return EngineProcess([sys.executable, "-c", self.engine, *arguments], self.folder / "log.txt")
+    def start(self, path):
+        self.ran.append(path.name)
+        return EngineProcess([sys.executable, "-c", self.engine, str(path)], self.folder / "log.txt")
 
     def note(self, name):
         return lambda: self.ran.append(name)
@@ -40,14 +41,14 @@ class Steps:
         a, b, d = (self.folder / name for name in ("a", "b", "d"))
         of_a, of_b, of_d = ({"x": inputs.get(name)} for name in ("a", "b", "d"))
         steps = [
-            Step("a", "A", 1.0, inputs=of_a, command=[str(a)], outputs=[a]),
+            Step("a", "A", 1.0, inputs=of_a, process=partial(self.start, a), outputs=[a]),
             Step("scene", "Scene", 1.0, function=self.note("scene"), repeat=True),
-            Step("b", "B", 1.0, inputs=of_b, command=[str(b)], outputs=[b], reset=self.note("reset b")),
+            Step("b", "B", 1.0, inputs=of_b, process=partial(self.start, b), outputs=[b], reset=self.note("reset b")),
             Step("save", "Save", 1.0, function=self.note("save"), restore=self.note("restore") if own_file else None),
-            Step("d", "D", 4.0, inputs=of_d, command=[str(d)], outputs=[d]),
+            Step("d", "D", 4.0, inputs=of_d, process=partial(self.start, d), outputs=[d]),
         ]
         record = StepRecord(self.folder / "steps.json")
-        return Job(steps, record, self.start, self.folder / "log.txt", lambda: (["result"], {}))
+        return Job(steps, self.folder / "log.txt", record, lambda: (["result"], {}), resume=True)
 
     def run(self, **changed) -> list[dict]:
         self.ran.clear()
@@ -93,7 +94,7 @@ def test_a_step_that_was_interrupted_keeps_its_checkpoints(tmp_path):
 def make_job(folder: Path, *steps: Step, resume: bool = True) -> Job:
     """Of functions alone."""
     record = StepRecord(folder / "steps.json")
-    return Job(steps, record, lambda arguments: None, folder / "log.txt", lambda: ([], {}), resume)
+    return Job(steps, folder / "log.txt", record, resume=resume)
 
 
 def slice_job(tmp_path: Path, function) -> Job:

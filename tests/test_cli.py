@@ -16,7 +16,7 @@ import pytest
 from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import Job
-from fipt_blender.bridge.step import Step, StepRecord
+from fipt_blender.bridge.step import Step
 from samples.child_processes import PATIENCE_SECONDS, SLEEPER, is_alive, posix, wait_for
 
 PACKAGE = Path(cli.__file__).parent.parent
@@ -50,9 +50,9 @@ def fake_job(monkeypatch, script: str) -> list:
         log = options.output / "log.txt"
         result = options.output / "result.bin"
         result.write_bytes(b"x" * 1500)
-        step = Step("estimate", "Estimating", 1.0, command=["estimate"])
-        record, command = StepRecord(options.output / "steps.json"), [sys.executable, "-c", script]
-        return Job([step], record, lambda _: EngineProcess(command, log), log, lambda: ([str(result)], {}))
+        command = [sys.executable, "-c", script]
+        step = Step("estimate", "Estimating", 1.0, process=lambda: EngineProcess(command, log))
+        return Job([step], log, result=lambda: ([str(result)], {}))
 
     monkeypatch.setattr(cli, "make_main_job", make)
     return seen
@@ -113,8 +113,7 @@ def test_what_blender_prints_meanwhile_goes_to_the_log(capture, monkeypatch, cap
     def make(options):
         options.output.mkdir()
         step = Step("a", "A", 1.0, function=lambda: os.write(1, b"Fra:1 Mem:20M\n") and None)
-        record = StepRecord(options.output / "steps.json")
-        return Job([step], record, None, options.output / "log.txt", lambda: ([], {}))
+        return Job([step], options.output / "log.txt")
 
     monkeypatch.setattr(cli, "make_main_job", make)
     assert cli.main(["estimate", str(capture), "--output", "out", "--json"]) == 0
@@ -132,13 +131,12 @@ sys.path.insert(0, sys.argv[1])
 from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.sequence import Job
-from fipt_blender.bridge.step import Step, StepRecord
+from fipt_blender.bridge.step import Step
 def make(options):
     options.output.mkdir()
     log = options.output / "log.txt"
-    start = lambda arguments: EngineProcess([sys.executable, "-c", sys.argv[2]], log)
-    record = StepRecord(options.output / "steps.json")
-    return Job([Step("a", "A", 1.0, command=["a"])], record, start, log, lambda: ([], {}))
+    start = lambda: EngineProcess([sys.executable, "-c", sys.argv[2]], log)
+    return Job([Step("a", "A", 1.0, process=start)], log)
 cli.make_main_job = make
 sys.exit(cli.main(["estimate", "room", "--json"]))
 """

@@ -216,13 +216,13 @@ for _ in range(3):
     addon_utils.enable(MODULE, default_set=True)
 values = bpy.context.preferences.addons[MODULE].preferences
 say(off=off, first=first, on=on, again=state(), lost=lost, loaded=loaded,
-    data_folder=values.data_folder, on_close=values.on_close,
+    data_folder=values.data_folder, device=values.device,
     version=sys.modules[MODULE + ".core.run.runfolder"].PRODUCT_VERSION)
 """
 
 CHANGE = """
 values = bpy.context.preferences.addons[sys.argv[-1]].preferences
-values.data_folder, values.on_close = sys.argv[-2], "KEEP"
+values.data_folder, values.device = sys.argv[-2], "llvm"
 bpy.ops.wm.save_userpref()
 package = sys.modules[sys.argv[-1] + ".machine"]
 say(run=str(package.new_run_folder("room")))
@@ -306,7 +306,7 @@ def test_install_update_remove_and_install_again_lose_nothing(home: Home, archiv
     assert not (home.installed() / "gone.py").exists()
     answer = home.script(ENABLED)
     assert answer["version"] != "0.0.1"
-    assert (answer["data_folder"], answer["on_close"]) == (str(far), "KEEP")
+    assert (answer["data_folder"], answer["device"]) == (str(far), "llvm")
 
     home.extension("remove", "fipt_blender")
     assert not home.installed().exists()
@@ -315,7 +315,7 @@ def test_install_update_remove_and_install_again_lose_nothing(home: Home, archiv
 
     home.extension(*install, str(archive.filename))
     answer = home.script(ENABLED)
-    assert (answer["data_folder"], answer["on_close"]) == (str(far), "KEEP")
+    assert (answer["data_folder"], answer["device"]) == (str(far), "llvm")
     assert (run / "marker").read_text() == "mine"
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The running job beside the artist, with stand-in engines, and runs that a crashed Blender has left behind.
+"""The running job beside the artist, with stand-in engines.
 
 Timers never fire without a window: here `running.tick` is called by hand.
 """
@@ -8,8 +8,6 @@ Timers never fire without a window: here `running.tick` is called by hand.
 from __future__ import annotations
 
 import json
-import os
-import time
 from typing import Annotated
 
 import bpy
@@ -17,13 +15,13 @@ import pytest
 
 import fipt_blender
 from fipt_blender import machine
-from fipt_blender.bridge.attached import find_engine
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.lock import holder
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.jobs import job_scene, run_job, running, runstate, session
+from fipt_blender.jobs import job_scene, run_job, running, runstate
 from fipt_blender.jobs.tasks import Task
 from fipt_blender.operators.action import action
 from samples.child_processes import wait_for
@@ -76,21 +74,67 @@ def test_a_function_gets_its_scene_whichever_is_shown(run):
     assert info.state == "finished" and seen == ["Renamed"]
 
 
-@pytest.mark.parametrize("reload", [True, False])
-def test_a_reload_or_an_undo_that_forgets_the_run_folder_is_told_it_again(run, tmp_path, reload):
+def test_a_reload_that_forgets_the_run_folder_is_told_it_again(run, tmp_path):
     bpy.context.scene.fipt.run_folder = ""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
     bpy.context.scene.fipt.run_folder = str(run.root)
     names = []
     info = start(make_job(run, lambda: names.append(bpy.context.scene.fipt.run_folder)), run)
     tick_until(lambda: at_work(info))
-    if reload:
-        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
-        assert not bpy.context.scene.fipt.run_folder
-    else:  # without a window there is no undo: what it does to the state is done by hand
-        bpy.context.scene.fipt.run_folder = ""
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
+    assert not bpy.context.scene.fipt.run_folder
     finish(run, info)
     assert info.state == "finished" and names == [bpy.context.scene.fipt.run_folder] == [str(run.root)]
+
+
+def test_undo_during_a_job_takes_nothing_away_that_it_goes_on_with(run, monkeypatch):
+    notices = []
+    monkeypatch.setattr(running, "show_notice", lambda text, level: notices.append(level))
+    scene = bpy.context.scene
+    scene.fipt.run_folder = ""
+    room = bpy.data.collections.new("Room")
+    scene.collection.children.link(room)
+    scene.fipt.capture.room = room
+    bpy.ops.ed.undo_push(message="before")
+    room.objects.link(bpy.data.objects.new("wall", bpy.data.meshes.new("wall")))
+    bpy.ops.ed.undo_push(message="room")
+    scene.fipt.capture.views.add().name = "view"
+    scene.fipt.run_folder = str(run.root)
+    bpy.ops.ed.undo_push(message="job")
+    info = start(make_job(run), run)
+    tick_until(lambda: at_work(info))
+    bpy.data.objects["wall"].location.x = 1.0
+    bpy.ops.ed.undo_push(message="moved")
+    bpy.ops.ed.undo()  # of what the job does not need
+    running.tick()
+    assert bpy.data.objects["wall"].location.x == 0.0 and not notices
+    for steps in (1, 2):
+        for _ in range(steps):
+            bpy.ops.ed.undo()
+        assert not bpy.context.scene.fipt.run_folder and ("wall" in bpy.data.objects) == (steps == 1)
+        running.tick()
+        fipt = bpy.context.scene.fipt
+        assert fipt.run_folder == str(run.root) and len(fipt.capture.views) == 1
+        assert "wall" in bpy.data.objects and notices == ["WARNING"] * steps
+    finish(run, info)
+    assert info.state == "finished"
+    bpy.ops.ed.undo()  # after its end as ever
+    assert not bpy.context.scene.fipt.run_folder
+
+
+def test_while_a_job_runs_the_file_has_unsaved_changes_so_that_blender_asks_before_it_quits(run, monkeypatch):
+    """Without a window Blender never takes a file for saved."""
+    pushed, saved = [], [True]
+    monkeypatch.setattr(running, "push_undo", lambda text: (pushed.append(text), saved.clear()))
+    monkeypatch.setattr(running, "is_saved", lambda: bool(saved))
+    info = start(make_job(run), run)
+    tick_until(lambda: at_work(info))
+    assert pushed == ["Test"]
+    saved.append(True)
+    running.tick()
+    running.tick()
+    assert pushed == ["Test"] * 2
+    finish(run, info)
 
 
 def test_in_another_file_the_engine_goes_on_but_functions_touch_nothing(run, tmp_path):
@@ -109,33 +153,13 @@ def test_in_another_file_the_engine_goes_on_but_functions_touch_nothing(run, tmp
     assert job_scene.find_scene("Scene", run.root) is not None
 
 
-def test_disabling_stops_the_engine_or_leaves_it_and_later_attaches_to_it(run, monkeypatch):
+def test_disabling_stops_the_engine(run):
     info = start(make_job(run), run)
     tick_until(lambda: at_work(info))
     fipt_blender.unregister()  # the engine would never end by itself
     assert info.state == "cancelled" and running.current() is None
-    wait_for(lambda: find_engine(run) is None)  # killed, but the system may not have got to it
+    wait_for(lambda: holder(run) is None)  # killed, but the system may not have got to it
     fipt_blender.register()
-    bpy.context.scene.fipt.run_folder = str(run.root)
-    monkeypatch.setattr(machine.DEFAULTS, "on_close", "KEEP")
-    info = start(make_job(run), run)
-    tick_until(lambda: at_work(info))
-    fipt_blender.unregister()
-    assert running.current() is None and find_engine(run) is not None
-    fipt_blender.register()
-    bpy.context.scene.fipt.run_folder = str(run.root)
-    assert runstate.known(str(run.root)).engine == "estimate"
-    assert error_of(run_job.open_job, run, []).code == "run-busy"
-    earlier = time.time() - 7200.0
-    os.utime(run.engine_lock, (earlier, earlier))
-    assert session.attach(bpy.context.scene)
-    info = running.current()
-    assert (info.title, info.kind) == ("Estimate", "estimate") and info.worked_seconds > 3600.0
-    tick_until(lambda: at_work(info))
-    assert info.stage_text == "Baking"
-    running.cancel()
-    tick_until(lambda: info.state == "cancelled")
-    assert find_engine(run) is None and not session.attach(bpy.context.scene)
 
 
 def test_a_bug_in_a_timer_ends_the_job_with_words(run, monkeypatch, capsys):
@@ -150,7 +174,7 @@ def test_a_bug_in_a_timer_ends_the_job_with_words(run, monkeypatch, capsys):
     monkeypatch.setattr(EngineProcess, "poll", fail_once)
     assert running.tick() is None
     assert info.state == "failed" and "ZeroDivisionError" in info.error["text"]
-    assert find_engine(run) is None and "Traceback" in capsys.readouterr().err
+    assert holder(run) is None and "Traceback" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("raised", "code"), [(FiptError("x", "X.", "Y."), "x"), (KeyError("k"), None)])
@@ -176,7 +200,7 @@ def test_the_state_of_a_run_folder(run):
     stages = {"keys": {}, "stages": {"pixels": {}, "shadings": {}}, "warnings": {}, "values": {}}
     (run.stage / "stages.json").write_text(json.dumps(stages))
     state = runstate.look(run)
-    assert (state.stages, state.finished, state.engine) == (2, False, "")
+    assert (state.stages, state.finished) == (2, False)
     assert state.error["code"] == "disk-full" and [each["code"] for each in state.warnings] == ["w"]
     assert state.pictures == (run.root / "stage" / "a.png",)
     for path in (run.statistics_json, run.emitters_json, run.fields_npz):

@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 import pytest
 
-from fipt_blender.bridge.sequence import own_job
+from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
@@ -81,7 +81,7 @@ def notices(monkeypatch) -> list[tuple[str, str]]:
 
 
 def do_job(tmp_path: Path, function) -> running.RunningJob:
-    job = own_job([Step("one", "One", 1.0, function=function)], tmp_path / "steps.json", tmp_path / "log.txt")
+    job = Job([Step("one", "One", 1.0, function=function)], tmp_path / "log.txt")
     return running.run(job, running.RunningJob("Check Views", "views", "", tmp_path))
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from fipt_blender import machine
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.jobs import running, session, setup_size
+from fipt_blender.jobs import running, session
 from fipt_blender.panels import estimate, start
 from samples.layouts import drawn_by, tab_count
 
@@ -84,16 +84,6 @@ def test_online_access_is_explained_and_asked_for_where_it_is_needed(monkeypatch
     monkeypatch.setattr(machine.DEFAULTS, "wheel_folder", "/wheels")
     drawn, properties = drawn_by(start.FIPT_PT_start)
     assert "use_online_access" not in properties and "fipt.set_up_engine" in drawn
-
-
-@pytest.mark.parametrize("there", [False, True])
-def test_a_python_that_can_not_make_environments_is_told_before_the_set_up(monkeypatch, there):
-    monkeypatch.setattr(machine, "has_engine", lambda: False)
-    # What Debian's Python is without the package python3-venv.
-    monkeypatch.setattr(setup_size, "find_spec", lambda name: object() if there or name != "venv" else None)
-    drawn = drawn_by(start.FIPT_PT_start)[0]
-    before = " ".join(drawn[: drawn.index("fipt.set_up_engine")])
-    assert ("apt-get install python3-venv" in before) is not there
 
 
 def test_without_an_engine_an_error_leads_to_its_set_up(tmp_path):

@@ -118,17 +118,17 @@ def test_gpu_is_chosen_by_its_identity(values: Any) -> None:
 
 def test_kept_values_return_after_a_removal_but_override_none(data: Path) -> None:
     addon = enable()
-    addon.preferences.data_folder, addon.preferences.on_close = str(data / "far"), "KEEP"
+    addon.preferences.data_folder, addon.preferences.device = str(data / "far"), "cuda"
     machine.store_status(check_result())
     disable(addon)
     addon = enable()
-    assert (addon.preferences.data_folder, addon.preferences.on_close) == (str(data / "far"), "KEEP")
+    assert (addon.preferences.data_folder, addon.preferences.device) == (str(data / "far"), "cuda")
     assert machine.status() == check_result()
     disable(addon)
     file = data / machine.KEPT_NAME
-    file.write_text(json.dumps({"on_close": "NONSENSE", "device": "llvm", "unknown": 1}))
+    file.write_text(json.dumps({"device": "NONSENSE", "gpu_uuid": "GPU-2", "on_close": "KEEP"}))
     addon = enable()
-    assert (addon.preferences.on_close, addon.preferences.device) == ("STOP", "llvm")
+    assert (addon.preferences.device, addon.preferences.gpu_uuid) == ("auto", "GPU-2")
     disable(addon)
     file.write_text("{")
     disable(enable())
@@ -180,7 +180,7 @@ def test_set_up_runs_beside_the_users_work_and_is_cancelled(
     failure = {"code": "pip-missing", "text": "Python has neither pip nor ensurepip.", "remedy": "Install it."}
     machine.store_status({"error": failure})
     monkeypatch.setattr(data_job, "setup_command", lambda *arguments: [sys.executable, "-c", SLEEPER])
-    begin(operators.set_up_task(allow_large=False), bpy.context.scene, wait=False)
+    begin(operators.set_up_engine(bpy.context.scene), bpy.context.scene, wait=False)
     for _ in range(3):
         running.tick()
     assert not bpy.ops.fipt.check_engine.poll() and bpy.ops.fipt.cancel.poll()
@@ -188,13 +188,13 @@ def test_set_up_runs_beside_the_users_work_and_is_cancelled(
     tick_until(lambda: running.current() is None)
     assert machine.status() == {"error": failure, "cancelled": True}
     texts: list[str] = []
-    panel.draw(Layout(texts), bpy.context, values, panel.Facts(machine.status(), {}, "/data"))
+    panel.draw(Layout(texts), bpy.context, values, panel.Facts(machine.status(), "/data"))
     assert "set-up cancelled, press Set Up Engine" in " ".join(texts)
     assert "ensurepip" not in " ".join(texts)
     assert not bpy.ops.fipt.cancel.poll()
 
 
-def test_measuring_and_clearing_take_what_is_ours_and_unused(values: Any, data: Path) -> None:
+def test_clearing_takes_what_is_ours_and_unused(values: Any, data: Path) -> None:
     groups = pins.read_pins()
     old, used, held, fresh = (make_run(data, name) for name in ("old", "used", "held", "fresh"))
     age(fresh.root, time.time())
@@ -204,10 +204,9 @@ def test_measuring_and_clearing_take_what_is_ours_and_unused(values: Any, data: 
     empty = machine.new_run_folder("empty")
     age(empty, OLD)
     current, other = make_environment(data, groups), make_environment(data, {"engine": ["torch==1"]})
-    assert bpy.ops.fipt.measure_data() == {"FINISHED"}
-    usage = machine.usage()
-    assert set(usage["runs"]) == {"old", "used", "held", "fresh", empty.name}
-    assert usage["sizes"]["old"] > 1000 and {current.name, other.name} < set(usage["sizes"])
+    runs, environments = {old.root, used.root, held.root, fresh.root, empty}, {current, other}
+    assert {item.folder for item in storage.list_items(data)} == runs | environments
+    assert storage.size(old.root) > 1000
     bpy.context.scene.fipt.run_folder = str(used.root)
     with hold(held, ["estimate"]):
         age(held.root, OLD)
@@ -218,7 +217,6 @@ def test_measuring_and_clearing_take_what_is_ours_and_unused(values: Any, data: 
     assert current.exists() and other.exists()
     assert bpy.ops.fipt.clear_data(names=other.name) == {"FINISHED"}
     assert current.exists() and not other.exists()
-    assert set(machine.usage()["sizes"]) == {"used", "held", "fresh", current.name}
 
 
 def test_clearing_never_takes_what_is_named_but_not_ours(values: Any, data: Path, tmp_path: Path) -> None:
@@ -249,7 +247,7 @@ def test_images_of_the_open_file_keep_their_run(values: Any, data: Path) -> None
 def test_drawing_asks_no_disk_and_starts_nothing(values: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     machine.store_status(check_result())
     values_draw = panel.FIPT_Preferences.draw
-    stand_in = type("Self", (), {"layout": Layout([]), "status": values.status, "usage": values.usage})()
+    stand_in = type("Self", (), {"layout": Layout([]), "status": values.status})()
     for name in machine.Defaults.__dataclass_fields__:
         setattr(stand_in, name, getattr(values, name))
     for name in ("builtins.open", "os.open", "os.stat", "os.listdir", "os.scandir", "subprocess.Popen"):

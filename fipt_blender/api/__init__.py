@@ -101,7 +101,7 @@ def reestimate(scene: bpy.types.Scene | None = None) -> Outcome:
     """Estimate the materials again with the hints of the scene, from the light of its results; apply them.
 
     Raises:
-        FiptError: ``version-stages`` where an estimate that was stopped has replaced the stages.
+        FiptError: ``run-missing``, ``results-missing``, or why it has failed.
     """
     from .estimating import reestimation
 

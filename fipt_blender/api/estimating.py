@@ -8,7 +8,6 @@ Operators import it while Blender starts, so it imports heavier modules inside f
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,27 +51,13 @@ def estimation(
         return run_job.open_job(
             run,
             [camera_step(run), *estimation_steps(run, settings, keep_stages)],
+            record=run_job.STEPS_NAME,
             resume=keep_stages,
             result=lambda: result_files(run),
             launch=launch,
         )
 
     return Task("Estimate", "estimate", make, finished=show_doubts)
-
-
-def resumption() -> Task:
-    """Continue the estimation that was stopped, or watch the engine that is still at work on it."""
-    again = estimation(keep_stages=True, keep_hints=True)
-
-    def make(scene: bpy.types.Scene) -> Job:
-        from ..jobs.run_job import attach_job
-        from ..jobs.scene_steps import estimate_step
-
-        run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-        # An engine that is still at work, started from here or elsewhere, is watched to its end.
-        return attach_job(run, [estimate_step(run, run.read())]) or again.make(scene)
-
-    return replace(again, make=make)
 
 
 def run_for(scene: bpy.types.Scene, keep_stages: bool) -> RunFolder:
@@ -95,7 +80,7 @@ def run_for(scene: bpy.types.Scene, keep_stages: bool) -> RunFolder:
     else:
         run = RunFolder(machine.new_run_folder(Path(bpy.data.filepath).stem or scene.name))
     scene.fipt.run_folder = str(run.root)
-    push_undo("Estimate")
+    push_undo("Estimate")  # so that redo brings back what the job begins with
     return run
 
 
@@ -132,15 +117,13 @@ def reestimation() -> Task:
 
     def make(scene: bpy.types.Scene) -> Job:
         from ..blend.hints.exchange import write_hints_rerun
-        from ..core.run.versions import refuse_other_stages
-        from ..jobs.run_job import find_launch, open_job, refuse_busy
+        from ..jobs.run_job import STEPS_NAME, find_launch, open_job, refuse_busy
         from ..jobs.scene_steps import apply_steps, estimate_step, scene_named
 
         run = run_of(scene)
         launch = find_launch()
         refuse_busy(run)
         chosen = chosen_settings(scene, run)
-        refuse_other_stages(run)
         run.create(chosen)
         settings = run.read_estimated()
         run.create(settings)
@@ -149,7 +132,7 @@ def reestimation() -> Task:
             estimate_step(run, settings, resume=True),
             *apply_steps(scene_named(scene.name), run, settings, estimated=True),
         ]
-        return open_job(run, steps, resume=False, launch=launch)
+        return open_job(run, steps, record=STEPS_NAME, launch=launch)
 
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
         note_applied(scene, run)

@@ -7,6 +7,7 @@ Operators import it while Blender starts, so it imports heavier modules inside f
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ from ..jobs.tasks import Task
 if TYPE_CHECKING:
     from ..bridge.process import Message
     from ..bridge.sequence import Job
-    from ..bridge.step import Slices, StepFunction
+    from ..bridge.step import Step, StepFunction
     from ..core.capture.options import CaptureOptions
 
 
@@ -33,6 +34,7 @@ def _import_capture(scene: bpy.types.Scene) -> Job:
     from ..core.capture.options import CaptureOptions
     from ..core.run.declared import converted
     from ..jobs.options import capture_source
+    from ..jobs.run_job import open_job
     from ..properties.declared import values_of
 
     settings = scene.fipt.capture
@@ -55,12 +57,7 @@ def _import_capture(scene: bpy.types.Scene) -> Job:
     machine.engine_python()  # raises before anything is created
     run = open_run(scene, str(path), path.stem if path.is_file() else path.name)
 
-    def add_to_scene() -> Slices[list[Message]]:
-        from ..blend.capture.importing import import_capture
-
-        return import_capture(run, str(path))
-
-    return import_job(run, path, options, "Adding cameras and mesh", add_to_scene)
+    return open_job(run, import_steps(run, path, options))
 
 
 def scene_cameras_import() -> Task:
@@ -71,6 +68,7 @@ def scene_cameras_import() -> Task:
 def _use_scene_cameras(scene: bpy.types.Scene) -> Job:
     from ..blend.capture.scene_cameras import SCENE_SOURCE, adopt_cameras, write_scene_cameras
     from ..core.capture.options import CaptureOptions
+    from ..jobs.run_job import open_job
 
     settings = scene.fipt.capture
     machine.engine_python()  # raises before anything is created
@@ -98,7 +96,8 @@ def _use_scene_cameras(scene: bpy.types.Scene) -> Job:
         remedy = "To use them as well, give each its photograph as background image."
         return [{"type": "warning", "code": "cameras-left-out", "text": text, "remedy": remedy}]
 
-    return import_job(run, path, options, "Listing the cameras", adopt)
+    steps = import_steps(run, path, options, "Listing the cameras", adopt)
+    return open_job(run, steps)
 
 
 def open_run(scene: bpy.types.Scene, source: str, name: str) -> RunFolder:
@@ -132,15 +131,20 @@ def give_back(scene: bpy.types.Scene, run: RunFolder) -> None:
         shutil.rmtree(run.root, ignore_errors=True)
 
 
-def import_job(
-    run: RunFolder, path: Path, options: CaptureOptions, text: str, add_to_scene: StepFunction
-) -> Job:
-    """The engine reads and checks a capture; then it is added to the scene."""
+def import_steps(
+    run: RunFolder,
+    path: Path,
+    options: CaptureOptions,
+    text: str = "Adding cameras and mesh",
+    add_to_scene: StepFunction | None = None,
+) -> list[Step]:
+    """The engine reads and checks a capture, which then is added to the scene; by default as imported."""
+    from ..blend.capture.importing import import_capture
     from ..bridge.step import Step
-    from ..jobs.run_job import ingest_step, open_job
+    from ..jobs.run_job import ingest_step
 
-    steps = [
+    add = add_to_scene or partial(import_capture, run, str(path))
+    return [
         ingest_step(run, path, options, "Reading and checking the photographs", 20.0),
-        Step("import", text, 5.0, function=add_to_scene, repeat=True),
+        Step("import", text, 5.0, function=add, repeat=True),
     ]
-    return open_job(run, steps, record="import.json")

@@ -7,20 +7,15 @@
 
 from __future__ import annotations
 
-import json
 import shutil
-import tempfile
-from pathlib import Path
 
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import explained_write_errors, write_json
 from . import pins
 from .child import answer, output_end, run_quietly
-from .hashes import download_checked
 from .native import provide_llvm, provide_system_libraries
-from .pip import PipProgress, Teller, pip_error, progress_bar, run_pip
+from .pip import PipProgress, Teller, pip_error, progress_bar, run_locked, run_pip, source
 from .pip_bootstrap import PIP_INSIDE, VERSION, bootstrap_pip
-from .places import site_packages
 from .plan import Plan
 from .torch_build import LOCKED_GB, SIZES, torch_index, torch_requirement
 
@@ -118,17 +113,16 @@ def make_environment(plan: Plan) -> None:
 def install(plan: Plan, tell: Teller) -> None:
     """Install the pinned packages, wheels only.
 
-    pip itself comes first, from a file that was checked beforehand: it checks the hashes of all others.
-    PyTorch follows, alone, since its build depends on the machine; its builds come from its own site.
-    Then come the locked packages, each checked against its hashes, then whatever is still missing: CUDA's
-    libraries, which PyTorch pins, and the packages of a checkout.
+    pip itself comes first, in the pinned version. PyTorch follows, alone, since its build depends on the
+    machine; its builds come from its own site. Then come the locked packages, each checked against its
+    hashes, then whatever is still missing: CUDA's libraries, which PyTorch pins, and the packages of a
+    checkout.
 
     Raises:
-        FiptError: ``torch-large``, ``package-hash`` and those of `pip_error`.
+        FiptError: ``package-hash`` and those of `pip_error`.
     """
-    packages = site_packages(plan.folder)
     if (pins.read_stamp(plan.folder).torch or plan.torch) != plan.torch:
-        run_pip(plan.python, ["uninstall", "--yes", "torch"], PipProgress(packages, 0.01, tell))
+        run_pip(plan.python, ["uninstall", "--yes", "torch"], PipProgress(0.01, tell))
     _update_pip(plan, tell)
     bar = progress_bar(answer(plan.python, _PIP_VERSION) or "")
     size = 0.0 if plan.wheels else SIZES[plan.torch].download_gb
@@ -138,8 +132,8 @@ def install(plan: Plan, tell: Teller) -> None:
         build = _install_torch(plan, tell, bar)
         size = 0.0 if plan.wheels else SIZES[build].download_gb
         _install_locked(plan, tell, bar, (_TORCH_SHARE, _LOCKED_SHARE))
-    progress = PipProgress(packages, size, tell, (_LOCKED_SHARE if plan.lock else 0.0, 1.0))
-    if run_pip(plan.python, ["install", *_source(plan), *plan.requirements], progress, bar):
+    progress = PipProgress(size, tell, (_LOCKED_SHARE if plan.lock else 0.0, 1.0))
+    if run_pip(plan.python, ["install", *source(plan.wheels), *plan.requirements], progress, bar):
         raise pip_error(progress, plan.wheels)
 
 
@@ -149,34 +143,27 @@ def _update_pip(plan: Plan, tell: Teller) -> None:
     Raises:
         FiptError: ``package-hash``.
     """
-    if f"pip=={answer(plan.python, _PIP_VERSION)}" in map(pins.without_hashes, plan.pip):
+    if not plan.pip or f"pip=={answer(plan.python, _PIP_VERSION)}" in map(pins.without_hashes, plan.pip):
         return
     tell.detail("Updating pip")
-    with tempfile.TemporaryDirectory() as temporary:
-        for wheel in download_checked(plan, plan.pip, Path(temporary), tell):
-            progress = PipProgress(site_packages(plan.folder), 0.01, tell)
-            run_pip(plan.python, ["install", "--no-index", "--no-deps", str(wheel)], progress)
-
-
-def _source(plan: Plan) -> list[str]:
-    """Options of pip that say where packages come from."""
-    folder = ["--no-index", "--find-links", str(plan.wheels)] if plan.wheels else []
-    return ["--only-binary", ":all:", *folder]
+    progress = PipProgress(0.01, tell)
+    run_locked(plan.python, ["install", *source(plan.wheels)], plan.pip, progress)
+    if progress.mismatch:
+        raise pip_error(progress, plan.wheels)
 
 
 def _install_torch(plan: Plan, tell: Teller, bar: str) -> str:
     """Install PyTorch without what it needs; returns its build, a key of `SIZES`.
 
     Raises:
-        FiptError: ``torch-large`` where only a build with CUDA can be had, which was not asked for, and those
-            of `pip_error`.
+        FiptError: ``disk-full`` and those of `pip_error`.
     """
-    packages, build = site_packages(plan.folder), plan.torch
+    build = plan.torch
     requirement, index = torch_requirement(plan.requirements, build), torch_index(build)
     if requirement and index and not plan.wheels:
         patience = ["--retries", "1", "--timeout", "20", "--extra-index-url", index]
-        progress = PipProgress(packages, SIZES[build].torch_gb, tell, (0.0, _TORCH_SHARE))
-        arguments = ["install", "--no-deps", *_source(plan), *patience, requirement]
+        progress = PipProgress(SIZES[build].torch_gb, tell, (0.0, _TORCH_SHARE))
+        arguments = ["install", "--no-deps", *source(plan.wheels), *patience, requirement]
         if run_pip(plan.python, arguments, progress, bar) == 0:
             return build
         tell.warning(
@@ -185,47 +172,22 @@ def _install_torch(plan: Plan, tell: Teller, bar: str) -> str:
             "The package index's build is installed instead; it works too, but may be larger.",
         )
         build = ""
-        if not plan.allow_large and brings_cuda(plan):
-            large = SIZES[build]
-            raise FiptError(
-                "torch-large",
-                "PyTorch's download site can't be reached, and the package index only offers the build with"
-                f" CUDA: {large.download_gb:.1f} GB to download, {large.disk_gb:.0f} GB on the disk.",
-                "Press Set Up Engine again to download it all the same, or name a folder of wheels with the"
-                " build for the CPU.",
-            )
         check_space(plan, build, tell)
     pin = next((each for each in plan.requirements if each.startswith("torch==")), "")
     if pin:
         size = 0.0 if plan.wheels else SIZES[build].torch_gb
-        progress = PipProgress(packages, size, tell, (0.0, _TORCH_SHARE))
-        if run_pip(plan.python, ["install", "--no-deps", *_source(plan), pin], progress, bar):
+        progress = PipProgress(size, tell, (0.0, _TORCH_SHARE))
+        if run_pip(plan.python, ["install", "--no-deps", *source(plan.wheels), pin], progress, bar):
             raise pip_error(progress, plan.wheels)
     return build
 
 
-def brings_cuda(plan: Plan) -> bool:
-    """Whether the package index's build of PyTorch needs CUDA's libraries, without downloading it."""
-    pin = next((each for each in plan.requirements if each.startswith("torch==")), "")
-    command = [str(plan.python), "-I", "-m", "pip", "install", "--dry-run", "--quiet", "--report", "-"]
-    result = run_quietly([*command, "--ignore-installed", *_source(plan), pin], plan.python)
-    try:
-        names = [entry["metadata"]["name"] for entry in json.loads(result.stdout)["install"]]
-    except (ValueError, KeyError, TypeError):
-        return False  # the installation itself will say what is wrong
-    return any(name.startswith("nvidia") for name in names)
-
-
 def _install_locked(plan: Plan, tell: Teller, bar: str, span: tuple[float, float]) -> None:
-    """Install the locked packages; pip refuses a file whose hash is another one.
+    """Install the locked packages.
 
     Raises:
         FiptError: those of `pip_error`.
     """
-    progress = PipProgress(site_packages(plan.folder), 0.0 if plan.wheels else LOCKED_GB, tell, span)
-    with tempfile.TemporaryDirectory() as temporary:
-        file = Path(temporary) / "engine.lock"
-        file.write_text("\n".join(plan.lock) + "\n", encoding="utf-8")
-        arguments = ["install", "--require-hashes", "--no-deps", *_source(plan), "--requirement", str(file)]
-        if run_pip(plan.python, arguments, progress, bar):
-            raise pip_error(progress, plan.wheels)
+    progress = PipProgress(0.0 if plan.wheels else LOCKED_GB, tell, span)
+    if run_locked(plan.python, ["install", *source(plan.wheels)], plan.lock, progress, bar):
+        raise pip_error(progress, plan.wheels)

@@ -103,13 +103,7 @@ def package_command(python: Path, module: str, *args: str) -> list[str]:
     return [str(python), "-I", "-X", "utf8", str(PACKAGE_FOLDER / "bridge" / "start.py"), module, *args]
 
 
-def setup_command(
-    python: Path,
-    data: Path,
-    device: str,
-    wheels: Path | None,
-    allow_large: bool = False,
-) -> list[str]:
+def setup_command(python: Path, data: Path, device: str, wheels: Path | None) -> list[str]:
     """The command line of set-up.
 
     Args:
@@ -117,10 +111,8 @@ def setup_command(
         data: the data folder, for the environment.
         device: the preference; it determines the build of PyTorch.
         wheels: folder from which packages are installed; None: from the network.
-        allow_large: see `plan.Plan`.
     """
     source = [] if wheels is None else [f"--wheels={wheels}"]
-    source += ["--allow-large"] if allow_large else []
     return package_command(python, "fipt_blender.bridge.setup", str(data), f"--device={device}", *source)
 
 

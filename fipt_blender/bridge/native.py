@@ -14,9 +14,8 @@ from ..core.run.errors import FiptError
 from ..core.run.messages import parse_message
 from . import provision
 from .child import output_end, run_quietly
-from .hashes import download_checked
 from .interpreter import engine_command, system_folder
-from .pip import Teller
+from .pip import PipProgress, Teller, pip_error, run_locked, source
 from .plan import Plan
 
 LLVM_LIBRARIES = ("libLLVM", "libc++", "libunwind")  # how the names of the files that are kept begin
@@ -94,5 +93,9 @@ def _fetch_llvm_package(plan: Plan, folder: Path, tell: Teller) -> bool:
         FiptError: ``package-hash``.
     """
     with tempfile.TemporaryDirectory() as temporary:
-        wheels = download_checked(plan, plan.llvm, Path(temporary), tell)
-        return any(provision.wheel_libraries(wheel, folder, LLVM_LIBRARIES) for wheel in wheels)
+        arguments = ["download", "--dest", temporary, *source(plan.wheels)]
+        progress = PipProgress(0.1, tell)
+        if plan.llvm and run_locked(plan.python, arguments, plan.llvm, progress) and progress.mismatch:
+            raise pip_error(progress, plan.wheels)
+        wheels = Path(temporary).glob("*.whl")
+        return any([provision.wheel_libraries(wheel, folder, LLVM_LIBRARIES) for wheel in wheels])

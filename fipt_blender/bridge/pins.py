@@ -23,7 +23,7 @@ from .places import PACKAGE_FOLDER, environment_python
 PINS_NAME = "engine_pins.json"
 LOCK_NAME = "engine.lock"
 ENGINE_GROUPS = ("engine", "llvm", "pip", "lock")  # the groups that the add-on needs
-TOOL_GROUPS = ("pip", "llvm")  # set-up itself checks their hashes (`bridge.hashes`)
+TOOL_GROUPS = ("pip", "llvm")  # whose pins get the hashes of the lock
 STAMP_NAME = "setup.json"
 ENGINE_PYTHONS = ((3, 11), (3, 12), (3, 13), (3, 14))  # for these all pinned packages have wheels
 

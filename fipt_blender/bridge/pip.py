@@ -7,11 +7,10 @@ pip's own configuration determines the sources of packages. Standard library onl
 
 from __future__ import annotations
 
-import queue
 import re
 import subprocess
-import threading
-from collections.abc import Iterable, Sequence
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -54,7 +53,6 @@ class PipProgress:
     """Turns pip's output into texts and one fraction.
 
     Args:
-        packages: the folder into which pip installs.
         expected_gb: expected size of the downloads; 0 if packages come from a folder.
         tell: gets the progress.
         span: share of the stage before and after this run of pip.
@@ -65,9 +63,7 @@ class PipProgress:
         offline: whether pip's output indicates a problem of the network.
     """
 
-    def __init__(
-        self, packages: Path, expected_gb: float, tell: Teller, span: tuple[float, float] = (0.0, 1.0)
-    ) -> None:
+    def __init__(self, expected_gb: float, tell: Teller, span: tuple[float, float] = (0.0, 1.0)) -> None:
         self.errors: list[str] = []
         self.mismatch = ""
         self.offline = False
@@ -76,8 +72,6 @@ class PipProgress:
         self._share = _DOWNLOAD_SHARE if expected_gb else _FOLDER_SHARE
         self._finished = 0.0
         self._size = 0.0
-        self._packages = packages
-        self._count = self._before = 0
         self._span = span
 
     def line(self, line: str) -> None:
@@ -96,10 +90,8 @@ class PipProgress:
             self.tell.detail(f"{verb}: {name.rpartition('/')[2]} {version} ({match.group(3)})")
             self._progress(0.0)
         elif text.startswith("Installing collected packages:"):
-            self._count = text.count(",") + 1
-            self._before = len(list(self._packages.glob("*.dist-info")))
-            self.tell.detail(f"Installing {self._count} packages")
-            self.watch()
+            self.tell.detail(f"Installing {text.count(',') + 1} packages")
+            self._tell(self._share)
         elif self.mismatch == _NEXT_LINE:
             self.mismatch = text.partition(" from ")[0]
         elif "DO NOT MATCH THE HASHES" in text:
@@ -107,13 +99,6 @@ class PipProgress:
         elif text.startswith("ERROR:"):
             self.errors.append(text.removeprefix("ERROR:").strip())
         self.offline = self.offline or any(sign in text for sign in _NETWORK_SIGNS)
-
-    def watch(self) -> None:
-        """Report progress by counting installed packages, since pip prints nothing while it installs."""
-        if self._count:
-            done = len(list(self._packages.glob("*.dist-info"))) - self._before
-            share = min(max(done / self._count, 0.0), 1.0)
-            self._tell(self._share + (1.0 - self._share) * share)
 
     def _progress(self, current: float) -> None:
         done = (self._finished + current) / max(self._expected, self._finished + self._size, 1.0)
@@ -151,24 +136,31 @@ def run_pip(python: Path, arguments: Sequence[str], progress: PipProgress, bar: 
         encoding="utf-8",
         errors="replace",
     ) as child:
-        lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
-        threading.Thread(target=_read, args=(child.stdout or (), lines), daemon=True).start()
-        while True:
-            try:
-                line = lines.get(timeout=1.0)
-            except queue.Empty:
-                progress.watch()
-                continue
-            if line is None:
-                break
+        for line in child.stdout or ():
             progress.line(line)
     return child.returncode
 
 
-def _read(stream: Iterable[str], lines: queue.SimpleQueue[str | None]) -> None:
-    for line in stream:
-        lines.put(line)
-    lines.put(None)
+def run_locked(
+    python: Path, arguments: Sequence[str], locked: Sequence[str], progress: PipProgress, bar: str = "off"
+) -> int:
+    """As `run_pip`, for locked requirements, without what they need; pip refuses files with other hashes.
+
+    Args:
+        python, arguments, progress, bar: see `run_pip`.
+        locked: lines of name, version, marker and hashes (`pins.read_pins`).
+    """
+    with tempfile.TemporaryDirectory() as temporary:
+        file = Path(temporary) / "engine.lock"
+        file.write_text("\n".join(locked) + "\n", encoding="utf-8")
+        more = ["--require-hashes", "--no-deps", "--requirement", str(file)]
+        return run_pip(python, [*arguments, *more], progress, bar)
+
+
+def source(wheels: Path | None) -> list[str]:
+    """Options of pip that say where packages come from: from a folder, or None for the network."""
+    folder = ["--no-index", "--find-links", str(wheels)] if wheels else []
+    return ["--only-binary", ":all:", *folder]
 
 
 def pip_error(progress: PipProgress, wheels: Path | None) -> FiptError:

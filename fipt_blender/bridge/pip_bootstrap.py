@@ -4,58 +4,58 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import tempfile
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
-from . import pins, provision
+from ..core.run.errors import FiptError
+from . import pins
 from .child import answer, run_quietly
-from .hashes import check_file, pinned_digests
 from .plan import Plan
 
 VERSION = "import sys; print(*sys.version_info[:2])"
 PIP_INSIDE = "import pip, sys; print(*sys.version_info[:2])"
 
 
-def bootstrap_pip(plan: Plan) -> bool:
-    """Install pip into the plan's environment, from the folder of wheels or else from Debian's package.
+# Where the Python Package Index has the wheels of pip, which are of pure Python, by their names.
+PIP_WHEELS = "https://files.pythonhosted.org/packages/py3/p/pip"
 
-    Returns whether that worked.
+
+def bootstrap_pip(plan: Plan) -> bool:
+    """Let the wheel of the pinned pip install itself, of the folder of wheels or downloaded.
+
+    What runs is a copy whose hash is the pinned one, so that nobody can exchange the file in between.
+
+    Returns:
+        Whether that worked.
 
     Raises:
-        FiptError: ``package-hash`` where the folder of wheels has the pinned pip, but not its file.
-    """
-    installed = _pip_from_debian(plan) if plan.wheels is None else _pip_from_wheels(plan, plan.wheels)
-    return installed and answer(plan.python, PIP_INSIDE) is not None
-
-
-def _install_wheel(plan: Plan, wheel: Path) -> bool:
-    """Let a wheel of pip install itself; it must be trusted, since its code runs."""
-    command = [str(plan.python), f"{wheel}/pip", "install", "--no-index", "--no-deps", str(wheel)]
-    return run_quietly(command).returncode == 0
-
-
-def _pip_from_wheels(plan: Plan, wheels: Path) -> bool:
-    """From the folder of wheels, which may be anybody's: only a file with the pinned hash is run.
-
-    What is run is a copy that was checked, so that nobody can exchange the file in between.
+        FiptError: ``package-hash`` where there is such a wheel, but not the file that is pinned.
     """
     for pin in plan.pip:
-        for wheel in sorted(wheels.glob(f"{pins.without_hashes(pin).replace('==', '-')}-*.whl")):
-            with tempfile.TemporaryDirectory() as temporary:
-                copy = Path(shutil.copyfile(wheel, Path(temporary) / wheel.name))
-                check_file(copy, pinned_digests(plan.pip))
-                return _install_wheel(plan, copy)
+        name = f"{pins.without_hashes(pin).replace('==', '-')}-py3-none-any.whl"
+        source = f"{PIP_WHEELS}/{name}" if plan.wheels is None else (plan.wheels / name).as_uri()
+        try:
+            with urllib.request.urlopen(source, timeout=30.0) as answered:
+                content = answered.read()
+        except OSError:
+            return False
+        if f"--hash=sha256:{hashlib.sha256(content).hexdigest()}" not in pin.split():
+            raise FiptError(
+                "package-hash",
+                f"{name} is not the file that this version was made with.",
+                "Do not use the folder of wheels or the network that it came from, or ask their owner why it"
+                " was changed.",
+            )
+        with tempfile.TemporaryDirectory() as temporary:
+            wheel = Path(temporary, name)
+            wheel.write_bytes(content)
+            command = [str(plan.python), f"{wheel}/pip", "install", "--no-index", "--no-deps", str(wheel)]
+            return run_quietly(command).returncode == 0 and answer(plan.python, PIP_INSIDE) is not None
     return False
-
-
-def _pip_from_debian(plan: Plan) -> bool:
-    """From the system's packages, whose signatures apt checks; Pythons of other systems have ensurepip."""
-    with provision.DebianPackages() as debian:
-        root = debian.unpack(["python3-pip-whl"]) if debian.available else None
-        wheel = next(root.rglob("pip-*.whl"), None) if root else None
-        return wheel is not None and _install_wheel(plan, wheel)
 
 
 def other_pythons() -> Iterator[Path]:

@@ -67,10 +67,3 @@ def new_run_folder(parent: Path, name: str) -> Path:
 def environment_python(folder: Path) -> Path:
     """The interpreter of a virtual environment."""
     return folder / "Scripts" / "python.exe" if sys.platform == "win32" else folder / "bin" / "python"
-
-
-def site_packages(folder: Path) -> Path:
-    """The folder of the packages of an existing virtual environment."""
-    if sys.platform == "win32":
-        return folder / "Lib" / "site-packages"
-    return next((folder / "lib").glob("python3*")) / "site-packages"

@@ -28,14 +28,13 @@ class Plan:
         requirements: the pinned packages.
         modules: to be imported at the end, each in its own process, as a test.
         llvm: the package that contains LLVM, for machines that have none; with its hashes, without which it
-            is not fetched (`hashes.download_checked`).
+            is not fetched.
         pip: the pin of pip itself, with its hashes likewise.
         lock: all packages but PyTorch with hashes (`pins.read_pins`); empty: what the requirements need is
             installed in the versions that pip chooses.
         key: what the requirements depend on (`plan_key`); set-up starts anew when it changes.
         wheels: folder from which packages are installed; None: from the network.
         torch: the build of PyTorch, a key of `torch_build.SIZES`; "" is the package index's own build.
-        allow_large: whether a build with CUDA may be downloaded where the CPU's was planned.
     """
 
     folder: Path
@@ -48,7 +47,6 @@ class Plan:
     key: str = ""
     wheels: Path | None = None
     torch: str = ""
-    allow_large: bool = False
 
     @property
     def python(self) -> Path:

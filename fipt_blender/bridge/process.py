@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """An engine command as a child process: starting it, reading its messages, cancelling it.
 
-The engine writes its messages to a file, not to a pipe. Therefore it can outlive Blender, and another Blender
-can watch it (:mod:`.attached`). Standard library only; no threads and no timers: callers use `poll`.
+The engine writes its messages to a file, not to a pipe: the panel shows them again when a file is opened.
+Standard library only; no threads and no timers: callers use `poll`.
 """
 
 from __future__ import annotations
@@ -49,12 +49,15 @@ def end_windows_tree(pid: int) -> None:
             os.kill(pid, signal.SIGTERM)
 
 
-class Engine:
-    """A running engine command and the file of its messages.
+class EngineProcess:
+    """An engine command that this process starts.
 
     Args:
-        messages: file to which the engine's stdout is written.
-        log: file to which everything else is appended.
+        command: the interpreter and its arguments.
+        log: file to which everything that is not a message is appended.
+        environment: the child's complete environment; None: that of this process.
+        messages: file for the messages, which is overwritten; None: a temporary file. It stays locked until
+            the engine and this object have ended, so that a second engine never writes over it.
 
     Attributes:
         done: the engine's message `done`, or None.
@@ -62,10 +65,35 @@ class Engine:
         cancelled: whether it was asked to end.
 
     Raises:
-        OSError: the file of messages can't be read.
+        FiptError: ``engine-missing`` where the interpreter can't be started; ``run-busy`` where another
+            engine writes its messages there; ``disk-full`` or ``run-unwritable``.
     """
 
-    def __init__(self, messages: Path, log: Path) -> None:
+    def __init__(
+        self,
+        command: Sequence[str],
+        log: Path,
+        environment: Mapping[str, str] | None = None,
+        messages: Path | None = None,
+    ) -> None:
+        self._temporary = None
+        if messages is None:
+            handle, name = tempfile.mkstemp(prefix="fipt-", suffix=".jsonl")
+            os.close(handle)
+            messages = self._temporary = Path(name)
+        else:
+            with explained_write_errors(messages):
+                messages.parent.mkdir(parents=True, exist_ok=True)
+        self._stdout = open_lockable(messages)
+        if not try_lock(self._stdout):
+            self._stdout.close()
+            raise FiptError(
+                "run-busy",
+                f"Another engine is writing its messages to {messages}.",
+                "Wait until it has finished, or stop it where it was started.",
+            )
+        with explained_write_errors(messages):
+            self._stdout.truncate(0)
         self.log = log
         self.done: Message | None = None
         self.error: Message | None = None
@@ -76,6 +104,22 @@ class Engine:
         self._pending = b""
         self._messages = messages
         self._stream = open(messages, "rb")
+        try:
+            self._process = self._start(command, environment)
+        except OSError as error:
+            self._close()
+            raise FiptError(
+                "engine-missing",
+                f"{command[0]} can't be started ({error.strerror}).",
+                "Choose another interpreter (preferences, --engine-python), or set up the engine again.",
+            ) from error
+        if sys.platform != "win32":
+            # Not by preexec_fn, which is unsafe in a process with threads such as Blender.
+            try:
+                niceness = max(10, os.getpriority(os.PRIO_PROCESS, 0))
+                os.setpriority(os.PRIO_PGRP, self._process.pid, niceness)
+            except OSError:  # the child may have ended already
+                pass
 
     @property
     def running(self) -> bool:
@@ -83,14 +127,14 @@ class Engine:
         return not self._finished
 
     @property
-    def elsewhere(self) -> str:
-        """Where the engine runs if this process can't end it; "" if it can."""
-        return ""
+    def pid(self) -> int:
+        """The child's process id; on POSIX also that of its process group."""
+        return self._process.pid
 
     @property
     def returncode(self) -> int | None:
-        """The exit status, negative for a signal; None while the process runs or if it is unknown."""
-        return None
+        """The exit status, negative for a signal; None while the process runs."""
+        return self._process.returncode
 
     def poll(self) -> list[Message]:
         """The new messages since the last call, oldest first; never waits.
@@ -144,16 +188,42 @@ class Engine:
             self._signal(terminate=False)
         self._close()
 
-    def leave(self) -> None:
-        """Stop watching the engine, which continues to run."""
-        self._close()
+    def _start(
+        self, command: Sequence[str], environment: Mapping[str, str] | None
+    ) -> subprocess.Popen[bytes]:
+        flags = 0
+        if sys.platform == "win32":
+            flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.BELOW_NORMAL_PRIORITY_CLASS
+            flags |= subprocess.CREATE_NO_WINDOW  # else a console opens, and closing it ends the engine
+        self._log(f"--- {time.strftime('%Y-%m-%d %H:%M:%S')} {' '.join(command)}")
+        try:
+            log = open(self.log, "ab")
+        except OSError:
+            log = open(os.devnull, "ab")
+        with log:
+            return subprocess.Popen(
+                list(command),
+                stdin=subprocess.DEVNULL,
+                stdout=self._stdout,
+                stderr=log,
+                env=None if environment is None else dict(environment),
+                start_new_session=True,  # ignored on Windows
+                creationflags=flags,
+            )
 
     def _alive(self) -> bool:
-        raise NotImplementedError
+        return self._process.poll() is None
 
     def _signal(self, terminate: bool) -> None:
         """End the process and all that it started: ask it to (True) or kill it."""
-        raise NotImplementedError
+        try:
+            if sys.platform == "win32":
+                if self._process.poll() is None:  # else its id may belong to another process
+                    end_windows_tree(self._process.pid)
+            else:
+                os.killpg(self._process.pid, signal.SIGTERM if terminate else signal.SIGKILL)
+        except (ProcessLookupError, PermissionError):  # macOS: EPERM for a group of zombies
+            pass
 
     def _read(self) -> list[Message]:
         messages = []
@@ -187,11 +257,15 @@ class Engine:
     def _close(self) -> None:
         self._finished = True
         self._stream.close()
+        self._stdout.close()
+        if self._temporary is not None:
+            self._temporary.unlink(missing_ok=True)
 
     def _keep_other(self, line: bytes) -> None:
         text = line.decode("utf-8", "replace").strip()
         if text:
             self._last_other = text
+        self._log(line.decode("utf-8", "replace"))
 
     def _last_line(self) -> str:
         """The last line that the engine printed besides messages."""
@@ -204,114 +278,3 @@ class Engine:
                 file.write(f"{text}\n")
         except OSError:  # a full disk must not hide the engine's own error message
             pass
-
-
-class EngineProcess(Engine):
-    """An engine command that this process starts.
-
-    Args:
-        command: the interpreter and its arguments.
-        log: file to which everything that is not a message is appended.
-        environment: the child's complete environment; None: that of this process.
-        messages: file for the messages, which is overwritten; None: a temporary file. It stays locked until
-            the engine and this object have ended, so that a second engine never writes over it.
-
-    Raises:
-        OSError: the interpreter can't be started.
-        FiptError: ``run-busy`` where another engine writes its messages there; ``disk-full`` or
-            ``run-unwritable``.
-    """
-
-    def __init__(
-        self,
-        command: Sequence[str],
-        log: Path,
-        environment: Mapping[str, str] | None = None,
-        messages: Path | None = None,
-    ) -> None:
-        self._temporary = None
-        if messages is None:
-            handle, name = tempfile.mkstemp(prefix="fipt-", suffix=".jsonl")
-            os.close(handle)
-            messages = self._temporary = Path(name)
-        else:
-            with explained_write_errors(messages):
-                messages.parent.mkdir(parents=True, exist_ok=True)
-        self._stdout = open_lockable(messages)
-        if not try_lock(self._stdout):
-            self._stdout.close()
-            raise FiptError(
-                "run-busy",
-                f"Another engine is writing its messages to {messages}.",
-                "Wait until it has finished, or stop it where it was started.",
-            )
-        with explained_write_errors(messages):
-            self._stdout.truncate(0)
-        super().__init__(messages, log)
-        try:
-            self._process = self._start(command, environment)
-        except BaseException:
-            self._close()
-            raise
-        if sys.platform != "win32":
-            # Not by preexec_fn, which is unsafe in a process with threads such as Blender.
-            try:
-                niceness = max(10, os.getpriority(os.PRIO_PROCESS, 0))
-                os.setpriority(os.PRIO_PGRP, self._process.pid, niceness)
-            except OSError:  # the child may have ended already
-                pass
-
-    @property
-    def pid(self) -> int:
-        """The child's process id; on POSIX also that of its process group."""
-        return self._process.pid
-
-    @property
-    def returncode(self) -> int | None:
-        return self._process.returncode
-
-    def _start(
-        self, command: Sequence[str], environment: Mapping[str, str] | None
-    ) -> subprocess.Popen[bytes]:
-        flags = 0
-        if sys.platform == "win32":
-            flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.BELOW_NORMAL_PRIORITY_CLASS
-            flags |= subprocess.CREATE_NO_WINDOW  # else a console opens, and closing it ends the engine
-        self._log(f"--- {time.strftime('%Y-%m-%d %H:%M:%S')} {' '.join(command)}")
-        try:
-            log = open(self.log, "ab")
-        except OSError:
-            log = open(os.devnull, "ab")
-        with log:
-            return subprocess.Popen(
-                list(command),
-                stdin=subprocess.DEVNULL,
-                stdout=self._stdout,
-                stderr=log,
-                env=None if environment is None else dict(environment),
-                start_new_session=True,  # ignored on Windows
-                creationflags=flags,
-            )
-
-    def _alive(self) -> bool:
-        return self._process.poll() is None
-
-    def _signal(self, terminate: bool) -> None:
-        try:
-            if sys.platform == "win32":
-                if self._process.poll() is None:  # else its id may belong to another process
-                    end_windows_tree(self._process.pid)
-            else:
-                os.killpg(self._process.pid, signal.SIGTERM if terminate else signal.SIGKILL)
-        except (ProcessLookupError, PermissionError):  # macOS: EPERM for a group of zombies
-            pass
-
-    def _keep_other(self, line: bytes) -> None:
-        super()._keep_other(line)
-        self._log(line.decode("utf-8", "replace"))
-
-    def _close(self) -> None:
-        super()._close()
-        self._stdout.close()
-        if self._temporary is not None:
-            self._temporary.unlink(missing_ok=True)

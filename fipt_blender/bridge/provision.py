@@ -113,7 +113,6 @@ def copy_libraries(root: Path, folder: Path) -> list[Path]:
         The files written into `folder`.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    copies: dict[Path, Path] = {}
     written = []
     for path in sorted(root.rglob("*.so*")):
         source = path
@@ -124,9 +123,6 @@ def copy_libraries(root: Path, folder: Path) -> list[Path]:
         copy = folder / path.name
         if not source.is_file() or copy.exists():
             continue
-        if (first := copies.setdefault(source.resolve(), copy)) == copy:
-            shutil.copyfile(source, copy)
-        else:
-            copy.hardlink_to(first)
+        shutil.copyfile(source, copy)
         written.append(copy)
     return written

@@ -15,45 +15,22 @@ from pathlib import Path
 from typing import Any
 
 from ..core.run.errors import FiptError
-from ..core.run.runfolder import explained_write_errors
-from .process import Engine, Message
+from .process import EngineProcess, Message
 from .step import JobProgress, Step, StepRecord, StepSlices, chain_keys
 
 QUIET_SECONDS = 5.0  # of an engine, after which the time that is left is told anew
 SLICE_SECONDS = 0.05  # time for which a function on Blender's data works in one call of `advance`
 
 
-def own_job(steps: Sequence[Step], record: Path, log: Path) -> Job:
-    """A job whose steps start their own processes or are functions; it always starts from the beginning.
-
-    Args:
-        steps: none of which has an engine command.
-        record: file for the record of the steps, which is overwritten.
-        log: file for tracebacks of functions.
-
-    Raises:
-        FiptError: ``run-unwritable``.
-    """
-
-    def start_engine(arguments: Sequence[str]) -> Engine:
-        raise AssertionError(f"no step of this job has an engine command: {arguments}")
-
-    with explained_write_errors(record):
-        record.unlink(missing_ok=True)
-    return Job(steps, StepRecord(record), start_engine, log, lambda: ([], {}), resume=False)
-
-
 class Job:
     """Runs steps one after another and turns their messages into messages of the job.
 
     Args:
-        steps: in order.
-        record: the steps that an earlier run has finished.
-        start_engine: starts an engine command; raises FiptError if that fails.
+        steps: in order; each has a function or starts a process.
         log: file for tracebacks of functions.
+        record: the steps that an earlier run has finished; None for a job that is never resumed.
         result: called at the end; returns files and data for the message `done`.
         resume: whether finished steps are skipped.
-        keys: of the steps, if they are known; None: those of `chain_keys`.
 
     Attributes:
         error: the message `error` that ended the job, or None.
@@ -65,27 +42,24 @@ class Job:
     def __init__(
         self,
         steps: Sequence[Step],
-        record: StepRecord,
-        start_engine: Callable[[Sequence[str]], Engine],
         log: Path,
-        result: Callable[[], tuple[list[str], dict[str, Any]]],
-        resume: bool = True,
-        keys: Sequence[str] | None = None,
+        record: StepRecord | None = None,
+        result: Callable[[], tuple[list[str], dict[str, Any]]] = lambda: ([], {}),
+        resume: bool = False,
     ) -> None:
         self.error: Message | None = None
         self.cancelled = False
         self.around: Callable[[], AbstractContextManager[Any]] = nullcontext
         self._steps = list(steps)
-        self._keys = chain_keys(self._steps) if keys is None else list(keys)
-        self._record = record
-        self._start_engine = start_engine
+        self._keys = chain_keys(self._steps)
+        self._record = record or StepRecord(None)
         self._log = log
         self._result = result
         self._modes = self._plan() if resume else ["run"] * len(self._steps)
         self._position = -1
         self._heard = 0.0  # when the engine has last sent something
         self._announced = False
-        self._process: Engine | None = None
+        self._process: EngineProcess | None = None
         self._slices: StepSlices | None = None
         self._ended = False
         self._warnings: list[Message] = []
@@ -168,33 +142,15 @@ class Job:
             self._process = None
 
     def request_cancel(self) -> None:
-        """End the job without waiting; `advance` makes sure that the engine ends within two seconds.
-
-        Raises:
-            FiptError: ``engine-elsewhere`` for an engine that this process can't end; the job goes on.
-        """
+        """End the job without waiting; `advance` makes sure that the engine ends within two seconds."""
         if self._ended:
             return
-        if self._process is not None and self._process.elsewhere:
-            raise FiptError(
-                "engine-elsewhere",
-                f"The engine can't be stopped from here. It runs {self._process.elsewhere}.",
-                "Stop it there.",
-            )
         self.cancelled = True
         self._close_slices()
         if self._process is None:
             self._ended = True
         else:
             self._process.request_cancel()
-
-    def leave(self) -> None:
-        """End the job, but let its engine continue."""
-        self._ended = self.cancelled = True
-        self._close_slices()
-        if self._process is not None:
-            self._process.leave()
-            self._process = None
 
     def _advance(self) -> list[Message]:
         if self._process is not None:
@@ -205,8 +161,8 @@ class Job:
             return self._announce_next()
         step = self._steps[self._position]
         self._announced = False
-        if self._modes[self._position] != "restore" and (step.process or step.command is not None):
-            self._process = step.process() if step.process else self._start_engine(step.command or ())
+        if self._modes[self._position] != "restore" and step.process is not None:
+            self._process = step.process()
             self._heard = time.monotonic()
             return []
         function = step.restore if self._modes[self._position] == "restore" else step.function
@@ -272,7 +228,7 @@ class Job:
         stage = {"type": "stage", "name": step.name, "index": self._position, "count": len(self._steps)}
         return [*repeated, {**stage, "text": step.text}, self._progress_message(0.0)]
 
-    def _watch(self, process: Engine) -> list[Message]:
+    def _watch(self, process: EngineProcess) -> list[Message]:
         step = self._steps[self._position]
         messages, received = [], process.poll()
         if received:

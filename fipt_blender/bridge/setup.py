@@ -47,14 +47,13 @@ class SetupReporter(Reporter):
         print(line, file=sys.stderr, flush=True)
 
 
-def make_plans(data: Path, device: str, wheels: Path | None, allow_large: bool = False) -> list[Plan]:
+def make_plans(data: Path, device: str, wheels: Path | None) -> list[Plan]:
     """The environments that can be used, best first: those that exist, this Python's, those of other Pythons.
 
     Args:
         data: the data folder.
         device: the preference: "auto", "cuda" or "llvm".
         wheels: folder from which packages are installed; None: from the network.
-        allow_large: see `Plan`.
 
     Raises:
         FiptError: ``python-unfit`` or ``wheels-missing`` if no Python is suitable.
@@ -89,7 +88,6 @@ def make_plans(data: Path, device: str, wheels: Path | None, allow_large: bool =
                 key=key,
                 wheels=wheels,
                 torch=torch,
-                allow_large=allow_large,
             )
             plans.setdefault(folder.name, plan)
     if not plans:
@@ -114,7 +112,7 @@ def run(arguments: argparse.Namespace, reporter: SetupReporter) -> None:
     with explained_write_errors(arguments.data):
         arguments.data.mkdir(parents=True, exist_ok=True)
     with hold(RunFolder(arguments.data), ["set-up"]):
-        plans = make_plans(arguments.data, arguments.device, arguments.wheels, arguments.allow_large)
+        plans = make_plans(arguments.data, arguments.device, arguments.wheels)
         make_first(plans, reporter)
 
 
@@ -148,7 +146,6 @@ def main() -> int:
     parser.add_argument("data", type=Path)
     parser.add_argument("--device", choices=("auto", "cuda", "llvm"), default="auto")
     parser.add_argument("--wheels", type=Path)
-    parser.add_argument("--allow-large", action="store_true")
     arguments = parser.parse_args()
     reporter = SetupReporter(claim_stdout())
     try:

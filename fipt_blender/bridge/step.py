@@ -21,7 +21,7 @@ from ..core.run.documents import read_document
 from ..core.run.errors import FiptError
 from ..core.run.lock import briefly_locked
 from ..core.run.runfolder import write_json
-from .process import Engine, Message
+from .process import EngineProcess, Message
 
 Result = TypeVar("Result")
 # Work in slices: a generator that yields the share that is done (0 to 1), or None, between two slices.
@@ -42,9 +42,9 @@ class Step:
         expected: the same from what the steps before have found; None while that is unknown, and with it the
             time that the job will take.
         inputs: JSON-serialisable values on which the result depends besides the steps before.
-        command: arguments of an engine command, or None.
-        process: instead of `command`, starts another process that writes messages like the engine's.
-        function: instead of `command`, is called on Blender's data; see `StepFunction`.
+        command: arguments of an engine command, which becomes the process in a job on a run folder.
+        process: starts a process that writes messages like the engine's.
+        function: instead of a process, is called on Blender's data; see `StepFunction`.
         outputs: files that must exist if the step counts as finished.
         repeat: whether a finished step is done again because its result exists only in Blender's memory.
         reset: called to remove stale results if the inputs have changed.
@@ -57,7 +57,7 @@ class Step:
     weight: float
     inputs: Mapping[str, Any] = field(default_factory=dict)
     command: Sequence[str] | None = None
-    process: Callable[[], Engine] | None = None
+    process: Callable[[], EngineProcess] | None = None
     function: StepFunction | None = None
     outputs: Sequence[Path] = ()
     repeat: bool = False
@@ -77,14 +77,14 @@ _VERSION = 1  # of steps.json
 class StepRecord:
     """The file steps.json: key, finished, seconds and warnings by the name of a step.
 
-    A damaged file counts as none. Another Blender may work on the same run folder: what it has recorded
-    meanwhile stays in the file.
+    A damaged file counts as none, and jobs that are not resumed have none. Another Blender may work on the
+    same run folder: what it has recorded meanwhile stays in the file.
 
     Attributes:
         problem: why the file could not be read, "" without a problem.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path | None) -> None:
         self._path = path
         self._steps: dict[str, StepNote] = {}
         self._changed: set[str] = set()  # steps that this record has stored or forgotten
@@ -128,6 +128,8 @@ class StepRecord:
         noted = tuple(Problem(each["code"], each["text"], each["remedy"]) for each in warnings)
         self._steps[name] = StepNote(key, finished, round(seconds, 2), noted)
         self._changed.add(name)
+        if self._path is None:
+            return
         with briefly_locked(self._path.with_name(f".{self._path.name}.lock")):
             self._take_others()
             write_json(self._path, Steps(_VERSION, self._steps))
@@ -138,7 +140,7 @@ class StepRecord:
         Raises:
             FiptError: ``file-damaged``.
         """
-        if not self._path.exists():
+        if self._path is None or not self._path.exists():
             return {}
         record = read_document(self._path, Steps)
         return dict(record.steps) if record.version == _VERSION else {}

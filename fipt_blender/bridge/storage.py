@@ -1,9 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The content of the data folder: listing, measuring and deleting runs and environments, and nothing else.
+"""The content of the data folder: listing and deleting runs and environments, and nothing else.
 
-Standard library only. Measuring and deleting are generators that yield between files, so that windows stay
-responsive.
+Standard library only. Deleting is a generator that yields between folders, so that windows stay responsive.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ import os
 import shutil
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,20 +85,14 @@ def why_in_use(item: Item, used: Sequence[Path]) -> str:
     return ""
 
 
-def measure(folder: Path) -> Iterator[int]:
-    """Yield the size of a folder counted so far, in bytes, after each of its subfolders.
-
-    A file of several names counts once.
-    """
-    sizes: dict[tuple[int, int], int] = {}
+def size(folder: Path) -> int:
+    """The size of a folder in bytes; what disappears meanwhile does not count."""
+    total = 0
     for parent, _, names in os.walk(folder):
         for name in names:
-            try:
-                status = os.lstat(os.path.join(parent, name))
-            except OSError:  # the file may be deleted meanwhile
-                continue
-            sizes[status.st_dev, status.st_ino] = status.st_size
-        yield sum(sizes.values())
+            with suppress(OSError):
+                total += os.lstat(os.path.join(parent, name)).st_size
+    return total
 
 
 def delete(item: Item, data: Path, used: Sequence[Path]) -> Iterator[None]:
@@ -129,41 +123,24 @@ def delete_folder(folder: Path) -> Iterator[None]:
     Raises:
         FiptError: ``run-unwritable``.
     """
-    for child in sorted(folder.iterdir(), key=lambda path: path.name in ("run.json", "setup.json")):
-        try:
+    last = ("run.json", "setup.json")
+    try:
+        for child in sorted(folder.iterdir(), key=lambda path: path.name in last):
             if child.is_dir() and not child.is_symlink():
-                yield from _delete_tree(child)
+                for parent, _, names in os.walk(child, topdown=False):
+                    for name in names:
+                        os.unlink(os.path.join(parent, name))
+                    yield
+                shutil.rmtree(child)
             else:
                 child.unlink()
-        except OSError as error:
-            raise _undeletable(child, error) from error
-        yield
-    try:
         folder.rmdir()
     except OSError as error:
-        raise _undeletable(folder, error) from error
-
-
-def _delete_tree(folder: Path) -> Iterator[None]:
-    for parent, folders, names in os.walk(folder, topdown=False):
-        for name in names:
-            os.unlink(os.path.join(parent, name))
-        for name in folders:
-            path = os.path.join(parent, name)
-            if os.path.islink(path):
-                os.unlink(path)
-            else:
-                os.rmdir(path)
-        yield
-    shutil.rmtree(folder)
-
-
-def _undeletable(path: Path, error: OSError) -> FiptError:
-    return FiptError(
-        "run-unwritable",
-        f"{path} can't be deleted ({error.strerror}).",
-        "Close programs that use it, or delete it yourself.",
-    )
+        raise FiptError(
+            "run-unwritable",
+            f"{error.filename or folder} can't be deleted ({error.strerror}).",
+            "Close programs that use it, or delete it yourself.",
+        ) from error
 
 
 def _children(folder: Path) -> list[Path]:
@@ -176,8 +153,6 @@ def _children(folder: Path) -> list[Path]:
 def _modified(folder: Path) -> float:
     newest = 0.0
     for path in (folder, *_children(folder), folder / "stage", folder / "log.txt"):
-        try:
+        with suppress(OSError):
             newest = max(newest, path.stat().st_mtime)
-        except OSError:
-            pass
     return newest

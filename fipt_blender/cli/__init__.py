@@ -124,13 +124,6 @@ def _run_engine(
         process = EngineProcess(engine_command(engine.python, *command), log, engine.environment)
     except FiptError as error:
         return _report_error(arguments, error), None
-    except OSError as error:
-        explained = FiptError(
-            "engine-missing",
-            f"The engine's Python can't be started ({error}).",
-            "Choose another interpreter (--engine-python).",
-        )
-        return _report_error(arguments, explained), None
     try:
         return (0 if process.run_blocking(show) else 1), process.done
     except KeyboardInterrupt:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Jobs on the data folder: set up and check the engine, measure and delete its contents."""
+"""Jobs on the data folder: set up and check the engine, delete its contents."""
 
 from __future__ import annotations
 
@@ -12,19 +12,11 @@ from .. import machine
 from ..bridge.interpreter import engine_command, engine_environment, setup_command
 from ..bridge.pins import other_versions, read_pins
 from ..bridge.process import EngineProcess
-from ..bridge.sequence import Job, own_job
+from ..bridge.sequence import Job
 from ..bridge.step import Step
-from ..core.run.errors import FiptError
 from ..core.run.runfolder import PRODUCT_VERSION, explained_write_errors
 from . import running
 from .tasks import Task
-
-_RECORD = "environment.json"
-
-
-def log_file() -> Path:
-    """The log of set-up and check."""
-    return machine.data_folder() / "environment.log"
 
 
 def data_task(
@@ -38,22 +30,20 @@ def data_task(
     def make_job(_: object) -> Job:
         with explained_write_errors(data):
             data.mkdir(parents=True, exist_ok=True)
-        return own_job(make(), data / _RECORD, log_file())
+        return Job(make(), machine.set_up_log())
 
     return Task(title, running.DATA_KIND, make_job, folder=data, ended=ended)
 
 
-def set_up_step(
-    python: Path,
-    data: Path,
-    device: str,
-    wheels: Path | None,
-    allow_large: bool = False,
-) -> Step:
+def set_up_step(python: Path, data: Path, device: str, wheels: Path | None) -> Step:
     """The step that creates the engine's environment; for the arguments see `setup_command`."""
-    command = setup_command(python, data, device, wheels, allow_large)
+    command = setup_command(python, data, device, wheels)
+    log = machine.set_up_log()
     return Step(
-        "set-up", "Setting up the engine", 180.0, process=lambda: start_process(command, engine_environment())
+        "set-up",
+        "Setting up the engine",
+        180.0,
+        process=lambda: EngineProcess(command, log, engine_environment()),
     )
 
 
@@ -79,7 +69,7 @@ class EngineStatus:
         if gpu:
             arguments.append(f"--gpu={gpu}")
         command = engine_command(python, *arguments)
-        self._check = start_process(command, engine_environment(python))
+        self._check = EngineProcess(command, machine.set_up_log(), engine_environment(python))
         return self._check
 
     def store(self, info: running.RunningJob) -> None:
@@ -108,19 +98,3 @@ class EngineStatus:
                 "error": info.error,
             }
         )
-
-
-def start_process(command: list[str], environment: dict[str, str]) -> EngineProcess:
-    """Start a process that writes to the environment's log.
-
-    Raises:
-        FiptError: ``engine-missing`` where its interpreter can't be started.
-    """
-    try:
-        return EngineProcess(command, log_file(), environment)
-    except OSError as error:
-        raise FiptError(
-            "engine-missing",
-            f"{command[0]} can't be started ({error.strerror}).",
-            "Select another Own Interpreter in the preferences, or use Set Up Engine.",
-        ) from error

@@ -23,8 +23,8 @@ from ..core.run.runfolder import PRODUCT_VERSION, RunFolder
 from .expected import PICTURE, render_seconds
 from .fingerprints import folder_fingerprint, mesh_fingerprint
 from .options import BLEND_NAME, MOST_RERENDERED, MainJobOptions, check_options
-from .run_job import find_launch, ingest_step, open_job, refuse_busy
-from .scene_steps import apply_steps, estimation_steps
+from .run_job import STEPS_NAME, find_launch, ingest_step, open_job, refuse_busy
+from .scene_steps import room_steps
 
 if TYPE_CHECKING:
     import bpy
@@ -54,9 +54,7 @@ def make_main_job(options: MainJobOptions) -> Job:
     hints, hints_rerun = (_existing(path) for path in (options.hints, options.hints_again))
     run.create(options.settings)
     _take_hints(run, hints, hints_rerun, options.resume)
-    job = open_job(
-        run, _steps(options, run), resume=options.resume, result=lambda: list_files(run), launch=engine
-    )
+    job = open_job(run, _steps(options, run), STEPS_NAME, options.resume, lambda: list_files(run), engine)
     job.around = _with_panel
     return job
 
@@ -132,8 +130,7 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
             function=lambda: room().import_room(),
             repeat=True,
         ),
-        *estimation_steps(run, options.settings, options.resume, options.cluster),
-        *apply_steps(_scene, run, options.settings, estimated=True),
+        *room_steps(_scene, run, options.settings, options.resume, options.cluster),
         Step(
             "save",
             "Saving the .blend file",

@@ -7,21 +7,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..bridge.attached import find_engine
 from ..bridge.sequence import Job
 from ..bridge.step import Step
 from ..core.run.runfolder import RunFolder
 from ..prepare.preparation import PreparationFolder, refuse_foreign
-from .run_job import attach_job, open_job
+from .run_job import open_job
 
-_RECORD = "stage/window.json"
 _TEXT = "Preparing the photographs"
 
 
 def make_prepare_job(
     photographs: Path, folder: PreparationFolder, settings: Mapping[str, object], steps: str = ""
 ) -> Job:
-    """A job that runs the engine's command `prepare`, or watches it if it is at work in that folder already.
+    """A job that runs the engine's command `prepare`.
 
     The engine keeps the steps that are finished, so that a stopped job goes on when it is started again.
 
@@ -38,9 +36,5 @@ def make_prepare_job(
     options = [f"--steps={steps}", *(f"--set={name}={value}" for name, value in settings.items())]
     command = ["prepare", *options, "--", str(photographs), str(folder.root)]
     step = Step("prepare", _TEXT, 60.0, command=command)
-    if find_engine(run) is not None:
-        job = attach_job(run, [step], _RECORD)
-        if job is not None:
-            return job
     refuse_foreign(folder, photographs)
-    return open_job(run, [step], record=_RECORD)
+    return open_job(run, [step])

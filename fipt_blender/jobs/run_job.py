@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Jobs on a run folder: steps with a new engine process, or watching an engine that is at work there.
+"""Jobs on a run folder.
 
 bpy is imported only to read the preferences, where it exists.
 """
@@ -11,16 +11,15 @@ import importlib.util
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
-from ..bridge.attached import AttachedEngine, find_engine
 from ..bridge.interpreter import engine_command, engine_environment, find_engine_python
 from ..bridge.process import EngineProcess
 from ..bridge.sequence import Job
 from ..bridge.step import Step, StepRecord
 from ..core.capture.options import CaptureOptions
-from ..core.run.errors import FiptError
-from ..core.run.lock import busy
+from ..core.run.lock import busy, holder
 from ..core.run.process_identity import PARENT_VARIABLE
 from ..core.run.runfolder import RunFolder
 
@@ -44,7 +43,7 @@ def ingest_step(run: RunFolder, capture: Path, options: CaptureOptions, text: st
 def open_job(
     run: RunFolder,
     steps: Sequence[Step],
-    record: str = STEPS_NAME,
+    record: str = "",
     resume: bool = False,
     result: Callable[[], list[str]] | None = None,
     launch: Launch | None = None,
@@ -54,8 +53,8 @@ def open_job(
     Args:
         run: the run folder, which also holds the log and the steps file.
         steps: engine commands and functions on Blender's data.
-        record: name of the steps file, which records finished steps; jobs that share one need different step
-            names.
+        record: name of the steps file, which records finished steps, of a job that can be resumed; jobs that
+            share one need different step names.
         resume: whether finished steps with the same inputs are skipped.
         result: called at the end; returns the paths of the results.
         launch: the engine, if the caller has found it already; None finds it by the preferences.
@@ -65,56 +64,20 @@ def open_job(
     """
     engine = launch or find_launch()
     refuse_busy(run)
-    step_record = StepRecord(run.root / record)
+    step_record = StepRecord(run.root / record if record else None)
     if not resume:
         step_record.forget(step.name for step in steps)  # so that each of them runs
 
     def start(arguments: Sequence[str]) -> EngineProcess:
         command = engine_command(engine.python, *arguments)
-        try:
-            return EngineProcess(command, run.log, engine.environment, run.messages(arguments[0]))
-        except OSError as error:
-            raise FiptError(
-                "engine-missing",
-                f"The engine's Python {engine.python} can't be started ({error.strerror}).",
-                "Choose another interpreter, or set up the engine again.",
-            ) from error
+        return EngineProcess(command, run.log, engine.environment, run.messages(arguments[0]))
 
     return Job(
-        steps=steps,
-        record=step_record,
-        start_engine=start,
-        log=run.log,
-        result=lambda: (result() if result else [], {"run": str(run.root)}),
-        resume=resume,
-    )
-
-
-def attach_job(run: RunFolder, steps: Sequence[Step], record: str = STEPS_NAME) -> Job | None:
-    """A job that watches the engine at work in a run folder, whoever started it; None if there is none.
-
-    Args:
-        run, record: see `open_job`.
-        steps: steps of the job that may have started it; the one with the engine's command is recorded as
-            finished at the end.
-    """
-    engine = find_engine(run)
-    if engine is None:
-        return None
-    name = engine.command[0]
-    step_record = StepRecord(run.root / record)
-    matching = [step for step in steps if step.command and step.command[0] == name]
-    step = (
-        replace(matching[0], reset=None) if matching else Step(name, name.capitalize(), 1.0, command=[name])
-    )
-    return Job(
-        steps=[step],
-        record=step_record,
-        start_engine=lambda arguments: AttachedEngine(run, engine),
-        log=run.log,
-        result=lambda: ([], {"run": str(run.root)}),
-        resume=False,
-        keys=[step_record.key(step.name) or ""],
+        [replace(step, process=partial(start, step.command)) if step.command else step for step in steps],
+        run.log,
+        step_record,
+        lambda: (result() if result else [], {"run": str(run.root)}),
+        resume,
     )
 
 
@@ -125,7 +88,7 @@ def refuse_busy(run: RunFolder) -> None:
         FiptError: ``run-busy`` or ``run-linked``.
     """
     run.refuse_links()
-    if find_engine(run) is not None:
+    if holder(run) is not None:
         raise busy(run)
 
 
@@ -144,16 +107,12 @@ def find_launch(explicit: str | None = None) -> Launch:
         FiptError: ``engine-missing``.
     """
     variables: dict[str, str] = {}
-    window = False
     if explicit or importlib.util.find_spec("bpy") is None:
         python = find_engine_python(explicit)
     else:
-        import bpy
-
         from .. import machine
 
-        python, window = machine.engine_python(), not bpy.app.background
+        python = machine.engine_python()
         variables = dict(machine.engine_variables())
-    if not window:  # it ends with this process, since no window could attach it later
-        variables[PARENT_VARIABLE] = str(os.getpid())
+    variables[PARENT_VARIABLE] = str(os.getpid())  # it ends with this process; Resume does the rest
     return Launch(python, {**engine_environment(python), **variables})

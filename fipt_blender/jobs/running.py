@@ -16,12 +16,11 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from .. import machine
 from ..blend import previews
 from ..core.run.errors import FiptError
 from . import runstate
 from .job_scene import find_scene, scene_context, uses_run_folder
-from .window import redraw, show_notice
+from .window import push_undo, redraw, show_notice
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -80,6 +79,8 @@ class _Active:
     on_end: Callable[[RunningJob], None] | None
     blend_file: str
     scene_uid: int
+    content: int = 0  # of `_content`, before an undo
+    undone: bool = False  # whether an undo took some of that away
 
 
 _active: _Active | None = None
@@ -89,7 +90,10 @@ _listeners: list[Callable[[RunningJob], None]] = []
 
 
 def register(after_end: Callable[[RunningJob], None]) -> None:
-    """Add a function that is called after each job in a window; it may start the next one."""
+    """Add a function that is called after each job in a window, which may start the next one; watch undo."""
+    if _before_undo not in bpy.app.handlers.undo_pre:
+        bpy.app.handlers.undo_pre.append(_before_undo)
+        bpy.app.handlers.undo_post.append(_after_undo)
     _listeners.append(after_end)
 
 
@@ -162,11 +166,7 @@ def settle(kind: str, code: str) -> None:
 
 
 def cancel() -> None:
-    """Ask the running job to stop, which takes at most two seconds. Finished steps are kept.
-
-    Raises:
-        FiptError: ``engine-elsewhere``.
-    """
+    """Ask the running job to stop, which takes at most two seconds. Finished steps are kept."""
     if _active is None:
         return
     _active.job.request_cancel()
@@ -177,17 +177,17 @@ def cancel() -> None:
 
 
 def shut_down() -> None:
-    """End the running job, or leave its engine at work if the preferences say so; forget earlier jobs."""
+    """End the running job; forget earlier ones."""
     if _active is not None:
-        if machine.get_preferences().on_close == "KEEP":
-            _active.job.leave()
-        else:
-            _active.job.cancel()
+        _active.job.cancel()
         _end()
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
     forget()
     _listeners.clear()
+    if _before_undo in bpy.app.handlers.undo_pre:
+        bpy.app.handlers.undo_pre.remove(_before_undo)
+        bpy.app.handlers.undo_post.remove(_after_undo)
 
 
 def forget() -> None:
@@ -200,6 +200,10 @@ def tick() -> float | None:
     if _active is None:
         return None
     info, job = _active.info, _active.job
+    if is_saved():
+        push_undo(info.title)  # so that Blender asks before it quits, which would end the job
+    if _active.undone:
+        _redo(_active)
     _keep_run_folder(_active)
     try:
         messages = job.advance()
@@ -241,6 +245,11 @@ def _shown(info: RunningJob) -> tuple[object, ...]:
     return (info.stage_text, info.stopping, *numbers, *info.pictures)
 
 
+def is_saved() -> bool:
+    """Whether the file has no unsaved changes. A window knows it soon after handlers of saving have run."""
+    return not bpy.data.is_dirty
+
+
 def _keep_run_folder(active: _Active) -> None:
     """Set the run folder again in the job's scene where undo or reloading the file took it back."""
     if not active.scene_uid or find_scene(active.info.scene_name, active.info.run_folder) is not None:
@@ -250,6 +259,38 @@ def _keep_run_folder(active: _Active) -> None:
         same = scene.session_uid == active.scene_uid or (same_file and scene.name == active.info.scene_name)
         if same and not scene.fipt.run_folder:
             scene.fipt.run_folder = str(active.info.run_folder)
+
+
+def _content(info: RunningJob) -> int:
+    """How much of what the job works on is in the open file: its scene, the views, the room's meshes."""
+    scene = find_scene(info.scene_name, info.run_folder) if info.scene_name else None
+    if scene is None:
+        return 0
+    capture = scene.fipt.capture
+    return 1 + bool(capture.views) + bool(capture.room_objects(scene))
+
+
+@bpy.app.handlers.persistent
+def _before_undo(*_: object) -> None:
+    if _active is not None and not _active.undone:
+        _active.content = _content(_active.info)
+
+
+@bpy.app.handlers.persistent
+def _after_undo(*_: object) -> None:
+    if _active is not None:
+        _active.undone = _content(_active.info) < _active.content
+
+
+def _redo(active: _Active) -> None:
+    """Bring back what the job works on, where undo took it away; other steps can be undone meanwhile."""
+    windows = bpy.context.window_manager.windows
+    with bpy.context.temp_override(**({"window": windows[0]} if windows else {})):
+        while _content(active.info) < active.content and bpy.ops.ed.redo.poll():
+            bpy.ops.ed.redo()
+    active.undone = False
+    text = iface_("{} works on what Undo would take away. Stop it with Esc first")
+    show_notice(text.format(iface_(active.info.title)), "WARNING")
 
 
 def _note(info: RunningJob, message: Message) -> None:
@@ -289,7 +330,8 @@ def _end() -> None:
     runstate.forget(info.run_folder)
     redraw()
     if info.error is not None:
-        show_notice(iface_("{} failed: {}").format(iface_(info.title), info.error["text"]), "ERROR")
+        # No popup: the job's section shows the error with what helps.
+        show_notice(iface_("{} failed: {}").format(iface_(info.title), info.error["text"]), "WARNING")
     elif info.state == "finished":
         text = iface_("{}: finished").format(iface_(info.title))
         show_notice(f"{text}, {count_text(len(info.warnings))}" if info.warnings else text, "INFO")

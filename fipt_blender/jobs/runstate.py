@@ -34,10 +34,8 @@ class RunState:
         stages: number of finished stages.
         results: whether the results of an estimation exist.
         finished: whether they are those of the last estimation, which has finished then.
-        continues: whether Re-estimate with Hints can go on from the stages of the results.
         versions: the estimates of the same capture, the newest first.
         old_versions: whether an earlier release kept earlier results in the folder.
-        engine: the command of the engine at work there, or "".
         warnings, error: warnings of the last run, and the error that ended it.
         pictures: the newest preview images.
         quality: dB with which photographs that were held back are re-rendered from the results, and projected
@@ -48,10 +46,8 @@ class RunState:
     stages: int = 0
     results: bool = False
     finished: bool = False
-    continues: bool = False
     versions: tuple[Version, ...] = ()
     old_versions: bool = False
-    engine: str = ""
     warnings: tuple[Message, ...] = ()
     error: Message | None = None
     pictures: tuple[Path, ...] = ()
@@ -62,18 +58,12 @@ class RunState:
 # Time of the last look (monotonic seconds) and state, by folder.
 _known: dict[str, tuple[float, RunState]] = {}
 _wanted: set[str] = set()  # folders that the timer looks at next
-# Called after each look at the disk, with the folder, its state, and whether that has changed.
-_listeners: list[Callable[[Path, RunState, bool], None]] = []
-
-
-def register(on_look: Callable[[Path, RunState, bool], None]) -> None:
-    """Add a function that is called after each look at the disk."""
-    _listeners.append(on_look)
+# Called by the timer with a state that has changed; `session` sets it.
+on_change: Callable[[RunState], None] = lambda state: None  # noqa: E731
 
 
 def unregister() -> None:
-    """Clear the cache and the listeners, and stop the timer."""
-    _listeners.clear()
+    """Clear the cache, and stop the timer."""
     _known.clear()
     _wanted.clear()
     if bpy.app.timers.is_registered(_look_soon):
@@ -105,12 +95,10 @@ def forget(folder: Path) -> None:
 def look(run: RunFolder) -> RunState:
     """Read the state of a run folder from the disk."""
     from ..blend.collecting import missing_pictures
-    from ..bridge.attached import find_engine
     from ..core.run import versions
     from ..core.run.documents import optional_document
     from ..core.run.result_contents import QualityFigures, Stages
 
-    engine = find_engine(run)
     warnings, pictures, error = [], (), None
     for message in _messages(run.messages("estimate")):
         if message["type"] == "warning":
@@ -126,10 +114,8 @@ def look(run: RunFolder) -> RunState:
         stages=0 if stages is None else len(stages.stages),
         results=results,
         finished=results and _of_last_estimation(run, stages),
-        continues=results and versions.can_continue(run),
         versions=tuple(versions.list_versions(run)),
         old_versions=run.versions.is_dir(),
-        engine=engine.command[0] if engine is not None else "",
         warnings=tuple(warnings),
         error=error,
         pictures=pictures,
@@ -144,8 +130,8 @@ def _look_soon() -> None:
         _, previous = _known.get(folder, (0.0, None))
         state = look(RunFolder(folder))
         _known[folder] = (time.monotonic(), state)
-        for listener in _listeners:
-            listener(Path(folder), state, state != previous)
+        if state != previous:
+            on_change(state)
 
 
 def _of_last_estimation(run: RunFolder, stages: Stages | None) -> bool:

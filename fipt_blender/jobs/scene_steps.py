@@ -49,6 +49,20 @@ def estimation_steps(
     ]
 
 
+def room_steps(
+    scene: Callable[[], bpy.types.Scene],
+    run: RunFolder,
+    settings: Settings,
+    resume: bool,
+    cluster: str | None = None,
+) -> list[Step]:
+    """The steps from a scene with a capture to its room with the results; at the end comes `note_applied`."""
+    return [
+        *estimation_steps(run, settings, resume, cluster),
+        *apply_steps(scene, run, settings, estimated=True),
+    ]
+
+
 def estimate_step(
     run: RunFolder, settings: Settings, resume: bool = False, cluster: str | None = None
 ) -> Step:

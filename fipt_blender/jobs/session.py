@@ -1,32 +1,18 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the add-on does between jobs: Esc stops the running one, an engine found at work is attached, the
-results of an estimation are applied.
-"""
+"""What the add-on does between jobs: Esc stops the running one, the results of an estimation are applied."""
 
 from __future__ import annotations
 
 import time
-from contextlib import suppress
-from pathlib import Path
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..blend import previews
-from ..core.run.errors import FiptError
-from ..core.run.runfolder import RunFolder
 from . import running, runstate, saving
-from .job_scene import find_scene, scene_context, uses_run_folder
+from .job_scene import find_scene, scene_context
 from .window import redraw, show_notice
-
-# Title and kind of the job by the command of an engine that is found at work.
-_TITLES = {
-    "estimate": ("Estimate", "estimate"),
-    "textures": ("Bake Textures", "materials"),
-    "report": ("Report", "check"),
-    "ingest": ("Import", "capture"),
-}
 
 # Esc that stops playback is passed on to the other key maps, and arrives when nothing plays any more.
 _SAME_KEY_SECONDS = 0.5
@@ -48,7 +34,7 @@ def register() -> None:
         item.properties.by_key = True
         _keymap_items.append((keymap, item))
     bpy.app.handlers.animation_playback_post.append(_note_playback_end)
-    runstate.register(_after_look)
+    runstate.on_change = _show_state
     running.register(after_job)
     saving.register()
 
@@ -77,34 +63,10 @@ def stops_playback(screen: bpy.types.Screen | None) -> bool:
     return playing or time.monotonic() - _playback_ended < _SAME_KEY_SECONDS
 
 
-def attach(scene: bpy.types.Scene) -> bool:
-    """Watch the engine that is at work in a scene's run folder; returns whether there is one.
-
-    Raises:
-        FiptError: ``job-running``; those of `RunFolder.read`.
-    """
-    from ..bridge.attached import find_engine
-    from .run_job import attach_job
-    from .scene_steps import estimate_step
-
-    run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-    job = attach_job(run, [estimate_step(run, run.read())])
-    if job is None:
-        return False
-    engine = find_engine(run)
-    title, kind = _TITLES.get(engine.command[0] if engine else "estimate", ("Engine", "estimate"))
-    info = running.RunningJob(title, kind, scene.name, run.root)
-    with suppress(OSError):  # written when the engine started
-        info.started -= max(time.time() - run.engine_lock.stat().st_mtime, 0.0)
-    running.start(job, info)
-    return True
-
-
 def after_job(info: running.RunningJob) -> None:
     """What follows a job: photographs without cameras become a capture; results of an estimation are applied,
     unless the artist does not want that or is in Edit Mode.
     """
-    title, _ = _TITLES["estimate"]  # other jobs of that kind apply their results themselves
     scene = find_scene(info.scene_name, info.run_folder)
     if info.error is not None and info.error["code"] == "cameras-missing" and scene is not None:
         with scene_context(scene.name, info.run_folder):
@@ -112,7 +74,8 @@ def after_job(info: running.RunningJob) -> None:
                 bpy.ops.fipt.photographs_of_capture("INVOKE_DEFAULT")
                 show_notice(iface_("These are photographs without cameras, which come next"), "INFO")
         return
-    if info.title != title or info.state != "finished" or scene is None:
+    # Other jobs of the kind "estimate" apply their results themselves.
+    if info.title != "Estimate" or info.state != "finished" or scene is None:
         return
     if scene.fipt.estimate.apply_when_finished:
         with scene_context(scene.name, info.run_folder):
@@ -120,16 +83,8 @@ def after_job(info: running.RunningJob) -> None:
                 bpy.ops.fipt.apply_results("INVOKE_DEFAULT")
 
 
-def _after_look(folder: Path, state: runstate.RunState, changed: bool) -> None:
-    """Show what changed in a run folder, and attach an engine that works there unwatched."""
-    idle = running.current() is None
-    if changed:
-        if idle:
-            previews.estimate_pictures.load(state.pictures)
-        redraw()
-    if state.engine and idle:
-        for scene in bpy.data.scenes:
-            if uses_run_folder(scene, folder):
-                with suppress(FiptError):
-                    attach(scene)
-                return
+def _show_state(state: runstate.RunState) -> None:
+    """Show what changed in a run folder."""
+    if running.current() is None:
+        previews.estimate_pictures.load(state.pictures)
+    redraw()

@@ -1,17 +1,15 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What Set Up Engine needs and would download, for the panel, which must not ask the GPU's driver.
+"""What Set Up Engine would download, for the panel, which must not ask the GPU's driver.
 
 While drawing, the answer comes from a cache, which a timer fills soon after.
 """
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import bpy
-from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
 from .window import redraw
@@ -22,21 +20,6 @@ if TYPE_CHECKING:
 _known: dict[str, str] = {}  # build by the device of the preferences
 
 
-def likely_failure() -> str:
-    """Why the set-up fails unless this machine has another Python that fits, and what helps; else ""."""
-    if find_spec("venv") is not None:
-        return ""
-    return iface_(
-        "Blender's Python lacks the module venv, so that the set-up fails unless there is another Python."
-        " Install it first (Debian, Ubuntu: apt-get install python3-venv), or use a Blender of blender.org."
-    )
-
-
-def was_too_large() -> bool:
-    """Whether the last set-up stopped before a larger download than it was allowed."""
-    return (machine.status().get("error") or {}).get("code") == "torch-large"
-
-
 def size() -> Size:
     """The size of the download; asks the driver."""
     from ..bridge.torch_build import SIZES, choose_torch_build
@@ -44,7 +27,7 @@ def size() -> Size:
 
     device = machine.device_setting()
     _known[device] = choose_torch_build(device, cuda_driver_version(), cuda_devices())
-    return SIZES["" if was_too_large() else _known[device]]
+    return SIZES[_known[device]]
 
 
 def known_size() -> Size | None:
@@ -53,7 +36,7 @@ def known_size() -> Size | None:
 
     build = _known.get(machine.device_setting())
     if build is not None:
-        return SIZES["" if was_too_large() else build]
+        return SIZES[build]
     if not bpy.app.background and not bpy.app.timers.is_registered(_ask):
         bpy.app.timers.register(_ask, first_interval=0.0)
     return None

@@ -31,7 +31,11 @@ RowIndex = Annotated[int, Option("Number in the list, from 0; the active one if 
 
 
 def action(
-    label: str, needs: Sequence[Condition] = (), options: Collection[str] = UNDO, **members: Any
+    label: str,
+    needs: Sequence[Condition] = (),
+    options: Collection[str] = UNDO,
+    bases: tuple[type, ...] = (),
+    **members: Any,
 ) -> Callable[[Function], Function]:
     """Declare the operator that calls a function; it becomes the function's attribute `operator`.
 
@@ -39,6 +43,7 @@ def action(
         label: of buttons.
         needs: conditions for which the button is enabled.
         options: `bl_options`.
+        bases: mix-ins, such as `pointer.PicksAlongRay`.
         members: further members of the class, such as `invoke`, which may return `self.run(context)`.
     """
 
@@ -57,7 +62,7 @@ def action(
             **({"poll": all_of(*needs)} if needs else {}),
             **members,
         }
-        function.operator = type(f"FIPT_OT_{name}", (_Action, bpy.types.Operator), made)  # type: ignore[attr-defined]
+        function.operator = type(f"FIPT_OT_{name}", (*bases, _Action, bpy.types.Operator), made)  # type: ignore[attr-defined]
         return function
 
     return declare
@@ -89,12 +94,15 @@ def _property(item: Declared) -> object:
 
 def reported(operator: Any, context: bpy.types.Context, wait: bool, work: Callable[[], object]) -> set[str]:
     """Do what an operator does, and report what it returns or raises; see the module."""
+    result = None
     try:
         result = work()
         if isinstance(result, Task):
             return _started(operator, begin(result, context.scene, wait), wait)
     except FiptError as error:
-        operator.report({"ERROR"}, str(error))
+        # Why a job could not start is in its section, too, with what helps: a popup would say it twice.
+        shown = isinstance(result, Task) and result.folder is None and not wait
+        operator.report({"WARNING" if shown else "ERROR"}, str(error))
         return {"CANCELLED"}
     if isinstance(result, str):
         operator.report({"INFO"}, result)

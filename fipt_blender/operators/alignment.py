@@ -231,7 +231,7 @@ def refine_alignment(scene: bpy.types.Scene) -> Task:
             Step("align-input", "Preparing the room", 3.0, function=write_input, repeat=True),
             Step("align", text, 5.0, command=command, outputs=[target.root / "align.json"]),
         ]
-        return open_job(run, steps, record="align.json")
+        return open_job(run, steps)
 
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
         from ..blend.capture.pairs import take_alignment

@@ -244,7 +244,7 @@ def check_views(scene: bpy.types.Scene) -> Task:
         from ..jobs.run_job import open_job
 
         run = checked_run(scene)
-        return open_job(run, list(survey_steps(run)), record="survey/steps.json")
+        return open_job(run, list(survey_steps(run)))
 
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
         from ..blend.capture.survey import take_survey
@@ -302,7 +302,7 @@ def find_missing_surfaces(scene: bpy.types.Scene) -> Task:
         prepare, survey = survey_steps(run, search=True)
         command = ["complete", str(run.root)]
         search = Step("complete", "Looking for what the scan lacks", 60.0, command=command)
-        return open_job(run, [prepare, search, survey], record="survey/steps.json")
+        return open_job(run, [prepare, search, survey])
 
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
         from ..blend.capture.additions import take_found

@@ -33,7 +33,7 @@ def write_report(scene: bpy.types.Scene) -> Task:
         run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
         run.read()  # raises if the folder is missing or no run folder
         step = Step("report", "Writing the report", 5.0, command=["report", str(run.root)])
-        return open_job(run, [step], record="report/steps.json")
+        return open_job(run, [step])
 
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
         scene.fipt.check.report = str(run.report / "index.html")

@@ -7,12 +7,13 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
+from ..core.run.declared import Option
 from ..core.run.errors import FiptError
 from ..jobs import running
 from ..jobs.tasks import Task
@@ -26,49 +27,24 @@ if TYPE_CHECKING:
     from ..bridge.storage import Item
 
 
-class FIPT_OT_set_up_engine(bpy.types.Operator):
-    bl_idname = "fipt.set_up_engine"
-    bl_label = "Set Up Engine"
-    bl_description = (
-        "Create a Python environment for the engine and install its packages there. Blender's own"
-        " Python is not changed. If you cancel, the finished downloads are kept"
+def _ask(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    """State the size of the download before anything is downloaded, unless the button has done so."""
+    from ..jobs import setup_size
+
+    if bpy.app.background or machine.get_preferences().wheel_folder or self.confirmed:
+        return self.run(context, wait=bpy.app.background)
+    self.confirmed, size = True, setup_size.size()
+    message = iface_("Downloads about {:.1f} GB and needs {:.1f} GB on the disk").format(
+        size.download_gb, size.disk_gb
     )
-    bl_options = {"REGISTER"}
-
-    allow_large: bpy.props.BoolProperty(
-        name="Allow Large Download",
-        description="Download PyTorch's build with CUDA if the one for the CPU can't be reached",
-        options={"SKIP_SAVE"},
+    return context.window_manager.invoke_confirm(
+        self, event, title=iface_(self.bl_label), message=message, confirm_text=iface_("Set Up")
     )
-    # In a window, which must not wait: by the dialog, or by a button beside which the size is written.
-    confirmed: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """State the size of the download before anything is downloaded, unless the button has done so."""
-        from ..jobs import setup_size
 
-        if bpy.app.background or machine.get_preferences().wheel_folder:
-            return self._start(context, wait=bpy.app.background)
-        self.allow_large = self.allow_large or setup_size.was_too_large()
-        if self.confirmed:
-            return self.execute(context)
-        self.confirmed, size = True, setup_size.size()
-        message = iface_("Downloads about {:.1f} GB and needs {:.1f} GB on the disk").format(
-            size.download_gb, size.disk_gb
-        )
-        if failure := setup_size.likely_failure():
-            message = f"{failure} {message}"
-        return context.window_manager.invoke_confirm(
-            self, event, title=iface_(self.bl_label), message=message, confirm_text=iface_("Set Up")
-        )
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        return self._start(context, wait=not self.confirmed)
-
-    def _start(self, context: bpy.types.Context, wait: bool) -> set[str]:
-        return reported(self, context, wait, lambda: set_up_task(self.allow_large))
-
-    poll = all_of(
+@action(
+    "Set Up Engine",
+    needs=(
         no_job,
         needs(
             lambda _: not machine.get_preferences().engine_python,
@@ -78,11 +54,20 @@ class FIPT_OT_set_up_engine(bpy.types.Operator):
             lambda _: machine.get_preferences().wheel_folder or bpy.app.online_access,
             "Enable Allow Online Access in Preferences > System > Network, or select a Folder of Wheels",
         ),
-    )
-
-
-def set_up_task(allow_large: bool) -> Task:
-    """Create the engine's environment, and check it."""
+    ),
+    options=REGISTER,
+    invoke=_ask,
+    execute=lambda self, context: self.run(context, wait=not self.confirmed),
+)
+def set_up_engine(
+    scene: bpy.types.Scene,
+    confirmed: Annotated[
+        bool, Option("Whether the size of the download was told", shown={"options": {"HIDDEN", "SKIP_SAVE"}})
+    ] = False,
+) -> Task:
+    """Create a Python environment for the engine and install its packages there. Blender's own Python is not
+    changed. If you cancel, the finished downloads are kept.
+    """
     from ..jobs.data_job import EngineStatus, data_task, set_up_step
 
     status = EngineStatus(set_up=True)
@@ -96,8 +81,7 @@ def set_up_task(allow_large: bool) -> Task:
                 f"The folder {wheels} does not exist.",
                 "Select another folder as Folder of Wheels.",
             )
-        step = set_up_step(Path(sys.executable), data, values.device, wheels, allow_large)
-        return [step, status.check_step()]
+        return [set_up_step(Path(sys.executable), data, values.device, wheels), status.check_step()]
 
     return data_task("Set Up Engine", steps, status.store)
 
@@ -109,57 +93,6 @@ def check_engine(scene: bpy.types.Scene) -> Task:
 
     status = EngineStatus()
     return data_task("Check Engine", lambda: [status.check_step()], status.store)
-
-
-class FIPT_OT_show_log(bpy.types.Operator):
-    """Show the last lines of the log of Set Up Engine and Check"""
-
-    bl_idname = "fipt.show_log"
-    bl_label = "Set-Up Log"
-
-    _lines: list[str]
-
-    poll = all_of(
-        needs(
-            lambda context: (
-                machine.get_preferences().status or running.current() or running.last(running.DATA_KIND)
-            ),
-            "Use Set Up Engine or Check first",
-        )
-    )
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self._lines = read_log()
-        return context.window_manager.invoke_popup(self, width=800)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        print("\n".join(read_log()))
-        return {"FINISHED"}
-
-    def draw(self, context: bpy.types.Context) -> None:
-        from ..jobs.data_job import log_file
-
-        layout = self.layout
-        row = layout.row()
-        row.label(text=str(log_file()), translate=False, icon="TEXT")
-        row.operator("wm.path_open", text="Open Log File").filepath = str(log_file())
-        column = layout.box().column(align=True)
-        column.scale_y = 0.7
-        for line in self._lines:
-            column.label(text=line[:150], translate=False)
-
-
-def read_log() -> list[str]:
-    """The last lines of the log."""
-    from collections import deque
-
-    from ..jobs.data_job import log_file
-
-    try:
-        with open(log_file(), encoding="utf-8", errors="replace") as file:
-            return [line.rstrip() for line in deque(file, 30)]
-    except OSError as error:
-        return [f"{log_file()}: {error.strerror}"]
 
 
 @action("Copy Download Command", options=REGISTER)
@@ -186,35 +119,12 @@ def used_paths() -> list[Path]:
     return used
 
 
-def measure() -> Slices[None]:
-    """Measure every run and environment and store the sizes in the preferences."""
-    from ..bridge import storage
-
-    items = storage.list_items(machine.data_folder())
-    sizes = {}
-    for index, item in enumerate(items):
-        for size in storage.measure(item.folder):
-            sizes[item.folder.name] = size
-            yield index / len(items)
-    runs = [item.folder.name for item in items if item.kind == storage.RUN]
-    machine.store_usage({"time": time.time(), "sizes": sizes, "runs": runs})
-    return None
-
-
 class FIPT_PG_data_item(bpy.types.PropertyGroup):
     """A folder in the data folder, to delete or keep; `name` is the folder's."""
 
     ticked: bpy.props.BoolProperty(name="Clear", description="Delete this folder", default=True)
     note: bpy.props.StringProperty()
     kept: bpy.props.StringProperty(description="Why the folder can't be deleted; empty if it can")
-
-
-@action("Measure", needs=(no_job,), options=REGISTER)
-def measure_data(scene: bpy.types.Scene) -> Task:
-    """Measure the disk space that cached runs and the engine's environments use."""
-    from ..jobs.data_job import data_task
-
-    return data_task("Measure Data Folder", lambda: [_measure_step()])
 
 
 class FIPT_OT_clear_data(bpy.types.Operator):
@@ -242,13 +152,13 @@ class FIPT_OT_clear_data(bpy.types.Operator):
         if self.names:
             return context.window_manager.invoke_confirm(self, event)
         self.items.clear()
-        used, sizes = used_paths(), machine.usage().get("sizes", {})
+        used = used_paths()
         for stored in storage.list_items(machine.data_folder()):
             item = self.items.add()
             item.name = stored.folder.name
             item.kept = storage.why_in_use(stored, used)
             item.ticked = not item.kept and not stored.current
-            item.note = _describe(stored, sizes.get(item.name))
+            item.note = _describe(stored)
         return context.window_manager.invoke_props_dialog(self, width=640, confirm_text=iface_("Delete"))
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -318,23 +228,18 @@ class FIPT_OT_clear_data(bpy.types.Operator):
                     warnings.append({"type": "warning", **message})
             return warnings
 
-        return [Step("clear", "Deleting cached data", 5.0, function=clear), _measure_step()]
+        return [Step("clear", "Deleting cached data", 5.0, function=clear)]
 
 
-def _measure_step() -> Step:
-    from ..bridge.step import Step
+def _describe(item: Item) -> str:
+    """Size of a run, date and use of a folder, e.g. "2026-11-20 10:15, the engine's environment"."""
+    from ..bridge.storage import ENVIRONMENT, size
 
-    return Step("measure", "Measuring the data folder", 3.0, function=measure)
-
-
-def _describe(item: Item, size: int | None) -> str:
-    """Size, date and use of a folder, e.g. "3.2 GB, 2026-11-20 10:15, the engine's environment"."""
-    from ..bridge.storage import ENVIRONMENT
-
-    facts = [] if size is None else [size_text(size)]
-    facts.append(time.strftime("%Y-%m-%d %H:%M", time.localtime(item.modified)))
+    facts = [time.strftime("%Y-%m-%d %H:%M", time.localtime(item.modified))]
     if item.current:
         facts.append(iface_("the engine's environment"))
     elif item.kind == ENVIRONMENT:
         facts.append(iface_("an unused environment"))
+    else:
+        facts.insert(0, size_text(size(item.folder)))
     return ", ".join(facts)

@@ -11,7 +11,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
-from ..api import applying, estimating
+from ..api import applying, estimating, importing
 from ..core.run.declared import Option
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..core.run.settings import PRESETS
@@ -19,12 +19,9 @@ from ..jobs import running, runstate
 from ..jobs.tasks import Task
 from .action import REGISTER, UNDO, action
 from .polls import has_no_capture, has_run, in_object_mode, needs, no_job
-from .reporting import reports_errors
 
 if TYPE_CHECKING:
-    from ..bridge.process import Message
     from ..bridge.sequence import Job
-    from ..bridge.step import Slices
 
 _can_start = (
     no_job,
@@ -62,11 +59,11 @@ def _state(context: bpy.types.Context) -> runstate.RunState:
     needs=(
         *_can_start,
         needs(
-            lambda context: _state(context).stages or _state(context).engine,
+            lambda context: _state(context).stages,
             "There is no stopped run to resume",
         ),
         needs(
-            lambda context: not _state(context).finished or _state(context).engine,
+            lambda context: not _state(context).finished,
             "The last run is finished. Use Estimate to start a new one",
         ),
     ),
@@ -76,7 +73,7 @@ def resume(scene: bpy.types.Scene) -> Task:
     """Continue the last run where it was stopped. If room, views or settings have changed since, it starts
     again at the first stage that depends on the change.
     """
-    return estimating.resumption()
+    return estimating.estimation(keep_stages=True, keep_hints=True)
 
 
 class FIPT_OT_notice(bpy.types.Operator):
@@ -154,7 +151,6 @@ class FIPT_OT_cancel(bpy.types.Operator):
             confirm_text=iface_("Stop"),
         )
 
-    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         running.cancel()
         return {"FINISHED"}
@@ -259,10 +255,9 @@ def try_example(context: bpy.types.Context) -> Task:
         context.window.scene = bpy.data.scenes.new(NAME)
 
     def make(scene: bpy.types.Scene) -> Job:
-        from ..bridge.step import Step
         from ..core.capture.options import CaptureOptions
-        from ..jobs.run_job import ingest_step, open_job
-        from ..jobs.scene_steps import apply_steps, camera_step, estimation_steps, scene_named
+        from ..jobs.run_job import open_job
+        from ..jobs.scene_steps import camera_step, room_steps, scene_named
 
         path = copy_example(machine.data_folder())
         scene.fipt.capture.path = str(path)
@@ -271,20 +266,12 @@ def try_example(context: bpy.types.Context) -> Task:
         run = RunFolder(machine.new_run_folder(NAME))
         run.create(settings)
         scene.fipt.run_folder = str(run.root)
-
-        def add_to_scene() -> Slices[list[Message]]:
-            from ..blend.capture.importing import import_capture
-
-            return import_capture(run, str(path))
-
         steps = [
-            ingest_step(run, path, CaptureOptions(), "Reading the example", 2.0),
-            Step("import", "Adding cameras and mesh", 1.0, function=add_to_scene),
+            *importing.import_steps(run, path, CaptureOptions()),
             camera_step(run),
-            *estimation_steps(run, settings, resume=False),
-            *apply_steps(scene_named(scene.name), run, settings, estimated=True),
+            *room_steps(scene_named(scene.name), run, settings, resume=False),
         ]
-        return open_job(run, steps, record="example.json", launch=launch)
+        return open_job(run, steps, launch=launch)
 
     return Task("Example", "estimate", make, finished=applying.note_applied, undo=True)
 

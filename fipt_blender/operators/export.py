@@ -5,13 +5,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated, Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..core.run.declared import Option
 from ..core.run.errors import FiptError
-from .polls import all_of, has_results, in_object_mode, needs
-from .reporting import report_messages, reports_errors
+from .action import REGISTER, action, file_dialog, note
+from .polls import has_results, in_object_mode, needs
+from .reporting import Messages
+
+KEPT: dict[str, Any] = {"options": set()}  # what was chosen last is offered again
 
 SIZES = tuple(
     (str(size), f"{size}", f"Textures have {size} x {size} texels at most")
@@ -25,63 +30,60 @@ FORMATS = (
 )
 
 
-class FIPT_OT_export_room(bpy.types.Operator):
-    bl_idname = "fipt.export_room"
-    bl_label = "Export Room"
-    bl_description = (
-        "Export the estimated room and its lights as glTF or USD, in a form that other programs understand:"
-        " plain materials with your adjustments in their textures, and surfaces that emit light"
-    )
-    bl_options = {"REGISTER"}
+def _ask(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    if not self.filepath:
+        blend = bpy.data.filepath
+        self.filepath = str(Path(blend).with_suffix("")) if blend else iface_("room")
+    return file_dialog(self, context, event)
 
-    filepath: bpy.props.StringProperty(name="File", description="The file to write", subtype="FILE_PATH")
-    filter_glob: bpy.props.StringProperty(
-        default="*.glb;*.gltf;*.usd;*.usda;*.usdc;*.usdz", options={"HIDDEN"}
-    )
-    file_format: bpy.props.EnumProperty(
-        name="Format", description="Format of a file whose name has none", items=FORMATS, default=".glb"
-    )
-    texture_size: bpy.props.EnumProperty(
-        name="Texture Size",
-        description="The most texels of a texture's side; larger ones are scaled down",
-        items=SIZES,
-        default="4096",
-    )
-    lamp_lights: bpy.props.BoolProperty(
-        name="Lights of Lamps",
-        description=(
-            "In glTF, give each lamp a light besides its glowing surface: game engines and browsers light by"
-            " lights alone. Switch it off for path tracers, where both would light the room"
-        ),
-        default=True,
-    )
 
-    poll = all_of(
+@action(
+    "Export Room",
+    needs=(
         has_results,
         in_object_mode,
         needs(
             lambda context: context.scene.fipt.materials.shown == "ESTIMATED",
             "Choose Estimated as Show first",
         ),
-    )
+    ),
+    options=REGISTER,
+    invoke=_ask,
+)
+def export_room(
+    scene: bpy.types.Scene,
+    filepath: Annotated[str, Option("The file to write", "File", shown=KEPT | {"subtype": "FILE_PATH"})] = "",
+    filter_glob: Annotated[
+        str, Option("Files to show", shown={"options": {"HIDDEN"}})
+    ] = "*.glb;*.gltf;*.usd;*.usda;*.usdc;*.usdz",
+    file_format: Annotated[
+        str, Option("Format of a file whose name has none", "Format", choices=FORMATS, shown=KEPT)
+    ] = ".glb",
+    texture_size: Annotated[
+        str,
+        Option("The most texels of a texture's side; larger ones are scaled down", choices=SIZES, shown=KEPT),
+    ] = "4096",
+    lamp_lights: Annotated[
+        bool,
+        Option(
+            "In glTF, give each lamp a light besides its glowing surface: game engines and browsers light by"
+            " lights alone. Switch it off for path tracers, where both would light the room",
+            "Lights of Lamps",
+            shown=KEPT,
+        ),
+    ] = True,
+) -> Messages:
+    """Export the estimated room and its lights as glTF or USD, in a form that other programs understand:
+    plain materials with your adjustments in their textures, and surfaces that emit light.
+    """
+    from ..blend.export import exporting
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if not self.filepath:
-            blend = bpy.data.filepath
-            self.filepath = str(Path(blend).with_suffix("")) if blend else iface_("room")
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.export.exporting import SUFFIXES, ExportOptions, export_room
-
-        if not self.filepath:
-            raise FiptError("export-file", "No file is chosen.", "Choose the file to write.")
-        path = Path(bpy.path.abspath(self.filepath))
-        if path.suffix.lower() not in SUFFIXES:
-            path = path.with_name(path.name + self.file_format)
-        exported = export_room(context.scene, path, ExportOptions(int(self.texture_size), self.lamp_lights))
-        report_messages(self, exported.warnings)
-        self.report({"INFO"}, iface_("{} objects written to {}").format(exported.objects, path.name))
-        return {"FINISHED"}
+    if not filepath:
+        raise FiptError("export-file", "No file is chosen.", "Choose the file to write.")
+    path = Path(bpy.path.abspath(filepath))
+    if path.suffix.lower() not in exporting.SUFFIXES:
+        path = path.with_name(path.name + file_format)
+    options = exporting.ExportOptions(int(texture_size), lamp_lights)
+    exported = exporting.export_room(scene, path, options)
+    text = iface_("{} objects written to {}").format(exported.objects, path.name)
+    return [*exported.warnings, note(text)]

@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from mathutils import Vector
 
 from ..api import applying, estimating
 from ..blend.marks import is_fixture
@@ -18,12 +19,8 @@ from ..jobs.tasks import Task
 from ..properties.hints import ANSWERS, EMISSION
 from .action import RowIndex, action, row_index
 from .lights import LightName, find_light, own_lights
-from .pointer import PicksAlongRay
-from .polls import all_of, has_run, in_object_mode, needs, no_job
-from .reporting import reports_errors
-
-if TYPE_CHECKING:
-    from mathutils import Vector
+from .pointer import DOWN, Direction, Origin, PicksAlongRay, PointerRay, SkipBacks
+from .polls import has_run, in_object_mode, needs, no_job
 
 
 def _state(context: bpy.types.Context) -> runstate.RunState:
@@ -34,74 +31,68 @@ _in_room_mode = needs(lambda context: context.mode in ("OBJECT", "SCULPT"), "Swi
 _has_hint = needs(lambda context: context.scene.fipt.hints.hint() is not None, "Add a hint first")
 
 
-class _PicksSurface(PicksAlongRay):
-    """Mix-in of an operator that does something at the surface that the user clicks."""
-
-    poll = all_of(_in_room_mode)
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.hints.anchors import surface_on_ray
-
-        found = surface_on_ray(context.scene, context.evaluated_depsgraph_get(), *self.ray())
-        if found is None:
-            raise FiptError("surface-missing", "There is no surface there.", "Click on the room.")
-        self.use(context, *found)
-        if context.area is not None:
-            context.area.tag_redraw()
-        return {"FINISHED"}
-
-    def use(self, context: bpy.types.Context, item: bpy.types.Object, face: int, point: Vector) -> None:
-        """Do it at a point of a polygon of an object."""
-        raise NotImplementedError
+ABOUT = (
+    ("PART", "Part", "The part of the room that you click", "EYEDROPPER"),
+    ("FACE_SET", "Face Set", "The painted face set that you click, as a part of its own", "FACE_MAPS"),
+)
 
 
-class FIPT_OT_add_hint(_PicksSurface, bpy.types.Operator):
-    bl_idname = "fipt.add_hint"
-    bl_label = "Add Hint"
-    bl_description = "Click on a part of the room, or on a face set, to say what it is made of"
-    bl_options = {"REGISTER", "UNDO"}
-    pick_text = "Click: Choose the Part   Esc, Right Click: Cancel"
+def _clicked(context: bpy.types.Context, ray: PointerRay) -> tuple[bpy.types.Object, int, Vector]:
+    """The object on a ray, its polygon, and the point in the world.
 
-    what: bpy.props.EnumProperty(
-        name="About",
-        description="What the hint is about",
-        items=[
-            ("PART", "Part", "The part of the room that you click", "EYEDROPPER", 0),
-            (
-                "FACE_SET",
-                "Face Set",
-                "The painted face set that you click, as a part of its own",
-                "FACE_MAPS",
-                1,
-            ),
-        ],
-        options={"SKIP_SAVE"},
-    )
+    Raises:
+        FiptError: ``surface-missing``.
+    """
+    from ..blend.hints.anchors import surface_on_ray
 
-    def use(self, context: bpy.types.Context, item: bpy.types.Object, face: int, point: Vector) -> None:
-        from ..blend.hints.anchors import face_set_at, set_area
-        from ..blend.hints.exchange import add_hint
-
-        chosen = face_set_at(item, face) if self.what == "FACE_SET" else None
-        hint = add_hint(context.scene, item.name, item, point)
-        if chosen is not None:
-            set_area(hint, item, chosen)
+    found = surface_on_ray(context.scene, context.evaluated_depsgraph_get(), *ray)
+    if found is None:
+        raise FiptError("surface-missing", "There is no surface there.", "Click on the room.")
+    if context.area is not None:
+        context.area.tag_redraw()
+    return found
 
 
-class FIPT_OT_pick_same_material(_PicksSurface, bpy.types.Operator):
-    """Click on a part that is of the same material as the active hint's"""
+@action(
+    "Add Hint",
+    needs=(_in_room_mode,),
+    bases=(PicksAlongRay,),
+    pick_text="Click: Choose the Part   Esc, Right Click: Cancel",
+)
+def add_hint(
+    context: bpy.types.Context,
+    what: Annotated[str, Option("What the hint is about", "About", choices=ABOUT)] = "PART",
+    origin: Origin = (0.0, 0.0, 0.0),
+    direction: Direction = DOWN,
+    skip_backs: SkipBacks = False,
+) -> None:
+    """Click on a part of the room, or on a face set, to say what it is made of."""
+    from ..blend.hints import exchange
+    from ..blend.hints.anchors import face_set_at, set_area
 
-    bl_idname = "fipt.pick_same_material"
-    bl_label = "Same Material As"
-    bl_options = {"REGISTER", "UNDO"}
-    pick_text = "Click: Choose the Part of the Same Material   Esc, Right Click: Cancel"
+    item, face, point = _clicked(context, PointerRay(Vector(origin), Vector(direction), skip_backs))
+    chosen = face_set_at(item, face) if what == "FACE_SET" else None
+    hint = exchange.add_hint(context.scene, item.name, item, point)
+    if chosen is not None:
+        set_area(hint, item, chosen)
 
-    poll = all_of(_has_hint, _in_room_mode)
 
-    def use(self, context: bpy.types.Context, item: bpy.types.Object, face: int, point: Vector) -> None:
-        hint = context.scene.fipt.hints.hint()
-        hint.same_object, hint.same_point = item, item.matrix_world.inverted_safe() @ point
+@action(
+    "Same Material As",
+    needs=(_has_hint, _in_room_mode),
+    bases=(PicksAlongRay,),
+    pick_text="Click: Choose the Part of the Same Material   Esc, Right Click: Cancel",
+)
+def pick_same_material(
+    context: bpy.types.Context,
+    origin: Origin = (0.0, 0.0, 0.0),
+    direction: Direction = DOWN,
+    skip_backs: SkipBacks = False,
+) -> None:
+    """Click on a part that is of the same material as the active hint's."""
+    item, _, point = _clicked(context, PointerRay(Vector(origin), Vector(direction), skip_backs))
+    hint = context.scene.fipt.hints.hint()
+    hint.same_object, hint.same_point = item, item.matrix_world.inverted_safe() @ point
 
 
 @action(
@@ -184,12 +175,13 @@ def hint_on_lamp(
     needs=(
         no_job,
         has_run,
-        needs(lambda context: _state(context).continues, "Finish an estimate first"),
+        needs(lambda context: _state(context).results, "Finish an estimate first"),
         in_object_mode,
     ),
 )
 def reestimate(scene: bpy.types.Scene) -> Task:
     """Estimate the materials again with the hints and apply them. The light that the last estimate has
-    computed is kept, so that it takes about a minute. Estimate uses the hints from its beginning.
+    computed is kept, so that it takes about a minute; what a stopped one has replaced is done again. Estimate
+    uses the hints from its beginning.
     """
     return estimating.reestimation()

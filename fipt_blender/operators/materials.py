@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from mathutils import Vector
 
 from ..api import applying
 from ..core.run.declared import Option
@@ -16,8 +17,8 @@ from ..core.run.errors import FiptError
 from ..jobs.tasks import Task
 from ..properties.materials import SHOWN
 from .action import action, dialog, file_dialog, note, warning
-from .pointer import PicksAlongRay
-from .polls import all_of, has_results, in_object_mode, is_own_room, needs, no_job
+from .pointer import DOWN, Direction, Origin, PicksAlongRay, PointerRay, SkipBacks
+from .polls import has_results, in_object_mode, is_own_room, needs, no_job
 from .reporting import Messages
 
 
@@ -111,40 +112,30 @@ _has_parts = (
 AllParts = Annotated[bool, "All parts instead of the active one"]
 
 
-class FIPT_OT_pick_part(PicksAlongRay, bpy.types.Operator):
-    """Click on the room to choose the part under the mouse pointer"""
+@action(
+    "Pick Part",
+    needs=_has_parts,
+    bases=(PicksAlongRay,),
+    pick_text="Click: Choose the Part   Esc, Right Click: Cancel",
+)
+def pick_part(
+    context: bpy.types.Context,
+    origin: Origin = (0.0, 0.0, 0.0),
+    direction: Direction = DOWN,
+    skip_backs: SkipBacks = False,
+) -> None:
+    """Click on the room to choose the part under the mouse pointer."""
+    from ..blend.results.part_list import part_under
 
-    bl_idname = "fipt.pick_part"
-    bl_label = "Pick Part"
-    bl_options = {"REGISTER", "UNDO"}
-    pick_text = "Click: Choose the Part   Esc, Right Click: Cancel"
-
-    poll = all_of(*_has_parts)
-
-    def take_click(self, context: bpy.types.Context, event: bpy.types.Event) -> bool:
-        super().take_click(context, event)
-        if self._part_hit(context) is None:
-            self.report({"INFO"}, "There is no estimated surface under the mouse pointer")
-            return False
-        return True
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        index = self._part_hit(context)
-        if index is None:
-            self.report({"WARNING"}, "The ray hits no estimated surface")
-            return {"CANCELLED"}
-        context.scene.fipt.materials.active_part = index
-        if context.area is not None:
-            context.area.tag_redraw()
-        return {"FINISHED"}
-
-    def _part_hit(self, context: bpy.types.Context) -> int | None:
-        """Row of the part that the ray hits; None without one."""
-        from ..blend.results.part_list import part_under
-
-        key = part_under(context.scene, context.evaluated_depsgraph_get(), *self.ray())
-        rows = context.scene.fipt.materials.parts
-        return next((i for i, row in enumerate(rows) if key and row.key == key), None)
+    ray = PointerRay(Vector(origin), Vector(direction), skip_backs)
+    key = part_under(context.scene, context.evaluated_depsgraph_get(), *ray)
+    rows = context.scene.fipt.materials.parts
+    index = next((i for i, row in enumerate(rows) if key and row.key == key), None)
+    if index is None:
+        raise FiptError("surface-missing", "There is no estimated surface there.", "Click on the room.")
+    context.scene.fipt.materials.active_part = index
+    if context.area is not None:
+        context.area.tag_redraw()
 
 
 @action("Select Faces", needs=_has_parts)

@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Vector
+
+from ..core.run.declared import Option
 
 # Events that move the view or zoom; modal operators pass them on. The mouse wheel zooms as well.
 NAVIGATION = ("MIDDLEMOUSE", "TRACKPADPAN", "TRACKPADZOOM", "MOUSEROTATE", "MOUSESMARTZOOM", "NDOF_MOTION")
@@ -136,44 +138,34 @@ class PicksInViewport(WaitsForClicks):
             return {"PASS_THROUGH"}
         if not self.take_click(context, event):
             return {"RUNNING_MODAL"}
+        result: set[str] = self.execute(context)  # type: ignore[attr-defined]
+        if result == {"CANCELLED"}:  # the report says why; another click may do
+            return {"RUNNING_MODAL"}
         self.cancel(context)
-        return self.execute(context)
+        return result
 
     def take_click(self, context: bpy.types.Context, event: bpy.types.Event) -> bool:
         """Set the operator's properties from what was clicked; False to wait for another click."""
         raise NotImplementedError
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        raise NotImplementedError
+
+Origin = Annotated[
+    tuple[float, float, float],
+    Option("Start of the ray, for scripts", shown={"subtype": "XYZ", "unit": "LENGTH"}),
+]
+Direction = Annotated[tuple[float, float, float], "Direction of the ray, for scripts"]
+SkipBacks = Annotated[bool, "Look through surfaces that are seen from behind"]
+DOWN = (0.0, 0.0, -1.0)  # the default direction
 
 
 class PicksAlongRay(PicksInViewport):
-    """The same for an operator whose properties are the ray through the pointer, which a script can give.
+    """The same for an action on the ray through the pointer, with `origin`, `direction` and `skip_backs`.
 
     Attributes:
         pick_text: what the click does.
     """
 
     pick_text = ""
-
-    origin: bpy.props.FloatVectorProperty(
-        name="Origin",
-        description="Start of the ray, for scripts",
-        subtype="XYZ",
-        unit="LENGTH",
-        options={"SKIP_SAVE"},
-    )
-    direction: bpy.props.FloatVectorProperty(
-        name="Direction",
-        description="Direction of the ray, for scripts",
-        default=(0.0, 0.0, -1.0),
-        options={"SKIP_SAVE"},
-    )
-    skip_backs: bpy.props.BoolProperty(
-        name="Skip Backs",
-        description="Look through surfaces that are seen from behind",
-        options={"SKIP_SAVE"},
-    )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return self.wait_for_clicks(context, self.pick_text)
@@ -183,7 +175,3 @@ class PicksAlongRay(PicksInViewport):
         assert ray is not None  # `modal` has asked whether a viewport is there
         self.origin, self.direction, self.skip_backs = ray
         return True
-
-    def ray(self) -> PointerRay:
-        """The ray that the properties describe."""
-        return PointerRay(Vector(self.origin), Vector(self.direction), self.skip_backs)

@@ -24,8 +24,6 @@ def draw_set_up(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         "The engine computes materials and lights. It gets a Python environment of its own beside Blender's."
     )
     draw_text(layout, context, text, icon="INFO")
-    if failure := setup_size.likely_failure():
-        draw_text(layout, context, failure, icon="ERROR", alert=True)
     values = machine.get_preferences()
     local = bool(values.wheel_folder)
     if not local:
@@ -41,7 +39,7 @@ def draw_set_up(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     row = layout.row(align=True)
     row.operator("preferences.addon_show", text="Other Ways...", icon="PREFERENCES").module = machine.ADDON
     if machine.status():
-        row.operator("fipt.show_log", text="Show Log", icon="TEXT")
+        row.operator("wm.path_open", text="Show Log", icon="TEXT").filepath = str(machine.set_up_log())
 
 
 def _draw_problem(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -250,20 +250,17 @@ class FIPT_PT_estimate_versions(SubSection, bpy.types.Panel):
         column = layout.column()
         column.enabled = running.current() is None
         for version in state.versions:
-            _draw_version(column.box(), version)
+            _draw_version(column, version)
         if state.old_versions:
             text = "The run's folder 'versions' has results of an earlier release, which are not listed."
             draw_text(layout, context, iface_(text), icon="INFO")
 
 
 def _draw_version(layout: bpy.types.UILayout, version: Version) -> None:
-    """One version: title, what it differs in, and what can be done with it."""
+    """One version, and what can be done with it."""
     icon = "RADIOBUT_ON" if version.current else "RADIOBUT_OFF"
-    column = layout.column(align=True)
-    row = column.row()
+    row = layout.row()
     button = row.operator("fipt.use_version", text=version.title, icon=icon, emboss=False, translate=False)
     button.version = version.folder.name
     if not version.current:
         row.operator("fipt.delete_version", text="", icon="X", emboss=False).version = version.folder.name
-    if version.what:
-        column.label(text=version.what, icon="BLANK1", translate=False)

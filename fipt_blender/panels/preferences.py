@@ -27,11 +27,6 @@ if TYPE_CHECKING:
 
 _PACKAGES = (("mitsuba", "Mitsuba"), ("drjit", "Dr.Jit"), ("torch", "PyTorch"), ("numpy", "NumPy"))
 
-_ON_CLOSE = [
-    ("STOP", "Stop; Resume Later", "The run stops with Blender. Finished stages are kept for Resume"),
-    ("KEEP", "Keep Computing", "The engine continues without Blender. Resume takes over its results"),
-]
-
 # Blender holds no reference to the strings that a callback returns, so they are kept here.
 _gpu_items: list[tuple[str, str, str]] = []
 
@@ -103,19 +98,9 @@ class FIPT_Preferences(bpy.types.AddonPreferences):
         subtype="DIR_PATH",
         update=_engine_changed,
     )
-    on_close: bpy.props.EnumProperty(
-        name="On Closing Blender",
-        description="What happens to a run when you close Blender",
-        items=_ON_CLOSE,
-        default="STOP",
-        update=_changed,
-    )
     gpu_uuid: bpy.props.StringProperty(options={"HIDDEN"}, update=_changed)
     status: bpy.props.StringProperty(
         description="Last result of Set Up Engine or Check, as JSON", options={"HIDDEN"}, update=_changed
-    )
-    usage: bpy.props.StringProperty(
-        description="Sizes in the data folder at the last measurement, as JSON", options={"HIDDEN"}
     )
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -123,7 +108,7 @@ class FIPT_Preferences(bpy.types.AddonPreferences):
             self.layout,
             context,
             self,
-            Facts(machine.status(), machine.usage(), str(places.default_data_folder())),
+            Facts(machine.status(), str(places.default_data_folder())),
         )
 
 
@@ -144,12 +129,10 @@ class Facts:
 
     Attributes:
         status: last result of set-up or check, see `data_job.EngineStatus`; empty before the first.
-        usage: sizes by folder name, and which folders are runs; empty before the first measurement.
         data_folder: the default data folder, used where the preference is empty.
     """
 
     status: machine.Status
-    usage: machine.Usage
     data_folder: str
 
     @property
@@ -172,7 +155,7 @@ def _draw_engine(
     row = layout.row(align=True)
     row.operator("fipt.set_up_engine", icon="IMPORT")
     row.operator("fipt.check_engine", icon="VIEWZOOM")
-    row.operator("fipt.show_log", text="Show Log", icon="TEXT")
+    row.operator("wm.path_open", text="Show Log", icon="TEXT").filepath = str(machine.set_up_log())
     column = layout.column()
     column.use_property_split = True
     column.prop(preferences, "engine_python")
@@ -291,19 +274,4 @@ def _draw_data(
 ) -> None:
     layout.use_property_split = True
     layout.prop(preferences, "data_folder", placeholder=facts.data_folder)
-    row = layout.row(align=True)
-    row.label(text=usage_text(facts.usage), translate=False)
-    row.operator("fipt.measure_data", icon="FILE_REFRESH")
-    row.operator("fipt.clear_data", text="Clear...", icon="TRASH")
-    layout.prop(preferences, "on_close")
-
-
-def usage_text(usage: machine.Usage) -> str:
-    """The sizes in the data folder in one line."""
-    if not usage:
-        return iface_("Size of cached runs: not measured yet")
-    runs = [usage["sizes"][name] for name in usage["runs"]]
-    others = sum(usage["sizes"].values()) - sum(runs)
-    return iface_("{} cached runs: {:.1f} GB; engine: {:.1f} GB").format(
-        len(runs), sum(runs) / 1e9, others / 1e9
-    )
+    layout.operator("fipt.clear_data", text="Clear...", icon="TRASH")

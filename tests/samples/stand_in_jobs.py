@@ -23,13 +23,13 @@ ROOT = Path(fipt_blender.__file__).resolve().parent.parent
 def make_job(run: RunFolder, *functions, engine: bool = True, script: str = ENGINE) -> Job:
     """An engine command and then functions on Blender's data."""
 
-    def start(arguments):
+    def start():
         command = [sys.executable, "-c", script, str(ROOT), str(run.root)]
         return EngineProcess(command, run.log, messages=run.messages("estimate"))
 
-    steps = [Step("estimate", "Estimating", 10.0, command=["estimate"])] if engine else []
+    steps = [Step("estimate", "Estimating", 10.0, process=start)] if engine else []
     steps += [Step(f"f{i}", f"Function {i}", 1.0, function=each) for i, each in enumerate(functions)]
-    return Job(steps, StepRecord(run.root / "steps.json"), start, run.log, lambda: ([], {}), resume=False)
+    return Job(steps, run.log, StepRecord(run.root / "steps.json"))
 
 
 def start(job: Job, run: RunFolder, **more) -> running.RunningJob:

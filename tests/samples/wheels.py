@@ -4,6 +4,7 @@
 
 import base64
 import hashlib
+import sys
 import zipfile
 from pathlib import Path
 
@@ -27,3 +28,10 @@ def make_wheel(folder: Path, name: str, version: str, code: str = "VALUE = 7\n",
         for path, text in files.items():
             archive.writestr(path, text)
     return wheel
+
+
+def site_packages(folder: Path) -> Path:
+    """The folder of the packages of a virtual environment."""
+    if sys.platform == "win32":
+        return folder / "Lib" / "site-packages"
+    return next((folder / "lib").glob("python3*")) / "site-packages"

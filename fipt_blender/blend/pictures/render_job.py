@@ -23,7 +23,7 @@ import bpy
 
 from ...bridge.interpreter import PACKAGE_FOLDER
 from ...bridge.process import EngineProcess, Message
-from ...bridge.sequence import Job, own_job
+from ...bridge.sequence import Job
 from ...bridge.step import Step
 from ...core.run.errors import FiptError
 from ...core.run.messages import Reporter, claim_stdout
@@ -52,7 +52,7 @@ def make_job(order: Order) -> Job:
     run = RunFolder(order.run)
     in_second_blender = not bpy.app.background and bool(bpy.app.binary_path)
     steps = _steps_in_second_blender(order, run) if in_second_blender else [_step_here(order)]
-    return own_job(steps, run.renders / "steps.json", run.log)
+    return Job(steps, run.log)
 
 
 def _seconds(order: Order) -> float:
@@ -79,14 +79,7 @@ def _steps_in_second_blender(order: Order, run: RunFolder) -> list[Step]:
             raise write_error(blend, error, "blend-unwritable") from None
 
     def start() -> EngineProcess:
-        try:
-            return EngineProcess(child_command(blend, order_json), run.log, None, run.messages("render"))
-        except OSError as error:
-            raise FiptError(
-                "render-failed",
-                f"A second Blender can't be started ({error.strerror}).",
-                "Check whether Blender's program file was moved.",
-            ) from error
+        return EngineProcess(child_command(blend, order_json), run.log, None, run.messages("render"))
 
     return [
         Step("copy", "Copying the scene", 1.0, function=save),

@@ -11,6 +11,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import platform
 import stat
 import sys
 import time
@@ -23,7 +24,6 @@ from typing import IO, Annotated
 from .documents import parse_document
 from .errors import FiptError
 from .kinds import Number, as_json, as_kind
-from .process_identity import host_name, process_start
 from .runfolder import RunFolder, explained_write_errors
 
 # Flags with which a link is not followed, and opening a pipe does not wait for its other end.
@@ -38,18 +38,11 @@ class Holder:
         pid: its process id, on its machine.
         command: its command with the arguments.
         host: name of its machine, "" if unknown.
-        started: when its process started (`process_start`), "" if unknown.
     """
 
     pid: Annotated[int, Number(1, 2**31)]
     command: tuple[str, ...]
     host: str = ""
-    started: str = ""
-
-    @property
-    def is_here(self) -> bool:
-        """Whether it is certain that the process of this id on this machine is the engine."""
-        return bool(self.started) and self.host == host_name() and process_start(self.pid) == self.started
 
     @property
     def place(self) -> str:
@@ -79,8 +72,7 @@ def hold(run: RunFolder, command: Sequence[str]) -> Iterator[None]:
         with explained_write_errors(run.engine_lock):
             file.seek(0)
             file.truncate()
-            started = process_start(os.getpid())
-            engine = Holder(os.getpid(), tuple(command), host_name(), started)
+            engine = Holder(os.getpid(), tuple(command), platform.node())
             file.write(json.dumps(engine, default=as_json).encode())
             file.flush()
         yield

@@ -9,21 +9,15 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from .contents import RunNote
 from .documents import optional_document
 from .errors import FiptError
 from .result_contents import Stages, Statistics
 from .runfolder import RunFolder, explained_write_errors
-from .settings import TEXTURE_SETTINGS, make_settings, stored_settings
-
-HINTED = "hinted-"  # how the names of the stages of Re-estimate with Hints begin
-_NOT_SHOWN = {*TEXTURE_SETTINGS, "preset", "device", "detail"}
 
 
 @dataclass(frozen=True)
@@ -34,16 +28,12 @@ class Version:
         folder: its run folder.
         time: when it was finished, seconds since 1970.
         preset: "" where it is not known.
-        changes: settings that differ from the preset, as NAME=VALUE.
-        hints: names of the hints that it honours.
         current: whether it is the run that was asked about.
     """
 
     folder: Path
     time: float
     preset: str
-    changes: tuple[str, ...]
-    hints: tuple[str, ...]
     current: bool
 
     @property
@@ -51,13 +41,6 @@ class Version:
         """Preset, and local date and time of its end."""
         date = time.strftime("%Y-%m-%d %H:%M", time.localtime(self.time))
         return " ".join(filter(None, (self.preset.capitalize(), date)))
-
-    @property
-    def what(self) -> str:
-        """What it differs in from its preset, in a few words; "" where it does not."""
-        hints = len(self.hints)
-        counted = () if not hints else ("1 hint" if hints == 1 else f"{hints} hints",)
-        return ", ".join((*self.changes, *counted))
 
 
 def list_versions(run: RunFolder) -> list[Version]:
@@ -98,32 +81,6 @@ def results_id(run: RunFolder) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def can_continue(run: RunFolder) -> bool:
-    """Whether the stages are those of the results, so that Re-estimate with Hints can go on from them."""
-    stages = optional_document(run.stages_json, Stages)
-    if stages is None:
-        return False
-    keys = _before_hints(stages.keys)
-    if not keys.keys() <= stages.stages.keys():
-        return False
-    made = _keys(run.results)
-    return not made or _before_hints(made) == keys
-
-
-def refuse_other_stages(run: RunFolder) -> None:
-    """Refuse to continue an estimate whose stages are not there any more.
-
-    Raises:
-        FiptError: ``version-stages``.
-    """
-    if not can_continue(run):
-        raise FiptError(
-            "version-stages",
-            "The stages of these results are gone: an estimate that was stopped has replaced them.",
-            "Resume that one, or use Estimate, which honors the hints, too.",
-        )
-
-
 def copy_capture(run: RunFolder, target: RunFolder) -> None:
     """Give another run folder the capture of a run as `ingest` has read it; photographs cost no space again.
 
@@ -159,39 +116,14 @@ def _describe(folder: Path, current: bool) -> Version:
     run = RunFolder(folder)
     settings = (optional_document(run.run_json, RunNote) or RunNote()).settings
     statistics = optional_document(run.statistics_json, Statistics) or Statistics()
-    settings = statistics.settings or settings
-    return Version(
-        folder=folder,
-        time=run.fields_npz.stat().st_mtime,
-        preset=str(settings.get("preset", "")),
-        changes=_changes(settings),
-        hints=tuple(hint.name for hint in statistics.hints),
-        current=current,
-    )
-
-
-def _changes(settings: Mapping[str, Any]) -> tuple[str, ...]:
-    """The settings that differ from those of the preset, as NAME=VALUE."""
-    try:
-        stored = stored_settings(settings)
-        usual = asdict(make_settings(stored.preset))
-    except (FiptError, TypeError):
-        return ()
-    return tuple(
-        f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
-        for name, value in asdict(stored).items()
-        if name not in _NOT_SHOWN and value != usual[name]
-    )
+    preset = str((statistics.settings or settings).get("preset", ""))
+    return Version(folder, run.fields_npz.stat().st_mtime, preset, current)
 
 
 def _keys(folder: Path) -> dict[str, str]:
     """The keys in a folder's stages.json; none without one."""
     stages = optional_document(folder / "stages.json", Stages)
     return {} if stages is None else dict(stages.keys)
-
-
-def _before_hints(keys: Mapping[str, str]) -> dict[str, str]:
-    return {name: key for name, key in keys.items() if not name.startswith(HINTED)}
 
 
 def _link_or_copy(source: str | Path, target: str | Path) -> None:
