@@ -97,7 +97,7 @@ def test_brackets_by_time_and_exposure(tmp_path: Path) -> None:
     groups = find_groups(photographs, "auto")
     assert names(groups)[2] == ("IMG_7.jpg", "IMG_8.jpg", "IMG_9.jpg") and len(groups) == 3
     assert [group.name for group in groups] == ["IMG_1", "IMG_4", "IMG_7"]
-    assert not remarks(photographs, groups)
+    assert not list(remarks(photographs, groups))
     assert len(find_groups(photographs, "single")) == 9
     assert len(find_groups(photographs, "folders")) == 1
 

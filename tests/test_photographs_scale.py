@@ -23,11 +23,9 @@ from fipt_blender.prepare.preparation import (
     PrepareSettings,
     write_preparation,
 )
-from fipt_blender.prepare.scale import Pick
-from fipt_blender.prepare.scale_step import MarkerDetector
-from fipt_blender.prepare.solve_step import copy_file, model_folder
+from fipt_blender.prepare.scale import MarkerDetector, Pick
+from fipt_blender.prepare.solving import copy_name, tone_mapped
 from fipt_blender.prepare.steps import run_steps
-from fipt_blender.prepare.tonemap import tone_mapped
 from samples.camera_poses import look_at, random_rotation
 from samples.prepared_captures import facts
 from samples.refusals import error_of
@@ -80,24 +78,20 @@ def test_the_room_frame_stands_on_the_floor_and_is_in_meters() -> None:
 
 def test_rays_meet_and_a_wrong_one_is_dropped() -> None:
     point = np.array([0.3, 2.0, 1.0])
-    origins = np.array([[-1.0, 0, 0], [1, 0, 0], [0, -1, 1], [0.5, 0, 2], [0, 0, 0.5]])
-    directions = point - origins
-    directions[4] = [1.0, 0.2, 0.0]  # sees something else
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    found = scale.nearest_to_rays(origins, directions)
+    places = [[-1.0, 0, 0], [1, 0, 0], [0, -1, 1], [0.5, 0, 2], [0, 0, 0.5]]
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera(camera_id=1, model="SIMPLE_PINHOLE", width=WIDTH, height=HEIGHT, params=[FOCAL, 150, 100])
+    model.add_camera_with_trivial_rig(camera)
+    for number, place in enumerate(places, start=1):
+        pose = pycolmap.Rigid3d(np.linalg.inv(look_at(np.array(place), np.array([0.0, 2.0, 1.0])))[:3])
+        model.add_image_with_trivial_frame(pycolmap.Image(name=f"{number}", camera_id=1, image_id=number), pose)
+    images = [model.images[number] for number in range(1, 6)]
+    pixels = np.array([camera.img_from_cam(image.cam_from_world() * point) for image in images]).reshape(5, 2)
+    pixels[4] += [60.0, 30.0]  # sees something else
+    found = scale.triangulated(images, pixels)
     assert found is not None and np.allclose(found, point, atol=1e-9)
-    parallel = np.tile([0.0, 1.0, 0.0], (2, 1))
-    assert scale.nearest_to_rays(origins[:2], parallel) is None
-    assert scale.nearest_to_rays(origins[:1], directions[:1]) is None
-
-
-def test_depth_of_a_pick_is_that_of_points_near_it() -> None:
-    positions = np.array([[10.0, 10.0], [12, 10], [10, 13], [90, 90]])
-    depths = np.array([2.0, 2.1, 9.0, 50.0])
-    assert scale.depth_of_pick(np.array([10.0, 11.0]), positions, depths, 100.0) == pytest.approx(2.1)
-    for where in ([50.0, 50.0], [0.0, 95.0]):
-        with pytest.raises(ValueError, match="no solved point"):
-            scale.depth_of_pick(np.array(where), positions, depths, 100.0)
+    assert scale.triangulated([images[0]] * 2, pixels[[0, 0]]) is None, "the rays are parallel"
+    assert scale.triangulated(images[:1], pixels[:1]) is None
 
 
 def test_picks_and_matrices_from_a_text() -> None:
@@ -115,7 +109,6 @@ def test_the_edge_of_a_marker_and_how_square_it_is() -> None:
     assert scale.marker_edge(square) == pytest.approx((0.3, 0.0))
     bent = square + [[0.1, 0.1, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]]
     assert scale.marker_edge(bent)[1] > 0.1
-    assert scale.agreed_scale([1.0, 1.02, 1.1]) == pytest.approx((1.02, 0.08 / 1.02))
 
 
 def test_a_printed_marker_is_found_to_a_tenth_of_a_pixel() -> None:
@@ -153,10 +146,10 @@ def test_a_marker_on_a_wall_gives_meters(tmp_path: Path) -> None:
         world_to_camera = pycolmap.Rigid3d(np.linalg.inv(pose)[:3])
         image = pycolmap.Image(name=f"v{number}.exr", camera_id=1, image_id=number)
         model.add_image_with_trivial_frame(image, world_to_camera)
-        copy = copy_file(folder, f"v{number}")
+        copy = folder.solve / "copies" / copy_name(f"v{number}")
         copy.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(tone_mapped(photograph(where[number - 1], textures))).save(copy, quality=95)
-    write_model(model_folder(folder), model)
+    write_model(folder.model, model)
     photographs = tuple(Photograph(f"v{number}.jpg", "ldr", WIDTH, HEIGHT) for number in (1, 2, 3))
     groups = tuple(Group(f"v{number}", (f"v{number}.jpg",)) for number in (1, 2, 3))
 

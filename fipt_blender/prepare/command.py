@@ -37,49 +37,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     """Run the chosen steps; a stopped command goes on where it was when it is started again.
 
+    The folder gets a prepare.json, or settings of the one that is there are changed.
+
     Raises:
-        FiptError: where the photographs, prepare.json or an option can't be used.
+        FiptError: ``photographs-missing``, ``capture-foreign`` if the folder holds something else,
+            ``option-invalid``, and those of `read_preparation` and of the steps.
     """
     names = choose_steps(arguments.steps)
-    folder = PreparationFolder(arguments.run)
-    begin(folder, arguments.photographs.absolute(), _changes(arguments.set))
-    files = run_steps(folder, names, reporter)
-    reporter.done([str(file) for file in files], {"capture": str(folder.root), "steps": names})
-
-
-def begin(folder: PreparationFolder, photographs: Path, changes: dict[str, str]) -> None:
-    """Make the folder with a prepare.json, or change settings of one that is there.
-
-    Raises:
-        FiptError: ``photographs-missing``, ``capture-foreign`` if the folder holds something else, and those
-            of `read_preparation`.
-    """
+    folder, photographs = PreparationFolder(arguments.run), arguments.photographs.absolute()
+    wrong = next((text for text in arguments.set if "=" not in text), None)
+    if wrong is not None:
+        raise FiptError("option-invalid", f"'--set {wrong}' has no '='.", "Write it as NAME=VALUE.")
+    parts = [text.partition("=") for text in arguments.set]
+    changes = {name.strip(): value.strip() for name, _, value in parts}
     if not photographs.is_dir():
         raise FiptError(
             "photographs-missing", f"The folder {photographs} does not exist.", "Choose another folder."
         )
-    if folder.prepare_json.exists():
-        preparation = read_preparation(folder)
-        if preparation.source != photographs:
-            raise FiptError(
-                "capture-foreign",
-                f"{folder.root} was prepared from other photographs, in {preparation.source}.",
-                "Choose another folder for the capture, or those photographs.",
-            )
-    else:
-        refuse_foreign(folder, photographs)
-        preparation = Preparation(photographs, (), ())
+    refuse_foreign(folder, photographs)
+    is_new = not folder.prepare_json.exists()
+    preparation = Preparation(photographs, (), ()) if is_new else read_preparation(folder)
+    if preparation.source != photographs:
+        raise FiptError(
+            "capture-foreign",
+            f"{folder.root} was prepared from other photographs, in {preparation.source}.",
+            "Choose another folder for the capture, or those photographs.",
+        )
     settings = make_prepare_settings({**asdict(preparation.settings), **changes})
     with explained_write_errors(folder.root):
         folder.stage.mkdir(parents=True, exist_ok=True)
     write_preparation(folder, replace(preparation, settings=settings))
-
-
-def _changes(texts: list[str]) -> dict[str, str]:
-    changes = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise FiptError("option-invalid", f"'--set {text}' has no '='.", "Write it as NAME=VALUE.")
-        changes[name.strip()] = value.strip()
-    return changes
+    files = run_steps(folder, names, reporter)
+    reporter.done([str(file) for file in files], {"capture": str(folder.root), "steps": names})

@@ -44,18 +44,13 @@ class ReadFacts:
 
 @dataclass(frozen=True)
 class MergedImage:
-    """A merged group: `image` relative to the capture, `exposures` of what was merged, `left_out` paths."""
+    """A merged group: shares of clipped and moved pixels, and paths of photographs that were left out."""
 
     name: str
-    image: str = ""
     clipped_share: Share | None = None
     moved_share: Share | None = None
     shift_pixels: NotNegative | None = None
-    exposures: tuple[float, ...] = ()
     left_out: tuple[str, ...] = ()
-    width: Count = 0
-    height: Count = 0
-    reduction: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -100,8 +95,6 @@ class SolveFacts:
     registered: tuple[Registered, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     models: tuple[int, ...] = ()
-    points: Count = 0
-    cameras: Count = 0
     reprojection_error: NotNegative | None = None
 
 
@@ -133,11 +126,6 @@ class ScaleFacts:
     meters_per_unit: NotNegative | None = None
     room_from_solve: Matrix | None = None
     difference: NotNegative | None = None
-
-
-@dataclass(frozen=True)
-class ReportFacts:
-    """Of the step `report`, which has none."""
 
 
 def read_facts(folder: PreparationFolder, step: str, kind: type[T]) -> T | None:

@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import io
 import math
-from collections import OrderedDict
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import rawpy
 from PIL import Image
 
+from ..core.capture.encoded import CLIPPED_CODE
 from ..core.capture.images import open_picture
 from ..core.run.errors import FiptError
-from .brackets import stops_between
+from .brackets import SameView, stops_between
 from .exif import DAMAGE
-from .frames import CLIPPED_CODE, linear_frame, load
+from .frames import linear_frame, load
 from .motion import LEAST_OVERLAP, grey, log_values, measure, warped
 from .preparation import Photograph
 from .response import srgb_curve
@@ -34,57 +35,37 @@ LEAST_LIKENESS = 0.9
 LEAST_GAIN, MOST_GAIN = 0.5, 2.0
 
 
-class Likeness:
-    """Compares photographs of one folder.
+def likeness(source: Path) -> SameView:
+    """Compares photographs of one folder, whose exposures must be known.
+
+    What it returns says None where too little of two photographs is well exposed in both, or readable.
 
     Args:
         source: folder to which the photographs' paths refer.
     """
 
-    def __init__(self, source: Path) -> None:
-        self._source = source
-        self._pictures: OrderedDict[str, np.ndarray | None] = OrderedDict()
+    @lru_cache(maxsize=32)  # small pictures in memory: a bracket's
+    def picture(photograph: Photograph) -> np.ndarray | None:
+        try:
+            return small_picture(source / photograph.path, photograph)
+        except (FiptError, *DAMAGE):
+            return None  # the merge reports what is wrong with it
 
-    def __call__(self, first: Photograph, second: Photograph) -> bool | None:
-        """Whether both show one view; None where too little of them is well exposed in both, or readable.
-
-        Both exposures must be known.
-        """
-        pictures = self._picture(first), self._picture(second)
-        if pictures[0] is None or pictures[1] is None:
+    def same_view(one: Photograph, other: Photograph) -> bool | None:
+        first, second = picture(one), picture(other)
+        if first is None or second is None:
             return None
-        return same_view(pictures[0], pictures[1], stops_between(first, second))
+        if first.shape != second.shape:
+            return False
+        motion = measure(first, second)
+        logs = log_values(first), log_values(warped(second[..., None], motion, 0, len(second))[..., 0])
+        both = np.isfinite(logs[0]) & np.isfinite(logs[1])
+        if motion.similarity == -1.0 or both.mean() < LEAST_OVERLAP:
+            return None
+        gain = float(np.median((logs[1] - logs[0])[both])) / (math.log(2.0) * stops_between(one, other))
+        return motion.similarity >= LEAST_LIKENESS and LEAST_GAIN <= gain <= MOST_GAIN
 
-    def _picture(self, photograph: Photograph) -> np.ndarray | None:
-        if photograph.path not in self._pictures:
-            try:
-                self._pictures[photograph.path] = small_picture(self._source / photograph.path, photograph)
-            except (FiptError, *DAMAGE):
-                self._pictures[photograph.path] = None  # the merge reports what is wrong with it
-            while len(self._pictures) > 32:  # small pictures in memory: a bracket's
-                self._pictures.popitem(last=False)
-        return self._pictures[photograph.path]
-
-
-def same_view(first: np.ndarray, second: np.ndarray, stops: float) -> bool | None:
-    """Whether two small pictures are exposures of one view.
-
-    Args:
-        first, second: (height, width) linear values as of `small_picture`.
-        stops: how much more light the second got.
-
-    Returns:
-        None where too few pixels are well exposed in both.
-    """
-    if first.shape != second.shape:
-        return False
-    motion = measure(first, second)
-    logs = log_values(first), log_values(warped(second[..., None], motion, 0, len(second))[..., 0])
-    both = np.isfinite(logs[0]) & np.isfinite(logs[1])
-    if motion.similarity == -1.0 or both.mean() < LEAST_OVERLAP:
-        return None
-    gain = float(np.median((logs[1] - logs[0])[both])) / (math.log(2.0) * stops)
-    return motion.similarity >= LEAST_LIKENESS and LEAST_GAIN <= gain <= MOST_GAIN
+    return same_view
 
 
 def small_picture(path: Path, photograph: Photograph) -> np.ndarray:

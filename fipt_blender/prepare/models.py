@@ -62,40 +62,8 @@ def read_model(folder: Path) -> pycolmap.Reconstruction:
 
 def poses(model: pycolmap.Reconstruction) -> np.ndarray:
     """(V, 4, 4) camera-to-world of the placed views, in the order of their numbers."""
-    return np.array([camera_to_world(model.images[index]) for index in sorted(model.reg_image_ids())])
-
-
-def camera_to_world(image: pycolmap.Image) -> np.ndarray:
-    """(4, 4) pose of a placed view."""
-    pose = np.eye(4)
-    pose[:3] = image.cam_from_world().inverse().matrix()
-    return pose
-
-
-def points(model: pycolmap.Reconstruction) -> np.ndarray:
-    """(P, 3) solved points."""
-    return np.array([point.xyz for point in model.points3D.values()], np.float64).reshape(-1, 3)
-
-
-def transform_model(model: pycolmap.Reconstruction, similarity: np.ndarray) -> None:
-    """Transform poses and points by a similarity (4, 4)."""
-    model.transform(pycolmap.Sim3d(similarity[:3]))
-
-
-def rays(image: pycolmap.Image, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The position of a placed view (3,), and unit directions (N, 3) through positions (N, 2) in pixels."""
-    pose = camera_to_world(image)
-    directions = image.camera.cam_ray_from_img(np.asarray(positions, np.float64).reshape(-1, 2))
-    return pose[:3, 3], directions @ pose[:3, :3].T
-
-
-def seen_points(model: pycolmap.Reconstruction, image: pycolmap.Image) -> tuple[np.ndarray, np.ndarray]:
-    """Solved points of a view: positions (P, 2) in pixels and depths (P,) along the camera's Z axis."""
-    seen = [point for point in image.points2D if point.has_point3D()]
-    positions = np.array([point.xy for point in seen], np.float64).reshape(-1, 2)
-    places = np.array([model.points3D[point.point3D_id].xyz for point in seen]).reshape(-1, 3)
-    pose = camera_to_world(image)
-    return positions, (places - pose[:3, 3]) @ pose[:3, 2]
+    placed = [model.images[index].cam_from_world() for index in sorted(model.reg_image_ids())]
+    return np.array([np.vstack([pose.inverse().matrix(), [0.0, 0.0, 0.0, 1.0]]) for pose in placed])
 
 
 @dataclass(frozen=True)

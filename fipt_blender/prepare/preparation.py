@@ -234,6 +234,8 @@ class PreparationFolder:
         self.sparse = self.root / "sparse" / "0"
         self.report = self.root / "report"
         self.stage = self.root / "stage"
+        self.solve = self.stage / "solve"
+        self.model = self.solve / "model"  # the cameras in the frame of the solve
 
     def image(self, group: Group) -> Path:
         """The merged image of a group: scene-linear radiance, upright, with the lens's distortion."""

@@ -19,30 +19,19 @@ from ..core.capture.formats.registry import read_rig
 from ..core.capture.images import JPEG_QUALITY, read_radiance, read_size
 from ..core.capture.options import CaptureOptions
 from ..core.run.errors import FiptError
-from ..core.run.messages import Reporter
+from ..core.run.messages import Reporter, within
 from ..core.run.runfolder import atomic_path, explained_write_errors
 from . import lens
 from .facts import LeftOut, Registered, SolveFacts
 from .models import WantedView, model_from_rig, write_model
 from .preparation import Group, Preparation, PreparationFolder
-from .solving import Solve, SolveView, camera_groups, copy_name, registered_names, solve
-from .tonemap import tone_mapped
+from .solving import Solve, SolveView, camera_groups, copy_name, registered_names, solve, tone_mapped
 
 _COPIES_SHARE = 0.1  # of the step's time
 POOR_ERROR = 1.5  # pixels of mean reprojection error; a good solve has less than one
 SMALL_SIDE = 1000  # pixels; in smaller images, most photographs of a room have too few features
 FEW_VIEWS = 3  # of one camera; with less, its focal length is hardly determined
 _NAMES_IN_TEXT = 5  # of a warning
-
-
-def solve_folder(folder: PreparationFolder) -> Path:
-    """The step's private folder."""
-    return folder.stage / "solve"
-
-
-def model_folder(folder: PreparationFolder) -> Path:
-    """The model in the frame of the solve."""
-    return solve_folder(folder) / "model"
 
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
@@ -77,12 +66,12 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     else:
         if changed:  # features and matches are of other images
             with explained_write_errors(folder.stage):
-                for file in solve_folder(folder).glob("database.db*"):
+                for file in folder.solve.glob("database.db*"):
                     file.unlink()
         solved = _solve(folder, preparation, reporter)
     for image in solved.model.images.values():
         image.name += ".exr"
-    write_model(model_folder(folder), solved.model)
+    write_model(folder.model, solved.model)
     write_model(folder.sparse, solved.model)
     facts = _facts(solved)
     _warn(solved, facts, len(groups), reporter)
@@ -90,13 +79,15 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
 
 
 def _solve(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> Solve:
-    views = [_view(folder, preparation, group) for group in preparation.used_groups]
-    solved = solve(
-        solve_folder(folder),
-        views,
-        preparation.settings.seed,
-        lambda share: reporter.progress(_COPIES_SHARE + (1.0 - _COPIES_SHARE) * share),
-    )
+    views = []
+    for group in preparation.used_groups:
+        width, height = read_size(folder.image(group))
+        start = lens.start(preparation.of(group)[0], width, height)
+        camera = "|".join(str(value) for value in _lens_facts(preparation, group))
+        known = (None,) if start is None else (start.focal, start.distortion)
+        views.append(SolveView(group.name, width, height, camera, *known))
+    progress = within(reporter.progress, _COPIES_SHARE, 1.0)
+    solved = solve(folder.solve, views, preparation.settings.seed, progress)
     for indices in camera_groups(views):
         if len(indices) < FEW_VIEWS < len(views):
             names = _listed([views[index].name for index in indices])
@@ -108,34 +99,9 @@ def _solve(folder: PreparationFolder, preparation: Preparation, reporter: Report
     return solved
 
 
-def _view(folder: PreparationFolder, preparation: Preparation, group: Group) -> SolveView:
-    width, height = read_size(folder.image(group))
-    photograph = preparation.of(group)[0]
-    start = lens.start(photograph, width, height)
-    return SolveView(
-        name=group.name,
-        width=width,
-        height=height,
-        camera="|".join(str(value) for value in _lens_facts(preparation, group)),
-        focal=None if start is None else start.focal,
-        distortion=(0.0, 0.0) if start is None else start.distortion,
-    )
-
-
 def _lens_facts(preparation: Preparation, group: Group) -> list[Any]:
     photograph = preparation.of(group)[0]
-    return [
-        photograph.make,
-        photograph.model,
-        photograph.lens,
-        photograph.focal_length,
-        photograph.focal_35mm,
-    ]
-
-
-def copy_file(folder: PreparationFolder, view: str) -> Path:
-    """The eight-bit copy of a view in which features and markers are found."""
-    return solve_folder(folder) / "copies" / copy_name(view)
+    return [getattr(photograph, name) for name in ("make", "model", "lens", "focal_length", "focal_35mm")]
 
 
 def _write_copies(folder: PreparationFolder, groups: list[Group], reporter: Reporter) -> bool:
@@ -145,7 +111,7 @@ def _write_copies(folder: PreparationFolder, groups: list[Group], reporter: Repo
         buffer = io.BytesIO()
         picture = tone_mapped(read_radiance(folder.image(group)))
         Image.fromarray(picture).save(buffer, "JPEG", quality=JPEG_QUALITY)
-        copy = copy_file(folder, group.name)
+        copy = folder.solve / "copies" / copy_name(group.name)
         if not copy.is_file() or copy.read_bytes() != buffer.getvalue():
             changed = True
             with atomic_path(copy) as temporary:
@@ -181,16 +147,8 @@ def _facts(solved: Solve) -> SolveFacts:
         errors = [model.points3D[item.point3D_id].error for item in image.points2D if item.has_point3D()]
         error = round(float(np.mean(errors)), 3) if errors else None
         registered.append(Registered(image.name.removesuffix(".exr"), len(errors), error))
-    return SolveFacts(
-        registered=tuple(registered),
-        left_out=solved.left_out,
-        models=solved.sizes,
-        points=model.num_points3D(),
-        cameras=model.num_cameras(),
-        reprojection_error=(
-            round(model.compute_mean_reprojection_error(), 3) if model.num_points3D() else None
-        ),
-    )
+    error = round(model.compute_mean_reprojection_error(), 3) if model.num_points3D() else None
+    return SolveFacts(tuple(registered), solved.left_out, solved.sizes, error)
 
 
 def _warn(solved: Solve, facts: SolveFacts, count: int, reporter: Reporter) -> None:

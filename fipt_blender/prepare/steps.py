@@ -3,7 +3,7 @@
 """The steps of `prepare` in their order; each leaves stage/STEP.json, which says that it is done.
 
 A step is a module with `key(folder, preparation)`, a JSON value of what its result depends on besides the
-steps before it, and `run(folder, preparation, reporter)`, which returns its `facts` for the report.
+steps before it, and `run(folder, preparation, reporter)`, which returns its `facts` for the report, if any.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import json
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,29 +26,13 @@ from ..core.run.runfolder import write_json
 from .facts import FinishedStep
 from .preparation import PreparationFolder, read_preparation
 
-
-@dataclass(frozen=True)
-class Step:
-    """One step.
-
-    Attributes:
-        module: its module in this room.
-        text: what it does, for the progress bar.
-        weight: expected time relative to the other steps.
-    """
-
-    module: str
-    text: str
-    weight: float
-
-
-STEPS = {
-    "read": Step(".reading", "Reading photographs and finding brackets", 1.0),
-    "merge": Step(".merge_step", "Merging exposures", 10.0),
-    "solve": Step(".solve_step", "Solving cameras", 20.0),
-    "vignetting": Step(".vignetting_step", "Correcting vignetting", 1.0),
-    "scale": Step(".scale_step", "Finding scale and up axis", 1.0),
-    "report": Step(".report", "Writing the report", 1.0),
+STEPS = {  # module in this room, text for the progress bar, expected time relative to the other steps
+    "read": (".reading", "Reading photographs and finding brackets", 1.0),
+    "merge": (".merge_step", "Merging exposures", 10.0),
+    "solve": (".solve_step", "Solving cameras", 20.0),
+    "vignetting": (".vignetting", "Correcting vignetting", 1.0),
+    "scale": (".scale", "Finding scale and up axis", 1.0),
+    "report": (".report", "Writing the report", 1.0),
 }
 
 
@@ -71,79 +54,70 @@ def choose_steps(names: str) -> list[str]:
 def run_steps(folder: PreparationFolder, names: Sequence[str], reporter: Reporter) -> list[Path]:
     """Run steps in their order; those are kept whose key is that of their last run.
 
+    Where a step fails, the report is written on what was done before.
+
     Returns:
         The files with the steps' facts.
 
     Raises:
         FiptError: of the steps.
     """
-    reporter.plan([STEPS[name].weight for name in names])
+    reporter.plan([STEPS[name][2] for name in names])
     for name in names:
         try:
             _run_step(folder, name, reporter)
         except FiptError as error:
             if "report" in names and name != "report":
-                _report_stop(folder, error)
+                with suppress(FiptError, OSError):
+                    folder.facts("report").unlink(missing_ok=True)  # the next start writes the page again
+                    _module("report").write_report(folder, read_preparation(folder), stopped=error)
             raise
     return [folder.facts(name) for name in names]
 
 
 def _run_step(folder: PreparationFolder, name: str, reporter: Reporter) -> None:
     """Run one step, or repeat its warnings if it is finished."""
-    step = STEPS[name]
-    module = importlib.import_module(step.module, __package__)
-    preparation = read_preparation(folder)
-    key = step_key(name, folder, module.key(folder, preparation))
-    path = folder.facts(name)
-    done = _finished(path)
+    module, preparation, path = _module(name), read_preparation(folder), folder.facts(name)
+    key = _step_key(name, folder, module.key(folder, preparation))
+    done = optional_document(path, FinishedStep)
     if done is not None and done.key == key:
         for message in done.messages:
             reporter.warning(message.code, message.text, message.remedy)
         reporter.skip()
         return
-    reporter.stage(name, step.text)
+    reporter.stage(name, STEPS[name][1])
     path.unlink(missing_ok=True)
     started, told = time.monotonic(), len(reporter.warnings)
     facts = module.run(folder, preparation, reporter)
     seconds = round(time.monotonic() - started, 2)
     messages = tuple(Problem(**warning) for warning in reporter.warnings[told:])
-    write_json(path, as_json(FinishedStep(key, messages, seconds)) | as_json(facts))
+    write_json(path, as_json(FinishedStep(key, messages, seconds)) | (as_json(facts) if facts else {}))
 
 
-def _report_stop(folder: PreparationFolder, error: FiptError) -> None:
-    """Write the report on what was done before an error; the error itself is the caller's to raise."""
-    module = importlib.import_module(STEPS["report"].module, __package__)
-    with suppress(FiptError, OSError):
-        folder.facts("report").unlink(missing_ok=True)  # so that the next start writes the page again
-        module.write_report(folder, read_preparation(folder), stopped=error)
+def _module(name: str) -> Any:
+    return importlib.import_module(STEPS[name][0], __package__)
 
 
-def step_key(name: str, folder: PreparationFolder, value: Any) -> str:
-    """A hash of what a step's result depends on: its own value, the steps before it and the room's code.
+def _step_key(name: str, folder: PreparationFolder, value: Any) -> str:
+    """A key of a step's own value, the steps before it and the room's code.
 
     `read` alone is kept by an update of the code, because the user may have corrected its groups.
     """
     # Groups and exposures, which the user may change after reading, are part of the other steps' own keys.
     earlier = [other for other in list(STEPS)[: list(STEPS).index(name)] if other != "read"]
-    before = [finished_key(folder.facts(other)) for other in earlier]
-    text = json.dumps([name, value, before, "" if name == "read" else code_digest()], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:24]
+    done = [optional_document(folder.facts(other), FinishedStep) for other in earlier]
+    before = ["" if step is None else step.key for step in done]
+    return digest(name, value, before, "" if name == "read" else code_digest())
 
 
-def _finished(path: Path) -> FinishedStep | None:
-    """What is noted of a step's last run, None without one; where it is damaged, only time is lost."""
-    return optional_document(path, FinishedStep)
-
-
-def finished_key(path: Path) -> str:
-    """The key of a step's last run, "" without one."""
-    done = _finished(path)
-    return "" if done is None else done.key
+def digest(*values: Any) -> str:
+    """A short text that differs for different values (JSON)."""
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:24]
 
 
 def code_digest() -> str:
     """A hash of the room's source code, on which the results depend."""
-    digest = hashlib.sha256()
+    code = hashlib.sha256()
     for file in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(file.name.encode() + b"\0" + file.read_bytes())
-    return digest.hexdigest()
+        code.update(file.name.encode() + b"\0" + file.read_bytes())
+    return code.hexdigest()
