@@ -11,9 +11,8 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
-from fipt_blender.prepare.brackets import find_groups
+from fipt_blender.prepare.brackets import SIDE, find_groups, likeness, small_picture
 from fipt_blender.prepare.exif import describe
-from fipt_blender.prepare.likeness import SIDE, likeness, small_picture
 from fipt_blender.prepare.merging import moved_regions
 from fipt_blender.prepare.motion import Motion, after, measure, warped
 from fipt_blender.prepare.preparation import Group, Photograph

@@ -19,10 +19,10 @@ from fipt_blender.core.capture.rig import Lens, Rig, RigView
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.prepare.command import STEPS, run_steps
 from fipt_blender.prepare.lens import FULL_FRAME_DIAGONAL
 from fipt_blender.prepare.preparation import PreparationFolder
 from fipt_blender.prepare.report import make_plan, write_report
-from fipt_blender.prepare.steps import STEPS, run_steps
 from samples import textured_room
 from samples.camera_poses import look_at
 from samples.pages import Page

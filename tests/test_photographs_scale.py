@@ -14,7 +14,7 @@ from PIL import Image
 from fipt_blender.core.capture.upright import common_up
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.prepare import scale
-from fipt_blender.prepare.models import poses, read_model, write_model
+from fipt_blender.prepare.command import run_steps
 from fipt_blender.prepare.preparation import (
     Group,
     Photograph,
@@ -23,9 +23,9 @@ from fipt_blender.prepare.preparation import (
     PrepareSettings,
     write_preparation,
 )
-from fipt_blender.prepare.scale import MarkerDetector, Pick
+from fipt_blender.prepare.scale import Pick, marker_finder
+from fipt_blender.prepare.solve_step import poses, read_model, write_model
 from fipt_blender.prepare.solving import copy_name, tone_mapped
-from fipt_blender.prepare.steps import run_steps
 from samples.camera_poses import look_at, random_rotation
 from samples.prepared_captures import facts
 from samples.refusals import error_of
@@ -118,12 +118,12 @@ def test_a_printed_marker_is_found_to_a_tenth_of_a_pixel() -> None:
     picture = np.full((900, 1200), 230, np.uint8)
     picture[200:680, 300:780] = marker
     small = np.round(picture.reshape(225, 4, 300, 4).mean(axis=(1, 3))).astype(np.uint8)
-    found = MarkerDetector("4X4_50").find(small)
+    found = marker_finder("4X4_50")(small)
     corners = np.array([[75.0, 50.0], [195.0, 50.0], [195.0, 170.0], [75.0, 170.0]])
     assert list(found) == [7] and np.abs(found[7] - corners).max() < 0.1
-    assert MarkerDetector("5X5_50").find(small) == {}
+    assert marker_finder("5X5_50")(small) == {}
     double = np.concatenate([small, small], axis=1)
-    assert MarkerDetector("4X4_50").find(double) == {}, "which of two equal markers is meant is not known"
+    assert marker_finder("4X4_50")(double) == {}, "which of two equal markers is meant is not known"
 
 
 def test_a_marker_on_a_wall_gives_meters(tmp_path: Path) -> None:

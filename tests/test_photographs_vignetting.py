@@ -14,8 +14,9 @@ import pytest
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.radiometry.adjustment import falloff_terms
 from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare import vignetting
+from fipt_blender.prepare.command import run_steps
 from fipt_blender.prepare.lens import light_share
-from fipt_blender.prepare.models import write_model
 from fipt_blender.prepare.preparation import (
     Group,
     Photograph,
@@ -24,7 +25,7 @@ from fipt_blender.prepare.preparation import (
     PrepareSettings,
     write_preparation,
 )
-from fipt_blender.prepare.steps import run_steps
+from fipt_blender.prepare.solve_step import write_model
 from fipt_blender.prepare.vignetting import TERMS, Observations, fit_falloff, profile_of
 from samples.camera_poses import look_at
 from samples.prepared_captures import facts
@@ -158,20 +159,17 @@ def test_images_are_corrected_once_and_the_correction_can_be_undone(capture: Cap
     assert {path.name for path in folder.images.iterdir()} == set(first)
 
 
-def test_a_stop_between_record_and_image_corrects_nothing_twice(
-    capture: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stop_between_two_images_corrects_nothing_twice(capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, preparation, originals = capture
-    plain = Path.replace
-    calls = []
+    written = []
 
-    def stopped(self: Path, target: Path) -> Path:
-        calls.append(target)
-        if len(calls) == 3:
+    def stopped(path: Path, *rest: object, **more: object) -> None:
+        written.append(path)
+        if len(written) == 3:
             raise KeyboardInterrupt
-        return plain(self, target)
+        write_exr(path, *rest, **more)
 
-    monkeypatch.setattr(Path, "replace", stopped)
+    monkeypatch.setattr(vignetting, "write_exr", stopped)
     with pytest.raises(KeyboardInterrupt):
         run(folder, preparation)
     monkeypatch.undo()

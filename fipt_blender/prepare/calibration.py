@@ -18,12 +18,13 @@ from .frames import Frame, Stored, block_mean, common_ceiling, linear_frame, loa
 from .merging import SAMPLE_SIDE, UNKNOWN_NOISE, Noise, code_noise, measure_noise, sensor_noise
 from .motion import FINEST_SIDE, STILL_PIXELS, Motion, after, grey, measure, warped
 from .preparation import Group, Photograph, Preparation
-from .response import Response, recover_response, split_samples, srgb_curve
+from .response import Response, recover_response, srgb_curve
 
 SMOOTH_CODES = 4.0  # places with a larger spread of codes lie on edges
 LEAST_SIMILARITY = 0.5  # of exposures that show the same
 _LOW, _HIGH = 0.02, 0.8  # linear values at which exposures are compared
 _MOST_CORRECTION = 0.2  # in the logarithm
+_PARTS = 8  # of a single group's pixels
 _DOUBTFUL = 0.15  # correction in the logarithm that the rounding of EXIF does not explain
 _LINEAR_CURVE = np.repeat(np.linspace(0.0, 1.0, 256)[:, None], 3, 1)  # by code and channel
 
@@ -172,8 +173,9 @@ def _curve(
         if survey.samples is not None and len(survey.samples):
             samples.append(survey.samples)
             exposures.append(np.array([item.exposure for item in items], np.float64))
-    if len(samples) == 1:
-        samples, exposures = split_samples(samples[0], exposures[0], 8)
+    if len(samples) == 1:  # in parts, so that its uncertainty can be estimated, too
+        samples = [part for part in np.array_split(samples[0], _PARTS) if len(part)]
+        exposures *= len(samples)
     try:
         response = recover_response(samples, exposures)
     except (ValueError, np.linalg.LinAlgError):

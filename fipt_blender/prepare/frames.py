@@ -261,18 +261,10 @@ def _load_raw(path: Path) -> Stored:
         balance = _balance(raw)
         if raw.raw_type != rawpy.RawType.Flat or raw.raw_pattern is None:
             return Stored(_developed(raw), ceiling=NEAR_TOP, balance=balance, matrix=matrix)
-        mosaic = raw.raw_image_visible
+        values, colors = raw.raw_image_visible.astype(np.float32), np.array(raw.raw_pattern)
         black = np.array(raw.black_level_per_channel, np.float32)
-        colors = np.array(raw.raw_pattern)
-        below = black[colors]
-        white = float(raw.white_level)
-        places = np.ix_(
-            np.arange(mosaic.shape[0]) % len(colors), np.arange(mosaic.shape[1]) % colors.shape[1]
-        )
-        span = np.float32(white - below.mean())
-        values = mosaic.astype(np.float32)
-        values -= below[places]
-        values /= span
+        values -= black[raw.raw_colors_visible]
+        values /= np.float32(raw.white_level - black[colors].mean())
     channels = np.where(colors == 3, 1, colors)  # the second green
     return Stored(values, channels, find_ceiling(values), float(values.max()), balance, matrix)
 

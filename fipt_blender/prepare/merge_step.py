@@ -18,12 +18,12 @@ from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter
 from ..core.run.runfolder import atomic_path, write_json
 from .calibration import Calibration, Survey, calibrate, survey_group
+from .command import code_digest, digest
 from .facts import MergedImage, MergeFacts, ResponseFacts
 from .frames import Frame, linear_frame, load, upright
 from .lens import light_share, vignetting
 from .merging import in_rec709, merge_group
 from .preparation import Group, Photograph, Preparation, PreparationFolder
-from .steps import code_digest, digest
 
 MOST_SAMPLES = 400_000  # of all pairs of exposures, for the response
 MUCH_CLIPPED = 2e-4  # share of a view's pixels

@@ -16,10 +16,9 @@ from ..core.capture.panorama import says_panorama
 from ..core.capture.suffixes import SUFFIXES
 from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter
-from .brackets import find_groups, in_order, listed, remarks
+from .brackets import find_groups, in_order, likeness, listed, remarks
 from .exif import describe
 from .facts import ReadFacts, Skipped
-from .likeness import likeness
 from .preparation import Photograph, Preparation, PreparationFolder, write_preparation
 
 

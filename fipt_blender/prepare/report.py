@@ -103,6 +103,7 @@ def write_report(
     finished = {name: read_facts(folder, name, FinishedStep) for name in _STEPS}
     steps = {name: step for name, step in finished.items() if step is not None}
     exposure = _exposure([folder.image(group) for group in preparation.used_groups])
+    found = colmap.find(folder.root)
     merged = {image.name: image for image in merge.images}
     cameras = {view.name: view for view in (solve.registered if solve else ())}
     rows: list[dict[str, Any]] = []
@@ -128,7 +129,7 @@ def write_report(
         "meters_per_unit": (read_facts(folder, "scale", ScaleFacts) or ScaleFacts()).meters_per_unit,
         "left_out": _left_out(folder, solve),
         "lenses": [(lens.lens, lens.corner, _SOURCES.get(lens.source, "")) for lens in vignetting.lenses],
-        "plan": _plan(folder.root),
+        "plan": make_plan(colmap.read(found, CaptureOptions())) if found else None,
         "curves": _curves(merge.response),
         "uncertainty": merge.response.uncertainty if merge.response else None,
         "curve_size": _CURVE_SIZE,
@@ -190,12 +191,6 @@ def _clipped_pixels(path: Path, shape: tuple[int, ...]) -> np.ndarray:
     except (OSError, ValueError, Image.DecompressionBombError) as error:
         raise FiptError("file-damaged", f"{path} can't be read ({error}).", "Merge again.") from None
     return np.asarray(mask) > 0
-
-
-def _plan(capture: Path) -> Plan | None:
-    """The solved cameras from above, or None without a model."""
-    found = colmap.find(capture)
-    return None if found is None else make_plan(colmap.read(found, CaptureOptions()))
 
 
 def make_plan(rig: Rig) -> Plan | None:

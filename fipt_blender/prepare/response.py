@@ -73,13 +73,6 @@ def recover_response(samples: Sequence[np.ndarray], exposures: Sequence[np.ndarr
     return Response(np.exp(curves - curves[-1:]), uncertainty)
 
 
-def split_samples(
-    codes: np.ndarray, exposures: np.ndarray, parts: int
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """One group's pixels in parts, so that the uncertainty of a single group can be estimated, too."""
-    return [part for part in np.array_split(codes, parts) if len(part)], [exposures] * parts
-
-
 def _system(codes: np.ndarray, exposures: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """The normal equations of one group and channel: matrix (256, 256), right side (256,), sum of weights.
 

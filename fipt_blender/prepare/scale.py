@@ -8,7 +8,7 @@ camera-to-world with OpenCV axes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,8 +24,8 @@ from ..core.run.extras import optional
 from ..core.run.kinds import as_matrix
 from ..core.run.messages import Reporter
 from .facts import ScaleFacts
-from .models import poses, read_model, write_model
 from .preparation import Preparation, PreparationFolder
+from .solve_step import poses, read_model, write_model
 from .solving import copy_name
 
 FLOOR_PERCENTILE = 2.0  # of the heights of points; below the floor are only wrong points
@@ -234,13 +234,13 @@ def _marker_length(
     folder: PreparationFolder, model: pycolmap.Reconstruction, dictionary: str, reporter: Reporter
 ) -> tuple[float, float]:
     """The marker's edge in the solve's unit, and the relative disagreement of its estimates."""
-    detector = MarkerDetector(dictionary)
+    find = marker_finder(dictionary)
     seen: dict[int, list[tuple[pycolmap.Image, np.ndarray]]] = {}
     placed = sorted((model.images[index] for index in model.reg_image_ids()), key=lambda image: image.name)
     for index, image in enumerate(placed):
         copy = folder.solve / "copies" / copy_name(image.name.removesuffix(".exr"))
         picture = np.asarray(Image.open(copy, formats=["JPEG"]).convert("L"))
-        for number, corners in detector.find(picture).items():
+        for number, corners in find(picture).items():
             seen.setdefault(number, []).append((image, corners))
         reporter.progress((index + 1) / len(placed))
     squares = []
@@ -284,39 +284,31 @@ def marker_edge(corners: np.ndarray) -> tuple[float, float]:
     return mean, float(estimates.std() / mean) if mean > 0.0 else float("inf")
 
 
-class MarkerDetector:
-    """Finds the markers of one dictionary in eight-bit pictures.
+def marker_finder(dictionary: str) -> Callable[[np.ndarray], dict[int, np.ndarray]]:
+    """What finds the markers of one dictionary in eight-bit pictures (height, width).
+
+    It returns the corners (4, 2) in pixels of each marker by its number; a number seen twice is left out.
 
     Raises:
         FiptError: ``package-optional`` without OpenCV, ``marker-dictionary`` for an unknown dictionary.
     """
+    if dictionary not in DICTIONARIES:
+        raise FiptError(
+            "marker-dictionary",
+            f"There is no dictionary of markers '{dictionary}'.",
+            f"Use one of: {', '.join(DICTIONARIES)}.",
+        )
+    cv2 = optional("markers", "A printed marker")
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary}"))
+    detector = cv2.aruco.ArucoDetector(known, parameters)
 
-    def __init__(self, dictionary: str) -> None:
-        if dictionary not in DICTIONARIES:
-            raise FiptError(
-                "marker-dictionary",
-                f"There is no dictionary of markers '{dictionary}'.",
-                f"Use one of: {', '.join(DICTIONARIES)}.",
-            )
-        cv2 = optional("markers", "A printed marker")
-        parameters = cv2.aruco.DetectorParameters()
-        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary}"))
-        self._detector = cv2.aruco.ArucoDetector(known, parameters)
-
-    def find(self, picture: np.ndarray) -> dict[int, np.ndarray]:
-        """Corners (4, 2) in pixels of each marker by its number; a number seen twice is left out.
-
-        Args:
-            picture: (height, width) uint8.
-        """
-        corners, numbers, _ = self._detector.detectMarkers(picture)
-        if numbers is None:
-            return {}
-        flat = [int(number) for number in numbers.ravel()]
+    def find(picture: np.ndarray) -> dict[int, np.ndarray]:
+        corners, numbers, _ = detector.detectMarkers(picture)
+        flat = [] if numbers is None else numbers.ravel().tolist()
         # OpenCV counts from the center of the first pixel.
-        return {
-            number: np.asarray(four, np.float64).reshape(4, 2) + 0.5
-            for number, four in zip(flat, corners, strict=True)
-            if flat.count(number) == 1
-        }
+        found = {number: four.reshape(4, 2) + 0.5 for number, four in zip(flat, corners, strict=True)}
+        return {number: four for number, four in found.items() if flat.count(number) == 1}
+
+    return find

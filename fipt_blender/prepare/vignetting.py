@@ -27,8 +27,8 @@ from ..core.run.messages import Reporter
 from . import lens
 from .facts import LensFacts, VignettingFacts
 from .lens import RADII, light_share
-from .models import read_model
 from .preparation import Group, Photograph, Preparation, PreparationFolder
+from .solve_step import read_model
 
 TERMS = 3  # r², r⁴ and r⁶ of the logarithm of the share of light
 LEAST_OBSERVATIONS = 300  # of points that at least two views see
@@ -45,8 +45,8 @@ class Observations:
     """Where and how bright views see solved points.
 
     Attributes:
-        point: (N,) int number of the point.
-        view: (N,) int number of the view.
+        point: (N,) number of the point.
+        view: (N,) number of the view.
         radius: (N,) distance from the image's center; 1 in the corner.
         log_radiance: (N,) natural logarithm.
     """
@@ -148,13 +148,13 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
         assert profile is not None
         facts.append(LensFacts(name, True, len(groups), "database", round(float(profile[-1]), 4)))
     for name, groups in lenses.items():
-        samples: list[Observations] = []
+        samples: list[np.ndarray] = []
         for group in groups:
             if f"{group.name}.exr" in images:
                 samples.append(_observations(images[f"{group.name}.exr"], folder.image(group), len(samples)))
             done += 1
             reporter.progress(0.5 * done / sum(map(len, lenses.values())))
-        falloff = fit_falloff(_joined(samples)) if samples else None
+        falloff = fit_falloff(Observations(*np.concatenate(samples).T)) if samples else None
         if falloff is not None:
             coefficients = falloff.coefficients if falloff.certain else np.zeros(TERMS)
             figures = (round(value, 4) for value in (falloff.corner, falloff.corner_error, falloff.noise))
@@ -199,8 +199,8 @@ def _lens_name(photograph: Photograph) -> str:
     return ", ".join(words) or "unknown lens"
 
 
-def _observations(image: pycolmap.Image, file: Path, view: int) -> Observations:
-    """What a view sees of the solved points in its image, without the image's correction."""
+def _observations(image: pycolmap.Image, file: Path, view: int) -> np.ndarray:
+    """(N, 4) as `Observations`: the solved points that a view sees in its image without its correction."""
     pixels = read_radiance(file)
     height, width = pixels.shape[:2]
     seen = [point for point in image.points2D if point.has_point3D()]
@@ -213,13 +213,8 @@ def _observations(image: pycolmap.Image, file: Path, view: int) -> Observations:
     value = np.mean([luminance[row + dy, column + dx] for dy in steps for dx in steps], axis=0)
     usable = (value > 0.0) & (value < np.quantile(luminance, 1.0 - _BRIGHTEST))
     radius = np.linalg.norm(position - [0.5 * width, 0.5 * height], axis=1) / (0.5 * np.hypot(width, height))
-    views = np.full(int(usable.sum()), view)
-    return Observations(number[usable], views, radius[usable], np.log(value[usable]))
-
-
-def _joined(samples: list[Observations]) -> Observations:
-    names = ("point", "view", "radius", "log_radiance")
-    return Observations(*(np.concatenate([getattr(item, name) for item in samples]) for name in names))
+    views = np.full(len(value), view)
+    return np.stack([number, views, radius, np.log(np.maximum(value, 1e-30))], axis=1)[usable]
 
 
 def _applied(file: Path) -> np.ndarray:
