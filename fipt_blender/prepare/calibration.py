@@ -14,7 +14,7 @@ import numpy as np
 from ..core.capture.encoded import CLIPPED_CODE
 from ..core.run.messages import Reporter
 from .brackets import stops_between
-from .frames import Frame, Stored, block_mean, common_ceiling, linear_frame, load
+from .frames import Frame, Stored, block_mean, blocks, common_ceiling, linear_frame, load
 from .merging import SAMPLE_SIDE, UNKNOWN_NOISE, Noise, code_noise, measure_noise, sensor_noise
 from .motion import FINEST_SIDE, STILL_PIXELS, Motion, after, grey, measure, warped
 from .preparation import Group, Photograph, Preparation
@@ -209,14 +209,11 @@ def correct_exposures(
                 measured.setdefault(pair, []).append(ratio)
     if not measured:
         return {}, 0.0
-    design, target = [], []
-    for (low, high), ratios in measured.items():
-        weight = np.sqrt(len(ratios))
-        row = np.zeros(len(keys))
-        row[high], row[low] = weight, -weight
-        design.append(row)
-        target.append(weight * float(np.median(ratios)))
-    found = np.linalg.lstsq(np.array(design), np.array(target), rcond=None)[0]
+    low, high = np.array(list(measured)).T
+    weights = np.sqrt([len(ratios) for ratios in measured.values()])
+    medians = np.array([np.median(ratios) for ratios in measured.values()])
+    unit = np.eye(len(keys))
+    found = np.linalg.lstsq(weights[:, None] * (unit[high] - unit[low]), weights * medians, rcond=None)[0]
     largest = float(np.abs(found).max())
     found = np.clip(found, -_MOST_CORRECTION, _MOST_CORRECTION)
     return {key: float(found[index]) for key, index in places.items()}, largest
@@ -269,16 +266,12 @@ def _log_ratio(low: np.ndarray, high: np.ndarray) -> float:
 
 def _calm_codes(values: np.ndarray) -> np.ndarray:
     """Mean codes of 8 bits over squares, NaN where a square lies on an edge or any code is clipped."""
-    factor = max(1, max(values.shape[:2]) // SAMPLE_SIDE)
+    squares = blocks(values, max(1, max(values.shape[:2]) // SAMPLE_SIDE))
     scale = np.float32(255.0 / np.iinfo(values.dtype).max)
-    grid = np.empty((values.shape[0] // factor, values.shape[1] // factor, 3), np.float32)
-    for row in range(len(grid)):
-        codes = values[row * factor : (row + 1) * factor].astype(np.float32) * scale
-        mean = block_mean(codes, factor)
-        spread = np.sqrt(np.maximum(block_mean(codes**2, factor) - mean**2, 0.0))
-        calm = (spread <= SMOOTH_CODES) & (mean < CLIPPED_CODE).all(axis=-1, keepdims=True)
-        grid[row] = np.where(calm, mean, np.nan)[0]
-    return grid
+    mean = squares.mean(axis=(1, 3), dtype=np.float32) * scale
+    spread = squares.std(axis=(1, 3), dtype=np.float32) * scale
+    calm = (spread <= SMOOTH_CODES) & (mean < CLIPPED_CODE).all(axis=-1, keepdims=True)
+    return np.where(calm, mean, np.nan)
 
 
 def _samples(codes: Sequence[np.ndarray], motions: Sequence[Motion], most: int) -> np.ndarray:
