@@ -26,18 +26,19 @@ class FinishedStep:
 
 
 @dataclass(frozen=True)
-class Skipped:
-    """A file that can't be used, and why."""
+class LeftOut:
+    """A file that is not used or a view without a pose, why, and what to do about it."""
 
-    path: str
+    name: str
     reason: str
+    remedy: str = ""
 
 
 @dataclass(frozen=True)
 class ReadFacts:
     """Of the step `read`: the files that can't be used, and how many others and groups there are."""
 
-    skipped: tuple[Skipped, ...] = ()
+    skipped: tuple[LeftOut, ...] = ()
     photographs: Count = 0
     groups: Count = 0
 
@@ -77,15 +78,6 @@ class Registered:
     name: str
     points: NotNegative | None = None
     reprojection_error: NotNegative | None = None
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """A photograph without a pose, why, and what to do about it."""
-
-    name: str
-    reason: str
-    remedy: str = ""
 
 
 @dataclass(frozen=True)

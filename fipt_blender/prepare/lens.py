@@ -68,7 +68,7 @@ def focal_pixels(photograph: Photograph, width: int, height: int) -> float | Non
     """The focal length in pixels of an image of the whole sensor, None where it is unknown."""
     equivalent = photograph.focal_35mm
     if not equivalent and photograph.focal_length:
-        camera = _camera(photograph.make, photograph.model)
+        camera, _ = _found(photograph.make, photograph.model, photograph.lens)
         equivalent = photograph.focal_length * camera.crop_factor if camera else None
     if not equivalent:
         return None
@@ -88,45 +88,32 @@ def light_share(profile: np.ndarray, width: int, height: int) -> np.ndarray:
     return np.interp(radius, np.linspace(0.0, 1.0, RADII), profile).astype(np.float32)
 
 
+@lru_cache(maxsize=64)
+def _found(make: str, model: str, name: str) -> tuple[Any, Any]:
+    """lensfun's camera and lens, each may be None; where no lens is named, the only one."""
+    database = _database()
+    cameras = database.find_cameras(make, model) if make and model else []
+    lenses = database.find_lenses(cameras[0], None, name or None) if cameras else []
+    return cameras[0] if cameras else None, lenses[0] if lenses and (name or len(lenses) == 1) else None
+
+
 @lru_cache(maxsize=1)
 def _database() -> Any:
     return lensfunpy.Database()
 
 
-@lru_cache(maxsize=64)
-def _camera(make: str, model: str) -> Any:
-    """lensfun's camera, or None."""
-    found = _database().find_cameras(make, model) if make and model else []
-    return found[0] if found else None
-
-
-@lru_cache(maxsize=64)
-def _lens(make: str, model: str, name: str, focal: float) -> Any:
-    """lensfun's lens, or None; a camera without a lens's name has one where it is built in."""
-    camera = _camera(make, model)
-    if camera is None:
-        return None
-    found = _database().find_lenses(camera, None, name or None)
-    if not found or (not name and len(found) > 1):
-        return None
-    low, high = found[0].min_focal, found[0].max_focal
-    within = low * (1.0 - _FOCAL_TOLERANCE) <= focal <= (high or low) * (1.0 + _FOCAL_TOLERANCE)
-    return found[0] if within else None
-
-
 def _modifier(photograph: Photograph, width: int, height: int, flags: int) -> Any:
     """lensfun's correction of an image of this size, None where the lens is unknown."""
-    if not photograph.focal_length:
+    camera, lens = _found(photograph.make, photograph.model, photograph.lens)
+    focal = photograph.focal_length
+    if lens is None or not focal:
         return None
-    lens = _lens(photograph.make, photograph.model, photograph.lens, photograph.focal_length)
-    if lens is None:
+    low, high = lens.min_focal, lens.max_focal or lens.min_focal
+    if not low * (1.0 - _FOCAL_TOLERANCE) <= focal <= high * (1.0 + _FOCAL_TOLERANCE):
         return None
-    camera = _camera(photograph.make, photograph.model)
     modifier = lensfunpy.Modifier(lens, camera.crop_factor, width, height)
     aperture = photograph.aperture or lens.min_aperture or 8.0
-    modifier.initialize(
-        photograph.focal_length, aperture, ROOM_DISTANCE, scale=1.0, pixel_format=np.float32, flags=flags
-    )
+    modifier.initialize(focal, aperture, ROOM_DISTANCE, scale=1.0, pixel_format=np.float32, flags=flags)
     return modifier
 
 

@@ -18,7 +18,7 @@ from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter
 from .brackets import find_groups, in_order, likeness, listed, remarks
 from .exif import describe
-from .facts import ReadFacts, Skipped
+from .facts import LeftOut, ReadFacts
 from .preparation import Photograph, Preparation, PreparationFolder, write_preparation
 
 
@@ -40,9 +40,9 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
         FiptError: ``no-photographs``.
     """
     photographs: list[Photograph] = []
-    damaged: list[Skipped] = []
-    panoramas: list[Skipped] = []
-    maps: list[Skipped] = []
+    damaged: list[LeftOut] = []
+    panoramas: list[LeftOut] = []
+    maps: list[LeftOut] = []
     source = preparation.source
     names = list_photographs(source)
     for index, name in enumerate(names):
@@ -52,17 +52,17 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
             # Cameras and phones write what a photograph was taken with, programs that make maps do not.
             what = "" if photograph.model or photograph.shutter else role(name)
             if what:
-                maps.append(Skipped(name, f"it is one of the {what}"))
+                maps.append(LeftOut(name, f"it is one of the {what}"))
             elif not preparation.settings.cameras and says_panorama(source / name, size):
-                panoramas.append(Skipped(name, "it is an equirectangular panorama, which is not solved here"))
+                panoramas.append(LeftOut(name, "it is an equirectangular panorama, which is not solved here"))
             else:
                 photographs.append(photograph)
         except FiptError as error:
-            remedy = f" {error.remedy}" if error.code == "package-optional" else ""
-            damaged.append(Skipped(name, error.text + remedy))
+            remedy = error.remedy if error.code == "package-optional" else ""
+            damaged.append(LeftOut(name, error.text, remedy))
         reporter.progress(0.7 * (index + 1) / len(names))  # of the time; the rest compares photographs
     photographs, doubles = without_doubles(in_order(photographs))
-    copies = [Skipped(item.path, "the photograph that it was made of is used") for item in doubles]
+    copies = [LeftOut(item.path, "the photograph that it was made of is used") for item in doubles]
     skipped = (*damaged, *copies, *maps, *panoramas)
     if not photographs:
         raise FiptError(
@@ -77,7 +77,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     if panoramas:
         reporter.warning(
             "panoramas-left-out",
-            f"Left out: {listed([item.path for item in panoramas])}. Equirectangular panoramas can't be"
+            f"Left out: {listed([item.name for item in panoramas])}. Equirectangular panoramas can't be"
             " solved with the other photographs.",
             "Give the panorama and its place to the import (Import Settings > Advanced > Panorama,"
             " --panorama), or use an existing solve that has it (COLMAP, Metashape, OpenSfM).",
@@ -91,7 +91,8 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     if damaged:
         reporter.warning(
             "photographs-skipped",
-            f"{listed([item.path for item in damaged])} can't be used: {damaged[0].reason}",
+            f"{listed([item.name for item in damaged])} can't be used: {damaged[0].reason}"
+            f" {damaged[0].remedy}".strip(),
             "Copy them from the camera again, or remove them.",
         )
     for remark in remarks(photographs, groups):

@@ -98,6 +98,7 @@ def write_report(
         FiptError: ``file-damaged``, ``image-unreadable``, ``disk-full`` or ``run-unwritable``.
     """
     merge = read_facts(folder, "merge", MergeFacts) or MergeFacts()
+    read = read_facts(folder, "read", ReadFacts) or ReadFacts()
     solve = read_facts(folder, "solve", SolveFacts)
     vignetting = read_facts(folder, "vignetting", VignettingFacts) or VignettingFacts()
     finished = {name: read_facts(folder, name, FinishedStep) for name in _STEPS}
@@ -127,7 +128,7 @@ def write_report(
         "used": [row for row in rows if row["group"].used],
         "solve": solve,
         "meters_per_unit": (read_facts(folder, "scale", ScaleFacts) or ScaleFacts()).meters_per_unit,
-        "left_out": _left_out(folder, solve),
+        "left_out": [*(solve.left_out if solve else ()), *read.skipped],
         "lenses": [(lens.lens, lens.corner, _SOURCES.get(lens.source, "")) for lens in vignetting.lenses],
         "plan": make_plan(colmap.read(found, CaptureOptions())) if found else None,
         "curves": _curves(merge.response),
@@ -139,14 +140,6 @@ def write_report(
     page = folder.report / "index.html"
     write_page(Path(__file__).with_name("template.html"), context, page)
     return page
-
-
-def _left_out(folder: PreparationFolder, solve: SolveFacts | None) -> list[tuple[str, str]]:
-    """Views without a camera and files that are no photographs, each with the reason."""
-    skipped = (read_facts(folder, "read", ReadFacts) or ReadFacts()).skipped
-    views = solve.left_out if solve else ()
-    named = [(view.name, f"{view.reason} {view.remedy}".strip()) for view in views]
-    return named + [(file.path, file.reason) for file in skipped]
 
 
 def _exposure(images: Sequence[Path]) -> float:

@@ -21,6 +21,7 @@ import pycolmap
 from PIL import Image
 
 from ..core.capture.files import Names, ambiguous, name_parts
+from ..core.capture.formats import colmap
 from ..core.capture.formats.colmap_sizes import check_model
 from ..core.capture.formats.registry import read_rig
 from ..core.capture.images import JPEG_QUALITY, read_radiance, read_size
@@ -39,7 +40,6 @@ POOR_ERROR = 1.5  # pixels of mean reprojection error; a good solve has less tha
 SMALL_SIDE = 1000  # pixels; in smaller images, most photographs of a room have too few features
 FEW_VIEWS = 3  # of one camera; with less, its focal length is hardly determined
 _NAMES_IN_TEXT = 5  # of a warning
-_SOLVE_AGAIN = "Solve the cameras again (step solve)."
 
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
@@ -221,15 +221,12 @@ def read_model(folder: Path) -> pycolmap.Reconstruction:
     """Read a model that `write_model` has written.
 
     Raises:
-        FiptError: ``file-missing`` or ``file-damaged``.
+        FiptError: ``file-missing`` or ``rig-damaged``.
     """
     if not (folder / "cameras.bin").is_file():
-        raise FiptError("file-missing", f"{folder} holds no solved cameras.", _SOLVE_AGAIN)
-    try:
-        check_model(folder)
-        return pycolmap.Reconstruction(str(folder))
-    except (RuntimeError, ValueError, IndexError, OSError) as error:
-        raise FiptError("file-damaged", f"{folder} can't be read ({error}).", _SOLVE_AGAIN) from None
+        text = f"{folder} holds no solved cameras."
+        raise FiptError("file-missing", text, "Solve the cameras again (step solve).")
+    return colmap.opened(colmap.Model(folder, folder))
 
 
 def poses(model: pycolmap.Reconstruction) -> np.ndarray:
