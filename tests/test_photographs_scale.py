@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -76,18 +77,24 @@ def test_the_room_frame_stands_on_the_floor_and_is_in_meters() -> None:
     assert np.allclose(scale.room_frame(moved, np.empty((0, 3)), 4.0)[:3, :3], frame[:3, :3])
 
 
+def placed_model(poses: Sequence[np.ndarray]) -> pycolmap.Reconstruction:
+    """A solve of views v1, v2, ... with these poses (4, 4)."""
+    model, params = pycolmap.Reconstruction(), [FOCAL, 0.5 * WIDTH, 0.5 * HEIGHT]
+    camera = pycolmap.Camera(camera_id=1, model="SIMPLE_PINHOLE", width=WIDTH, height=HEIGHT, params=params)
+    model.add_camera_with_trivial_rig(camera)
+    for number, pose in enumerate(poses, start=1):
+        image = pycolmap.Image(name=f"v{number}.exr", camera_id=1, image_id=number)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.linalg.inv(pose)[:3]))
+    return model
+
+
 def test_rays_meet_and_a_wrong_one_is_dropped() -> None:
     point = np.array([0.3, 2.0, 1.0])
-    places = [[-1.0, 0, 0], [1, 0, 0], [0, -1, 1], [0.5, 0, 2], [0, 0, 0.5]]
-    model = pycolmap.Reconstruction()
-    camera = pycolmap.Camera(camera_id=1, model="SIMPLE_PINHOLE", width=WIDTH, height=HEIGHT, params=[FOCAL, 150, 100])
-    model.add_camera_with_trivial_rig(camera)
-    for number, place in enumerate(places, start=1):
-        pose = pycolmap.Rigid3d(np.linalg.inv(look_at(np.array(place), np.array([0.0, 2.0, 1.0])))[:3])
-        model.add_image_with_trivial_frame(pycolmap.Image(name=f"{number}", camera_id=1, image_id=number), pose)
+    places = np.array([[-1.0, 0, 0], [1, 0, 0], [0, -1, 1], [0.5, 0, 2], [0, 0, 0.5]])
+    model = placed_model([look_at(place, np.array([0.0, 2.0, 1.0])) for place in places])
     images = [model.images[number] for number in range(1, 6)]
-    pixels = np.array([camera.img_from_cam(image.cam_from_world() * point) for image in images]).reshape(5, 2)
-    pixels[4] += [60.0, 30.0]  # sees something else
+    seen = [image.camera.img_from_cam(image.cam_from_world() * point) for image in images]
+    pixels = np.array(seen).reshape(5, 2) + np.outer([0, 0, 0, 0, 1], [60.0, 30.0])  # the last sees something else
     found = scale.triangulated(images, pixels)
     assert found is not None and np.allclose(found, point, atol=1e-9)
     assert scale.triangulated([images[0]] * 2, pixels[[0, 0]]) is None, "the rays are parallel"
@@ -135,21 +142,13 @@ def test_a_marker_on_a_wall_gives_meters(tmp_path: Path) -> None:
     textures[3, 400:640, 480:660] = cv2.resize(marker, (180, 240), interpolation=cv2.INTER_NEAREST)
     folder = PreparationFolder(tmp_path / "capture")
     where = [look_at(np.array([x, 0.5, 1.2]), np.array([1.9, 3.0, 1.3])) for x in (1.0, 1.9, 2.9)]
-    model = pycolmap.Reconstruction()
-    camera = [FOCAL, 0.5 * WIDTH, 0.5 * HEIGHT]
-    model.add_camera_with_trivial_rig(
-        pycolmap.Camera(camera_id=1, model="SIMPLE_PINHOLE", width=WIDTH, height=HEIGHT, params=camera)
-    )
-    for number, pose in enumerate(where, start=1):
-        pose = pose.copy()
-        pose[:3, 3] *= 0.1
-        world_to_camera = pycolmap.Rigid3d(np.linalg.inv(pose)[:3])
-        image = pycolmap.Image(name=f"v{number}.exr", camera_id=1, image_id=number)
-        model.add_image_with_trivial_frame(image, world_to_camera)
+    tenths = np.array(where)
+    tenths[:, :3, 3] *= 0.1
+    for number in (1, 2, 3):
         copy = folder.solve / "copies" / copy_name(f"v{number}")
         copy.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(tone_mapped(photograph(where[number - 1], textures))).save(copy, quality=95)
-    write_model(folder.model, model)
+    write_model(folder.model, placed_model(tenths))
     photographs = tuple(Photograph(f"v{number}.jpg", "ldr", WIDTH, HEIGHT) for number in (1, 2, 3))
     groups = tuple(Group(f"v{number}", (f"v{number}.jpg",)) for number in (1, 2, 3))
 
