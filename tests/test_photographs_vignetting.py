@@ -14,7 +14,6 @@ import pytest
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.radiometry.adjustment import falloff_terms
 from fipt_blender.core.run.messages import Reporter
-from fipt_blender.prepare import vignetting
 from fipt_blender.prepare.command import run_steps
 from fipt_blender.prepare.lens import light_share
 from fipt_blender.prepare.preparation import (
@@ -169,7 +168,7 @@ def test_a_stop_between_two_images_corrects_nothing_twice(capture: Capture, monk
             raise KeyboardInterrupt
         write_exr(path, *rest, **more)
 
-    monkeypatch.setattr(vignetting, "write_exr", stopped)
+    monkeypatch.setattr("fipt_blender.prepare.vignetting.write_exr", stopped)
     with pytest.raises(KeyboardInterrupt):
         run(folder, preparation)
     monkeypatch.undo()
