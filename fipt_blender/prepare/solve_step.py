@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import errno
 import io
-import os
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +27,7 @@ from ..core.capture.options import CaptureOptions
 from ..core.capture.rig import Rig
 from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter, within
+from ..core.run.replacing import atomic_folder
 from ..core.run.runfolder import atomic_path, explained_write_errors
 from . import lens
 from .facts import LeftOut, Registered, SolveFacts
@@ -200,21 +199,14 @@ def write_model(folder: Path, model: pycolmap.Reconstruction) -> None:
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    temporary = folder.with_name(f".{os.getpid()}.{folder.name}")
-    with explained_write_errors(folder):
-        temporary.mkdir(parents=True, exist_ok=True)
+    with atomic_folder(folder) as new:
         try:
-            try:
-                model.write_binary(str(temporary))
-                check_model(temporary)
-            except (RuntimeError, ValueError) as error:
+            model.write_binary(str(new))
+            check_model(new)
+        except (RuntimeError, ValueError) as error:
+            with explained_write_errors(folder):
                 # pycolmap reports neither the system's reason nor that it could write a part only.
                 raise OSError(errno.ENOSPC, str(error)) from None
-            if folder.exists():
-                shutil.rmtree(folder)
-            os.replace(temporary, folder)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def read_model(folder: Path) -> pycolmap.Reconstruction:
