@@ -25,7 +25,7 @@ from fipt_blender.core.capture.files import Folders
 from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.prepare.models import WantedView, model_from_rig
+from fipt_blender.prepare.solve_step import WantedView, model_from_rig
 from samples import rig_writers as write
 from samples.capture_files import make_samples, write_fipt_real, write_fipt_synthetic
 from samples.capture_files import write_transforms as write_sample_transforms

@@ -32,7 +32,7 @@ SHARED = """
     run.result_contents run.run_files run.runfolder run.settings run.shapes run.stage_settings
     run.versions report.comparison report.fixture_names textures.raster textures.write_back
 """.split()
-SHARED_MODULES = (*(f"core.{name}" for name in SHARED), *("prepare.editing", "prepare.facts", "prepare.preparation"))
+SHARED_MODULES = (*(f"core.{name}" for name in SHARED), *("prepare.facts", "prepare.preparation"))
 # The rooms from the lowest floor to the highest: each imports only from itself and from rooms before it.
 FLOORS = """
     core.run core.conventions core.robust core.device core.alignment core.depth core.capture core.surface

@@ -11,9 +11,8 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
-from fipt_blender.prepare.brackets import find_groups
+from fipt_blender.prepare.brackets import SIDE, find_groups, likeness, small_picture
 from fipt_blender.prepare.exif import describe
-from fipt_blender.prepare.likeness import SIDE, Likeness, small_picture
 from fipt_blender.prepare.merging import moved_regions
 from fipt_blender.prepare.motion import Motion, after, measure, warped
 from fipt_blender.prepare.preparation import Group, Photograph
@@ -43,7 +42,7 @@ def codes(radiance: np.ndarray, exposure: float) -> np.ndarray:
 
 def groups_of(folder: Path) -> list[Group]:
     photographs = [describe(folder / name, name) for name in list_photographs(folder)]
-    return find_groups(photographs, "auto", Likeness(folder))
+    return find_groups(photographs, "auto", likeness(folder))
 
 
 def test_a_bracket_taken_by_hand_slowly_is_one_group(tmp_path: Path) -> None:
@@ -121,10 +120,9 @@ def test_small_pictures_of_all_kinds_agree(tmp_path: Path) -> None:
 def test_a_photograph_that_cannot_be_read_decides_nothing(tmp_path: Path) -> None:
     first = describe(write_jpeg(tmp_path / "a.jpg", codes(room_view(1), 1.0), exif(0.01)), "a.jpg")
     second = describe(write_jpeg(tmp_path / "b.jpg", codes(room_view(1), 2.0), exif(0.02)), "b.jpg")
-    likeness = Likeness(tmp_path)
-    assert likeness(first, second) is True
+    assert likeness(tmp_path)(first, second) is True
     (tmp_path / "b.jpg").write_bytes(b"\xff\xd8 cut")
-    assert Likeness(tmp_path)(first, second) is None
+    assert likeness(tmp_path)(first, second) is None
 
 
 @pytest.mark.parametrize("motion", [Motion(), Motion(0.01, -0.02, 0.01), Motion(0.08, 0.03, -0.02)])

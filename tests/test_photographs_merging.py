@@ -258,7 +258,7 @@ def test_exposures_that_headers_round_are_corrected() -> None:
     true = np.log([1 / 256, 1 / 64, 1 / 16])
     nominal = np.log([item.exposure for item in bracket])
     ratios = tuple(np.diff(true) - np.diff(nominal))
-    survey = Survey((), 1, (), ratios, None, None)
+    survey = Survey(ratios=ratios)
     corrections, largest = correct_exposures([bracket] * 3, [survey] * 3)
     found = np.array([corrections[(item.shutter, 0.0, 0.0, item.exposure)] for item in bracket])
     np.testing.assert_allclose(np.diff(found + nominal), np.diff(true))

@@ -97,7 +97,7 @@ def test_brackets_by_time_and_exposure(tmp_path: Path) -> None:
     groups = find_groups(photographs, "auto")
     assert names(groups)[2] == ("IMG_7.jpg", "IMG_8.jpg", "IMG_9.jpg") and len(groups) == 3
     assert [group.name for group in groups] == ["IMG_1", "IMG_4", "IMG_7"]
-    assert not remarks(photographs, groups)
+    assert not list(remarks(photographs, groups))
     assert len(find_groups(photographs, "single")) == 9
     assert len(find_groups(photographs, "folders")) == 1
 
@@ -185,7 +185,7 @@ def test_maps_and_companions_are_no_photographs(tmp_path: Path) -> None:
     reporter = read(source, capture)
     found = facts(PreparationFolder(capture), "read")
     assert found["photographs"] == 5 and len(found["skipped"]) == 4
-    assert "._IMG_1.jpg" not in {item["path"] for item in found["skipped"]}
+    assert "._IMG_1.jpg" not in {item["name"] for item in found["skipped"]}
     said = [warning for warning in reporter.warnings if warning["code"] == "images-left-out"]
     assert len(said) == 1 and "2 depth maps" in said[0]["text"] and "1 confidence maps" in said[0]["text"]
 
@@ -224,7 +224,7 @@ def test_reading_a_folder(tmp_path: Path) -> None:
     assert [item.path for item in preparation.of(preparation.groups[0])] == ["IMG_2.jpg", "IMG_1.jpg"]
     assert [message["code"] for message in reporter.warnings] == ["photographs-skipped"]
     facts = json.loads((capture / "stage" / "read.json").read_text())
-    assert {item["path"] for item in facts["skipped"]} == {"empty.dng", "cut.jpg"}
+    assert {item["name"] for item in facts["skipped"]} == {"empty.dng", "cut.jpg"}
     assert any("empty" in item["reason"] for item in facts["skipped"])
 
 
@@ -237,7 +237,7 @@ def test_panoramas_are_left_out_with_a_word(tmp_path: Path) -> None:
     assert message["code"] == "panoramas-left-out" and "all_round.jpg" in message["text"] and message["remedy"]
     assert len(read_preparation(PreparationFolder(capture)).photographs) == 4
     facts = json.loads((capture / "stage" / "read.json").read_text())
-    assert [item["path"] for item in facts["skipped"]] == ["all_round.jpg"]
+    assert [item["name"] for item in facts["skipped"]] == ["all_round.jpg"]
 
 
 def test_corrections_by_the_user_stay_until_the_files_change(tmp_path: Path) -> None:

@@ -19,10 +19,10 @@ from fipt_blender.core.capture.rig import Lens, Rig, RigView
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.prepare.command import STEPS, run_steps
 from fipt_blender.prepare.lens import FULL_FRAME_DIAGONAL
 from fipt_blender.prepare.preparation import PreparationFolder
 from fipt_blender.prepare.report import make_plan, write_report
-from fipt_blender.prepare.steps import STEPS, run_steps
 from samples import textured_room
 from samples.camera_poses import look_at
 from samples.pages import Page
@@ -102,11 +102,11 @@ def camera(name: str, place: tuple[float, float, float], forward: tuple[float, f
 def test_plan_shows_cameras_from_above():
     views = (camera("a", (0, 0, 1), (1, 0, 0)), camera("b", (4, 2, 3), (0, 1, 0)))
     plan = make_plan(Rig("colmap", views, None, None))
-    first, second = plan.arrows
-    assert second.x - first.x == pytest.approx(2.0 * (first.y - second.y))  # Y points up on the page
-    assert first.tip_x > first.x and first.tip_y == pytest.approx(first.y)
-    assert second.tip_y < second.y and second.tip_x == pytest.approx(second.x)
-    assert plan.length == 1.0 and plan.bar == pytest.approx((second.x - first.x) / 4.0)
+    (_, first, first_tip), (_, second, second_tip) = plan.arrows
+    assert second[0] - first[0] == pytest.approx(2.0 * (first[1] - second[1]))  # Y points up on the page
+    assert first_tip[0] > first[0] and first_tip[1] == pytest.approx(first[1])
+    assert second_tip[1] < second[1] and second_tip[0] == pytest.approx(second[0])
+    assert plan.length == 1.0 and plan.bar == pytest.approx((second[0] - first[0]) / 4.0)
     assert plan.height < plan.width
     assert make_plan(Rig("colmap", (), None, None)) is None
 

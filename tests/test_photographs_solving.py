@@ -21,9 +21,8 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import Lens, Rig, RigView
 from fipt_blender.core.run.messages import Reporter
+from fipt_blender.prepare.command import run_steps
 from fipt_blender.prepare.lens import FULL_FRAME_DIAGONAL
-from fipt_blender.prepare.models import WantedView, model_from_rig, read_model, write_model
-from fipt_blender.prepare.pairs import image_pairs
 from fipt_blender.prepare.preparation import (
     Group,
     Photograph,
@@ -32,9 +31,18 @@ from fipt_blender.prepare.preparation import (
     PrepareSettings,
     write_preparation,
 )
-from fipt_blender.prepare.solving import Connections, SolveView, camera_groups, copy_name, left_out, own_sizes, solve
-from fipt_blender.prepare.steps import run_steps
-from fipt_blender.prepare.tonemap import tone_mapped
+from fipt_blender.prepare.solve_step import WantedView, model_from_rig, read_model, write_model
+from fipt_blender.prepare.solving import (
+    Connections,
+    SolveView,
+    camera_groups,
+    copy_name,
+    image_pairs,
+    left_out,
+    own_sizes,
+    solve,
+    tone_mapped,
+)
 from samples import textured_room
 from samples.camera_poses import look_at
 from samples.prepared_captures import facts

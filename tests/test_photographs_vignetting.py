@@ -12,8 +12,10 @@ import pycolmap
 import pytest
 
 from fipt_blender.core.capture.images import read_radiance, write_exr
+from fipt_blender.core.radiometry.adjustment import falloff_terms
 from fipt_blender.core.run.messages import Reporter
-from fipt_blender.prepare.models import write_model
+from fipt_blender.prepare.command import run_steps
+from fipt_blender.prepare.lens import light_share
 from fipt_blender.prepare.preparation import (
     Group,
     Photograph,
@@ -22,9 +24,8 @@ from fipt_blender.prepare.preparation import (
     PrepareSettings,
     write_preparation,
 )
-from fipt_blender.prepare.solve_step import model_folder
-from fipt_blender.prepare.steps import run_steps
-from fipt_blender.prepare.vignetting import Observations, fit_falloff, light_share, powers
+from fipt_blender.prepare.solve_step import write_model
+from fipt_blender.prepare.vignetting import TERMS, Observations, fit_falloff, profile_of
 from samples.camera_poses import look_at
 from samples.prepared_captures import facts
 from samples.textured_room import FOCAL, HEIGHT, SIZE, WIDTH, project
@@ -41,7 +42,7 @@ def observations(falloff: np.ndarray, count: int, noise: float, seed: int = 0) -
     view = generator.integers(0, 6, len(point))
     radius = np.sqrt(generator.uniform(0.0, 1.0, len(point)))
     value = generator.normal(0.0, 1.5, count)[point] + generator.normal(0.0, 0.3, 6)[view]
-    value = value + powers(radius) @ falloff + generator.normal(0.0, noise, len(point))
+    value = value + falloff_terms(radius, TERMS) @ falloff + generator.normal(0.0, noise, len(point))
     wrong = generator.uniform(size=len(point)) < 0.1
     return Observations(point, view, radius, np.where(wrong, value + 1.0, value))
 
@@ -49,7 +50,7 @@ def observations(falloff: np.ndarray, count: int, noise: float, seed: int = 0) -
 def test_falloff_is_found_in_spite_of_exposures_and_outliers() -> None:
     found = fit_falloff(observations(TRUE, 2000, 0.05))
     assert found is not None and found.certain
-    share = light_share(found.coefficients, 300, 200) / light_share(TRUE, 300, 200)
+    share = profile_of(found.coefficients) / profile_of(TRUE)
     assert np.abs(share - 1.0).max() < 0.02
     assert abs(found.corner - np.exp(TRUE.sum())) < 4.0 * found.corner_error < 0.05
     assert found.noise == pytest.approx(0.05, rel=0.25)
@@ -72,7 +73,7 @@ def test_without_vignetting_or_with_few_points_nothing_is_corrected() -> None:
 
 
 def test_the_share_of_light_never_rises_outwards() -> None:
-    share = light_share(np.array([-1.0, 0.9, 0.0]), 200, 100)
+    share = light_share(profile_of(np.array([-1.0, 0.9, 0.0])), 200, 100)
     row = share[50, 100:]
     assert (np.diff(row) <= 1e-6).all() and share.max() <= 1.0 and share.dtype == np.float32
 
@@ -87,7 +88,7 @@ def capture(tmp_path: Path) -> Capture:
     center = [0.5 * WIDTH, 0.5 * HEIGHT]
     camera = pycolmap.Camera(camera_id=1, model="SIMPLE_PINHOLE", width=WIDTH, height=HEIGHT, params=[FOCAL, *center])
     model.add_camera_with_trivial_rig(camera)
-    share = light_share(TRUE, WIDTH, HEIGHT)[..., None]
+    share = light_share(profile_of(TRUE), WIDTH, HEIGHT)[..., None]
     tracks: dict[int, pycolmap.Track] = {index: pycolmap.Track() for index in range(len(points))}
     originals = {}
     for number in range(1, 6):
@@ -114,7 +115,7 @@ def capture(tmp_path: Path) -> Capture:
     for index, track in tracks.items():
         if track.length() > 1:
             model.add_point3D(points[index], track)
-    write_model(model_folder(folder), model)
+    write_model(folder.model, model)
     names = list(originals)
     photographs = tuple(Photograph(f"{name}.jpg", "ldr", WIDTH, HEIGHT, focal_length=20.0) for name in names)
     groups = tuple(Group(name, (f"{name}.jpg",)) for name in names)
@@ -148,27 +149,26 @@ def test_images_are_corrected_once_and_the_correction_can_be_undone(capture: Cap
     run(folder, preparation, vignetting="none")
     for name in originals:
         restored = read_radiance(folder.images / f"{name}.exr")
-        assert np.allclose(restored, originals[name] * light_share(TRUE, WIDTH, HEIGHT)[..., None], rtol=1e-5)
+        assert np.allclose(
+            restored, originals[name] * light_share(profile_of(TRUE), WIDTH, HEIGHT)[..., None], rtol=1e-5
+        )
     (folder.images / "v1.exr").write_bytes(before["v1.exr"])  # as if it was merged again
     run(folder, preparation)
     assert errors(folder, originals) < 0.03
     assert {path.name for path in folder.images.iterdir()} == set(first)
 
 
-def test_a_stop_between_record_and_image_corrects_nothing_twice(
-    capture: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stop_between_two_images_corrects_nothing_twice(capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, preparation, originals = capture
-    plain = Path.replace
-    calls = []
+    written = []
 
-    def stopped(self: Path, target: Path) -> Path:
-        calls.append(target)
-        if len(calls) == 3:
+    def stopped(path: Path, *rest: object, **more: object) -> None:
+        written.append(path)
+        if len(written) == 3:
             raise KeyboardInterrupt
-        return plain(self, target)
+        write_exr(path, *rest, **more)
 
-    monkeypatch.setattr(Path, "replace", stopped)
+    monkeypatch.setattr("fipt_blender.prepare.vignetting.write_exr", stopped)
     with pytest.raises(KeyboardInterrupt):
         run(folder, preparation)
     monkeypatch.undo()

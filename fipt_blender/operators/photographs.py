@@ -200,7 +200,7 @@ def _edit(settings: FIPT_PhotographsSettings, change: Callable[[list[Group]], li
 @action("Split Group", needs=(_has_groups,))
 def split_bracket(scene: bpy.types.Scene) -> None:
     """Divide the active group: its active photograph and those after it become a group of their own."""
-    from ..prepare.editing import split_group
+    from ..prepare.preparation import split_group
 
     settings = scene.fipt.photographs
     _edit(settings, lambda groups: split_group(groups, settings.active_group, settings.active_photograph))
@@ -209,7 +209,7 @@ def split_bracket(scene: bpy.types.Scene) -> None:
 @action("Merge with Next Group", needs=(_has_groups,))
 def merge_brackets(scene: bpy.types.Scene) -> None:
     """Join the active group and the one after it."""
-    from ..prepare.editing import merge_groups
+    from ..prepare.preparation import merge_groups
 
     settings = scene.fipt.photographs
     _edit(settings, lambda groups: merge_groups(groups, settings.active_group))

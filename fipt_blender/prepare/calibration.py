@@ -4,22 +4,29 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .frames import CLIPPED_CODE, Frame, Stored, block_mean, linear_frame
-from .merging import SAMPLE_SIDE, measure_noise
+from ..core.capture.encoded import CLIPPED_CODE
+from ..core.run.messages import Reporter
+from .brackets import stops_between
+from .frames import Frame, Stored, block_mean, blocks, common_ceiling, linear_frame, load
+from .merging import SAMPLE_SIDE, UNKNOWN_NOISE, Noise, code_noise, measure_noise, sensor_noise
 from .motion import FINEST_SIDE, STILL_PIXELS, Motion, after, grey, measure, warped
-from .preparation import Photograph
-from .response import Response, recover_response, split_samples, srgb_curve
+from .preparation import Group, Photograph, Preparation
+from .response import Response, recover_response, srgb_curve
 
-MOST_SAMPLES = 400_000  # of all pairs of exposures
 SMOOTH_CODES = 4.0  # places with a larger spread of codes lie on edges
 LEAST_SIMILARITY = 0.5  # of exposures that show the same
 _LOW, _HIGH = 0.02, 0.8  # linear values at which exposures are compared
 _MOST_CORRECTION = 0.2  # in the logarithm
+_PARTS = 8  # of a single group's pixels
+_DOUBTFUL = 0.15  # correction in the logarithm that the rounding of EXIF does not explain
+_LINEAR_CURVE = np.repeat(np.linspace(0.0, 1.0, 256)[:, None], 3, 1)  # by code and channel
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,80 +34,159 @@ class Survey:
     """One group before merging, its exposures from the shortest to the longest.
 
     Attributes:
-        motions: of each exposure, relative to `reference`.
-        reference: index of the exposure that the others are aligned with.
+        motions: of each exposure, relative to one in the middle.
         strangers: indices of exposures that show something else.
         ratios: log of what exposure j + 1 received over what exposure j did, less that of the headers' ratio;
             NaN where they can't be compared. RAW only.
         noise: gain and read noise; RAW only.
         samples: (places, exposures, 3) codes of 8 bits, NaN where unusable; LDR only.
         ceilings: where each exposure seems to clip, and its highest value; RAW only.
+        color: the first photograph without its values, for the colors of all; RAW only.
     """
 
-    motions: tuple[Motion, ...]
-    reference: int
-    strangers: tuple[int, ...]
-    ratios: tuple[float, ...]
-    noise: tuple[float, float] | None
-    samples: np.ndarray | None
+    motions: tuple[Motion, ...] = ()
+    strangers: tuple[int, ...] = ()
+    ratios: tuple[float, ...] = ()
+    noise: tuple[float, float] | None = None
+    samples: np.ndarray | None = None
     ceilings: tuple[tuple[float, float], ...] = ()
+    color: Stored | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
-    """One exposure on coarse grids.
+class Calibration:
+    """What all groups share.
 
     Attributes:
-        frame: linear values (by sRGB's curve for codes), 1024 to 2048 pixels long or less.
-        codes: (rows, columns, 3) mean codes of 8 bits of calm squares, NaN elsewhere; LDR only.
-        noise: gain and read noise; RAW only.
-        ceiling: where it seems to clip, and its highest value.
+        photographs: by path, with corrected exposures.
+        curve: (256, 3) linear values of codes, None without LDR photographs.
+        noise: by kind of photograph.
+        scale: exposure that a radiance of 1 saturates.
+        ceiling: value at which RAW photographs clip.
+        balance, matrix: from RAW channels to linear Rec.709; see `frames.Stored`.
     """
 
-    frame: Frame
-    codes: np.ndarray | None
-    noise: tuple[float, float] | None
-    ceiling: tuple[float, float]
+    photographs: Mapping[str, Photograph]
+    curve: np.ndarray | None
+    noise: Mapping[str, Noise]
+    scale: float
+    ceiling: float
+    balance: np.ndarray
+    matrix: np.ndarray
+
+    @property
+    def numbers(self) -> list[object]:
+        """What differs for calibrations that give different images (JSON)."""
+        arrays = [self.curve, *(noise.weights for _, noise in sorted(self.noise.items()))]
+        lists = [None if array is None else array.tolist() for array in (*arrays, self.balance, self.matrix)]
+        return [self.scale, self.ceiling, *lists]
 
 
-def observe(stored: Stored, photograph: Photograph, with_noise: bool) -> Observed:
-    """What a group's survey needs of one photograph."""
-    is_ldr = photograph.kind == "ldr"
-    factor = max(1, max(stored.values.shape[:2]) // FINEST_SIDE)
-    noise = None
-    if with_noise and stored.colors is not None:
-        noise = measure_noise(stored.values, max(stored.colors.shape))
-    frame = linear_frame(stored, srgb_curve() if is_ldr else None, factor)
-    return Observed(
-        frame, _calm_codes(stored.values) if is_ldr else None, noise, (stored.ceiling, stored.top)
-    )
-
-
-def survey_group(
-    observed: Sequence[Observed], photographs: Sequence[Photograph], align: bool, most: int
-) -> Survey:
-    """Compare the exposures of one group.
+def survey_group(preparation: Preparation, group: Group, most: int) -> Survey:
+    """Compare the exposures of one group on coarse grids.
 
     Args:
-        observed: of the group's photographs, shortest exposure first.
-        photographs: the same ones' headers.
-        align: measure motion; otherwise the camera is taken to stand still.
+        preparation, group: whose photographs are read.
         most: number of samples of codes.
+
+    Raises:
+        FiptError: those of `frames.load`.
     """
-    frames = [item.frame for item in observed]
-    exposures = [item.exposure or 1.0 for item in photographs]
-    motions, reference, strangers = _motions(frames, align)
-    ratios: tuple[float, ...] = ()
-    if photographs[0].kind == "raw":
-        ratios = tuple(
-            _ratio(frames[j], frames[j + 1], exposures[j + 1] / exposures[j], motions[j], motions[j + 1])
-            for j in range(len(frames) - 1)
-        )
-    noise = next((item.noise for item in observed if item.noise is not None), None)
-    codes = [item.codes for item in observed if item.codes is not None]
+    photographs, settings = preparation.of(group), preparation.settings
+    kind = photographs[0].kind
+    frames, codes, ceilings, noise, color = [], [], [], None, None
+    for index, photograph in enumerate(photographs):
+        stored = load(preparation.file(photograph), photograph, settings)
+        factor = max(1, max(stored.values.shape[:2]) // FINEST_SIDE)
+        frames.append(linear_frame(stored, srgb_curve() if kind == "ldr" else None, factor))
+        if kind == "ldr":
+            codes.append(_calm_codes(stored.values))
+        if kind == "raw":
+            ceilings.append((stored.ceiling, stored.top))
+            color = color or replace(stored, values=np.empty(0), colors=None)
+        if index == len(photographs) // 2 and stored.colors is not None:
+            noise = measure_noise(stored.values, max(stored.colors.shape))
+    motions, strangers = _motions(frames, settings.align)
     samples = _samples(codes, motions, most) if len(codes) > 1 else None
-    ceilings = tuple(item.ceiling for item in observed) if photographs[0].kind == "raw" else ()
-    return Survey(motions, reference, strangers, ratios, noise, samples, ceilings)
+    ratios: list[float] = []
+    if kind == "raw":
+        grids = [_grid(frame, motion) for frame, motion in zip(frames, motions, strict=True)]
+        for j, (low, high) in enumerate(itertools.pairwise(grids)):
+            nominal = math.log(2.0) * stops_between(photographs[j], photographs[j + 1])
+            ratios.append(_log_ratio(low, high) - nominal)
+    return Survey(motions, strangers, tuple(ratios), noise, samples, tuple(ceilings), color)
+
+
+def calibrate(
+    preparation: Preparation, surveys: Sequence[Survey], reporter: Reporter
+) -> tuple[Calibration, Response | None]:
+    """Put together what the groups' surveys say; warns where they say too little.
+
+    Returns:
+        What all groups share, and the response of their codes where it was recovered.
+    """
+    groups = [preparation.of(group) for group in preparation.used_groups]
+    corrections, largest = correct_exposures(groups, surveys)
+    if largest > _DOUBTFUL:
+        reporter.warning(
+            "exposure-doubtful",
+            f"The photographs' brightness departs from their exposure data by up to {100 * largest:.0f} %.",
+            "Flickering light, automatic ISO and edited files have this effect: leave such groups out.",
+        )
+    photographs = {item.path: item for items in groups for item in items}
+    for path, item in photographs.items():
+        if item.exposure is not None:
+            factor = math.exp(corrections.get(exposure_key(item), 0.0))
+            photographs[path] = replace(item, exposure=item.exposure * factor)
+    measured = [survey.noise for survey in surveys if survey.noise is not None]
+    noise = {
+        "linear": sensor_noise(*UNKNOWN_NOISE),
+        "raw": sensor_noise(*(np.median(measured, axis=0) if measured else UNKNOWN_NOISE)),
+    }
+    curve, response = None, None
+    if any(items[0].kind == "ldr" for items in groups):
+        curve, response = _curve(preparation.settings.response, groups, surveys, reporter)
+        noise["ldr"] = code_noise(curve, np.zeros((256, 3)) if response is None else response.uncertainty)
+    exposures = [item.exposure for item in photographs.values() if item.exposure and item.kind != "linear"]
+    color = next((survey.color for survey in surveys if survey.color is not None), Stored(np.empty(0)))
+    pairs = [pair for survey in surveys for pair in survey.ceilings]
+    calibration = Calibration(
+        photographs,
+        curve,
+        noise,
+        scale=float(np.median(exposures)) if exposures else 1.0,
+        ceiling=common_ceiling([pair[0] for pair in pairs], [pair[1] for pair in pairs]),
+        balance=color.balance if preparation.settings.white_balance == "camera" else np.ones(3),
+        matrix=color.matrix,
+    )
+    return calibration, response
+
+
+def _curve(
+    choice: str, groups: Sequence[Sequence[Photograph]], surveys: Sequence[Survey], reporter: Reporter
+) -> tuple[np.ndarray, Response | None]:
+    """The curve of codes, and the response if it was recovered."""
+    if choice != "auto":
+        return (_LINEAR_CURVE if choice == "linear" else srgb_curve()), None
+    samples, exposures = [], []
+    for items, survey in zip(groups, surveys, strict=True):
+        if survey.samples is not None and len(survey.samples):
+            samples.append(survey.samples)
+            exposures.append(np.array([item.exposure for item in items], np.float64))
+    if len(samples) == 1:  # in parts, so that its uncertainty can be estimated, too
+        samples = [part for part in np.array_split(samples[0], _PARTS) if len(part)]
+        exposures *= len(samples)
+    try:
+        response = recover_response(samples, exposures)
+    except (ValueError, np.linalg.LinAlgError):
+        reporter.warning(
+            "response-unknown",
+            "The camera's response can't be recovered without brackets; sRGB's is assumed, and radiance"
+            " may be wrong by tens of percent.",
+            "Take brackets or RAW photographs.",
+        )
+        return srgb_curve(), None
+    return response.curve, response
 
 
 def correct_exposures(
@@ -123,14 +209,11 @@ def correct_exposures(
                 measured.setdefault(pair, []).append(ratio)
     if not measured:
         return {}, 0.0
-    design, target = [], []
-    for (low, high), ratios in measured.items():
-        weight = np.sqrt(len(ratios))
-        row = np.zeros(len(keys))
-        row[high], row[low] = weight, -weight
-        design.append(row)
-        target.append(weight * float(np.median(ratios)))
-    found = np.linalg.lstsq(np.array(design), np.array(target), rcond=None)[0]
+    low, high = np.array(list(measured)).T
+    weights = np.sqrt([len(ratios) for ratios in measured.values()])
+    medians = np.array([np.median(ratios) for ratios in measured.values()])
+    unit = np.eye(len(keys))
+    found = np.linalg.lstsq(weights[:, None] * (unit[high] - unit[low]), weights * medians, rcond=None)[0]
     largest = float(np.abs(found).max())
     found = np.clip(found, -_MOST_CORRECTION, _MOST_CORRECTION)
     return {key: float(found[index]) for key, index in places.items()}, largest
@@ -138,42 +221,14 @@ def correct_exposures(
 
 def exposure_key(photograph: Photograph) -> tuple[float, ...]:
     """What photographs of one exposure have in common."""
-    return (
-        photograph.shutter or 0.0,
-        photograph.aperture or 0.0,
-        photograph.iso or 0.0,
-        photograph.exposure or 0.0,
-    )
+    return tuple(getattr(photograph, name) or 0.0 for name in ("shutter", "aperture", "iso", "exposure"))
 
 
-def find_response(samples: Sequence[np.ndarray], exposures: Sequence[np.ndarray]) -> Response | None:
-    """The response from all groups' samples; None where they don't determine it.
-
-    Args:
-        samples: see `Survey.samples`, one for each group.
-        exposures: (exposures,) of each group.
-    """
-    if len(samples) == 1:
-        samples, exposures = split_samples(samples[0], exposures[0], 8)
-    try:
-        return recover_response(samples, exposures)
-    except (ValueError, np.linalg.LinAlgError):
-        return None
-
-
-def with_correction(photograph: Photograph, corrections: Mapping[tuple[float, ...], float]) -> Photograph:
-    """The photograph with its corrected exposure."""
-    if photograph.exposure is None:
-        return photograph
-    factor = float(np.exp(corrections.get(exposure_key(photograph), 0.0)))
-    return replace(photograph, exposure=photograph.exposure * factor)
-
-
-def _motions(frames: Sequence[Frame], align: bool) -> tuple[tuple[Motion, ...], int, tuple[int, ...]]:
+def _motions(frames: Sequence[Frame], align: bool) -> tuple[tuple[Motion, ...], tuple[int, ...]]:
     """Motions relative to a reference in the middle, from one exposure to the next, which overlap best."""
     reference = len(frames) // 2
     if len(frames) == 1 or not align:
-        return tuple(Motion() for _ in frames), reference, ()
+        return tuple(Motion() for _ in frames), ()
     pictures = [grey(frame.values, frame.clipped) for frame in frames]
     motions: list[Motion] = [Motion()] * len(frames)
     strangers: list[int] = []
@@ -192,40 +247,31 @@ def _motions(frames: Sequence[Frame], align: bool) -> tuple[tuple[Motion, ...], 
     height, width = frames[0].values.shape[:2]
     still = [motion.corner_shift(width, height) < STILL_PIXELS for motion in motions]
     motions = [Motion() if calm else motion for motion, calm in zip(motions, still, strict=True)]
-    return tuple(motions), reference, tuple(sorted(strangers))
+    return tuple(motions), tuple(sorted(strangers))
 
 
 def _grid(frame: Frame, motion: Motion) -> np.ndarray:
     """Means (rows, columns, 3) over squares, NaN where any pixel is clipped, in the reference's geometry."""
     values = np.where(frame.clipped, np.nan, frame.values.astype(np.float32))
-    factor = max(1, max(values.shape[:2]) // SAMPLE_SIDE)
-    height, width = (size // factor * factor for size in values.shape[:2])
-    coarse = block_mean(values[:height, :width], factor)
+    coarse = block_mean(values, max(1, max(values.shape[:2]) // SAMPLE_SIDE))
     return coarse if motion == Motion() else warped(coarse, motion, 0, len(coarse))
 
 
-def _ratio(low: Frame, high: Frame, nominal: float, low_motion: Motion, high_motion: Motion) -> float:
-    first, second = _grid(low, low_motion), _grid(high, high_motion)
+def _log_ratio(low: np.ndarray, high: np.ndarray) -> float:
+    """Log of what an exposure received over what a shorter one did, NaN where they can't be compared."""
     with np.errstate(invalid="ignore"):
-        good = (first > _LOW) & (second < _HIGH)
-    if good.sum() < 50:
-        return float("nan")
-    return float(np.log(np.median(second[good] / first[good]) / nominal))
+        good = (low > _LOW) & (high < _HIGH)
+    return float(np.log(np.median(high[good] / low[good]))) if good.sum() >= 50 else float("nan")
 
 
 def _calm_codes(values: np.ndarray) -> np.ndarray:
     """Mean codes of 8 bits over squares, NaN where a square lies on an edge or any code is clipped."""
-    factor = max(1, max(values.shape[:2]) // SAMPLE_SIDE)
-    height, width = (size // factor * factor for size in values.shape[:2])
+    squares = blocks(values, max(1, max(values.shape[:2]) // SAMPLE_SIDE))
     scale = np.float32(255.0 / np.iinfo(values.dtype).max)
-    grid = np.empty((height // factor, width // factor, 3), np.float32)
-    for row in range(height // factor):
-        codes = values[row * factor : (row + 1) * factor, :width].astype(np.float32) * scale
-        mean = block_mean(codes, factor)
-        spread = np.sqrt(np.maximum(block_mean(codes**2, factor) - mean**2, 0.0))
-        mean[(spread > SMOOTH_CODES) | (mean >= CLIPPED_CODE).any(axis=-1, keepdims=True)] = np.nan
-        grid[row] = mean[0]
-    return grid
+    mean = squares.mean(axis=(1, 3), dtype=np.float32) * scale
+    spread = squares.std(axis=(1, 3), dtype=np.float32) * scale
+    calm = (spread <= SMOOTH_CODES) & (mean < CLIPPED_CODE).all(axis=-1, keepdims=True)
+    return np.where(calm, mean, np.nan)
 
 
 def _samples(codes: Sequence[np.ndarray], motions: Sequence[Motion], most: int) -> np.ndarray:

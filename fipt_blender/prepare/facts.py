@@ -26,36 +26,32 @@ class FinishedStep:
 
 
 @dataclass(frozen=True)
-class Skipped:
-    """A file that can't be used, and why."""
+class LeftOut:
+    """A file that is not used or a view without a pose, why, and what to do about it."""
 
-    path: str
+    name: str
     reason: str
+    remedy: str = ""
 
 
 @dataclass(frozen=True)
 class ReadFacts:
     """Of the step `read`: the files that can't be used, and how many others and groups there are."""
 
-    skipped: tuple[Skipped, ...] = ()
+    skipped: tuple[LeftOut, ...] = ()
     photographs: Count = 0
     groups: Count = 0
 
 
 @dataclass(frozen=True)
 class MergedImage:
-    """A merged group: `image` relative to the capture, `exposures` of what was merged, `left_out` paths."""
+    """A merged group: shares of clipped and moved pixels, and paths of photographs that were left out."""
 
     name: str
-    image: str = ""
     clipped_share: Share | None = None
     moved_share: Share | None = None
     shift_pixels: NotNegative | None = None
-    exposures: tuple[float, ...] = ()
     left_out: tuple[str, ...] = ()
-    width: Count = 0
-    height: Count = 0
-    reduction: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -85,23 +81,12 @@ class Registered:
 
 
 @dataclass(frozen=True)
-class LeftOut:
-    """A photograph without a pose, why, and what to do about it."""
-
-    name: str
-    reason: str
-    remedy: str = ""
-
-
-@dataclass(frozen=True)
 class SolveFacts:
     """Of the step `solve`; `models` are the numbers of views of the unconnected sets."""
 
     registered: tuple[Registered, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     models: tuple[int, ...] = ()
-    points: Count = 0
-    cameras: Count = 0
     reprojection_error: NotNegative | None = None
 
 
@@ -133,11 +118,6 @@ class ScaleFacts:
     meters_per_unit: NotNegative | None = None
     room_from_solve: Matrix | None = None
     difference: NotNegative | None = None
-
-
-@dataclass(frozen=True)
-class ReportFacts:
-    """Of the step `report`, which has none."""
 
 
 def read_facts(folder: PreparationFolder, step: str, kind: type[T]) -> T | None:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import numpy as np
 import rawpy
 from scipy import ndimage
 
+from ..core.capture.encoded import CLIPPED_CODE
 from ..core.capture.images import read_codes, read_radiance
 from ..core.capture.primaries import REC709, xyz_from_rgb
 from .exif import DAMAGE, unreadable
@@ -96,7 +97,7 @@ def linear_frame(stored: Stored, curve: np.ndarray | None, factor: int) -> Frame
 
     Args:
         stored: as loaded.
-        curve: (levels, 3) linear value of each code, 1 at the highest; None for RAW and linear photographs.
+        curve: (256, 3) linear value of each code, 1 at the highest; None for RAW and linear photographs.
         factor: edge of the squares; rows and columns that fill no square are cut off.
     """
     height, width = (size // factor for size in stored.values.shape[:2])
@@ -111,8 +112,8 @@ def linear_frame(stored: Stored, curve: np.ndarray | None, factor: int) -> Frame
             values, clipped = binned_rows(band, stored.colors, stored.ceiling, start * factor, factor)
         else:
             values, clipped = linear_rows(stored, curve, start * factor, stop * factor)
-            values, clipped = values[:, : width * factor], clipped[:, : width * factor]
-            values, clipped = block_mean(values, factor), block_any(clipped, factor)
+            if factor > 1:
+                values, clipped = block_mean(values, factor), blocks(clipped, factor).any(axis=(1, 3))
         frame.values[start:stop], frame.clipped[start:stop] = values, clipped
     return frame
 
@@ -122,27 +123,20 @@ def linear_rows(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Linear values and clipped places, both (rows, width, 3), of the rows from `start` to before `stop`."""
     if stored.colors is not None:
-        values, clipped = demosaiced_rows(stored.values, stored.colors, stored.ceiling, start, stop)
-        return values, clipped
-    values = stored.values[start:stop]
-    if curve is None:
-        clipped = (values >= stored.ceiling).any(axis=-1, keepdims=True)
-        return values, np.repeat(clipped, 3, -1)
-    top = np.iinfo(values.dtype).max
-    # Cameras mix channels after they clip: where one is at its end, the others are wrong, too.
-    clipped = (values >= (top * CLIPPED_CODE) // 255).any(axis=-1, keepdims=True)
-    codes = values.astype(np.intp) if len(curve) == top + 1 else values * (len(curve) - 1.0) / top
-    linear = np.empty(values.shape, np.float32)
-    for channel in range(3):
-        if codes.dtype == np.intp:
-            linear[..., channel] = curve[codes[..., channel], channel]
+        return demosaiced_rows(stored.values, stored.colors, stored.ceiling, start, stop)
+    values, ceiling = stored.values[start:stop], stored.ceiling
+    if curve is not None:
+        codes, top = values, np.iinfo(values.dtype).max
+        ceiling = CLIPPED_CODE / 255.0 * top
+        if top == 255:
+            values = curve.astype(np.float32)[codes, np.arange(3)]
         else:
-            linear[..., channel] = np.interp(codes[..., channel], np.arange(len(curve)), curve[:, channel])
-    return linear, np.repeat(clipped, 3, -1)
-
-
-# Codes of 8 bits from which on a channel counts as clipped: JPEG's noise blurs the end of the scale.
-CLIPPED_CODE = 252
+            scaled, levels = codes * (255.0 / top), np.arange(256)
+            channels = [np.interp(scaled[..., c], levels, curve[:, c]) for c in range(3)]
+            values = np.stack(channels, -1).astype(np.float32)
+    # Cameras mix channels after they clip: where one is at its end, the others are wrong, too.
+    clipped = (stored.values[start:stop] >= ceiling).any(axis=-1, keepdims=True)
+    return values, np.repeat(clipped, 3, -1)
 
 
 def demosaiced_rows(
@@ -193,15 +187,14 @@ def binned_rows(
     down = _centering_weights(len(mosaic), start, colors.shape[0], factor)
     across = _centering_weights(mosaic.shape[1], 0, colors.shape[1], factor)
     weighted = mosaic * down[:, None] * across[None, :]
-    shape = len(mosaic) // factor, factor, mosaic.shape[1] // factor, factor
     high = mosaic >= ceiling
-    values = np.empty((shape[0], shape[2], 3), np.float32)
+    values = np.empty((len(mosaic) // factor, mosaic.shape[1] // factor, 3), np.float32)
     clipped = np.empty(values.shape, bool)
     for channel in range(3):
         own = pattern == channel
-        total = np.where(own, weighted, np.float32(0.0)).reshape(shape).sum(axis=(1, 3))
+        total = blocks(np.where(own, weighted, np.float32(0.0)), factor).sum(axis=(1, 3))
         values[..., channel] = total / np.float32((colors == channel).sum())
-        clipped[..., channel] = (own & high).reshape(shape).any(axis=(1, 3)) if high.any() else False
+        clipped[..., channel] = blocks(own & high, factor).any(axis=(1, 3)) if high.any() else False
     return values, clipped
 
 
@@ -224,35 +217,23 @@ def _centering_weights(count: int, start: int, period: int, factor: int) -> np.n
     return weights.astype(np.float32)
 
 
+def blocks(values: np.ndarray, factor: int) -> np.ndarray:
+    """Squares of (height, width, ...) as (rows, factor, columns, factor, ...), without what fills none."""
+    rows, columns = values.shape[0] // factor, values.shape[1] // factor
+    whole = values[: rows * factor, : columns * factor]
+    return whole.reshape(rows, factor, columns, factor, *values.shape[2:])
+
+
 def block_mean(values: np.ndarray, factor: int) -> np.ndarray:
-    """Means over squares of (height, width, channels); the sizes must be multiples of the factor."""
-    if factor == 1:
-        return values
-    height, width, channels = values.shape
-    blocks = values.reshape(height // factor, factor, width // factor, factor, channels)
-    return blocks.mean(axis=(1, 3), dtype=np.float32)
-
-
-def block_any(flags: np.ndarray, factor: int) -> np.ndarray:
-    """Whether any of a square's flags is set; see `block_mean`."""
-    if factor == 1:
-        return flags
-    height, width, channels = flags.shape
-    return flags.reshape(height // factor, factor, width // factor, factor, channels).any(axis=(1, 3))
+    """Means over squares of (height, width, ...); see `blocks`."""
+    return values if factor == 1 else blocks(values, factor).mean(axis=(1, 3), dtype=np.float32)
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
     """Pixels (height, width, ...) turned and mirrored as EXIF's orientation says (1 to 8)."""
-    turns: dict[int, Callable[[np.ndarray], np.ndarray]] = {
-        2: lambda p: p[:, ::-1],
-        3: lambda p: p[::-1, ::-1],
-        4: lambda p: p[::-1],
-        5: lambda p: p.swapaxes(0, 1),
-        6: lambda p: p.swapaxes(0, 1)[:, ::-1],
-        7: lambda p: p[::-1, ::-1].swapaxes(0, 1),
-        8: lambda p: p.swapaxes(0, 1)[::-1],
-    }
-    return np.ascontiguousarray(turns.get(orientation, lambda p: p)(pixels))
+    pixels = pixels.swapaxes(0, 1) if orientation >= 5 else pixels
+    pixels = pixels[::-1] if orientation in (3, 4, 7, 8) else pixels
+    return np.ascontiguousarray(pixels[:, ::-1] if orientation in (2, 3, 6, 7) else pixels)
 
 
 def rec709_from_camera(xyz_to_camera: np.ndarray) -> np.ndarray:
@@ -280,18 +261,10 @@ def _load_raw(path: Path) -> Stored:
         balance = _balance(raw)
         if raw.raw_type != rawpy.RawType.Flat or raw.raw_pattern is None:
             return Stored(_developed(raw), ceiling=NEAR_TOP, balance=balance, matrix=matrix)
-        mosaic = raw.raw_image_visible
+        values, colors = raw.raw_image_visible.astype(np.float32), np.array(raw.raw_pattern)
         black = np.array(raw.black_level_per_channel, np.float32)
-        colors = np.array(raw.raw_pattern)
-        below = black[colors]
-        white = float(raw.white_level)
-        places = np.ix_(
-            np.arange(mosaic.shape[0]) % len(colors), np.arange(mosaic.shape[1]) % colors.shape[1]
-        )
-        span = np.float32(white - below.mean())
-        values = mosaic.astype(np.float32)
-        values -= below[places]
-        values /= span
+        values -= black[raw.raw_colors_visible]
+        values /= np.float32(raw.white_level - black[colors].mean())
     channels = np.where(colors == 3, 1, colors)  # the second green
     return Stored(values, channels, find_ceiling(values), float(values.max()), balance, matrix)
 

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from PIL import Image
 from scipy import ndimage
+from scipy.optimize import nnls
 
 from ..core.radiometry.adjustment import CODE_NOISE
 from .frames import BAND_ROWS, Frame, block_mean
@@ -23,11 +23,12 @@ from .motion import Motion, warped
 # The hat: full weight up to here, none from the ceiling on.
 HAT_FROM, HAT_TO = 0.7, 0.97
 SAMPLE_SIDE = 384  # the longer side of the grid on which exposures are compared, and moved regions found
+UNKNOWN_NOISE = 1e-4, 1e-3  # gain and read noise of a usual sensor
 _LEAST_WEIGHT = 1e-9  # so that no sum of weights is zero
 MOVED_LOG = 0.15  # regions whose exposures differ by more than this in the logarithm have moved
 # Exposures that a fraction of a pixel moved out of the image still count in the last rows and columns, which
 # would otherwise be left to the noise of darker ones.
-BORDER = 1.0
+BORDER = 1
 _DARK, _BRIGHT = 0.01, 0.85  # linear values that are compared to find them
 
 
@@ -85,14 +86,11 @@ def measure_noise(values: np.ndarray, period: int) -> tuple[float, float]:
         values: (height, width) mosaic.
         period: distance between places of one channel.
     """
-    rows = values[: len(values) // 16 * 16, : values.shape[1] // 16 * 16]
-    first = rows[:, : -2 * period : 1].astype(np.float32)
+    rows = values[:, : values.shape[1] - 2 * period].astype(np.float32)
+    middle = values[:, period:-period].astype(np.float32)
     # The second difference is blind to slopes; noise of variance s² gives it 6 s².
-    second = first - 2.0 * rows[:, period:-period] + rows[:, 2 * period :]
-    height, width = (size // 8 * 8 for size in second.shape)
-    blocks = second[:height, :width].reshape(height // 8, 8, width // 8, 8)
-    variance = (blocks**2).mean(axis=(1, 3)).ravel() / 6.0
-    level = rows[:height, period : period + width].reshape(height // 8, 8, width // 8, 8).mean((1, 3)).ravel()
+    second = rows - 2.0 * middle + values[:, 2 * period :]
+    variance, level = block_mean(second**2, 8).ravel() / 6.0, block_mean(middle, 8).ravel()
     edges = np.quantile(level[level < _BRIGHT], np.linspace(0.0, 1.0, 17)) if (level < _BRIGHT).any() else []
     points = []
     for low, high in itertools.pairwise(edges):
@@ -100,13 +98,14 @@ def measure_noise(values: np.ndarray, period: int) -> tuple[float, float]:
         if inside.sum() >= 8:
             points.append((float(np.median(level[inside])), float(np.quantile(variance[inside], 0.2))))
     if len(points) < 2:
-        return 1e-4, 1e-3
+        return UNKNOWN_NOISE
     x, y = np.array(points).T
     y = np.maximum(y, 1e-10)
     # Relative errors: the darkest places determine the read noise.
     design = np.stack([np.maximum(x, 0.0), np.ones_like(x)], -1) / y[:, None]
-    gain, read = _non_negative(design, np.ones_like(y))
-    return max(gain, 1e-7), max(float(np.sqrt(read)), 1e-5)
+    scale = np.linalg.norm(design, axis=0)
+    gain, read = nnls(design / scale, np.ones_like(y))[0] / scale
+    return max(float(gain), 1e-7), max(float(np.sqrt(read)), 1e-5)
 
 
 def merge_exposures(
@@ -134,16 +133,21 @@ def merge_exposures(
         only = [u & ((choice < 0) | (choice == j))[..., None] for j, u in enumerate(usable)]
         lost = ~np.any(only, axis=0)
         usable = [np.where(lost, u, o) for u, o in zip(usable, only, strict=True)]
-    radiance = _weighted(values, usable, exposures, noise, None)
-    for _ in range(2):  # the second with the weights of the first
-        radiance = _weighted(values, usable, exposures, noise, radiance)
+    radiance = np.zeros(values[0].shape, np.float32)
+    for iteration in range(3):  # from the second on with the weights of what the one before has found
+        total, weights = np.zeros_like(radiance), np.zeros_like(radiance)
+        for value, good, exposure in zip(values, usable, exposures, strict=True):
+            clean = np.where(good, value, 0.0).astype(np.float32)
+            weight = noise.weigh(radiance * np.float32(exposure) if iteration else clean)
+            weight[~good] = 0.0
+            total += weight * clean / np.float32(exposure)
+            weights += weight
+        radiance = np.divide(total, weights, out=np.zeros_like(total), where=weights > 0.0)
     none = ~np.any(usable, axis=0)
     if none.any():
-        bound = np.full(radiance.shape, np.nan, np.float32)
-        for value, exposure in zip(values, exposures, strict=True):
-            missing = ~np.isfinite(bound)
-            bound[missing] = (value / np.float32(exposure))[missing]
-        radiance = np.where(none, np.nan_to_num(bound), radiance)
+        for value, exposure in zip(reversed(values), reversed(exposures), strict=True):  # the shortest counts
+            known = none & np.isfinite(value)
+            radiance[known] = (value / np.float32(exposure))[known]
     return radiance, none
 
 
@@ -158,15 +162,13 @@ def moved_regions(values: Sequence[np.ndarray], sigmas: Sequence[np.ndarray]) ->
         (rows, columns) int8: index of the exposure, -1 where nothing has moved.
     """
     moved = np.zeros(values[0].shape, bool)
-    for j in range(len(values)):
-        for k in range(j + 1, len(values)):
-            both = np.isfinite(values[j]) & np.isfinite(values[k]) & (values[j] > 0) & (values[k] > 0)
-            ratio = np.zeros(moved.shape)
-            ratio[both] = np.log(values[j][both] / values[k][both])
-            if both.any():
-                ratio[both] -= np.median(ratio[both])
-            noise = np.hypot(np.nan_to_num(sigmas[j]), np.nan_to_num(sigmas[k]))
-            moved |= both & (np.abs(ratio) > np.maximum(MOVED_LOG, 5.0 * noise))
+    logs = [np.log(value) for value in values]
+    for j, k in itertools.combinations(range(len(logs)), 2):
+        ratio = logs[j] - logs[k]
+        both = np.isfinite(ratio)
+        if both.any():
+            least = np.maximum(MOVED_LOG, 5.0 * np.hypot(sigmas[j], sigmas[k]))
+            moved |= np.abs(ratio - np.median(ratio[both])) > least
     # Edges that are a fraction of a pixel apart leave lines; what has moved has a width.
     moved = ndimage.binary_opening(moved, np.ones((2, 2), bool))
     moved = ndimage.binary_dilation(moved, np.ones((3, 3), bool))
@@ -208,15 +210,6 @@ def merge_group(
     return radiance, clipped, moved
 
 
-def resized(image: np.ndarray, side: int) -> np.ndarray:
-    """An image (height, width, 3) float32 whose longer side is `side`, by means over areas."""
-    height, width = image.shape[:2]
-    factor = side / max(height, width)
-    size = max(1, round(width * factor)), max(1, round(height * factor))
-    planes = [Image.fromarray(np.ascontiguousarray(image[..., c])) for c in range(image.shape[2])]
-    return np.stack([np.asarray(plane.resize(size, Image.Resampling.BOX)) for plane in planes], -1)
-
-
 def in_rec709(
     radiance: np.ndarray, clipped: np.ndarray, balance: np.ndarray, matrix: np.ndarray
 ) -> np.ndarray:
@@ -229,32 +222,6 @@ def in_rec709(
     highest = np.where(clipped, balanced, 0.0).max(axis=-1, keepdims=True)
     balanced = np.where(clipped, np.maximum(balanced, highest), balanced)
     return np.maximum(balanced @ matrix.T.astype(np.float32), 0.0)
-
-
-def _weighted(
-    values: Sequence[np.ndarray],
-    usable: Sequence[np.ndarray],
-    exposures: Sequence[float],
-    noise: Noise,
-    expected: np.ndarray | None,
-) -> np.ndarray:
-    total = np.zeros(values[0].shape, np.float32)
-    weights = np.zeros(values[0].shape, np.float32)
-    for value, good, exposure in zip(values, usable, exposures, strict=True):
-        clean = np.where(good, value, 0.0).astype(np.float32)
-        weight = noise.weigh(clean if expected is None else expected * np.float32(exposure))
-        weight[~good] = 0.0
-        total += weight * clean / np.float32(exposure)
-        weights += weight
-    return np.divide(total, weights, out=np.zeros_like(total), where=weights > 0.0)
-
-
-def _non_negative(design: np.ndarray, target: np.ndarray) -> tuple[float, float]:
-    from scipy.optimize import nnls
-
-    scale = np.linalg.norm(design, axis=0)
-    found = nnls(design / scale, target)[0] / scale
-    return float(found[0]), float(found[1])
 
 
 def _band(frame: Frame, motion: Motion, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:

@@ -8,12 +8,13 @@ weights that leave out what is clipped, too dark or has moved.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
 
 from ..core.robust import deviation
+from .frames import block_mean, blocks
 
 FINEST_SIDE = 1024  # pixels of the longer side at which motion is measured
 STILL_PIXELS = 0.15  # smaller motion of any corner, in pixels of the working size, is measurement noise
@@ -86,14 +87,12 @@ def measure(reference: np.ndarray, exposure: np.ndarray) -> Motion:
 
 def grey(values: np.ndarray, clipped: np.ndarray, side: int = FINEST_SIDE) -> np.ndarray:
     """(height, width) means of the channels, NaN where clipped, at most about `side` pixels long."""
-    factor = max(1, -(-max(values.shape[:2]) // side))
-    height, width = (size // factor * factor for size in values.shape[:2])
-    mean = values[:height, :width].mean(axis=-1, dtype=np.float32)
-    mean[clipped[:height, :width].any(axis=-1)] = np.nan
-    return mean.reshape(height // factor, factor, width // factor, factor).mean(axis=(1, 3))
+    mean = values.mean(axis=-1, dtype=np.float32)
+    mean[clipped.any(axis=-1)] = np.nan
+    return block_mean(mean, max(1, -(-max(mean.shape) // side)))
 
 
-def warped(values: np.ndarray, motion: Motion, start: int, stop: int, margin: float = 0.0) -> np.ndarray:
+def warped(values: np.ndarray, motion: Motion, start: int, stop: int, margin: int = 0) -> np.ndarray:
     """Rows of an exposure in the reference's geometry, bilinear; NaN outside.
 
     Args:
@@ -103,22 +102,19 @@ def warped(values: np.ndarray, motion: Motion, start: int, stop: int, margin: fl
         margin: pixels beyond the border that have its values.
     """
     height, width = values.shape[:2]
-    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(start, stop) + 0.5)
-    places = motion.apply(np.stack([x.ravel(), y.ravel()], -1), width, height) - 0.5
-    low = int(np.clip(np.floor(places[:, 1].min()) - 1, 0, height - 1))
-    high = int(np.clip(np.ceil(places[:, 1].max()) + 2, low + 1, height))
-    rows = values[low:high].astype(np.float32)
-    coordinates = [places[:, 1] - low, places[:, 0]]
-    channels = [
-        ndimage.map_coordinates(rows[..., c], coordinates, order=1, mode="nearest", output=np.float32)
+    cos, sin = np.cos(motion.angle), np.sin(motion.angle)
+    matrix = np.array([[cos, sin], [-sin, cos]])  # of rows and columns
+    origin = motion.apply(np.array([[0.5, start + 0.5]]), width, height)[0, ::-1] - 0.5
+    reach = origin[0] + np.add.outer([0.0, cos * (stop - start - 1)], [0.0, sin * (width - 1)])
+    low = int(np.clip(np.floor(reach.min()) - 1, 0, height - 1))
+    high = int(np.clip(np.ceil(reach.max()) + 2, low + 1, height))
+    rows = np.pad(values[low:high].astype(np.float32), ((margin,) * 2, (margin,) * 2, (0, 0)), "edge")
+    shape, offset = (stop - start, width), origin + margin - [low, 0]
+    moved = [
+        ndimage.affine_transform(rows[..., c], matrix, offset, shape, order=1, cval=np.nan)
         for c in range(values.shape[2])
     ]
-    result = np.stack(channels, -1)
-    # Half a pixel beyond the centres of the border's pixels still belongs to the image.
-    reach = [width / 2 + margin, height / 2 + margin]
-    inside = (np.abs(places + 0.5 - [width / 2, height / 2]) <= reach).all(axis=1)
-    result[~inside] = np.nan
-    return result.reshape(stop - start, width, -1)
+    return np.stack(moved, -1)
 
 
 def log_values(image: np.ndarray) -> np.ndarray:
@@ -131,34 +127,27 @@ def _pyramid(image: np.ndarray) -> list[np.ndarray]:
     """The image at growing sizes; a pixel of a smaller one is usable if half of its four are."""
     levels = [image]
     while max(levels[0].shape) >= 96 and min(levels[0].shape) >= 16:
-        last = levels[0]
-        height, width = (size // 2 * 2 for size in last.shape)
-        blocks = last[:height, :width].reshape(height // 2, 2, width // 2, 2)
-        counts = np.isfinite(blocks).sum(axis=(1, 3))
-        sums = np.nansum(blocks, axis=(1, 3))
+        four = blocks(levels[0], 2)
+        counts = np.isfinite(four).sum(axis=(1, 3))
+        sums = np.nansum(four, axis=(1, 3))
         levels.insert(0, np.where(counts >= 2, sums / np.maximum(counts, 1), np.nan))
     return levels
 
 
 def _searched(reference: np.ndarray, exposure: np.ndarray) -> Motion:
     """The best shift by whole pixels at the coarsest size, by the correlation of what both can use."""
-    reach = int(np.ceil(MOST_SHARE * max(reference.shape)))
-    height, width = reference.shape
+    (height, width), side = reference.shape, max(reference.shape)
+    reach = int(np.ceil(MOST_SHARE * side))
+    padded = np.pad(exposure, reach, constant_values=np.nan)
     best, found = -2.0, Motion()
-    for dy in range(-reach, reach + 1):
-        for dx in range(-reach, reach + 1):
-            rows, columns = slice(max(0, -dy), height - max(0, dy)), slice(max(0, -dx), width - max(0, dx))
-            other_rows = slice(rows.start + dy, rows.stop + dy)
-            a, b = (
-                reference[rows, columns],
-                exposure[other_rows, slice(columns.start + dx, columns.stop + dx)],
-            )
-            both = np.isfinite(a) & np.isfinite(b)
-            if both.sum() < 2 * LEAST_OVERLAP * reference.size:
-                continue
-            value = _correlation(a[both], b[both])
-            if value > best:
-                best, found = value, Motion(dx / max(height, width), dy / max(height, width))
+    for dy, dx in np.ndindex(2 * reach + 1, 2 * reach + 1):
+        moved = padded[dy : dy + height, dx : dx + width]
+        both = np.isfinite(reference) & np.isfinite(moved)
+        if both.sum() < 2 * LEAST_OVERLAP * reference.size:
+            continue
+        value = _correlation(reference[both], moved[both])
+        if value > best:
+            best, found = value, Motion((dx - reach) / side, (dy - reach) / side)
     return found
 
 
@@ -167,68 +156,43 @@ def _refined(reference: np.ndarray, exposure: np.ndarray, motion: Motion) -> Mot
     height, width = reference.shape
     side = max(height, width)
     known = np.flatnonzero(np.isfinite(reference))
-    if len(known) < LEAST_OVERLAP * reference.size:
-        return Motion(motion.x, motion.y, motion.angle, -1.0)
+    overlap = len(known) / reference.size
     known = known[:: max(1, len(known) // 40_000)]
     points = np.stack([known % width, known // width], -1) + 0.5
-    target = reference.ravel()[known].astype(np.float64)
+    target = reference.ravel()[known]
+    slopes = np.gradient(exposure)
     for _ in range(20):
         places = motion.apply(points, width, height)
-        values, slopes = _sampled(exposure, places)
-        valid = np.isfinite(values)
-        if valid.sum() < LEAST_OVERLAP * len(points):
-            return Motion(motion.x, motion.y, motion.angle, -1.0)
-        a, b, slopes = target[valid], values[valid], slopes[valid]
+        sampled = [
+            ndimage.map_coordinates(image, places.T[::-1] - 0.5, order=1, cval=np.nan)
+            for image in (exposure, *slopes)
+        ]
+        valid = np.isfinite(sampled).all(axis=0)
+        if valid.sum() < LEAST_OVERLAP * len(points) or overlap < LEAST_OVERLAP:
+            return replace(motion, similarity=-1.0)
+        a, (b, down, across) = target[valid], (values[valid] for values in sampled)
         # How a pixel's place changes with the angle: perpendicular to its way from the centre.
         arm = places[valid] - [width / 2.0 + side * motion.x, height / 2.0 + side * motion.y]
-        turning = -slopes[:, 0] * arm[:, 1] + slopes[:, 1] * arm[:, 0]
-        columns = np.stack(
-            [
-                slopes[:, 0] * side,
-                slopes[:, 1] * side,
-                turning,
-                np.ones_like(b),
-                b - b.mean(),
-                (b - b.mean()) ** 2,
-            ],
-            -1,
-        )
-        tone = np.linalg.solve(
-            _products(columns[:, 3:], columns[:, 3:]), _products(columns[:, 3:], a[:, None])
-        )
-        plain = np.einsum("ni,i->n", columns[:, 3:], tone[:, 0])
+        turning = down * arm[:, 0] - across * arm[:, 1]
+        b = b - b.mean()
+        columns = np.stack([across * side, down * side, turning, np.ones_like(b), b, b**2], -1)
+        tone = columns[:, 3:]
+        plain = np.einsum("ni,i->n", tone, _solved(tone, tone, a))
         residual = a - plain
-        spread = deviation(residual) + 1e-6
-        weighted = columns * (np.abs(residual) < _OUTLIER * spread)[:, None]
-        step = np.linalg.solve(_products(weighted, columns), _products(weighted, residual[:, None]))[:, 0]
+        used = np.abs(residual) < _OUTLIER * deviation(residual, 1e-6)
+        step = _solved(columns * used[:, None], columns, residual)
         motion = Motion(motion.x + step[0], motion.y + step[1], motion.angle + step[2])
-        if max(abs(step[0]), abs(step[1]), abs(step[2])) * side < 2e-3:
+        if np.abs(step[:3]).max() * side < 2e-3:
             break
-    return Motion(motion.x, motion.y, motion.angle, _correlation(a, plain))
+    return replace(motion, similarity=_correlation(a, plain))
 
 
-def _products(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """first.T @ second, with a little on the diagonal of a square; in one thread, as these are small."""
-    products = np.einsum("ni,nj->ij", first, second)
-    if len(products) == products.shape[1]:
-        products[np.diag_indices(len(products))] *= 1.0 + 1e-9
-        products[np.diag_indices(len(products))] += 1e-12
-    return products
-
-
-def _sampled(image: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bilinear values (n,) and their slopes (n, 2) along x and y; NaN outside and beside unusable pixels."""
-    height, width = image.shape
-    x, y = places[:, 0] - 0.5, places[:, 1] - 0.5
-    column = np.clip(np.floor(x).astype(int), 0, width - 2)
-    row = np.clip(np.floor(y).astype(int), 0, height - 2)
-    u, v = x - column, y - row
-    outside = (np.minimum(u, v) < 0.0) | (np.maximum(u, v) > 1.0)
-    a, b = image[row, column], image[row, column + 1]
-    c, d = image[row + 1, column], image[row + 1, column + 1]
-    values = (a * (1 - u) + b * u) * (1 - v) + (c * (1 - u) + d * u) * v
-    slopes = np.stack([(b - a) * (1 - v) + (d - c) * v, (c - a) * (1 - u) + (d - b) * u], -1)
-    return np.where(outside, np.nan, values), slopes
+def _solved(weighted: np.ndarray, columns: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Least squares in one thread, as these are small; a little on the diagonal decides what nothing does."""
+    normal = np.einsum("ni,nj->ij", weighted, columns)
+    normal[np.diag_indices(len(normal))] *= 1.0 + 1e-9
+    normal[np.diag_indices(len(normal))] += 1e-12
+    return np.linalg.solve(normal, np.einsum("ni,n->i", weighted, target))
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:

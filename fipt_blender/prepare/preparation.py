@@ -7,9 +7,9 @@ The add-on and the user edit the file between steps; therefore it is read and ch
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path, PurePath
 from typing import Annotated, Any, ClassVar
 
 from ..core.capture.options import LAYER_TEXT
@@ -234,6 +234,8 @@ class PreparationFolder:
         self.sparse = self.root / "sparse" / "0"
         self.report = self.root / "report"
         self.stage = self.root / "stage"
+        self.solve = self.stage / "solve"
+        self.model = self.solve / "model"  # the cameras in the frame of the solve
 
     def image(self, group: Group) -> Path:
         """The merged image of a group: scene-linear radiance, upright, with the lens's distortion."""
@@ -246,6 +248,53 @@ class PreparationFolder:
     def facts(self, step: str) -> Path:
         """What a finished step has found out, for the report and for later steps (JSON)."""
         return self.stage / f"{step}.json"
+
+
+def split_group(groups: Sequence[Group], index: int, at: int) -> list[Group]:
+    """The groups with one of them cut into its first `at` photographs and the others.
+
+    The first part keeps its name; the second takes that of its first photograph.
+
+    Raises:
+        FiptError: ``group-not-split`` where a part would be empty.
+    """
+    group = groups[index]
+    if not 0 < at < len(group.photographs):
+        raise FiptError(
+            "group-not-split",
+            f"The group '{group.name}' can't be split before its first photograph.",
+            "Select the photograph that begins the second group.",
+        )
+    name = free_name(PurePath(group.photographs[at]).stem, {other.name.casefold() for other in groups})
+    first = replace(group, photographs=group.photographs[:at])
+    second = replace(group, name=name, photographs=group.photographs[at:])
+    return [*groups[:index], first, second, *groups[index + 1 :]]
+
+
+def merge_groups(groups: Sequence[Group], index: int) -> list[Group]:
+    """The groups with one of them and the next one as one group, which has the name of the first.
+
+    Raises:
+        FiptError: ``group-not-merged`` for the last group.
+    """
+    if not 0 <= index < len(groups) - 1:
+        raise FiptError(
+            "group-not-merged", "There is no group after this one.", "Select the first of the two groups."
+        )
+    first, second = groups[index], groups[index + 1]
+    merged = replace(
+        first, photographs=(*first.photographs, *second.photographs), used=first.used or second.used
+    )
+    return [*groups[:index], merged, *groups[index + 2 :]]
+
+
+def free_name(name: str, taken: Set[str]) -> str:
+    """The name, or with the first number from 2 that makes it differ from the taken ones (case-folded)."""
+    number, numbered = 1, name
+    while numbered.casefold() in taken:
+        number += 1
+        numbered = f"{name}_{number}"
+    return numbered
 
 
 def make_prepare_settings(changes: Mapping[str, Any]) -> PrepareSettings:

@@ -16,11 +16,10 @@ from ..core.capture.panorama import says_panorama
 from ..core.capture.suffixes import SUFFIXES
 from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter
-from .brackets import find_groups, in_order, remarks
+from .brackets import find_groups, in_order, likeness, listed, remarks
 from .exif import describe
-from .facts import ReadFacts, Skipped
-from .likeness import Likeness
-from .preparation import Group, Photograph, Preparation, PreparationFolder, write_preparation
+from .facts import LeftOut, ReadFacts
+from .preparation import Photograph, Preparation, PreparationFolder, write_preparation
 
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
@@ -41,40 +40,45 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
         FiptError: ``no-photographs``.
     """
     photographs: list[Photograph] = []
-    skipped: list[Skipped] = []
-    panoramas: list[Skipped] = []
-    maps: list[Skipped] = []
-    names = list_photographs(preparation.source)
+    damaged: list[LeftOut] = []
+    panoramas: list[LeftOut] = []
+    maps: list[LeftOut] = []
+    source = preparation.source
+    names = list_photographs(source)
     for index, name in enumerate(names):
         try:
-            photograph = describe(preparation.source / name, name)
+            photograph = describe(source / name, name)
             size = photograph.width, photograph.height
             # Cameras and phones write what a photograph was taken with, programs that make maps do not.
             what = "" if photograph.model or photograph.shutter else role(name)
             if what:
-                maps.append(Skipped(name, f"it is one of the {what}"))
-            elif not preparation.settings.cameras and says_panorama(preparation.source / name, size):
-                panoramas.append(Skipped(name, "it is an equirectangular panorama, which is not solved here"))
+                maps.append(LeftOut(name, f"it is one of the {what}"))
+            elif not preparation.settings.cameras and says_panorama(source / name, size):
+                panoramas.append(LeftOut(name, "it is an equirectangular panorama, which is not solved here"))
             else:
                 photographs.append(photograph)
         except FiptError as error:
-            remedy = f" {error.remedy}" if error.code == "package-optional" else ""
-            skipped.append(Skipped(name, error.text + remedy))
+            remedy = error.remedy if error.code == "package-optional" else ""
+            damaged.append(LeftOut(name, error.text, remedy))
         reporter.progress(0.7 * (index + 1) / len(names))  # of the time; the rest compares photographs
     photographs, doubles = without_doubles(in_order(photographs))
-    damaged = list(skipped)
-    copies = [Skipped(item.path, "the photograph that it was made of is used") for item in doubles]
-    skipped += [*copies, *maps, *panoramas]
+    copies = [LeftOut(item.path, "the photograph that it was made of is used") for item in doubles]
+    skipped = (*damaged, *copies, *maps, *panoramas)
     if not photographs:
-        raise _none_usable(preparation.source, skipped)
-    photographs = with_entered_exposures(photographs, preparation.photographs)
-    groups = find_groups(photographs, preparation.settings.grouping, Likeness(preparation.source))
+        raise FiptError(
+            "no-photographs",
+            f"None of the {len(skipped)} photographs in {source} can be read; the first: {skipped[0].reason}",
+            "Copy them from the camera again, or export them in another format.",
+        )
+    # Exposures that the header lacks may be in prepare.json.
+    entered = {item.path: item.exposure for item in preparation.photographs}
+    photographs = [replace(item, exposure=item.exposure or entered.get(item.path)) for item in photographs]
+    groups = find_groups(photographs, preparation.settings.grouping, likeness(source))
     if panoramas:
-        more = f" and {len(panoramas) - 1} more" if len(panoramas) > 1 else ""
         reporter.warning(
             "panoramas-left-out",
-            f"{panoramas[0].path}{more} {'are' if more else 'is'} left out: equirectangular panoramas can't"
-            " be solved with the other photographs.",
+            f"Left out: {listed([item.name for item in panoramas])}. Equirectangular panoramas can't be"
+            " solved with the other photographs.",
             "Give the panorama and its place to the import (Import Settings > Advanced > Panorama,"
             " --panorama), or use an existing solve that has it (COLMAP, Metashape, OpenSfM).",
         )
@@ -84,9 +88,17 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
         said += [f"{len(copies)} JPEGs of RAW photographs or edited copies"] if copies else []
         remedy = "To use them instead, move the others out of the folder."
         reporter.warning("images-left-out", f"{' and '.join(said)} are left out.", remedy)
-    _warn(reporter, damaged, photographs, groups)
+    if damaged:
+        reporter.warning(
+            "photographs-skipped",
+            f"{listed([item.name for item in damaged])} can't be used: {damaged[0].reason}"
+            f" {damaged[0].remedy}".strip(),
+            "Copy them from the camera again, or remove them.",
+        )
+    for remark in remarks(photographs, groups):
+        reporter.warning(remark.code, remark.text, remark.remedy)
     write_preparation(folder, replace(preparation, photographs=tuple(photographs), groups=tuple(groups)))
-    return ReadFacts(tuple(skipped), len(photographs), len(groups))
+    return ReadFacts(skipped, len(photographs), len(groups))
 
 
 def list_photographs(source: Path) -> list[str]:
@@ -140,41 +152,5 @@ def without_doubles(photographs: Sequence[Photograph]) -> tuple[list[Photograph]
     return [item for item in photographs if item not in copies], copies
 
 
-def with_entered_exposures(
-    photographs: Sequence[Photograph], before: Sequence[Photograph]
-) -> list[Photograph]:
-    """Photographs whose header has no exposure, with the one that prepare.json had for them."""
-    entered = {item.path: item.exposure for item in before}
-    return [
-        replace(item, exposure=entered.get(item.path)) if item.exposure is None else item
-        for item in photographs
-    ]
-
-
 def _stem(photograph: Photograph) -> str:
     return PurePath(photograph.path).with_suffix("").as_posix().casefold()
-
-
-def _none_usable(source: Path, skipped: Sequence[Skipped]) -> FiptError:
-    return FiptError(
-        "no-photographs",
-        f"None of the {len(skipped)} photographs in {source} can be read; the first: {skipped[0].reason}",
-        "Copy them from the camera again, or export them in another format.",
-    )
-
-
-def _warn(
-    reporter: Reporter,
-    damaged: Sequence[Skipped],
-    photographs: Sequence[Photograph],
-    groups: Sequence[Group],
-) -> None:
-    if damaged:
-        more = f" and {len(damaged) - 1} more" if len(damaged) > 1 else ""
-        reporter.warning(
-            "photographs-skipped",
-            f"{damaged[0].path}{more} can't be used: {damaged[0].reason}",
-            "Copy them from the camera again, or remove them.",
-        )
-    for remark in remarks(photographs, groups):
-        reporter.warning(remark.code, remark.text, remark.remedy)

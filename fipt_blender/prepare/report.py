@@ -31,7 +31,6 @@ from .facts import (
     MergedImage,
     MergeFacts,
     ReadFacts,
-    ReportFacts,
     ResponseFacts,
     ScaleFacts,
     SolveFacts,
@@ -55,40 +54,19 @@ _CURVE_SIZE = 200.0  # pixels along an edge of the picture of a response
 
 
 @dataclass(frozen=True)
-class GroupRow:
-    """One group on the page; values that no step has measured are None."""
-
-    name: str
-    used: bool
-    photographs: tuple[str, ...]
-    shutters: tuple[str, ...]
-    picture: str
-    clipped_share: float | None
-    moved_share: float | None
-    shift_pixels: float | None
-    state: str
-    points: float | None
-    reprojection_error: float | None
-
-
-@dataclass(frozen=True)
-class Arrow:
-    """A camera on the plan: from its place along its view, in pixels of the plan."""
-
-    name: str
-    x: float
-    y: float
-    tip_x: float
-    tip_y: float
-
-
-@dataclass(frozen=True)
 class Plan:
-    """The cameras from above; `length` is what `bar` pixels of it are, in units of the model."""
+    """The cameras from above, in pixels of the plan.
+
+    Attributes:
+        width, height: of the plan.
+        arrows: of each camera its name, its place (2,), and the tip of an arrow along its view (2,).
+        bar: length of a bar.
+        length: what the bar is in units of the model.
+    """
 
     width: float
     height: float
-    arrows: tuple[Arrow, ...]
+    arrows: tuple[tuple[str, list[float], list[float]], ...]
     bar: float
     length: float
 
@@ -98,10 +76,9 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
     return [asdict(group) for group in preparation.groups]
 
 
-def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> ReportFacts:
+def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> None:
     """The step `report`; it has no facts of its own."""
     write_report(folder, preparation, reporter.progress)
-    return ReportFacts()
 
 
 def write_report(
@@ -121,31 +98,39 @@ def write_report(
         FiptError: ``file-damaged``, ``image-unreadable``, ``disk-full`` or ``run-unwritable``.
     """
     merge = read_facts(folder, "merge", MergeFacts) or MergeFacts()
+    read = read_facts(folder, "read", ReadFacts) or ReadFacts()
     solve = read_facts(folder, "solve", SolveFacts)
     vignetting = read_facts(folder, "vignetting", VignettingFacts) or VignettingFacts()
-    scale = read_facts(folder, "scale", ScaleFacts) or ScaleFacts()
     finished = {name: read_facts(folder, name, FinishedStep) for name in _STEPS}
     steps = {name: step for name, step in finished.items() if step is not None}
     exposure = _exposure([folder.image(group) for group in preparation.used_groups])
-    rows = []
+    found = colmap.find(folder.root)
+    merged = {image.name: image for image in merge.images}
+    cameras = {view.name: view for view in (solve.registered if solve else ())}
+    rows: list[dict[str, Any]] = []
     for index, group in enumerate(preparation.groups):
-        picture = _picture(folder, group, index, exposure) if group.used else ""
-        rows.append(_row(preparation, group, picture, merge, solve))
+        row = {
+            "group": group,
+            "photographs": [
+                (Path(item.path).name, shutter_text(item.shutter)) for item in preparation.of(group)
+            ],
+            "picture": _picture(folder, group, index, exposure) if group.used else "",
+            "merged": merged.get(group.name, MergedImage(group.name)),
+            "camera": cameras.get(group.name),
+        }
+        rows.append(row)
         progress(0.95 * (index + 1) / len(preparation.groups))
-    used = [row for row in rows if row.used]
     context = {
         "title": folder.root.name,
         "version": PRODUCT_VERSION,
         "stopped": stopped,
         "rows": rows,
-        "used": used,
-        "photograph_count": sum(len(row.photographs) for row in used),
-        "registered_count": sum(row.state == "registered" for row in rows) if solve else None,
-        "reprojection_error": solve.reprojection_error if solve else None,
-        "meters_per_unit": scale.meters_per_unit,
-        "left_out": _left_out(folder, solve),
+        "used": [row for row in rows if row["group"].used],
+        "solve": solve,
+        "meters_per_unit": (read_facts(folder, "scale", ScaleFacts) or ScaleFacts()).meters_per_unit,
+        "left_out": [*(solve.left_out if solve else ()), *read.skipped],
         "lenses": [(lens.lens, lens.corner, _SOURCES.get(lens.source, "")) for lens in vignetting.lenses],
-        "plan": _plan(folder.root),
+        "plan": make_plan(colmap.read(found, CaptureOptions())) if found else None,
         "curves": _curves(merge.response),
         "uncertainty": merge.response.uncertainty if merge.response else None,
         "curve_size": _CURVE_SIZE,
@@ -155,14 +140,6 @@ def write_report(
     page = folder.report / "index.html"
     write_page(Path(__file__).with_name("template.html"), context, page)
     return page
-
-
-def _left_out(folder: PreparationFolder, solve: SolveFacts | None) -> list[tuple[str, str]]:
-    """Views without a camera and files that are no photographs, each with the reason."""
-    skipped = (read_facts(folder, "read", ReadFacts) or ReadFacts()).skipped
-    views = solve.left_out if solve else ()
-    named = [(view.name, f"{view.reason} {view.remedy}".strip()) for view in views]
-    return named + [(file.path, file.reason) for file in skipped]
 
 
 def _exposure(images: Sequence[Path]) -> float:
@@ -209,35 +186,6 @@ def _clipped_pixels(path: Path, shape: tuple[int, ...]) -> np.ndarray:
     return np.asarray(mask) > 0
 
 
-def _row(
-    preparation: Preparation, group: Group, picture: str, merge: MergeFacts, solve: SolveFacts | None
-) -> GroupRow:
-    merged = next((image for image in merge.images if image.name == group.name), MergedImage(group.name))
-    registered = solve.registered if solve else ()
-    view = next((view for view in registered if view.name == group.name), None)
-    state = "" if not group.used or solve is None else "registered" if view else "not registered"
-    photographs = preparation.of(group)
-    return GroupRow(
-        name=group.name,
-        used=group.used,
-        photographs=tuple(Path(photograph.path).name for photograph in photographs),
-        shutters=tuple(shutter_text(photograph.shutter) for photograph in photographs),
-        picture=picture,
-        clipped_share=merged.clipped_share,
-        moved_share=merged.moved_share,
-        shift_pixels=merged.shift_pixels,
-        state=state,
-        points=view.points if view else None,
-        reprojection_error=view.reprojection_error if view else None,
-    )
-
-
-def _plan(capture: Path) -> Plan | None:
-    """The solved cameras from above, or None without a model."""
-    found = colmap.find(capture)
-    return None if found is None else make_plan(colmap.read(found, CaptureOptions()))
-
-
 def make_plan(rig: Rig) -> Plan | None:
     """The cameras of a rig with Z up, seen from above; None without cameras."""
     if not rig.views:
@@ -245,15 +193,14 @@ def make_plan(rig: Rig) -> Plan | None:
     poses = np.stack([view.camera_to_world for view in rig.views])
     places, forward = poses[:, :2, 3], poses[:, :2, 2]
     low, extent = places.min(axis=0), np.ptp(places, axis=0)
-    scale = (420.0 - 2.0 * _PLAN_MARGIN) / max(float(extent.max()), 1e-9)
-    size = extent * scale + 2.0 * _PLAN_MARGIN
+    longest = max(float(extent.max()), 1e-9)
+    scale = (420.0 - 2.0 * _PLAN_MARGIN) / longest
+    width, height = extent * scale + 2.0 * _PLAN_MARGIN
     pixels = (places - low) * scale + _PLAN_MARGIN
-    arrows = []
-    for view, (x, y), direction in zip(rig.views, pixels, forward, strict=True):
-        tip = np.array([x, y]) + 14.0 * direction
-        arrows.append(Arrow(view.name, float(x), float(size[1] - y), float(tip[0]), float(size[1] - tip[1])))
-    length = 10.0 ** np.floor(np.log10(max(float(extent.max()), 1e-9)))
-    return Plan(float(size[0]), float(size[1]), tuple(arrows), float(length * scale), float(length))
+    ends = np.stack([pixels, pixels + 14.0 * forward]) * [1.0, -1.0] + [0.0, height]  # Y points down
+    arrows = zip([view.name for view in rig.views], *ends.tolist(), strict=True)
+    length = float(10.0 ** np.floor(np.log10(longest)))
+    return Plan(float(width), float(height), tuple(arrows), length * scale, length)
 
 
 def _curves(response: ResponseFacts | None) -> list[tuple[str, str]]:

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import isotonic_regression
+from scipy.sparse import csr_matrix, diags
 
 from ..core.capture.encoded import srgb_decoded
 from ..core.radiometry.response import LEVELS
@@ -54,89 +56,57 @@ def recover_response(samples: Sequence[np.ndarray], exposures: Sequence[np.ndarr
     Raises:
         ValueError: there is no pixel with two usable codes.
     """
-    systems = [_systems(codes, times) for codes, times in zip(samples, exposures, strict=True)]
-    if not sum(system[channel][2] for system in systems for channel in range(3)):
+    curves, uncertainty = np.empty((LEVELS, 3)), np.zeros((LEVELS, 3))
+    times = [np.asarray(each, np.float64) for each in exposures]
+    systems = [
+        [_system(codes[..., channel], each) for codes, each in zip(samples, times, strict=True)]
+        for channel in range(3)
+    ]
+    if not any(part[2] for parts in systems for part in parts):
         raise ValueError("no pixel is well exposed in two photographs")
-    curves = np.empty((LEVELS, 3))
-    uncertainty = np.empty((LEVELS, 3))
-    for channel in range(3):
-        parts = [system[channel] for system in systems]
-        whole = _solve(parts)
-        curves[:, channel] = whole
-        # The jackknife: how far the curve moves when one part of the pixels is left out.
-        count = len(parts)
-        others = [_solve(parts[:i] + parts[i + 1 :]) for i in range(count)] if count > 1 else [whole]
-        spread = np.var(others, axis=0) * (count - 1.0) if count > 1 else np.zeros(LEVELS)
-        uncertainty[:, channel] = np.sqrt(spread)
+    for channel, parts in enumerate(systems):
+        whole: list[Any] = [sum(items) for items in zip(*parts, strict=True)]
+        curves[:, channel] = _solve(*whole)
+        if len(parts) > 1:  # the jackknife: how far the curve moves when one part of the pixels is left out
+            others = [_solve(*(a - b for a, b in zip(whole, part, strict=True))) for part in parts]
+            uncertainty[:, channel] = np.sqrt(np.var(others, axis=0) * (len(parts) - 1.0))
     return Response(np.exp(curves - curves[-1:]), uncertainty)
 
 
-def split_samples(
-    codes: np.ndarray, exposures: np.ndarray, parts: int
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """One group's pixels in parts, so that the uncertainty of a single group can be estimated, too."""
-    return [part for part in np.array_split(codes, parts) if len(part)], [exposures] * parts
-
-
-def _systems(codes: np.ndarray, exposures: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """Per channel the normal equations of one group: matrix (256, 256), right side (256,), sum of weights.
+def _system(codes: np.ndarray, exposures: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """The normal equations of one group and channel: matrix (256, 256), right side (256,), sum of weights.
 
     With a pixel's log radiance at its best, the residuals of its frames are r = Q (G d - b), where G d
     interpolates the departure from sRGB at its codes, b is log exposure less sRGB's log value, and Q takes
     the weighted mean away.
     """
-    prior = np.log(np.maximum(srgb_curve()[:, 0], 1e-9))
-    times = np.log(np.asarray(exposures, np.float64))
-    found = []
-    for channel in range(3):
-        code = codes[..., channel].astype(np.float64)
-        usable = (code >= LOWEST) & (code <= HIGHEST)  # NaN is neither
-        code = np.where(usable, code, LOWEST)
-        hat = np.clip(1.0 - np.abs(code - 127.5) / 127.5, 0.02, 1.0)  # of Debevec and Malik
-        weight = np.where(usable, hat, 0.0)
-        weight[usable.sum(axis=1) < 2] = 0.0
-        low = np.minimum(code.astype(int), LEVELS - 2)
-        share = code - low
-        target = times[None] - (prior[low] * (1.0 - share) + prior[low + 1] * share)
-        found.append(_accumulated(low, share, weight, target))
-    return found
-
-
-def _accumulated(
-    low: np.ndarray, share: np.ndarray, weight: np.ndarray, target: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Normal equations of one channel; all arguments (pixels, frames)."""
-    matrix, right = np.zeros((LEVELS, LEVELS)), np.zeros(LEVELS)
-    total = weight.sum(axis=1)
-    inverse = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0.0)
-    mean = (weight * target).sum(axis=1) * inverse
-    ends = ((low, 1.0 - share), (low + 1, share))
-    frames = low.shape[1]
-    for j in range(frames):
-        for place, part in ends:
-            np.add.at(right, place[:, j], weight[:, j] * part[:, j] * (target[:, j] - mean))
-        for k in range(frames):
-            # Weighted inner products of what is left after the mean is taken away.
-            pair = -weight[:, j] * weight[:, k] * inverse + (weight[:, j] if j == k else 0.0)
-            for place_j, part_j in ends:
-                for place_k, part_k in ends:
-                    values = pair * part_j[:, j] * part_k[:, k]
-                    matrix += np.bincount(
-                        place_j[:, j] * LEVELS + place_k[:, k], values, LEVELS * LEVELS
-                    ).reshape(LEVELS, LEVELS)
+    usable = (codes >= LOWEST) & (codes <= HIGHEST)  # NaN is neither
+    pixel, frame = np.nonzero(usable & (usable.sum(axis=1, keepdims=True) >= 2))
+    code = codes[pixel, frame].astype(np.float64)
+    weight = np.clip(1.0 - np.abs(code - 127.5) / 127.5, 0.02, 1.0)  # of Debevec and Malik
+    target = np.log(exposures)[frame] - np.interp(code, np.arange(LEVELS), _log_srgb())
+    low, row = code.astype(int), np.arange(len(code))
+    ends = np.concatenate([1.0 - code + low, code - low]), (np.tile(row, 2), np.concatenate([low, low + 1]))
+    design = csr_matrix(ends, (len(code), LEVELS))
+    member = csr_matrix((np.ones(len(code)), (pixel, row)), (len(codes), len(code)))
+    weighted, total = diags(weight) @ design, np.maximum(member @ weight, 1e-12)
+    sums = member @ weighted
+    matrix = (design.T @ weighted - sums.T @ diags(1.0 / total) @ sums).toarray()
+    right = weighted.T @ target - sums.T @ (member @ (weight * target) / total)
     return matrix, right, float(weight.sum())
 
 
-def _solve(parts: Sequence[tuple[np.ndarray, np.ndarray, float]]) -> np.ndarray:
+def _solve(matrix: np.ndarray, right: np.ndarray, weight: float) -> np.ndarray:
     """(256,) log of the curve, from sums of normal equations; increasing, sRGB's at `ANCHOR`."""
-    matrix = sum(part[0] for part in parts)
-    right = sum(part[1] for part in parts)
-    mean_weight = max(sum(part[2] for part in parts) / LEVELS, 1e-9)
+    mean_weight = max(weight / LEVELS, 1e-9)
     second = np.diff(np.eye(LEVELS), 2, axis=0)
     system = matrix + mean_weight * (SMOOTHNESS * second.T @ second + PRIOR * np.eye(LEVELS))
     system[ANCHOR, ANCHOR] += 1e6 * mean_weight
-    departure = np.linalg.solve(system, right)
-    curve = np.log(np.maximum(srgb_curve()[:, 0], 1e-9)) + departure
+    curve = _log_srgb() + np.linalg.solve(system, right)
     curve[1:] = isotonic_regression(curve[1:]).x
     # Equal neighbours would have no inverse.
     return np.maximum.accumulate(curve + 1e-9 * np.arange(LEVELS))
+
+
+def _log_srgb() -> np.ndarray:
+    return np.log(np.maximum(srgb_curve()[:, 0], 1e-9))

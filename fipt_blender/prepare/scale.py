@@ -1,28 +1,43 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From the solve's arbitrary frame to a room: Z up, metres, and the floor near zero.
+"""Step `scale`: writes sparse/0 with Z up, the floor near zero and, where a length is known, in metres.
 
-Needs numpy alone. Poses are camera-to-world with OpenCV axes.
+A length comes from two picked points, from a printed marker, or from the transform to a mesh. Poses are
+camera-to-world with OpenCV axes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from typing import Any
 
 import numpy as np
+import pycolmap
+from PIL import Image
 
 from ..core import conventions
 from ..core.alignment.turns import rotation_between
 from ..core.capture.upright import common_up
 from ..core.run.errors import FiptError
+from ..core.run.extras import optional
+from ..core.run.kinds import as_matrix
+from ..core.run.messages import Reporter
+from .facts import ScaleFacts
+from .preparation import Preparation, PreparationFolder
+from .solve_step import poses, read_model, write_model
+from .solving import copy_name
 
 FLOOR_PERCENTILE = 2.0  # of the heights of points; below the floor are only wrong points
-_LEAST_ANGLE = np.radians(1.0)  # between rays; below, a position along them is not determined
-_DROP = 3.0  # times the median distance from the rays: such rays are of something else
+LEAST_ANGLE = np.radians(1.0)  # between rays; below, a position along them is not determined
+MOST_ERROR = np.radians(1.0)  # of a ray; those that pass farther from a point are of something else
 _PICK_SHARE = 0.08  # of the image's diagonal within which a solved point gives the depth of a picked pixel
 _PICK_FORM = "Write them as VIEW X Y, separated by commas in one point and by a semicolon between the points."
+_PICK_AGAIN = "Pick the point in other views, at a place with texture."
+MARKER_TOLERANCE = 0.03  # relative disagreement of a marker's edges above which the scale is doubtful
+DICTIONARIES = tuple(f"{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)) + (
+    "ARUCO_ORIGINAL",
+)
 
 
 @dataclass(frozen=True)
@@ -32,6 +47,55 @@ class Pick:
     view: str
     x: float
     y: float
+
+
+def key(folder: PreparationFolder, preparation: Preparation) -> Any:
+    """What the frame depends on besides the cameras."""
+    used = {
+        "points": ("scale_length", "scale_picks"),
+        "marker": ("scale_length", "marker_dictionary"),
+        "mesh": ("scale_matrix",),
+    }
+    settings = preparation.settings
+    return [settings.scale, *(getattr(settings, name) for name in used.get(settings.scale, ()))]
+
+
+def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> ScaleFacts:
+    """Write sparse/0 in the room's frame; returns facts for the report.
+
+    Raises:
+        FiptError: ``scale-length``, ``scale-picks``, ``scale-matrix``, ``scale-view``, ``scale-point``,
+            ``marker-dictionary``, ``marker-missing``, ``package-optional``, and those of reading and writing.
+    """
+    model, settings = read_model(folder.model), preparation.settings
+    unit, doubt = 1.0, None
+    if settings.scale in ("points", "marker"):
+        if not (np.isfinite(settings.scale_length) and settings.scale_length > 0.0):
+            text = f"The known length is {settings.scale_length:g} m."
+            raise FiptError("scale-length", text, "Give the length in meters, above zero.")
+        if settings.scale == "points":
+            length = _picked_length(model, settings.scale_picks)
+        else:
+            length, difference = _marker_length(folder, model, settings.marker_dictionary, reporter)
+            doubt = round(difference, 4)
+        unit = settings.scale_length / length
+    if settings.scale == "mesh":
+        frame = parse_similarity(settings.scale_matrix)
+        unit = float(np.cbrt(np.linalg.det(frame[:3, :3])))
+    else:
+        points = np.array([point.xyz for point in model.points3D.values()]).reshape(-1, 3)
+        frame = room_frame(poses(model), points, unit)
+    if settings.scale == "none":
+        reporter.warning(
+            "scale-unknown",
+            "The real size of the room is not known: lengths, and the power of lamps, are wrong.",
+            "Give the distance of two points or the size of a printed marker, or align the cameras with "
+            "a mesh in meters after the import.",
+        )
+    model.transform(pycolmap.Sim3d(frame[:3]))
+    write_model(folder.sparse, model)
+    known = None if settings.scale == "none" else unit
+    return ScaleFacts(settings.scale, known, as_matrix(frame), doubt)
 
 
 def room_frame(poses: np.ndarray, points: np.ndarray, meters_per_unit: float) -> np.ndarray:
@@ -53,62 +117,22 @@ def room_frame(poses: np.ndarray, points: np.ndarray, meters_per_unit: float) ->
     return similarity
 
 
-def nearest_to_rays(origins: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
-    """The point (3,) nearest to most of some rays, without those that pass far from it.
-
-    Args:
-        origins: (N, 3).
-        directions: (N, 3) of length 1.
+def triangulated(images: Sequence[pycolmap.Image], pixels: np.ndarray) -> np.ndarray | None:
+    """The point (3,) that placed views see at pixels (N, 2); views that see something else are dropped.
 
     Returns:
-        None where all rays are nearly parallel, or there is only one.
+        None where the rays are nearly parallel or do not meet, or there is only one.
     """
-    tried = combinations(range(min(len(origins), 24)), 2)  # 276 pairs of rays
-    crossings = [_crossing(origins[list(pair)], directions[list(pair)]) for pair in tried]
-    known = [point for point in crossings if point is not None]
-    if not known:
+    if len(images) < 2:
         return None
-    # Half of the rays may be of something else: the crossing of two that most others pass nearest to.
-    start = min(known, key=lambda point: float(np.median(_distances(point, origins, directions))))
-    distances = _distances(start, origins, directions)
-    kept = distances <= _DROP * max(float(np.median(distances)), 1e-9)
-    refined = _crossing(origins[kept], directions[kept])
-    return start if refined is None else refined
-
-
-def _crossing(origins: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
-    """The point (3,) with the least sum of squared distances from rays, None where they are parallel."""
-    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-    matrix = across.sum(axis=0)
-    # The smallest eigenvalue is the sum of the squared sines of the angles to the common direction.
-    if np.linalg.eigvalsh(matrix)[0] < len(origins) * np.sin(0.5 * _LEAST_ANGLE) ** 2:
-        return None
-    return np.asarray(np.linalg.solve(matrix, (across @ origins[:, :, None]).sum(axis=0)[:, 0]))
-
-
-def _distances(point: np.ndarray, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(N,) distances of rays from a point."""
-    return np.linalg.norm(np.cross(point - origins, directions), axis=1)
-
-
-def depth_of_pick(pixel: np.ndarray, positions: np.ndarray, depths: np.ndarray, diagonal: float) -> float:
-    """The depth at a picked pixel: the median of the nearest solved points'.
-
-    Args:
-        pixel: (2,) picked.
-        positions: (P, 2) of the solved points in the view.
-        depths: (P,) along the camera's Z axis.
-        diagonal: of the image in pixels.
-
-    Raises:
-        ValueError: where no solved point is near.
-    """
-    distances = np.linalg.norm(positions - pixel, axis=1)
-    near = np.argsort(distances)[:5]
-    near = near[distances[near] <= _PICK_SHARE * diagonal]
-    if not near.size:
-        raise ValueError("no solved point is near it")
-    return float(np.median(depths[near]))
+    options = pycolmap.EstimateTriangulationOptions()
+    options.residual_type = pycolmap.TriangulationResidualType.ANGULAR_ERROR
+    options.min_tri_angle = LEAST_ANGLE
+    options.ransac.max_error = MOST_ERROR
+    options.ransac.random_seed = 0
+    places, cameras = [image.cam_from_world() for image in images], [image.camera for image in images]
+    found = pycolmap.estimate_triangulation(pixels, places, cameras, options)
+    return None if found is None else np.asarray(found["xyz"])
 
 
 def parse_picks(text: str) -> tuple[list[Pick], list[Pick]]:
@@ -165,6 +189,85 @@ def parse_similarity(text: str) -> np.ndarray:
     )
 
 
+def _picked_length(model: pycolmap.Reconstruction, text: str) -> float:
+    """The distance of the two picked points in the solve's unit."""
+    first, second = (_picked_point(model, picks) for picks in parse_picks(text))
+    length = float(np.linalg.norm(first - second))
+    if length == 0.0:
+        raise FiptError("scale-point", "The two picked points are the same.", "Pick two points.")
+    return length
+
+
+def _picked_point(model: pycolmap.Reconstruction, picks: list[Pick]) -> np.ndarray:
+    """A picked point (3,): where rays of several views meet, or at the depth of solved points near it."""
+    images = []
+    for pick in picks:
+        image = model.find_image_with_name(f"{pick.view}.exr")
+        if image is None or not image.has_pose:
+            text = f"The view '{pick.view}' has no camera."
+            raise FiptError("scale-view", text, "Pick the point in a view that has one.")
+        images.append(image)
+    place = triangulated(images, np.array([[pick.x, pick.y] for pick in picks]))
+    return _at_depth(model, images[0], picks[0]) if place is None else place
+
+
+def _at_depth(model: pycolmap.Reconstruction, image: pycolmap.Image, pick: Pick) -> np.ndarray:
+    """The point (3,) at a picked pixel whose depth is the median of the nearest solved points'."""
+    seen = [point for point in image.points2D if point.has_point3D()]
+    distances = np.array([np.linalg.norm(point.xy - [pick.x, pick.y]) for point in seen])
+    reach = _PICK_SHARE * np.hypot(image.camera.width, image.camera.height)
+    near = [seen[index] for index in np.argsort(distances)[:5] if distances[index] <= reach]
+    if not near:
+        raise FiptError(
+            "scale-point",
+            f"The depth of the point at {pick.x:g}, {pick.y:g} in {pick.view} is not known: no solved point"
+            " is near it.",
+            _PICK_AGAIN,
+        )
+    pose = image.cam_from_world()
+    depth = np.median([(pose * model.points3D[point.point3D_id].xyz)[2] for point in near])
+    ray = np.asarray(image.camera.cam_ray_from_img(np.array([[pick.x, pick.y]])))[0]
+    return np.asarray(pose.inverse() * (ray / ray[2] * depth))
+
+
+def _marker_length(
+    folder: PreparationFolder, model: pycolmap.Reconstruction, dictionary: str, reporter: Reporter
+) -> tuple[float, float]:
+    """The marker's edge in the solve's unit, and the relative disagreement of its estimates."""
+    find = marker_finder(dictionary)
+    seen: dict[int, list[tuple[pycolmap.Image, np.ndarray]]] = {}
+    placed = sorted((model.images[index] for index in model.reg_image_ids()), key=lambda image: image.name)
+    for index, image in enumerate(placed):
+        copy = folder.solve / "copies" / copy_name(image.name.removesuffix(".exr"))
+        picture = np.asarray(Image.open(copy, formats=["JPEG"]).convert("L"))
+        for number, corners in find(picture).items():
+            seen.setdefault(number, []).append((image, corners))
+        reporter.progress((index + 1) / len(placed))
+    squares = []
+    for found in seen.values():
+        images, four = [image for image, _ in found], np.array([corners for _, corners in found])
+        places = [triangulated(images, four[:, corner]) for corner in range(4)]
+        if all(place is not None for place in places):
+            squares.append(marker_edge(np.array(places)))
+    if not squares:
+        raise FiptError(
+            "marker-missing",
+            f"No marker of the dictionary {dictionary} is seen from two positions; "
+            f"{len(seen)} are seen at all.",
+            "Photograph the marker flat, sharp and large from several positions, or pick two points instead.",
+        )
+    edges, differences = np.array(squares).T
+    length = float(np.median(edges))
+    difference = float(max(np.abs(edges / length - 1.0).max(), differences.max()))
+    if difference > MARKER_TOLERANCE:
+        reporter.warning(
+            "marker-inaccurate",
+            f"Estimates of the marker's edge differ by {100.0 * difference:.0f} %.",
+            "Check that it lies flat and was not moved, and that all markers have the same size.",
+        )
+    return length, difference
+
+
 def marker_edge(corners: np.ndarray) -> tuple[float, float]:
     """Edge length of a square from its four corners, and by how much its sides and diagonals disagree.
 
@@ -181,7 +284,31 @@ def marker_edge(corners: np.ndarray) -> tuple[float, float]:
     return mean, float(estimates.std() / mean) if mean > 0.0 else float("inf")
 
 
-def agreed_scale(scales: Sequence[float]) -> tuple[float, float]:
-    """The median of several estimates, and their largest relative difference from it."""
-    median = float(np.median(scales))
-    return median, float(np.max(np.abs(np.asarray(scales) - median)) / median)
+def marker_finder(dictionary: str) -> Callable[[np.ndarray], dict[int, np.ndarray]]:
+    """What finds the markers of one dictionary in eight-bit pictures (height, width).
+
+    It returns the corners (4, 2) in pixels of each marker by its number; a number seen twice is left out.
+
+    Raises:
+        FiptError: ``package-optional`` without OpenCV, ``marker-dictionary`` for an unknown dictionary.
+    """
+    if dictionary not in DICTIONARIES:
+        raise FiptError(
+            "marker-dictionary",
+            f"There is no dictionary of markers '{dictionary}'.",
+            f"Use one of: {', '.join(DICTIONARIES)}.",
+        )
+    cv2 = optional("markers", "A printed marker")
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary}"))
+    detector = cv2.aruco.ArucoDetector(known, parameters)
+
+    def find(picture: np.ndarray) -> dict[int, np.ndarray]:
+        corners, numbers, _ = detector.detectMarkers(picture)
+        flat = [] if numbers is None else numbers.ravel().tolist()
+        # OpenCV counts from the center of the first pixel.
+        found = {number: four.reshape(4, 2) + 0.5 for number, four in zip(flat, corners, strict=True)}
+        return {number: four for number, four in found.items() if flat.count(number) == 1}
+
+    return find

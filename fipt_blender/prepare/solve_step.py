@@ -8,41 +8,37 @@ and the model in the frame of the solve.
 
 from __future__ import annotations
 
+import errno
 import io
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pycolmap
 from PIL import Image
 
+from ..core.capture.files import Names, ambiguous, name_parts
+from ..core.capture.formats import colmap
+from ..core.capture.formats.colmap_sizes import check_model
 from ..core.capture.formats.registry import read_rig
 from ..core.capture.images import JPEG_QUALITY, read_radiance, read_size
 from ..core.capture.options import CaptureOptions
+from ..core.capture.rig import Rig
 from ..core.run.errors import FiptError
-from ..core.run.messages import Reporter
+from ..core.run.messages import Reporter, within
+from ..core.run.replacing import atomic_folder
 from ..core.run.runfolder import atomic_path, explained_write_errors
 from . import lens
 from .facts import LeftOut, Registered, SolveFacts
-from .models import WantedView, model_from_rig, write_model
 from .preparation import Group, Preparation, PreparationFolder
-from .solving import Solve, SolveView, camera_groups, copy_name, registered_names, solve
-from .tonemap import tone_mapped
+from .solving import Solve, SolveView, camera_groups, copy_name, registered_names, solve, tone_mapped
 
 _COPIES_SHARE = 0.1  # of the step's time
 POOR_ERROR = 1.5  # pixels of mean reprojection error; a good solve has less than one
 SMALL_SIDE = 1000  # pixels; in smaller images, most photographs of a room have too few features
 FEW_VIEWS = 3  # of one camera; with less, its focal length is hardly determined
 _NAMES_IN_TEXT = 5  # of a warning
-
-
-def solve_folder(folder: PreparationFolder) -> Path:
-    """The step's private folder."""
-    return folder.stage / "solve"
-
-
-def model_folder(folder: PreparationFolder) -> Path:
-    """The model in the frame of the solve."""
-    return solve_folder(folder) / "model"
 
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
@@ -77,12 +73,12 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     else:
         if changed:  # features and matches are of other images
             with explained_write_errors(folder.stage):
-                for file in solve_folder(folder).glob("database.db*"):
+                for file in folder.solve.glob("database.db*"):
                     file.unlink()
         solved = _solve(folder, preparation, reporter)
     for image in solved.model.images.values():
         image.name += ".exr"
-    write_model(model_folder(folder), solved.model)
+    write_model(folder.model, solved.model)
     write_model(folder.sparse, solved.model)
     facts = _facts(solved)
     _warn(solved, facts, len(groups), reporter)
@@ -90,13 +86,15 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
 
 
 def _solve(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> Solve:
-    views = [_view(folder, preparation, group) for group in preparation.used_groups]
-    solved = solve(
-        solve_folder(folder),
-        views,
-        preparation.settings.seed,
-        lambda share: reporter.progress(_COPIES_SHARE + (1.0 - _COPIES_SHARE) * share),
-    )
+    views = []
+    for group in preparation.used_groups:
+        width, height = read_size(folder.image(group))
+        start = lens.start(preparation.of(group)[0], width, height)
+        camera = "|".join(str(value) for value in _lens_facts(preparation, group))
+        known = (None,) if start is None else (start.focal, start.distortion)
+        views.append(SolveView(group.name, width, height, camera, *known))
+    progress = within(reporter.progress, _COPIES_SHARE, 1.0)
+    solved = solve(folder.solve, views, preparation.settings.seed, progress)
     for indices in camera_groups(views):
         if len(indices) < FEW_VIEWS < len(views):
             names = _listed([views[index].name for index in indices])
@@ -108,34 +106,9 @@ def _solve(folder: PreparationFolder, preparation: Preparation, reporter: Report
     return solved
 
 
-def _view(folder: PreparationFolder, preparation: Preparation, group: Group) -> SolveView:
-    width, height = read_size(folder.image(group))
-    photograph = preparation.of(group)[0]
-    start = lens.start(photograph, width, height)
-    return SolveView(
-        name=group.name,
-        width=width,
-        height=height,
-        camera="|".join(str(value) for value in _lens_facts(preparation, group)),
-        focal=None if start is None else start.focal,
-        distortion=(0.0, 0.0) if start is None else start.distortion,
-    )
-
-
 def _lens_facts(preparation: Preparation, group: Group) -> list[Any]:
     photograph = preparation.of(group)[0]
-    return [
-        photograph.make,
-        photograph.model,
-        photograph.lens,
-        photograph.focal_length,
-        photograph.focal_35mm,
-    ]
-
-
-def copy_file(folder: PreparationFolder, view: str) -> Path:
-    """The eight-bit copy of a view in which features and markers are found."""
-    return solve_folder(folder) / "copies" / copy_name(view)
+    return [getattr(photograph, name) for name in ("make", "model", "lens", "focal_length", "focal_35mm")]
 
 
 def _write_copies(folder: PreparationFolder, groups: list[Group], reporter: Reporter) -> bool:
@@ -145,7 +118,7 @@ def _write_copies(folder: PreparationFolder, groups: list[Group], reporter: Repo
         buffer = io.BytesIO()
         picture = tone_mapped(read_radiance(folder.image(group)))
         Image.fromarray(picture).save(buffer, "JPEG", quality=JPEG_QUALITY)
-        copy = copy_file(folder, group.name)
+        copy = folder.solve / "copies" / copy_name(group.name)
         if not copy.is_file() or copy.read_bytes() != buffer.getvalue():
             changed = True
             with atomic_path(copy) as temporary:
@@ -181,16 +154,8 @@ def _facts(solved: Solve) -> SolveFacts:
         errors = [model.points3D[item.point3D_id].error for item in image.points2D if item.has_point3D()]
         error = round(float(np.mean(errors)), 3) if errors else None
         registered.append(Registered(image.name.removesuffix(".exr"), len(errors), error))
-    return SolveFacts(
-        registered=tuple(registered),
-        left_out=solved.left_out,
-        models=solved.sizes,
-        points=model.num_points3D(),
-        cameras=model.num_cameras(),
-        reprojection_error=(
-            round(model.compute_mean_reprojection_error(), 3) if model.num_points3D() else None
-        ),
-    )
+    error = round(model.compute_mean_reprojection_error(), 3) if model.num_points3D() else None
+    return SolveFacts(tuple(registered), solved.left_out, solved.sizes, error)
 
 
 def _warn(solved: Solve, facts: SolveFacts, count: int, reporter: Reporter) -> None:
@@ -226,3 +191,102 @@ def _warn(solved: Solve, facts: SolveFacts, count: int, reporter: Reporter) -> N
 def _listed(names: list[str]) -> str:
     text = ", ".join(names[:_NAMES_IN_TEXT])
     return text if len(names) <= _NAMES_IN_TEXT else f"{text} and {len(names) - _NAMES_IN_TEXT} more"
+
+
+def write_model(folder: Path, model: pycolmap.Reconstruction) -> None:
+    """Write a model in COLMAP's binary format; a model that is there is replaced by a complete one.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``.
+    """
+    with atomic_folder(folder) as new:
+        try:
+            model.write_binary(str(new))
+            check_model(new)
+        except (RuntimeError, ValueError) as error:
+            with explained_write_errors(folder):
+                # pycolmap reports neither the system's reason nor that it could write a part only.
+                raise OSError(errno.ENOSPC, str(error)) from None
+
+
+def read_model(folder: Path) -> pycolmap.Reconstruction:
+    """Read a model that `write_model` has written.
+
+    Raises:
+        FiptError: ``file-missing`` or ``rig-damaged``.
+    """
+    if not (folder / "cameras.bin").is_file():
+        text = f"{folder} holds no solved cameras."
+        raise FiptError("file-missing", text, "Solve the cameras again (step solve).")
+    return colmap.opened(colmap.Model(folder, folder))
+
+
+def poses(model: pycolmap.Reconstruction) -> np.ndarray:
+    """(V, 4, 4) camera-to-world of the placed views, in the order of their numbers."""
+    placed = [model.images[index].cam_from_world() for index in sorted(model.reg_image_ids())]
+    return np.array([np.vstack([pose.inverse().matrix(), [0.0, 0.0, 0.0, 1.0]]) for pose in placed])
+
+
+@dataclass(frozen=True)
+class WantedView:
+    """A view of the capture: its name, its size, and paths of files by which a rig may call it."""
+
+    name: str
+    width: int
+    height: int
+    files: tuple[str, ...]
+
+
+def model_from_rig(rig: Rig, wanted: list[WantedView]) -> pycolmap.Reconstruction:
+    """A model without points of the views of an existing solve; sizes may differ by one factor.
+
+    Args:
+        rig: the existing solve.
+        wanted: the capture's views; those that the rig lacks are left out.
+
+    Raises:
+        FiptError: ``solve-foreign`` where no view is found, ``solve-size`` where an image has another shape,
+            ``file-ambiguous`` where a name fits several views, or a view several names.
+    """
+    called = {f"{index}/{view.name}": view for index, view in enumerate(rig.views)}
+    names = Names(called)
+    taken: dict[str, str] = {}
+    model = pycolmap.Reconstruction()
+    for view in wanted:
+        # A photograph's whole path says more than the group's name, and that more than a file's name.
+        files = sorted(view.files, key=lambda file: "/" not in file or not names.ending(name_parts(file)))
+        name = next(filter(None, map(names.find, files)), None)
+        if name is None:
+            continue
+        if taken.setdefault(name, view.name) != view.name:
+            raise ambiguous(called[name].name, [taken[name], view.name])
+        found = called[name]
+        number = model.num_images() + 1
+        camera = pycolmap.Camera(
+            camera_id=number,
+            model=found.lens.model,
+            width=found.width,
+            height=found.height,
+            params=found.lens.parameters,
+        )
+        ratio = (view.width / found.width) / (view.height / found.height)
+        # Rounding to whole pixels explains less.
+        if abs(ratio - 1.0) > 0.01:
+            raise FiptError(
+                "solve-size",
+                f"The existing solve has {found.width} x {found.height} pixels for {found.name}, but the "
+                f"photograph has {view.width} x {view.height}.",
+                "Use the solve of these photographs, neither cropped nor rotated nor undistorted.",
+            )
+        camera.rescale(view.width, view.height)
+        model.add_camera_with_trivial_rig(camera)
+        world_to_camera = np.linalg.inv(found.camera_to_world)[:3]
+        image = pycolmap.Image(name=view.name, camera_id=number, image_id=number)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(world_to_camera))
+    if not model.num_images():
+        raise FiptError(
+            "solve-foreign",
+            "The existing solve has none of the photographs: no name agrees.",
+            "Use the solve of these photographs; its images are named like the photographs or the groups.",
+        )
+    return model

@@ -10,23 +10,29 @@ from __future__ import annotations
 import os
 import sqlite3
 import tempfile
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 
 from ..core.run.errors import FiptError
+from ..core.run.messages import Progress, within
 from .facts import LeftOut
-from .pairs import image_pairs
-
-Progress = Callable[[float], None]
 
 FEW_FEATURES = 150  # below, a photograph shows too little to be placed
 LEAST_MODEL = 3  # photographs; smaller models say nothing
+MOST_EXHAUSTIVE = 100  # photographs: 4,950 pairs, half an hour on one core
+_REC709_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+# Below the median radiance by this factor, copies turn from logarithmic to linear: darker is noise.
+DARKEST = 2.0**-6
+_LOW, _HIGH = 0.5, 99.8  # percentiles that become black and white
 _PAIRS_PER_CALL = 64  # between two messages of progress
-_SHARES = (0.2, 0.6, 0.2)  # of the time: features, matches, mapping
+_FEATURES, _MATCHES = 0.2, 0.8  # share of the time after which features and matches are found
 
 
 @dataclass(frozen=True)
@@ -114,13 +120,10 @@ def solve(folder: Path, views: Sequence[SolveView], seed: int, progress: Progres
     pycolmap.logging.minloglevel = 2  # errors only; the log of a room has 10,000 lines
     pycolmap.set_random_seed(seed)
     database = folder / "database.db"
-    features, matches, mapping = _SHARES
     try:
-        _extract(database, folder / "copies", views, lambda share: progress(features * share))
-        _match(database, views, seed, lambda share: progress(features + matches * share))
-        models = _map(
-            database, folder, len(views), seed, lambda share: progress(features + matches + mapping * share)
-        )
+        _extract(database, folder / "copies", views, within(progress, 0.0, _FEATURES))
+        _match(database, views, seed, within(progress, _FEATURES, _MATCHES))
+        models = _map(database, folder, len(views), seed, within(progress, _MATCHES, 1.0))
     except RuntimeError as error:
         raise _explained(database, error) from error
     connections = _connections(database, [copy_name(view.name) for view in views])
@@ -130,11 +133,8 @@ def solve(folder: Path, views: Sequence[SolveView], seed: int, progress: Progres
     for model in models:
         for image in model.images.values():
             image.name = names[image.name]
-    return Solve(
-        model=models[0],
-        left_out=left_out(views, [registered_names(model) for model in models], connections),
-        sizes=own_sizes([registered_names(model) for model in models]),
-    )
+    placed = [registered_names(model) for model in models]
+    return Solve(models[0], left_out(views, placed, connections), own_sizes(placed))
 
 
 def own_sizes(models: Sequence[set[str]]) -> tuple[int, ...]:
@@ -151,6 +151,44 @@ def own_sizes(models: Sequence[set[str]]) -> tuple[int, ...]:
         sizes.append(len(names - seen))
         seen |= names
     return tuple(size for size in sizes if size)
+
+
+def image_pairs(count: int) -> list[tuple[int, int]]:
+    """Which of some photographs in the order in which they were taken are compared with each other.
+
+    Up to `MOST_EXHAUSTIVE` photographs, these are all pairs. Beyond, each photograph is compared with the
+    next ones, with those at distances of powers of two, and a coarse net with itself, so that a walk around
+    a room that ends where it began is closed.
+
+    Returns:
+        Sorted pairs (first, second) with first < second, without repetition.
+    """
+    if count <= MOST_EXHAUSTIVE:
+        return list(combinations(range(count), 2))
+    steps = set(range(1, 11))  # each is compared with the next ten
+    steps |= {2**power for power in range(count.bit_length()) if 2**power < count // 2}
+    near = {(first, first + step) for step in steps for first in range(count - step)}
+    # Every eighth is compared with all others of that net, which closes loops.
+    return sorted(near | set(combinations(range(0, count, 8), 2)))
+
+
+def tone_mapped(radiance: np.ndarray) -> np.ndarray:
+    """A logarithmic copy of a photograph, on which SIFT finds equal contrast at any brightness.
+
+    Args:
+        radiance: (height, width, 3) scene-linear, finite.
+
+    Returns:
+        (height, width) uint8 luminance.
+    """
+    luminance = np.maximum(radiance @ _REC709_LUMINANCE, 0.0)
+    positive = luminance[luminance > 0.0]
+    if not positive.size:
+        return np.zeros(luminance.shape, np.uint8)
+    encoded = np.log2(luminance + DARKEST * np.median(positive))
+    low, high = np.percentile(encoded, [_LOW, _HIGH])
+    scaled = (encoded - low) / max(float(high - low), 1e-6)
+    return np.round(255.0 * np.clip(scaled, 0.0, 1.0)).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -182,34 +220,31 @@ def left_out(
         connections: of each view.
     """
     return tuple(
-        _reason(view.name, models[1:], found)
+        LeftOut(view.name, *_reason(view.name, models[1:], found))
         for view, found in zip(views, connections, strict=True)
         if view.name not in models[0]
     )
 
 
-def _reason(name: str, others: Sequence[set[str]], found: Connections) -> LeftOut:
-    for other in others:
-        if name in other:
-            return LeftOut(
-                name,
-                f"it is connected to {len(other) - 1} photographs, but these are not connected to the others",
-                "Take photographs that lead from one set to the other, or prepare the sets separately.",
-            )
+def _reason(name: str, others: Sequence[set[str]], found: Connections) -> tuple[str, str]:
+    """Why a view has no camera, and what to do about it."""
+    other = next((names for names in others if name in names), None)
+    if other is not None:
+        return (
+            f"it is connected to {len(other) - 1} photographs, but these are not connected to the others",
+            "Take photographs that lead from one set to the other, or prepare the sets separately.",
+        )
     if found.features < FEW_FEATURES:
-        return LeftOut(
-            name,
+        return (
             f"only {found.features} features were found: it is blurred, dark, or shows plain surfaces",
             "Leave it out, or take it again sharper and with objects in the frame.",
         )
     if found.partners == 0:
-        return LeftOut(
-            name,
+        return (
             "it shows nothing that another photograph shows",
             "Leave it out, or take photographs between it and the others.",
         )
-    return LeftOut(
-        name,
+    return (
         f"it has too little in common with the {found.partners} photographs that show the same",
         "Take more photographs from near its position.",
     )
@@ -337,17 +372,13 @@ def _map(
 
 def _connections(database: Path, names: Sequence[str]) -> list[Connections]:
     """Features and verified partners of each photograph in the database."""
-    with sqlite3.connect(database) as opened:
-        features = dict(
-            opened.execute("select name, rows from images join keypoints using (image_id)").fetchall()
-        )
-        identifiers = dict(opened.execute("select image_id, name from images").fetchall())
+    with closing(sqlite3.connect(database)) as opened:
+        features = dict(opened.execute("select name, rows from images join keypoints using (image_id)"))
+        identifiers = dict(opened.execute("select image_id, name from images"))
         pairs = opened.execute("select pair_id from two_view_geometries where rows > 0").fetchall()
-    opened.close()
-    partners = dict.fromkeys(names, 0)
-    for (pair,) in pairs:
-        for identifier in pycolmap.pair_id_to_image_pair(pair):
-            name = identifiers.get(identifier)
-            if name in partners:
-                partners[name] += 1
+    partners = Counter(
+        identifiers.get(identifier)
+        for (pair,) in pairs
+        for identifier in pycolmap.pair_id_to_image_pair(pair)
+    )
     return [Connections(int(features.get(name, 0)), partners[name]) for name in names]

@@ -31,6 +31,7 @@ _OTHERS = re.compile(
 _VIEWS = ("left", "right", "center", "main")  # of stereo files; the last part of a layer's name
 _COLOR_NAMES = {"RED": "R", "GREEN": "G", "BLUE": "B"}
 _LUMA_CHROMA = ("Y", "RY", "BY")
+NOTE = "fiptNote"  # attribute of a header
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,11 @@ class Layer:
 def exr_size(path: Path) -> tuple[int, int]:
     """Width and height of the display window; raises as `read_exr`."""
     return _window_size(_open(path, header_only=True).parts[0].header["displayWindow"])
+
+
+def exr_note(path: Path) -> str:
+    """The text that `images.write_exr` has put into the header, "" without; raises as `read_exr`."""
+    return str(_open(path, header_only=True).parts[0].header.get(NOTE, ""))
 
 
 def exr_is_plain(path: Path, layer: str) -> bool:

@@ -36,7 +36,7 @@ from .encoded import (
     srgb_encoded,
     unreadable,
 )
-from .exr_file import exr_is_plain, exr_size, read_exr, read_exr_values
+from .exr_file import NOTE, exr_is_plain, exr_size, read_exr, read_exr_values
 from .files import stand_in
 from .primaries import Colors
 from .suffixes import IMAGE_SUFFIXES, RAW_SUFFIXES
@@ -246,7 +246,7 @@ def read_ids(path: Path) -> np.ndarray:
     return ids.astype(np.int32)
 
 
-def write_exr(path: Path, array: np.ndarray, half: bool = False, lossy: bool = False) -> None:
+def write_exr(path: Path, array: np.ndarray, half: bool = False, lossy: bool = False, note: str = "") -> None:
     """Write an image as EXR, completely or not at all.
 
     Args:
@@ -254,6 +254,7 @@ def write_exr(path: Path, array: np.ndarray, half: bool = False, lossy: bool = F
         array: (height, width, 3) as R, G, B, or (height, width) as Y; converted to float.
         half: 16-bit values, clamped to ±65504, instead of 32-bit.
         lossy: compressed to a quarter, for pictures that are only looked at.
+        note: a text in the header, which `exr_note` reads.
 
     Raises:
         FiptError: ``not-finite``, ``disk-full`` or ``run-unwritable``.
@@ -266,7 +267,7 @@ def write_exr(path: Path, array: np.ndarray, half: bool = False, lossy: bool = F
         values = values.astype(np.float32)
     planes = {"Y": values} if values.ndim == 2 else dict(zip("RGB", np.moveaxis(values, -1, 0), strict=True))
     compression = OpenEXR.DWAA_COMPRESSION if lossy else OpenEXR.ZIP_COMPRESSION
-    header = {"compression": compression, "type": OpenEXR.scanlineimage}
+    header = {"compression": compression, "type": OpenEXR.scanlineimage, **({NOTE: note} if note else {})}
     # Written through memory, because OpenEXR does not report the system's reason for a failure.
     buffer = io.BytesIO()
     OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in planes.items()}).write(buffer)

@@ -132,9 +132,9 @@ def usable(codes: np.ndarray) -> np.ndarray:
     return (codes >= LOWEST_CODE) & (codes < CLIPPED_CODE)
 
 
-def falloff_terms(radius: np.ndarray) -> np.ndarray:
-    """(N, FALLOFF_TERMS) even powers of radii (N,)."""
-    return np.stack([radius ** (2 * power) for power in range(1, FALLOFF_TERMS + 1)], axis=-1)
+def falloff_terms(radius: np.ndarray, terms: int = FALLOFF_TERMS) -> np.ndarray:
+    """(N, terms) even powers of radii (N,)."""
+    return np.stack([radius ** (2 * power) for power in range(1, terms + 1)], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
