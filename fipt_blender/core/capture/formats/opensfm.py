@@ -17,10 +17,10 @@ from scipy.spatial.transform import Rotation
 from ...run.errors import FiptError
 from ...run.kinds import Vector
 from ..options import CaptureOptions
-from ..places import Places
+from ..places import MESH_STEMS, Places
 from ..rig import EQUIRECTANGULAR, Lens, Rig, RigView, WellFormed, damaged, read_json_rig
 from .radial import distorting_lens
-from .rig_files import camera_file, camera_pose, largest_model, pixel_size
+from .rig_files import camera_file, camera_pose, head, largest_model, pixel_size
 
 NAME = "opensfm"
 LOOKS_FOR = "reconstruction.json with cameras and shots"
@@ -70,7 +70,10 @@ class _ModelPoints:
 
 
 def find(path: Path) -> Path | None:
-    """The first JSON file at a path or in a folder that is a list of reconstructions, None without one."""
+    """A JSON file at a path or in a folder that is a list of reconstructions, None without one."""
+    for folder in (path / name for name in FOLDERS):  # beside it may be others in map coordinates
+        if _is_reconstruction(head(folder / "reconstruction.json")):
+            return folder / "reconstruction.json"
     return camera_file(path, (".json",), _is_reconstruction, FOLDERS)
 
 
@@ -83,7 +86,8 @@ def read(file: Path, options: CaptureOptions) -> Rig:
     models = read_json_rig(file, tuple[_Model, ...])
     places = Places.around(file, options, folders=FOLDERS)
     views, notes = largest_model([_views(file, model, places) for model in models], str(file))
-    return places.rig(NAME, views, "z", places.mesh(folders=(".", "odm_meshing", "undistorted")), notes)
+    mesh = places.mesh((*MESH_STEMS, "odm_mesh"), (".", "odm_meshing", "undistorted"))
+    return places.rig(NAME, views, "z", mesh, notes)
 
 
 def points(file: Path) -> np.ndarray:

@@ -14,11 +14,13 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from ...run.errors import FiptError
 from ...run.shapes import FARTHEST_UNITS
+from ..files import visible
 from ..options import CaptureOptions
 from ..rig import Note, Rig, damaged
 from ..suffixes import SUFFIXES
@@ -181,5 +183,17 @@ def _read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
             "Set the format to auto, or choose another folder.",
         )
     rig: Rig = module.read(found, options)
-    note = _others(path, detected) if name == "auto" else None
-    return rig if note is None else replace(rig, notes=(*rig.notes, note))
+    notes = [_others(path, detected) if name == "auto" else None, _other_files(path, found, module)]
+    return replace(rig, notes=(*rig.notes, *filter(None, notes)))
+
+
+def _other_files(path: Path, found: Any, module: ModuleType | scans.ScanApp) -> Note | None:
+    """A note of other camera files of the same program in the folder that was chosen."""
+    if path.is_file() or not isinstance(found, Path) or not found.is_file():
+        return None
+    beside = [file for file in visible(found.parent) if file.suffix == found.suffix and file != found]
+    also = [str(file) for file in beside if module.find(file) is not None]
+    if not also:
+        return None
+    text = f"{found} is read; {len(also)} other files hold such cameras, too: {', '.join(also[:3])}."
+    return Note("formats-several", text, "To read another one, choose that file instead of the folder.")
