@@ -24,7 +24,7 @@ def alignment_points(capture: Path, rig: Rig) -> np.ndarray:
     Raises:
         FiptError: ``alignment-points`` where the capture has neither, or one of the readers'.
     """
-    if rig.depths and not hasattr(FORMATS[rig.source], "points"):
+    if rig.depths and getattr(FORMATS[rig.source], "points", None) is None:
         return depth_points(rig.depths, np.random.default_rng(0))
     return read_points(capture, rig.source, sure=True)
 

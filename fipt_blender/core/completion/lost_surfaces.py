@@ -97,7 +97,7 @@ class _Prism:
     def is_likely(self) -> bool:
         """Whether more of the views get better by it than chance explains."""
         better, changed = int((self.by_view > 0.0).sum()), int((self.by_view != 0.0).sum())
-        return _unlikely(better, changed)
+        return bool(bdtrc(better - 1, changed, 0.5) < LEVEL)
 
     def inside(self, points: np.ndarray, size: float) -> float:
         """Share of the cells well inside it, with edges of `size` metres, that hold points (N, 3)."""
@@ -241,18 +241,7 @@ def _moved(mask: np.ndarray, along: int, by: int) -> np.ndarray:
 
 def _footprint(shows: np.ndarray) -> np.ndarray | None:
     """The largest piece of a layer (X, Y) that shows a thing, without holes; None without any."""
-    largest = _largest_piece(binary_opening(shows))
-    return None if largest is None else np.asarray(binary_fill_holes(largest))
-
-
-def _largest_piece(mask: np.ndarray) -> np.ndarray | None:
-    """The largest connected piece, None of nothing."""
-    pieces, count = label(mask)
+    pieces, count = label(binary_opening(shows))
     if not count:
         return None
-    return np.asarray(pieces == 1 + np.argmax(np.bincount(pieces.reshape(-1))[1:]))
-
-
-def _unlikely(count: int, views: int) -> bool:
-    """Whether chance rarely improves so many of the views or more (sign test)."""
-    return bool(bdtrc(count - 1, views, 0.5) < LEVEL)
+    return np.asarray(binary_fill_holes(pieces == 1 + np.argmax(np.bincount(pieces.reshape(-1))[1:])))

@@ -149,12 +149,6 @@ class _Completion:
         self._seen = 1
         self.added: list[Surface] = []
 
-    def put(self, surface: Surface) -> None:
-        """Add a surface."""
-        self.added.append(surface)
-        none = np.full(len(surface[1]), NONE, np.int32)
-        self._rooms.append(Room(*surface[:3], none, none))
-
     def look(self) -> None:
         """Let the surfaces that have been added occlude what is behind them."""
         for room in self._rooms[self._seen :]:
@@ -175,7 +169,9 @@ class _Completion:
         chosen = missing(has, _votes(shape, self._masked, part, self._edge))
         if chosen.any():
             vertices, triangles, normals = shape.surface(chosen)
-            self.put((vertices, triangles, normals, np.full(len(triangles), NONE)))
+            none = np.full(len(triangles), NONE, np.int32)
+            self.added.append((vertices, triangles, normals, none))
+            self._rooms.append(Room(vertices, triangles, normals, none, none))
 
     def distance(self, shape: CellSurface, part: int) -> float:
         """Mean distance in metres between views and the cells that they show."""

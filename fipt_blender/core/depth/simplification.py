@@ -13,8 +13,6 @@ from scipy.spatial import cKDTree
 
 from .extraction import FusedMesh
 
-LEAST_TRIANGLES = 100  # of a budget; fewer are no room
-
 
 def simplified(mesh: FusedMesh, triangles: int) -> FusedMesh:
     """The mesh with at most about `triangles` triangles; itself where it has no more.

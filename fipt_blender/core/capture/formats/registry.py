@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The registry of capture formats.
 
-Each is a module, or an app of `scans`, with NAME and LOOKS_FOR; `find(path)`, what a capture is read from, or
-None where it has another format; `read(found, options)`; and, if it holds points, `points(found)`, perhaps
-`sure_points`.
+Each is a module, a `Program`, or an app of `scans`, with NAME and LOOKS_FOR; `find(path)`, what a capture is
+read from, or None where it has another format; `read(found, options)`; and, if it holds points,
+`points(found)`, perhaps `sure_points`.
 """
 
 from __future__ import annotations
@@ -25,42 +25,35 @@ from ..options import CaptureOptions
 from ..rig import Note, Rig, damaged
 from ..suffixes import SUFFIXES
 from . import (
-    blocksexchange,
-    bundler,
     colmap,
     fipt_real,
     fipt_synthetic,
-    meshroom,
-    metashape,
-    nvm,
-    openmvg,
-    opensfm,
+    json_solves,
     realityscan,
     scannetpp,
     scans,
+    text_solves,
     transforms,
+    xml_solves,
 )
+from .program import Program
 
 MOST_FOLDERS = 200  # that are searched for a capture below one that is none
 # Formats of data sets, which contain files of other formats, too.
 COMPLETE = ("fipt-synthetic", "fipt-real", "scannetpp")
 # The first match is used: nerfstudio, for example, keeps a COLMAP model beside its transforms.json.
-FORMATS: dict[str, ModuleType | scans.ScanApp] = {
-    module.NAME: module
-    for module in (
+FORMATS: dict[str, ModuleType | Program | scans.ScanApp] = {
+    each.NAME: each
+    for each in (
         fipt_synthetic,
         fipt_real,
         scannetpp,
         transforms,
         colmap,
-        metashape,
-        blocksexchange,
+        *xml_solves.PROGRAMS,
         realityscan,
-        meshroom,
-        opensfm,
-        openmvg,
-        bundler,
-        nvm,
+        *json_solves.PROGRAMS,
+        *text_solves.PROGRAMS,
         *scans.APPS,
     )
 }
@@ -187,7 +180,7 @@ def _read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
     return replace(rig, notes=(*rig.notes, *filter(None, notes)))
 
 
-def _other_files(path: Path, found: Any, module: ModuleType | scans.ScanApp) -> Note | None:
+def _other_files(path: Path, found: Any, module: ModuleType | Program | scans.ScanApp) -> Note | None:
     """A note of other camera files of the same program in the folder that was chosen."""
     if path.is_file() or not isinstance(found, Path) or not found.is_file():
         return None
