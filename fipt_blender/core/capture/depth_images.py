@@ -12,12 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..depth.cleaning import without_specks
+from ..depth.cleaning import simplified, without_specks
 from ..depth.extraction import FusedMesh, extract
 from ..depth.gaps import gap_image
 from ..depth.ply import write_ply
 from ..depth.range_image import RangeImage
-from ..depth.simplification import simplified
 from ..depth.volume import BlockVolume
 from ..run.documents import optional_document
 from ..run.errors import FiptError

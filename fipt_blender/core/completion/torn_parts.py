@@ -26,9 +26,7 @@ from ..run.messages import Progress, unwatched
 from ..run.threads import in_threads
 from ..surface.adjacency import NONE, Surface, face_vectors
 from ..surface.room import Room
-from .cells import CellSurface
-from .revolution import fit_revolutions
-from .sheet import fit_sheets
+from .shapes import CellSurface, fit_revolutions, fit_sheets
 
 # Triangles of a part within this many edges belong to one thing; fewer triangles do not determine a shape.
 APART, LEAST_TRIANGLES = 2.0, 100

@@ -24,30 +24,18 @@ from ..files import visible
 from ..options import CaptureOptions
 from ..rig import Note, Rig, damaged
 from ..suffixes import SUFFIXES
-from . import (
-    colmap,
-    fipt_real,
-    fipt_synthetic,
-    json_solves,
-    realityscan,
-    scannetpp,
-    scans,
-    text_solves,
-    transforms,
-    xml_solves,
-)
+from . import colmap, datasets, json_solves, realityscan, scans, text_solves, transforms, xml_solves
 from .program import Program
 
 MOST_FOLDERS = 200  # that are searched for a capture below one that is none
 # Formats of data sets, which contain files of other formats, too.
-COMPLETE = ("fipt-synthetic", "fipt-real", "scannetpp")
+COMPLETE = tuple(each.NAME for each in datasets.SETS)
+Reader = ModuleType | Program | datasets.DataSet | scans.ScanApp
 # The first match is used: nerfstudio, for example, keeps a COLMAP model beside its transforms.json.
-FORMATS: dict[str, ModuleType | Program | scans.ScanApp] = {
+FORMATS: dict[str, Reader] = {
     each.NAME: each
     for each in (
-        fipt_synthetic,
-        fipt_real,
-        scannetpp,
+        *datasets.SETS,
         transforms,
         colmap,
         *xml_solves.PROGRAMS,
@@ -180,7 +168,7 @@ def _read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
     return replace(rig, notes=(*rig.notes, *filter(None, notes)))
 
 
-def _other_files(path: Path, found: Any, module: ModuleType | Program | scans.ScanApp) -> Note | None:
+def _other_files(path: Path, found: Any, module: Reader) -> Note | None:
     """A note of other camera files of the same program in the folder that was chosen."""
     if path.is_file() or not isinstance(found, Path) or not found.is_file():
         return None

@@ -116,7 +116,7 @@ def _nvm(file: Path, places: Places) -> Models:
     """The cameras of each model.
 
     The principal point is the photograph's centre unless the file has a fixed calibration. A camera's radial
-    distortion undoes it: undistorted = distorted (1 + r d^2); d is the distorted radius over the focal length.
+    distortion undoes it: undistorted = distorted (1 + r d^2), d = distorted radius over focal length.
 
     Raises:
         FiptError: ``camera-model``, ``image-missing`` or ``image-unreadable``.

@@ -45,15 +45,15 @@ SPLIT_FILES = {
 SPLIT_LISTS = {"train_filenames": "train", "val_filenames": "held_back", "test_filenames": "held_back"}
 PINHOLES = ("", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 FISHEYES = ("OPENCV_FISHEYE", "FISHEYE")
-_Side = Annotated[float, Number(1, MOST_SIDE)]
+Side = Annotated[float, Number(1, MOST_SIDE)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Common:
     """What stands in each frame, or once for all frames."""
 
-    w: _Side | None = None
-    h: _Side | None = None
+    w: Side | None = None
+    h: Side | None = None
     cx: float | None = None
     cy: float | None = None
     fl_x: float | None = None
