@@ -20,9 +20,8 @@ from ...run.kinds import Vector
 from ..options import CaptureOptions
 from ..places import MESH_STEMS, Places
 from ..rig import EQUIRECTANGULAR, Lens, RigView, WellFormed, damaged, read_json_rig
-from .program import Models, Program
 from .radial import distorting_lens
-from .rig_files import camera_pose, head, number, numbers, pixel_size
+from .rig_files import Models, Program, camera_pose, head, number, numbers, pixel_size
 
 # Meshroom writes meshes with Y and Z negated, which the poses follow here.
 _MESH_FROM_SFM = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -25,7 +25,7 @@ from ..options import CaptureOptions
 from ..rig import Note, Rig, damaged
 from ..suffixes import SUFFIXES
 from . import colmap, datasets, json_solves, realityscan, scans, text_solves, transforms, xml_solves
-from .program import Program
+from .rig_files import Program
 
 MOST_FOLDERS = 200  # that are searched for a capture below one that is none
 # Formats of data sets, which contain files of other formats, too.

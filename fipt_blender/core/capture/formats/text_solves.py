@@ -19,9 +19,8 @@ from ...conventions import opengl_to_opencv_camera
 from ...run.errors import FiptError
 from ..places import Places
 from ..rig import RigView, WellFormed
-from .program import Models, Program
 from .radial import distorting_lens, undistorting_lens
-from .rig_files import camera_pose, number, numbers, read_text_rig, stored_rotation
+from .rig_files import Models, Program, camera_pose, number, numbers, read_text_rig, stored_rotation
 
 LISTS = ("list.txt", "bundle.list.txt", "image_list.txt")  # of photographs, beside Bundler's file or above it
 _LINES = 5  # of a camera of Bundler

@@ -20,9 +20,18 @@ from ...conventions import transform_poses
 from ...run.errors import FiptError
 from ..places import Places
 from ..rig import EQUIRECTANGULAR, Lens, Note, RigView
-from .program import Models, Program
 from .radial import distorting_lens
-from .rig_files import camera_pose, cameras_off, number, numbers, pixel_size, read_xml_rig, similarity
+from .rig_files import (
+    Models,
+    Program,
+    camera_pose,
+    cameras_off,
+    number,
+    numbers,
+    pixel_size,
+    read_xml_rig,
+    similarity,
+)
 
 # Parameters of Metashape's lenses.
 _RADIAL = ("k1", "k2", "k3", "k4")
