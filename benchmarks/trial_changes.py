@@ -56,14 +56,14 @@ _TABLE = (
     (
         "lost_surfaces",
         "lost things by colors",
-        ["completion/lost_surfaces", "checks/agreement", "completion/prism"],
+        ["completion/lost_surfaces", "checks/agreement"],
         {},
         (SCAN,),
     ),
     (
         "torn_parts",
         "torn parts are completed",
-        [f"completion/{name}" for name in ("torn_parts", "cells", "revolution", "sheet")],
+        ["completion/torn_parts", "completion/shapes"],
         {},
         (SCAN,),
     ),

@@ -11,9 +11,9 @@ import pycolmap
 import pytest
 from PIL import Image
 
-from fipt_blender.core.capture.depth_points import depth_points
 from fipt_blender.core.capture.formats.registry import colmap, read_points, read_rig
 from fipt_blender.core.capture.options import CaptureOptions
+from fipt_blender.core.checks.align import depth_points
 from fipt_blender.core.run.errors import FiptError
 from samples import metashape_writers, rig_writers
 from samples.rgbd_frames import write_box_room

@@ -78,14 +78,17 @@ def test_colmap_point_cloud_is_no_mesh(tmp_path):
     assert read(tmp_path).mesh == tmp_path / "dense" / "meshed-poisson.ply"
 
 
-def test_colmap_text_without_second_lines(tmp_path):
+@pytest.mark.parametrize("kept", [(), (0,), (1, 3)])
+def test_colmap_text_without_second_lines_or_points(tmp_path, kept):
     samples = make_samples(4)
     write_colmap(tmp_path, samples, True)
     file = tmp_path / "sparse" / "0" / "images.txt"
     before = read_rig(tmp_path, "colmap", CaptureOptions()).views
-    file.write_text("".join(f"{line}\n" for line in file.read_text().splitlines() if line.strip()))
+    lines = [line for line in file.read_text().splitlines() if line.strip() and not line.startswith("#")]
+    file.write_text("".join(f"{line}\n{'1.5 2.5 -1' + chr(10) if i in kept else ''}" for i, line in enumerate(lines)))
+    (file.parent / "points3D.txt").unlink()
     after = read_rig(tmp_path, "colmap", CaptureOptions()).views
-    assert len(after) == 4 and [view.image for view in after] == [view.image for view in before]
+    assert [view.image for view in after] == [view.image for view in before] and len(after) == 4
 
 
 def test_the_only_mesh_needs_no_certain_name(tmp_path):
@@ -142,6 +145,15 @@ def test_transforms_take_the_size_from_the_image_and_need_a_field_of_view(tmp_pa
     with edited_json(tmp_path / "transforms.json") as data:
         del data["camera_angle_x"]
     assert error_of(read, tmp_path).code == "intrinsics-missing"
+    with edited_json(tmp_path / "transforms.json") as data:
+        data["x_fov"] = 90.0  # instant-ngp's, in degrees
+    assert [view.lens.parameters[:2] for view in read(tmp_path).views] == [pytest.approx((s, s)) for s in (24, 16)]
+    with edited_json(tmp_path / "transforms.json") as data:
+        data["frames"][0]["transform_matrix_start"] = data["frames"][0].pop("transform_matrix")
+    assert error_of(read, tmp_path).code == "pose-unsupported"
+    (tmp_path / "transforms_train.json").write_text("[]")  # poses as nerfstudio exports them
+    (tmp_path / "transforms.json").unlink()
+    assert error_of(read, tmp_path).code == "cameras-missing"
 
 
 @pytest.mark.parametrize(
@@ -154,6 +166,11 @@ def test_transforms_take_the_size_from_the_image_and_need_a_field_of_view(tmp_pa
         ({"camera_model": "OPENCV", "k1": 0.0}, "PINHOLE", ()),
         ({"camera_model": "CYLINDRICAL"}, None, ()),
         ({"camera_model": "OPENCV", "k4": 0.1}, None, ()),
+        # What instant-ngp calls its lenses; its equirectangular has equal areas.
+        ({"latlong": True}, "EQUIRECTANGULAR", ()),
+        ({"equirectangular": True}, None, ()),
+        ({"ftheta_p0": 0.0}, None, ()),
+        ({"orthographic": True}, None, ()),
     ],
 )
 def test_transforms_distortion(tmp_path, extra, model, parameters):

@@ -334,6 +334,8 @@ def test_files_that_lie_unused_are_told(tmp_path: Path, kind: str) -> None:
     assert told.keys() == {"images-unused", "masks-unused", "images-not-hdr"}
     assert told["images-unused"].startswith("12 ") and "more00.jpg" in told["images-unused"]
     assert told["masks-unused"].startswith("2 ") and "7.png" in told["masks-unused"]
+    (root / "images" / "dynamic_mask_0.png").touch()  # instant-ngp's, where white is left out
+    assert ("dynamic_mask" in str(read(root).notes)) == (kind == "transforms")
 
 
 @pytest.mark.parametrize("value", ["false", "False", "0"])

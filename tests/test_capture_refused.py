@@ -63,6 +63,8 @@ BAD = {
     "nan": ("image-not-finite", lambda p: set_pixels(p.parent, lambda x: put(x, np.nan))),
     "inf": ("image-not-finite", lambda p: set_pixels(p.parent, lambda x: put(x, np.inf))),
     "negative": ("image-negative", lambda p: set_pixels(p.parent, lambda x: put(x, -0.1))),
+    "turned": ("image-size", lambda p: set_pixels(p.parent, lambda x: x.swapaxes(0, 1))),
+    "folding lens": ("camera-model", lambda p: change_frame(p, k1=-0.8)),
     "other format": ("image-format", lambda p: rename(p, ".bmp")),
     "damaged png": ("image-unreadable", lambda p: rename(p, ".png")),
     "black": ("image-black", black),

@@ -218,10 +218,16 @@ def everywhere(folder: Path, value: int) -> None:
         write_depth(path, value)
 
 
+def turn_into_array(folder: Path) -> None:
+    (folder / "frame-000000.depth.png").unlink()
+    np.save(folder / "frame-000000.depth.npy", np.ones((HEIGHT, WIDTH)))
+
+
 SHEAR = np.eye(4) + 0.5 * np.eye(4, k=1)[[0, 3, 3, 3]]
 FAULTS = {
     "cut off": ("depth-unreadable", lambda p: os.truncate(p / "frame-000000.depth.png", 40)),
     "eight bits": ("depth-format", lambda p: write_depth(p / "frame-000000.depth.png", 90, np.uint8)),
+    "array": ("depth-format", turn_into_array),
     "size": ("depth-size", lambda p: write_depth(p / "frame-000003.depth.png", 2000, width=WIDTH // 2)),
     "unit": ("depth-unit", lambda p: everywhere(p, 20)),
     "empty": ("depth-empty", lambda p: everywhere(p, 0)),

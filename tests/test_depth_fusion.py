@@ -9,11 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fipt_blender.core.depth.cleaning import without_specks
+from fipt_blender.core.depth.cleaning import simplified, without_specks
 from fipt_blender.core.depth.extraction import FusedMesh, extract
 from fipt_blender.core.depth.gaps import gap_image
 from fipt_blender.core.depth.range_image import RangeImage
-from fipt_blender.core.depth.simplification import simplified
 from fipt_blender.core.depth.volume import BlockVolume, pack, unpack
 from samples.camera_poses import look_at
 

@@ -7,8 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fipt_blender.core.completion.revolution import fit_revolutions, revolved
-from fipt_blender.core.completion.sheet import fit_sheets
+from fipt_blender.core.completion.shapes import fit_revolutions, fit_sheets, revolved
 
 STEP = 0.02
 AXIS = np.array([1.0, -2.0])

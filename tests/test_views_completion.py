@@ -15,9 +15,8 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.checks.agreement import compared_pixels
 from fipt_blender.core.completion import panes
-from fipt_blender.core.completion.lost_surfaces import lost_surfaces
+from fipt_blender.core.completion.lost_surfaces import lost_surfaces, prism
 from fipt_blender.core.completion.panes import close_holes
-from fipt_blender.core.completion.prism import prism
 from fipt_blender.core.parts.masked_views import masked_views
 from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.run.run_files import PANES, read_room_files

@@ -133,8 +133,8 @@ def _rgbd(folder: Path) -> None:
 def _depth_points(sample: Path, out: Path) -> None:
     """What cameras with depth are aligned by."""
     from fipt_blender.core.capture.depth_images import checked_depths
-    from fipt_blender.core.capture.depth_points import alignment_points
     from fipt_blender.core.capture.formats.registry import read_rig
+    from fipt_blender.core.checks.align import alignment_points
 
     rig = read_rig(sample, "rgbd", CaptureOptions())
     alignment_points(sample, replace(rig, depths=checked_depths(rig.depths)))

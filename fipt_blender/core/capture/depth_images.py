@@ -12,12 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..depth.cleaning import without_specks
+from ..depth.cleaning import simplified, without_specks
 from ..depth.extraction import FusedMesh, extract
 from ..depth.gaps import gap_image
 from ..depth.ply import write_ply
 from ..depth.range_image import RangeImage
-from ..depth.simplification import simplified
 from ..depth.volume import BlockVolume
 from ..run.documents import optional_document
 from ..run.errors import FiptError
@@ -107,20 +106,23 @@ def _stored(path: Path) -> np.ndarray:
             return np.nan_to_num(read_exr_values(path)[..., 0], nan=0.0, posinf=0.0, neginf=0.0)
         values = stored_values(path, picture)
     except FiptError as error:
-        raise stand_in(path) or _unreadable(path, error.text) from None
+        raise _unusable(path, error) from None
     if picture.kind != "png" or values.shape[2] > 1 or values.dtype != np.uint16:
-        raise FiptError(
-            "depth-format",
-            f"{path} is not a 16-bit grayscale PNG, so that it holds no depth.",
-            "Export depth images as 16-bit PNG.",
-        )
+        raise _no_depth(path)
     return np.where(values == 65535, 0, values)[..., 0].astype(np.float32)  # both stand for no depth
 
 
-def _unreadable(path: Path, reason: object) -> FiptError:
-    return FiptError(
-        "depth-unreadable", f"The depth image {path} can't be read ({reason}).", "Restore the file."
-    )
+def _unusable(path: Path, error: FiptError) -> FiptError:
+    """The error for a depth image, instead of that for the same file as a photograph."""
+    if error.code == "image-format":
+        return _no_depth(path)
+    text = f"The depth image {path} can't be read ({error.text})."
+    return stand_in(path) or FiptError("depth-unreadable", text, "Restore the file.")
+
+
+def _no_depth(path: Path) -> FiptError:
+    text = f"{path} is neither a 16-bit grayscale PNG nor OpenEXR, so that it holds no depth."
+    return FiptError("depth-format", text, "Export depth images as 16-bit PNG.")
 
 
 def _colors(view: DepthView, depth: np.ndarray, scale: float) -> np.ndarray | None:
@@ -281,7 +283,7 @@ def depth_size(path: Path) -> tuple[int, int]:
     try:
         return read_size(path)
     except FiptError as error:
-        raise stand_in(path) or _unreadable(path, error.text) from None
+        raise _unusable(path, error) from None
 
 
 def registered_depths(

@@ -78,7 +78,9 @@ def undistorted_pinhole(lens: Lens, width: int, height: int) -> Pinhole:
     x, y = np.linspace(0.5, pinhole.width - 0.5, 33), np.linspace(0.5, pinhole.height - 0.5, 33)
     positions = _source_positions(camera, pinhole, lens.face, x, y)
     inside = (positions > -1.0).all() and (positions < [width + 1.0, height + 1.0]).all()
-    if not inside:  # NaN included
+    grid = positions.reshape(len(y), len(x), 2)
+    folds = (np.diff(grid[..., 0], axis=1) <= 0.0).any() or (np.diff(grid[..., 1], axis=0) <= 0.0).any()
+    if folds or not inside:  # NaN included
         raise FiptError(
             "camera-model",
             f"The lens distortion {lens.model} {lens.parameters} can't be undone over the whole image.",

@@ -299,11 +299,13 @@ def _check_files(views: list[RigView]) -> None:
                 continue
             width, height = read_size(path)
             if (width, height) != (view.width, view.height):
-                raise FiptError(
-                    code,
-                    f"{path} has {width} x {height} pixels, but its camera {view.width} x {view.height}.",
-                    "Use images of the size for which the cameras were calibrated.",
-                )
+                remedy = "Use images of the size for which the cameras were calibrated."
+                if (height, width) == (view.width, view.height):
+                    remedy = (
+                        "The cameras are those of photographs that were turned upright: turn their pixels."
+                    )
+                text = f"{path} has {width} x {height} pixels, but its camera {view.width} x {view.height}."
+                raise FiptError(code, text, remedy)
         if view.lens.model != EQUIRECTANGULAR and says_panorama(view.image, (view.width, view.height)):
             raise FiptError(
                 "camera-model",

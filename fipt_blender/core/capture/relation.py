@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..alignment.surface import sample_surface
 from ..alignment.turns import turn_by
 from ..conventions import transform_points, transform_poses
 from ..run.documents import decoded, load_document, read_limited
@@ -104,7 +105,10 @@ def relate(capture: Path, rig: Rig, mesh: Path | None, solved: np.ndarray) -> Re
                 raise
     fits = True
     if usable and vertices is not None and len(triangles):
-        cameras = _Cameras(rig, _samples(vertices, triangles), solved)
+        points = vertices
+        with suppress(FiptError):  # a mesh without area
+            points = sample_surface(vertices, triangles, np.random.default_rng(0), SAMPLES).points
+        cameras = _Cameras(rig, points, solved)
         place, more = _placed(cameras, folders)
         judged = _judged(mesh, cameras, place)
         fits = not judged
@@ -177,21 +181,6 @@ def _text(file: Path) -> str:
     with suppress(OSError, ValueError):
         return decoded(read_limited(file, MOST_SIDE_BYTES))
     return ""
-
-
-def _samples(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Points (N, 3) evenly over a mesh."""
-    corners = vertices[triangles]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    rng = np.random.default_rng(0)
-    if not 0.0 < areas.sum() < np.inf:
-        return np.asarray(vertices)
-    chosen = corners[
-        np.searchsorted(np.cumsum(areas) / areas.sum(), rng.random(SAMPLES)).clip(0, len(areas) - 1)
-    ]
-    u, v = rng.random((2, SAMPLES, 1))
-    u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
-    return np.asarray(chosen[:, 0] + u * (chosen[:, 1] - chosen[:, 0]) + v * (chosen[:, 2] - chosen[:, 0]))
 
 
 class _Cameras:

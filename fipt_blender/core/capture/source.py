@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from ..conventions import transform_points
+from ..depth.cleaning import collapsed
 from ..depth.extraction import FusedMesh
 from ..depth.ply import write_ply
-from ..depth.simplification import collapsed
 from ..run.errors import FiptError
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder

@@ -9,6 +9,8 @@ pairs of points have placed them nearly right. Blender writes the input as for `
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +19,12 @@ from ..alignment.registration import refine
 from ..alignment.surface import sample_surface
 from ..capture.checks import judge_size
 from ..capture.color_camera import with_color_camera
-from ..capture.depth_points import alignment_points
-from ..capture.formats.registry import FORMATS, read_rig
+from ..capture.depth_images import check_unit, read_depth
+from ..capture.formats.registry import FORMATS, read_points, read_rig
 from ..capture.ingest import distinct_views
 from ..capture.options import CaptureOptions
 from ..capture.panorama import pinhole_views
+from ..capture.rig import DepthView, Rig
 from ..capture.views import View, load_capture
 from ..conventions import transform_points
 from ..run.contents import Placement
@@ -34,6 +37,7 @@ from ..run.runfolder import RunFolder, write_json
 MOST_POINTS = 4000  # more do not make the alignment better, only slower
 LEAST_INLIERS = 0.6  # of the points near the mesh; a wrong alignment leaves fewer
 _SEED = 0  # of the points that are drawn
+_STEEP = 0.05  # relative difference between neighbouring depths above which a pixel lies at an edge
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -111,3 +115,50 @@ def similarity_of_poses(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     result[:3, :3] = scale * rotation
     result[:3, 3] = end.mean(axis=0) - scale * start.mean(axis=0)
     return result
+
+
+def alignment_points(capture: Path, rig: Rig) -> np.ndarray:
+    """Points (N, 3) in the coordinates of the rig.
+
+    Raises:
+        FiptError: ``alignment-points`` where the capture has neither, or one of the readers'.
+    """
+    if rig.depths and getattr(FORMATS[rig.source], "points", None) is None:
+        return depth_points(rig.depths, np.random.default_rng(0))
+    return read_points(capture, rig.source, sure=True)
+
+
+def depth_points(views: Sequence[DepthView], rng: np.random.Generator) -> np.ndarray:
+    """Points (N, 3) that some of the depth images measure, in metres and the coordinates of their poses.
+
+    Pixels beside edges are left out, where depth cameras measure between both sides.
+
+    Raises:
+        FiptError: those of `read_depth` and `check_unit`; ``depth-empty`` where no pixel is left.
+    """
+    count = min(60, len(views))  # evenly spread; more do not make an alignment better
+    chosen = [replace(views[index * len(views) // count], photograph=None) for index in range(count)]
+    images = [read_depth(view, 1.0) for view in chosen]
+    check_unit(images[:: max(1, count // 8)])
+    points = []
+    for image in images:
+        positions = replace(image, depth=np.where(_inside(image.depth), image.depth, 0.0)).points()[0]
+        points.append(positions[rng.permutation(len(positions))[:200]])
+    found = np.concatenate(points)
+    if not len(found):
+        raise FiptError(
+            "depth-empty",
+            "The depth images measure no surface away from its edges.",
+            "Check the depth images, or align by pairs of points.",
+        )
+    return found
+
+
+def _inside(depth: np.ndarray) -> np.ndarray:
+    """(H, W) bool: measured, and so are the four neighbours, at similar depths."""
+    inside = np.zeros(depth.shape, bool)
+    middle = depth[1:-1, 1:-1]
+    around = (depth[:-2, 1:-1], depth[2:, 1:-1], depth[1:-1, :-2], depth[1:-1, 2:])
+    near = [(other > 0.0) & (np.abs(other - middle) <= _STEEP * middle) for other in around]
+    inside[1:-1, 1:-1] = (middle > 0.0) & np.logical_and.reduce(near)
+    return inside

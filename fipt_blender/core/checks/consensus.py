@@ -69,12 +69,8 @@ class SmallViews:
 
     def among(self, chosen: Sequence[int]) -> SmallViews:
         """Some of the views."""
-        views, color, used = (
-            [self.views[i] for i in chosen],
-            [self.color[i] for i in chosen],
-            [self.used[i] for i in chosen],
-        )
-        return SmallViews(views, color, used, self.clear[list(chosen)])
+        views, color, used = zip(*((self.views[i], self.color[i], self.used[i]) for i in chosen), strict=True)
+        return SmallViews(list(views), list(color), list(used), self.clear[list(chosen)])
 
 
 @dataclass(frozen=True, eq=False)

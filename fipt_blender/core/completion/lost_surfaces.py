@@ -20,9 +20,8 @@ from scipy.special import bdtrc  # scipy.stats takes half a second to import
 
 from ..checks.agreement import LEAST_GAIN, Box, ComparedPixels, cells_of, doubts, hits_of
 from ..run.messages import Progress, unwatched
-from ..surface.adjacency import NONE, Surface
+from ..surface.adjacency import NONE, Surface, without_unused
 from ..surface.room import Room
-from .prism import prism
 
 # Share of all disagreement that a thing must take away: smaller things matter less than a wrong prism.
 LEAST_SHARE = 0.01
@@ -32,6 +31,8 @@ MOST_INSIDE = 0.01
 LEVEL = 0.05
 # Cells by which a side of a prism moves at a time.
 STEPS = (3, 1)
+# Rounds that take the steps of the cells out of a footprint's border.
+_ROUNDS = 6
 
 
 def lost_surfaces(
@@ -97,7 +98,7 @@ class _Prism:
     def is_likely(self) -> bool:
         """Whether more of the views get better by it than chance explains."""
         better, changed = int((self.by_view > 0.0).sum()), int((self.by_view != 0.0).sum())
-        return _unlikely(better, changed)
+        return bool(bdtrc(better - 1, changed, 0.5) < LEVEL)
 
     def inside(self, points: np.ndarray, size: float) -> float:
         """Share of the cells well inside it, with edges of `size` metres, that hold points (N, 3)."""
@@ -241,18 +242,68 @@ def _moved(mask: np.ndarray, along: int, by: int) -> np.ndarray:
 
 def _footprint(shows: np.ndarray) -> np.ndarray | None:
     """The largest piece of a layer (X, Y) that shows a thing, without holes; None without any."""
-    largest = _largest_piece(binary_opening(shows))
-    return None if largest is None else np.asarray(binary_fill_holes(largest))
-
-
-def _largest_piece(mask: np.ndarray) -> np.ndarray | None:
-    """The largest connected piece, None of nothing."""
-    pieces, count = label(mask)
+    pieces, count = label(binary_opening(shows))
     if not count:
         return None
-    return np.asarray(pieces == 1 + np.argmax(np.bincount(pieces.reshape(-1))[1:]))
+    return np.asarray(binary_fill_holes(pieces == 1 + np.argmax(np.bincount(pieces.reshape(-1))[1:])))
 
 
-def _unlikely(count: int, views: int) -> bool:
-    """Whether chance rarely improves so many of the views or more (sign test)."""
-    return bool(bdtrc(count - 1, views, 0.5) < LEVEL)
+def prism(
+    inside: np.ndarray, corner: np.ndarray, cell: float, layers: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The closed surface of a prism.
+
+    Args:
+        inside: (X, Y) bool, cells of the footprint.
+        corner: (3,) lowest corner of cell (0, 0), metres.
+        cell: edge of a cell, and height of a layer, metres.
+        layers: its height in layers, at least 1.
+
+    Returns:
+        vertices (V, 3) float32, triangles (T, 3) int32 with fronts outwards, and corner normals (T, 3, 3).
+    """
+    places = np.argwhere(inside)[:, None] + [[0, 0], [1, 0], [1, 1], [0, 1]]
+    used, index = np.unique(places.reshape(-1, 2), axis=0, return_inverse=True)
+    cells = index.reshape(-1, 4)
+    border = _border(cells)
+    outline = _smoothed(used.astype(np.float64), border)
+    flat = cells[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    count = len(used)
+    levels = np.repeat(np.arange(layers + 1), count)[:, None]
+    vertices = corner + cell * np.concatenate([np.tile(outline, (layers + 1, 1)), levels], axis=1)
+    low = (np.arange(layers)[:, None, None] * count + border).reshape(-1, 2)
+    quads = np.concatenate([low, low[:, ::-1] + count], axis=1)
+    walls = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    outward = _outward(outline, border)
+    up = np.broadcast_to([0.0, 0.0, 1.0], (len(flat), 3, 3))
+    triangles = np.concatenate([flat[:, ::-1], flat + layers * count, walls])
+    normals = np.concatenate([-up, up, outward[walls % count]])
+    used, triangles = without_unused(triangles)
+    return vertices[used].astype(np.float32), triangles, normals.astype(np.float32)
+
+
+def _border(cells: np.ndarray) -> np.ndarray:
+    """(E, 2) directed edges of cells (N, 4), counter-clockwise, that only one cell has."""
+    edges = np.stack([cells, np.roll(cells, -1, axis=1)], axis=2).reshape(-1, 2)
+    size = int(edges.max()) + 1
+    return edges[~np.isin(edges[:, 0] * size + edges[:, 1], edges[:, 1] * size + edges[:, 0])]
+
+
+def _smoothed(places: np.ndarray, border: np.ndarray) -> np.ndarray:
+    """Places (V, 2) with those of the border (E, 2) between their neighbours along it."""
+    on = np.bincount(border.reshape(-1), minlength=len(places))[:, None]
+    for _ in range(_ROUNDS):
+        total = np.zeros_like(places)
+        np.add.at(total, border[:, 0], places[border[:, 1]])
+        np.add.at(total, border[:, 1], places[border[:, 0]])
+        places = np.where(on > 0, 0.5 * places + 0.5 * total / np.maximum(on, 1), places)
+    return places
+
+
+def _outward(places: np.ndarray, border: np.ndarray) -> np.ndarray:
+    """(V, 3) unit normals of the walls over the border, zero off it."""
+    along = places[border[:, 1]] - places[border[:, 0]]
+    normal = np.zeros((len(places), 3))
+    for end in (0, 1):
+        np.add.at(normal, border[:, end], np.stack([along[:, 1], -along[:, 0], 0.0 * along[:, 0]], axis=1))
+    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))

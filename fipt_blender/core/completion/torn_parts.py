@@ -26,9 +26,7 @@ from ..run.messages import Progress, unwatched
 from ..run.threads import in_threads
 from ..surface.adjacency import NONE, Surface, face_vectors
 from ..surface.room import Room
-from .cells import CellSurface
-from .revolution import fit_revolutions
-from .sheet import fit_sheets
+from .shapes import CellSurface, fit_revolutions, fit_sheets
 
 # Triangles of a part within this many edges belong to one thing; fewer triangles do not determine a shape.
 APART, LEAST_TRIANGLES = 2.0, 100
@@ -149,12 +147,6 @@ class _Completion:
         self._seen = 1
         self.added: list[Surface] = []
 
-    def put(self, surface: Surface) -> None:
-        """Add a surface."""
-        self.added.append(surface)
-        none = np.full(len(surface[1]), NONE, np.int32)
-        self._rooms.append(Room(*surface[:3], none, none))
-
     def look(self) -> None:
         """Let the surfaces that have been added occlude what is behind them."""
         for room in self._rooms[self._seen :]:
@@ -175,7 +167,9 @@ class _Completion:
         chosen = missing(has, _votes(shape, self._masked, part, self._edge))
         if chosen.any():
             vertices, triangles, normals = shape.surface(chosen)
-            self.put((vertices, triangles, normals, np.full(len(triangles), NONE)))
+            none = np.full(len(triangles), NONE, np.int32)
+            self.added.append((vertices, triangles, normals, none))
+            self._rooms.append(Room(vertices, triangles, normals, none, none))
 
     def distance(self, shape: CellSurface, part: int) -> float:
         """Mean distance in metres between views and the cells that they show."""

@@ -112,8 +112,10 @@ def opened(found: Model) -> pycolmap.Reconstruction:
         check_model(found.folder)
         with _plain(found.folder) as folder:
             model = pycolmap.Reconstruction(str(folder))
-            for number, name in _text_names(folder):
-                model.images[number].name = name
+            if not (folder / "images.bin").is_file():
+                for pose, _ in _entries((folder / "images.txt").read_text("utf-8")):
+                    words = pose.split(maxsplit=9)  # COLMAP's own reader ends names at a blank
+                    model.images[int(words[0])].name = words[9].rstrip()
         return model
     except (RuntimeError, ValueError, KeyError, IndexError, OSError) as error:
         raise damaged(found.folder, error) from None
@@ -123,39 +125,43 @@ def opened(found: Model) -> pycolmap.Reconstruction:
 def _plain(folder: Path) -> Iterator[Path]:
     """The folder of a model, or a copy of a text model that COLMAP would read wrongly.
 
-    That is one with byte-order marks, or without the second lines of images, which some programs leave out.
+    That is one with byte-order marks, without points, or without the second lines of some images, which
+    programs leave out that have no points.
     """
     files = [] if (folder / "images.bin").is_file() else sorted(folder.glob("*.txt"))
     texts = {file.name: decoded(read_limited(file, MOST_BYTES)) for file in files}
-    lines = [line for line in texts.get("images.txt", "").splitlines() if not line.startswith("#")]
-    single = len(lines) > 1 and all(map(_is_pose, lines))
-    if not single and not any(has_mark(file) for file in files):
+    lacks_lines = any(_is_pose(points) for _, points in _entries(texts.get("images.txt", "")))
+    lacks_points = "images.txt" in texts and "points3D.txt" not in texts
+    if not (lacks_lines or lacks_points or any(has_mark(file) for file in files)):
         yield folder
         return
-    if single:
-        texts["images.txt"] = "".join(f"{line}\n\n" for line in lines)
+    texts.setdefault("points3D.txt", "")
+    if lacks_lines:
+        entries: list[list[str]] = []
+        for line in texts["images.txt"].splitlines():
+            if _is_pose(line):
+                entries.append([line, ""])
+            elif entries and line.strip() and not line.startswith("#"):
+                entries[-1][1] = line
+        texts["images.txt"] = "".join(f"{pose}\n{points}\n" for pose, points in entries)
     with TemporaryDirectory(prefix="fipt-colmap-") as copy:
         for name, text in texts.items():
             (Path(copy) / name).write_bytes(text.encode())
         yield Path(copy)
 
 
+def _entries(text: str) -> Iterator[tuple[str, str]]:
+    """The two lines of each image of an images.txt, as COLMAP reads them."""
+    lines = iter(text.splitlines())
+    for line in lines:
+        if line.strip() and not line.startswith("#"):
+            yield line, next(lines, "")
+
+
 def _is_pose(line: str) -> bool:
     """Whether a line of images.txt has an image's name behind its numbers, as those with points do not."""
     words = line.split(maxsplit=9)
     return len(words) == 10 and re.fullmatch(r"[-+.\d\seE]+", words[9]) is None
-
-
-def _text_names(folder: Path) -> Iterator[tuple[int, str]]:
-    """Numbers and names of a text model's images; COLMAP's own reader ends names at a blank."""
-    if (folder / "images.bin").is_file():
-        return
-    with (folder / "images.txt").open(encoding="utf-8") as lines:
-        for line in lines:
-            words = line.split(maxsplit=9)
-            if words and not line.startswith("#"):
-                yield int(words[0]), words[9].rstrip()
-                next(lines, "")  # its points
 
 
 def _points(found: Model) -> tuple[np.ndarray, np.ndarray]:

@@ -48,7 +48,7 @@ def distorting_lens(
     # Up to half a field of view of 84 degrees.
     radii = np.linspace(0.0, 10.0, 200 * _SAMPLES)[1:]
     with np.errstate(all="ignore"):
-        distorted = radii * _polynomial(radii, coefficients)
+        distorted = radii * np.polyval([*reversed(coefficients), 1.0], radii**2)
     # Up to the image's corner, or to where the polynomial folds back before it.
     ends = np.nonzero((distorted > _corner(intrinsics, size)) | (np.gradient(distorted) <= 0.0))[0]
     last = int(ends[0]) if len(ends) else len(radii) - 1
@@ -74,13 +74,6 @@ def undistorting_lens(
     if not (np.isfinite(radii).all() and radii[0] > 0.0 and (np.diff(radii) > 0.0).all()):
         raise _unusable()
     return _fitted(intrinsics, radii, distorted, (0.0, 0.0))
-
-
-def _polynomial(radii: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
-    square, factor = radii**2, np.zeros_like(radii)
-    for coefficient in reversed(coefficients):
-        factor = (factor + coefficient) * square
-    return 1.0 + factor
 
 
 def _corner(intrinsics: tuple[float, float, float, float], size: tuple[int, int]) -> float:

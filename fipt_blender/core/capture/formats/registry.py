@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The registry of capture formats.
 
-Each is a module, or an app of `scans`, with NAME and LOOKS_FOR; `find(path)`, what a capture is read from, or
-None where it has another format; `read(found, options)`; and, if it holds points, `points(found)`, perhaps
-`sure_points`.
+Each is a module, a `Program`, or an app of `scans`, with NAME and LOOKS_FOR; `find(path)`, what a capture is
+read from, or None where it has another format; `read(found, options)`; and, if it holds points,
+`points(found)`, perhaps `sure_points`.
 """
 
 from __future__ import annotations
@@ -14,51 +14,34 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from ...run.errors import FiptError
 from ...run.shapes import FARTHEST_UNITS
+from ..files import visible
 from ..options import CaptureOptions
 from ..rig import Note, Rig, damaged
 from ..suffixes import SUFFIXES
-from . import (
-    blocksexchange,
-    bundler,
-    colmap,
-    fipt_real,
-    fipt_synthetic,
-    meshroom,
-    metashape,
-    nvm,
-    openmvg,
-    opensfm,
-    realityscan,
-    scannetpp,
-    scans,
-    transforms,
-)
+from . import colmap, datasets, json_solves, realityscan, scans, text_solves, transforms, xml_solves
+from .rig_files import Program
 
 MOST_FOLDERS = 200  # that are searched for a capture below one that is none
 # Formats of data sets, which contain files of other formats, too.
-COMPLETE = ("fipt-synthetic", "fipt-real", "scannetpp")
+COMPLETE = tuple(each.NAME for each in datasets.SETS)
+Reader = ModuleType | Program | datasets.DataSet | scans.ScanApp
 # The first match is used: nerfstudio, for example, keeps a COLMAP model beside its transforms.json.
-FORMATS: dict[str, ModuleType | scans.ScanApp] = {
-    module.NAME: module
-    for module in (
-        fipt_synthetic,
-        fipt_real,
-        scannetpp,
+FORMATS: dict[str, Reader] = {
+    each.NAME: each
+    for each in (
+        *datasets.SETS,
         transforms,
         colmap,
-        metashape,
-        blocksexchange,
+        *xml_solves.PROGRAMS,
         realityscan,
-        meshroom,
-        opensfm,
-        openmvg,
-        bundler,
-        nvm,
+        *json_solves.PROGRAMS,
+        *text_solves.PROGRAMS,
         *scans.APPS,
     )
 }
@@ -181,5 +164,17 @@ def _read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
             "Set the format to auto, or choose another folder.",
         )
     rig: Rig = module.read(found, options)
-    note = _others(path, detected) if name == "auto" else None
-    return rig if note is None else replace(rig, notes=(*rig.notes, note))
+    notes = [_others(path, detected) if name == "auto" else None, _other_files(path, found, module)]
+    return replace(rig, notes=(*rig.notes, *filter(None, notes)))
+
+
+def _other_files(path: Path, found: Any, module: Reader) -> Note | None:
+    """A note of other camera files of the same program in the folder that was chosen."""
+    if path.is_file() or not isinstance(found, Path) or not found.is_file():
+        return None
+    beside = [file for file in visible(found.parent) if file.suffix == found.suffix and file != found]
+    also = [str(file) for file in beside if module.find(file) is not None]
+    if not also:
+        return None
+    text = f"{found} is read; {len(also)} other files hold such cameras, too: {', '.join(also[:3])}."
+    return Note("formats-several", text, "To read another one, choose that file instead of the folder.")

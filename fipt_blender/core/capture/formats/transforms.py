@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -45,21 +45,23 @@ SPLIT_FILES = {
 SPLIT_LISTS = {"train_filenames": "train", "val_filenames": "held_back", "test_filenames": "held_back"}
 PINHOLES = ("", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 FISHEYES = ("OPENCV_FISHEYE", "FISHEYE")
-_Side = Annotated[float, Number(1, MOST_SIDE)]
+Side = Annotated[float, Number(1, MOST_SIDE)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Common:
     """What stands in each frame, or once for all frames."""
 
-    w: _Side | None = None
-    h: _Side | None = None
+    w: Side | None = None
+    h: Side | None = None
     cx: float | None = None
     cy: float | None = None
     fl_x: float | None = None
     fl_y: float | None = None
     camera_angle_x: float | None = None
     camera_angle_y: float | None = None
+    x_fov: float | None = None
+    y_fov: float | None = None
     k1: float | None = None
     k2: float | None = None
     k3: float | None = None
@@ -68,6 +70,10 @@ class Common:
     p2: float | None = None
     camera_model: str | None = None
     is_fisheye: bool | None = None
+    latlong: bool | None = None
+    equirectangular: bool | None = None
+    orthographic: bool | None = None
+    ftheta_p0: float | None = None
     mask_path: str | None = None
     depth_file_path: str | None = None
     depth_path: str | None = None
@@ -79,7 +85,8 @@ class Frame(Common):
     """A photograph."""
 
     file_path: str
-    transform_matrix: list
+    transform_matrix: list = field(default_factory=list)
+    transform_matrix_start: list | None = None
     is_bad: bool | None = None
 
 
@@ -108,7 +115,8 @@ def find(path: Path) -> Path | None:
     if path.is_file():
         return path if path.suffix.lower() == ".json" and '"frames"' in head(path) else None
     names = ("transforms.json", "transforms_train.json")
-    return path if any((path / name).is_file() for name in names) else None
+    # A list is what nerfstudio exports of its own scene: poses without cameras.
+    return path if any(head(path / name).lstrip()[:1] not in ("", "[") for name in names) else None
 
 
 def read(path: Path, options: CaptureOptions) -> Rig:
@@ -117,15 +125,16 @@ def read(path: Path, options: CaptureOptions) -> Rig:
     Cameras have OpenGL axes. The world is that of the poses as stored (Z up unless the file has another
     "up_axis"), or with ``undo_applied_transform`` the one before nerfstudio's ``applied_transform``.
     Intrinsics (fl_x, fl_y, cx, cy, w, h, k1 k2 p1 p2 k3, or k1 to k4 of a fisheye) belong to each frame or to
-    the whole file; ``camera_angle_x`` and ``camera_angle_y`` replace missing focal lengths. A panorama
-    (``camera_model`` EQUIRECTANGULAR) has none of them; its centre shows what is before the camera. Black
+    the whole file; ``camera_angle_x`` and ``camera_angle_y`` replace missing focal lengths, and so do
+    instant-ngp's ``x_fov`` and ``y_fov`` in degrees. A panorama (``camera_model`` EQUIRECTANGULAR, or
+    ``latlong``) has none of them; its centre shows what is before the camera. Black
     pixels of a frame's ``mask_path`` are left out. Depth images are nerfstudio's ``depth_file_path`` and
     NeRFCapture's ``depth_path``, in the unit that the file has. A frame may name its view with ``name``, our
     own extension.
 
     Raises:
-        FiptError: ``rig-damaged``, ``camera-model``, ``intrinsics-missing``, ``image-missing``,
-            ``image-unreadable`` or ``path-outside``.
+        FiptError: ``rig-damaged``, ``camera-model``, ``intrinsics-missing``, ``pose-unsupported``,
+            ``image-missing``, ``image-unreadable`` or ``path-outside``.
     """
     if path.is_file():
         files: dict[Path, str | None] = {path: None}
@@ -170,6 +179,12 @@ def read(path: Path, options: CaptureOptions) -> Rig:
             text = f"{len(split_of)} of {len(lists)} names in the splits of {json_path} belong to no frame"
             text += f"; the first is {next(name for name in lists if _identity(places, name) in split_of)}."
             notes.append(Note("splits-unknown", text, "Correct these names, or leave them out."))
+    beside = {path for view in views for path in view.image.parent.glob("dynamic_mask_*")}
+    if beside:
+        text = (
+            f"{len(beside)} masks of instant-ngp ({min(beside)}) are not used: what is white is masked there."
+        )
+        notes.append(Note("masks-unused", text, "Invert them, and name them in the frames with mask_path."))
     mesh = find_mesh([root], ["scene", "mesh", "meshed-poisson", "poisson_mesh"])
     return places.rig(NAME, views, up_axis, mesh, notes, tuple(depths))
 
@@ -194,6 +209,9 @@ def frame_view(json_path: Path, frame: Frame, split: str | None, places: Places)
     Raises:
         FiptError: see `read`.
     """
+    if frame.transform_matrix_start is not None and not frame.transform_matrix:
+        text = f"{json_path} has two poses of each frame, between which a rolling shutter moved."
+        raise FiptError("pose-unsupported", text, "Write the pose of the middle as transform_matrix.")
     pose = opengl_to_opencv_camera(read_pose(json_path, frame.transform_matrix))
     with WellFormed(json_path):
         width, height = int(frame.w or 0), int(frame.h or 0)
@@ -216,19 +234,20 @@ def _lens(json_path: Path, frame: Frame, width: int, height: int) -> Lens:
     model = _model(frame)
     if model == EQUIRECTANGULAR:
         return Lens(EQUIRECTANGULAR, (float(width), float(height)))
-    fx, fy = _focal_lengths(json_path, frame, width, height)
-    cx, cy = frame.cx, frame.cy
-    centre = (0.5 * width if cx is None else cx, 0.5 * height if cy is None else cy)
     k1, k2, k3, k4, p1, p2 = (getattr(frame, key) or 0.0 for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
-    if model in FISHEYES or frame.is_fisheye:
-        return Lens("OPENCV_FISHEYE", (fx, fy, *centre, k1, k2, k3, k4))
+    fisheye = model in FISHEYES or (frame.is_fisheye and model in PINHOLES)
     # COLMAP's FULL_OPENCV divides by a polynomial with k4; nerfstudio's k4 multiplies, as no model here does.
-    if model not in PINHOLES or k4 != 0.0:
+    if not fisheye and (model not in PINHOLES or k4 != 0.0):
         raise FiptError(
             "camera-model",
             f"{json_path} has the camera model {model or 'pinhole'}" + (" with k4." if k4 != 0.0 else "."),
             "Export perspective, OpenCV fisheye or equirectangular images.",
         )
+    fx, fy = _focal_lengths(json_path, frame, width, height)
+    cx, cy = frame.cx, frame.cy
+    centre = (0.5 * width if cx is None else cx, 0.5 * height if cy is None else cy)
+    if fisheye:
+        return Lens("OPENCV_FISHEYE", (fx, fy, *centre, k1, k2, k3, k4))
     if k3 != 0.0:
         return Lens("FULL_OPENCV", (fx, fy, *centre, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0))
     if any((k1, k2, p1, p2)):
@@ -237,17 +256,22 @@ def _lens(json_path: Path, frame: Frame, width: int, height: int) -> Lens:
 
 
 def _model(frame: Frame) -> str:
+    """The camera model, which instant-ngp names by a key of its own."""
+    if frame.latlong:
+        return EQUIRECTANGULAR
+    if frame.equirectangular:
+        return "EQUAL_AREA"  # whatever instant-ngp calls it: rows are proportional to the height
+    if frame.orthographic or frame.ftheta_p0 is not None:
+        return "ORTHOGRAPHIC" if frame.orthographic else "FTHETA"
     return (frame.camera_model or "").upper()
 
 
 def _focal_lengths(json_path: Path, frame: Frame, width: int, height: int) -> tuple[float, float]:
     """Focal lengths fx, fy in pixels; a missing one is that of the other axis (square pixels)."""
-    fx = fy = None
-    if frame.camera_angle_x:
-        fx = 0.5 * width / math.tan(0.5 * frame.camera_angle_x)
-    if frame.camera_angle_y:
-        fy = 0.5 * height / math.tan(0.5 * frame.camera_angle_y)
-    fx, fy = frame.fl_x or fx, frame.fl_y or fy
+    angle_x = frame.camera_angle_x or math.radians(frame.x_fov or 0.0)
+    angle_y = frame.camera_angle_y or math.radians(frame.y_fov or 0.0)
+    fx = frame.fl_x or (0.5 * width / math.tan(0.5 * angle_x) if angle_x else None)
+    fy = frame.fl_y or (0.5 * height / math.tan(0.5 * angle_y) if angle_y else None)
     if fx is None and fy is None:
         raise FiptError(
             "intrinsics-missing",
