@@ -90,7 +90,8 @@ def test_a_failure_is_told_with_its_reason(tmp_path, notices):
         raise FiptError("odd", "There is no mesh.", "Import one.")
 
     assert do_job(tmp_path, fail).state == "failed"
-    assert notices == [("Check Views failed: There is no mesh.", "ERROR")]
+    # In the status bar, without a popup: the section shows it with its remedy.
+    assert notices == [("Check Views failed: There is no mesh.", "WARNING")]
 
 
 def test_a_warning_goes_once_its_remedy_was_followed(tmp_path):
