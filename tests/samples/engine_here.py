@@ -6,37 +6,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from fipt_blender.bridge.process import Engine, EngineProcess
+from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.core import __main__ as engine
 from fipt_blender.core.device import variant
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.jobs import run_job
 
+NOBODY = 2**30  # no process has this id
 
-class EngineHere(Engine):
+
+class EngineHere(EngineProcess):
     """An engine command that has ended when this object is made; its messages are still to be read."""
 
-    def __init__(
-        self, command: Sequence[str], log: Path, environment: Mapping[str, str] | None, messages: Path
-    ) -> None:
-        messages.parent.mkdir(parents=True, exist_ok=True)
-        with open(messages, "w", encoding="utf-8") as stream:
+    def _start(self, command: Sequence[str], environment: Mapping[str, str] | None) -> Any:
+        with open(self._messages, "w", encoding="utf-8") as stream:
             engine.run_command(command[command.index(engine.__package__) + 1 :], Reporter(stream))
-        super().__init__(messages, log)
-
-    def _alive(self) -> bool:
-        return False
+        return SimpleNamespace(pid=NOBODY, poll=lambda: 0, returncode=0)
 
     def _signal(self, terminate: bool) -> None:
         pass
 
 
-def start_here(command: Sequence[str], *arguments: Any) -> Engine:
+def start_here(command: Sequence[str], *arguments: Any) -> EngineProcess:
     """Commands of the engine run here; stand-ins for them are processes."""
     return (EngineHere if engine.__package__ in command else EngineProcess)(command, *arguments)
 
