@@ -26,6 +26,7 @@ from ..core.report.pictures import write_jpeg
 from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter
 from ..core.run.runfolder import PRODUCT_VERSION
+from .command import STEPS
 from .facts import (
     FinishedStep,
     MergedImage,
@@ -40,7 +41,6 @@ from .facts import (
 )
 from .preparation import Group, Preparation, PreparationFolder
 
-_STEPS = ("read", "merge", "solve", "vignetting", "scale")
 _SOURCES = {
     "database": "corrected, by the lens database",
     "overlap": "corrected, measured where views overlap",
@@ -101,7 +101,7 @@ def write_report(
     read = read_facts(folder, "read", ReadFacts) or ReadFacts()
     solve = read_facts(folder, "solve", SolveFacts)
     vignetting = read_facts(folder, "vignetting", VignettingFacts) or VignettingFacts()
-    finished = {name: read_facts(folder, name, FinishedStep) for name in _STEPS}
+    finished = {name: read_facts(folder, name, FinishedStep) for name in STEPS if name != "report"}
     steps = {name: step for name, step in finished.items() if step is not None}
     exposure = _exposure([folder.image(group) for group in preparation.used_groups])
     found = colmap.find(folder.root)

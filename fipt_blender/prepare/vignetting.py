@@ -142,7 +142,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     known = _lenses(preparation, by_database=True) if wanted else {}
     model = read_model(folder.model) if lenses else pycolmap.Reconstruction()
     images = {image.name: image for image in model.images.values()}
-    facts, done = [], 0
+    facts, corrections, done = [], dict[str, np.ndarray](), 0
     for name, groups in known.items():
         profile = lens.vignetting(preparation.of(groups[0])[0])
         assert profile is not None
@@ -156,26 +156,22 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
             reporter.progress(0.5 * done / sum(map(len, lenses.values())))
         falloff = fit_falloff(Observations(*np.concatenate(samples).T)) if samples else None
         if falloff is not None:
-            coefficients = falloff.coefficients if falloff.certain else np.zeros(TERMS)
             figures = (round(value, 4) for value in (falloff.corner, falloff.corner_error, falloff.noise))
             source = "overlap" if falloff.certain else "none"
             facts.append(LensFacts(name, falloff.certain, len(groups), source, *figures))
-        else:
-            coefficients = np.zeros(TERMS)
-            facts.append(LensFacts(name, False, len(groups), "unknown"))
-            if preparation.of(groups[0])[0].corrected is None:
-                reporter.warning(
-                    "vignetting-unknown",
-                    f"The vignetting of {name} is unknown: neither the lens database nor the files, and"
-                    " the views have too little in common to measure it.",
-                    "Use RAW photographs, switch the camera's correction on, or take more overlapping views.",
-                )
-        for group in groups:
-            _correct(folder.image(group), coefficients)
-    measured = {group.name for groups in lenses.values() for group in groups}
+            if falloff.certain:
+                corrections |= {group.name: falloff.coefficients for group in groups}
+            continue
+        facts.append(LensFacts(name, False, len(groups), "unknown"))
+        if preparation.of(groups[0])[0].corrected is None:
+            reporter.warning(
+                "vignetting-unknown",
+                f"The vignetting of {name} is unknown: neither the lens database nor the files, and"
+                " the views have too little in common to measure it.",
+                "Use RAW photographs, switch the camera's correction on, or take views that overlap more.",
+            )
     for group in preparation.used_groups:
-        if group.name not in measured:
-            _correct(folder.image(group), np.zeros(TERMS))
+        _correct(folder.image(group), corrections.get(group.name, np.zeros(TERMS)))
     return VignettingFacts(tuple(facts))
 
 
