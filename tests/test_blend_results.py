@@ -259,8 +259,8 @@ def test_result_meshes_of_a_scan_are_clean(tmp_path: Path, transform: str) -> No
     item.data = clean
     shown = collect_room([item])
     assert np.array_equal(shown.triangles, room.triangles)
-    assert np.abs(shown.vertices - geometry["vertices"]).max() < 1e-5
-    cosine = (shown.corner_normals * geometry["corner_normals"]).sum(axis=2)
+    assert np.abs(shown.vertices - geometry.vertices).max() < 1e-5
+    cosine = (shown.corner_normals * geometry.corner_normals).sum(axis=2)
     assert np.median(cosine) > 0.9999 and np.quantile(cosine, 0.01) > 0.99
 
 

@@ -14,7 +14,7 @@ from fipt_blender.blend.room.exporting import collect_room
 from fipt_blender.blend.room.originals import set_result_mesh, shows_original
 from fipt_blender.blend.room.simplifying import MODIFIER
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.run.shapes import ROOM_ARRAYS
+from fipt_blender.core.run.run_files import ROOM_ARRAYS
 from samples.counted import counted_calls
 
 

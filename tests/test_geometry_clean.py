@@ -157,7 +157,7 @@ def test_a_run_works_on_the_cleaned_scan(tmp_path: Path) -> None:
     # A copy that does not fit is made again.
     with np.load(run.geometry_npz) as archive:
         arrays = dict(archive)
-    faults = {"source": arrays["source"][::-1], "vertices": np.full_like(arrays["vertices"], np.nan)}
+    faults = {"source": arrays["source"][::-1], "vertices": arrays["vertices"][1:]}
     for name in (*faults, "cut"):
         if name == "cut":
             run.geometry_npz.write_bytes(written[:1000])

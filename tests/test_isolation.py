@@ -27,10 +27,10 @@ HEAVY = "mitsuba drjit torch OpenEXR OpenImageIO pycolmap pyoidn rawpy exifread 
 SHARED = """
     alignment.pairs alignment.sights alignment.turns capture.averaging capture.files capture.mesh_file
     capture.options capture.suffixes
-    conventions device.cuda optics.factorised run.arrays run.contents run.declared run.documents run.errors run.hints
+    conventions device.cuda optics.factorised run.contents run.declared run.documents run.errors run.hints
     run.kinds run.light_size run.lock run.messages run.method run.parts run.paths run.process_identity
     run.result_contents run.run_files run.runfolder run.settings run.shapes run.stage_settings
-    run.versions report.comparison report.fixture_names textures.raster textures.write_back
+    run.store run.versions report.comparison report.fixture_names textures.raster textures.write_back
 """.split()
 SHARED_MODULES = (*(f"core.{name}" for name in SHARED), *("prepare.facts", "prepare.preparation"))
 # The rooms from the lowest floor to the highest: each imports only from itself and from rooms before it.

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import field, make_dataclass, replace
+from dataclasses import make_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,13 +21,11 @@ import pytest
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run import chain as chain_module
 from fipt_blender.core.run import finished_views, messages
-from fipt_blender.core.run.arrays import write_arrays
 from fipt_blender.core.run.chain import Chain, Given, Stage, Tools, Watch
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.settings import Settings
-from fipt_blender.core.run.shapes import Layout
-from fipt_blender.core.run.stage_files import UNKNOWN, loaded, saved
 from fipt_blender.core.run.stage_settings import NoSettings, Seeded, TrainingSettings
+from fipt_blender.core.run.store import Gaps, loaded, saved, write_arrays
 from fipt_blender.core.run.threads import MOST_THREADS, cached_property, in_threads
 from samples.combinations import pairs
 from samples.refusals import error_of
@@ -225,9 +223,7 @@ def test_outputs_come_back_as_they_were(tmp_path: Path) -> None:
     "change",
     [
         *({"count": "2"}, {"number": None}, {"flag": 1}, {"inner": {"numbers": 3}}, {"inner": None}),
-        {"tables": {"x": {"array": "../x.npy", "shape": [1], "type": "<f4"}}},
-        {"empty": {"array": "one/inner/numbers.npy", "shape": [0, 3], "type": "<f4"}},
-        *({"source": {"given": "unknown"}}, {"surplus": 1}),
+        *({"tables": {"x": {"stored": "../x.npy"}}}, {"tables": {"x": 1}}),
     ],
 )
 def test_documents_of_another_form_are_refused(change: dict, tmp_path: Path) -> None:
@@ -238,8 +234,7 @@ def test_documents_of_another_form_are_refused(change: dict, tmp_path: Path) -> 
 
 def not_finite(unknown: bool, value: float) -> Callable[[Path], object]:
     """Writes an array with a value that is no number as output of a stage."""
-    metadata = UNKNOWN if unknown else {}
-    kind = make_dataclass("Gaps", [("rows", list[np.ndarray], field(metadata=metadata))], frozen=True)
+    kind = record("Rows", rows=list[Gaps if unknown else np.ndarray])
     return lambda root: saved(kind([np.array([1.0, value])]), root / "stage" / "outputs", root, {})
 
 
@@ -256,14 +251,13 @@ def test_no_array_with_nan_or_infinity_is_stored_unless_nan_stands_for_unknown(
     tmp_path: Path, unknown: bool, value: float
 ) -> None:
     array = np.array([0.5, value], np.float32)
-    layouts: dict[str, Layout] = {"a": ("u" if unknown else "f", ("N",))}
+    kind = record("Values", a=Gaps if unknown else np.ndarray)
     writers: list[Callable[[Path], object]] = [
         not_finite(unknown, value),
-        lambda root: write_arrays(root / "a.npz", layouts, a=array),
+        lambda root: write_arrays(root / "a.npz", kind(array)),
     ]
     if not unknown:
         writers += [
-            lambda root: write_arrays(root / "a.npz", {}, a=array),
             lambda root: write_exr(root / "a.exr", np.tile(array, (2, 1)), half=True),
             lambda root: saved(mapped(root / "stage", array), root / "stage" / "outputs", root, {}),
         ]
@@ -285,7 +279,7 @@ def test_arrays_of_the_engine_are_written_where_they_are_checked() -> None:
         for path in core.rglob("*.py")
         if re.search(r"np\.save(z|z_compressed)?\b", path.read_text("utf-8"))
     }
-    assert written == {"run/arrays.py", "run/stage_files.py"}
+    assert written == {"run/store.py"}
 
 
 def test_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

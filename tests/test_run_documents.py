@@ -26,8 +26,8 @@ class View:
     name: str
     width: Annotated[int, kinds.Number(1, 65536)]
     pose: kinds.Matrix
-    shade: Annotated[str, kinds.Choice("dark", "bright")] = "dark"
-    file: Annotated[str, kinds.FileName()] = "a"
+    shade: Annotated[str, kinds.choice("dark", "bright")] = "dark"
+    file: kinds.FileName = "a"
     class_name: Annotated[str | None, kinds.Key("class")] = None
     points: tuple[kinds.Vector, ...] = ()
     share: Annotated[float, kinds.Number(0.0, 1.0)] | None = None
@@ -40,7 +40,7 @@ class Capture:
     """A whole document."""
 
     document: ClassVar[str] = "capture"
-    views: Annotated[tuple[View, ...], kinds.Least(1)]
+    views: Annotated[tuple[View, ...], kinds.SOME]
 
 
 POSE = [[float(row == column) for column in range(4)] for row in range(4)]
@@ -113,10 +113,14 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
 
 
 def test_hostile_texts_are_refused_and_ordinary_numbers_read_exactly() -> None:
-    numbers = ("NaN", "-Infinity", "1e999", "9" * 200_000, "9223372036854775808")
-    for text in ("[" * 100_000 + "]" * 100_000, "{", "", *(f'{{"a": {number}}}' for number in numbers)):
-        with pytest.raises(ValueError, match=r"nested|no number|too large|Expecting"):
+    for text in ("[" * 100_000 + "]" * 100_000, "{", ""):
+        with pytest.raises(ValueError, match=r"nested|Expecting"):
             parse_document(text)
+    for number in ("NaN", "-Infinity", "1e999", "9" * 200_000):
+        assert math.isnan(parse_document(number))
+        for kind in (float, int, tuple[float, ...]):
+            with pytest.raises(kinds.ShapeError):
+                kinds.as_kind(parse_document(number), kind)
     values = [0, -3, 2**62, 0.1, 1e-300, -1.5e300, True, None]
     assert parse_document(json.dumps(values)) == values
     assert math.copysign(1.0, parse_document("-0.0")) == -1.0

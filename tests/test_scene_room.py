@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.run.arrays import read_arrays
+from fipt_blender.core.run.run_files import LeftAlone
 from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.store import read_arrays
 from fipt_blender.core.surface.room import load_room
 from samples.refusals import error_of
 from samples.small_rooms import make_room, write_room
@@ -46,5 +47,5 @@ def test_an_archive_that_unpacks_to_far_more_than_it_holds_is_refused(tmp_path: 
     place = data.index(b"PK\x01\x02") + 24
     data[place : place + 4] = (4_000_000_000).to_bytes(4, "little")
     path.write_bytes(data)
-    error = error_of(read_arrays, path, {})
+    error = error_of(read_arrays, path, LeftAlone)
     assert error.code == "file-damaged" and "unpacks to 4.0 GB" in error.text

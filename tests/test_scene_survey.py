@@ -51,7 +51,7 @@ def run_survey(folder: Path, triangles: int) -> tuple[dict, np.ndarray, dict[str
     data = json.loads((folder / "survey.json").read_text())
     with np.load(folder / "survey.npz") as arrays:
         seen = np.unpackbits(arrays["seen"], axis=1, count=triangles).astype(bool)
-        labels = {name[6:]: arrays[name] for name in arrays.files if name.startswith("parts_")}
+        labels = {name[6:]: arrays[name] for name in arrays.files if name.startswith("parts/")}
     return data, seen, labels
 
 

@@ -16,7 +16,7 @@ from ..core.capture.options import LAYER_TEXT
 from ..core.run.declared import Option, converted
 from ..core.run.documents import read_document
 from ..core.run.errors import FiptError
-from ..core.run.kinds import Choice, FileName, Least, Number, Pixels
+from ..core.run.kinds import SOME, FileName, Number, Pixels, choice
 from ..core.run.paths import is_network, leads_outside
 from ..core.run.runfolder import write_json
 from ..core.run.shapes import MOST_SIDE
@@ -72,7 +72,7 @@ class Photograph:
     """
 
     path: str
-    kind: Annotated[str, Choice("raw", "ldr", "linear")]
+    kind: Annotated[str, choice("raw", "ldr", "linear")]
     width: Pixels
     height: Pixels
     orientation: Annotated[int, Number(1, 8)] = 1
@@ -109,8 +109,8 @@ class Group:
         used: whether it becomes a view.
     """
 
-    name: Annotated[str, FileName()]
-    photographs: Annotated[tuple[str, ...], Least(1)]
+    name: FileName
+    photographs: Annotated[tuple[str, ...], SOME]
     used: bool = True
 
 

@@ -14,9 +14,10 @@ import numpy as np
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.rig import Lens
 from fipt_blender.core.run.hints import Hint, write_hints
+from fipt_blender.core.run.run_files import RoomArrays
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.core.run.shapes import ROOM_ARRAYS
+from fipt_blender.core.run.store import write_arrays
 from samples import capture_files, rig_writers
 
 PINHOLE = Lens("PINHOLE", (9.0, 9.0, 6.0, 4.0))
@@ -146,9 +147,10 @@ def write_run_files(folder: Path) -> None:
     """The room, the atlas, the emitters and the records of a run folder."""
     run = RunFolder(folder)
     run.create(make_settings("draft"))
-    room = {name: np.zeros([2 if n == "T" else 4 if n == "V" else n for n in sizes], kind)
-            for name, (kind, sizes) in ROOM_ARRAYS.items()}  # fmt: skip
-    np.savez(run.room_npz, **room)
+    of_triangle = np.zeros(2, np.int32)
+    corners, normals = np.zeros((2, 3), np.int32), np.zeros((2, 3, 3))
+    room = RoomArrays(np.zeros((4, 3)), corners, normals, of_triangle, of_triangle, of_triangle)
+    write_arrays(run.room_npz, room)
     write_json(run.room_json, {"objects": ["a"], "materials": ["b"], "parts": "auto"})
     np.savez(run.atlas_npz, corner_uv=np.zeros((2, 3, 2), np.float32), triangle_image=np.zeros(2, np.int32))
     write_json(run.atlas_json, {"mode": "uv", "images": [{"name": "Room.001", "width": 8, "height": 8}]})

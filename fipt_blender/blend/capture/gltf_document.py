@@ -70,7 +70,7 @@ def read_document(path: Path) -> Document:
         text = file.read(size)
     if len(text) < size:
         raise ValueError("it is cut off")
-    return as_kind(parse_document(text.decode("utf-8"), strict=False), Document)
+    return as_kind(parse_document(text.decode("utf-8")), Document)
 
 
 def check_scenes(document: Document) -> None:

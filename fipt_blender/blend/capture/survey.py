@@ -13,13 +13,13 @@ import numpy as np
 
 from ...bridge.process import Message
 from ...bridge.step import Slices
-from ...core.run.arrays import check_layouts, read_arrays
 from ...core.run.contents import Matrices, SurveyNote
 from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
 from ...core.run.kinds import as_matrix
+from ...core.run.run_files import SurveyArrays
 from ...core.run.runfolder import RunFolder, write_json
-from ...core.run.shapes import SURVEY_ARRAYS
+from ...core.run.store import read_arrays
 from ..marks import was_found
 from ..room.arrays import read_room
 from ..room.exporting import export_slices
@@ -251,15 +251,13 @@ def read_survey(run: RunFolder) -> Survey | None:
     try:
         time = run.survey_npz.stat().st_mtime
         if _cached is None or _cached[:2] != (str(run.survey_npz), time):
-            arrays = read_arrays(run.survey_npz, SURVEY_ARRAYS)
-            labels = {name[6:]: array for name, array in arrays.items() if name.startswith("parts_")}
-            seen, areas = arrays["seen"], arrays["areas"]
-            check_layouts(labels, dict.fromkeys(labels, ("i", (len(areas),))))
             names = [view.name for view in read_document(run.survey_json, SurveyNote).views]
-            if seen.dtype != np.uint8 or seen.shape != (len(names), -(-len(areas) // 8)):
-                raise ValueError(f"{run.survey_npz} does not fit {run.survey_json}")
-            _cached = str(run.survey_npz), time, Survey(names, seen, areas, labels)
-    except (OSError, ValueError, FiptError):
+            arrays = read_arrays(run.survey_npz, SurveyArrays, sizes={"views": len(names)})
+            seen, areas = arrays.seen.astype(np.uint8), arrays.areas
+            if seen.shape[1] != -(-len(areas) // 8):
+                return None
+            _cached = str(run.survey_npz), time, Survey(names, seen, areas, dict(arrays.parts))
+    except (OSError, FiptError):
         return None
     return _cached[2]
 

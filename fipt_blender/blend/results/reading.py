@@ -8,17 +8,22 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
-from ...core.run.arrays import read_arrays
 from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
 from ...core.run.result_contents import EmitterFixture, TextureImage
-from ...core.run.run_files import read_atlas, read_emitters, read_left_alone, read_outlined
+from ...core.run.run_files import (
+    CornerFields,
+    Geometry,
+    read_atlas,
+    read_emitters,
+    read_left_alone,
+    read_outlined,
+)
 from ...core.run.runfolder import RunFolder
-from ...core.run.shapes import CORNER_FIELDS_ARRAYS
+from ...core.run.store import read_arrays
 from ..color_spaces import to_scene_linear
 from ..lights.fixtures import triangle_fixtures
 from ..marks import MAP
@@ -99,19 +104,20 @@ def read_results(run: RunFolder) -> Results:
     entries: Sequence[TextureImage] = ()
     uniform: dict[str, tuple[float, ...]] = {}
     if atlas.mode == "color_attribute":
-        corner_fields = _read_corner_fields(run.textures / "corner_fields.npz", count)
+        path = run.textures / "corner_fields.npz"
+        corner_fields = vars(read_arrays(path, CornerFields, _AGAIN, sizes={"triangles": count}))
     else:
         entries, uniform = read_textures(run)
         if len(entries) != len(atlas.images):
             raise FiptError("file-damaged", f"{run.textures_json} does not fit {run.atlas_json}.", _AGAIN)
     parts = read_parts(run, room.triangle_object, room.objects)
     left_alone = of_whole_polygons(room, read_left_alone(run, count))
-    image, apart = arrays["triangle_image"], atlas.apart and bool(entries)
+    image, apart = arrays.triangle_image, atlas.apart and bool(entries)
     shared = np.zeros_like(image)
     return Results(
         room=room,
         faces=PartFaces(parts, left_alone),
-        corner_uv=tiled_uvs(arrays["corner_uv"], shared if apart else image),
+        corner_uv=tiled_uvs(arrays.corner_uv, shared if apart else image),
         triangle_atlas=own_images(image, parts.triangle, room.triangle_object) if apart else shared,
         entries=entries,
         apart=apart,
@@ -144,16 +150,8 @@ def own_images(image: np.ndarray, part: np.ndarray, owner: np.ndarray) -> np.nda
     return np.maximum(found, 0)
 
 
-def cleaned_scan(run: RunFolder, room: Room) -> dict[str, np.ndarray] | None:
+def cleaned_scan(run: RunFolder, room: Room) -> Geometry | None:
     """The cleaned copy of the run's scan, None where the mesh is no scan or the scan is to be kept."""
     if not run.read_estimated().clean_mesh:
         return None
     return read_outlined(run, room.mesh)
-
-
-def _read_corner_fields(path: Path, count: int) -> dict[str, np.ndarray]:
-    """Values (T,3,...) of colour attributes by map; `count` is the room's number of triangles."""
-    arrays = read_arrays(path, CORNER_FIELDS_ARRAYS, remedy=_AGAIN)
-    if len(arrays["roughness"]) != count:
-        raise FiptError("file-damaged", f"{path} does not fit the room.", _AGAIN)
-    return arrays

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...bridge.step import Slices
 from ...core.run.errors import FiptError
-from ...core.run.run_files import CLOSING, PANES
+from ...core.run.run_files import CLOSING, PANES, Geometry
 from ..lights.fixtures import divide
 from ..marks import SPLIT_OFF
 from ..room.arrays import Room
@@ -65,7 +65,7 @@ class TargetBuilder:
     def __init__(
         self,
         room: Room,
-        geometry: dict[str, np.ndarray] | None,
+        geometry: Geometry | None,
         fixture: np.ndarray,
         charts: Callable[[], np.ndarray],
     ) -> None:
@@ -185,7 +185,7 @@ class TargetBuilder:
         if (found.triangle >= 0).all():
             return
         if self._searched is None:
-            vertices = self._room.vertices if self._geometry is None else self._geometry["vertices"]
+            vertices = self._room.vertices if self._geometry is None else self._geometry.vertices
             self._searched = Surfaces(vertices, self._room.triangles, self._charts())
         item = find_object(name)
         yield from find_nearest(find_mesh(mesh_name), found, self._matrix(index, item), self._searched)

@@ -16,9 +16,8 @@ import numpy as np
 from ...core.run.contents import RoomNames
 from ...core.run.errors import FiptError
 from ...core.run.kinds import Matrix
-from ...core.run.run_files import read_room_files
+from ...core.run.run_files import ROOM_ARRAYS, read_room_files
 from ...core.run.runfolder import RunFolder, atomic_path, write_json
-from ...core.run.shapes import ROOM_ARRAYS
 
 
 @dataclass

@@ -16,14 +16,13 @@ import bpy
 import numpy as np
 
 from ...bridge.step import Slices
-from ...core.run.arrays import write_arrays
 from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
 from ...core.run.result_contents import AtlasImage, AtlasImages
-from ...core.run.run_files import read_resolution
+from ...core.run.run_files import AtlasArrays, read_resolution
 from ...core.run.runfolder import RunFolder, write_json
 from ...core.run.settings import Settings
-from ...core.run.shapes import ATLAS_ARRAYS
+from ...core.run.store import write_arrays
 from ..slices import find_object, run_through
 from .arrays import Room, read_room
 from .charts import chart_slices, is_scan
@@ -309,8 +308,7 @@ def _write(
     owners: list[str] | None,
 ) -> None:
     """Write atlas.npz and atlas.json; `owners`: names of those whose images these are, None if shared."""
-    arrays = {"corner_uv": corner_uv.astype(np.float32), "triangle_image": image.astype(np.int32)}
-    write_arrays(run.atlas_npz, ATLAS_ARRAYS, **arrays)
+    write_arrays(run.atlas_npz, AtlasArrays(corner_uv.astype(np.float32), image.astype(np.int32)))
     # Several images are tiles of one, which Blender finds by the numbers in their names.
     names = [f"Room.{tile_number(index)}" for index in range(len(sizes))] if len(sizes) > 1 else ["Room.001"]
     if owners is not None:

@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 
 from ...core.run.errors import FiptError
+from ...core.run.run_files import Geometry
 from ..marks import OBJECT_ID, has_results, object_id
 from .arrays import Room
 from .exporting import fresh_depsgraph
@@ -124,7 +125,7 @@ def evaluations(item: bpy.types.Object) -> Iterator[tuple[bpy.types.Mesh, list[s
 
 
 def clean_result_mesh(
-    mesh: bpy.types.Mesh, item: bpy.types.Object, room: Room, index: int, geometry: dict[str, np.ndarray]
+    mesh: bpy.types.Mesh, item: bpy.types.Object, room: Room, index: int, geometry: Geometry
 ) -> None:
     """Move the vertices of a result mesh to those of the cleaned scan, and set its shading normals.
 
@@ -138,11 +139,11 @@ def clean_result_mesh(
     loops, _ = triangle_loops(mesh, is_mirrored(item))
     matrix = np.array(item.matrix_world, np.float64)
     positions = vertex_positions(mesh)
-    corners = geometry["vertices"][room.triangles[of_object].ravel()].astype(np.float64)
+    corners = geometry.vertices[room.triangles[of_object].ravel()].astype(np.float64)
     positions[corner_vertices(mesh)[loops.ravel()]] = transform_points(corners, np.linalg.inv(matrix))
     mesh.vertices.foreach_set("co", positions.astype(np.float32).ravel())
     # Normals transform by the inverse transpose, back by the transpose.
-    local = geometry["corner_normals"][of_object].reshape(-1, 3).astype(np.float64) @ matrix[:3, :3]
+    local = geometry.corner_normals[of_object].reshape(-1, 3).astype(np.float64) @ matrix[:3, :3]
     normals = np.zeros((len(mesh.loops), 3))
     normals[loops.ravel()] = local / np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-30)
     mesh.shade_smooth()

@@ -21,10 +21,10 @@ import OpenEXR
 import OpenImageIO as oiio
 from PIL import Image, PngImagePlugin, WebPImagePlugin
 
-from ..run.arrays import refuse_infinite
 from ..run.errors import FiptError
 from ..run.extras import optional
 from ..run.runfolder import atomic_path
+from ..run.store import refuse_infinite
 from . import primaries
 from .encoded import (
     DAMAGE,

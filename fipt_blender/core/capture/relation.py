@@ -256,7 +256,7 @@ def _side_placement(file: Path) -> np.ndarray | None:
     place = np.eye(4)
     with suppress(OSError, ValueError, TypeError, np.linalg.LinAlgError):
         if file.name == "dataparser_transforms.json":
-            data = load_document(file, _Dataparser, strict=False)
+            data = load_document(file, _Dataparser)
             place[:3] = data.scale * np.array(data.transform, np.float64)[:3]
             return np.linalg.inv(place)
         if file.name.lower().endswith("offset.xyz"):

@@ -176,7 +176,7 @@ def read_json_rig(path: Path, kind: type[T]) -> T:
         FiptError: ``rig-damaged``.
     """
     try:
-        return load_document(path, kind, strict=False)
+        return load_document(path, kind)
     except (OSError, ValueError) as error:
         raise damaged(path, error) from None
 

@@ -24,12 +24,12 @@ from ..capture.views import View, load_capture
 from ..device.variant import set_variant
 from ..radiometry.inversion import MUCH_CLIPPED as MUCH_CLIPPED_ENCODED
 from ..radiometry.inversion import is_clipped
-from ..run.arrays import write_arrays
 from ..run.contents import Box, SurveyedParts, SurveyedView, SurveyNote
 from ..run.errors import FiptError
 from ..run.messages import Reporter
+from ..run.run_files import SurveyArrays
 from ..run.runfolder import RunFolder, write_json
-from ..run.shapes import SURVEY_ARRAYS
+from ..run.store import write_arrays
 from ..run.threads import in_threads
 
 if TYPE_CHECKING:
@@ -111,14 +111,10 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         )
         missing = [Box(tuple(low.tolist()), tuple(high.tolist())) for (low, high), _, _ in shown]
 
-    write_arrays(
-        folder.root / "survey.npz",
-        SURVEY_ARRAYS,
-        seen=np.packbits(seen, axis=1),
-        # Surfaces hidden from all camera positions, such as the outer sides of walls, are not gaps.
-        areas=np.where(in_sight, room.areas, 0.0).astype(np.float32),
-        **{f"parts_{source}": part for source, part in labels.items()},
-    )
+    # Surfaces hidden from all camera positions, such as the outer sides of walls, are not gaps.
+    areas = np.where(in_sight, room.areas, 0.0).astype(np.float32)
+    arrays = SurveyArrays(np.packbits(seen, axis=1), areas, labels)
+    write_arrays(folder.root / "survey.npz", arrays)
     counts = {source: len(np.unique(part[part >= 0])) for source, part in labels.items()}
     parts = SurveyedParts(automatic_source(room, usable), counts)
     write_json(folder.root / "survey.json", SurveyNote(tuple(surveyed), parts, tuple(missing)))

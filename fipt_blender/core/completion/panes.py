@@ -24,13 +24,12 @@ from ..parts.linked_masks import link_masks
 from ..parts.masked_views import masked_views
 from ..pixels.camera_rays import first_hits, trace_pixels
 from ..robust import LEAST_VIEWS
-from ..run.arrays import read_arrays, write_arrays
 from ..run.errors import FiptError
 from ..run.messages import Progress, unwatched, within
-from ..run.run_files import PANES, has_searched_panes, mesh_digest, read_room_files
+from ..run.run_files import PANES, AddedSurfaces, has_searched_panes, mesh_digest, read_room_files
 from ..run.runfolder import RunFolder, explained_write_errors
-from ..run.shapes import PANES_ARRAYS
 from ..run.stage_settings import RoomSettings
+from ..run.store import read_arrays, write_arrays
 from ..surface.adjacency import NONE, Surface, make_mesh
 from ..surface.clean import CleanMesh
 from ..surface.holes import FlatHole, flat_holes, median_edge
@@ -109,16 +108,9 @@ def close_holes(
     nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3, 3)), np.zeros(0, np.int32)
     vertices, triangles, normals, plane = nothing if added is None else added
     with explained_write_errors(run.root):
-        write_arrays(
-            run.panes_npz,
-            PANES_ARRAYS,
-            vertices=vertices,
-            triangles=triangles,
-            corner_normals=normals,
-            source=mesh_digest(arrays),
-            masks=masks,
-            **({} if all(kinds) else {"kinds": kinds}),
-        )
+        kept = None if all(kinds) else np.asarray(kinds)
+        panes = AddedSurfaces(vertices, triangles, normals, mesh_digest(arrays), masks=masks, kinds=kept)
+        write_arrays(run.panes_npz, panes)
         if added is None:
             return changed
         plane = np.where(plane == NONE, NONE, int(cleaned.plane.max(initial=-1)) + 1 + plane)
@@ -135,10 +127,10 @@ def close_holes(
 def _searched_kinds(run: RunFolder) -> list[bool]:
     """Which of `KINDS` the search has looked for that wrote panes.npz."""
     try:
-        found = read_arrays(run.panes_npz, PANES_ARRAYS)
+        kinds = read_arrays(run.panes_npz, AddedSurfaces).kinds
     except FiptError:
-        return [True] * len(KINDS)  # damaged ones are written anew in any case
-    return np.asarray(found.get("kinds", np.ones(len(KINDS), bool))).tolist()
+        kinds = None  # damaged ones are written anew in any case
+    return [True] * len(KINDS) if kinds is None else kinds.tolist()
 
 
 def _things(

@@ -8,10 +8,10 @@ import numpy as np
 
 from ..material.groups import Units
 from ..material.hints import SurfaceHints, values_of_hints
-from ..run.arrays import write_arrays
 from ..run.result_contents import HintFigures
+from ..run.run_files import LeftAlone
 from ..run.runfolder import RunFolder
-from ..run.shapes import LEFT_ALONE_ARRAYS
+from ..run.store import write_arrays
 
 
 def hint_facts(hints: SurfaceHints, units: Units) -> list[HintFigures]:
@@ -49,4 +49,4 @@ def write_left_alone(folder: RunFolder, left_alone: np.ndarray | None) -> None:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     if left_alone is not None:
-        write_arrays(folder.left_alone_npz, LEFT_ALONE_ARRAYS, left_alone=left_alone)
+        write_arrays(folder.left_alone_npz, LeftAlone(left_alone))

@@ -11,13 +11,13 @@ the walls as it should.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..pixels.camera_rays import rays_along
 from ..robust import deviation, gauss_newton
-from ..run.stage_files import UNKNOWN
+from ..run.store import Gaps
 from ..surface.room import Room
 from .albedos import MIN_GROUP, without_albedo
 from .cache import VoxelGrid
@@ -49,7 +49,7 @@ class LitPoints:
         correction: (N, 3) logarithm of the true light over that of this model, or a number for all.
     """
 
-    value: np.ndarray = field(metadata=UNKNOWN)
+    value: Gaps
     part: np.ndarray
     entry: np.ndarray
     direct: np.ndarray

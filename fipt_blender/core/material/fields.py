@@ -10,7 +10,10 @@ Both are plain arrays without pickles.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -18,10 +21,10 @@ import torch
 from ..device.variant import torch_device
 from ..optics.brdf import set_masking
 from ..parts.labels import NO_PART
-from ..run.arrays import check_layouts, read_arrays, write_arrays
 from ..run.errors import FiptError
+from ..run.run_files import PartArrays
 from ..run.runfolder import RunFolder
-from ..run.shapes import DETAIL_ARRAYS, FIELDS_ARRAYS, FIXED_ARRAYS, PARTS_ARRAYS
+from ..run.store import Array, read_arrays, write_arrays
 from .confidence import UNIFORM_DEVIATION, confidence, errors_with_place
 from .groups import Units
 from .inference import Fields
@@ -31,6 +34,25 @@ from .seen import Box, SeenCells, fallback_values, seen_statistics
 
 # Base colour, and roughness with metallic, among the five values of a point.
 COLOR, MATERIAL = slice(0, 3), slice(3, 5)
+
+
+@dataclass(frozen=True, eq=False)
+class FieldArrays:
+    """results/fields.npz: the network's weights, and arguments of `RoomFields`."""
+
+    network: Mapping[str, np.ndarray]
+    hash_levels: Annotated[int, Array("i")]
+    box_low: Annotated[np.ndarray, Array("f", 3)]
+    box_extent: Annotated[float, Array("f")]
+    seen_keys: Annotated[np.ndarray, Array("i", "cells")]
+    seen_points: Annotated[np.ndarray, Array("f", "cells", 3)]
+    seen_part: Annotated[np.ndarray, Array("i", "cells")]
+    seen_errors: Annotated[np.ndarray, Array("f", "cells", 3)]
+    place: Annotated[float | None, Array("f")] = None
+    detail_median: Annotated[np.ndarray | None, Array("u", "units", 3)] = None
+    detail_width: Annotated[float | None, Array("f")] = None
+    detail_keys: Annotated[np.ndarray | None, Array("i", "nodes")] = None
+    detail_sums: Annotated[np.ndarray | None, Array("f", "nodes", 9)] = None
 
 
 class RoomFields:
@@ -135,60 +157,45 @@ class RoomFields:
                     "Run the estimation, and wait until it has finished.",
                 )
         again = "Run the estimation again."
-        arrays = read_arrays(run.fields_npz, FIELDS_ARRAYS, "results-damaged", again)
-        parts = read_arrays(run.parts_npz, PARTS_ARRAYS, "results-damaged", again)
+        parts = read_arrays(run.parts_npz, PartArrays, again, "results-damaged")
+        units = Units(parts.triangle_part, parts.single, parts.fixed)
+        arrays = read_arrays(
+            run.fields_npz, FieldArrays, again, "results-damaged", {"units": len(units.single)}
+        )
         try:
-            hash_levels = int(arrays["hash_levels"])
+            hash_levels = int(arrays.hash_levels)
             if not 1 <= hash_levels <= settings.hash_levels:
                 raise ValueError(f"it has {hash_levels} levels, the settings {settings.hash_levels}")
-            check_layouts(parts, FIXED_ARRAYS if "fixed" in parts else PARTS_ARRAYS)
-            if parts["triangle_part"].max(initial=NO_PART) >= len(parts["single"]):
-                raise ValueError(f"{run.parts_npz.name} names parts that it lacks")
-            place = float(arrays.get("place", 0.0))
-            detail = None
-            if "detail_keys" in arrays:
-                check_layouts(arrays, DETAIL_ARRAYS)
-                median, width, keys, sums = (arrays[name] for name in DETAIL_ARRAYS)
-                if len(median) != len(parts["single"]):
-                    raise ValueError("it has the detail of other parts")
-                detail = PartDetail(median, float(width), keys, sums)
-            typical = np.zeros((len(parts["single"]) + 1, 5))
+            typical = np.zeros((len(units.single) + 1, 5))
             device = torch.device(torch_device())
             network = BrdfNetwork(settings, hash_levels, typical, torch.Generator(), device)
-            state = {
-                name[len("network/") :]: torch.from_numpy(array)
-                for name, array in arrays.items()
-                if name.startswith("network/")
-            }
-            network.load_state_dict(state)
+            network.load_state_dict({name: torch.from_numpy(each) for name, each in arrays.network.items()})
         except (TypeError, ValueError, RuntimeError) as error:
             raise FiptError("results-damaged", f"{run.fields_npz} can't be read ({error}).", again) from None
-        box = Box(arrays["box_low"].astype(np.float64), float(arrays["box_extent"]))
-        cells = SeenCells(arrays["seen_keys"], arrays["seen_points"], arrays["seen_part"])
-        units = Units(parts["triangle_part"], parts["single"], parts.get("fixed"))
-        return cls(Fields(network, box), units, cells, arrays["seen_errors"], place, detail)
+        median, width = arrays.detail_median, arrays.detail_width
+        keys, sums = arrays.detail_keys, arrays.detail_sums
+        detail = None
+        if not (median is None or width is None or keys is None or sums is None):
+            detail = PartDetail(median, float(width), keys, sums)
+        box = Box(arrays.box_low.astype(np.float64), float(arrays.box_extent))
+        cells = SeenCells(arrays.seen_keys, arrays.seen_points, arrays.seen_part)
+        place = 0.0 if arrays.place is None else float(arrays.place)
+        return cls(Fields(network, box), units, cells, arrays.seen_errors, place, detail)
 
     def save(self, run: RunFolder) -> None:
         """Write results/fields.npz and parts.npz."""
-        network, box = self.fields.network, self.fields.box
-        state = {f"network/{name}": value.cpu().numpy() for name, value in network.state_dict().items()}
-        place = {"place": np.float32(self.place)} if self.place else {}
-        detail = self.detail
-        kept = {} if detail is None else {f"detail_{name}": value for name, value in vars(detail).items()}
-        write_arrays(
-            run.fields_npz,
-            DETAIL_ARRAYS,
-            hash_levels=len(network.grid.resolutions),
-            box_low=box.low,
-            box_extent=box.extent,
-            seen_keys=self.cells.keys,
-            seen_points=self.cells.points,
-            seen_part=self.cells.part,
-            seen_errors=self.errors,
-            **place,
-            **kept,
-            **state,
+        network, box, units, detail = self.fields.network, self.fields.box, self.units, self.detail
+        arrays = FieldArrays(
+            {name: value.cpu().numpy() for name, value in network.state_dict().items()},
+            len(network.grid.resolutions),
+            box.low,
+            box.extent,
+            self.cells.keys,
+            self.cells.points,
+            self.cells.part,
+            self.errors,
+            self.place or None,
+            *(() if detail is None else vars(detail).values()),
         )
-        fixed = {} if self.units.fixed is None else {"fixed": self.units.fixed}
-        parts = {"triangle_part": self.units.triangle, "single": self.units.single}
-        write_arrays(run.parts_npz, FIXED_ARRAYS, **parts, **fixed)
+        write_arrays(run.fields_npz, arrays)
+        write_arrays(run.parts_npz, PartArrays(units.triangle, units.single, units.fixed))

@@ -8,13 +8,13 @@ paper's kernel for semantic masks (Eq. 20) rests on the same idea.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..parts.labels import Parts
 from ..pixels.grouped import grouped_weighted_median, numbered
-from ..run.stage_files import UNKNOWN
+from ..run.store import Gaps
 
 NO_GROUP = -1  # in place of a group
 # Added to base colours before they are compared, because their errors are about as large on dark surfaces as
@@ -45,7 +45,7 @@ class Units:
 
     triangle: np.ndarray
     single: np.ndarray
-    fixed: np.ndarray | None = field(default=None, metadata=UNKNOWN)
+    fixed: Gaps | None = None
 
     def is_single(self, unit: np.ndarray) -> np.ndarray:
         """Whether units (any shape; negative for none) are of one material."""

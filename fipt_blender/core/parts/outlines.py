@@ -19,10 +19,9 @@ from scipy.sparse.linalg import LinearOperator, cg
 from ..capture.views import View
 from ..pixels.camera_rays import first_hits, trace_pixels
 from ..pixels.grouped import grouped_sums
-from ..run.arrays import write_arrays
-from ..run.run_files import array_digest, read_geometry, read_outlines, read_room_files
+from ..run.run_files import Outlines, array_digest, read_geometry, read_outlines, read_room_files
 from ..run.runfolder import RunFolder
-from ..run.shapes import OUTLINES_ARRAYS
+from ..run.store import write_arrays
 from ..surface.adjacency import Mesh, face_vectors, make_mesh
 from ..surface.room import Room, load_room
 from .labels import IMAGE_SOURCES, Parts, choose_parts, choose_source, masks_digest
@@ -76,13 +75,12 @@ def outline_parts(run: RunFolder, views: Sequence[View], room: Room | None = Non
         return False
     images = (view.part_ids() if source == "masks" else view.semantic_ids() for view in views)
     masks = masks_digest(views, images)
-    stored = read_outlines(run, cleaned["vertices"])
-    if stored is not None and np.array_equal(stored["masks"], masks):
+    stored = read_outlines(run, cleaned.vertices)
+    if stored is not None and np.array_equal(stored.masks, masks):
         return True
     triangles = [first_hits(trace_pixels(room, view))[0] for view in views]
     vertices = outlined_vertices(room, views, choose_parts(room, views, triangles))
-    made_from = {"cleaned": array_digest(cleaned["vertices"]), "masks": masks}
-    write_arrays(run.outlines_npz, OUTLINES_ARRAYS, vertices=vertices, **made_from)
+    write_arrays(run.outlines_npz, Outlines(vertices, array_digest(cleaned.vertices), masks))
     return True
 
 

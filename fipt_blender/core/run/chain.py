@@ -5,7 +5,7 @@
 A stage is a pure function `work(inputs, settings, tools) -> outputs`; all but `tools` are frozen dataclasses.
 A field of its inputs is the output of that name of the last stage before it, or a value that the chain was
 given. Its key is a hash of the method, of the settings that it reads and of the keys of what it takes;
-a stage is done again when its key changes. The chain keeps the outputs (:mod:`.stage_files`), gives a stage
+a stage is done again when its key changes. The chain keeps the outputs (:mod:`.store`), gives a stage
 that was interrupted its finished views back, repeats warnings, and does again what can't be read.
 """
 
@@ -30,8 +30,8 @@ from .per_view import LocalWorkers, Workers
 from .result_contents import Stages
 from .runfolder import explained_write_errors, write_json
 from .settings import Settings
-from .stage_files import UnreadableArray, loaded, saved
 from .stage_settings import chosen
+from .store import DamagedStage, loaded, saved
 
 START_AGAIN = "Start the estimation again without resuming it."
 _DOCUMENT, _FINISHED = "outputs.json", "finished.json"
@@ -107,18 +107,6 @@ class Watch:
 
     def after(self, name: str, new: bool) -> None:
         """A stage has ended; `new`: it was done just now."""
-
-
-class DamagedStage(Exception):
-    """The outputs of a stage can't be read; the text says why.
-
-    Attributes:
-        stage: its name.
-    """
-
-    def __init__(self, stage: str, text: str) -> None:
-        super().__init__(text)
-        self.stage = stage
 
 
 class Chain:
@@ -393,10 +381,10 @@ class Chain:
         try:
             return loaded(json.loads(path.read_text("utf-8")), stage.types[2], self._root, self._values)
         except (OSError, ValueError, RecursionError) as error:
-            # It may have passed on an array of a stage before it.
-            name = error.stage if isinstance(error, UnreadableArray) else stage.name
-            name = name if name in self._data["stages"] else stage.name
-            raise DamagedStage(name, f"The outputs of the stage {name} can't be read ({error}).") from None
+            raise DamagedStage(stage.name, f"{path} can't be read ({error}).") from None
+        except DamagedStage as damage:  # it may have passed on an array of a stage before it
+            damage.stage = damage.stage if damage.stage in self._data["stages"] else stage.name
+            raise
 
     def _warn_of_damage(self, text: str) -> None:
         self._reporter.warning(

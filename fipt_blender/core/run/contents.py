@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
 from .errors import FiptError
-from .kinds import Choice, Count, Matrix, NotNegative, Number, Pixels, Vector
+from .kinds import Count, Matrix, NotNegative, Number, Pixels, Vector, choice
 from .shapes import FARTHEST, FARTHEST_UNITS, UP_AXES, UP_SOURCES
 
 
@@ -57,8 +57,8 @@ class CapturedView:
 class UpAxis:
     """Which axis of the source is up, what tells so, and by how many degrees it is off."""
 
-    axis: Annotated[str, Choice(*UP_AXES)]
-    source: Annotated[str, Choice(*UP_SOURCES)]
+    axis: Annotated[str, choice(*UP_AXES)]
+    source: Annotated[str, choice(*UP_SOURCES)]
     angle: NotNegative
 
 

@@ -21,14 +21,14 @@ MOST_BYTES = 256_000_000  # of a JSON document
 _UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
-def parse_document(text: str, strict: bool = True) -> Any:
+def parse_document(text: str) -> Any:
     """A JSON value of a text.
+
+    A number beyond a float's range, and NaN, are read as NaN, which no kind and no conversion to a whole
+    number accepts; a whole number beyond 64 bits is a float.
 
     Args:
         text: of the document.
-        strict: refuse NaN, infinities, and numbers beyond 64 bits or a float's range anywhere. Files of other
-            programs may hold them in fields that nobody reads: there such a number is read as NaN, which no
-            kind and no conversion to a whole number accepts, and a larger whole number as a float.
 
     Raises:
         ValueError: what is wrong with it; nesting without end included.
@@ -36,26 +36,23 @@ def parse_document(text: str, strict: bool = True) -> Any:
     import json
 
     try:
-        if not strict:
-            return json.loads(text, parse_constant=_nan, parse_int=_any_whole, parse_float=_any_number)
-        return json.loads(text, parse_constant=_refuse_constant, parse_int=_whole, parse_float=_finite)
+        return json.loads(text, parse_constant=_number, parse_int=_whole, parse_float=_number)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
 
 
-def load_document(path: Path, kind: type[T], strict: bool = True) -> T:
+def load_document(path: Path, kind: type[T]) -> T:
     """A JSON file as what it should be.
 
     Args:
         path: of the file.
         kind: see `kinds`.
-        strict: see `parse_document`.
 
     Raises:
         OSError: the system's.
         ValueError: what is wrong with the content.
     """
-    return as_kind(parse_document(decoded(read_limited(path, MOST_BYTES)), strict), kind)
+    return as_kind(parse_document(decoded(read_limited(path, MOST_BYTES))), kind)
 
 
 def read_document(
@@ -142,33 +139,11 @@ def optional_document(path: Path, kind: type[T]) -> T | None:
         return None
 
 
-def _nan(_: str) -> float:
-    return math.nan
+def _whole(text: str) -> float:
+    # Converting a million digits would take minutes.
+    return int(text) if len(text) <= 19 else _number(text)
 
 
-def _any_whole(text: str) -> float:
-    """A whole number; beyond 64 bits a float, and NaN beyond a float's range."""
-    return int(text) if len(text) <= 19 else _any_number(text)
-
-
-def _any_number(text: str) -> float:
+def _number(text: str) -> float:
     value = float(text)
     return value if math.isfinite(value) else math.nan
-
-
-def _refuse_constant(text: str) -> float:
-    raise ValueError(f"it holds {text}, which is no number of JSON")
-
-
-def _whole(text: str) -> int:
-    # The length first: converting a million digits would take minutes.
-    if len(text) > 20 or abs(int(text)) > 2**63 - 1:  # every id, size and count that we read fits
-        raise ValueError(f"the number {text[:20]}{'...' if len(text) > 20 else ''} is too large")
-    return int(text)
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"the number {text[:20]} is too large")
-    return value

@@ -16,7 +16,7 @@ from typing import Annotated, ClassVar
 
 from .documents import read_document
 from .errors import FiptError
-from .kinds import Choice, Vector
+from .kinds import Vector, choice
 from .runfolder import write_json
 
 MOST_HINTS = 1000  # of a document
@@ -48,7 +48,7 @@ class Hint:
     points: tuple[Vector, ...]
     name: str = ""
     area: bool = False
-    material: Annotated[str, Choice(*MATERIALS)] = UNKNOWN
+    material: Annotated[str, choice(*MATERIALS)] = UNKNOWN
     roughness: tuple[float, float] | None = None
     emits: bool | None = None
     same_as: Vector | None = None

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""JSON values as frozen dataclasses, checked while they are read. Standard library only.
+"""JSON values as frozen dataclasses, checked by their annotations while they are read. Standard library only.
 
-A kind is a type: ``str``, ``bool``, ``int``, ``float`` (whole numbers pass), ``Any``, ``X | None`` (null),
-``tuple[X, ...]`` (a list), ``tuple[float, float, float]`` (numbers of this count; nested ones are matrices),
-``dict`` and ``list`` (any content), ``Mapping[str, X]`` or ``dict[str, X]`` (an object with any names), or a
+A kind is a type: ``str``, ``bool``, ``int``, ``float`` (whole numbers pass), ``Any``, a union such as
+``X | None``, ``tuple[X, ...]`` or ``list[X]``, ``tuple[float, float, float]`` (numbers of this count; nested
+ones are matrices), ``dict`` and ``list`` (any content), ``Mapping[str, X]`` (an object with any names), or a
 dataclass (an object with these names; others are let pass; fields with a default may be missing).
-``Annotated[X, ...]`` adds `Choice`, `Number`, `Least`, `FileName` or `Key`. A dataclass with the class
-attribute ``document`` is a whole document of ours and begins with its `head`.
+``Annotated[X, ...]`` adds a `Number`, a `Check` or a `Key`. A dataclass with the class attribute ``document``
+is a whole document of ours and begins with its `head`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, TypeVar
@@ -27,7 +27,8 @@ T = TypeVar("T")
 Vector = tuple[float, float, float]
 Row = tuple[float, float, float, float]
 Matrix = tuple[Row, Row, Row, Row]
-_MISSING = object()
+Refer = Callable[[Any, Any], Any]  # what a reference of a document, and its kind, stand for
+_MISSING = dataclasses.MISSING
 _TYPE_TEXTS = {str: "a text", bool: "true or false", dict: "an object", list: "a list"}
 
 
@@ -45,32 +46,18 @@ class HeadError(ShapeError):
 
 @dataclass(frozen=True)
 class Number:
-    """Bounds of a number, both included."""
+    """Bounds of a number, or of all numbers of a list; both included."""
 
     low: float = -math.inf
     high: float = math.inf
 
 
-@dataclass(frozen=True, init=False)
-class Choice:
-    """The values that a text may have."""
-
-    values: tuple[str, ...]
-
-    def __init__(self, *values: str) -> None:
-        object.__setattr__(self, "values", values)
-
-
 @dataclass(frozen=True)
-class Least:
-    """So many items that a list has at least."""
+class Check:
+    """What a value must be besides its type, in words, and whether a value of any type is that."""
 
-    count: int
-
-
-@dataclass(frozen=True)
-class FileName:
-    """Of a text that names a file within a folder, on every system."""
+    needed: str
+    fits: Callable[[Any], bool]
 
 
 @dataclass(frozen=True)
@@ -80,6 +67,21 @@ class Key:
     name: str
 
 
+def choice(*values: str) -> Check:
+    """Of a text: the values that it may have."""
+    return Check(f"one of {', '.join(map(repr, values))}", lambda value: value in values)
+
+
+def _is_file_name(value: Any) -> bool:
+    """Whether a text names a file in a folder: no path, nothing that a system reserves, and not too long."""
+    if not isinstance(value, str) or not value.isprintable() or value.strip(" .") != value or not value:
+        return False
+    # File systems allow 255, with suffixes.
+    return len(value.encode()) <= 200 and not set(value) & set('/\\:*?"<>|')
+
+
+SOME = Check("a list of 1 or more", bool)  # of a list
+FileName = Annotated[str, Check("a file name", _is_file_name)]  # within a folder, on every system
 Share = Annotated[float, Number(0.0, 1.0)]
 NotNegative = Annotated[float, Number(0.0)]
 Count = Annotated[int, Number(0)]
@@ -111,12 +113,14 @@ def as_json(value: Any) -> dict[str, Any]:
     return own if document is None else {**head(document), **own}
 
 
-def as_kind(value: Any, kind: type[T]) -> T:
+def as_kind(value: Any, kind: type[T], refer: Refer | None = None) -> T:
     """A JSON value as what it should be.
 
     Args:
         value: of a parsed document.
         kind: see the module.
+        refer: of a document that the engine keeps for itself: what its references, objects of the one name
+            ``"stored"``, stand for. Its numbers may be infinite or NaN.
 
     Raises:
         ShapeError: names the place, what is needed and what is there; `HeadError` for another document.
@@ -127,74 +131,57 @@ def as_kind(value: Any, kind: type[T]) -> T:
             given = value.get(name, _MISSING)
             if type(given) is not type(needed) or given != needed:
                 raise HeadError(f"{name} should be {needed!r}, not {_described(given)}", name)
-    try:
-        result: T = _read(value, kind)
-        return result
-    except _Fault as fault:
-        raise ShapeError(fault.text) from None
+    result: T = _read(value, kind, "", refer)
+    return result
 
 
-class _Fault(Exception):
-    """What a value should be; the place is added from the inside to the outside."""
-
-    def __init__(self, needed: str, value: Any, *place: str) -> None:
-        self.needed, self.value, self.place = needed, value, list(place)
-
-    @property
-    def text(self) -> str:
-        place = "".join(reversed(self.place)).removeprefix(".")
-        return f"{place or 'the document'} should be {self.needed}, not {_described(self.value)}"
+def _fault(place: str, needed: str, value: Any) -> ShapeError:
+    place = place.removeprefix(".") or "the document"
+    return ShapeError(f"{place} should be {needed}, not {_described(value)}")
 
 
-def _read(value: Any, kind: Any, place: str = "") -> Any:
-    """The value as what it should be; raises `_Fault`, with its place below that of the caller."""
-    try:
-        form, inner, detail = _form(kind)
-        if form == "any" or (form == "optional" and value is None):
-            return value
-        if form == "numbers":
-            return _numbers(value, *detail)
-        if form == "optional":
-            return _read(value, inner)
-        if form == "limited":
-            return _limited(_read(value, inner), detail)
-        if not isinstance(value, detail):
-            raise _Fault(_TYPE_TEXTS[detail], value)
-        if form == "items":
-            return tuple([_read(item, inner, f"[{index}]") for index, item in enumerate(value)])
-        if form == "entries":
-            return {name: _read(item, inner, f".{name}") for name, item in value.items()}
-        return _filled(value, kind) if form == "fields" else value
-    except _Fault as fault:
-        fault.place.append(place)
-        raise
+def _read(value: Any, kind: Any, place: str, refer: Refer | None) -> Any:
+    """The value as what it should be; `place`: where it is in the document."""
+    if refer is not None and isinstance(value, dict) and value.keys() == {"stored"}:
+        return refer(value["stored"], kind)
+    origin, inner, numbers = _form(kind)
+    if numbers is not None:
+        return _numbers(value, place, *numbers, finite=refer is None)
+    if kind is Any:
+        return value
+    if origin is Annotated:
+        for check in inner[1:]:
+            if isinstance(check, Check) and not check.fits(value):
+                raise _fault(place, check.needed, value)
+        return _read(value, inner[0], place, refer)
+    if origin in (typing.Union, types.UnionType):
+        if value is None and types.NoneType in inner:
+            return None
+        *others, last = (each for each in inner if each is not types.NoneType)
+        for other in others:
+            try:
+                return _read(value, other, place, refer)
+            except ShapeError:
+                pass
+        return _read(value, last, place, refer)
+    needed: Any = dict if dataclasses.is_dataclass(kind) or origin in (dict, Mapping) else kind
+    needed = list if origin in (tuple, list, Sequence) else needed
+    if needed not in _TYPE_TEXTS or not isinstance(value, needed):
+        raise _fault(place, _TYPE_TEXTS.get(needed, str(kind)), value)
+    if dataclasses.is_dataclass(kind):
+        return _filled(value, kind, place, refer)
+    if inner and needed is list:
+        items = [_read(item, inner[0], f"{place}[{index}]", refer) for index, item in enumerate(value)]
+        return items if origin is list else tuple(items)
+    if inner:
+        return {name: _read(item, inner[1], f"{place}.{name}", refer) for name, item in value.items()}
+    return value
 
 
 @cache
-def _form(kind: Any) -> tuple[str, Any, Any]:
-    """How a kind is read, the kind of what is inside, and the JSON type, limits or numbers that it needs."""
-    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    numbers = _numbers_of(kind)
-    if numbers is not None:
-        return "numbers", None, numbers
-    if kind is Any:
-        return "any", None, None
-    if kind in _TYPE_TEXTS:
-        return "plain", None, kind
-    if origin is Annotated:
-        limits = [each for each in arguments[1:] if not isinstance(each, Key)]
-        whole = any(isinstance(each, (Choice, FileName)) for each in limits)  # they say all of the value
-        return "limited", Any if whole else arguments[0], limits
-    if origin in (typing.Union, types.UnionType):
-        (inner,) = (each for each in arguments if each is not types.NoneType)
-        return "optional", inner, None
-    if origin is tuple and arguments[1:] == (...,):
-        return "items", arguments[0], list
-    if origin in (dict, Mapping):
-        return "entries", arguments[1], dict
-    if dataclasses.is_dataclass(kind):
-        return "fields", None, dict
-    raise TypeError(f"{kind} is no kind of a JSON value")
+def _form(kind: Any) -> tuple[Any, tuple[Any, ...], tuple[tuple[int | None, ...], bool, Number] | None]:
+    """The origin and the arguments of a kind, and what `_numbers_of` says of it."""
+    return typing.get_origin(kind), typing.get_args(kind), _numbers_of(kind)
 
 
 def _numbers_of(kind: Any) -> tuple[tuple[int | None, ...], bool, Number] | None:
@@ -211,16 +198,19 @@ def _numbers_of(kind: Any) -> tuple[tuple[int | None, ...], bool, Number] | None
     return None if numbers is None else ((None if ... in inner else len(inner), *numbers[0]), *numbers[1:])
 
 
-def _numbers(value: Any, lengths: tuple[int | None, ...], whole: bool, limit: Number) -> Any:
-    """A number, or nested tuples of numbers; infinities and NaN are none."""
+def _numbers(
+    value: Any, place: str, lengths: tuple[int | None, ...], whole: bool, limit: Number, finite: bool
+) -> Any:
+    """A number, or nested tuples of numbers; infinities and NaN are none where they must be `finite`."""
 
     def convert(value: Any, depth: int) -> Any:
         if depth < len(lengths):
             if not isinstance(value, list) or lengths[depth] not in (None, len(value)):
                 raise TypeError
             return tuple([convert(item, depth + 1) for item in value])
-        is_number = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
-        if not is_number or not limit.low <= value <= limit.high or abs(value) == math.inf:
+        if not isinstance(value, int if whole else (int, float)) or isinstance(value, bool):
+            raise TypeError
+        if finite and (not limit.low <= value <= limit.high or abs(value) == math.inf):
             raise TypeError
         return value if whole else float(value)
 
@@ -234,27 +224,16 @@ def _numbers(value: Any, lengths: tuple[int | None, ...], whole: bool, limit: Nu
             text += f" from {limit.low:g} to {limit.high:g}"
         elif limit.low > -math.inf:
             text += f" of at least {limit.low:g}"
-        raise _Fault(text, value) from None
+        raise _fault(place, text, value) from None
 
 
-def _limited(value: Any, limits: Iterable[Any]) -> Any:
-    for limit in limits:
-        if isinstance(limit, Choice) and value not in limit.values:
-            raise _Fault(f"one of {', '.join(map(repr, limit.values))}", value)
-        if isinstance(limit, Least) and len(value) < limit.count:
-            raise _Fault(f"a list of {limit.count} or more", list(value))
-        if isinstance(limit, FileName) and not _is_file_name(value):
-            raise _Fault("a file name", value)
-    return value
-
-
-def _filled(value: dict[str, Any], kind: Any) -> Any:
+def _filled(value: dict[str, Any], kind: Any, place: str, refer: Refer | None) -> Any:
     values = {}
     for name, key, inner, default in _fields(kind):
         if key in value:
-            values[name] = _read(value[key], inner, f".{key}")
+            values[name] = _read(value[key], inner, f"{place}.{key}", refer)
         elif default is _MISSING:
-            raise _Fault("there", _MISSING, f".{key}")
+            raise _fault(f"{place}.{key}", "there", _MISSING)
     return kind(**values)
 
 
@@ -264,21 +243,12 @@ def _fields(kind: Any) -> list[tuple[str, str, Any, Any]]:
     hints = typing.get_type_hints(kind, include_extras=True)
     result = []
     for item in dataclasses.fields(kind):
-        hint, default = hints[item.name], item.default
+        hint, made = hints[item.name], item.default_factory
         keys = [each.name for each in getattr(hint, "__metadata__", ()) if isinstance(each, Key)]
-        if item.default_factory is not dataclasses.MISSING:
-            default = item.default_factory()
-        result.append((item.name, (*keys, item.name)[0], hint, default))
-    missing = dataclasses.MISSING
-    return [(*entry, _MISSING if default is missing else default) for *entry, default in result]
-
-
-def _is_file_name(value: Any) -> bool:
-    """Whether a text names a file in a folder: no path, nothing that a system reserves, and not too long."""
-    if not isinstance(value, str) or not value.isprintable() or value.strip(" .") != value or not value:
-        return False
-    # File systems allow 255, with suffixes.
-    return len(value.encode()) <= 200 and not set(value) & set('/\\:*?"<>|')
+        if item.init:
+            default = item.default if made is _MISSING else made()
+            result.append((item.name, (*keys, item.name)[0], hint, default))
+    return result
 
 
 def _described(value: Any) -> str:

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .arrays import read_arrays
 from .documents import read_document
 from .errors import FiptError
 from .result_contents import PartList, RoomPart
+from .run_files import PartArrays
 from .runfolder import RunFolder
-from .shapes import PARTS_ARRAYS
+from .store import read_arrays
 
 _AGAIN = "Run the estimation again."
 # Parts that get a material of their own; those that fewer pixels saw go with the rest of their objects.
@@ -57,14 +57,11 @@ def read_parts(run: RunFolder, triangle_object: np.ndarray, objects: Sequence[st
     source = ""
     if run.parts_json.is_file():
         listed = read_document(run.parts_json, PartList, _AGAIN)
-        arrays = read_arrays(run.parts_npz, PARTS_ARRAYS, remedy=_AGAIN)
         source, described = listed.source, listed.parts
-        unit = arrays["triangle_part"].astype(np.int64)
-        fits = len(unit) == len(triangle_object) and len(described) == len(arrays["single"])
-        fits &= [part.unit for part in described] == list(range(len(described)))
-        if not fits or int(unit.max(initial=NO_UNIT)) >= len(described):
-            text = f"{run.parts_json}, {run.parts_npz} and the room do not fit each other."
-            raise FiptError("file-damaged", text, _AGAIN)
+        if [part.unit for part in described] != list(range(len(described))):
+            raise FiptError("file-damaged", f"{run.parts_json} does not list the units in order.", _AGAIN)
+        sizes = {"triangles": len(triangle_object), "units": len(described)}
+        unit = read_arrays(run.parts_npz, PartArrays, _AGAIN, sizes=sizes).triangle_part.astype(np.int64)
     return _compact(described, unit, triangle_object, objects, source)
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
 from .contents import Problem
-from .kinds import Choice, Count, FileName, Key, NotNegative, Number, Pixels, Row, Share, Vector
+from .kinds import Count, FileName, Key, NotNegative, Number, Pixels, Row, Share, Vector, choice
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class EmitterFixture:
 class EmitterEnvironment:
     """The file of the light from outside, and the share of all directions that photographs show of it."""
 
-    image: Annotated[str, Choice("environment.exr")]
+    image: Annotated[str, choice("environment.exr")]
     observed_share: Share | None = None
 
 
@@ -105,7 +105,7 @@ class Doubt:
     """
 
     name: str
-    question: Annotated[str, Choice("metal", "gloss", "lamp")]
+    question: Annotated[str, choice("metal", "gloss", "lamp")]
     text: str
     point: Vector
     pixels: Count
@@ -116,7 +116,7 @@ class Doubt:
     metallic_error: Share
     view: str
     box: Row
-    picture: Annotated[str, FileName()]
+    picture: FileName
 
 
 @dataclass(frozen=True)
@@ -133,9 +133,9 @@ class JudgedPictures:
 
     name: str
     errors: tuple[Vector, ...]
-    photograph: Annotated[str, FileName()]
-    render: Annotated[str, FileName()]
-    projection: Annotated[str, FileName()]
+    photograph: FileName
+    render: FileName
+    projection: FileName
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ class Statistics:
 class AtlasImage:
     """An image of the textures; pixels."""
 
-    name: Annotated[str, FileName()]
+    name: FileName
     width: Pixels
     height: Pixels
 
@@ -235,7 +235,7 @@ class AtlasImage:
 class AtlasImages:
     """atlas.json: colour attributes need no images; `apart`: objects or parts have images of their own."""
 
-    mode: Annotated[str, Choice("uv", "color_attribute")]
+    mode: Annotated[str, choice("uv", "color_attribute")]
     images: tuple[AtlasImage, ...]
     apart: bool = False
 

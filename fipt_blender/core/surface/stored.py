@@ -13,9 +13,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..run.arrays import write_arrays
 from ..run.run_files import (
     CLOSING,
+    AddedSurfaces,
+    Geometry,
     mesh_digest,
     read_geometry,
     read_outlined,
@@ -23,7 +24,7 @@ from ..run.run_files import (
     read_scan_holes,
 )
 from ..run.runfolder import RunFolder, explained_write_errors
-from ..run.shapes import CLOSING_ARRAYS, GEOMETRY_ARRAYS
+from ..run.store import write_arrays
 from .adjacency import NONE, face_vectors, make_mesh, without_unused
 from .clean import CleanMesh, clean_mesh, noise_level
 from .closing import close_small_holes
@@ -98,18 +99,17 @@ def _store_closing(run: RunFolder, arrays: dict[str, np.ndarray], most_edges: in
         return False
     found = close_small_holes(mesh, normals, 0 if counted else most_edges)
     facing = face_vectors(found.vertices, found.triangles)[0]
-    write_arrays(
-        run.closing_npz,
-        CLOSING_ARRAYS,
+    closing = AddedSurfaces(
         vertices=found.vertices.astype(np.float32),
         triangles=found.triangles,
         corner_normals=np.repeat(facing[:, None], 3, axis=1).astype(np.float32),
         beside=rows[found.beside],
-        most_edges=np.int32(most_edges),
+        most_edges=most_edges,
         count=np.array([found.closed, found.left], np.int32),
         area=np.array([found.closed_area, found.open_area], np.float32),
         source=mesh_digest(arrays),
     )
+    write_arrays(run.closing_npz, closing)
     return True
 
 
@@ -119,15 +119,8 @@ def store_geometry(run: RunFolder, arrays: dict[str, np.ndarray], cleaned: Clean
     Args:
         arrays: the room's vertices and triangles, of which the copy was made.
     """
-    write_arrays(
-        run.geometry_npz,
-        GEOMETRY_ARRAYS,
-        vertices=cleaned.vertices,
-        corner_normals=cleaned.corner_normals,
-        plane=cleaned.plane,
-        noise=np.float32(cleaned.noise),
-        source=mesh_digest(arrays),
-    )
+    vertices, normals, plane, noise = vars(cleaned).values()
+    write_arrays(run.geometry_npz, Geometry(vertices, normals, plane, noise, mesh_digest(arrays)))
 
 
 def stored_geometry(
@@ -142,5 +135,4 @@ def stored_geometry(
     stored = read_outlined(run, arrays) if outlined else read_geometry(run, arrays)
     if stored is None:
         return None
-    noise = float(stored["noise"])
-    return CleanMesh(stored["vertices"], stored["corner_normals"], stored["plane"], noise)
+    return CleanMesh(stored.vertices, stored.corner_normals, stored.plane, float(stored.noise))

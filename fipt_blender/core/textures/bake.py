@@ -19,14 +19,13 @@ import numpy as np
 
 from ..capture.views import load_capture
 from ..device.variant import set_variant
-from ..run.arrays import write_arrays
 from ..run.messages import Reporter
 from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
 from ..run.result_contents import AtlasImage, TextureImage, Textures, UniformPart
-from ..run.run_files import read_atlas, read_room_files
+from ..run.run_files import AtlasArrays, CornerFields, read_atlas, read_room_files
 from ..run.runfolder import RunFolder, write_json
-from ..run.shapes import CORNER_FIELDS_ARRAYS
+from ..run.store import write_arrays
 from ..surface.stored import stored_geometry
 from .padding import pad
 from .raster import nearest_triangle_map
@@ -132,7 +131,7 @@ def _sampled(
     folder: Path,
     fields: FieldSource,
     entries: Sequence[AtlasImage],
-    arrays: dict[str, np.ndarray],
+    arrays: AtlasArrays,
     corners: np.ndarray,
     progress: Callable[[float], None],
 ) -> tuple[list[Texels], list[np.ndarray], Texels]:
@@ -154,7 +153,7 @@ def _sampled(
         texels = store.rows(slice(first, first + len(order)))
         texels.position[:], texels.triangle[:] = positions[order], triangles[order]
         size = np.array([entry.width, entry.height], np.int64)
-        texels.size[:] = _texel_sizes(arrays["corner_uv"] * size, corners)[triangles[order]]
+        texels.size[:] = _texel_sizes(arrays.corner_uv * size, corners)[triangles[order]]
         sample_fields(fields, texels)
         of_images.append(texels)
         places.append(texel[order].astype(np.int32))
@@ -207,7 +206,7 @@ def _texel_sizes(uv: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def _surface_points(
-    entry: AtlasImage, index: int, arrays: dict[str, np.ndarray], corners: np.ndarray
+    entry: AtlasImage, index: int, arrays: AtlasArrays, corners: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The surface in an image of the atlas.
 
@@ -221,9 +220,9 @@ def _surface_points(
         Flat indices (M,) of the texels that its triangles cover, and the surface point (M,3) f32 and the
         triangle (M,) of each.
     """
-    of_image = np.flatnonzero(arrays["triangle_image"] == index)
+    of_image = np.flatnonzero(arrays.triangle_image == index)
     width, height = entry.width, entry.height
-    uv = arrays["corner_uv"][of_image] * np.array([width, height], np.float64)
+    uv = arrays.corner_uv[of_image] * np.array([width, height], np.float64)
     texel, triangle, weights = nearest_triangle_map(uv, width, height)
     positions = np.einsum("nk,nkc->nc", weights, corners[of_image[triangle]]).astype(np.float32)
     return texel, positions, of_image[triangle]
@@ -256,12 +255,11 @@ def _bake_corners(folder: Path, fields: FieldSource, corners: np.ndarray) -> str
     samples.position[:], samples.triangle[:] = inwards.reshape(-1, 3), np.repeat(np.arange(count), 3)
     sample_fields(fields, samples)
     path = folder / "corner_fields.npz"
-    write_arrays(
-        path,
-        CORNER_FIELDS_ARRAYS,
+    values = CornerFields(
         base_color=samples.base_color.reshape(count, 3, 3),
         roughness=samples.roughness.reshape(count, 3),
         metallic=samples.metallic.reshape(count, 3),
         confidence=samples.confidence.reshape(count, 3, 3),
     )
+    write_arrays(path, values)
     return path.name

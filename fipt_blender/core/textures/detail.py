@@ -25,16 +25,15 @@ from ..light.observations import median_footprint
 from ..optics.lights import LUMINANCE
 from ..parts.labels import NO_PART
 from ..pixels.store import PixelStore
-from ..run.arrays import write_arrays
 from ..run.chain import START_AGAIN
 from ..run.documents import read_document
 from ..run.errors import FiptError
 from ..run.kinds import Pixels
 from ..run.messages import Reporter
 from ..run.result_contents import Stages, Statistics
+from ..run.run_files import Resolution
 from ..run.runfolder import RunFolder, write_json
-from ..run.shapes import RESOLUTION_ARRAYS
-from ..run.stage_files import loaded, saved, stages_of
+from ..run.store import DamagedStage, loaded, saved, stages_of, write_arrays
 from ..surface.room import Room
 from ..surface.smoothing import SmoothingGrid
 from .texel_views import LightPixels, Seen, see_texels
@@ -90,7 +89,7 @@ class _UsedView:
 
 @dataclass(frozen=True)
 class _UsedViews:
-    """stage/views.json: the views, and what :func:`.stage_files.saved` says of their pixels and shadings."""
+    """stage/views.json: the views, and what :func:`.store.saved` says of their pixels and shadings."""
 
     views: tuple[_UsedView, ...]
     light: dict[str, Any]
@@ -127,7 +126,7 @@ def solved_light(run: RunFolder, views: list[View]) -> SolvedLight:
     try:
         light = read_document(path, _UsedViews).light
         return cast(SolvedLight, loaded(light, SolvedLight, run.stage.resolve(), {"views": views}))
-    except ValueError as error:
+    except (ValueError, DamagedStage) as error:
         raise FiptError("file-damaged", f"{path} can't be used ({error}).", START_AGAIN) from None
 
 
@@ -173,7 +172,7 @@ def _is_kept(run: RunFolder, light: dict[str, Any]) -> bool:
     A later estimation removes what it makes anew when it begins, whether it ends or not.
 
     Args:
-        light: what :func:`.stage_files.saved` says of them.
+        light: what :func:`.store.saved` says of them.
     """
     kept = run.results / run.stages_json.name
     if not kept.exists():
@@ -206,7 +205,7 @@ def write_resolution(run: RunFolder, triangles: int) -> None:
     found, start, number = np.unique(triangle[order], return_index=True, return_counts=True)
     result = np.full(triangles, np.nan, np.float32)
     result[found] = values[order][start + number // 2]
-    write_arrays(run.resolution_npz, RESOLUTION_ARRAYS, density=result)
+    write_arrays(run.resolution_npz, Resolution(result))
 
 
 def add_detail(

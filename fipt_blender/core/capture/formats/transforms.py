@@ -14,7 +14,7 @@ import numpy as np
 
 from ...conventions import UP_AXES, opengl_to_opencv_camera, transform_poses
 from ...run.errors import FiptError
-from ...run.kinds import Choice, Number
+from ...run.kinds import Number, choice
 from ...run.shapes import MOST_SIDE
 from ..depth_images import registered_depths
 from ..files import key, name_parts, stem_of
@@ -98,7 +98,7 @@ class Transforms(Common):
     train_filenames: tuple[str, ...] | None = None
     val_filenames: tuple[str, ...] | None = None
     test_filenames: tuple[str, ...] | None = None
-    up_axis: Annotated[str, Choice(*UP_AXES)] | None = None
+    up_axis: Annotated[str, choice(*UP_AXES)] | None = None
     applied_transform: list | None = None
     applied_scale: float = 1.0
     depth_unit_scale_factor: float | None = None
