@@ -19,10 +19,10 @@ import numpy as np
 
 from ..capture.images import read_radiance
 from ..capture.views import View
-from ..run.arrays import DAMAGE
 from ..run.chain import START_AGAIN
 from ..run.errors import FiptError
 from ..run.per_view import LocalWorkers, Workers
+from ..run.store import DAMAGE
 from ..surface.room import Room
 from .camera_rays import trace_pixels
 
