@@ -24,7 +24,7 @@ from fipt_blender.core.run import finished_views, messages
 from fipt_blender.core.run.chain import Chain, Given, Stage, Tools, Watch
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.settings import Settings
-from fipt_blender.core.run.stage_settings import NoSettings, Seeded, TrainingSettings
+from fipt_blender.core.run.stage_settings import Seeded, TrainingSettings
 from fipt_blender.core.run.store import Gaps, loaded, saved, write_arrays
 from fipt_blender.core.run.threads import MOST_THREADS, cached_property, in_threads
 from samples.combinations import pairs
@@ -32,45 +32,40 @@ from samples.refusals import error_of
 
 
 def record(name: str, **fields: type) -> type:
-    """A frozen dataclass: inputs or outputs of a stage."""
+    """A frozen dataclass: outputs of a stage."""
     return make_dataclass(name, fields.items(), frozen=True)
 
 
-Start = record("Start", number=int)
-StartInputs = record("StartInputs", number=int, source=list[str])
 Table = record("Table", table=np.ndarray, source=list[str])
-TableInputs = record("TableInputs", table=np.ndarray)
-Total = record("Total", total=float)
 Target = record("Target", total=float, doubled=np.ndarray)
-Doubled = record("Doubled", doubled=np.ndarray)
 SOURCE = ["photograph"]  # given, and passed on
 
 
-def make_table(inputs: StartInputs, settings: Seeded, tools: Tools) -> Table:
+def make_table(number: int, source: list[str], *, settings: Seeded, tools: Tools) -> Table:
     table = np.lib.format.open_memmap(tools.folder / "table.npy", mode="w+", dtype=np.float64, shape=(4, 2))
-    table[:] = inputs.number + settings.seed
+    table[:] = number + settings.seed
     tools.reporter.warning("a-code", "A text.", "A remedy.")
     tools.facts["rays"] = 7
-    return Table(table, inputs.source)
+    return Table(table, source)
 
 
-def add_up(inputs: TableInputs, settings: NoSettings, tools: Tools) -> Total:
-    return Total(float(inputs.table.sum()))
+def add_up(table: np.ndarray) -> float:
+    return float(table.sum())
 
 
-def double(inputs: TableInputs, settings: NoSettings, tools: Tools) -> Doubled:
-    return Doubled(2.0 * inputs.table)
+def double(table: np.ndarray) -> np.ndarray:
+    return 2.0 * table
 
 
-def train(inputs: Doubled, settings: TrainingSettings, tools: Tools) -> Total:
-    return Total(float(inputs.doubled.mean()) + settings.learning_rate)
+def train(doubled: np.ndarray, *, settings: TrainingSettings) -> float:
+    return float(doubled.mean()) + settings.learning_rate
 
 
 STAGES = [
     Stage("table", make_table, "Making"),
-    Stage("sum", add_up, "Adding"),
-    Stage("double", double),  # quick: not kept
-    Stage("train", train, "Training"),
+    Stage("sum", add_up, "Adding", gives="total"),
+    Stage("double", double, gives="doubled"),  # quick: not kept
+    Stage("train", train, "Training", gives="total"),
 ]
 
 
@@ -144,8 +139,8 @@ def test_a_list_of_stages_that_cannot_be_read_begins_anew(tmp_path: Path) -> Non
 
 
 def test_a_stage_that_replaces_another_removes_its_files_and_they_are_made_again_when_needed(tmp_path: Path) -> None:
-    def remake(inputs: Start, settings: Seeded, tools: Tools) -> Table:
-        return Table(np.full((4, 2), float(inputs.number)), SOURCE)
+    def remake(number: int) -> Table:
+        return Table(np.full((4, 2), float(number)), SOURCE)
 
     other = Stage("other", remake, "Making again", replaces="table")
     stages = [STAGES[0], STAGES[1], other, *STAGES[2:]]
@@ -153,21 +148,21 @@ def test_a_stage_that_replaces_another_removes_its_files_and_they_are_made_again
     assert not (tmp_path / "table").exists() and work(tmp_path, stages=stages)[1] == []
     assert work(tmp_path, stages=STAGES)[1] == ["table", "train"], "the sum is still known"
     with pytest.raises(TypeError, match="needed after"):
-        chain_on(tmp_path, stages=[*stages[:2], replace(other, work=add_up)])
+        chain_on(tmp_path, stages=[*stages[:2], replace(other, work=add_up, gives="total")])
 
 
 def test_a_kill_amid_a_stage_keeps_its_finished_views(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(finished_views, "NOTE_SECONDS", 0.0)
     seen: list[set[int]] = []
 
-    def bake(inputs: StartInputs, settings: Seeded, tools: Tools) -> Table:
+    def bake(source: list[str], *, settings: Seeded, tools: Tools) -> Table:
         seen.append(set(tools.finished.views))
         for view in range(3):
             if view not in tools.finished.views:
                 tools.finished.add(view, 1)
                 if view in kills:
                     raise KeyboardInterrupt
-        return Table(np.zeros((4, 2)), inputs.source)
+        return Table(np.zeros((4, 2)), source)
 
     stages = [Stage("table", bake, "Baking"), *STAGES[1:]]
     kills = [0, 1]
@@ -184,12 +179,12 @@ def test_a_kill_amid_a_stage_keeps_its_finished_views(tmp_path: Path, monkeypatc
 
 
 def test_a_stage_cannot_change_what_an_earlier_one_made_or_take_what_nothing_makes(tmp_path: Path) -> None:
-    def spoil(inputs: TableInputs, settings: NoSettings, tools: Tools) -> Total:
-        inputs.table[:] = 0.0
-        return Total(0.0)
+    def spoil(table: np.ndarray) -> float:
+        table[:] = 0.0
+        return 0.0
 
     with pytest.raises(ValueError, match="read-only"):
-        work(tmp_path, stages=[STAGES[0], Stage("spoil", spoil, "Spoiling"), *STAGES[2:]])
+        work(tmp_path, stages=[STAGES[0], Stage("spoil", spoil, "Spoiling", gives="total"), *STAGES[2:]])
     with pytest.raises(TypeError, match="nothing before"):
         chain_on(tmp_path, stages=STAGES[1:])
 
@@ -288,8 +283,8 @@ def test_a_full_disk_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(np, "save", full)
 
-    def plain(inputs: StartInputs, settings: Seeded, tools: Tools) -> Table:
-        return Table(np.zeros((4, 2)), inputs.source)
+    def plain(source: list[str]) -> Table:
+        return Table(np.zeros((4, 2)), source)
 
     stages = [Stage("table", plain, "Making"), *STAGES[1:]]
     assert error_of(work, tmp_path, stages=stages).code == "disk-full"

@@ -34,33 +34,11 @@ from ..surface.room import Room
 MUCH_INFERRED, MUCH_DIFFERENT = 0.1, 0.05
 
 
-@dataclass(frozen=True)
-class ObserveInputs:
-    """The pixels, with the radiance of their own surface."""
-
-    pixels: PixelStore
-    room: Room
-    parts: Parts
-
-
-@dataclass(frozen=True)
-class Observed:
-    """What follows from the pixels before any estimate: cache, environment; without hints."""
-
-    observed: Observations
-
-
-def observe_pixels(inputs: ObserveInputs, settings: LightSettings, tools: Tools) -> Observed:
-    """Assign the pixels to the voxels of the radiance cache, and find what they see outside."""
-    return Observed(observe(inputs.room, inputs.pixels, inputs.parts, settings, tools.folder))
-
-
-@dataclass(frozen=True)
-class BrightInputs:
-    """The pixels of the room."""
-
-    pixels: PixelStore
-    room: Room
+def observe_pixels(
+    pixels: PixelStore, room: Room, parts: Parts, *, settings: LightSettings, tools: Tools
+) -> Observations:
+    """What follows from the pixels before any estimate: radiance cache, environment; without hints."""
+    return observe(room, pixels, parts, settings, tools.folder)
 
 
 @dataclass(frozen=True)
@@ -76,9 +54,8 @@ class PresumedLamps:
     presumed: np.ndarray
 
 
-def find_presumed_lamps(inputs: BrightInputs, settings: ShadingSettings, tools: Tools) -> PresumedLamps:
+def find_presumed_lamps(pixels: PixelStore, room: Room, *, settings: ShadingSettings) -> PresumedLamps:
     """Presume which bright surfaces are lamps, before any light is known."""
-    room, pixels = inputs.room, inputs.pixels
     bright = bright_triangles(room, pixels.triangle, pixels.front, pixels.radiance)
     if settings.presumed_lamps:
         return PresumedLamps(*presume_lamps(room, EmitterPixels.of(pixels), bright))
@@ -86,33 +63,26 @@ def find_presumed_lamps(inputs: BrightInputs, settings: ShadingSettings, tools: 
     return PresumedLamps(replace(bright, reflective=in_cache), np.zeros(len(room.triangles), bool))
 
 
-@dataclass(frozen=True)
-class OutsideInputs:
-    """Observations of a room that may be open, its bright triangles with the presumed lamps, and the hints
-    that know a base colour."""
+def infer_outside(
+    observed: Observations,
+    bright: EmitterTable,
+    room: Room,
+    parts: Parts,
+    references: Sequence[Hint],
+    *,
+    settings: LightSettings,
+    tools: Tools,
+) -> Environment | None:
+    """What the pixels see outside, with light from unseen directions where the mesh is open; None without.
 
-    observed: Observations
-    bright: EmitterTable
-    pixels: PixelStore
-    room: Room
-    parts: Parts
-    references: Sequence[Hint]
-
-
-@dataclass(frozen=True)
-class OutsideLight:
-    """What the pixels see outside, with light from unseen directions where the mesh is open; None without."""
-
-    environment: Environment | None
-
-
-def infer_outside(inputs: OutsideInputs, settings: LightSettings, tools: Tools) -> OutsideLight:
-    """Infer the light that enters an open mesh from directions that no photograph shows."""
-    observed, room = inputs.observed, inputs.room
+    Args:
+        observed: of a room that may be open. bright: with the presumed lamps.
+        references: the hints that know a base colour.
+    """
     if settings.unseen_light:
-        label, lamps = surface_labels(room, inputs.parts), inputs.bright.not_reflective()
-        pieces = None if inputs.parts.kind == "part" else room_pieces(room)
-        known = known_colors(inputs.references, room.vertices, room.triangles, inputs.parts, pieces)
+        label, lamps = surface_labels(room, parts), bright.not_reflective()
+        pieces = None if parts.kind == "part" else room_pieces(room)
+        known = known_colors(references, room.vertices, room.triangles, parts, pieces)
         observed = with_unseen_light(observed, room, label, lamps, settings, known)
     light = observed.environment
     if light is not None and light.unseen_light > MUCH_INFERRED:
@@ -124,23 +94,10 @@ def infer_outside(inputs: OutsideInputs, settings: LightSettings, tools: Tools) 
             "Add photographs that show the lamps and windows. The inferred lamps are named Unseen Light: move"
             " or delete them as you know better.",
         )
-    return OutsideLight(light)
+    return light
 
 
 # ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) -------------------------------------------
-
-
-@dataclass(frozen=True)
-class ShadingInputs:
-    """Observations with the light from outside, what to aim at, and the room."""
-
-    observed: Observations
-    environment: Environment | None
-    bright: EmitterTable
-    presumed: np.ndarray
-    pixels: PixelStore
-    room: Room
-    parts: Parts
 
 
 @dataclass(frozen=True)
@@ -158,13 +115,27 @@ class BakedShadings:
     baked_lamps: np.ndarray
 
 
-def bake_shadings(inputs: ShadingInputs, settings: ShadingSettings, tools: Tools) -> BakedShadings:
-    """Bake the shadings of all views from the radiance cache."""
-    observed = replace(inputs.observed, environment=inputs.environment)
-    lamps = PresumedLamps(inputs.bright, inputs.presumed)
-    baking = first_baking(inputs.room, inputs.parts, observed, lamps, settings)
-    store = _bake(baking, inputs.pixels, tools)
-    tools.facts["light_excess"] = excess = light_excess(inputs.environment, store.diffuse)
+def bake_shadings(
+    observed: Observations,
+    environment: Environment | None,
+    bright: EmitterTable,
+    presumed: np.ndarray,
+    pixels: PixelStore,
+    room: Room,
+    parts: Parts,
+    *,
+    settings: ShadingSettings,
+    tools: Tools,
+) -> BakedShadings:
+    """Bake the shadings of all views from the radiance cache.
+
+    Args:
+        environment: light from outside. bright, presumed: see :class:`PresumedLamps`.
+    """
+    observed = replace(observed, environment=environment)
+    baking = first_baking(room, parts, observed, PresumedLamps(bright, presumed), settings)
+    store = _bake(baking, pixels, tools)
+    tools.facts["light_excess"] = excess = light_excess(environment, store.diffuse)
     if abs(excess) > MUCH_DIFFERENT:
         tools.reporter.warning(
             "light-differs",
@@ -172,7 +143,7 @@ def bake_shadings(inputs: ShadingInputs, settings: ShadingSettings, tools: Tools
             " what no photograph shows, and base colors are as uncertain.",
             "Add photographs that show the lamps and windows.",
         )
-    return BakedShadings(store, baking.levels, inputs.presumed)
+    return BakedShadings(store, baking.levels, presumed)
 
 
 def light_excess(environment: Environment | None, diffuse: np.ndarray) -> float:
@@ -245,41 +216,38 @@ def _bake(baking: Baking, pixels: PixelStore, tools: Tools) -> ShadingStore:
 # ---- Stage 3: shadings by path tracing (Sec. 4.3, Eq. 10 and 11) -------------------------------------------
 
 
-@dataclass(frozen=True)
-class RefinementInputs:
-    """An estimate to trace paths with.
+def refine_shadings(
+    index: int,
+    observed: Observations,
+    environment: Environment | None,
+    pixels: PixelStore,
+    room: Room,
+    parts: Parts,
+    emitters: EmitterTable,
+    emitting: np.ndarray,
+    presumed: np.ndarray,
+    diffuse: np.ndarray,
+    materials: np.ndarray,
+    *,
+    settings: RefinementSettings,
+    tools: Tools,
+) -> BakedShadings:
+    """Bake the shadings of all views anew by path tracing with the estimate.
 
-    Attributes:
+    Args:
         index: number of the round.
         emitters: the fixtures found so far, and emitting: (T,) bool, their triangles.
         presumed: (T,) bool, the lamps before any estimate.
         diffuse: (M * 6, 3) float16 mean L_d of each cache entry in the last closed-form estimate.
         materials: (M * 6, 5) float32 base colour, roughness and metallic of each entry in it.
     """
-
-    index: int
-    observed: Observations
-    environment: Environment | None
-    pixels: PixelStore
-    room: Room
-    parts: Parts
-    emitters: EmitterTable
-    emitting: np.ndarray
-    presumed: np.ndarray
-    diffuse: np.ndarray
-    materials: np.ndarray
-
-
-def refine_shadings(inputs: RefinementInputs, settings: RefinementSettings, tools: Tools) -> BakedShadings:
-    """Bake the shadings of all views anew by path tracing with the estimate."""
-    observations, emitting = replace(inputs.observed, environment=inputs.environment), inputs.emitting
+    observations = replace(observed, environment=environment)
     cache = observations.cache(without=emitting) if settings.refine_cache else None
-    diffuse = inputs.diffuse if settings.refine_cache else None
-    traced = TracedLight(inputs.materials, diffuse, settings.cache_roughness, settings.refine_depth)
+    light = diffuse if settings.refine_cache else None
+    traced = TracedLight(materials, light, settings.cache_roughness, settings.refine_depth)
     counts = SampleCounts(
         settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
     )
-    given = inputs.room, inputs.parts, observations, cache, inputs.emitters, counts, traced, settings
-    baking = _baking(*given, inputs.index)
-    lamps = emitting if emitting.any() else inputs.presumed
-    return BakedShadings(_bake(baking, inputs.pixels, tools), baking.levels, lamps)
+    baking = _baking(room, parts, observations, cache, emitters, counts, traced, settings, index)
+    lamps = emitting if emitting.any() else presumed
+    return BakedShadings(_bake(baking, pixels, tools), baking.levels, lamps)

@@ -38,7 +38,6 @@ from ..run.chain import Tools
 from ..run.hints import Hint
 from ..run.stage_settings import (
     MaterialSettings,
-    NoSettings,
     ReflectionSettings,
 )
 from ..surface.room import Room
@@ -49,17 +48,6 @@ MISSING_LIGHT = 0.25
 
 
 # ---- What the artist knows ---------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class HintInputs:
-    """Observations without hints, and the hints that are honoured from here on."""
-
-    observed: Observations
-    environment: Environment | None
-    room: Room
-    parts: Parts
-    hints: Sequence[Hint]
 
 
 @dataclass(frozen=True)
@@ -77,33 +65,29 @@ class HintedObservations:
     pieces: np.ndarray | None
 
 
-def honour_hints(inputs: HintInputs, settings: NoSettings, tools: Tools) -> HintedObservations:
-    """Place the hints on the mesh, and divide the observations by them."""
-    room, parts = inputs.room, inputs.parts
-    observed = replace(inputs.observed, environment=inputs.environment, folder=tools.folder)
+def honour_hints(
+    observed: Observations,
+    environment: Environment | None,
+    room: Room,
+    parts: Parts,
+    hints: Sequence[Hint],
+    *,
+    tools: Tools,
+) -> HintedObservations:
+    """Place the hints that are honoured from here on on the mesh, and divide the observations by them."""
+    observed = replace(observed, environment=environment, folder=tools.folder)
     pieces = None if parts.kind == "part" else room_pieces(room)
-    if not inputs.hints:
+    if not hints:
         return HintedObservations(observed, None, pieces)
-    hints = place_hints(inputs.hints, room.vertices, room.triangles, parts, pieces)
-    left_alone = hints.of_triangles(hints.left_alone)
+    placed = place_hints(hints, room.vertices, room.triangles, parts, pieces)
+    left_alone = placed.of_triangles(placed.left_alone)
     divided = replace(
-        observed, parts=hints.split_parts(parts), left_alone=left_alone if left_alone.any() else None
+        observed, parts=placed.split_parts(parts), left_alone=left_alone if left_alone.any() else None
     )
-    return HintedObservations(divided, hints, pieces)
+    return HintedObservations(divided, placed, pieces)
 
 
 # ---- Closed form (Eq. 5) and emitters (Sec. 4.4) -----------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class ClosedFormInputs:
-    """The pixels and their shadings."""
-
-    observations: Observations
-    shadings: ShadingStore
-    levels: np.ndarray
-    pieces: np.ndarray | None
-    surface_hints: SurfaceHints | None
 
 
 @dataclass(frozen=True)
@@ -114,60 +98,25 @@ class ClosedForm:
     cells: CellEstimate
 
 
-def fit_closed_form(inputs: ClosedFormInputs, settings: MaterialSettings, tools: Tools) -> ClosedForm:
+def fit_closed_form(
+    observations: Observations,
+    shadings: ShadingStore,
+    levels: np.ndarray,
+    pieces: np.ndarray | None,
+    surface_hints: SurfaceHints | None,
+    *,
+    settings: MaterialSettings,
+) -> ClosedForm:
     """Group the pixels by material, infer these, and fit the base colour of each cell."""
-    given = inputs.observations, inputs.pieces, inputs.shadings, inputs.levels, settings
-    data = training_input(*given, inputs.surface_hints)
+    data = training_input(observations, pieces, shadings, levels, settings, surface_hints)
     return ClosedForm(data, fit_cells(data))
 
 
-@dataclass(frozen=True)
-class SurfaceInputs:
-    """The room, and how much of its light is inferred."""
-
-    room: Room
-    parts: Parts
-    observed: Observations
-    environment: Environment | None
-
-
-@dataclass(frozen=True)
-class PossibleEmitters:
-    """What emits as a whole."""
-
-    emitter_units: EmitterSurfaces
-
-
-def find_emitter_units(inputs: SurfaceInputs, settings: NoSettings, tools: Tools) -> PossibleEmitters:
+def find_emitter_units(
+    room: Room, parts: Parts, observed: Observations, environment: Environment | None
+) -> EmitterSurfaces:
     """Divide the mesh into surfaces of which each emits as a whole, or not at all."""
-    given = inputs.room, inputs.parts, inputs.observed.footprint, inputs.environment
-    return PossibleEmitters(emitter_surfaces(*given))
-
-
-@dataclass(frozen=True)
-class EstimateInputs:
-    """The closed form, and what lit the shadings.
-
-    Attributes:
-        baked_lamps: (T,) bool, lamps whose own radiance is in the shadings.
-        emitting: (T,) bool, the lamps of the estimate before; None in the first one.
-        units_before: of a training, which hints divide further; None without.
-        photometry: of photographs that are not HDR; None where all are.
-    """
-
-    room: Room
-    pixels: PixelStore
-    observations: Observations
-    shadings: ShadingStore
-    data: TrainingData
-    cells: CellEstimate
-    emitter_units: EmitterSurfaces
-    baked_lamps: np.ndarray
-    pieces: np.ndarray | None
-    surface_hints: SurfaceHints | None
-    emitting: np.ndarray | None = None
-    units_before: Units | None = None
-    photometry: Photometry | None = None
+    return emitter_surfaces(room, parts, observed.footprint, environment)
 
 
 @dataclass(frozen=True)
@@ -183,9 +132,64 @@ class Estimate:
     probability: np.ndarray
 
 
-def estimate_first(inputs: EstimateInputs, settings: NoSettings, tools: Tools) -> Estimate:
-    """The estimate with the shadings of stage 1, and a warning where light is missing in them."""
-    share = brighter_than_white(inputs.pixels, inputs.shadings)
+def estimate(
+    room: Room,
+    pixels: PixelStore,
+    observations: Observations,
+    shadings: ShadingStore,
+    data: TrainingData,
+    cells: CellEstimate,
+    emitter_units: EmitterSurfaces,
+    baked_lamps: np.ndarray,
+    pieces: np.ndarray | None,
+    surface_hints: SurfaceHints | None,
+    emitting: np.ndarray | None = None,
+    units_before: Units | None = None,
+    lamps_before: np.ndarray | None = None,
+    photometry: Photometry | None = None,
+    *,
+    tools: Tools,
+) -> Estimate:
+    """Divide the mesh into units of one material, and find how probable it is that each triangle emits.
+
+    The first estimate warns where light is missing. It and the last one, with hints that were given since,
+    warn of those that could not be honoured.
+
+    Args:
+        baked_lamps: (T,) bool, lamps whose own radiance is in the shadings.
+        emitting: (T,) bool, the lamps of the estimate before; None in the first one.
+        units_before: of a training, which hints divide further; None without.
+        lamps_before: as `emitting`, in the last estimate with hints that were given since; else None.
+        photometry: of photographs that are not HDR; None where all are.
+    """
+    if emitting is None:
+        _warn_of_missing_light(brighter_than_white(pixels, shadings), tools)
+    if emitting is None or lamps_before is not None:
+        _warn_of_problems(surface_hints, tools)
+    tools.facts["cells"] = len(cells.keys)
+    units = units_before
+    if units is None or pieces is None:
+        units = material_units(pieces, data, room.scan is not None)
+    hinted = np.zeros(len(room.triangles), np.int8)
+    if surface_hints is not None:
+        units = hinted_units(units, observations.parts, surface_hints, data.materials)
+        known = surface_hints.emits - (surface_hints.left_alone & (surface_hints.emits == 0))
+        hinted = np.asarray(surface_hints.of_triangles(known), np.int8)
+    white, hdr = partial(white_rows, data), photometry is None
+    probability = emission_probability(room, pixels, shadings, white, emitter_units, hinted, baked_lamps, hdr)
+    if lamps_before is not None and surface_hints is not None:
+        changed = lamps_before != (probability > 0.5)
+        if changed[surface_hints.of_triangles(surface_hints.emits) != 0].any():
+            tools.reporter.warning(
+                "hints-lamps",
+                "The hints change which surfaces are lamps, but the light in the room is that of before.",
+                "Tick Light Changes Too and estimate again with hints, or use Estimate.",
+            )
+    return Estimate(units, probability)
+
+
+def _warn_of_missing_light(share: float, tools: Tools) -> None:
+    """Warn where many pixels, a share of all, are brighter than white surfaces."""
     if share > MISSING_LIGHT:
         tools.reporter.warning(
             "light-missing",
@@ -195,57 +199,12 @@ def estimate_first(inputs: EstimateInputs, settings: NoSettings, tools: Tools) -
             "Add photographs that show the lamps, and use them as the camera made them: not painted over,"
             " not cropped, not tone-mapped.",
         )
-    _warn_of_problems(inputs.surface_hints, tools)
-    return estimate(inputs, settings, tools)
-
-
-def estimate_hinted(inputs: EstimateInputs, settings: NoSettings, tools: Tools) -> Estimate:
-    """The estimate with hints that were given since, and warnings of those that could not be honoured."""
-    _warn_of_problems(inputs.surface_hints, tools)
-    found = estimate(inputs, settings, tools)
-    hints = inputs.surface_hints
-    if hints is not None and inputs.emitting is not None:
-        changed = inputs.emitting != (found.probability > 0.5)
-        if changed[hints.of_triangles(hints.emits) != 0].any():
-            tools.reporter.warning(
-                "hints-lamps",
-                "The hints change which surfaces are lamps, but the light in the room is that of before.",
-                "Tick Light Changes Too and estimate again with hints, or use Estimate.",
-            )
-    return found
-
-
-def estimate(inputs: EstimateInputs, settings: NoSettings, tools: Tools) -> Estimate:
-    """Divide the mesh into units of one material, and find how probable it is that each triangle emits."""
-    tools.facts["cells"] = len(inputs.cells.keys)
-    surfaces, hints, data = inputs.emitter_units, inputs.surface_hints, inputs.data
-    units = inputs.units_before
-    if units is None or inputs.pieces is None:
-        units = material_units(inputs.pieces, data, inputs.room.scan is not None)
-    hinted = np.zeros(len(inputs.room.triangles), np.int8)
-    if hints is not None:
-        units = hinted_units(units, inputs.observations.parts, hints, data.materials)
-        known = hints.emits - (hints.left_alone & (hints.emits == 0))
-        hinted = np.asarray(hints.of_triangles(known), np.int8)
-    white, hdr = partial(white_rows, data), inputs.photometry is None
-    given = inputs.room, inputs.pixels, inputs.shadings, white, surfaces, hinted, inputs.baked_lamps, hdr
-    return Estimate(units, emission_probability(*given))
 
 
 def _warn_of_problems(hints: SurfaceHints | None, tools: Tools) -> None:
     if hints is not None and hints.problems:
         text = "Some hints could not be honoured: " + " ".join(hints.problems)
         tools.reporter.warning("hints-unclear", text, "Correct or remove these hints.")
-
-
-@dataclass(frozen=True)
-class FixtureInputs:
-    """Probabilities, and what the pixels show of the triangles."""
-
-    room: Room
-    pixels: PixelStore
-    observations: Observations
-    probability: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -263,45 +222,42 @@ class Emitters:
     emitting: np.ndarray
 
 
-def find_fixtures(inputs: FixtureInputs, settings: NoSettings, tools: Tools) -> Emitters:
+def find_fixtures(
+    room: Room, pixels: PixelStore, observations: Observations, probability: np.ndarray
+) -> Emitters:
     """Group the triangles that probably emit to fixtures."""
-    parts, probability = inputs.observations.parts, inputs.probability
+    parts = observations.parts
     surface = parts.triangle_part if parts.kind == "part" else None
-    pixels = EmitterPixels.of(inputs.pixels)
-    fixtures = group_fixtures(inputs.room, probability > 0.5, pixels, surface, probability)
+    fixtures = group_fixtures(room, probability > 0.5, EmitterPixels.of(pixels), surface, probability)
     table = emitter_table(fixtures)
-    emitting = np.zeros(len(inputs.room.triangles), bool)
+    emitting = np.zeros(len(room.triangles), bool)
     emitting[table.triangles] = True
     return Emitters(fixtures, table, emitting)
 
 
 @dataclass(frozen=True)
-class ReflectionInputs:
-    """The closed form, in the units of its estimate."""
-
-    room: Room
-    observations: Observations
-    data: TrainingData
-    cells: CellEstimate
-    units: Units
-
-
-@dataclass(frozen=True)
 class Reflection:
-    """What stage 3 needs of an estimate; fields as of :class:`.light_stages.RefinementInputs`."""
+    """What stage 3 needs of an estimate; fields as of :func:`.light_stages.refine_shadings`."""
 
     diffuse: np.ndarray
     materials: np.ndarray
 
 
-def find_reflection(inputs: ReflectionInputs, settings: ReflectionSettings, tools: Tools) -> Reflection:
-    """Light and materials of each entry of the radiance cache."""
-    observations, data, limit = inputs.observations, inputs.data, settings.cache_roughness
+def find_reflection(
+    room: Room,
+    observations: Observations,
+    data: TrainingData,
+    cells: CellEstimate,
+    units: Units,
+    *,
+    settings: ReflectionSettings,
+) -> Reflection:
+    """Light and materials of each entry of the radiance cache, in the units of the last estimate."""
     diffuse = observations.means(data.shadings.diffuse).astype(np.float16)
-    cells = followed_by_paths(inputs.cells, data.materials.error[:, 0], limit)
+    followed = followed_by_paths(cells, data.materials.error[:, 0], settings.cache_roughness)
     rng = np.random.default_rng([settings.seed, 4])
-    entries, points, triangles = observations.places(inputs.room, rng)
-    values = entry_values(cells, entries, points, triangles, inputs.units)
+    entries, points, triangles = observations.places(room, rng)
+    values = entry_values(followed, entries, points, triangles, units)
     return Reflection(diffuse, pool(observations.grid, entries, values)[0])
 
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The paper's algorithm (Sec. 4) as a list of stages.
 
-Each stage is a pure function; its annotations say what it takes and makes (:mod:`..run.chain`). Stages
-without a text are quick, and made again where they are needed. What comes before, the room and the views, is
+Each stage is a pure function; its signature says what it takes and makes (:mod:`..run.chain`). Stages without
+a text are quick, and made again where they are needed. What comes before, the room and the views, is
 in :mod:`.input`; what comes after in :mod:`.results`.
 """
 
@@ -22,8 +22,6 @@ from .light_stages import (
 )
 from .material_stages import (
     estimate,
-    estimate_first,
-    estimate_hinted,
     find_emitter_units,
     find_fixtures,
     find_reflection,
@@ -31,7 +29,7 @@ from .material_stages import (
     honour_hints,
 )
 from .pixel_stages import check_poses, divide_mixed_pixels, find_photometry, refit_photometry, trace_pixels
-from .training_stages import open_fields, train_hinted, train_networks
+from .training_stages import open_fields, train_networks
 
 
 def pipeline(
@@ -56,28 +54,27 @@ def _pixels(encoded: bool) -> Iterator[Stage]:
     if encoded:
         yield Stage("photometry", find_photometry, "Finding the radiance of the photographs", 0.3)
     yield Stage("checks", check_poses, "Checking the photographs' poses and exposures", 0.4)
-    yield Stage("unmixing", divide_mixed_pixels, "Dividing mixed pixels", 0.3)
+    yield Stage("unmixing", divide_mixed_pixels, "Dividing mixed pixels", 0.3, "pixels")
     if encoded:
         yield Stage("refit", refit_photometry, "Finding the radiance with the room's light", 0.8)
 
 
 def _light() -> Iterator[Stage]:
     """Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9)."""
-    yield Stage("observed", observe_pixels)
+    yield Stage("observed", observe_pixels, gives="observed")
     yield Stage("presumed", find_presumed_lamps)
-    yield Stage("outside", infer_outside, "Inferring the light from outside", 0.4)
+    yield Stage("outside", infer_outside, "Inferring the light from outside", 0.4, "environment")
     yield Stage("hints", honour_hints)
     yield Stage("shadings", bake_shadings, "Baking shadings from the photographs", 1.0)
 
 
 def _rounds(rounds: int) -> Iterator[Stage]:
     """Closed form (Eq. 5) and emitters (Sec. 4.4), then stage 3 (Sec. 4.3, Eq. 10 and 11), and again."""
-    yield Stage("emitter-units", find_emitter_units)
+    yield Stage("emitter-units", find_emitter_units, gives="emitter_units")
     for index in range(rounds + 1):
         text = f" (round {index} of {rounds})" if index else ""
         yield Stage(f"closed-form-{index}", fit_closed_form)
-        work = estimate if index else estimate_first
-        yield Stage(f"estimate-{index}", work, f"Estimating materials and lamps{text}", 0.35)
+        yield Stage(f"estimate-{index}", estimate, f"Estimating materials and lamps{text}", 0.35)
         yield Stage(f"fixtures-{index}", find_fixtures)
         if index < rounds:
             number = index + 1
@@ -90,7 +87,7 @@ def _refinement(suffix: str, number: int, text: str, prefix: str = "", replaces:
     """Stage 3 with the last estimate; of the shadings that it replaces the files are not kept."""
     yield Stage(f"{prefix}reflection{suffix}", find_reflection, f"Preparing light paths{text}", 0.2)
     name, takes = f"{prefix}refinement{suffix}", {"index": f"round_{number}"}
-    yield Stage(name, refine_shadings, f"Refining shadings{text}", 2.9, takes, replaces)
+    yield Stage(name, refine_shadings, f"Refining shadings{text}", 2.9, takes=takes, replaces=replaces)
 
 
 def _training() -> Iterator[Stage]:
@@ -107,22 +104,23 @@ def _hinted(rounds: int, rerun: bool, light: bool) -> Iterator[Stage]:
     yield Stage("hinted-hints", honour_hints, takes={"hints": "hints_rerun"})
     if light:
         yield Stage("hinted-lamps-closed-form", fit_closed_form)
-        yield Stage("hinted-lamps", estimate, "Finding lamps with the hints", 0.4, before)
+        yield Stage("hinted-lamps", estimate, "Finding lamps with the hints", 0.4, takes=before)
         yield Stage("hinted-fixtures", find_fixtures)
         yield from _refinement("", max(rounds, 1), " with the hints", prefix="hinted-")
     yield Stage("hinted-closed-form", fit_closed_form)
     text = "Estimating materials with the hints"
-    yield Stage("hinted-estimate", estimate_hinted, text, 0.4, before)
+    yield Stage("hinted-estimate", estimate, text, 0.4, takes=before | {"lamps_before": "emitting"})
     yield Stage("hinted-lamps-found", find_fixtures)
-    yield Stage("hinted-training", train_hinted, "Training materials with the hints", 0.4)
+    yield Stage("hinted-training", train_networks, "Training materials with the hints", 0.4)
     yield Stage("hinted-fields", open_fields)
 
 
 def _judgement(judged: bool) -> Iterator[Stage]:
     """The estimate on all surfaces, and how good it is."""
-    yield Stage("room-fields", find_room_fields)
+    yield Stage("room-fields", find_room_fields, gives="room_fields")
     if judged:
-        yield Stage("quality", judge_result, "Judging the result by photographs that were held back", 0.7)
+        text = "Judging the result by photographs that were held back"
+        yield Stage("quality", judge_result, text, 0.7, "quality")
 
 
 def round_numbers(rounds: int) -> dict[str, int]:

@@ -28,23 +28,14 @@ from ..pixels.unmixing import keep_pure, unmix_pixels
 from ..run.chain import Tools
 from ..run.stage_settings import (
     CheckSettings,
-    NoSettings,
     PhotometrySettings,
     RefitSettings,
     UnmixSettings,
 )
 from ..surface.room import Room
-from .light_stages import BrightInputs, find_presumed_lamps, first_baking
+from .light_stages import find_presumed_lamps, first_baking
 
 _RAYS_TO_TRACE, _RAYS_TO_MARK = 1, 5  # a pixel, for the statistics
-
-
-@dataclass(frozen=True)
-class TraceInputs:
-    """The training views, and the room that they show."""
-
-    views: list[View]
-    room: Room
 
 
 @dataclass(frozen=True)
@@ -62,12 +53,12 @@ class TracedPixels:
     scale: float
 
 
-def trace_pixels(inputs: TraceInputs, settings: NoSettings, tools: Tools) -> TracedPixels:
+def trace_pixels(views: list[View], room: Room, *, tools: Tools) -> TracedPixels:
     """Intersect the photographs' pixels with the mesh, and choose the parts of its triangles."""
-    pixels = create_pixels(tools.folder, inputs.views)
-    scale = fill_pixels(pixels, inputs.room, tools.progress_within(0.0, 0.6), tools.workers)
-    parts = parts_of(inputs.room, pixels)
-    mark_pure(pixels, inputs.room, parts.triangle_part, tools.progress_within(0.6, 1.0), tools.workers)
+    pixels = create_pixels(tools.folder, views)
+    scale = fill_pixels(pixels, room, tools.progress_within(0.0, 0.6), tools.workers)
+    parts = parts_of(room, pixels)
+    mark_pure(pixels, room, parts.triangle_part, tools.progress_within(0.6, 1.0), tools.workers)
     tools.facts["rays"] = (_RAYS_TO_TRACE + _RAYS_TO_MARK) * len(pixels)
     return TracedPixels(pixels, parts, scale)
 
@@ -76,16 +67,6 @@ def parts_of(room: Room, pixels: PixelStore) -> Parts:
     """The parts of a room's triangles by what the pixels see."""
     triangles = [np.asarray(pixels.triangle[pixels.rows(index)]) for index in range(len(pixels.views))]
     return choose_parts(room, pixels.views, triangles)
-
-
-@dataclass(frozen=True)
-class PhotometryInputs:
-    """Traced pixels whose values are decoded by sRGB's curve."""
-
-    pixels: PixelStore
-    room: Room
-    parts: Parts
-    scale: float
 
 
 @dataclass(frozen=True)
@@ -98,24 +79,13 @@ class AdjustedPhotographs:
 
 
 def find_photometry(
-    inputs: PhotometryInputs, settings: PhotometrySettings, tools: Tools
+    pixels: PixelStore, room: Room, parts: Parts, scale: float, *, settings: PhotometrySettings, tools: Tools
 ) -> AdjustedPhotographs:
-    """Turn photographs that are not HDR into radiance."""
-    pixels = inputs.pixels.with_copies(tools.folder, "radiance")
-    labels = surface_labels(inputs.room, inputs.parts)
-    found = adjust_photographs(pixels, inputs.room, labels, inputs.scale, settings, tools.folder)
-    found = replace(found, facts={**found.facts, "median_shown": inputs.scale})
+    """Turn photographs that are not HDR, and decoded by sRGB's curve, into radiance."""
+    pixels = pixels.with_copies(tools.folder, "radiance")
+    found = adjust_photographs(pixels, room, surface_labels(room, parts), scale, settings, tools.folder)
+    found = replace(found, facts={**found.facts, "median_shown": scale})
     return AdjustedPhotographs(pixels, found, found.scale)
-
-
-@dataclass(frozen=True)
-class CheckInputs:
-    """Pixels, and indices of views whose poses are far off with their correlation with the others."""
-
-    pixels: PixelStore
-    room: Room
-    parts: Parts
-    far_off: dict[int, float]
 
 
 @dataclass(frozen=True)
@@ -127,44 +97,44 @@ class CheckedPixels:
     view_check: ViewCheck
 
 
-def check_poses(inputs: CheckInputs, settings: CheckSettings, tools: Tools) -> CheckedPixels:
-    """Leave out misaligned views, bring the others to one exposure, leave out lamps that the mesh lacks."""
-    room, parts = inputs.room, inputs.parts
-    pixels = inputs.pixels.with_copies(tools.folder, "radiance", "triangle", "pure")
-    check = check_views(pixels, room, parts.triangle_part, settings, tools.reporter, inputs.far_off)
+def check_poses(
+    pixels: PixelStore,
+    room: Room,
+    parts: Parts,
+    far_off: dict[int, float],
+    *,
+    settings: CheckSettings,
+    tools: Tools,
+) -> CheckedPixels:
+    """Leave out misaligned views, bring the others to one exposure, leave out lamps that the mesh lacks.
+
+    Args:
+        far_off: views whose poses are far off, and their correlation with the others.
+    """
+    pixels = pixels.with_copies(tools.folder, "radiance", "triangle", "pure")
+    check = check_views(pixels, room, parts.triangle_part, settings, tools.reporter, far_off)
     if check.left_out:  # their masks no longer count
         parts = parts_of(room, pixels)
         mark_pure(pixels, room, parts.triangle_part, tools.progress_within(0.5, 1.0), tools.workers)
     return CheckedPixels(pixels, parts, check)
 
 
-@dataclass(frozen=True)
-class UnmixInputs:
-    """Pixels whose radiance is final, but for a second adjustment of photographs that are not HDR."""
-
-    pixels: PixelStore
-    room: Room
-    parts: Parts
-    photometry: Photometry | None = None
-
-
-@dataclass(frozen=True)
-class UnmixedPixels:
-    """Pixels with the radiance of their own surface, and its weight."""
-
-    pixels: PixelStore
-
-
-def divide_mixed_pixels(inputs: UnmixInputs, settings: UnmixSettings, tools: Tools) -> UnmixedPixels:
-    """Find the radiance of the surface at the centre of each pixel."""
-    pixels = inputs.pixels.with_copies(tools.folder, "own", "weight")
-    labels = surface_labels(inputs.room, inputs.parts)
-    progress = tools.reporter.progress
-    _unmix(pixels, inputs.room, labels, inputs.photometry, settings, progress, tools)
+def divide_mixed_pixels(
+    pixels: PixelStore,
+    room: Room,
+    parts: Parts,
+    photometry: Photometry | None = None,
+    *,
+    settings: UnmixSettings,
+    tools: Tools,
+) -> PixelStore:
+    """The pixels with the radiance of the surface at the centre of each, and its weight."""
+    pixels = pixels.with_copies(tools.folder, "own", "weight")
+    _unmix(pixels, room, surface_labels(room, parts), photometry, settings, tools.reporter.progress, tools)
     rows = (pixels.rows(index) for index in range(len(pixels.views)))
     pure = sum(int(np.count_nonzero(pixels.pure[view])) for view in rows)
     tools.facts["rays"] = len(SUBPIXELS) * (len(pixels) - pure)
-    return UnmixedPixels(pixels)
+    return pixels
 
 
 def _unmix(
@@ -186,33 +156,31 @@ def _unmix(
             pixels.weight[rows] *= photometry.weight[rows]
 
 
-@dataclass(frozen=True)
-class RefitInputs:
-    """Pixels with the first photometry."""
-
-    pixels: PixelStore
-    room: Room
-    parts: Parts
-    photometry: Photometry
-
-
-def refit_photometry(inputs: RefitInputs, settings: RefitSettings, tools: Tools) -> AdjustedPhotographs:
+def refit_photometry(
+    pixels: PixelStore,
+    room: Room,
+    parts: Parts,
+    photometry: Photometry,
+    *,
+    settings: RefitSettings,
+    tools: Tools,
+) -> AdjustedPhotographs:
     """Find the response and the clipped lamps again, with the light of shadings of stage 1."""
-    pixels, found = inputs.pixels, inputs.photometry
+    found = photometry
     if settings.refit_photographs:
-        labels = surface_labels(inputs.room, inputs.parts)
+        labels = surface_labels(room, parts)
         pixels = pixels.with_copies(tools.folder, "radiance", "own", "weight")
-        lamps = find_presumed_lamps(BrightInputs(pixels, inputs.room), settings, tools)
-        observations = observe(inputs.room, pixels, inputs.parts, settings, tools.folder)
+        lamps = find_presumed_lamps(pixels, room, settings=settings)
+        observations = observe(room, pixels, parts, settings, tools.folder)
         if settings.unseen_light:
-            given = inputs.room, labels, lamps.bright.not_reflective()
-            observations = with_unseen_light(observations, *given, settings)
-        baking = first_baking(inputs.room, inputs.parts, observations, lamps, settings)
+            outside = lamps.bright.not_reflective()
+            observations = with_unseen_light(observations, room, labels, outside, settings)
+        baking = first_baking(room, parts, observations, lamps, settings)
         found = replace(found, found=found.found.of_pixels(pixels))
-        again = refit_photographs(found, pixels, inputs.room, labels, partial(baked_light, baking, pixels))
+        again = refit_photographs(found, pixels, room, labels, partial(baked_light, baking, pixels))
         facts = {**again.facts, "median_shown": found.facts["median_shown"]}
         found = replace(again, facts=facts)
         progress = tools.progress_within(0.5, 1.0)
-        _unmix(pixels, inputs.room, labels, found, settings, progress, tools)
+        _unmix(pixels, room, labels, found, settings, progress, tools)
     warn_of_photographs(found.facts, tools.reporter)
     return AdjustedPhotographs(pixels, found, found.scale)

@@ -43,23 +43,6 @@ HINTED_SHARE = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
-class TrainingInputs:
-    """The last closed form, and the lamps.
-
-    Attributes:
-        brdf, emission: weights of networks that were trained without the present hints; None at first.
-    """
-
-    room: Room
-    data: TrainingData
-    cells: CellEstimate
-    units: Units
-    emitting: np.ndarray
-    brdf: Mapping[str, np.ndarray] | None = None
-    emission: Mapping[str, np.ndarray] | None = None
-
-
-@dataclass(frozen=True)
 class TrainedNetworks:
     """Weights of both networks, by their names in torch, and the units that the networks know by number."""
 
@@ -68,9 +51,61 @@ class TrainedNetworks:
     trained_units: Units
 
 
-def train_networks(inputs: TrainingInputs, settings: TrainingSettings, tools: Tools) -> TrainedNetworks:
-    """Fit the networks to the closed-form estimate, then to the photographs."""
-    networks, surfaces = _new_networks(inputs, settings)
+def train_networks(
+    room: Room,
+    data: TrainingData,
+    cells: CellEstimate,
+    units: Units,
+    emitting: np.ndarray,
+    brdf: Mapping[str, np.ndarray] | None = None,
+    emission: Mapping[str, np.ndarray] | None = None,
+    *,
+    settings: TrainingSettings,
+    tools: Tools,
+) -> TrainedNetworks:
+    """Fit the networks to the closed-form estimate, then to the photographs.
+
+    Networks that were trained before, without the present hints, are continued: they add detail to the
+    typical values of the units, those of the new closed form. The training's last steps are repeated.
+
+    Args:
+        emitting: (T,) bool, the lamps.
+        brdf, emission: weights of networks that were trained before; None at first.
+    """
+    box, observations = room_box(room.bounds), data.observations
+    levels = useful_hash_levels(settings, box.extent, observations.footprint)
+    typical = typical_values(cells.values, units.triangle[cells.triangle], len(units.single))
+    device = torch.device(torch_device())
+    networks = Networks(
+        BrdfNetwork(settings, levels, typical, network_generator(settings), device),
+        EmissionNetwork(network_generator(settings), device),
+    )
+    surfaces, steps = Surfaces(box, units.triangle, emitting), settings.training_steps
+    if brdf is None or emission is None:
+        _train_anew(networks, data, surfaces, cells, settings, tools)
+    else:
+        present = networks.brdf.state_dict()["typical"]
+        networks.load({"brdf": {**_tensors(brdf), "typical": present}, "emission": _tensors(emission)})
+        steps = max(round(HINTED_SHARE * steps), 1)
+        first = settings.training_steps - steps
+        train(networks, data, surfaces, settings, None, tools.reporter.progress, first)
+    tools.facts.update(steps=steps, hash_levels=len(networks.brdf.grid.resolutions))
+    weights = {
+        name: {key: tensor.cpu().numpy() for key, tensor in state.items()}
+        for name, state in networks.state().items()
+    }
+    return TrainedNetworks(weights["brdf"], weights["emission"], units)
+
+
+def _train_anew(
+    networks: Networks,
+    data: TrainingData,
+    surfaces: Surfaces,
+    cells: CellEstimate,
+    settings: TrainingSettings,
+    tools: Tools,
+) -> None:
+    """Train networks that are new, or those of an interrupted training."""
     checkpoint = tools.folder / "unfinished.pt"
     state = None
     if checkpoint.exists():
@@ -82,63 +117,13 @@ def train_networks(inputs: TrainingInputs, settings: TrainingSettings, tools: To
             checkpoint.unlink()
     fitted = PRETRAINING_STEPS / (PRETRAINING_STEPS + settings.training_steps)
     if state is None:
-        given = networks.brdf, inputs.data, surfaces, inputs.cells, settings
-        pretrain(*given, tools.progress_within(0.0, fitted))
+        pretrain(networks.brdf, data, surfaces, cells, settings, tools.progress_within(0.0, fitted))
     resume, progress = Resume(checkpoint, state), tools.progress_within(fitted, 1.0)
-    train(networks, inputs.data, surfaces, settings, resume, progress)
-    return _trained(networks, inputs.units, settings.training_steps, tools)
-
-
-def train_hinted(inputs: TrainingInputs, settings: TrainingSettings, tools: Tools) -> TrainedNetworks:
-    """Continue from the networks that were trained without these hints.
-
-    The networks add detail to the typical values of the units, those of the new closed form. The
-    training's last steps are repeated.
-    """
-    networks, surfaces = _new_networks(inputs, settings)
-    assert inputs.brdf is not None and inputs.emission is not None, "hints follow a training"
-    typical = networks.brdf.state_dict()["typical"]
-    networks.load(
-        {"brdf": {**_tensors(inputs.brdf), "typical": typical}, "emission": _tensors(inputs.emission)}
-    )
-    steps = max(round(HINTED_SHARE * settings.training_steps), 1)
-    first = settings.training_steps - steps
-    train(networks, inputs.data, surfaces, settings, None, tools.reporter.progress, first)
-    return _trained(networks, inputs.units, steps, tools)
-
-
-def _new_networks(inputs: TrainingInputs, settings: TrainingSettings) -> tuple[Networks, Surfaces]:
-    """Networks that are not trained yet, with the typical values of the units; and the surfaces."""
-    box, units, cells = room_box(inputs.room.bounds), inputs.units, inputs.cells
-    footprint = inputs.data.observations.footprint
-    levels = useful_hash_levels(settings, box.extent, footprint)
-    typical = typical_values(cells.values, units.triangle[cells.triangle], len(units.single))
-    device = torch.device(torch_device())
-    brdf = BrdfNetwork(settings, levels, typical, network_generator(settings), device)
-    emission = EmissionNetwork(network_generator(settings), device)
-    return Networks(brdf, emission), Surfaces(box, units.triangle, inputs.emitting)
-
-
-def _trained(networks: Networks, units: Units, steps: int, tools: Tools) -> TrainedNetworks:
-    tools.facts.update(steps=steps, hash_levels=len(networks.brdf.grid.resolutions))
-    weights = {
-        name: {key: tensor.cpu().numpy() for key, tensor in state.items()}
-        for name, state in networks.state().items()
-    }
-    return TrainedNetworks(weights["brdf"], weights["emission"], units)
+    train(networks, data, surfaces, settings, resume, progress)
 
 
 def _tensors(weights: Mapping[str, np.ndarray]) -> dict[str, torch.Tensor]:
     return {key: torch.from_numpy(np.array(array)) for key, array in weights.items()}
-
-
-@dataclass(frozen=True)
-class FieldInputs:
-    """The weights of the trained BRDF network."""
-
-    room: Room
-    units: Units
-    brdf: dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -154,18 +139,20 @@ class TrainedFields:
     box: Box
 
 
-def open_fields(inputs: FieldInputs, settings: NetworkSettings, tools: Tools) -> TrainedFields:
+def open_fields(
+    room: Room, units: Units, brdf: dict[str, np.ndarray], *, settings: NetworkSettings
+) -> TrainedFields:
     """Make the network of its weights.
 
     Raises:
         FiptError: ``file-damaged`` where they do not fit the network.
     """
-    device, box = torch.device(torch_device()), room_box(inputs.room.bounds)
+    device, box = torch.device(torch_device()), room_box(room.bounds)
     try:
-        levels = inputs.brdf["mlp.0.weight"].shape[1] // settings.hash_features
-        typical = np.zeros((len(inputs.units.single) + 1, 5))
+        levels = brdf["mlp.0.weight"].shape[1] // settings.hash_features
+        typical = np.zeros((len(units.single) + 1, 5))
         network = BrdfNetwork(settings, levels, typical, network_generator(settings), device)
-        network.load_state_dict(_tensors(inputs.brdf))
+        network.load_state_dict(_tensors(brdf))
     except (KeyError, IndexError, RuntimeError) as error:
         text = f"The networks of the training can't be used ({error})."
         raise FiptError("file-damaged", text, START_AGAIN) from None

@@ -2,21 +2,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A computation as a chain of stages, which is resumed after a kill or with other settings.
 
-A stage is a pure function `work(inputs, settings, tools) -> outputs`; all but `tools` are frozen dataclasses.
-A field of its inputs is the output of that name of the last stage before it, or a value that the chain was
-given. Its key is a hash of the method, of the settings that it reads and of the keys of what it takes;
-a stage is done again when its key changes. The chain keeps the outputs (:mod:`.store`), gives a stage
+A stage is a pure function, whose signature says what it takes. A parameter is the output of that name of the
+last stage before it, or a value that the chain was given; `settings` is a dataclass of settings, and `tools`
+is :class:`Tools`. What it returns is a frozen dataclass, whose fields are its outputs, or one output. Its key
+is a hash of the method, of the settings that it reads and of the keys of what it takes; a stage is done again
+when its key changes. The chain keeps the outputs (:mod:`.store`), gives a stage
 that was interrupted its finished views back, repeats warnings, and does again what can't be read.
 """
 
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -35,12 +38,13 @@ from .store import DamagedStage, loaded, saved
 
 START_AGAIN = "Start the estimation again without resuming it."
 _DOCUMENT, _FINISHED = "outputs.json", "finished.json"
+_NOT_TAKEN = ("settings", "tools")  # parameters that are no values of the chain
 Target = TypeVar("Target")
 
 
 @dataclass(frozen=True)
 class Tools:
-    """What a stage may use beside its inputs.
+    """What a stage may use beside what it takes.
 
     Attributes:
         folder: of the stage: for arrays that do not fit into memory and for unfinished work.
@@ -61,34 +65,41 @@ class Tools:
         return within(self.reporter.progress, begin, end)
 
 
-Work = Callable[[Any, Any, Tools], Any]
-
-
 @dataclass(frozen=True)
 class Stage:
     """A stage of a chain.
 
     Attributes:
         name: in files and messages.
-        work: the function; the annotations of its arguments are the types of inputs, settings and outputs.
+        work: the function; see the module.
         text: what it does, for the user; "" if the outputs are quick to make and are not kept.
         cost: expected time relative to other stages, for the progress bar only.
-        takes: names of values by the fields of the inputs that are called otherwise.
+        gives: name of its one output; "" where it returns a dataclass of several.
+        takes: names of values by the parameters that are called otherwise.
         replaces: a stage whose files are removed when this one begins; nothing that follows needs them.
     """
 
     name: str
-    work: Work
+    work: Callable[..., Any]
     text: str = ""
     cost: float = 0.0
+    gives: str = ""
     takes: Mapping[str, str] = field(default_factory=dict)
     replaces: str = ""
 
-    @property
-    def types(self) -> tuple[type, type, type]:
-        """Of inputs, settings and outputs."""
-        hints = get_type_hints(self.work)
-        return hints["inputs"], hints["settings"], hints["return"]
+    @cached_property
+    def types(self) -> dict[str, Any]:
+        """Of the parameters, and of what it returns, ``return``."""
+        return get_type_hints(self.work)
+
+    @cached_property
+    def outputs(self) -> set[str]:
+        """Their names."""
+        return {self.gives} if self.gives else {item.name for item in fields(self.types["return"])}
+
+    def by_name(self, made: Any) -> dict[str, Any]:
+        """The outputs, of what the function has returned."""
+        return {self.gives: made} if self.gives else {name: getattr(made, name) for name in self.outputs}
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +148,7 @@ class Chain:
         self._outputs: dict[tuple[int, str], Any] = {}
         self._places = {stage.name: index for index, stage in enumerate(stages)}
         self._providers = [
-            self._providers_of(stage.types[0], stage.takes, index) for index, stage in enumerate(stages)
+            self._providers_of(stage.work, stage.takes, index) for index, stage in enumerate(stages)
         ]
         for index, stage in enumerate(stages):
             replaced = self._places.get(stage.replaces, len(stages))
@@ -152,21 +163,28 @@ class Chain:
 
     # What each stage takes
 
-    def _providers_of(self, kind: type, takes: Mapping[str, str], before: int) -> dict[str, int | str]:
-        """For each field of inputs the stage, or the name of the given value, that it is taken from.
+    def _maker(self, name: str, before: int) -> int | None:
+        """The last stage before another one that makes an output; None where none does."""
+        return next((i for i in reversed(range(before)) if name in self.stages[i].outputs), None)
 
-        Fields with a default may have none.
+    def _providers_of(
+        self, work: Callable[..., Any], takes: Mapping[str, str], before: int
+    ) -> dict[str, int | str]:
+        """For each parameter the stage, or the name of the given value, that it is taken from.
+
+        Parameters with a default may have none.
         """
         found: dict[str, int | str] = {}
-        for item in fields(kind):
-            name = takes.get(item.name, item.name)
-            makes = (i for i in reversed(range(before)) if name in _names(self.stages[i].types[2]))
-            provider = next(makes, None)
+        for parameter, item in inspect.signature(work).parameters.items():
+            name = takes.get(parameter, parameter)
+            provider = self._maker(name, before)
+            if parameter in _NOT_TAKEN:
+                continue
             if provider is not None:
-                found[item.name] = provider
+                found[parameter] = provider
             elif name in self.given:
-                found[item.name] = name
-            elif item.default is MISSING:
+                found[parameter] = name
+            elif item.default is inspect.Parameter.empty:
                 raise TypeError(f"nothing before stage {before} makes {name}")
         return found
 
@@ -176,10 +194,8 @@ class Chain:
             name: self.given[of].key if isinstance(of, str) else self._keys[of]
             for name, of in self._providers[index].items()
         }
-        kind = stage.types[1]
-        read = {
-            name: getattr(self.settings, name) for name, item in declared(kind).items() if item.option.keyed
-        }
+        options = declared(stage.types["settings"]) if "settings" in stage.types else {}
+        read = {name: getattr(self.settings, name) for name, item in options.items() if item.option.keyed}
         text = json.dumps([method_digest(), stage.name, sources, dict(stage.takes), read], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -231,7 +247,7 @@ class Chain:
         """Do all stages that are not done, and return what `target` takes of their outputs, like a stage.
 
         Args:
-            target: a dataclass, whose fields are filled like inputs.
+            target: a dataclass, whose fields are filled like parameters.
             watch: is told of the stages.
 
         Raises:
@@ -245,7 +261,7 @@ class Chain:
             try:
                 with explained_write_errors(self._root):
                     self._do_all(providers, watch or Watch())
-                    return self._inputs(target, providers, {})
+                    return target(**self._taken(providers, {}))
             except DamagedStage as damage:
                 if damage.stage in damaged:  # its files can't be kept here
                     raise FiptError("file-damaged", str(damage), START_AGAIN) from None
@@ -255,8 +271,8 @@ class Chain:
 
     def value(self, name: str, after: str) -> Any:
         """The output of this name as it is after a stage; made where it is not kept."""
-        place = self._places[after] + 1
-        index = next(i for i in reversed(range(place)) if name in _names(self.stages[i].types[2]))
+        index = self._maker(name, self._places[after] + 1)
+        assert index is not None, name
         return self._output(index, name)
 
     def facts(self) -> list[dict[str, Any]]:
@@ -312,9 +328,9 @@ class Chain:
             use = index
             if not self._kept(index):
                 use = max((place for (of, _), place in last.items() if of == index), default=-1)
-            for field_name, of in self._providers[index].items():
+            for parameter, of in self._providers[index].items():
                 if isinstance(of, int):
-                    output = of, self.stages[index].takes.get(field_name, field_name)
+                    output = of, self.stages[index].takes.get(parameter, parameter)
                     last[output] = max(last.get(output, -1), use)
         return last
 
@@ -351,35 +367,37 @@ class Chain:
     def _work(self, index: int) -> tuple[Any, dict[str, Any]]:
         """The outputs of a stage, made now, and its facts."""
         stage = self.stages[index]
-        inputs: Any = self._inputs(stage.types[0], self._providers[index], stage.takes)
+        values = self._taken(self._providers[index], stage.takes)
         folder, facts = self._root / stage.name, dict[str, Any]()
         folder.mkdir(exist_ok=True)
-        finished = FinishedViews(folder / _FINISHED, self._keys[index])
-        tools = Tools(folder, self._reporter, self._workers, finished, facts)
-        return stage.work(inputs, chosen(self.settings, stage.types[1]), tools), facts
+        if "settings" in stage.types:
+            values["settings"] = chosen(self.settings, stage.types["settings"])
+        if "tools" in stage.types:
+            finished = FinishedViews(folder / _FINISHED, self._keys[index])
+            values["tools"] = Tools(folder, self._reporter, self._workers, finished, facts)
+        return stage.work(**values), facts
 
-    def _inputs(
-        self, kind: type[Target], providers: Mapping[str, int | str], takes: Mapping[str, str]
-    ) -> Target:
-        values = {}
-        for name, of in providers.items():
-            if isinstance(of, str):
-                values[name] = self._values[of]
-            else:
-                values[name] = self._output(of, takes.get(name, name))
-        return kind(**values)
+    def _taken(self, providers: Mapping[str, int | str], takes: Mapping[str, str]) -> dict[str, Any]:
+        """The values of parameters."""
+        return {
+            name: self._values[of] if isinstance(of, str) else self._output(of, takes.get(name, name))
+            for name, of in providers.items()
+        }
 
     def _output(self, index: int, name: str) -> Any:
         """An output of a stage: read, or made where it is not kept."""
         if (index, name) not in self._outputs:
             made = self._read(index) if self._kept(index) else self._work(index)[0]
-            self._outputs |= {(index, each): getattr(made, each) for each in _names(type(made))}
+            outputs = self.stages[index].by_name(made)
+            self._outputs |= {(index, each): value for each, value in outputs.items()}
         return self._outputs[index, name]
 
     def _read(self, index: int) -> Any:
         stage, path = self.stages[index], self._root / self.stages[index].name / _DOCUMENT
         try:
-            return loaded(json.loads(path.read_text("utf-8")), stage.types[2], self._root, self._values)
+            return loaded(
+                json.loads(path.read_text("utf-8")), stage.types["return"], self._root, self._values
+            )
         except (OSError, ValueError, RecursionError) as error:
             raise DamagedStage(stage.name, f"{path} can't be read ({error}).") from None
         except DamagedStage as damage:  # it may have passed on an array of a stage before it
@@ -390,7 +408,3 @@ class Chain:
         self._reporter.warning(
             "checkpoint-damaged", f"{text} What is missing is done again.", "There is nothing to do."
         )
-
-
-def _names(kind: type) -> set[str]:
-    return {item.name for item in fields(kind)}

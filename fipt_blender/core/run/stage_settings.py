@@ -64,11 +64,6 @@ def chosen(settings: Any, kind: type[Kind]) -> Kind:
 
 
 @dataclass(frozen=True)
-class NoSettings:
-    """Of stages that can't be told anything."""
-
-
-@dataclass(frozen=True)
 class Seeded:
     """The seed of the random numbers."""
 
