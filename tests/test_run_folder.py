@@ -103,18 +103,6 @@ def test_a_damaged_run_json_is_refused(run_folder: RunFolder) -> None:
         assert error_of(run_folder.read).code in ("run-damaged", "setting-unknown", "setting-invalid"), content
 
 
-def test_a_run_with_settings_that_are_gone_is_read_without_them(run_folder: RunFolder) -> None:
-    settings = make_settings("draft", {"seed": 3})
-    run_folder.create(settings)
-    data = json.loads(run_folder.run_json.read_text())
-    data["settings"] |= {"doubt_pixels": False, "lamp_outlines": True, "emission": "joint", "lambda_joint": 0.5}
-    run_folder.run_json.write_text(json.dumps(data))
-    assert run_folder.read() == settings
-    data["settings"]["of_a_newer_version"] = 1
-    run_folder.run_json.write_text(json.dumps(data))
-    assert error_of(run_folder.read).code == "setting-unknown"
-
-
 def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Each estimate of a capture is a run folder of its own, and folders of earlier releases still open."""
+"""Each estimate of a capture is a run folder of its own."""
 
 from __future__ import annotations
 
@@ -62,16 +62,3 @@ def test_results_of_other_stages_are_told_apart(run_folder: RunFolder) -> None:
     first = versions.results_id(run_folder)
     estimate(run_folder, "hinted", hints=1, key="light")
     assert versions.results_id(run_folder) != first
-
-
-def test_results_of_earlier_releases_bring_the_room_that_they_were_made_from(run_folder: RunFolder) -> None:
-    run_folder.fields_npz.write_text("old")
-    run_folder.room_npz.write_text("of an estimate that was stopped")
-    (run_folder.results / "room.npz").write_text("estimated")
-    (run_folder.results / "run.json").write_text("{}")
-    (run_folder.versions / "0123").mkdir(parents=True)
-    run_folder.recover()
-    assert run_folder.room_npz.read_text() == "estimated" and run_folder.read_estimated() == run_folder.read()
-    assert [path.name for path in run_folder.results.iterdir()] == ["fields.npz"]
-    run_folder.drop_results()
-    assert versions.results_id(run_folder) == "" and run_folder.results.is_dir()

@@ -35,7 +35,6 @@ class RunState:
         results: whether the results of an estimation exist.
         finished: whether they are those of the last estimation, which has finished then.
         versions: the estimates of the same capture, the newest first.
-        old_versions: whether an earlier release kept earlier results in the folder.
         warnings, error: warnings of the last run, and the error that ended it.
         pictures: the newest preview images.
         quality: dB with which photographs that were held back are re-rendered from the results, and projected
@@ -47,7 +46,6 @@ class RunState:
     results: bool = False
     finished: bool = False
     versions: tuple[Version, ...] = ()
-    old_versions: bool = False
     warnings: tuple[Message, ...] = ()
     error: Message | None = None
     pictures: tuple[Path, ...] = ()
@@ -115,7 +113,6 @@ def look(run: RunFolder) -> RunState:
         results=results,
         finished=results and _of_last_estimation(run, stages),
         versions=tuple(versions.list_versions(run)),
-        old_versions=run.versions.is_dir(),
         warnings=tuple(warnings),
         error=error,
         pictures=pictures,

@@ -242,7 +242,7 @@ class FIPT_PT_estimate_versions(SubSection, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         state = runstate.known(context.scene.fipt.run_folder)
-        return bool(state.versions) or state.old_versions
+        return bool(state.versions)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
@@ -251,9 +251,6 @@ class FIPT_PT_estimate_versions(SubSection, bpy.types.Panel):
         column.enabled = running.current() is None
         for version in state.versions:
             _draw_version(column, version)
-        if state.old_versions:
-            text = "The run's folder 'versions' has results of an earlier release, which are not listed."
-            draw_text(layout, context, iface_(text), icon="INFO")
 
 
 def _draw_version(layout: bpy.types.UILayout, version: Version) -> None:

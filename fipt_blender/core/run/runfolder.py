@@ -65,7 +65,6 @@ class RunFolder:
         self.environment_exr = self.results / "environment.exr"
         self.resolution_npz = self.results / "resolution.npz"
         self.statistics_json = self.results / "statistics.json"
-        self.versions = self.root / "versions"  # of earlier releases, which kept earlier results there
         self.doubts_json = self.results / "doubts.json"
         self.doubts = self.results / "doubts"
         self.quality_json = self.results / "quality.json"
@@ -165,7 +164,7 @@ class RunFolder:
         from .contents import RunNote
         from .documents import load_document
         from .kinds import HeadError
-        from .settings import stored_settings
+        from .settings import make_settings
 
         try:
             note = load_document(self.run_json, RunNote)
@@ -178,7 +177,7 @@ class RunFolder:
                 ) from None
             text = f"{self.run_json} does not describe a run ({error})."
             raise FiptError("run-damaged", text, "Choose another folder, or start a new run.") from None
-        return stored_settings(note.settings)
+        return make_settings(changes=note.settings)
 
     def read_estimated(self) -> Settings:
         """The settings of the finished estimate, with the present ones of textures.
@@ -190,19 +189,17 @@ class RunFolder:
 
         from .documents import optional_document
         from .result_contents import Statistics
-        from .settings import TEXTURE_SETTINGS, stored_settings
+        from .settings import TEXTURE_SETTINGS, make_settings
 
         present = self.read()
         statistics = optional_document(self.statistics_json, Statistics)
         if statistics is None or not statistics.settings:
             return present
         kept = {name: getattr(present, name) for name in TEXTURE_SETTINGS}
-        return replace(stored_settings(statistics.settings), **kept)
+        return replace(make_settings(changes=statistics.settings), **kept)
 
     def recover(self) -> None:
         """Bring back folders whose replacement was killed in the middle (`replacing.atomic_folder`).
-
-        Results of earlier releases hold the files that they were made from; these become the run's.
 
         Raises:
             FiptError: ``disk-full`` or ``run-unwritable``.
@@ -210,13 +207,6 @@ class RunFolder:
         for folder in (self.images, self.results, self.textures):
             with explained_write_errors(folder):
                 recover_folder(folder)
-        made_from = (self.capture_json, self.room_npz, self.room_json, self.geometry_npz)
-        for path in (*made_from, self.closing_npz, self.panes_npz, self.outlines_npz):
-            kept = self.results / path.name
-            if kept.is_file():
-                with explained_write_errors(path):
-                    os.replace(kept, path)
-        (self.results / self.run_json.name).unlink(missing_ok=True)
 
     def drop_results(self) -> None:
         """Delete the results of another room or other cameras than the run's.

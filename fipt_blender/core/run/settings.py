@@ -30,17 +30,6 @@ from .stage_settings import (
 
 Value = str | int | float | bool
 
-# Settings of earlier versions, which their runs name; what they stood for is gone.
-_REMOVED = (
-    "doubt_pixels",
-    "lamp_outlines",
-    "emission",
-    "lambda_joint",
-    "joint_threshold",
-    "kept_versions",
-    "unmeshed_lamps",
-)
-
 # The settings of Apply Results; no stage of an estimation reads them.
 TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_images", "atlas_mode", "write_back", "clean_mesh")
 
@@ -126,25 +115,17 @@ def make_settings(preset: str = "medium", changes: Mapping[str, Value] | None = 
     """Settings of a preset with some values changed.
 
     Args:
-        preset: a key of ``PRESETS``.
+        preset: a key of ``PRESETS``, unless the changes name another one.
         changes: field name to value; strings are converted to the field's type.
 
     Raises:
         FiptError: ``setting-unknown`` or ``setting-invalid``.
     """
+    changes = dict(changes or {})
+    preset = changes.pop("preset", preset)  # type: ignore[assignment]
     if not isinstance(preset, str) or preset not in PRESETS:
         raise FiptError(
             "setting-unknown", f"There is no preset '{preset}'.", f"Use one of: {', '.join(PRESETS)}."
         )
     values: dict[str, Any] = {"preset": preset, **PRESETS[preset]}
-    return Settings(**values | converted(Settings, changes or {}))
-
-
-def stored_settings(values: Mapping[str, Any]) -> Settings:
-    """Settings as a run has stored them; those that versions since have removed are left out.
-
-    Raises:
-        FiptError: see `make_settings`.
-    """
-    kept = {name: value for name, value in values.items() if name not in _REMOVED}
-    return make_settings(kept.pop("preset", "medium"), kept)
+    return Settings(**values | converted(Settings, changes))
