@@ -22,7 +22,7 @@ from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.checks.quality import Display, judge
 from fipt_blender.core.checks.rerender import Estimate, Renderer
-from fipt_blender.core.estimate.results import RoomLight, write_results
+from fipt_blender.core.estimate.results import write_results
 from fipt_blender.core.light.emitters import Fixture, emitter_table
 from fipt_blender.core.light.environment import Environment
 from fipt_blender.core.optics.brdf import set_masking
@@ -134,7 +134,7 @@ def test_the_judge_and_cycles_agree(name: str, tmp_path: Path, monkeypatch: pyte
     )
     assert quality is not None
 
-    write_results(run, wrong, RoomLight(fixtures, environment), SCALE, Reporter(io.StringIO()))  # type: ignore[arg-type]
+    write_results(run, wrong, fixtures, environment, SCALE, Reporter(io.StringIO()))  # type: ignore[arg-type]
     write_json(run.statistics_json, {"radiance_scale": SCALE})
     use_fake_engine(monkeypatch, wrong)
     scene = bpy.context.scene

@@ -17,9 +17,9 @@ from ...core.run.result_contents import EmitterFixture, TextureImage
 from ...core.run.run_files import (
     CornerFields,
     Geometry,
+    LeftAlone,
     read_atlas,
     read_emitters,
-    read_left_alone,
     read_outlined,
 )
 from ...core.run.runfolder import RunFolder
@@ -35,6 +35,7 @@ from .materials import MAPS, read_textures
 from .part_materials import PartFaces
 
 _AGAIN = "Apply the results again."
+_ESTIMATE_AGAIN = "Run the estimation again."
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,10 @@ def read_results(run: RunFolder) -> Results:
         if len(entries) != len(atlas.images):
             raise FiptError("file-damaged", f"{run.textures_json} does not fit {run.atlas_json}.", _AGAIN)
     parts = read_parts(run, room.triangle_object, room.objects)
-    left_alone = of_whole_polygons(room, read_left_alone(run, count))
+    left_alone = np.zeros(count, bool)
+    if run.left_alone_npz.is_file():
+        found = read_arrays(run.left_alone_npz, LeftAlone, _ESTIMATE_AGAIN, sizes={"triangles": count})
+        left_alone = of_whole_polygons(room, found.left_alone)
     image, apart = arrays.triangle_image, atlas.apart and bool(entries)
     shared = np.zeros_like(image)
     return Results(

@@ -19,10 +19,10 @@ from ...bridge.step import Slices
 from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
 from ...core.run.result_contents import AtlasImage, AtlasImages
-from ...core.run.run_files import AtlasArrays, read_resolution
+from ...core.run.run_files import AtlasArrays, Resolution
 from ...core.run.runfolder import RunFolder, write_json
 from ...core.run.settings import Settings
-from ...core.run.store import write_arrays
+from ...core.run.store import optional_arrays, write_arrays
 from ..slices import find_object, run_through
 from .arrays import Room, read_room
 from .charts import chart_slices, is_scan
@@ -153,7 +153,8 @@ def atlas_slices(
             islands.uv[task.triangles] = uv
             islands.island[task.triangles] = uv_islands(room.triangles[task.triangles], uv)
         yield None
-    resolved = read_resolution(run, count) if settings.detail else None
+    found = optional_arrays(run.resolution_npz, Resolution, {"triangles": count}) if settings.detail else None
+    resolved = None if found is None else found.density
     if resolved is not None:
         size = max(settings.texture_size, DETAIL_SIZES.get(settings.preset, 0))
         settings, max_images = replace(settings, texture_size=size), min(max_images, DETAIL_IMAGES)

@@ -24,12 +24,11 @@ from ..parts.linked_masks import link_masks
 from ..parts.masked_views import masked_views
 from ..pixels.camera_rays import first_hits, trace_pixels
 from ..robust import LEAST_VIEWS
-from ..run.errors import FiptError
 from ..run.messages import Progress, unwatched, within
 from ..run.run_files import PANES, AddedSurfaces, has_searched_panes, mesh_digest, read_room_files
 from ..run.runfolder import RunFolder, explained_write_errors
 from ..run.stage_settings import RoomSettings
-from ..run.store import read_arrays, write_arrays
+from ..run.store import optional_arrays, write_arrays
 from ..surface.adjacency import NONE, Surface, make_mesh
 from ..surface.clean import CleanMesh
 from ..surface.holes import FlatHole, flat_holes, median_edge
@@ -83,7 +82,8 @@ def close_holes(
         return False
     changed = False
     kinds = [bool(getattr(settings, kind)) for kind in KINDS]
-    if run.panes_npz.exists() and _searched_kinds(run) != kinds:
+    searched = optional_arrays(run.panes_npz, AddedSurfaces)
+    if searched is not None and (searched.kinds is None or searched.kinds.tolist() != kinds):
         run.panes_npz.unlink()
         prepare_geometry(run, settings.clean_scan, settings.close_holes_edges)
         room, changed = None, True  # it may have had them
@@ -108,8 +108,8 @@ def close_holes(
     nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3, 3)), np.zeros(0, np.int32)
     vertices, triangles, normals, plane = nothing if added is None else added
     with explained_write_errors(run.root):
-        kept = None if all(kinds) else np.asarray(kinds)
-        panes = AddedSurfaces(vertices, triangles, normals, mesh_digest(arrays), masks=masks, kinds=kept)
+        source, searched_for = mesh_digest(arrays), np.array(kinds)
+        panes = AddedSurfaces(vertices, triangles, normals, source, masks=masks, kinds=searched_for)
         write_arrays(run.panes_npz, panes)
         if added is None:
             return changed
@@ -122,15 +122,6 @@ def close_holes(
         )
         store_geometry(run, read_room_files(run)[0], extended)
     return True
-
-
-def _searched_kinds(run: RunFolder) -> list[bool]:
-    """Which of `KINDS` the search has looked for that wrote panes.npz."""
-    try:
-        kinds = read_arrays(run.panes_npz, AddedSurfaces).kinds
-    except FiptError:
-        kinds = None  # damaged ones are written anew in any case
-    return [True] * len(KINDS) if kinds is None else kinds.tolist()
 
 
 def _things(

@@ -21,7 +21,7 @@ from ..run.runfolder import RunFolder, explained_write_errors
 from .input import EstimationInput
 from .pipeline import pipeline, round_numbers
 from .previews import Preview
-from .results import RunFacts, Solution, write_solution
+from .results import Solution, write_solution
 
 
 def estimate_room(
@@ -39,9 +39,8 @@ def estimate_room(
 def finish(given: EstimationInput, chain: Chain, watch: Watch, reporter: Reporter) -> dict[str, Any]:
     """Run a chain and write the results; as of :func:`estimate_room`."""
     solution = chain.run(Solution, watch)
-    facts = RunFacts(given.plan, given.holes, given.settings, chain.facts())
     with explained_write_errors(given.folder.stage):
-        return write_solution(given.folder, solution, facts, reporter)
+        return write_solution(given, solution, chain.facts(), reporter)
 
 
 def stages_of(given: EstimationInput) -> list[Stage]:

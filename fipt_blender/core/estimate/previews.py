@@ -45,10 +45,6 @@ class Preview:
         best = max(views, key=lambda index: _content(pixels, _square(pixels, index).reshape(-1), labels))
         self._rows = _square(pixels, best)
 
-    def existing(self, stage: str) -> list[Path]:
-        """The pictures of a stage that have been written already."""
-        return [path for path in self._paths(stage) if path.exists()]
-
     def first_guess(self, stage: str, shadings: ShadingStore) -> list[Path]:
         """Base colour as if all surfaces were diffuse: radiance of the photograph divided by L_d.
 

@@ -25,22 +25,21 @@ from ..material.closed_form import CellEstimate, TrainingData
 from ..material.confidence import no_better_than
 from ..material.fields import RoomFields
 from ..material.groups import Units
-from ..material.hints import SurfaceHints
+from ..material.hints import SurfaceHints, values_of_hints
 from ..parts.labels import Parts
 from ..photometry.encoded_photographs import Photometry
 from ..pixels.store import PixelStore
 from ..report.pictures import write_quality
-from ..run.light_size import LightPlan
 from ..run.messages import Reporter, peak_memory_gb
 from ..run.replacing import atomic_folder
-from ..run.result_contents import EmitterEnvironment, EmitterFixture, Emitters, MissingLamp
-from ..run.run_files import ScanHoles
+from ..run.result_contents import EmitterEnvironment, EmitterFixture, Emitters, HintFigures, MissingLamp
+from ..run.run_files import LeftAlone, ScanHoles
 from ..run.runfolder import RunFolder, explained_write_errors, write_json
-from ..run.settings import Settings
+from ..run.store import write_arrays
 from ..surface.room import Room
 from ..textures.detail import SolvedLight, remember_light, write_resolution
 from .doubts import write_doubts
-from .hinted import area_names, hint_facts, write_left_alone
+from .input import EstimationInput
 from .part_list import write_part_list
 
 
@@ -68,50 +67,33 @@ class Solution:
     quality: Quality | None = None
 
 
-@dataclass(frozen=True)
-class RunFacts:
-    """What the statistics say beside the solution: of the plan, the scan, the settings and the stages."""
-
-    plan: LightPlan
-    holes: ScanHoles | None
-    settings: Settings
-    stages: Sequence[Mapping[str, Any]]
-
-
-@dataclass(frozen=True)
-class RoomLight:
-    """What lights the room; radiance in units of the capture's median.
-
-    Attributes:
-        fixtures: lamps on the mesh.
-        environment: light from outside the mesh, if any.
-    """
-
-    fixtures: Sequence[Fixture]
-    environment: Environment | None
-
-
-def write_solution(run: RunFolder, solution: Solution, facts: RunFacts, reporter: Reporter) -> dict[str, Any]:
+def write_solution(
+    given: EstimationInput, solution: Solution, stages: Sequence[Mapping[str, Any]], reporter: Reporter
+) -> dict[str, Any]:
     """Write all results in place of earlier ones; returns the statistics.
+
+    Args:
+        stages: their facts (:meth:`..run.chain.Chain.facts`).
 
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
-    observations, pixels, room = solution.observations, solution.pixels, solution.room
+    run, observations = given.folder, solution.observations
+    pixels, room = solution.pixels, solution.room
     left_alone = observations.left_alone
     fields = solution.room_fields
     if solution.quality is not None:
         fields = fields.with_errors(no_better_than(fields.errors, solution.quality.deviation))
-    light = RoomLight(solution.fixtures, observations.environment)
     areas = area_names(solution.surface_hints, solution.units)
-    statistics = summary(solution, facts)
+    statistics = summary(given, solution, stages)
     with atomic_folder(run.results) as new:
         folder = RunFolder(run.root, results=new.name)
-        write_results(folder, fields, light, solution.scale, reporter)
+        write_results(folder, fields, solution.fixtures, observations.environment, solution.scale, reporter)
         if solution.quality is not None:
             write_quality(folder, solution.quality)
         names = write_part_list(folder, room, solution.parts, solution.views, pixels, fields, areas)
-        write_left_alone(folder, left_alone)
+        if left_alone is not None:
+            write_arrays(folder.left_alone_npz, LeftAlone(left_alone))
         decided = np.zeros((len(room.triangles), 3), bool)
         if solution.surface_hints is not None:
             decided = solution.surface_hints.of_triangles(solution.surface_hints.decides)
@@ -126,11 +108,17 @@ def write_solution(run: RunFolder, solution: Solution, facts: RunFacts, reporter
 
 
 def write_results(
-    folder: RunFolder, fields: RoomFields, light: RoomLight, scale: float, reporter: Reporter
+    folder: RunFolder,
+    fields: RoomFields,
+    fixtures: Sequence[Fixture],
+    environment: Environment | None,
+    scale: float,
+    reporter: Reporter,
 ) -> None:
-    """Write the results folder except for the statistics.
+    """Write the estimate and what lights the room.
 
     Args:
+        fixtures, environment: radiance in units of the capture's median.
         scale: the capture's median radiance, in the photographs' units.
         reporter: gets the warning ``no-emitter`` if nothing lights the room.
 
@@ -138,19 +126,19 @@ def write_results(
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     fields.save(folder)
-    environment, described = light.environment, None
+    described = None
     if environment is not None and environment.image.any():
         write_exr(folder.environment_exr, environment.image * scale)
         described = EmitterEnvironment(folder.environment_exr.name, environment.observed_share)
-    if not light.fixtures and environment is None:
+    if not fixtures and environment is None:
         reporter.warning(
             "no-emitter",
             "No surface was found to emit light, and no view looks outside.",
             "Check that the photographs show the lamps and that the lamps are not over-exposed.",
         )
-    fixtures = tuple(
+    listed = tuple(
         _described(fixture, f"Fixture.{number:03d}", scale)
-        for number, fixture in enumerate(light.fixtures, start=1)
+        for number, fixture in enumerate(fixtures, start=1)
     )
     missing = tuple(
         MissingLamp(
@@ -163,7 +151,7 @@ def write_results(
         )
         for lamp in (environment.lamps if environment is not None else ())
     )
-    write_json(folder.emitters_json, Emitters(fixtures, described, missing))
+    write_json(folder.emitters_json, Emitters(listed, described, missing))
 
 
 def _described(fixture: Fixture, name: str, scale: float) -> EmitterFixture:
@@ -181,27 +169,57 @@ def _described(fixture: Fixture, name: str, scale: float) -> EmitterFixture:
     )
 
 
-def summary(solution: Solution, facts: RunFacts) -> dict[str, Any]:
+def summary(
+    given: EstimationInput, solution: Solution, stages: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
     """The statistics of the run: times and rays of the stages, memory, counts, settings."""
     check, photometry = solution.view_check, solution.photometry
     hints = solution.surface_hints
     return {
-        "stages": list(facts.stages),
+        "stages": list(stages),
         "peak_memory_gb": round(peak_memory_gb(), 3),
         "pixels": len(solution.pixels),
-        "light_resolution": facts.plan.resolution,
-        "expected": facts.plan.cost,
+        "light_resolution": given.plan.resolution,
+        "expected": given.plan.cost,
         "triangles": len(solution.room.triangles),
         "fixtures": len(solution.fixtures),
         "part_kind": solution.parts.kind,
         "radiance_scale": solution.scale,
         "variant": mi.variant(),
         "views": check.facts() | {"used": len(solution.views) - len(check.left_out)},
-        "settings": asdict(facts.settings),
+        "settings": asdict(given.settings),
         **({"photometry": photometry.facts} if photometry else {}),
-        **(_hole_facts(facts.holes) if facts.holes else {}),
+        **(_hole_facts(given.holes) if given.holes else {}),
         **({"hints": hint_facts(hints, solution.units)} if hints else {}),
     }
+
+
+def hint_facts(hints: SurfaceHints, units: Units) -> list[HintFigures]:
+    """One entry per hint for the statistics: its surface, and the values that it has decided."""
+    triangles = np.bincount(hints.triangle[hints.triangle >= 0], minlength=len(hints.names))
+    unit = values_of_hints(hints, units.triangle)
+    none = np.full((1, 2), np.nan)
+    fixed = np.concatenate([none[:0] if units.fixed is None else units.fixed, none])
+    fixed = fixed[np.where(unit < len(fixed) - 1, unit, -1)]
+    return [
+        HintFigures(
+            name=name,
+            triangles=int(triangles[row]),
+            roughness=None if np.isnan(fixed[row, 0]) else round(float(fixed[row, 0]), 4),
+            metallic=None if np.isnan(fixed[row, 1]) else round(float(fixed[row, 1]), 4),
+            emits={0: None, 1: True, -1: False}[int(hints.emits[row])],
+            left_alone=bool(hints.left_alone[row]),
+        )
+        for row, name in enumerate(hints.names)
+    ]
+
+
+def area_names(hints: SurfaceHints | None, units: Units) -> dict[int, str]:
+    """The hints' names of the units that they have made."""
+    if hints is None:
+        return {}
+    unit = values_of_hints(hints, units.triangle)
+    return {int(unit[row]): name for row, name in enumerate(hints.names) if hints.own[row] and unit[row] >= 0}
 
 
 def result_files(folder: RunFolder) -> list[Path]:

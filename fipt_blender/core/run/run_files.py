@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from .errors import FiptError
 from .kinds import T
 from .result_contents import AtlasImages, Emitters
 from .runfolder import RunFolder
-from .store import Array, read_arrays
+from .store import Array, optional_arrays, read_arrays
 
 # Names and ids of the objects of what the engine has added to a scan: triangles that close small holes, and
 # panes in larger ones with the surfaces that photographs show.
@@ -160,14 +160,14 @@ class PartArrays:
 
 @dataclass(frozen=True, eq=False)
 class Resolution:
-    """results/resolution.npz."""
+    """results/resolution.npz; only where photographs have more pixels than light was solved at."""
 
     density: Annotated[np.ndarray, Array("u", "triangles")]
 
 
 @dataclass(frozen=True, eq=False)
 class LeftAlone:
-    """results/left_alone.npz."""
+    """results/left_alone.npz; only where the artist has asked for triangles not to be estimated."""
 
     left_alone: Annotated[np.ndarray, Array("b", "triangles")]
 
@@ -237,11 +237,8 @@ def read_made(path: Path, kind: type[T], source: np.ndarray, sizes: Mapping[str,
 
     A damaged one is made again, like one that was made of something else.
     """
-    try:
-        made = read_arrays(path, kind, sizes=sizes)
-    except FiptError:
-        return None
-    return made if np.array_equal(made.source, source) else None  # type: ignore[attr-defined]
+    made: Any = optional_arrays(path, kind, sizes)
+    return made if made is not None and np.array_equal(made.source, source) else None
 
 
 def _read_added(path: Path, arrays: Mapping[str, np.ndarray]) -> AddedSurfaces | None:
@@ -285,25 +282,6 @@ def read_atlas(run: RunFolder, triangles: int) -> tuple[AtlasImages, AtlasArrays
     return atlas, read_arrays(run.atlas_npz, AtlasArrays, _ATLAS_AGAIN, sizes=sizes)
 
 
-def read_resolution(run: RunFolder, triangles: int) -> np.ndarray | None:
-    """(T,) float32 texels a metre that the photographs resolve on each triangle, NaN on unseen ones.
-
-    None where they have no more pixels than light was solved at.
-
-    Args:
-        run: the run folder.
-        triangles: how many the room has.
-
-    Raises:
-        FiptError: ``file-damaged``.
-    """
-    if not run.resolution_npz.exists():
-        return None
-    return read_arrays(
-        run.resolution_npz, Resolution, _ESTIMATE_AGAIN, sizes={"triangles": triangles}
-    ).density
-
-
 def read_emitters(run: RunFolder, triangles: int) -> Emitters:
     """emitters.json.
 
@@ -320,23 +298,6 @@ def read_emitters(run: RunFolder, triangles: int) -> Emitters:
             "file-damaged", f"{run.emitters_json} names triangles that the room lacks.", _ESTIMATE_AGAIN
         )
     return emitters
-
-
-def read_left_alone(run: RunFolder, triangles: int) -> np.ndarray:
-    """(T,) bool, triangles that were not estimated on the artist's request; none where the run has no file.
-
-    Args:
-        run: the run folder.
-        triangles: how many the room has.
-
-    Raises:
-        FiptError: ``file-damaged``.
-    """
-    if not run.left_alone_npz.is_file():
-        return np.zeros(triangles, bool)
-    return read_arrays(
-        run.left_alone_npz, LeftAlone, _ESTIMATE_AGAIN, sizes={"triangles": triangles}
-    ).left_alone
 
 
 def read_geometry(run: RunFolder, arrays: Mapping[str, np.ndarray]) -> Geometry | None:

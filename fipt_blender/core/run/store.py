@@ -118,6 +118,14 @@ def read_arrays(
         raise FiptError(code, f"{path} can't be read ({error}).", remedy) from None
 
 
+def optional_arrays(path: Path, kind: type[T], sizes: Mapping[str, int] | None = None) -> T | None:
+    """The dataclass that an .npz file holds, None where it is missing or damaged; see `read_arrays`."""
+    try:
+        return read_arrays(path, kind, sizes=sizes)
+    except FiptError:
+        return None
+
+
 def write_arrays(path: Path, value: Any) -> None:
     """Write a dataclass of arrays as an .npz file, completely or not at all; see `read_arrays`.
 
