@@ -57,7 +57,7 @@ def estimate(root: Path, store: Path | None) -> dict[str, Any]:
     run = RunFolder(root)
     settings = run.read()
     set_variant(settings.device)
-    from fipt_blender.core.estimate.estimation import chain_of, finish, stages_of
+    from fipt_blender.core.estimate.estimation import estimate_room
     from fipt_blender.core.estimate.input import prepare_input
     from fipt_blender.core.optics.brdf import set_masking
     from fipt_blender.core.run.chain import Watch
@@ -92,7 +92,7 @@ def estimate(root: Path, store: Path | None) -> dict[str, Any]:
             seconds["completion"] = time.process_time() - started
         if store is not None:
             copy_files(run.root, store / COMPLETED, COMPLETED_FILES)
-        statistics = finish(given, chain_of(given, stages_of(given), reporter), Timed(), reporter)
+        statistics = estimate_room(given, reporter, watch=Timed())
     return {"seconds": seconds, "fixtures": statistics["fixtures"]}
 
 

@@ -17,7 +17,6 @@ from benchmarks.tracer.environment import EnvironmentLight
 from benchmarks.tracer.surfaces import TriangleMaterials
 from fipt_blender.core.capture.encoded import srgb_decoded
 from fipt_blender.core.conventions import direction_to_equirect
-from fipt_blender.core.estimate.estimation import chain_of, stages_of
 from fipt_blender.core.estimate.input import prepare_input
 from fipt_blender.core.light.emitters import Fixture
 from fipt_blender.core.material.fields import RoomFields
@@ -62,9 +61,8 @@ def radiances(root: Path, capture: SmallCapture, **changes: Any) -> dict[tuple[i
     run = write_run(root / "run", capture, rounds=0, diffuse_spp=4, light_spp=4, specular_spp=1, **changes)
     reporter = Reporter(io.StringIO())
     given = prepare_input(run, run.read(), reporter)
-    stages = stages_of(given)
-    last = [stage.name for stage in stages].index("fixtures-0")
-    found = chain_of(given, stages[: last + 1], reporter).run(Lamps)
+    last = [stage.name for stage in given.stages].index("fixtures-0")
+    found = replace(given, stages=given.stages[: last + 1]).chain(reporter).run(Lamps)
     return {tuple(lamp.triangles.tolist()): (lamp.radiance * found.scale).tolist() for lamp in found.fixtures}
 
 

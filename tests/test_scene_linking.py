@@ -152,7 +152,7 @@ def test_views_are_traced_once_for_a_run_its_resume_and_a_second_estimate(
     )
     write_views(run, views)
     for _ in ("run", "resume", "second estimate"):
-        found = prepare_input(run, make_settings(changes={"force": True}), Reporter()).views
+        found = prepare_input(run, make_settings(changes={"force": True}), Reporter()).values["views"].value
         assert [view.parts == own.parts for view, own in zip(found, views, strict=True)] == [shared] * len(views)
     assert sorted(traced) == sorted(view.name for view in views)
 

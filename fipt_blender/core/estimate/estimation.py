@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,58 +12,30 @@ import numpy as np
 
 from ..parts.labels import NO_PART
 from ..pixels.store import PixelStore
-from ..run.chain import Chain, Given, Stage, Watch
-from ..run.hints import hints_digest, references
+from ..run.chain import Chain, Watch
 from ..run.messages import Reporter
 from ..run.per_view import Workers
 from ..run.runfolder import RunFolder, explained_write_errors
 from .input import EstimationInput
-from .pipeline import pipeline, round_numbers
 from .previews import Preview
 from .results import Solution, write_solution
 
 
 def estimate_room(
-    given: EstimationInput, reporter: Reporter, workers: Workers | None = None
+    given: EstimationInput, reporter: Reporter, workers: Workers | None = None, watch: Watch | None = None
 ) -> dict[str, Any]:
     """Do all stages that are not finished yet, and write the results; returns the statistics.
+
+    Args:
+        watch: is told of the stages; None: sends pictures of them.
 
     Raises:
         FiptError: those of the stages, ``disk-full`` or ``run-unwritable``.
     """
-    chain = chain_of(given, stages_of(given), reporter, workers)
-    return finish(given, chain, Pictures(given.folder, chain, reporter), reporter)
-
-
-def finish(given: EstimationInput, chain: Chain, watch: Watch, reporter: Reporter) -> dict[str, Any]:
-    """Run a chain and write the results; as of :func:`estimate_room`."""
-    solution = chain.run(Solution, watch)
+    chain = given.chain(reporter, workers)
+    solution = chain.run(Solution, watch or Pictures(given.folder, chain, reporter))
     with explained_write_errors(given.folder.stage):
         return write_solution(given, solution, chain.facts(), reporter)
-
-
-def stages_of(given: EstimationInput) -> list[Stage]:
-    """The stages for this input."""
-    encoded = any(view.encoded for view in given.views)
-    rerun = given.hints_rerun is not None
-    return pipeline(given.settings.rounds, encoded, rerun, given.light_changes, bool(given.held_back))
-
-
-def chain_of(
-    given: EstimationInput, stages: Sequence[Stage], reporter: Reporter, workers: Workers | None = None
-) -> Chain:
-    """A chain of stages on the input's run folder."""
-    hints, rerun = given.hints, given.hints_rerun or []
-    known = references(hints if given.hints_rerun is None else rerun)
-    values = {
-        **{name: Given(getattr(given, name), given.key) for name in ("room", "views", "far_off")},
-        "held_back": Given(given.held_back, given.held_back_key),
-        "hints": Given(hints, hints_digest(hints)),
-        "hints_rerun": Given(rerun, hints_digest(rerun)),
-        "references": Given(known, hints_digest(known)),
-        **{name: Given(index, str(index)) for name, index in round_numbers(given.settings.rounds).items()},
-    }
-    return Chain(stages, values, given.settings, given.folder.stage, reporter, workers)
 
 
 class Pictures(Watch):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 
@@ -19,16 +19,19 @@ from ..checks.consensus import check_input
 from ..completion.panes import close_holes
 from ..parts.linked_masks import link_masks
 from ..parts.outlines import outline_parts
+from ..run.chain import Chain, Given, Stage
 from ..run.errors import FiptError
-from ..run.hints import Hint, light_changes, read_hints
+from ..run.hints import hints_digest, light_changes, read_hints, references
 from ..run.light_size import LightPlan, light_plan, refuse_full_disk
 from ..run.messages import Reporter
+from ..run.per_view import Workers
 from ..run.run_files import ScanHoles, read_scan_holes
 from ..run.runfolder import RunFolder
 from ..run.settings import Settings
 from ..run.stage_settings import RoomSettings, ViewSettings, chosen
 from ..surface.room import Room, load_room
 from ..surface.stored import prepare_geometry
+from .pipeline import pipeline, round_numbers
 
 # Shares of an estimation's time that averaging the photographs and completing a scan take, for progress.
 PREPARATION = (0.01, 0.05)
@@ -42,31 +45,25 @@ class EstimationInput:
         folder: the run's.
         settings: of the run.
         plan: at which resolution the views are, and the expected cost.
-        views: those that are used, at the resolution of light, with part masks whose ids all of them share.
-        held_back: views at full size that no stage but the judgement uses.
-        far_off: views whose poses are far off, and their correlation with the others.
-        room: with what closes holes of a scan, and the outlines that masks show.
         holes: of a scan; None for an exact mesh.
-        hints: those that all stages honour.
-        hints_rerun: those that the hinted stages honour instead; None where there are no such stages.
-        light_changes: whether the hinted stages include a refinement.
-        key: changes with views, room and device.
-        held_back_key: changes with the views that are held back.
+        stages: of the estimation.
+        values: that they start from, by name: `room`, with what closes holes of a scan, and the outlines that
+            masks show; `views` that are used, at the resolution of light, with part masks whose ids all of
+            them share; `held_back`, views at full size that no stage but the judgement uses; `far_off`, views
+            whose poses are far off, and their correlation with the others; `hints`; `hints_rerun`, which the
+            hinted stages honour instead; `references`, those of either that tell of the light.
     """
 
     folder: RunFolder
     settings: Settings
     plan: LightPlan
-    views: list[View]
-    held_back: list[View]
-    far_off: dict[int, float]
-    room: Room
     holes: ScanHoles | None
-    hints: Sequence[Hint]
-    hints_rerun: Sequence[Hint] | None
-    light_changes: bool
-    key: str
-    held_back_key: str
+    stages: Sequence[Stage]
+    values: Mapping[str, Given]
+
+    def chain(self, reporter: Reporter, workers: Workers | None = None) -> Chain:
+        """The stages on the run folder."""
+        return Chain(self.stages, self.values, self.settings, self.folder.stage, reporter, workers)
 
 
 def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> EstimationInput:
@@ -94,24 +91,25 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
     views = link_masks(folder, room, views)
     if outline_parts(folder, views if settings.outlines else [], room):
         room = load_room(folder)
-    hints, rerun = read_hints(folder.hints_json), folder.hints_again_json
-    hints_rerun, changes = read_hints(rerun) if rerun.exists() else None, light_changes(rerun)
-    held_back = capture.held_back
-    return EstimationInput(
-        folder,
-        settings,
-        plan,
-        views,
-        held_back,
-        far_off,
-        room,
-        holes,
-        hints,
-        hints_rerun,
-        changes,
-        input_key(folder, settings, views),
-        input_key(folder, settings, held_back),
-    )
+    again = folder.hints_again_json.exists()
+    hints, rerun = read_hints(folder.hints_json), read_hints(folder.hints_again_json)
+    known, held_back = references(rerun if again else hints), capture.held_back
+    key = input_key(folder, settings, views)
+    values = {
+        **{
+            name: Given(value, key)
+            for name, value in (("room", room), ("views", views), ("far_off", far_off))
+        },
+        "held_back": Given(held_back, input_key(folder, settings, held_back)),
+        **{
+            name: Given(value, hints_digest(value))
+            for name, value in (("hints", hints), ("hints_rerun", rerun), ("references", known))
+        },
+        **{name: Given(index, str(index)) for name, index in round_numbers(settings.rounds).items()},
+    }
+    encoded, light = any(view.encoded for view in views), light_changes(folder.hints_again_json)
+    stages = pipeline(settings.rounds, encoded, again, light, bool(held_back))
+    return EstimationInput(folder, settings, plan, holes, stages, values)
 
 
 def input_key(folder: RunFolder, settings: Settings, views: Sequence[View]) -> str:
