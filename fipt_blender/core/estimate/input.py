@@ -96,15 +96,13 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
     known, held_back = references(rerun if again else hints), capture.held_back
     key = input_key(folder, settings, views)
     values = {
-        **{
-            name: Given(value, key)
-            for name, value in (("room", room), ("views", views), ("far_off", far_off))
-        },
+        "room": Given(room, key),
+        "views": Given(views, key),
+        "far_off": Given(far_off, key),
         "held_back": Given(held_back, input_key(folder, settings, held_back)),
-        **{
-            name: Given(value, hints_digest(value))
-            for name, value in (("hints", hints), ("hints_rerun", rerun), ("references", known))
-        },
+        "hints": Given(hints, hints_digest(hints)),
+        "hints_rerun": Given(rerun, hints_digest(rerun)),
+        "references": Given(known, hints_digest(known)),
         **{name: Given(index, str(index)) for name, index in round_numbers(settings.rounds).items()},
     }
     encoded, light = any(view.encoded for view in views), light_changes(folder.hints_again_json)
