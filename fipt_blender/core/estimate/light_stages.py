@@ -97,6 +97,11 @@ def infer_outside(
     return light
 
 
+def light_outside(observed: Observations, environment: Environment | None) -> Observations:
+    """The observations with the light from outside."""
+    return replace(observed, environment=environment)
+
+
 # ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) -------------------------------------------
 
 
@@ -117,7 +122,6 @@ class BakedShadings:
 
 def bake_shadings(
     observed: Observations,
-    environment: Environment | None,
     bright: EmitterTable,
     presumed: np.ndarray,
     pixels: PixelStore,
@@ -130,12 +134,11 @@ def bake_shadings(
     """Bake the shadings of all views from the radiance cache.
 
     Args:
-        environment: light from outside. bright, presumed: see :class:`PresumedLamps`.
+        bright, presumed: see :class:`PresumedLamps`.
     """
-    observed = replace(observed, environment=environment)
     baking = first_baking(room, parts, observed, PresumedLamps(bright, presumed), settings)
     store = _bake(baking, pixels, tools)
-    tools.facts["light_excess"] = excess = light_excess(environment, store.diffuse)
+    tools.facts["light_excess"] = excess = light_excess(observed.environment, store.diffuse)
     if abs(excess) > MUCH_DIFFERENT:
         tools.reporter.warning(
             "light-differs",
@@ -219,7 +222,6 @@ def _bake(baking: Baking, pixels: PixelStore, tools: Tools) -> ShadingStore:
 def refine_shadings(
     index: int,
     observed: Observations,
-    environment: Environment | None,
     pixels: PixelStore,
     room: Room,
     parts: Parts,
@@ -241,13 +243,12 @@ def refine_shadings(
         diffuse: (M * 6, 3) float16 mean L_d of each cache entry in the last closed-form estimate.
         materials: (M * 6, 5) float32 base colour, roughness and metallic of each entry in it.
     """
-    observations = replace(observed, environment=environment)
-    cache = observations.cache(without=emitting) if settings.refine_cache else None
+    cache = observed.cache(without=emitting) if settings.refine_cache else None
     light = diffuse if settings.refine_cache else None
     traced = TracedLight(materials, light, settings.cache_roughness, settings.refine_depth)
     counts = SampleCounts(
         settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
     )
-    baking = _baking(room, parts, observations, cache, emitters, counts, traced, settings, index)
+    baking = _baking(room, parts, observed, cache, emitters, counts, traced, settings, index)
     lamps = emitting if emitting.any() else presumed
     return BakedShadings(_bake(baking, pixels, tools), baking.levels, lamps)

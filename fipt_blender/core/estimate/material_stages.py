@@ -15,7 +15,6 @@ from ..light.cache import pool
 from ..light.emission import emission_probability
 from ..light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
 from ..light.emitters import EmitterPixels, Fixture, emitter_table, group_fixtures
-from ..light.environment import Environment
 from ..light.evidence import brighter_than_white
 from ..light.observations import Observations
 from ..material.closed_form import (
@@ -66,16 +65,10 @@ class HintedObservations:
 
 
 def honour_hints(
-    observed: Observations,
-    environment: Environment | None,
-    room: Room,
-    parts: Parts,
-    hints: Sequence[Hint],
-    *,
-    tools: Tools,
+    observed: Observations, room: Room, parts: Parts, hints: Sequence[Hint], *, tools: Tools
 ) -> HintedObservations:
     """Place the hints that are honoured from here on on the mesh, and divide the observations by them."""
-    observed = replace(observed, environment=environment, folder=tools.folder)
+    observed = replace(observed, folder=tools.folder)
     pieces = None if parts.kind == "part" else room_pieces(room)
     if not hints:
         return HintedObservations(observed, None, pieces)
@@ -112,11 +105,9 @@ def fit_closed_form(
     return ClosedForm(data, fit_cells(data))
 
 
-def find_emitter_units(
-    room: Room, parts: Parts, observed: Observations, environment: Environment | None
-) -> EmitterSurfaces:
+def find_emitter_units(room: Room, parts: Parts, observed: Observations) -> EmitterSurfaces:
     """Divide the mesh into surfaces of which each emits as a whole, or not at all."""
-    return emitter_surfaces(room, parts, observed.footprint, environment)
+    return emitter_surfaces(room, parts, observed.footprint, observed.environment)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from .light_stages import (
     bake_shadings,
     find_presumed_lamps,
     infer_outside,
+    light_outside,
     observe_pixels,
     refine_shadings,
 )
@@ -64,6 +65,7 @@ def _light() -> Iterator[Stage]:
     yield Stage("observed", observe_pixels, gives="observed")
     yield Stage("presumed", find_presumed_lamps)
     yield Stage("outside", infer_outside, "Inferring the light from outside", 0.4, "environment")
+    yield Stage("lit", light_outside, gives="observed")
     yield Stage("hints", honour_hints)
     yield Stage("shadings", bake_shadings, "Baking shadings from the photographs", 1.0)
 

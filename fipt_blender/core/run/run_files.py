@@ -50,6 +50,7 @@ class RoomArrays:
     triangle_exact: Annotated[np.ndarray | None, Array("b", "triangles")] = None
 
 
+# Those that every room has.
 ROOM_ARRAYS = tuple(item.name for item in fields(RoomArrays) if item.name != "triangle_exact")
 
 

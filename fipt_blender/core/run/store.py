@@ -35,7 +35,7 @@ DAMAGE = (
     *(zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError, OverflowError, MemoryError),
     RuntimeError,  # an archive that says that it is encrypted
 )
-AGAIN = "Repeat the step that writes it."
+AGAIN = "Repeat the step that writes it."  # remedy for a damaged file
 # Numpy's kinds of numbers by those of `Array`, and words for them.
 _KINDS = {"f": "f", "u": "f", "i": "iu", "b": "b"}
 _KIND_TEXTS = {"f": "numbers", "u": "numbers", "i": "whole numbers", "b": "truth values"}
