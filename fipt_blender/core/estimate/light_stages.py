@@ -65,7 +65,7 @@ def find_presumed_lamps(pixels: PixelStore, room: Room, *, settings: ShadingSett
 
 def infer_outside(
     observed: Observations,
-    bright: EmitterTable,
+    lamps: PresumedLamps,
     room: Room,
     parts: Parts,
     references: Sequence[Hint],
@@ -76,14 +76,14 @@ def infer_outside(
     """What the pixels see outside, with light from unseen directions where the mesh is open; None without.
 
     Args:
-        observed: of a room that may be open. bright: with the presumed lamps.
+        observed: of a room that may be open. lamps: the presumed ones.
         references: the hints that know a base colour.
     """
     if settings.unseen_light:
-        label, lamps = surface_labels(room, parts), bright.not_reflective()
+        label, bright = surface_labels(room, parts), lamps.bright.not_reflective()
         pieces = None if parts.kind == "part" else room_pieces(room)
         known = known_colors(references, room.vertices, room.triangles, parts, pieces)
-        observed = with_unseen_light(observed, room, label, lamps, settings, known)
+        observed = with_unseen_light(observed, room, label, bright, settings, known)
     light = observed.environment
     if light is not None and light.unseen_light > MUCH_INFERRED:
         tools.reporter.warning(
@@ -122,8 +122,7 @@ class BakedShadings:
 
 def bake_shadings(
     observed: Observations,
-    bright: EmitterTable,
-    presumed: np.ndarray,
+    lamps: PresumedLamps,
     pixels: PixelStore,
     room: Room,
     parts: Parts,
@@ -131,12 +130,8 @@ def bake_shadings(
     settings: ShadingSettings,
     tools: Tools,
 ) -> BakedShadings:
-    """Bake the shadings of all views from the radiance cache.
-
-    Args:
-        bright, presumed: see :class:`PresumedLamps`.
-    """
-    baking = first_baking(room, parts, observed, PresumedLamps(bright, presumed), settings)
+    """Bake the shadings of all views from the radiance cache; `lamps` are the presumed ones."""
+    baking = first_baking(room, parts, observed, lamps, settings)
     store = _bake(baking, pixels, tools)
     tools.facts["light_excess"] = excess = light_excess(observed.environment, store.diffuse)
     if abs(excess) > MUCH_DIFFERENT:
@@ -146,7 +141,7 @@ def bake_shadings(
             " what no photograph shows, and base colors are as uncertain.",
             "Add photographs that show the lamps and windows.",
         )
-    return BakedShadings(store, baking.levels, presumed)
+    return BakedShadings(store, baking.levels, lamps.presumed)
 
 
 def light_excess(environment: Environment | None, diffuse: np.ndarray) -> float:
@@ -227,7 +222,7 @@ def refine_shadings(
     parts: Parts,
     emitters: EmitterTable,
     emitting: np.ndarray,
-    presumed: np.ndarray,
+    lamps: PresumedLamps,
     diffuse: np.ndarray,
     materials: np.ndarray,
     *,
@@ -239,7 +234,7 @@ def refine_shadings(
     Args:
         index: number of the round.
         emitters: the fixtures found so far, and emitting: (T,) bool, their triangles.
-        presumed: (T,) bool, the lamps before any estimate.
+        lamps: those presumed before any estimate.
         diffuse: (M * 6, 3) float16 mean L_d of each cache entry in the last closed-form estimate.
         materials: (M * 6, 5) float32 base colour, roughness and metallic of each entry in it.
     """
@@ -250,5 +245,5 @@ def refine_shadings(
         settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
     )
     baking = _baking(room, parts, observed, cache, emitters, counts, traced, settings, index)
-    lamps = emitting if emitting.any() else presumed
-    return BakedShadings(_bake(baking, pixels, tools), baking.levels, lamps)
+    baked = emitting if emitting.any() else lamps.presumed
+    return BakedShadings(_bake(baking, pixels, tools), baking.levels, baked)

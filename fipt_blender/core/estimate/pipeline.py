@@ -63,7 +63,7 @@ def _pixels(encoded: bool) -> Iterator[Stage]:
 def _light() -> Iterator[Stage]:
     """Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9)."""
     yield Stage("observed", observe_pixels, gives="observed")
-    yield Stage("presumed", find_presumed_lamps)
+    yield Stage("presumed", find_presumed_lamps, gives="lamps")
     yield Stage("outside", infer_outside, "Inferring the light from outside", 0.4, "environment")
     yield Stage("lit", light_outside, gives="observed")
     yield Stage("hints", honour_hints)
