@@ -15,10 +15,10 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from types import EllipsisType
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -103,13 +103,14 @@ def read_arrays(
         with np.load(path, allow_pickle=False) as archive:
             found = {name: archive[name] for name in archive.files}
         values: dict[str, Any] = {}
-        for item in fields(kind):  # type: ignore[arg-type]
-            inside = {
-                name[len(item.name) + 1 :]: found[name] for name in found if name.startswith(item.name + "/")
-            }
-            values[item.name] = inside or found.get(item.name, item.default)
-            if values[item.name] is MISSING:
-                raise ValueError(f"it lacks the array '{item.name}'")
+        for name, hint in get_type_hints(kind).items():
+            start = f"{name}/"
+            if get_origin(hint) is Mapping:
+                values[name] = {each[len(start) :]: found[each] for each in found if each.startswith(start)}
+            elif name in found or hasattr(kind, name):  # a default
+                values[name] = found.get(name, getattr(kind, name, None))
+            else:
+                raise ValueError(f"it lacks the array '{name}'")
         _check_layouts(values, _layouts(kind), dict(sizes or {}))
         return kind(**values)
     except FileNotFoundError:
