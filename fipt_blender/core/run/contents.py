@@ -64,7 +64,7 @@ class UpAxis:
 
 @dataclass(frozen=True)
 class CapturedViews:
-    """capture.json, and ingest.json with all views, and with `up` but in runs of earlier versions.
+    """capture.json, and ingest.json with all views and with `up`.
 
     `world_from_source` is the similarity for anything in source coordinates, `mesh` included; these are the
     camera file's without `offset`, by which far ones were moved to the origin.
@@ -98,7 +98,7 @@ class RoomNames:
 
     Attributes:
         object_ids: by which the objects are found when they have other names; empty where there are none.
-        matrices: of each object to the world when it was exported; empty in runs of earlier versions.
+        matrices: of each object to the world when it was exported.
         parts: source of the part labels, one of `jobs.options.PARTS`.
         completed: the artist has completed the scan, the engine adds nothing.
     """

@@ -142,7 +142,7 @@ class JudgedPictures:
 class QualityFigures:
     """quality.json: PSNR in dB of photographs that were held back, rendered and projected.
 
-    Figures of the pixels that see the mesh are None where there are none, or in results of earlier versions.
+    Figures of the pixels that see the mesh are None where there are none.
     """
 
     held_back_db: float
