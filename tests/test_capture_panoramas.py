@@ -108,9 +108,10 @@ def in_opensfm(folder: Path, shots: list[write.Shot]) -> None:
     shots = [replace(shot, name=f"{Path(shot.name).stem}.png") for shot in shots]
     write.write_opensfm(folder, [shots], "perspective")
     with edited_json(folder / "reconstruction.json") as models:
-        for shot in shots:
+        for index, shot in enumerate(shots):
             if shot.width == 2 * shot.height:
-                camera = {"projection_type": "spherical", "width": WIDTH, "height": HEIGHT}
+                kind = ("spherical", "equirectangular")[index % 2]
+                camera = {"projection_type": kind, "width": WIDTH, "height": HEIGHT}
                 models[0]["cameras"][f"camera of {shot.name}"] = camera
 
 
