@@ -18,7 +18,7 @@ from fipt_blender.core.capture.mesh_file import read_mesh
 from fipt_blender.core.capture.options import CaptureOptions, FusionOptions
 from fipt_blender.core.run.runfolder import RunFolder
 from samples import rgbd_frames
-from samples.ingesting import run_ingest
+from samples.ingesting import edited_json, run_ingest
 from samples.refusals import error_of
 from samples.rgbd_frames import WALL, frame_pose
 
@@ -145,6 +145,10 @@ def test_depth_images_of_transforms_are_fused(tmp_path: Path, field: str, unit: 
     data = import_frames(folder, tmp_path / "run")
     vertices, _ = read_mesh(Path(data["mesh"]))
     assert np.abs(vertices[:, 2] - WALL).max() < 1e-3
+    np.save(folder / "0.npy", np.ones((HEIGHT, WIDTH)))  # nerfstudio reads arrays, too
+    with edited_json(folder / "transforms.json") as stored:
+        stored["frames"][0][field] = "0.npy"
+    assert error_of(import_frames, folder, tmp_path / "other").code == "depth-format"
 
 
 def test_the_fused_mesh_keeps_to_its_budget(tmp_path: Path) -> None:
@@ -218,16 +222,10 @@ def everywhere(folder: Path, value: int) -> None:
         write_depth(path, value)
 
 
-def turn_into_array(folder: Path) -> None:
-    (folder / "frame-000000.depth.png").unlink()
-    np.save(folder / "frame-000000.depth.npy", np.ones((HEIGHT, WIDTH)))
-
-
 SHEAR = np.eye(4) + 0.5 * np.eye(4, k=1)[[0, 3, 3, 3]]
 FAULTS = {
     "cut off": ("depth-unreadable", lambda p: os.truncate(p / "frame-000000.depth.png", 40)),
     "eight bits": ("depth-format", lambda p: write_depth(p / "frame-000000.depth.png", 90, np.uint8)),
-    "array": ("depth-format", turn_into_array),
     "size": ("depth-size", lambda p: write_depth(p / "frame-000003.depth.png", 2000, width=WIDTH // 2)),
     "unit": ("depth-unit", lambda p: everywhere(p, 20)),
     "empty": ("depth-empty", lambda p: everywhere(p, 0)),
