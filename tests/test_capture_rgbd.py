@@ -226,12 +226,19 @@ def everywhere(folder: Path, value: int) -> None:
         write_depth(path, value)
 
 
+def in_units_of_replica(folder: Path) -> None:
+    rgbd_frames.write_box_room(folder, 8, (WIDTH, HEIGHT), FOCAL / 2)
+    for path in folder.glob("*.depth.png"):
+        Image.fromarray((6.5535 * np.asarray(Image.open(path))).astype(np.uint16)).save(path)
+
+
 SHEAR = np.eye(4) + 0.5 * np.eye(4, k=1)[[0, 3, 3, 3]]
 FAULTS = {
     "cut off": ("depth-unreadable", lambda p: os.truncate(p / "frame-000000.depth.png", 40)),
     "eight bits": ("depth-format", lambda p: write_depth(p / "frame-000000.depth.png", 90, np.uint8)),
     "size": ("depth-size", lambda p: write_depth(p / "frame-000003.depth.png", 2000, width=WIDTH // 2)),
     "unit": ("depth-unit", lambda p: everywhere(p, 20)),
+    "other unit": ("depth-unit", in_units_of_replica),
     "empty": ("depth-empty", lambda p: everywhere(p, 0)),
     "no lens": ("intrinsics-missing", lambda p: (p / "camera-intrinsics.txt").unlink()),
     "sheared": ("pose-not-rotation", lambda p: write_matrix(p / "frame-000001.pose.txt", frame_pose(1) @ SHEAR)),
