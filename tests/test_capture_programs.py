@@ -104,25 +104,18 @@ def test_opensfm(tmp_path: Path) -> None:
 
 
 def test_opensfm_reads_the_largest_reconstruction(tmp_path: Path) -> None:
+    """Also of OpenDroneMap, which keeps the cameras in map coordinates and a second mesh beside."""
     shots = write.make_shots(write.Style(off_centre=CENTRED))
-    write.write_opensfm(tmp_path, [shots[:1], shots[1:]], "perspective")
-    rig = read(tmp_path)
-    assert_same(rig, shots[1:])
-    assert [note.code for note in rig.notes] == ["several-models"]
-
-
-def test_opensfm_beside_map_coordinates_and_several_meshes(tmp_path: Path) -> None:
-    """OpenDroneMap's folder."""
-    shots = write.make_shots(write.Style(off_centre=CENTRED))
-    write.write_opensfm(tmp_path / "opensfm", [shots[:2]], "perspective")
-    (tmp_path / "opensfm" / "reconstruction.json").rename(tmp_path / "opensfm" / "reconstruction.geocoords.json")
-    write.write_opensfm(tmp_path / "opensfm", [shots], "perspective")
+    folder = tmp_path / "opensfm"
+    write.write_opensfm(folder, [shots], "perspective")
+    (folder / "reconstruction.json").rename(folder / "reconstruction.geocoords.json")
+    write.write_opensfm(folder, [shots[:1], shots[1:]], "perspective")
     (tmp_path / "odm_meshing").mkdir()
     for name in ("odm_25dmesh.ply", "odm_mesh.ply"):
         (tmp_path / "odm_meshing" / name).write_text("ply\nformat ascii 1.0\nelement face 1\nend_header\n")
     rig = read(tmp_path)
-    assert_same(rig, shots)
-    assert [note.code for note in rig.notes] == ["formats-several"] and "geocoords" in rig.notes[0].text
+    assert_same(rig, shots[1:])
+    assert [note.code for note in rig.notes] == ["several-models", "formats-several"]
     assert rig.mesh is not None and rig.mesh.name == "odm_mesh.ply"
 
 

@@ -8,6 +8,7 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, replace
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,9 @@ DOUBTFUL = 0.05
 LEAST_WEIGHT = 1e-3
 # Edge of voxels, where none is given: in the pixels' spacing at their median distance; the smallest, metres.
 SPACINGS, FINEST = 2.0, 0.02
+# Units of 16-bit depths, metres: millimetres, TUM's, Replica's, tenths of millimetres, 1/256 m. In the right
+# one images confirm this share of what others measure: 0.97 in two real rooms, in other units 0.81 at most.
+UNITS, CONFIRMED = (1e-3, 1.0 / 5000.0, 1.0 / 6553.5, 1e-4, 1.0 / 256.0), 0.9
 SPECK_VOXELS = 10.0  # pieces of less area than a square of this side are dropped
 
 
@@ -169,6 +173,43 @@ def check_unit(images: Sequence[RangeImage]) -> None:
         )
 
 
+def _check_other_units(views: Sequence[DepthView], scale: float) -> None:
+    """Refuse a unit in which the images contradict each other, where they agree in another usual one.
+
+    Raises:
+        FiptError: ``depth-unit``.
+    """
+    own = _confirmed(views, scale)
+    if own >= CONFIRMED or views[0].unit == 1.0:  # metres of OpenEXR
+        return
+    shares = [_confirmed([replace(view, unit=unit) for view in views], scale) for unit in UNITS]
+    best, unit = max(zip(shares, UNITS, strict=True))
+    if best >= CONFIRMED:
+        text = f"Depth images confirm {100.0 * own:.0f} % of what others measure, in steps of {unit:.4g} m"
+        remedy = f"Set the unit of the depth images (--depth-unit {unit:.6g})."
+        raise FiptError("depth-unit", f"{text} {100.0 * best:.0f} %.", remedy)
+
+
+def _confirmed(views: Sequence[DepthView], scale: float) -> float:
+    """Share of measured points that other images measure, too, among these and those they look through."""
+    images = [read_depth(replace(view, photograph=None), scale) for view in views]
+    points = [image.points(8)[0] for image in images]
+    same = through = 0
+    for first, second in permutations(range(len(images)), 2):
+        other = images[second]
+        local = (points[first] - other.camera_to_world[:3, 3]) @ other.camera_to_world[:3, :3]
+        depth = np.maximum(local[:, 2], 1e-3)
+        column = np.floor(local[:, 0] / depth * other.fx + other.cx)
+        row = np.floor(local[:, 1] / depth * other.fy + other.cy)
+        height, width = other.depth.shape
+        inside = (local[:, 2] > 1e-3) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        measured = other.depth[row[inside].astype(np.int64), column[inside].astype(np.int64)]
+        share = measured / depth[inside]
+        same += int((np.abs(share - 1.0) < 0.05).sum())
+        through += int((share >= 1.05).sum())
+    return same / max(same + through, 1)
+
+
 def fuse(
     views: Sequence[DepthView], options: FusionOptions, scale: float, progress: Callable[[float], None]
 ) -> FusedMesh:
@@ -179,10 +220,12 @@ def fuse(
         progress: called with the finished share.
 
     Raises:
-        FiptError: those of `read_depth` and `check_unit`; ``depth-empty`` where no surface is found.
+        FiptError: those of `read_depth` and `check_unit`; ``depth-unit`` where the images agree with another
+            unit; ``depth-empty`` where no surface is found.
     """
     some = [read_depth(view, scale) for view in views[:: max(1, len(views) // 8)]]
     check_unit(some)
+    _check_other_units(views[:: max(1, len(views) // 8)], scale)
     voxel = options.voxel or max(FINEST, SPACINGS * pixel_spacing(some))
     with_color = any(view.photograph is not None and is_encoded(view.photograph.image) for view in views)
     volume, gaps = BlockVolume(voxel, with_color), BlockVolume(voxel, with_color)

@@ -115,8 +115,9 @@ def find(path: Path) -> Path | None:
     if path.is_file():
         return path if path.suffix.lower() == ".json" and '"frames"' in head(path) else None
     names = ("transforms.json", "transforms_train.json")
+    files = [path / name for name in names if (path / name).is_file()]
     # A list is what nerfstudio exports of its own scene: poses without cameras.
-    return path if any(head(path / name).lstrip()[:1] not in ("", "[") for name in names) else None
+    return path if any(not head(file).lstrip().startswith("[") for file in files) else None
 
 
 def read(path: Path, options: CaptureOptions) -> Rig:
