@@ -24,6 +24,7 @@ from ..marks import (
     FIXTURE_LIGHT,
     MATERIAL,
     VISIBILITY,
+    WORLD,
     fixture_lights,
     has_results,
     is_our_light,
@@ -36,9 +37,8 @@ from ..room.mesh_arrays import corner_uvs, polygon_slots, polygon_starts
 from ..room.originals import shows_original
 from ..room.tiles import image_uvs, polygon_images
 from ..room.uv_layer import UV_LAYER, write_layer
-from .color import colors_in_rec709
-from .environment import plain_world, read_environment
-from .lights import Lost, emits, lamp_light, note_losses, plain_light, turned, warning
+from .environment import is_dark, plain_world
+from .lights import area_spot, lamp_light, turned, warning
 from .materials import (
     TEXTURE_SIZE,
     PlainTextures,
@@ -134,8 +134,7 @@ def export_room(scene: bpy.types.Scene, path: Path, options: ExportOptions = Exp
         _plain_world(stage, scene, pictures, suffix in GLTF, exported.warnings)
         stage.hide_others()
         exported.objects = len(stage.scene.objects)
-        with colors_in_rec709(stage.scene, suffix in USD):
-            _write(path)
+        _write(path)
     return exported
 
 
@@ -276,33 +275,37 @@ def _plain_lights(
     stage: Stage, scene: bpy.types.Scene, shown: list[bpy.types.Object], gltf: bool, warnings: list[Message]
 ) -> None:
     """The Blender lights; those for which a fixture's surface is exported are left out."""
-    lost = Lost()
-    for item in (each for each in shown if each.type == "LIGHT" and emits(each)):
+    spots = []
+    for item in (each for each in shown if each.type == "LIGHT"):
         if FIXTURE_LIGHT in item and item.parent is not None and _stands_for(scene, item.parent, shown):
             continue
-        note_losses(stage.name(item), item, gltf, lost)
-        stage.add_light(stage.name(item), plain_light(item, gltf), turned(item.matrix_world))
-    warnings += lost.warnings()
+        if gltf and item.data.type == "AREA":
+            spots.append(stage.name(item))
+            stage.add_light(spots[-1], area_spot(item), turned(item.matrix_world))
+        else:
+            stage.show(item)
+    if spots:
+        text = f"{', '.join(spots)}: glTF has no area lights, these are wide spots of the same power."
+        warnings.append(warning("export-light-size", text, "Export USD."))
 
 
 def _plain_world(
     stage: Stage, scene: bpy.types.Scene, pictures: str, gltf: bool, warnings: list[Message]
 ) -> None:
     """The environment that lights renders; `pictures` is the path that its picture's begins with."""
-    environment = read_environment(scene.world)
-    if environment is None:
+    if is_dark(scene.world):
         return
     if gltf:
         text = "glTF has no environment: the light from outside the room is not in the file."
         warnings.append(warning("export-environment", text, "Export USD to keep it."))
-    elif not environment.whole:
-        text = "The world's nodes do more than show and turn a picture: it is not in the file."
-        warnings.append(warning("export-world", text, "Use one environment picture and one Mapping node."))
-    else:
-        path = Path(f"{pictures}environment.exr")
-        world, image = plain_world(environment, path)
-        stage.scene.world = stage.add(world, stage.name(scene.world))
-        stage.add(image, path.stem)
+        return
+    if WORLD not in scene.world:
+        stage.scene.world = scene.world
+        return
+    path = Path(f"{pictures}environment.exr")
+    if plain := plain_world(scene.world, path):
+        stage.scene.world = stage.add(plain[0], stage.name(scene.world))
+        stage.add(plain[1], path.stem)
 
 
 def _write(path: Path) -> None:

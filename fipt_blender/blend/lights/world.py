@@ -17,7 +17,7 @@ from .calibration import scene_unit
 from .light_state import refresh_world
 
 NAME = "FIPT World"
-_ENVIRONMENT = "FIPT Environment"  # texture node
+ENVIRONMENT = "FIPT Environment"  # texture node
 
 
 def apply_environment(
@@ -74,7 +74,7 @@ def apply_environment(
         mapping.vector_type = "TEXTURE"
         mapping.inputs["Rotation"].default_value[2] = rotation
         node = nodes.new("ShaderNodeTexEnvironment")
-        node.name, node.label, node.location = _ENVIRONMENT, "Seen outside the room", (-320, 0)
+        node.name, node.label, node.location = ENVIRONMENT, "Seen outside the room", (-320, 0)
         node.image, node.projection = image, "EQUIRECTANGULAR"
         links.new(coordinates.outputs["Generated"], mapping.inputs["Vector"])
         links.new(mapping.outputs["Vector"], node.inputs["Vector"])
@@ -91,7 +91,7 @@ def apply_environment(
 
 def _images(world: bpy.types.World) -> set[bpy.types.Image]:
     """The image of our world's environment, if there is one."""
-    node = world.node_tree.nodes.get(_ENVIRONMENT)
+    node = world.node_tree.nodes.get(ENVIRONMENT)
     return set() if node is None or node.image is None else {node.image}
 
 

@@ -102,13 +102,6 @@ def enable_devices(devices: Devices | None) -> None:
         device.use = device.id in devices["ids"]
 
 
-def exposure_of(radiance: np.ndarray, shown: float = 0.18) -> float:
-    """Stops that map the median of the positive radiances to a value between black and white, middle grey if
-    none is given; 0 if there are none."""
-    positive = radiance[radiance > 0.0]
-    return float(np.log2(shown / np.median(positive))) if positive.size else 0.0
-
-
 def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> None:
     """Render the scene's camera in Cycles to a float EXR with linear Rec.709 values.
 

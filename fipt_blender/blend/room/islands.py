@@ -148,8 +148,9 @@ def _rotate(corner_uv: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return np.stack([cosine * u - sine * v, sine * u + cosine * v], axis=-1)
 
 
-def split_sparse_islands(corners: np.ndarray, island: np.ndarray, polygon: np.ndarray) -> np.ndarray:
-    """Cut islands that leave most of their bounding box empty (mouldings, rings, frames) into pieces.
+def split_islands(corners: np.ndarray, island: np.ndarray, polygon: np.ndarray, longest: float) -> np.ndarray:
+    """Cut islands that leave most of their bounding box empty (mouldings, rings, frames), or that are longer
+    than an image, into pieces.
 
     Cuts run between polygons, halfway along the box's longer side. They are invisible, since the baked
     fields are functions of space.
@@ -158,6 +159,7 @@ def split_sparse_islands(corners: np.ndarray, island: np.ndarray, polygon: np.nd
         corners: (T,3,2) texels.
         island: (T,).
         polygon: (T,) ids; a polygon's triangles stay together.
+        longest: side of an image, texels.
 
     Returns:
         (T,) i64 islands, renumbered from 0.
@@ -173,12 +175,13 @@ def split_sparse_islands(corners: np.ndarray, island: np.ndarray, polygon: np.nd
         low, extent = island_bounds(corners, island)
         box = extent.prod(axis=1)
         sparse = (box > MIN_SPLIT_TEXELS) & (np.bincount(island, area) < MIN_FILL * box)
-        if not sparse.any():
+        cut = sparse | (extent.max(axis=1, initial=0.0) > longest)
+        if not cut.any():
             break
         axis = extent.argmax(axis=1)[island]
         centre_line = (low + 0.5 * extent)[island]
         beyond = np.take_along_axis(centre > centre_line, axis[:, None], axis=1)[:, 0]
-        island = renumbered(island * 2 + (beyond & sparse[island]))
+        island = renumbered(island * 2 + (beyond & cut[island]))
     return island
 
 
