@@ -159,6 +159,7 @@ def test_ticks_splits_and_deleted_cameras(run, scene):
     before = run.capture_json.read_bytes()
     error = error_of(export_capture, scene, run)
     assert error.code == "views-few" and run.capture_json.read_bytes() == before
+    assert error.text.startswith("Only 1 of 5 views") and "those of 1 were deleted" in error.text
 
 
 def test_importing_again_keeps_ticks_and_alignment_and_adds_nothing(run, scene):

@@ -8,6 +8,8 @@ The file is left as it was. What the formats can't hold is said in warnings.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -37,6 +39,7 @@ from ..room.mesh_arrays import corner_uvs, polygon_slots, polygon_starts
 from ..room.originals import shows_original
 from ..room.tiles import image_uvs, polygon_images
 from ..room.uv_layer import UV_LAYER, write_layer
+from ..save import check_space
 from .environment import is_dark, plain_world
 from .lights import area_spot, lamp_light, turned, warning
 from .materials import (
@@ -115,15 +118,15 @@ def export_room(scene: bpy.types.Scene, path: Path, options: ExportOptions = Exp
             "The results are color attributes, which other programs do not read as materials.",
             "Choose Image Textures as Store In, and apply the results again.",
         )
-    with explained_write_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path.parent):  # Blender's exporters end in a traceback
-            pass
     exported = Exported(path)
     suffix, shown = path.suffix.lower(), rendered_objects(scene)
     if not set(room) & set(shown):
         raise FiptError("export-nothing", "Renders show nothing of the room.", "Enable it in renders.")
-    with tempfile.TemporaryDirectory(prefix="fipt_export_") as folder, Stage() as stage:
+    with (
+        _written_whole(path) as written,
+        tempfile.TemporaryDirectory(prefix="fipt_export_") as folder,
+        Stage() as stage,
+    ):
         pictures = f"{folder}/" + ("" if suffix in _ONE_FILE else f"{path.name.replace('.', '_')}_")
         _show_surfaces(stage, shown, exported.warnings)
         with_lights = suffix in GLTF and options.lamp_lights
@@ -134,8 +137,26 @@ def export_room(scene: bpy.types.Scene, path: Path, options: ExportOptions = Exp
         _plain_world(stage, scene, pictures, suffix in GLTF, exported.warnings)
         stage.hide_others()
         exported.objects = len(stage.scene.objects)
-        _write(path)
+        _write(written)
     return exported
+
+
+@contextmanager
+def _written_whole(path: Path) -> Iterator[Path]:
+    """Where a file and those that it refers to are written; they get to their places together at the end.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``; nothing is left then.
+    """
+    with explained_write_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".fipt_export_", dir=path.parent) as folder:
+            yield Path(folder, path.name)
+            check_space(path)  # on a full disk Blender writes a part and reports nothing
+            for file in [each for each in Path(folder).rglob("*") if each.is_file()]:
+                target = path.parent / file.relative_to(folder)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                file.replace(target)
 
 
 def _show_surfaces(stage: Stage, shown: list[bpy.types.Object], warnings: list[Message]) -> None:
@@ -323,7 +344,6 @@ def _write(path: Path) -> None:
         raise FiptError("export-failed", text, remedy) from None
     options = _gltf_options(path) if is_gltf else _USD_OPTIONS
     arguments = {name: value for name, value in options.items() if name in known}
-    path.unlink(missing_ok=True)
     try:
         operator(filepath=str(path), **arguments)
     except RuntimeError as error:

@@ -22,7 +22,7 @@ ENVIRONMENT = "FIPT Environment"  # texture node
 
 def apply_environment(
     run: RunFolder, scene: bpy.types.Scene | None = None, files: TextureFiles | None = None
-) -> bpy.types.World:
+) -> bpy.types.World | None:
     """Give the scene a world with the run's environment map, or a black one.
 
     The scene's original world is kept in a custom property; `restore_world` restores it. The settings of an
@@ -33,17 +33,22 @@ def apply_environment(
         scene: the context's by default.
         files: where the image is kept; in the run folder by default.
 
+    Returns:
+        The world; None where the artist has chosen another one since results were applied, which stays.
+
     Raises:
         FiptError: ``file-missing``, ``file-damaged`` or ``textures-unwritable``.
     """
+    scene = scene or bpy.context.scene
+    world = result_world(scene)
+    if world is None and hasattr(scene, "fipt") and scene.fipt.materials.object_count:
+        return None
     environment = read_document(run.emitters_json, Emitters, "Run the estimation again.").environment
     image = None
     if environment:
         files = files or in_run_folder(run)
         files.copy(run.results / environment.image)
         image = files.load(run.results / environment.image, is_data=None)
-    scene = scene or bpy.context.scene
-    world = result_world(scene)
     rotation = 0.0
     if world is None:
         world = bpy.data.worlds.new(NAME)
