@@ -17,7 +17,6 @@ from mathutils import Vector
 
 import fipt_blender
 from fipt_blender.blend import png16
-from fipt_blender.blend.changed import unset
 from fipt_blender.blend.lights import light_state
 from fipt_blender.blend.marks import STOPS
 from fipt_blender.blend.pictures import image_files, orders, render_job
@@ -228,15 +227,6 @@ def test_sizes_are_the_scenes_resolution_in_the_photographs_proportions(run):
     assert plate_size(scene, scene.camera) == (SIZE[0] // 2, SIZE[1] // 2)  # whatever the size of others
     settings.size = "PHOTOGRAPH"
     assert (scene.render.resolution_x, scene.render.resolution_y) == SIZE
-
-
-@pytest.mark.skipif(bpy.app.version >= (5, 0, 0), reason="values without an item can't be set by a test")
-def test_a_denoiser_that_this_blender_lacks_stays_chosen(run):
-    cycles = bpy.context.scene.cycles
-    cycles["denoiser"] = 99  # as in a file of another Blender
-    with unset(cycles):
-        cycles.samples = 3
-    assert cycles["denoiser"] == 99
 
 
 def test_the_backdrop_changes_and_is_restored(run):
