@@ -78,7 +78,7 @@ def collect_room(
     """Save a copy of the file into a folder of its own, with all images that it uses. It opens on another
     machine without this add-on. In a folder that is not empty, the folder NAME_collected is made for it.
     """
-    from ..blend.export import collecting
+    from ..blend import collecting
 
     if not directory:
         raise FiptError("export-file", "No folder is chosen.", "Choose a folder.")
