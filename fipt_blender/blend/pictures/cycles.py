@@ -22,6 +22,7 @@ from ..changed import changed
 from ..color_spaces import linear_space, scene_matrix
 from ..export.stage import rendered_objects
 from ..lights.calibration import scene_unit
+from ..marks import PIXEL_ASPECT, RESOLUTION
 from ..render_settings import LIGHT_PATHS, can_denoise
 from ..save import check_space
 from .image_files import LAYERED_IMAGE, PNG, STILL_IMAGE, read_pixels, write_image
@@ -82,8 +83,14 @@ def enable_devices(devices: Devices | None) -> None:
         device.use = device.id in devices["ids"]
 
 
-def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> None:
-    """Render the scene's camera in Cycles to a float EXR with linear Rec.709 values.
+def render_exr(
+    scene: bpy.types.Scene,
+    path: Path,
+    options: RenderOptions,
+    camera: bpy.types.Object | None = None,
+    widest: int | None = None,
+) -> None:
+    """Render a camera in Cycles to a float EXR with linear Rec.709 values.
 
     A new scene renders what this one's renders show, with Blender's settings in place of the artist's.
 
@@ -91,6 +98,8 @@ def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> No
         scene: the scene.
         path: ends in .exr.
         options: see there.
+        camera: of a view, in the frame of its photograph; the scene's in the scene's frame by default.
+        widest: the most columns, of a view.
 
     Raises:
         FiptError: ``render-failed``, ``color-space-missing``, or the write errors of the run folder.
@@ -105,7 +114,7 @@ def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> No
         "use_denoising": can_denoise() if options.denoise is None else options.denoise,
     }
     exr = {"file_format": "OPEN_EXR", "color_mode": "RGB", "color_depth": "32", "exr_codec": "ZIP"}
-    with _plain_scene(scene) as plain:
+    with _plain_scene(scene, camera, widest) as plain:
         for name, value in fixed.items():
             setattr(plain.cycles, name, value)
         _save(_render(plain), plain, path, {**STILL_IMAGE, **exr})
@@ -158,16 +167,24 @@ def _save(
 
 
 @contextmanager
-def _plain_scene(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
-    """A new scene for Cycles with what a scene's renders show, its world, camera and frame, for a block."""
+def _plain_scene(
+    scene: bpy.types.Scene, camera: bpy.types.Object | None, widest: int | None
+) -> Iterator[bpy.types.Scene]:
+    """A new scene for Cycles with what a scene's renders show, its world and a frame, for a block."""
     made = bpy.data.scenes.new("FIPT Render")
     try:
         for item in rendered_objects(scene):
             made.collection.objects.link(item)
-        made.camera, made.world, made.render.engine = scene.camera, scene.world, "CYCLES"
+        made.camera, made.world, made.render.engine = camera or scene.camera, scene.world, "CYCLES"
         made.render.resolution_percentage = 100
-        for name in _FRAME:
-            setattr(made.render, name, getattr(scene.render, name))
+        frame = [getattr(scene.render, name) for name in _FRAME]
+        if camera is not None:
+            width, height = (int(value) for value in camera[RESOLUTION])
+            if widest is not None and width > widest:
+                width, height = widest, max(1, round(height * widest / width))
+            frame = [width, height, *map(float, camera[PIXEL_ASPECT])]
+        for name, value in zip(_FRAME, frame, strict=True):
+            setattr(made.render, name, value)
         made.frame_set(scene.frame_current)
         yield made
     finally:
@@ -180,9 +197,14 @@ def _render_failed(reason: str) -> FiptError:
     )
 
 
-def render_pixels(scene: bpy.types.Scene, options: RenderOptions) -> np.ndarray:
+def render_pixels(
+    scene: bpy.types.Scene,
+    options: RenderOptions,
+    camera: bpy.types.Object | None = None,
+    widest: int | None = None,
+) -> np.ndarray:
     """Like `render_exr`, but return the image: (H, W, 3) f32, first row at the top."""
     with tempfile.TemporaryDirectory(prefix="fipt-") as folder:
         path = Path(folder) / "render.exr"
-        render_exr(scene, path, options)
+        render_exr(scene, path, options, camera, widest)
         return read_pixels(path)
