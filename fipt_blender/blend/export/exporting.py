@@ -40,6 +40,7 @@ from ..room.originals import shows_original
 from ..room.tiles import image_uvs, polygon_images
 from ..room.uv_layer import UV_LAYER, write_layer
 from ..save import check_space
+from .color import colors_in_rec709
 from .environment import is_dark, plain_world
 from .lights import area_spot, lamp_light, turned, warning
 from .materials import (
@@ -137,7 +138,8 @@ def export_room(scene: bpy.types.Scene, path: Path, options: ExportOptions = Exp
         _plain_world(stage, scene, pictures, suffix in GLTF, exported.warnings)
         stage.hide_others()
         exported.objects = len(stage.scene.objects)
-        _write(written)
+        with colors_in_rec709(stage.scene, suffix in USD):
+            _write(written)
     return exported
 
 
