@@ -47,7 +47,7 @@ def test_lights_are_in_the_file(scene, tmp_path, suffix):
     area = {"shape": "ELLIPSE", "size": 0.6, "size_y": 1.5, "normalize": False, "use_temperature": True}
     softbox = add_light(scene, "Softbox", "AREA", area, UNEVEN)
     for kind in ("POINT", "SPOT", "SUN"):
-        add_light(scene, kind, kind, {})
+        add_light(scene, kind, kind, {}).data.use_nodes = True  # always, from Blender 5.0 on
     power = softbox.data.energy * np.array(softbox.data.color)
     if hasattr(softbox.data, "normalize"):
         power *= softbox.data.area(matrix_world=softbox.matrix_world) * np.array(softbox.data.temperature_color)
@@ -58,6 +58,7 @@ def test_lights_are_in_the_file(scene, tmp_path, suffix):
     assert kinds.items() >= {"POINT": "POINT", "SPOT": "SPOT", "SUN": "SUN"}.items()
     assert kinds["Softbox"] == ("SPOT" if suffix == ".glb" else "AREA")
     assert ("export-light-size" in said) == (suffix == ".glb")
+    assert np.allclose(objects["POINT"].data.color, (1.0, 0.6, 0.3), rtol=1e-2)
     if suffix == ".glb":
         assert said["export-light-size"].startswith("Softbox: ")
         spot = objects["Softbox"].data

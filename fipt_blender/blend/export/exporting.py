@@ -42,7 +42,7 @@ from ..room.uv_layer import UV_LAYER, write_layer
 from ..save import check_space
 from .color import colors_in_rec709
 from .environment import is_dark, plain_world
-from .lights import area_spot, lamp_light, turned, warning
+from .lights import area_spot, has_default_nodes, lamp_light, turned, warning, without_nodes
 from .materials import (
     TEXTURE_SIZE,
     PlainTextures,
@@ -307,6 +307,9 @@ def _plain_lights(
             stage.add_light(spots[-1], area_spot(item), turned(item.matrix_world))
         else:
             stage.show(item)
+            if has_default_nodes(item.data):
+                light = stage.add(item.data.copy(), stage.name(item.data))
+                stage.set(item, "data", without_nodes(light))
     if spots:
         text = f"{', '.join(spots)}: glTF has no area lights, these are wide spots of the same power."
         warnings.append(warning("export-light-size", text, "Export USD."))

@@ -41,6 +41,16 @@ def area_spot(item: bpy.types.Object) -> bpy.types.Light:
     return wide_spot(power)
 
 
+def has_default_nodes(light: bpy.types.Light) -> bool:
+    """Whether a light has the nodes that Blender gives it, which change nothing."""
+    nodes = [] if light.node_tree is None else list(light.node_tree.nodes)
+    emission = next((node for node in nodes if node.bl_idname == "ShaderNodeEmission"), None)
+    if emission is None or len(nodes) > 2 or any(socket.is_linked for socket in emission.inputs):
+        return False
+    color, strength = (emission.inputs[name].default_value for name in ("Color", "Strength"))
+    return tuple(color) == (1.0,) * 4 and strength == 1.0
+
+
 def lamp_light(item: bpy.types.Object) -> tuple[bpy.types.Light, Matrix] | None:
     """A new light of the power and color of a fixture's surfaces, and its matrix to the world.
 
@@ -66,7 +76,7 @@ def lamp_light(item: bpy.types.Object) -> tuple[bpy.types.Light, Matrix] | None:
         light = bpy.data.lights.new("Light", "POINT")
         light.color, light.energy = split((math.pi * total).tolist())
         light.shadow_soft_size = 0.0
-        return _without_nodes(light), Matrix.Translation(place)
+        return without_nodes(light), Matrix.Translation(place)
     turn = axis.to_track_quat("-Z", "Y").to_matrix().to_4x4()
     return wide_spot(math.pi * total), Matrix.Translation(place + _BEFORE * axis.normalized()) @ turn
 
@@ -81,10 +91,10 @@ def wide_spot(watts: np.ndarray) -> bpy.types.Light:
     light = bpy.data.lights.new("Light", "SPOT")
     light.color, light.energy = split((4.0 * watts / (1.0 - math.cos(0.5 * _CONE))).tolist())
     light.spot_size, light.spot_blend, light.shadow_soft_size = _CONE, 1.0, 0.0
-    return _without_nodes(light)
+    return without_nodes(light)
 
 
-def _without_nodes(light: bpy.types.Light) -> bpy.types.Light:
+def without_nodes(light: bpy.types.Light) -> bpy.types.Light:
     """Without nodes, of which exporters of some versions take the color, white."""
     if light.node_tree is not None:
         light.node_tree.nodes.clear()
