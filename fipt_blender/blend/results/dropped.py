@@ -59,7 +59,7 @@ def _own_copies() -> None:
     if len(bpy.data.scenes) > _scenes:
         from ..own_materials import own_materials
 
-        for scene in bpy.data.scenes:
+        for scene in reversed(bpy.data.scenes):  # a copy comes after its original, which keeps its own
             if scene.fipt.materials.object_count:
                 own_materials(scene)
     _scenes = len(bpy.data.scenes)
