@@ -106,7 +106,10 @@ def test_what_the_artist_sets_after_apply_stays_when_results_are_applied_again(s
     scene.cycles.samples = 77
     lamp = bpy.data.objects.new("Key", bpy.data.lights.new("Key", "POINT"))
     scene.collection.objects.link(lamp)
+    neon = bpy.data.materials.new("Neon")
+    bpy.data.objects["Panel"].data.materials[0] = neon
     ops.apply_results()
+    assert bpy.data.objects["Panel"].data.materials[0] == neon
     assert scene.world == studio and scene.cycles.samples == 77 and not lamp.hide_render
     assert "world-kept" in [message["code"] for message in running.last("materials").warnings]
     ops.revert()

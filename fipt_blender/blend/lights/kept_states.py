@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
@@ -29,6 +29,7 @@ from ..marks import (
 from ..outliner import remove_object
 from ..room.mesh_digest import is_edited
 from .convert import fixture_to_lights
+from .fixture_nodes import is_emission_material
 from .light_state import SETTINGS, Setting, adopt, list_lights, plain, refresh
 from .power import world_matrix
 
@@ -46,6 +47,7 @@ class FixtureState:
         matrix: its matrix to the world if the artist has moved it, else None.
         mesh: name of its mesh if the artist has modelled that, else "". It has a fake user.
         hidden: in viewports and in renders.
+        materials: the artist's, by slot, in place of ours.
     """
 
     settings: dict[str, Setting]
@@ -56,6 +58,7 @@ class FixtureState:
     matrix: Matrix | None = None
     mesh: str = ""
     hidden: tuple[bool, bool] = (False, False)
+    materials: Mapping[int, bpy.types.Material] = field(default_factory=dict)
 
 
 def release_copies(scene: bpy.types.Scene) -> None:
@@ -82,6 +85,7 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
         modelled = item.type == "MESH" and is_edited(item.data)
         if modelled:
             item.data.use_fake_user = True
+        slots = list(item.data.materials) if item.type == "MESH" else []
         settings = {key: plain(item[key]) for key in (*SETTINGS, BASE, BACK) if key in item}
         states[item[FIXTURE]] = FixtureState(
             settings,
@@ -93,6 +97,11 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
             world_matrix(item).copy() if moved else None,
             item.data.name if modelled else "",
             (item.hide_viewport, item.hide_render),
+            {
+                slot: each
+                for slot, each in enumerate(slots)
+                if each is not None and not is_emission_material(each)
+            },
         )
     return states
 
@@ -118,6 +127,9 @@ def keep_states(
                 item[key] = state.settings[key]
         if state.name:
             item.name = state.name
+        for slot, material in state.materials.items():
+            if slot < len(item.data.materials):
+                item.data.materials[slot] = material
         if state.converted:
             fixture_to_lights(scene, item)
             _bring_back(item, state.lights)
