@@ -114,7 +114,8 @@ def test_what_is_done_in_one_scene_changes_nothing_in_its_copy(applied, action, 
 
 def test_a_material_that_the_artist_edits_herself_changes_in_one_scene(applied):
     copy = full_copy(applied)
-    bpy.context.view_layer.update()  # as Blender does after each operator
+    copy.objects[0].update_tag()  # as selecting an object does: Blender reports no scene as new
+    bpy.context.view_layer.update()
     for acted, other in ((copy, applied), (applied, copy)):
         before = look(other)
         bpy.context.window.scene = acted

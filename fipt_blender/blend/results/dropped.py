@@ -54,7 +54,10 @@ def _follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 
 
 def _own_copies() -> None:
-    """Give full copies of a scene materials of their own, before the artist edits one of them herself."""
+    """Give full copies of a scene materials of their own, before the artist edits one of them herself.
+
+    Blender does not report a copy, but the first change after it, such as that of the selection.
+    """
     global _scenes
     if len(bpy.data.scenes) > _scenes:
         from ..own_materials import own_materials
