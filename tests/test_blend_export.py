@@ -100,16 +100,16 @@ def test_a_folder_that_cannot_be_written_is_explained(scene):
 
 
 def test_an_export_that_fails_leaves_what_was_there(scene, tmp_path, monkeypatch):
-    export_room(scene, tmp_path / "room.gltf")
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*")}
+    export_room(scene, tmp_path / "out" / "room.gltf")
+    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*")}
 
     def full(path):
         raise FiptError("disk-full", f"{path}", "Free some space.")
 
     monkeypatch.setattr(exporting, "check_space", full)
     scene.fipt.materials.parts["Cube"].value = 0.5
-    assert error_of(export_room, scene, tmp_path / "room.gltf").code == "disk-full"
-    assert {path: path.read_bytes() for path in tmp_path.rglob("*")} == before
+    assert error_of(export_room, scene, tmp_path / "out" / "room.gltf").code == "disk-full"
+    assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("*")} == before
 
 
 def first_middle(mesh):
