@@ -173,7 +173,8 @@ def _plain_scene(
     """A new scene for Cycles with what a scene's renders show, its world and a frame, for a block."""
     made = bpy.data.scenes.new("FIPT Render")
     try:
-        for item in rendered_objects(scene):
+        used = [layer for layer in scene.view_layers if layer.use]
+        for item in rendered_objects(scene, (used or list(scene.view_layers))[:1]):
             made.collection.objects.link(item)
         made.camera, made.world, made.render.engine = camera or scene.camera, scene.world, "CYCLES"
         made.render.resolution_percentage = 100
