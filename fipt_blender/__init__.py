@@ -23,7 +23,7 @@ def register() -> None:
 
     from . import machine, operators, panels, properties
     from .blend.capture import other_cameras, pair_marks
-    from .blend.lights import outline
+    from .blend.lights import selected
     from .blend.results import dropped
     from .jobs import session
     from .panels import preferences
@@ -32,7 +32,7 @@ def register() -> None:
         bpy.utils.register_class(preferences.FIPT_Preferences)
         _undo.append(partial(bpy.utils.unregister_class, preferences.FIPT_Preferences))
         machine.recall()
-        watchers = (session, other_cameras, pair_marks, outline, dropped)
+        watchers = (session, other_cameras, pair_marks, selected, dropped)
         for module in (properties, operators, panels, *watchers):
             module.register()
             _undo.append(module.unregister)

@@ -16,6 +16,7 @@ from fipt_blender.blend.capture.exporting import export_capture
 from fipt_blender.blend.slices import run_through
 from fipt_blender.core import conventions
 from fipt_blender.core.run.documents import read_document
+from fipt_blender.core.run.run_files import read_capture
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from samples.camera_views import points_before, projections, random_views
@@ -158,6 +159,7 @@ def test_ticks_splits_and_deleted_cameras(run, scene):
     before = run.capture_json.read_bytes()
     error = error_of(export_capture, scene, run)
     assert error.code == "views-few" and run.capture_json.read_bytes() == before
+    assert error.text.startswith("Only 1 of 5 views") and "those of 1 were deleted" in error.text
 
 
 def test_importing_again_keeps_ticks_and_alignment_and_adds_nothing(run, scene):
@@ -252,7 +254,8 @@ def test_masks_of_a_folder(run, scene, tmp_path):
 def test_runs_of_the_command_line_keep_all_views(ingested, scene):
     """They have no ingest.json: the first export makes it of capture.json."""
     ingested.ingest_json.rename(ingested.capture_json)
-    cameras.add_cameras(ingested, scene, photographs=False)
+    for view in read_capture(ingested.capture_json).views:
+        cameras.add_camera(scene, ingested, view, photograph=False)
     importing.fill_views(scene, ingested)
     scene.fipt.capture.views[1].enabled = False
     assert export_capture(scene, ingested) == 4

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from fipt_blender import cli
+from fipt_blender.blend.export import exporting
 from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.export.lights import lamp_light
 from fipt_blender.blend.lights.color import LUMENS_PER_WATT
@@ -96,6 +97,19 @@ def test_a_folder_that_cannot_be_written_is_explained(scene):
     with pytest.raises(FiptError) as caught:
         export_room(scene, Path("/proc/self/room.glb"))
     assert "Traceback" not in str(caught.value) and "/proc/self" in str(caught.value)
+
+
+def test_an_export_that_fails_leaves_what_was_there(scene, tmp_path, monkeypatch):
+    export_room(scene, tmp_path / "out" / "room.gltf")
+    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*")}
+
+    def full(path):
+        raise FiptError("disk-full", f"{path}", "Free some space.")
+
+    monkeypatch.setattr(exporting, "check_space", full)
+    scene.fipt.materials.parts["Cube"].value = 0.5
+    assert error_of(export_room, scene, tmp_path / "out" / "room.gltf").code == "disk-full"
+    assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("*")} == before
 
 
 def first_middle(mesh):

@@ -8,7 +8,10 @@ import bpy
 import numpy as np
 import pytest
 
+from fipt_blender.blend.capture import mesh_import
+from fipt_blender.blend.capture.facing import face_cameras
 from fipt_blender.blend.capture.importing import import_mesh
+from fipt_blender.blend.marks import VIEW
 from fipt_blender.core import conventions
 from samples import artist
 
@@ -101,3 +104,25 @@ def test_materials_that_the_artist_has_changed_stay(file):
     assert items[0].material_slots[0].material == material
     assert pointer.constraints[0].target == items[0]
     assert bpy.context.scene.fipt.hints.hints[0].object == items[0]
+
+
+def test_surfaces_face_the_cameras_that_see_them():
+    """A room that a program wrote inside out, with a picture's frame in it and one that is right."""
+    scene, items = bpy.context.scene, []
+    for size, place, turned in ((4.0, 0.0, False), (0.3, 1.2, True), (0.3, -1.2, False)):
+        bpy.ops.mesh.primitive_cube_add(size=size, location=(place, 0.0, 0.0))
+        items.append(bpy.context.object)
+        mesh = items[-1].data
+        mesh.normals_split_custom_set([tuple(normal.vector) for normal in mesh.corner_normals])
+        if turned:
+            mesh_import.transform_mesh(mesh, np.diag([-1.0, 1.0, 1.0, 1.0]))
+            mesh.flip_normals()
+    for number in range(3):
+        camera = bpy.data.objects.new("view", bpy.data.cameras.new("view"))
+        camera[VIEW], camera.location = str(number), (0.0, 0.4 * number - 0.4, 0.1)
+        scene.collection.objects.link(camera)
+    face_cameras(scene, items)
+    for item, side in zip(items, (-1.0, 1.0, 1.0), strict=True):
+        for face in item.data.polygons:
+            assert side * face.normal.dot(face.center) > 0.0
+            assert all(item.data.corner_normals[loop].vector.dot(face.normal) > 0.99 for loop in face.loop_indices)

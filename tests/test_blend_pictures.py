@@ -17,6 +17,7 @@ from fipt_blender.blend.pictures import cycles, image_files, orders, renders
 from fipt_blender.blend.pictures.cycles import RenderOptions
 from fipt_blender.blend.room.exporting import export_room
 from fipt_blender.blend.save import save_blend
+from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs.options import MainJobOptions
@@ -127,7 +128,8 @@ def folder_names() -> list[str]:
 def test_two_slashes_are_not_the_folder_of_the_blend_file(tmp_path):
     for name in ("run", "a b/{run}", "x//run"):
         run = RunFolder(f"/{tmp_path}/{name}")
-        image_files.save_exr(run.renders / "a.exr", np.ones((2, 3, 3), np.float32))
+        run.renders.mkdir(parents=True)
+        write_exr(run.renders / "a.exr", np.ones((2, 3, 3), np.float32))
         assert image_files.read_pixels(run.renders / "a.exr").shape == (2, 3, 3)
         assert (tmp_path / name / "renders" / "a.exr").exists()
 

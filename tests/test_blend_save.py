@@ -5,12 +5,10 @@
 from __future__ import annotations
 
 import errno
-import math
 import os
 from pathlib import Path
 
 import bpy
-import numpy as np
 import pytest
 
 from fipt_blender.blend import save
@@ -54,28 +52,6 @@ def test_nothing_is_left_of_the_probe(tmp_path):
     assert not list(tmp_path.iterdir())
     save.save_blend(tmp_path / "room.blend")
     assert (tmp_path / "room.blend").exists()
-
-
-def test_equal_meshes_cost_little_in_a_file(tmp_path, monkeypatch):
-    zstandard = pytest.importorskip("zstandard")
-    points = np.random.default_rng(0).normal(size=(200_000, 3)).astype(np.float32)
-    for name in ("a", "b"):
-        mesh = bpy.data.meshes.new(name)
-        mesh.from_pydata(points, [], [])
-        bpy.data.objects.new(name, mesh).use_fake_user = True
-    monkeypatch.setattr(save, "LEAST_REPACKED", math.inf)
-    save.save_blend(tmp_path / "first.blend")
-    monkeypatch.setattr(save, "LEAST_REPACKED", 0)
-    save.save_blend(tmp_path / "second.blend")
-    sizes = [(tmp_path / name).stat().st_size for name in ("first.blend", "second.blend")]
-    assert sizes[1] < 0.7 * sizes[0]
-    assert zstandard.get_frame_parameters((tmp_path / "second.blend").read_bytes()[:64]).has_checksum
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "second.blend"))
-    for name in ("a", "b"):
-        found = np.empty(points.size, np.float32)
-        bpy.data.objects[name].data.vertices.foreach_get("co", found)
-        assert np.array_equal(found.reshape(-1, 3), points)
-    assert {path.suffix for path in tmp_path.iterdir()} <= {".blend", ".blend1"}
 
 
 def test_a_picture_that_was_cut_off_is_no_picture(tmp_path, monkeypatch):

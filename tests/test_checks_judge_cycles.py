@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fipt_blender.blend import outliner
-from fipt_blender.blend.capture.cameras import add_cameras
+from fipt_blender.blend.capture.cameras import add_camera
 from fipt_blender.blend.pictures.cycles import RenderOptions
 from fipt_blender.blend.pictures.renders import render_view
 from fipt_blender.blend.room.exporting import export_room
@@ -28,6 +28,7 @@ from fipt_blender.core.light.environment import Environment
 from fipt_blender.core.optics.brdf import set_masking
 from fipt_blender.core.pixels.store import create_pixels, fill_pixels, trace_view
 from fipt_blender.core.run.messages import Reporter
+from fipt_blender.core.run.run_files import read_capture
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.surface.room import load_room
@@ -140,7 +141,8 @@ def test_the_judge_and_cycles_agree(name: str, tmp_path: Path, monkeypatch: pyte
     scene = bpy.context.scene
     scene.fipt.run_folder = str(run.root)
     scene.fipt.materials.texel_density = 8.0
-    add_cameras(run, scene, photographs=False)
+    for view in read_capture(run.capture_json).views:
+        add_camera(scene, run, view, photograph=False)
     assert bpy.ops.fipt.apply_results() == {"FINISHED"}
     render_view(scene, held_back.name, tmp_path / "cycles.exr", RenderOptions(64))
     cycles = read_radiance(tmp_path / "cycles.exr") / SCALE

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from mathutils import Matrix, Vector
 
+from fipt_blender.blend import marks
 from fipt_blender.blend.marks import has_light_groups
+from fipt_blender.jobs import running
 from samples.applied_rooms import RADIANCE, front, world_strength
 from samples.operator_calls import refused
 from samples.spots import spot
@@ -96,6 +98,24 @@ def test_the_environment_rotates_as_entered(scene, tmp_path):
     # The environment is rotated by +50° about Z: what is visible there was 50° back.
     before = Matrix.Rotation(-turn, 3, "Z") @ way
     assert np.allclose(seen, np.array(before) * 0.5 + 0.5, atol=0.03)
+
+
+def test_what_the_artist_sets_after_apply_stays_when_results_are_applied_again(scene):
+    scene.fipt.materials.mute_lights = True
+    scene.world = studio = bpy.data.worlds.new("Studio")
+    scene.cycles.samples = 77
+    lamp = bpy.data.objects.new("Key", bpy.data.lights.new("Key", "POINT"))
+    scene.collection.objects.link(lamp)
+    neon = bpy.data.materials.new("Neon")
+    bpy.data.objects["Panel"].data.materials[0] = neon
+    ops.apply_results()
+    assert bpy.data.objects["Panel"].data.materials[0] == neon
+    assert scene.world == studio and scene.cycles.samples == 77 and not lamp.hide_render
+    assert "world-kept" in [message["code"] for message in running.last("materials").warnings]
+    ops.revert()
+    assert scene.world == studio
+    ops.apply_results()
+    assert scene.world != studio and marks.WORLD in scene.world and lamp.hide_render
 
 
 def test_exposure_and_other_lights(scene):

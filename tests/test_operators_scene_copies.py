@@ -112,6 +112,23 @@ def test_what_is_done_in_one_scene_changes_nothing_in_its_copy(applied, action, 
         assert not [item for item in scene.objects if marks.is_fixture(item)]
 
 
+def test_a_material_that_the_artist_edits_herself_changes_in_one_scene(applied):
+    copy = full_copy(applied)
+    copy.objects[0].update_tag()  # as selecting an object does: Blender reports no scene as new
+    bpy.context.view_layer.update()
+    for acted, other in ((copy, applied), (applied, copy)):
+        before = look(other)
+        bpy.context.window.scene = acted
+        for item in acted.objects:
+            for slot in item.material_slots:
+                for node in slot.material.node_tree.nodes if slot.material else ():
+                    if node.bl_idname == "ShaderNodeEmission":
+                        node.inputs["Strength"].default_value += 3.0
+                    elif "Hue" in node.inputs and node.bl_idname == "ShaderNodeGroup":
+                        node.inputs["Hue"].default_value += 0.1
+        assert look(other) == before
+
+
 def test_a_copied_lamp_has_a_switch_of_its_own(applied):
     """Duplicated by Shift D, which shares the material."""
     lamp = bpy.data.objects["Panel"]

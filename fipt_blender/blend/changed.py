@@ -4,11 +4,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Any
-
-import bpy
 
 
 @contextmanager
@@ -22,36 +20,6 @@ def changed(target: object, values: Mapping[str, Any]) -> Iterator[None]:
     finally:
         for name, value in kept.items():
             setattr(target, name, value)
-
-
-@contextmanager
-def unset(target: bpy.types.bpy_struct, keep: Collection[str] = ()) -> Iterator[None]:
-    """Give all properties that an add-on has defined their defaults for the length of the block.
-
-    Args:
-        target: a property group.
-        keep: names of properties that stay as they are.
-    """
-    names = [
-        each.identifier
-        for each in target.bl_rna.properties
-        if not each.is_readonly and target.is_property_set(each.identifier)
-    ]
-    kept = {name: getattr(target, name) for name in names if name not in keep}
-    # What this Blender has no item for reads as "" and can't be set: a denoiser that it was built without.
-    kept = {name: value for name, value in kept.items() if value != "" or not _is_choice(target, name)}
-    try:
-        for name in kept:
-            target.property_unset(name)
-        yield
-    finally:
-        for name, value in kept.items():
-            setattr(target, name, value)
-
-
-def _is_choice(target: bpy.types.bpy_struct, name: str) -> bool:
-    """Whether a property is an enumeration."""
-    return target.bl_rna.properties[name].type == "ENUM"
 
 
 @contextmanager

@@ -12,10 +12,8 @@ from pathlib import Path
 import bpy
 
 from ..core.run.errors import FiptError
-from ..core.run.runfolder import atomic_path, explained_write_errors
+from ..core.run.runfolder import explained_write_errors
 
-# Blender compresses each megabyte by itself. Below this size a second compression gains little.
-LEAST_REPACKED = 10_000_000
 _PROBE_BYTES = 16_000_000
 
 
@@ -37,30 +35,6 @@ def save_blend(path: Path) -> None:
         bpy.ops.wm.save_mainfile(compress=True)
     except RuntimeError as error:
         raise write_error(path, error, "blend-unwritable") from None
-    _repack(path)
-
-
-def _repack(path: Path) -> None:
-    """Compress a saved file once more, as one stream: a result mesh then costs little beside its original.
-
-    The file stays as it is where this Python lacks the module zstandard, which Blender's own builds have.
-    """
-    try:
-        import zstandard
-    except ImportError:
-        return
-    if path.stat().st_size < LEAST_REPACKED:
-        return
-    # 27: the largest window that Blender's reader accepts
-    parameters = zstandard.ZstdCompressionParameters.from_level(
-        1, window_log=27, enable_ldm=True, write_checksum=True
-    )
-    try:
-        with atomic_path(path) as temporary, open(path, "rb") as source, open(temporary, "wb") as target:
-            content = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
-            zstandard.ZstdCompressor(compression_params=parameters).copy_stream(content, target)
-    except FiptError:  # no space for a second file: the first one is complete
-        return
 
 
 def write_error(path: Path, error: RuntimeError, code: str) -> FiptError:

@@ -10,7 +10,6 @@ folder is usually in the user's data folder, which no other machine has.
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 import shutil
 from collections.abc import Mapping
@@ -62,7 +61,7 @@ class TextureFiles:
                 if target.suffix != path.suffix:
                     values = read_texture(path)
                     temporary.write_bytes(encode_png(values if is_data else encode_srgb(values)))
-                elif self.relative or not _linked(path, temporary):
+                else:
                     shutil.copyfile(path, temporary)
         except FiptError as error:
             raise FiptError(
@@ -92,15 +91,6 @@ class TextureFiles:
             image.filepath = path
         image[TEXTURE] = True
         return image
-
-
-def _linked(path: Path, target: Path) -> bool:
-    """Make a hard link, where the disk can do that: the engine replaces files, it never writes to them."""
-    try:
-        os.link(path, target)
-    except OSError:
-        return False
-    return True
 
 
 def in_run_folder(run: RunFolder, png: bool = False) -> TextureFiles:

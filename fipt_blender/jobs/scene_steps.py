@@ -163,8 +163,12 @@ def apply_steps(
 
         files = texture_files(scene(), run)
         applied = yield from apply_slices(run, objects(), scene(), files)
-        apply_environment(run, scene(), files)
-        return applied.warnings
+        warnings = applied.warnings
+        if apply_environment(run, scene(), files) is None:
+            text = "The scene keeps the world that you have chosen since results were applied."
+            remedy = "To get the estimated one back, use Revert and apply the results again."
+            warnings.append({"type": "warning", "code": "world-kept", "text": text, "remedy": remedy})
+        return warnings
 
     return [
         Step(

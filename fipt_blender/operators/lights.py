@@ -209,7 +209,7 @@ def save_light_state(
     if entry is None:
         entry = settings.states.add()
         entry.name = name or free_name(iface_("Lights"), [each.name for each in settings.states])
-    entry.data = light_states.write(light_states.present(scene))
+    entry.data = light_states.present(scene)
     settings.active_state = settings.states.find(entry.name)
 
 
@@ -218,7 +218,7 @@ def recall_light_state(scene: bpy.types.Scene, state: State = "") -> None:
     """Give all lights and the environment the power, color and switch of a saved state."""
     from ..blend.lights import light_states
 
-    light_states.recall(scene, light_states.read(scene.fipt.lights.states[_index(scene, state)].data))
+    light_states.recall(scene, scene.fipt.lights.states[_index(scene, state)].data)
 
 
 @action("Remove Light State", needs=(_has_states,))

@@ -74,18 +74,16 @@ def collect_room(
     directory: Annotated[
         str, Option("Where the copy is saved", "Folder", shown={"subtype": "DIR_PATH"})
     ] = "",
-    pack: Annotated[bool, Option("Pack the images into the copy", "One File")] = False,
 ) -> Messages:
-    """Save a copy of the file into a folder of its own, with all images that it uses and the exports beside
-    it, or as one packed file. It opens on another machine without this add-on. In a folder that is not empty,
-    the folder NAME_collected is made for it.
+    """Save a copy of the file into a folder of its own, with all images that it uses. It opens on another
+    machine without this add-on. In a folder that is not empty, the folder NAME_collected is made for it.
     """
-    from ..blend.export import collecting
+    from ..blend import collecting
 
     if not directory:
         raise FiptError("export-file", "No folder is chosen.", "Choose a folder.")
-    done = collecting.collect_room(Path(bpy.path.abspath(directory)), pack)
-    messages = [note(iface_("{} written, with {} files of exports").format(done.path, len(done.exports)))]
+    done = collecting.collect_room(Path(bpy.path.abspath(directory)))
+    messages = [note(iface_("{} written").format(done.path))]
     if done.left:
         text = iface_("{} other files stay where they are, the first is {}")
         messages.insert(0, warning("files-left", text.format(len(done.left), done.left[0])))

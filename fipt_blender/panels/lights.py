@@ -251,9 +251,7 @@ class FIPT_PT_light_output(SubSection, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
-        row = layout.row(align=True)
-        row.operator("fipt.list_lights", icon="FILE_REFRESH")
-        row.prop(context.scene.fipt.lights, "show_outline", text="", icon="MOD_WIREFRAME")
+        layout.operator("fipt.list_lights", icon="FILE_REFRESH")
         if len(context.scene.fipt.lights.lights):
             _draw_calibration(layout, context.scene)
         layout.operator("fipt.match_exposure", icon="CAMERA_DATA")

@@ -285,9 +285,6 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
     active_state: bpy.props.IntProperty(
         name="Light State", description="Saved states of all lights and the environment", options=set()
     )
-    show_outline: bpy.props.BoolProperty(
-        name="Outline", description="Outline the active light of the list in 3D viewports", default=True
-    )
     median_radiance: bpy.props.FloatProperty(
         description="Median radiance of the photographs, in their unit; 0 if unknown", min=0.0
     )

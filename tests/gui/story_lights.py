@@ -23,7 +23,7 @@ def light_states(window: Window, options: Options) -> None:
     window.click_row("lights.active", 0)
     window.click("fipt.select_light")
     window.settle()
-    window.shot("30_lights_outlined")
+    window.shot("30_lights")
     window.open_section("Lights", "Light States")
     window.shot("31_states_empty")
     window.click("fipt.save_light_state")

@@ -11,7 +11,7 @@ _SECTIONS = ("operators", "panels", "properties")
 _MODULES = {
     *("", "machine", "api", "api.applying", "api.estimating", "api.importing", "bridge", "bridge.places"),
     *("blend", "blend.marks", "blend.capture", "blend.capture.other_cameras", "blend.capture.pair_marks"),
-    *("blend.lights", "blend.lights.outline", "blend.previews", "blend.results", "blend.results.dropped"),
+    *("blend.lights", "blend.lights.selected", "blend.previews", "blend.results", "blend.results.dropped"),
     *("core", "core.capture", "core.capture.suffixes", "prepare", "prepare.preparation"),
     *("core.run", "core.run.documents", "core.run.errors", "core.run.kinds", "core.run.paths", "core.run.runfolder"),
     *("core.capture.options", "core.run.declared", "core.run.settings", "core.run.stage_settings"),

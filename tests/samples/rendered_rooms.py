@@ -18,6 +18,8 @@ from fipt_blender.blend.node_trees import node_tree
 from fipt_blender.blend.outliner import FIXTURES, ROOM, collection
 from fipt_blender.blend.pictures import image_files, renders
 from fipt_blender.blend.pictures.cycles import RenderOptions
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.run.run_files import read_capture
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 
@@ -43,8 +45,9 @@ def make_scene(folder: Path) -> RunFolder:
     capture = {"format": "fipt-capture", "version": 1, "source": "transforms", "mesh": None}
     write_json(run.capture_json, {**capture, "world_from_source": matrix, "views": views})
     for view in views:
-        image_files.save_exr(run.root / view["image"], np.zeros((SIZE[1], SIZE[0], 3), np.float32))
-    cameras.add_cameras(run, scene)
+        write_exr(run.root / view["image"], np.zeros((SIZE[1], SIZE[0], 3), np.float32))
+    for view in read_capture(run.capture_json).views:
+        cameras.add_camera(scene, run, view)
     importing.fill_views(scene, run)
     cameras.use_view(scene, cameras.find_camera(VIEW, scene))
     bpy.context.view_layer.update()
@@ -68,7 +71,7 @@ def photograph(run: RunFolder, spp: int = 64) -> np.ndarray:
     path = run.root / "photo.exr"
     renders.render_view(bpy.context.scene, VIEW, path, RenderOptions(spp, seed=5, denoise=False))
     image = image_files.read_pixels(path)
-    image_files.save_exr(run.root / "photos/val_000.exr", image)
+    write_exr(run.root / "photos/val_000.exr", image)
     return image
 
 

@@ -17,7 +17,6 @@ from mathutils import Matrix
 from ...core import conventions
 from ...core.run.contents import CapturedView, CapturedViews
 from ...core.run.errors import FiptError
-from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder
 from ..image_datablocks import load_radiance
 from ..marks import LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION, SPLIT, VIEW, view_cameras
@@ -27,35 +26,6 @@ from .view_geometry import ViewGeometry
 
 _SIZE = 0.03  # display size of cameras, as a share of the extent of their positions
 _LENS = ("lens", "sensor_width", "sensor_height", "sensor_fit", "shift_x", "shift_y")
-
-
-def add_cameras(run: RunFolder, scene: bpy.types.Scene | None = None, photographs: bool = True) -> list[str]:
-    """Add a camera for every view of the run's capture to the collection "FIPT Cameras".
-
-    An existing camera of a view is updated instead of duplicated.
-
-    Args:
-        run: the run folder; capture.json is read.
-        scene: the context's scene by default.
-        photographs: show the photographs as camera background images.
-
-    Returns:
-        Names of the camera objects in the order of the views. Blender may shorten or number them; use
-        `find_camera` to look up a view.
-
-    Raises:
-        FiptError: ``file-missing`` or ``file-damaged``.
-    """
-    scene = scene or bpy.context.scene
-    capture = read_capture(run.capture_json)
-    size = display_size(capture)
-    names = []
-    for view in capture.views:
-        item = add_camera(scene, run, view, photographs)
-        if item.name in collection(scene, CAMERAS).objects:  # not the artist's own
-            item.data.display_size = size
-        names.append(item.name)
-    return names
 
 
 def display_size(capture: CapturedViews) -> float:

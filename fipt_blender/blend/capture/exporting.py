@@ -46,11 +46,16 @@ def export_capture(scene: bpy.types.Scene, run: RunFolder) -> int:
     views = selected_views(scene, run, source, ticked=True)
     train = sum(view.split == "train" for view in views)
     if train < MIN_VIEWS:
+        listed, present = scene.fipt.capture.views, view_cameras(scene)
+        gone = sum(view.name not in present for view in listed)
+        text = f"Only {train} of {len(listed)} views are ticked for estimating"
+        text += f" and have a camera: those of {gone} were deleted" if gone else ""
         raise FiptError(
             "views-few",
-            f"Only {train} of {len(scene.fipt.capture.views)} views are ticked for estimating; at least"
-            f" {MIN_VIEWS} are needed.",
-            "Tick more views in the list, or change some from Held Back to Estimation.",
+            f"{text}; at least {MIN_VIEWS} are needed.",
+            "Import the capture again, which brings back deleted cameras."
+            if gone
+            else "Tick more views in the list, or change some from Held Back to Estimation.",
         )
     selected = replace(source, views=tuple(views), up=None)  # `up` is what the panel tells of the import
     if not run.capture_json.exists() or read_capture(run.capture_json) != selected:

@@ -29,6 +29,7 @@ from ..room.mesh_digest import is_edited, sign
 from ..room.result_meshes import list_names
 from . import cameras, mesh_import
 from .exporting import world_matrix
+from .facing import face_cameras
 from .look import stand_in_photograph
 from .startup import hide_startup_objects
 
@@ -187,7 +188,9 @@ def import_mesh(scene: bpy.types.Scene, path: Path, matrix: np.ndarray) -> list[
         item.parent, item.matrix_parent_inverse = parent, Matrix.Identity(4)
         item.matrix_basis = Matrix.Identity(4)
         item[IMPORTED] = _origin(path, matrix)
-        sign(item.data)
+    face_cameras(scene, [scene.objects[name] for name in names])
+    for name in names:
+        sign(scene.objects[name].data)
     scene.fipt.capture.room = None  # the default, where the import put it
     scene.fipt.capture.completed = False
     return names

@@ -201,21 +201,21 @@ def transform_mesh(mesh: bpy.types.Mesh, matrix: np.ndarray) -> None:
     mirrored = float(np.linalg.det(linear)) < 0.0
     custom = mesh.has_custom_normals
     if custom:
-        order, normals = _ordered_normals(mesh)
+        order, normals = ordered_normals(mesh)
         normals = normals @ np.linalg.inv(linear)
         normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     mesh.transform(Matrix(matrix.tolist()))
     if mirrored:
         mesh.flip_normals()
     if custom:
-        order, _ = _ordered_normals(mesh)
+        order, _ = ordered_normals(mesh)
         restored = np.empty_like(normals)
         restored[order] = normals
         mesh.normals_split_custom_set(restored.astype(np.float32).tolist())
     mesh.update()
 
 
-def _ordered_normals(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
+def ordered_normals(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Face corners sorted by polygon and vertex, an order that flipping keeps, and their normals (f64)."""
     total = np.empty(len(mesh.polygons), np.int32)
     mesh.polygons.foreach_get("loop_total", total)

@@ -8,6 +8,8 @@ The file is left as it was. What the formats can't hold is said in warnings.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,6 +26,7 @@ from ..marks import (
     FIXTURE_LIGHT,
     MATERIAL,
     VISIBILITY,
+    WORLD,
     fixture_lights,
     has_results,
     is_our_light,
@@ -36,9 +39,10 @@ from ..room.mesh_arrays import corner_uvs, polygon_slots, polygon_starts
 from ..room.originals import shows_original
 from ..room.tiles import image_uvs, polygon_images
 from ..room.uv_layer import UV_LAYER, write_layer
+from ..save import check_space
 from .color import colors_in_rec709
-from .environment import plain_world, read_environment
-from .lights import Lost, emits, lamp_light, note_losses, plain_light, turned, warning
+from .environment import is_dark, plain_world
+from .lights import area_spot, has_default_nodes, lamp_light, turned, warning, without_nodes
 from .materials import (
     TEXTURE_SIZE,
     PlainTextures,
@@ -115,15 +119,15 @@ def export_room(scene: bpy.types.Scene, path: Path, options: ExportOptions = Exp
             "The results are color attributes, which other programs do not read as materials.",
             "Choose Image Textures as Store In, and apply the results again.",
         )
-    with explained_write_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path.parent):  # Blender's exporters end in a traceback
-            pass
     exported = Exported(path)
     suffix, shown = path.suffix.lower(), rendered_objects(scene)
     if not set(room) & set(shown):
         raise FiptError("export-nothing", "Renders show nothing of the room.", "Enable it in renders.")
-    with tempfile.TemporaryDirectory(prefix="fipt_export_") as folder, Stage() as stage:
+    with (
+        _written_whole(path) as written,
+        tempfile.TemporaryDirectory(prefix="fipt_export_") as folder,
+        Stage() as stage,
+    ):
         pictures = f"{folder}/" + ("" if suffix in _ONE_FILE else f"{path.name.replace('.', '_')}_")
         _show_surfaces(stage, shown, exported.warnings)
         with_lights = suffix in GLTF and options.lamp_lights
@@ -135,8 +139,26 @@ def export_room(scene: bpy.types.Scene, path: Path, options: ExportOptions = Exp
         stage.hide_others()
         exported.objects = len(stage.scene.objects)
         with colors_in_rec709(stage.scene, suffix in USD):
-            _write(path)
+            _write(written)
     return exported
+
+
+@contextmanager
+def _written_whole(path: Path) -> Iterator[Path]:
+    """Where a file and those that it refers to are written; they get to their places together at the end.
+
+    Raises:
+        FiptError: ``disk-full`` or ``run-unwritable``; nothing is left then.
+    """
+    with explained_write_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".fipt_export_", dir=path.parent) as folder:
+            yield Path(folder, path.name)
+            check_space(path)  # on a full disk Blender writes a part and reports nothing
+            for file in [each for each in Path(folder).rglob("*") if each.is_file()]:
+                target = path.parent / file.relative_to(folder)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                file.replace(target)
 
 
 def _show_surfaces(stage: Stage, shown: list[bpy.types.Object], warnings: list[Message]) -> None:
@@ -276,33 +298,40 @@ def _plain_lights(
     stage: Stage, scene: bpy.types.Scene, shown: list[bpy.types.Object], gltf: bool, warnings: list[Message]
 ) -> None:
     """The Blender lights; those for which a fixture's surface is exported are left out."""
-    lost = Lost()
-    for item in (each for each in shown if each.type == "LIGHT" and emits(each)):
+    spots = []
+    for item in (each for each in shown if each.type == "LIGHT"):
         if FIXTURE_LIGHT in item and item.parent is not None and _stands_for(scene, item.parent, shown):
             continue
-        note_losses(stage.name(item), item, gltf, lost)
-        stage.add_light(stage.name(item), plain_light(item, gltf), turned(item.matrix_world))
-    warnings += lost.warnings()
+        if gltf and item.data.type == "AREA":
+            spots.append(stage.name(item))
+            stage.add_light(spots[-1], area_spot(item), turned(item.matrix_world))
+        else:
+            stage.show(item)
+            if has_default_nodes(item.data):
+                light = stage.add(item.data.copy(), stage.name(item.data))
+                stage.set(item, "data", without_nodes(light))
+    if spots:
+        text = f"{', '.join(spots)}: glTF has no area lights, these are wide spots of the same power."
+        warnings.append(warning("export-light-size", text, "Export USD."))
 
 
 def _plain_world(
     stage: Stage, scene: bpy.types.Scene, pictures: str, gltf: bool, warnings: list[Message]
 ) -> None:
     """The environment that lights renders; `pictures` is the path that its picture's begins with."""
-    environment = read_environment(scene.world)
-    if environment is None:
+    if is_dark(scene.world):
         return
     if gltf:
         text = "glTF has no environment: the light from outside the room is not in the file."
         warnings.append(warning("export-environment", text, "Export USD to keep it."))
-    elif not environment.whole:
-        text = "The world's nodes do more than show and turn a picture: it is not in the file."
-        warnings.append(warning("export-world", text, "Use one environment picture and one Mapping node."))
-    else:
-        path = Path(f"{pictures}environment.exr")
-        world, image = plain_world(environment, path)
-        stage.scene.world = stage.add(world, stage.name(scene.world))
-        stage.add(image, path.stem)
+        return
+    if WORLD not in scene.world:
+        stage.scene.world = scene.world
+        return
+    path = Path(f"{pictures}environment.exr")
+    if plain := plain_world(scene.world, path):
+        stage.scene.world = stage.add(plain[0], stage.name(scene.world))
+        stage.add(plain[1], path.stem)
 
 
 def _write(path: Path) -> None:
@@ -320,7 +349,6 @@ def _write(path: Path) -> None:
         raise FiptError("export-failed", text, remedy) from None
     options = _gltf_options(path) if is_gltf else _USD_OPTIONS
     arguments = {name: value for name, value in options.items() if name in known}
-    path.unlink(missing_ok=True)
     try:
         operator(filepath=str(path), **arguments)
     except RuntimeError as error:

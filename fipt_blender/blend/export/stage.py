@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import Any
 
@@ -13,9 +14,11 @@ import bpy
 _RENDERED = {"show_viewport": "show_render", "levels": "render_levels", "steps": "render_steps"}
 
 
-def rendered_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The objects that renders of a scene show: in a view layer that renders, hidden neither themselves nor
-    by all their collections."""
+def rendered_objects(
+    scene: bpy.types.Scene, layers: Sequence[bpy.types.ViewLayer] = ()
+) -> list[bpy.types.Object]:
+    """The objects that renders of a scene show: in one of these view layers, by default those that render,
+    hidden neither themselves nor by all their collections."""
     found: dict[bpy.types.Object, None] = {}
 
     def visit(layer: bpy.types.LayerCollection) -> None:
@@ -25,9 +28,8 @@ def rendered_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
         for child in layer.children:
             visit(child)
 
-    for view_layer in scene.view_layers:
-        if view_layer.use:
-            visit(view_layer.layer_collection)
+    for view_layer in layers or [each for each in scene.view_layers if each.use]:
+        visit(view_layer.layer_collection)
     return list(found)
 
 

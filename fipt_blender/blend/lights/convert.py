@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import bpy
 import numpy as np
 from mathutils import Matrix
-from mathutils.geometry import convex_hull_2d
+from mathutils.geometry import box_fit_2d
 
 from ...core.run.errors import FiptError
 from ..marks import (
@@ -265,11 +265,13 @@ def _fit_shape(corners: np.ndarray, vector_area: np.ndarray) -> Shape:
     front = front / np.linalg.norm(front)
     across, up = _plane_axes(front)
     outline = np.stack([corners.reshape(-1, 3) @ across, corners.reshape(-1, 3) @ up], axis=1)
-    box = _smallest_box(outline, _edge_directions(outline))
+    # The angle by which the points fit into the smallest box; Blender computes in single precision.
+    angle = box_fit_2d((outline - outline.mean(axis=0)).tolist())
+    box = _box(outline, np.array([math.cos(angle), -math.sin(angle)]))
     is_ellipse = _is_ellipse(area, box)
     if is_ellipse:
         # No edge of a polygon around an ellipse need be parallel to the ellipse's axes.
-        by_axes = _smallest_box(outline, [_long_axis(outline.reshape(-1, 3, 2), areas)])
+        by_axes = _box(outline, _long_axis(outline.reshape(-1, 3, 2), areas))
         box = by_axes if _is_ellipse(area, by_axes) else box
     depth = corners.reshape(-1, 3) @ front
     # Flat: all face normals are within 2.5 degrees of their mean.
@@ -304,20 +306,6 @@ def _plane_axes(front: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return across, np.cross(front, across)
 
 
-def _edge_directions(outline: np.ndarray) -> np.ndarray:
-    """Unit directions (N,2) of the edges of the convex hull of points (P,2), the longest edge first.
-
-    The smallest rectangle around points has a side along such an edge (Freeman and Shapira 1975).
-    """
-    centered = outline - outline.mean(axis=0)  # convex_hull_2d computes in single precision
-    hull = outline[convex_hull_2d(centered.tolist())]
-    edges = np.roll(hull, -1, axis=0) - hull
-    length = np.linalg.norm(edges, axis=1)
-    order = np.argsort(-length, kind="stable")
-    order = order[length[order] > 1e-6 * length.max()]
-    return edges[order] / length[order, None]
-
-
 def _long_axis(triangles: np.ndarray, areas: np.ndarray) -> np.ndarray:
     """The direction (2,) in which a surface of triangles (T,3,2) extends most, by its second moments."""
     middle = triangles.mean(axis=1)
@@ -330,15 +318,9 @@ def _long_axis(triangles: np.ndarray, areas: np.ndarray) -> np.ndarray:
     return direction
 
 
-def _smallest_box(outline: np.ndarray, directions: Iterable[np.ndarray]) -> _Box:
-    """The smallest rectangle around points (P,2) with a side along a direction; the first of equals."""
-    best: _Box | None = None
-    for direction in directions:
-        axes = np.array([direction, [-direction[1], direction[0]]])
-        places = outline @ axes.T
-        low, high = places.min(axis=0), places.max(axis=0)
-        size = float(high[0] - low[0]), float(high[1] - low[1])
-        if best is None or math.prod(size) < math.prod(best.size) * (1.0 - 1e-6):
-            best = _Box(axes[0], axes.T @ (0.5 * (low + high)), size)
-    assert best is not None
-    return best
+def _box(outline: np.ndarray, direction: np.ndarray) -> _Box:
+    """The smallest rectangle around points (P,2) with a side along a unit direction (2,)."""
+    axes = np.array([direction, [-direction[1], direction[0]]])
+    places = outline @ axes.T
+    low, high = places.min(axis=0), places.max(axis=0)
+    return _Box(direction, axes.T @ (0.5 * (low + high)), (float(high[0] - low[0]), float(high[1] - low[1])))

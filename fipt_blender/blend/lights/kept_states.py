@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
@@ -26,22 +26,14 @@ from ..marks import (
     fixtures_of,
     remove_marks,
 )
-from ..outliner import FIXTURES, collection, remove_object
+from ..outliner import remove_object
 from ..room.mesh_digest import is_edited
-from .convert import fixture_to_lights, lights_as_converted
+from .convert import fixture_to_lights
+from .fixture_nodes import is_emission_material
 from .light_state import SETTINGS, Setting, adopt, list_lights, plain, refresh
 from .power import world_matrix
 
 _SAME_PLACE = 1e-4  # metres
-
-
-@dataclass(frozen=True)
-class _KeptLight:
-    """A copy of a light, without a parent, which is in no scene."""
-
-    copy: bpy.types.Object
-    name: str
-    inverse: Matrix  # to its parent
 
 
 @dataclass(frozen=True)
@@ -50,21 +42,23 @@ class FixtureState:
 
     Attributes:
         name: the object's name if the artist has chosen it, else "".
-        lights: copies of these lights if the artist has moved, shaped, keyframed or deleted some, else None.
+        lights: these lights with their inverse matrices to the fixture, from which they have been taken.
         centroid: its centroid in the room as it was exported, metres.
         matrix: its matrix to the world if the artist has moved it, else None.
         mesh: name of its mesh if the artist has modelled that, else "". It has a fake user.
         hidden: in viewports and in renders.
+        materials: the artist's, by slot, in place of ours.
     """
 
     settings: dict[str, Setting]
     converted: bool
     name: str = ""
-    lights: list[_KeptLight] | None = None
+    lights: Sequence[tuple[bpy.types.Object, Matrix]] = ()
     centroid: tuple[float, ...] = ()
     matrix: Matrix | None = None
     mesh: str = ""
     hidden: tuple[bool, bool] = (False, False)
+    materials: Mapping[int, bpy.types.Material] = field(default_factory=dict)
 
 
 def release_copies(scene: bpy.types.Scene) -> None:
@@ -79,7 +73,7 @@ def release_copies(scene: bpy.types.Scene) -> None:
 
 
 def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
-    """The states of all fixtures of a scene, by name. `keep_states` must follow, which removes the copies."""
+    """The states of all fixtures of a scene, by name. `keep_states` must follow, for the lights."""
     states = {}
     release_copies(scene)
     for item in fixtures_of(scene):
@@ -91,20 +85,23 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
         modelled = item.type == "MESH" and is_edited(item.data)
         if modelled:
             item.data.use_fake_user = True
+        slots = list(item.data.materials) if item.type == "MESH" else []
         settings = {key: plain(item[key]) for key in (*SETTINGS, BASE, BACK) if key in item}
-        keyframed = any(light.data.animation_data for light in fixture_lights(item))
-        changed = AS_CONVERTED in item and (keyframed or not lights_as_converted(scene, item))
-        lights = [_copied(light) for light in fixture_lights(item)] if changed else None
         states[item[FIXTURE]] = FixtureState(
             settings,
             AS_CONVERTED in item,
             # Files of earlier versions used the name of emitters.json.
             "" if item.name == item.get(NAMED, item[FIXTURE]) else item.name,
-            lights,
+            [_taken(light) for light in fixture_lights(item)],
             tuple(item.get(CENTROID, ())),
             world_matrix(item).copy() if moved else None,
             item.data.name if modelled else "",
             (item.hide_viewport, item.hide_render),
+            {
+                slot: each
+                for slot, each in enumerate(slots)
+                if each is not None and not is_emission_material(each)
+            },
         )
     return states
 
@@ -130,14 +127,20 @@ def keep_states(
                 item[key] = state.settings[key]
         if state.name:
             item.name = state.name
+        for slot, material in state.materials.items():
+            if slot < len(item.data.materials):
+                item.data.materials[slot] = material
         if state.converted:
             fixture_to_lights(scene, item)
-        if state.lights is not None:
-            _bring_back(scene, item, state.lights)
+            _bring_back(item, state.lights)
             del unused[item[FIXTURE]]
-    for state in unused.values():
-        for light in state.lights or ():
-            remove_object(light.copy)
+    others = {item[FIXTURE]: item for item in fixtures_of(scene) if item not in placed}
+    for name, state in unused.items():
+        if name in others:  # it was not replaced
+            _bring_back(others[name], state.lights)
+            continue
+        for light, _ in state.lights:
+            remove_object(light)
     refresh(scene)
     list_lights(scene)
     return placed
@@ -167,23 +170,18 @@ def _keep_shape(item: bpy.types.Object, state: FixtureState) -> None:
     mesh.name = name
 
 
-def _copied(light: bpy.types.Object) -> _KeptLight:
-    copy = light.copy()
-    copy.data = light.data.copy()
+def _taken(light: bpy.types.Object) -> tuple[bpy.types.Object, Matrix]:
+    """Take a light from its fixture, so that it is not removed together with that."""
     inverse = light.matrix_parent_inverse.copy()
-    copy.parent = None
-    remove_marks(copy, FIXTURE_SOURCES)  # with which it would be removed together with the fixture
-    return _KeptLight(copy, light.name, inverse)
+    light.parent = None
+    remove_marks(light, FIXTURE_SOURCES)
+    return light, inverse
 
 
-def _bring_back(scene: bpy.types.Scene, item: bpy.types.Object, lights: Iterable[_KeptLight]) -> None:
+def _bring_back(item: bpy.types.Object, lights: Iterable[tuple[bpy.types.Object, Matrix]]) -> None:
     """Put kept lights in the place of those that a fixture has just been converted to."""
     for made in fixture_lights(item):
         remove_object(made)
-    target = collection(scene, FIXTURES)
-    for light in lights:
-        copy = light.copy
-        copy.name = copy.data.name = light.name
-        copy[FIXTURE_SOURCES] = item[FIXTURE_SOURCES]
-        target.objects.link(copy)
-        copy.parent, copy.matrix_parent_inverse = item, light.inverse
+    for light, inverse in lights:
+        light[FIXTURE_SOURCES] = item[FIXTURE_SOURCES]
+        light.parent, light.matrix_parent_inverse = item, inverse

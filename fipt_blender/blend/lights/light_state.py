@@ -8,7 +8,7 @@ No strength is saved to be restored: it is computed from the settings each time 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import bpy
 
@@ -63,27 +63,12 @@ def change(scene: bpy.types.Scene, item: bpy.types.Object, values: Mapping[str, 
             item.get(COLOR, shown_color(item)),
             item.get(KELVIN, shown_temperature(item)),
         )
-    apply_settings(item, values)
+    for key, value in values.items():
+        item[key] = value
     if SOLO in values:
         refresh(scene)
     else:
         _write(item, _any_solo(scene), _shown(scene))
-
-
-def change_all(
-    scene: bpy.types.Scene, items: Iterable[bpy.types.Object], values: Mapping[str, Setting]
-) -> None:
-    """Change settings of several lights and update all strengths of the scene."""
-    for item in items:
-        adopt(item)
-        apply_settings(item, values)
-    refresh(scene)
-
-
-def apply_settings(item: bpy.types.Object, values: Mapping[str, Setting]) -> None:
-    """Write settings of a light; `refresh` must follow."""
-    for key, value in values.items():
-        item[key] = value
 
 
 def plain(value: Setting) -> Setting:
@@ -100,7 +85,10 @@ def switch_all(on: bool, scene: bpy.types.Scene | None = None) -> None:
     world = result_world(scene)
     if world is not None:
         world[WORLD_ON] = on
-    change_all(scene, lights_of(scene), {SOLO: False, ON: on})
+    for item in lights_of(scene):
+        adopt(item)
+        item[SOLO], item[ON] = False, on
+    refresh(scene)
 
 
 def reset(scene: bpy.types.Scene, item: bpy.types.Object) -> None:

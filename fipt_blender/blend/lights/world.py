@@ -17,12 +17,12 @@ from .calibration import scene_unit
 from .light_state import refresh_world
 
 NAME = "FIPT World"
-_ENVIRONMENT = "FIPT Environment"  # texture node
+ENVIRONMENT = "FIPT Environment"  # texture node
 
 
 def apply_environment(
     run: RunFolder, scene: bpy.types.Scene | None = None, files: TextureFiles | None = None
-) -> bpy.types.World:
+) -> bpy.types.World | None:
     """Give the scene a world with the run's environment map, or a black one.
 
     The scene's original world is kept in a custom property; `restore_world` restores it. The settings of an
@@ -33,17 +33,22 @@ def apply_environment(
         scene: the context's by default.
         files: where the image is kept; in the run folder by default.
 
+    Returns:
+        The world; None where the artist has chosen another one since results were applied, which stays.
+
     Raises:
         FiptError: ``file-missing``, ``file-damaged`` or ``textures-unwritable``.
     """
+    scene = scene or bpy.context.scene
+    world = result_world(scene)
+    if world is None and hasattr(scene, "fipt") and scene.fipt.materials.object_count:
+        return None
     environment = read_document(run.emitters_json, Emitters, "Run the estimation again.").environment
     image = None
     if environment:
         files = files or in_run_folder(run)
         files.copy(run.results / environment.image)
         image = files.load(run.results / environment.image, is_data=None)
-    scene = scene or bpy.context.scene
-    world = result_world(scene)
     rotation = 0.0
     if world is None:
         world = bpy.data.worlds.new(NAME)
@@ -74,7 +79,7 @@ def apply_environment(
         mapping.vector_type = "TEXTURE"
         mapping.inputs["Rotation"].default_value[2] = rotation
         node = nodes.new("ShaderNodeTexEnvironment")
-        node.name, node.label, node.location = _ENVIRONMENT, "Seen outside the room", (-320, 0)
+        node.name, node.label, node.location = ENVIRONMENT, "Seen outside the room", (-320, 0)
         node.image, node.projection = image, "EQUIRECTANGULAR"
         links.new(coordinates.outputs["Generated"], mapping.inputs["Vector"])
         links.new(mapping.outputs["Vector"], node.inputs["Vector"])
@@ -91,7 +96,7 @@ def apply_environment(
 
 def _images(world: bpy.types.World) -> set[bpy.types.Image]:
     """The image of our world's environment, if there is one."""
-    node = world.node_tree.nodes.get(_ENVIRONMENT)
+    node = world.node_tree.nodes.get(ENVIRONMENT)
     return set() if node is None or node.image is None else {node.image}
 
 

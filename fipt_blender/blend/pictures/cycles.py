@@ -18,9 +18,11 @@ import numpy as np
 
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import atomic_path
-from ..changed import all_changed, changed, unset
+from ..changed import changed
 from ..color_spaces import linear_space, scene_matrix
+from ..export.stage import rendered_objects
 from ..lights.calibration import scene_unit
+from ..marks import PIXEL_ASPECT, RESOLUTION
 from ..render_settings import LIGHT_PATHS, can_denoise
 from ..save import check_space
 from .image_files import LAYERED_IMAGE, PNG, STILL_IMAGE, read_pixels, write_image
@@ -31,30 +33,9 @@ CYCLES = {
     # Photographs average the radiance over a pixel; wider filters would blur.
     "pixel_filter_type": "BOX",
 }
-# What materials and meshes are, and the device, stay as chosen; all else has its default or the value above.
-_CONTENT = ("device", "feature_set", "shading_system", "dicing_rate", "max_subdivisions")
-_RENDER = {
-    "film_transparent": False,
-    "use_compositing": False,
-    "use_sequencer": False,
-    "use_motion_blur": False,
-    "use_multiview": False,
-    "use_simplify": False,
-    "use_freestyle": False,
-    "use_stamp": False,
-    "use_border": False,
-    "use_crop_to_border": False,
-    "use_single_layer": False,
-    "use_persistent_data": False,
-}
-_LAYER = {
-    "use": True,
-    "samples": 0,
-    "world_override": None,
-    "material_override": None,
-    "use_pass_combined": True,
-    **dict.fromkeys(("use_sky", "use_solid", "use_strand", "use_volumes"), True),
-}
+# What materials and meshes are in Cycles, and what the frame is in a scene, is the artist's.
+_CONTENT = ("feature_set", "shading_system", "dicing_rate", "max_subdivisions")
+_FRAME = ("resolution_x", "resolution_y", "pixel_aspect_x", "pixel_aspect_y")
 
 
 @dataclass(frozen=True)
@@ -102,28 +83,30 @@ def enable_devices(devices: Devices | None) -> None:
         device.use = device.id in devices["ids"]
 
 
-def exposure_of(radiance: np.ndarray, shown: float = 0.18) -> float:
-    """Stops that map the median of the positive radiances to a value between black and white, middle grey if
-    none is given; 0 if there are none."""
-    positive = radiance[radiance > 0.0]
-    return float(np.log2(shown / np.median(positive))) if positive.size else 0.0
+def render_exr(
+    scene: bpy.types.Scene,
+    path: Path,
+    options: RenderOptions,
+    camera: bpy.types.Object | None = None,
+    widest: int | None = None,
+) -> None:
+    """Render a camera in Cycles to a float EXR with linear Rec.709 values.
 
-
-def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> None:
-    """Render the scene's camera in Cycles to a float EXR with linear Rec.709 values.
-
-    The scene's render settings are restored afterwards.
+    A new scene renders what this one's renders show, with Blender's settings in place of the artist's.
 
     Args:
         scene: the scene.
         path: ends in .exr.
         options: see there.
+        camera: of a view, in the frame of its photograph; the scene's in the scene's frame by default.
+        widest: the most columns, of a view.
 
     Raises:
         FiptError: ``render-failed``, ``color-space-missing``, or the write errors of the run folder.
     """
     fixed = {
         **CYCLES,
+        **{name: getattr(scene.cycles, name) for name in _CONTENT if hasattr(scene.cycles, name)},
         "device": options.device,
         "film_exposure": 1.0 / scene_unit(scene),  # the photographs' unit
         "samples": options.spp,
@@ -131,13 +114,10 @@ def render_exr(scene: bpy.types.Scene, path: Path, options: RenderOptions) -> No
         "use_denoising": can_denoise() if options.denoise is None else options.denoise,
     }
     exr = {"file_format": "OPEN_EXR", "color_mode": "RGB", "color_depth": "32", "exr_codec": "ZIP"}
-    with (
-        changed(scene.render, {"engine": "CYCLES", **_RENDER}),
-        _one_layer(scene),
-        unset(scene.cycles, keep=_CONTENT),
-        changed(scene.cycles, fixed),
-    ):
-        _save(_render(scene), scene, path, {**STILL_IMAGE, **exr})
+    with _plain_scene(scene, camera, widest) as plain:
+        for name, value in fixed.items():
+            setattr(plain.cycles, name, value)
+        _save(_render(plain), plain, path, {**STILL_IMAGE, **exr})
 
 
 def render_picture(scene: bpy.types.Scene, path: Path, device: str) -> None:
@@ -187,27 +167,29 @@ def _save(
 
 
 @contextmanager
-def _one_layer(scene: bpy.types.Scene) -> Iterator[None]:
-    """Render one view layer, the first that is used, without the artist's overrides."""
-    layers = list(scene.view_layers)
-    chosen = next((layer for layer in layers if layer.use), layers[0])
-    known = {name: value for name, value in _LAYER.items() if hasattr(chosen, name)}
-    others = [layer for layer in layers if layer != chosen]
-    drawn = {"holdout": False, "indirect_only": False}
-    with (
-        changed(chosen, known),
-        unset(chosen.cycles),
-        all_changed(others, {"use": False}),
-        all_changed(_collections(chosen.layer_collection), drawn),
-    ):
-        yield
-
-
-def _collections(root: bpy.types.LayerCollection) -> Iterator[bpy.types.LayerCollection]:
-    """The collections of a view layer, without the scene's own."""
-    for child in root.children:
-        yield child
-        yield from _collections(child)
+def _plain_scene(
+    scene: bpy.types.Scene, camera: bpy.types.Object | None, widest: int | None
+) -> Iterator[bpy.types.Scene]:
+    """A new scene for Cycles with what a scene's renders show, its world and a frame, for a block."""
+    made = bpy.data.scenes.new("FIPT Render")
+    try:
+        used = [layer for layer in scene.view_layers if layer.use]
+        for item in rendered_objects(scene, (used or list(scene.view_layers))[:1]):
+            made.collection.objects.link(item)
+        made.camera, made.world, made.render.engine = camera or scene.camera, scene.world, "CYCLES"
+        made.render.resolution_percentage = 100
+        frame = [getattr(scene.render, name) for name in _FRAME]
+        if camera is not None:
+            width, height = (int(value) for value in camera[RESOLUTION])
+            if widest is not None and width > widest:
+                width, height = widest, max(1, round(height * widest / width))
+            frame = [width, height, *map(float, camera[PIXEL_ASPECT])]
+        for name, value in zip(_FRAME, frame, strict=True):
+            setattr(made.render, name, value)
+        made.frame_set(scene.frame_current)
+        yield made
+    finally:
+        bpy.data.scenes.remove(made)
 
 
 def _render_failed(reason: str) -> FiptError:
@@ -216,9 +198,14 @@ def _render_failed(reason: str) -> FiptError:
     )
 
 
-def render_pixels(scene: bpy.types.Scene, options: RenderOptions) -> np.ndarray:
+def render_pixels(
+    scene: bpy.types.Scene,
+    options: RenderOptions,
+    camera: bpy.types.Object | None = None,
+    widest: int | None = None,
+) -> np.ndarray:
     """Like `render_exr`, but return the image: (H, W, 3) f32, first row at the top."""
     with tempfile.TemporaryDirectory(prefix="fipt-") as folder:
         path = Path(folder) / "render.exr"
-        render_exr(scene, path, options)
+        render_exr(scene, path, options, camera, widest)
         return read_pixels(path)

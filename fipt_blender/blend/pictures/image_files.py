@@ -12,9 +12,7 @@ import numpy as np
 
 from ...core.run.contents import CapturedView
 from ...core.run.errors import FiptError
-from ...core.run.runfolder import RunFolder, atomic_path
-from ..changed import changed
-from ..color_spaces import set_linear
+from ...core.run.runfolder import RunFolder
 from ..image_datablocks import image_values
 from ..png16 import decode_srgb
 from ..save import write_error
@@ -67,42 +65,6 @@ def read_pixels(path: Path, channels: int = 3) -> np.ndarray:
     try:
         image.colorspace_settings.is_data = True
         return image_values(image)[::-1, :, :channels].copy()
-    finally:
-        bpy.data.images.remove(image)
-
-
-def save_exr(path: Path, pixels: np.ndarray) -> None:
-    """Write scene-linear values (H, W, 3), first row at the top, as float EXR, atomically.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
-    height, width = pixels.shape[:2]
-    image = bpy.data.images.new(path.stem, width, height, alpha=False, float_buffer=True)
-    try:
-        image.colorspace_settings.is_data = True  # otherwise saving converts float values to sRGB
-        values = np.ones((height, width, 4), np.float32)
-        values[..., :3] = pixels[::-1]
-        image.pixels.foreach_set(values.ravel())
-        with atomic_path(path) as temporary:
-            image.filepath_raw, image.file_format = str(temporary), "OPEN_EXR"
-            write_image(path, temporary, image.save)
-    finally:
-        bpy.data.images.remove(image)
-
-
-def save_look(source: Path, path: Path, scene: bpy.types.Scene) -> None:
-    """Write a scene-linear image as the scene's view transform shows it, as PNG.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
-    image = bpy.data.images.load(str(source))
-    set_linear(image)
-    settings = scene.render.image_settings
-    try:
-        with changed(settings, {**STILL_IMAGE, **PNG}), atomic_path(path) as temporary:
-            write_image(path, temporary, lambda: image.save_render(str(temporary), scene=scene))
     finally:
         bpy.data.images.remove(image)
 

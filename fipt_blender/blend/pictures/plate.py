@@ -18,7 +18,7 @@ from ...core.capture.averaging import means
 from ...core.run.contents import CapturedView
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
-from ..changed import all_changed, changed
+from ..changed import all_changed
 from ..color_spaces import set_encoded
 from ..image_datablocks import load_radiance
 from ..marks import estimated_objects
@@ -26,7 +26,7 @@ from ..render_settings import can_denoise, fitted
 from .cycles import RenderOptions, render_pixels
 from .image_files import photograph
 from .photographed import lights_as_photographed
-from .renders import photograph_frame, plate_size
+from .renders import plate_size
 
 SCENE = "FIPT Composite"
 # Values by sRGB's curve that say how bright a photograph is: neither clipped nor lost in its darkest codes
@@ -120,10 +120,8 @@ def _gain(
         not_catching(scene, room),
         all_changed(added, {"hide_render": True}),
         lights_as_photographed(scene),
-        changed(scene, {"camera": camera}),
-        photograph_frame(scene, camera, side),
     ):
-        rendered = render_pixels(scene, options)
+        rendered = render_pixels(scene, options, camera, side)
     encoded = means(photograph(run, view, smaller=True), rendered.shape[1], rendered.shape[0])
     value, radiance = encoded.mean(axis=-1), rendered.mean(axis=-1)
     used = (encoded.min(axis=-1) > _EXPOSED[0]) & (encoded.max(axis=-1) < _EXPOSED[1]) & (radiance > 0.0)

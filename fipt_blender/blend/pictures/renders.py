@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 
 import bpy
@@ -15,8 +14,7 @@ from ...core.run.documents import read_document
 from ...core.run.result_contents import Render, Renders
 from ...core.run.runfolder import RunFolder, write_json
 from ..capture.cameras import find_camera
-from ..changed import changed
-from ..marks import PIXEL_ASPECT, RESOLUTION
+from ..marks import RESOLUTION
 from .cycles import RenderOptions, render_exr
 
 # Called before each render with the shares of the whole work (0 to 1) at which it starts and ends.
@@ -43,17 +41,6 @@ def picture_path(run: RunFolder, kind: str, camera: str) -> Path:
     return path
 
 
-def photograph_frame(
-    scene: bpy.types.Scene, camera: bpy.types.Object, widest: int | None = None
-) -> AbstractContextManager[None]:
-    """For a block, the frame of a view's photograph; smaller where that has more than `widest` columns."""
-    width, height = (int(value) for value in camera[RESOLUTION])
-    if widest is not None and width > widest:
-        width, height = widest, max(1, round(height * widest / width))
-    aspect = [float(value) for value in camera[PIXEL_ASPECT]]
-    return _frame(scene, (width, height), aspect)
-
-
 def plate_size(scene: bpy.types.Scene, camera: bpy.types.Object) -> tuple[int, int]:
     """Columns and rows of pictures over a view's photograph: its own, at most, by the scene's scale."""
     share = min(1.0, scene.render.resolution_percentage / 100.0)
@@ -66,22 +53,10 @@ def output_size(scene: bpy.types.Scene) -> tuple[int, int]:
     return max(1, int(scene.render.resolution_x * share)), max(1, int(scene.render.resolution_y * share))
 
 
-def _frame(
-    scene: bpy.types.Scene, size: tuple[int, int], aspect: Sequence[float]
-) -> AbstractContextManager[None]:
-    frame = {
-        "resolution_x": size[0],
-        "resolution_y": size[1],
-        "resolution_percentage": 100,
-        "use_border": False,
-    }
-    return changed(scene.render, {**frame, "pixel_aspect_x": aspect[0], "pixel_aspect_y": aspect[1]})
-
-
 def render_view(
     scene: bpy.types.Scene, view: str, path: Path, options: RenderOptions, widest: int | None = None
 ) -> None:
-    """Render one view of the capture; the scene's camera and render settings are restored afterwards.
+    """Render one view of the capture in the frame of its photograph.
 
     Args:
         widest: the render is made smaller than the photograph where that has more columns.
@@ -89,9 +64,7 @@ def render_view(
     Raises:
         FiptError: ``view-missing``, and those of `render_exr`.
     """
-    camera = find_camera(view, scene)
-    with changed(scene, {"camera": camera}), photograph_frame(scene, camera, widest):
-        render_exr(scene, path, options)
+    render_exr(scene, path, options, find_camera(view, scene), widest)
 
 
 def list_render(run: RunFolder, kind: str, view: str, path: Path) -> None:

@@ -21,6 +21,7 @@ from ..marks import MATERIAL, REPLACEMENT, remove_marks, room_with_results
 _State = dict[tuple[str, int], str]
 _SELF = -1  # in place of an index: the replacement of an estimated material
 _made: list[_State] = []
+_scenes = 1  # number of the file's scenes whose materials are their own
 
 
 def register() -> None:
@@ -38,7 +39,10 @@ def unregister() -> None:
 
 @bpy.app.handlers.persistent
 def _follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    if not scene.fipt.materials.object_count or bpy.app.is_job_running("RENDER"):
+    if bpy.app.is_job_running("RENDER"):
+        return
+    _own_copies()
+    if not scene.fipt.materials.object_count:
         return
     changed = {update.id.original for update in depsgraph.updates if update.is_updated_geometry}
     changed |= {update.id.original for update in depsgraph.updates if update.is_updated_shading}
@@ -49,9 +53,26 @@ def _follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         _adopt(scene, items)
 
 
+def _own_copies() -> None:
+    """Give full copies of a scene materials of their own, before the artist edits one of them herself.
+
+    Blender does not report a copy, but the first change after it, such as that of the selection.
+    """
+    global _scenes
+    if len(bpy.data.scenes) > _scenes:
+        from ..own_materials import own_materials
+
+        for scene in reversed(bpy.data.scenes):  # a copy comes after its original, which keeps its own
+            if scene.fipt.materials.object_count:
+                own_materials(scene)
+    _scenes = len(bpy.data.scenes)
+
+
 @bpy.app.handlers.persistent
 def _after_step(scene: bpy.types.Scene, *_: object) -> None:
     # Blender does not report all changes by undo and redo as updates.
+    _forget()
+    _own_copies()
     if scene.fipt.materials.object_count:
         _adopt(scene, room_with_results(scene))
 
@@ -102,6 +123,8 @@ def _take_back(*_: object) -> None:
 
 @bpy.app.handlers.persistent
 def _forget(*_: object) -> None:
+    global _scenes
+    _scenes = 1
     _made.clear()
 
 

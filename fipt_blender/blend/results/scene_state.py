@@ -39,7 +39,7 @@ def finish(scene: bpy.types.Scene, run: RunFolder) -> None:
     note_results(scene, run)
     if settings.set_rendering:
         set_up(scene, photographs_exposure(scene))
-    if settings.mute_lights:
+    if settings.mute_lights and is_first:  # lights that the artist adds later are to be seen
         mute_other_lights(scene, True)
     if scene.fipt.insert.backdrop == "PHOTOGRAPH":  # the new fixtures are part of it
         set_backdrop(scene, "PHOTOGRAPH", scene.fipt.capture.room_objects(scene))

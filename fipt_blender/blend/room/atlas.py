@@ -3,7 +3,7 @@
 """The atlas that the engine bakes onto: UVs of the whole room in few images, written to atlas.npz.
 
 UVs that the artist made are kept where they can hold a texture, other objects are unwrapped; all islands are
-then scaled to one texel density and packed into few images. Scans are unwrapped by charts.
+then scaled to one texel density and packed into few images.
 """
 
 from __future__ import annotations
@@ -25,12 +25,19 @@ from ...core.run.settings import Settings
 from ...core.run.store import optional_arrays, write_arrays
 from ..slices import find_object, run_through
 from .arrays import Room, read_room
-from .charts import chart_slices, is_scan
-from .islands import island_bounds, rotate_islands, split_sparse_islands, triangle_areas, uv_islands
+from .islands import island_bounds, rotate_islands, split_islands, triangle_areas, uv_islands
 from .packing import PAD, Packing, pack_apart, pack_islands, place
 from .result_meshes import match_objects
 from .tiles import tile_number
-from .unwrapping import UnwrapSource, exported_source, read_source, unwrap, uvs_in_range, uvs_usable
+from .unwrapping import (
+    UnwrapSource,
+    exported_source,
+    is_scan,
+    read_source,
+    unwrap,
+    uvs_in_range,
+    uvs_usable,
+)
 
 MAX_IMAGES = 16
 # Where photographs have more detail than light, the density is what they resolve on each island, within these
@@ -73,7 +80,7 @@ class _RoomIslands:
         uv: (T,3,2) f64 by triangle corner, each object in its own UV space.
         island: (T,) i64, numbered within each object.
         area: (T,) f64 in the world, m².
-        is_scan: (T,) bool, whether they were unwrapped by charts.
+        is_scan: (T,) bool, whether they are a scan's that was unwrapped.
     """
 
     uv: np.ndarray
@@ -116,7 +123,6 @@ def atlas_slices(
         np.zeros((count, 3, 2)), np.full(count, -1, np.int64), areas, np.zeros(count, bool)
     )
     kept: list[str] = []
-    unwrapped: list[str] = []
     tasks: list[_UnwrapTask] = []
     for index, (name, match) in enumerate(zip(room.objects, matches, strict=True)):
         triangles = np.flatnonzero(room.triangle_object == index)
@@ -138,18 +144,12 @@ def atlas_slices(
                 islands.island[triangles] = object_island
                 yield None
                 continue
-        if is_scan(areas[triangles]):
-            unwrapped.append(name)
-            longest = (settings.texture_size - 2 * PAD) / settings.texel_density
-            corners, polygon = room.triangles[triangles], room.triangle_polygon[triangles]
-            charts = yield from chart_slices(room.vertices, corners, polygon, longest)
-            islands.uv[triangles], islands.island[triangles] = charts.uv, charts.chart
-            islands.is_scan[triangles] = True
-            continue
+        islands.is_scan[triangles] = is_scan(areas[triangles])
         tasks.append(_UnwrapTask(name, triangles, source))
         yield None
     for batch in _batches(tasks):
-        for task, uv in zip(batch, unwrap([task.source for task in batch]), strict=True):
+        scans = [bool(islands.is_scan[task.triangles].any()) for task in batch]
+        for task, uv in zip(batch, unwrap([task.source for task in batch], scans), strict=True):
             islands.uv[task.triangles] = uv
             islands.island[task.triangles] = uv_islands(room.triangles[task.triangles], uv)
         yield None
@@ -160,7 +160,7 @@ def atlas_slices(
         settings, max_images = replace(settings, texture_size=size), min(max_images, DETAIL_IMAGES)
     owners = _image_owners(room, run, settings)
     packing, density = yield from _pack_room(room, islands, run, settings, max_images, resolved, owners)
-    return Atlas(packing.sizes, kept, [*unwrapped, *(task.name for task in tasks)], density)
+    return Atlas(packing.sizes, kept, [task.name for task in tasks], density)
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,9 @@ def _pack_room(
         triangles = np.flatnonzero(owner == index)
         object_island = np.unique(island[packed][triangles], return_inverse=True)[1]
         rotated = rotate_islands(texels[triangles], object_island)
-        object_island = split_sparse_islands(rotated, object_island, polygon[triangles])
+        object_island = split_islands(
+            rotated, object_island, polygon[triangles], settings.texture_size - 2 * PAD
+        )
         texels[triangles] = rotate_islands(rotated, object_island)
         packed_island[triangles] = object_island + count
         count += int(object_island.max()) + 1

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""UV islands as plain arrays: finding, measuring, rotating and cutting them. Numpy only."""
+"""UV islands as plain arrays: finding, measuring, rotating and cutting them."""
 
 from __future__ import annotations
 
 import numpy as np
+from mathutils.geometry import box_fit_2d
 
 # Islands that fill less of their bounding box than this are cut, unless the box is small anyway.
 MIN_FILL = 0.4
 MIN_SPLIT_TEXELS = 4096
-LARGE_ISLAND = 100  # triangles; the outline of larger ones is found first, which is faster
 
 
 def connected_triangles(corners: np.ndarray) -> np.ndarray:
@@ -95,51 +95,19 @@ def rotate_islands(corner_uv: np.ndarray, island: np.ndarray) -> np.ndarray:
         corner_uv: (T,3,2).
         island: (T,) of `uv_islands`.
     """
-    points, owner = _outer_corners(corner_uv, island)
-    # Rotate only where that gains something.
-    best = island_bounds(corner_uv, island)[1].prod(axis=1) * 0.98
-    angle = np.zeros(len(best))
-    for candidate in np.arange(1, 18) * (0.5 * np.pi / 18):
-        turned = _rotate(points, np.full(len(points), candidate))
-        area = island_bounds(turned, owner)[1].prod(axis=1)
-        better = area < best
-        best, angle = np.where(better, area, best), np.where(better, candidate, angle)
+    low, extent = island_bounds(corner_uv, island)
+    order, starts = _grouped(island)
+    centered = corner_uv - (low + 0.5 * extent)[island][:, None]  # Blender computes in single precision
+    angle = np.zeros(len(extent))
+    for rows in np.split(order, starts[1:]) if len(order) else []:
+        angle[island[rows[0]]] = box_fit_2d(centered[rows].reshape(-1, 2).tolist())
     rotated = _rotate(corner_uv, angle[island])
+    # Rotate only where that gains something.
+    useless = island_bounds(rotated, island)[1].prod(axis=1) > 0.98 * extent.prod(axis=1)
+    rotated = np.where(useless[island][:, None, None], corner_uv, rotated)
     extent = island_bounds(rotated, island)[1]
     upright = extent[:, 1] > extent[:, 0]
     return _rotate(rotated, np.where(upright, 0.5 * np.pi, 0.0)[island])
-
-
-def _outer_corners(corner_uv: np.ndarray, island: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (M,3,2) that can bound their island from any side, and their islands (M,).
-
-    Of large islands, those triangles are left out that lie inside the octagon of the outermost corners.
-    """
-    large = np.bincount(island) > LARGE_ISLAND
-    if not large.any():
-        return corner_uv, island
-    inside = large[island]
-    turns = np.arange(8) * (0.25 * np.pi)
-    order, starts = _grouped(island)
-    outermost = np.zeros((len(large), 8, 2))
-    for side, turn in enumerate(turns):
-        reach = corner_uv @ np.array([np.cos(turn), np.sin(turn)])
-        corner = reach.argmax(axis=1)
-        farthest = np.take_along_axis(reach, corner[:, None], axis=1)[:, 0]
-        best = np.repeat(np.maximum.reduceat(farthest[order], starts), np.diff(np.append(starts, len(order))))
-        at = order[farthest[order] == best]
-        outermost[island[at], side] = corner_uv[at, corner[at]]
-    size = np.ptp(outermost, axis=1).max(axis=1)
-    for side in range(8):
-        start = outermost[:, side]
-        edge = outermost[:, (side + 1) % 8] - start
-        constant = edge[:, 0] * start[:, 1] - edge[:, 1] * start[:, 0] + 1e-9 * size * size
-        constant[(edge == 0.0).all(axis=1)] = -np.inf  # one corner is the outermost in both directions
-        along, across, constant = edge[island, 0], edge[island, 1], constant[island]
-        for corner in range(3):
-            inside &= along * corner_uv[:, corner, 1] - across * corner_uv[:, corner, 0] > constant
-    outer = np.flatnonzero(~inside)
-    return corner_uv[outer], island[outer]
 
 
 def _rotate(corner_uv: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -148,8 +116,9 @@ def _rotate(corner_uv: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return np.stack([cosine * u - sine * v, sine * u + cosine * v], axis=-1)
 
 
-def split_sparse_islands(corners: np.ndarray, island: np.ndarray, polygon: np.ndarray) -> np.ndarray:
-    """Cut islands that leave most of their bounding box empty (mouldings, rings, frames) into pieces.
+def split_islands(corners: np.ndarray, island: np.ndarray, polygon: np.ndarray, longest: float) -> np.ndarray:
+    """Cut islands that leave most of their bounding box empty (mouldings, rings, frames), or that are longer
+    than an image, into pieces.
 
     Cuts run between polygons, halfway along the box's longer side. They are invisible, since the baked
     fields are functions of space.
@@ -158,6 +127,7 @@ def split_sparse_islands(corners: np.ndarray, island: np.ndarray, polygon: np.nd
         corners: (T,3,2) texels.
         island: (T,).
         polygon: (T,) ids; a polygon's triangles stay together.
+        longest: side of an image, texels.
 
     Returns:
         (T,) i64 islands, renumbered from 0.
@@ -173,12 +143,13 @@ def split_sparse_islands(corners: np.ndarray, island: np.ndarray, polygon: np.nd
         low, extent = island_bounds(corners, island)
         box = extent.prod(axis=1)
         sparse = (box > MIN_SPLIT_TEXELS) & (np.bincount(island, area) < MIN_FILL * box)
-        if not sparse.any():
+        cut = sparse | (extent.max(axis=1, initial=0.0) > longest)
+        if not cut.any():
             break
         axis = extent.argmax(axis=1)[island]
         centre_line = (low + 0.5 * extent)[island]
         beyond = np.take_along_axis(centre > centre_line, axis[:, None], axis=1)[:, 0]
-        island = renumbered(island * 2 + (beyond & sparse[island]))
+        island = renumbered(island * 2 + (beyond & cut[island]))
     return island
 
 

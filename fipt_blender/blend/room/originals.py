@@ -17,6 +17,7 @@ from typing import Any
 import bpy
 
 from ..marks import (
+    BASE,
     FIXTURE_SOURCES,
     OBJECT_ID,
     OBJECT_SLOT,
@@ -235,9 +236,8 @@ def _remove_fixture(item: bpy.types.Object) -> None:
             child.parent = None
             child.matrix_world = matrix
     data = item.data
-    materials = (
-        [material for material in data.materials if material is not None] if item.type == "MESH" else []
-    )
+    materials = list(data.materials) if item.type == "MESH" else []
+    materials = [material for material in materials if material is not None and BASE in material]
     bpy.data.objects.remove(item)
     for block in (data, *materials):
         if block.users == 0:

@@ -1,0 +1,79 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which side of an imported surface is its front: the one that the cameras see.
+
+Viewports hide surfaces from behind, and lamps shine from their fronts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bmesh
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ..marks import all_view_cameras
+from ..room.islands import connected_triangles
+from ..room.mesh_arrays import corner_vertices, transform_points, triangle_loops, vertex_positions
+from .mesh_import import ordered_normals
+
+# Cameras, and triangles of a surface and of a mesh, between which rays are cast, at most.
+_EYES, _TARGETS, _ALL_TARGETS = 24, 24, 8000
+# Distance from a ray's end to its target, as a share of the distance to the eye, up to which it has arrived.
+_ARRIVED = 1e-3
+
+
+def face_cameras(scene: bpy.types.Scene, items: Sequence[bpy.types.Object]) -> None:
+    """Turn those connected surfaces of new meshes of which cameras see more of the back than of the front."""
+    bpy.context.view_layer.update()
+    eyes = [camera.matrix_world.translation.copy() for camera in all_view_cameras(scene)]
+    eyes = (
+        [eyes[index] for index in np.unique(np.linspace(0, len(eyes) - 1, _EYES).astype(int))] if eyes else []
+    )
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    for item in items if eyes else ():
+        loops, polygon = triangle_loops(item.data, False)
+        positions = transform_points(vertex_positions(item.data), np.array(item.matrix_world))
+        _, place = np.unique(np.round(positions, 6), axis=0, return_inverse=True)
+        vertices = corner_vertices(item.data)[loops]
+        surface = connected_triangles(place.ravel()[vertices])
+        corners = positions[vertices]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = np.linalg.norm(normal, axis=1)
+        order = np.lexsort((-area, surface))  # the largest triangles of each surface first
+        start = np.searchsorted(surface[order], surface[order])
+        votes = np.zeros(int(surface.max(initial=-1)) + 1, np.int64)
+        targets = order[np.arange(len(order)) - start < _TARGETS]
+        for triangle in targets[np.argsort(-area[targets], kind="stable")[:_ALL_TARGETS]].tolist():
+            target, front = Vector(corners[triangle].mean(axis=0)), Vector(normal[triangle])
+            for eye in eyes:
+                toward = target - eye
+                hit, end, *_ = scene.ray_cast(depsgraph, eye, toward)
+                if hit and (end - target).length < _ARRIVED * toward.length:
+                    votes[surface[triangle]] += 1 if front.dot(toward) < 0.0 else -1
+        turned = np.zeros(len(item.data.polygons), bool)
+        turned[polygon[votes[surface] < 0]] = True
+        if turned.any():
+            _turn(item.data, turned)
+
+
+def _turn(mesh: bpy.types.Mesh, turned: np.ndarray) -> None:
+    """Reverse polygons, (P,) bool, with their shading normals."""
+    _, normals = ordered_normals(mesh)
+    sizes = np.empty(len(mesh.polygons), np.int32)
+    mesh.polygons.foreach_get("loop_total", sizes)
+    is_custom = mesh.has_custom_normals
+    bm = bmesh.new()
+    bm.from_mesh(mesh)
+    bm.faces.ensure_lookup_table()
+    bmesh.ops.reverse_faces(bm, faces=[bm.faces[index] for index in np.flatnonzero(turned).tolist()])
+    bm.to_mesh(mesh)
+    bm.free()
+    if is_custom:  # the corners of a polygon follow each other before and after
+        signs = np.repeat(np.where(turned, -1.0, 1.0), sizes)[:, None]
+        restored = np.empty_like(normals)
+        restored[ordered_normals(mesh)[0]] = normals * signs
+        mesh.normals_split_custom_set(restored.astype(np.float32).tolist())
+    mesh.update()
