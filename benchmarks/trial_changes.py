@@ -41,7 +41,7 @@ class Mechanism:
     needs: tuple[str, ...] = ()
 
 
-_SURFACE = ("clean", "planes", "normals", "patches", "roughness")
+_SURFACE = ("clean", "planes", "normals", "patches")
 _TABLE = (
     # name, what it does, modules that only it needs, settings without it, what a capture must have
     (

@@ -215,7 +215,7 @@ def test_what_shines_through_a_wide_opening_are_lamps_beside_it() -> None:
         position=floor,
         normal=np.tile(UP, (len(floor), 1)),
         expected=Expectation(np.zeros((count, 3)), np.ones(count, bool)),
-        light=SourceLight(radiance, np.zeros((3, count, 3, count)), 0.1, np.zeros((1, 3))),
+        light=SourceLight(radiance, np.zeros((3, count, 3, count)), 0.1),
         entries=np.zeros(0, np.int64),
         of_entry=np.zeros(0, np.int64),
         cells=SimpleNamespace(size=0.5),  # type: ignore[arg-type]

@@ -53,13 +53,13 @@ class ClippedSurfaces:
         return np.where(triangle == NO_TRIANGLE, len(self.reflecting) - 1, seen)
 
     @property
-    def told(self) -> np.ndarray:
+    def inferred(self) -> np.ndarray:
         """(F,) bool, surfaces whose clipped pixels get the radiance inferred from the light."""
         if self.light is None:
             return np.zeros(len(self.reflecting), bool)
-        told = (self.light.deviation.max(axis=1) < VAGUE) & ~self.reflecting
-        told[-1] = True
-        return told
+        inferred = (self.light.deviation.max(axis=1) < VAGUE) & ~self.reflecting
+        inferred[-1] = True
+        return inferred
 
     def radiance(self, rows: slice, surface: np.ndarray, bound: np.ndarray) -> np.ndarray:
         """(n, 3) radiance of clipped pixels.
@@ -73,7 +73,7 @@ class ClippedSurfaces:
         result = bound.copy()
         if self.light is None:
             return result
-        lamp = (surface >= 0) & self.told[surface]
+        lamp = (surface >= 0) & self.inferred[surface]
         result[lamp] = np.maximum(bound[lamp], np.exp(self.light.log_radiance[surface[lamp]]))
         lit = np.flatnonzero((surface >= 0) & self.reflecting[surface])
         if len(lit):

@@ -102,8 +102,8 @@ def adjust_photographs(
     cells = surface_cells(pixels, room, part, footprint)
     adjustment = adjust(calm_samples(cells, codes), codes.photograph, basis)
     exposures = np.array([pixels.views[index].exposure or np.nan for index in codes.encoded])
-    told = exif_contrast(adjustment.log_gains.mean(axis=1), exposures)
-    sources = [usual_contrast(basis), *([told] if told else [])]
+    exif = exif_contrast(adjustment.log_gains.mean(axis=1), exposures)
+    sources = [usual_contrast(basis), *([exif] if exif else [])]
     radiometry = Radiometry(adjustment, combined(sources), tuple(sources))
     lamp = np.full(len(room.triangles), -1, np.int32)
     if settings.clipped_lamps:

@@ -125,7 +125,7 @@ def _shown(pixels: PixelStore, found: Found, unit: float) -> np.ndarray:
         np.add.at(total, surface[seen], np.asarray(pixels.radiance[rows], np.float64)[seen])
         np.add.at(count, surface[seen], 1.0)
     mean = total / np.maximum(count, 1.0)[:, None] * np.exp(unit)
-    kept = clipped.told | (count == 0)
+    kept = clipped.inferred | (count == 0)
     return np.where(kept[:, None], np.exp(clipped.light.log_radiance), mean)
 
 
@@ -168,7 +168,7 @@ def _reflected(
     lamps = found.clipped.light
     assert lamps is not None, "asked only where the light was solved"
     # The light that a surface casts may show that it is brighter than the bound, as a bulb in a shade is.
-    told = np.where(lamps.deviation.max(axis=1) < VAGUE, np.exp(lamps.log_radiance) @ LUMINANCE, 0.0)
+    inferred = np.where(lamps.deviation.max(axis=1) < VAGUE, np.exp(lamps.log_radiance) @ LUMINANCE, 0.0)
     count = len(found.clipped.reflecting)
     reflecting, mean, albedo = np.zeros(count, bool), np.ones((count, 3)), np.ones((count, 3))
     rows, surface, bound = (np.concatenate(column) for column in zip(*_clipped(pixels, found), strict=True))
@@ -176,7 +176,7 @@ def _reflected(
     for number in np.unique(surface):
         mine = surface == number
         white = np.median(light[mine] @ LUMINANCE) * np.exp(unit)
-        reflecting[number] = max(np.median(bound[mine]), told[number]) <= white
+        reflecting[number] = max(np.median(bound[mine]), inferred[number]) <= white
         values, sizes = np.unique(own[mine], return_counts=True)
         albedo[number] = albedos.get(int(values[np.argmax(sizes)]), np.full(3, _USUAL_ALBEDO))
         mean[number] = np.maximum(light[mine].mean(axis=0) * albedo[number], 1e-6)

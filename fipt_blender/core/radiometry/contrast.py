@@ -52,19 +52,19 @@ def exif_contrast(log_gains: np.ndarray, exposures: np.ndarray) -> Source | None
     known = np.isfinite(exposures) & (exposures > 0.0)
     if known.sum() < 4:
         return None
-    found, told = log_gains[known], np.log(exposures[known])
-    weight = np.ones(len(found))
+    gains, stated = log_gains[known], np.log(exposures[known])
+    weight = np.ones(len(gains))
     value, deviation = 0.0, EXIF_DEVIATION
     for _ in range(15):
-        centered = found - np.average(found, weights=weight)
-        target = told - np.average(told, weights=weight)
+        centered = gains - np.average(gains, weights=weight)
+        target = stated - np.average(stated, weights=weight)
         information = float((weight * centered**2).sum())
         if information <= 1e-9:
             return None
         value = float((weight * centered * target).sum()) / information
         squared = (target - value * centered) ** 2
         # Two unknowns, the contrast and the unit, are fitted to the exposures.
-        scatter = (EXIF_DEVIATION**2 + float((weight * squared).sum())) / (len(found) - 1)
+        scatter = (EXIF_DEVIATION**2 + float((weight * squared).sum())) / (len(gains) - 1)
         deviation = float(np.sqrt(scatter))
         weight = student_weights(squared / scatter)
     if value <= 0.0:

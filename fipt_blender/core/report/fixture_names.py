@@ -101,29 +101,29 @@ def _belonging(room: NamedMesh, triangles: np.ndarray, areas: np.ndarray, parts:
     """The name of the lamp's object, material or class where these describe it, else its place and shape."""
     index, share = _main(room.triangle_object, triangles, areas)
     own = words(room.objects[index])
-    is_told = bool(_LAMPS & set(own)) or (share >= _OWN_SHARE and not set(own) <= _BARE)
-    if not is_told:
+    is_named = bool(_LAMPS & set(own)) or (share >= _OWN_SHARE and not set(own) <= _BARE)
+    if not is_named:
         material, _ = _main(room.triangle_material, triangles, areas)
         material_words = words(room.materials[material]) if material >= 0 else []
         if _LAMPS & set(material_words):
-            own, is_told = material_words, True
+            own, is_named = material_words, True
     class_words: list[str] = []
-    if parts is not None and not is_told:
+    if parts is not None and not is_named:
         part, _ = _main(parts.triangle, triangles, areas)
         class_words = words(parts.parts[part].class_name or "")
         if _LAMPS & set(class_words):
-            own, is_told = class_words, True
+            own, is_named = class_words, True
     points = room.vertices[np.unique(room.triangles[triangles])].astype(np.float64)
-    if is_told and not set(own) <= _BARE:
+    if is_named and not set(own) <= _BARE:
         return _sentence(own)
-    kind = own[-1] if is_told else ""
+    kind = own[-1] if is_named else ""
     holder = _holder(room, index, points)
     if holder:
         return _sentence([*holder, *([kind] if kind and kind not in holder else [])])
     place = _place(room, points, _mean_normal(room, triangles))
-    if not is_told and _names_place(room, index, own):
+    if not is_named and _names_place(room, index, own):
         place = [*own[:-1], _SHELL.get(own[-1], own[-1])]
-    elif not is_told and class_words:
+    elif not is_named and class_words:
         place = [*class_words[:-1], _SHELL.get(class_words[-1], class_words[-1])]
     shape = kind or _shape(points)
     return _sentence([*place, *([shape] if shape != place[-1] else [])])
