@@ -93,12 +93,25 @@ class FIPT_PT_materials_parts_more(SubSection, bpy.types.Panel):
         column.operator("fipt.mark_part_assets", icon="ASSET_MANAGER").all_parts = False
 
 
+class FIPT_PT_materials_emptying(SubSection, bpy.types.Panel):
+    """The room without some of its furniture"""
+
+    bl_label = "Empty the Room"
+    bl_parent_id = "FIPT_PT_materials"
+    bl_order = 1
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = self.layout.column(align=True)
+        column.operator("fipt.remove_from_room", icon="TRASH")
+        column.operator("fipt.bring_back", icon="LOOP_BACK")
+
+
 class FIPT_PT_materials_hand_off(SubSection, bpy.types.Panel):
     """The room for other programs and machines"""
 
     bl_label = "Hand Off"
     bl_parent_id = "FIPT_PT_materials"
-    bl_order = 2
+    bl_order = 3
 
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column(align=True)
@@ -111,7 +124,7 @@ class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
 
     bl_label = "Apply Settings"
     bl_parent_id = "FIPT_PT_materials"
-    bl_order = 1
+    bl_order = 2
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()

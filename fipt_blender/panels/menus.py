@@ -49,6 +49,8 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("select_part_faces", "Select Faces of Part"),
         ("reset_part", "Reset Adjustment of Part"),
         ("mark_part_assets", "Mark Material of Part as Asset"),
+        ("remove_from_room", ""),
+        ("bring_back", "Bring Back to Room"),
         ("export_room", ""),
         ("revert", "Revert Results"),
     ),

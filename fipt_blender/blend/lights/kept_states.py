@@ -22,6 +22,7 @@ from ..marks import (
     NEW_LIGHT,
     PLACED,
     PROBABILITY,
+    REMOVED,
     fixture_lights,
     fixtures_of,
     remove_marks,
@@ -55,6 +56,7 @@ class FixtureState:
         matrix: its matrix to the world if the artist has moved it, else None.
         mesh: name of its mesh if the artist has modelled that, else "". It has a fake user.
         hidden: in viewports and in renders.
+        removed: number of the removal that has hidden it, else 0.
     """
 
     settings: dict[str, Setting]
@@ -65,6 +67,7 @@ class FixtureState:
     matrix: Matrix | None = None
     mesh: str = ""
     hidden: tuple[bool, bool] = (False, False)
+    removed: int = 0
 
 
 def release_copies(scene: bpy.types.Scene) -> None:
@@ -105,6 +108,7 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
             world_matrix(item).copy() if moved else None,
             item.data.name if modelled else "",
             (item.hide_viewport, item.hide_render),
+            int(item.get(REMOVED, 0)),
         )
     return states
 
@@ -151,6 +155,8 @@ def _is_near(place: Sequence[float], other: Sequence[float]) -> bool:
 def _keep_shape(item: bpy.types.Object, state: FixtureState) -> None:
     """Give a new fixture the place, mesh and visibility that the artist has given the earlier one."""
     item.hide_viewport, item.hide_render = state.hidden
+    if state.removed:
+        item[REMOVED] = state.removed
     if state.matrix is not None:
         item.matrix_world = state.matrix
     mesh = bpy.data.meshes.get(state.mesh)

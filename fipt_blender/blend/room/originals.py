@@ -23,10 +23,12 @@ from ..marks import (
     ORIGINAL_MESH,
     ORIGINAL_STATE,
     RESULT_MESH,
+    filled_surfaces,
     has_results,
     is_split_off,
     object_id,
     remove_marks,
+    room_with_results,
 )
 from .mesh_digest import is_edited
 
@@ -44,6 +46,11 @@ def result_mesh(item: bpy.types.Object) -> bpy.types.Mesh | None:
 def result_meshes(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Mesh]:
     """The result meshes of those objects that have one."""
     return [mesh for mesh in map(result_mesh, objects) if mesh is not None]
+
+
+def estimated_meshes(scene: bpy.types.Scene) -> list[bpy.types.Mesh]:
+    """The meshes that have estimated materials: the result meshes, and what completes the room."""
+    return [*result_meshes(room_with_results(scene)), *(item.data for item in filled_surfaces(scene))]
 
 
 def set_result_mesh(
