@@ -10,7 +10,7 @@ import pytest
 
 from fipt_blender import api
 from fipt_blender.blend import outliner
-from fipt_blender.blend.marks import FILLED, PART, REMOVED, filled_surfaces
+from fipt_blender.blend.marks import PART, REMOVED, filled_surfaces
 from fipt_blender.blend.results.completion import complete
 from fipt_blender.blend.room import exporting
 from fipt_blender.core.run.runfolder import RunFolder, write_json
@@ -86,32 +86,105 @@ def make_room(folder, monkeypatch, with_holes=False):
     return scene
 
 
-def colors_on(item):
-    """World positions (N, 3) and base colour (N, 3) of the faces' centres of a completed surface."""
-    from fipt_blender.blend.results.hidden_surfaces import Room
+def completed(item):
+    """World positions (N, 3) and base colours (N, 3) of the texels of a completed surface."""
+    image = item.data.materials[0].node_tree.nodes["FIPT Base Color"].image
+    width, height = image.size
+    pixels = np.array(image.pixels[:]).reshape(height, width, -1)
+    points, colors = [], []
+    for polygon in item.data.polygons:
+        corners = np.array([item.matrix_world @ item.data.vertices[k].co for k in polygon.vertices])
+        uv = np.array([item.data.uv_layers["FIPT"].uv[k].vector for k in polygon.loop_indices])
+        low, high = (np.round(uv[k] * (width, height)).astype(int) for k in (0, 2))
+        rows, columns = np.mgrid[low[1] : high[1], low[0] : high[0]].reshape(2, -1)
+        share = (np.stack([columns, rows], axis=1) + 0.5 - low) / (high - low)
+        points.append(corners[0] + share[:, :1] * (corners[1] - corners[0]) + share[:, 1:] * (corners[3] - corners[0]))
+        colors.append(pixels[rows, columns, :3])
+    return np.concatenate(points), np.concatenate(colors)
 
-    room = Room([item])
-    centers = room.corners.mean(axis=1)
-    return centers, room.maps(np.arange(len(centers)), centers)
+
+def signal_to_noise(scene):
+    """PSNR in dB of the completed base colours against the pattern, and the completed area, m²."""
+    points, colors = (np.concatenate(each) for each in zip(*map(completed, filled_surfaces(scene)), strict=True))
+    area = sum(polygon.area for item in filled_surfaces(scene) for polygon in item.data.polygons)
+    return -10.0 * np.log10(((colors - pattern(points)) ** 2).mean()), area
 
 
-def errors(scene):
-    """Root of the mean squared error of the completed colours, and the area that was completed, m²."""
-    squared, area = [], 0.0
+def hidden_names(scene):
+    return sorted(item.name for item in scene.objects if REMOVED in item and item.hide_render and item.hide_viewport)
+
+
+@pytest.mark.parametrize("with_holes", [False, True])
+def test_planes_and_patterns_go_on_behind_removed_furniture(tmp_path, monkeypatch, with_holes):
+    scene = make_room(tmp_path / "run", monkeypatch, with_holes)
+    names = api.remove_from_room([bpy.data.objects["chest"]])
+    assert hidden_names(scene) == ["chest"] and len(names) == 2
+    quality, area = signal_to_noise(scene)
+    assert quality > 24.0
+    assert 0.88 <= area < 1.4  # floor and wall behind it, and the cells beside that
     for item in filled_surfaces(scene):
-        cells = np.array([polygon.area for polygon in item.data.polygons]).sum()
-        image = item.data.materials[0].node_tree.nodes["FIPT Base Color"].image
-        width, height = image.size
-        size = np.ptp([item.matrix_world @ vertex.co for vertex in item.data.vertices], axis=0)
-        assert size.max() > 0.5 and width > 50 and height > 50
-        area += cells
-        tree = np.random.default_rng(1).uniform(size=(4000, 2))
-        for polygon in item.data.polygons:
-            corners = np.array([item.matrix_world @ item.data.vertices[k].co for k in polygon.vertices])
-            centre = corners.mean(axis=0)
-            uv = np.mean([item.data.uv_layers["FIPT"].uv[k].vector for k in polygon.loop_indices], axis=0)
-            pixels = np.array(image.pixels[:]).reshape(height, width, -1)
-            value = pixels[int(uv[1] * height), int(uv[0] * width), :3]
-            squared.append(((value - pattern(centre[None])[0]) ** 2).mean())
-        del tree
-    return float(np.sqrt(np.mean(squared))), area
+        points, _ = completed(item)
+        on_floor, on_wall = points[:, 2] < 0.01, points[:, 1] > 1.49
+        assert (on_floor | on_wall).all()
+        (material,) = item.data.materials
+        assert material[PART] == bpy.data.objects["wall" if on_wall.all() else "floor"].data.materials[0][PART]
+
+
+def test_saving_applying_again_adjusting_and_bringing_back(tmp_path, monkeypatch):
+    scene = make_room(tmp_path / "run", monkeypatch)
+    assert not ops.bring_back.poll()
+    bpy.ops.object.select_all(action="DESELECT")
+    assert not ops.remove_from_room.poll()
+    bpy.data.objects["chest"].select_set(True)
+    assert ops.remove_from_room() == {"FINISHED"}
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
+    scene = bpy.context.scene
+    images = [image for image in bpy.data.images if image.name.startswith("FIPT Emptied")]
+    assert len(images) == 8 and all(image.filepath.startswith("//room_textures") for image in images)
+    assert ops.apply_results() == {"FINISHED"}
+    assert hidden_names(scene) == ["chest"] and len(filled_surfaces(scene)) == 2
+    part = next(row for row in scene.fipt.materials.parts if "wall" in row.name.lower())
+    part.value = 0.5  # what completes a part is adjusted with it
+    assert len(api.blender_materials(part)) == 2
+    ops.show_map(shown="ROUGHNESS")
+    ops.show_map(shown="ORIGINAL")
+    assert filled_surfaces(scene)[0].users_collection[0].hide_render
+    ops.show_map(shown="ESTIMATED")
+    assert ops.bring_back() == {"FINISHED"}
+    assert hidden_names(scene) == [] and filled_surfaces(scene) == []
+    assert not bpy.data.objects["chest"].hide_render
+    assert not [image for image in bpy.data.images if image.name.startswith("FIPT Emptied")]
+
+
+def test_faces_and_boxes_are_separated_and_revert_restores(tmp_path, monkeypatch):
+    scene = make_room(tmp_path / "run", monkeypatch)
+    chest = bpy.data.objects["chest"]
+    box = bpy.data.objects.new("box", None)
+    box.empty_display_type, box.location, box.scale = "CUBE", (0.0, 1.2, 0.5), (1.0, 1.0, 0.1)
+    scene.collection.objects.link(box)
+    bpy.context.view_layer.update()
+    assert "Nothing of the room" in refused(ops.remove_from_room) if box.select_get() else True
+    api.remove_from_room(box=box)  # the lid of the chest
+    assert len(chest.data.polygons) == 5 and len(hidden_names(scene)) == 1
+    ops.bring_back()
+    assert len(scene.objects) == 5
+    bpy.context.view_layer.objects.active = chest
+    chest.select_set(True)
+    chest.data.polygons.foreach_set("select", np.ones(5, bool))
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert ops.remove_from_room() == {"FINISHED"}
+    assert bpy.context.mode == "OBJECT" and "chest" in hidden_names(scene)
+    assert filled_surfaces(scene)
+    assert ops.revert() == {"FINISHED"}
+    assert not filled_surfaces(scene) and not chest.hide_render and len(chest.data.polygons) == 6
+
+
+def test_completion_of_what_is_hardly_known():
+    values = np.full((9, 9, 5), 0.5, np.float32)
+    known = np.zeros((9, 9), bool)
+    whole, source = complete(values, known, ~known)
+    assert np.array_equal(whole, values) and np.array_equal(source.ravel(), np.arange(81))
+    known[:, :2] = True
+    filled, source = complete(np.where(known[..., None], values, 0.0), known, ~known)
+    assert np.allclose(filled, 0.5) and (source % 9 < 2).all()

@@ -3,7 +3,8 @@
 """Completes a picture of a surface from the parts of it that are known: patch-based, from coarse to fine.
 
 Each patch of the hole is matched to the known patch that is most alike (PatchMatch: Barnes et al. 2009), and
-the matched patches vote for the values of the hole (Wexler et al. 2007), so that patterns go on.
+the matched patches vote for the values of the hole (Wexler et al. 2007). Offsets by which the known cells
+repeat are tried first, so that tiles and planks go on.
 """
 
 from __future__ import annotations
@@ -17,7 +18,11 @@ PATCH = 7  # cells of a patch's side, odd: planks and weaves of 5 mm cells repea
 ROUNDS = 5  # of matching and voting on each level; more change little
 _RANDOM_TRIES = 5  # random matches that are tried in each round, within halved distances
 _LEAST_SIDE = 24  # cells: the coarsest level has no smaller side
-_HOLE_WEIGHT = 0.3  # of a cell that is being completed, in the likeness of patches; known ones have 1
+_TRUST = (
+    1.3  # by which a cell counts less than its neighbour that is nearer to the known ones (Wexler et al.)
+)
+_PERIODS = 24  # offsets by which the known cells repeat that are tried as matches (He and Sun 2012)
+_LEAST_OVERLAP = 0.15  # share of the known cells that an offset must map on known ones
 _MOST_CELLS = 20_000_000  # values that are compared at a time, 80 MB
 
 
@@ -50,7 +55,7 @@ def complete(
     if not hole.any() or not known.any():
         return values.copy(), own
     levels = [_Level(np.where(known[..., None], values, 0.0).astype(np.float32), known, hole)]
-    while min(levels[-1].known.shape) >= 2 * _LEAST_SIDE and _depth(levels[-1].hole) > PATCH // 2:
+    while min(levels[-1].known.shape) >= 2 * _LEAST_SIDE and _depths(levels[-1].hole).max() > PATCH // 2:
         levels.append(_halved(levels[-1]))
     random = np.random.default_rng(0)
     match = None
@@ -70,12 +75,13 @@ def complete(
     return np.where(hole[..., None], finest.values, values), source
 
 
-def _depth(hole: np.ndarray) -> int:
-    """Cells from the border of a hole to its middle."""
-    rounds = 0
+def _depths(hole: np.ndarray) -> np.ndarray:
+    """(H, W) cells from the border of a hole (H, W), 1 at it and 0 outside; some cell lies outside."""
+    depths = np.zeros(hole.shape, int)
     while hole.any():
-        hole, rounds = shrunk(hole), rounds + 1
-    return rounds
+        depths += hole
+        hole = shrunk(hole)
+    return depths
 
 
 def grown(mask: np.ndarray, cells: int = 1) -> np.ndarray:
@@ -154,10 +160,14 @@ def _match(
         fits[fits] &= usable[guess[fits, 0], guess[fits, 1]]
         match[rows[fits], columns[fits]] = guess[fits]
         _vote(level, match, rows, columns, np.ones(len(rows)))
-    weight = np.where(level.known, 1.0, np.where(level.hole, _HOLE_WEIGHT, 0.0)).astype(np.float32)
+    trust = np.where(level.known | level.hole, _TRUST ** -_depths(level.hole).astype(float), 0.0)
+    trust = trust.astype(np.float32)
     reach = max(shape)
+    periods = _periods(level, features)
+    centers = np.stack([rows, columns], axis=1)
+    everywhere = np.ones(len(rows), bool)
     for _ in range(ROUNDS):
-        compare = _Likeness(level, weight, features, rows, columns)
+        compare = _Likeness(level, trust, features, rows, columns)
         present = match[rows, columns]
         error = compare(present)
         steps = [(step * y, step * x) for step in (1, 4) for y, x in ((0, 1), (0, -1), (1, 0), (-1, 0))]
@@ -169,20 +179,35 @@ def _match(
             known_match = match[near] + [dy, dx]
             _take(known_match, match[near].any(axis=1), usable, compare, present, error)
             match[rows, columns] = present
+        for period in periods:
+            _take(centers + period, everywhere, usable, compare, present, error)
         for attempt in range(_RANDOM_TRIES):
             span = max(reach >> (attempt + 1), 1)
-            _take(
-                present + random.integers(-span, span + 1, size=present.shape),
-                np.ones(len(rows), bool),
-                usable,
-                compare,
-                present,
-                error,
-            )
+            moved = present + random.integers(-span, span + 1, size=present.shape)
+            _take(moved, everywhere, usable, compare, present, error)
         match[rows, columns] = present
         scale = max(float(np.quantile(error, 0.75)), 1e-12)
-        _vote(level, match, rows, columns, np.exp(-error / scale) + 1e-6)
+        _vote(level, match, rows, columns, trust[rows, columns] * (np.exp(-error / scale) + 1e-6))
     return _at_border(match, half)
+
+
+def _periods(level: _Level, features: int) -> np.ndarray:
+    """(N, 2) offsets by which the known cells repeat best, in rows and columns: least differences."""
+    shape = [2 * side for side in level.known.shape]
+    known = np.fft.rfft2(level.known.astype(float), shape)
+    overlap = np.fft.irfft2(np.abs(known) ** 2, shape)
+    total = np.zeros(shape)
+    for channel in range(features):
+        root = np.where(level.known, np.sqrt(np.maximum(level.values[..., channel], 0.0)), 0.0)
+        first, second = np.fft.rfft2(root, shape), np.fft.rfft2(root**2, shape)
+        total += np.fft.irfft2(2.0 * (second * known.conj()).real - 2.0 * np.abs(first) ** 2, shape)
+    enough = overlap > _LEAST_OVERLAP * level.known.sum()
+    mean = np.where(enough, total / np.maximum(overlap, 1.0), np.inf)
+    neighbours = [np.roll(mean, (dy, dx), (0, 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx]
+    lowest = np.argwhere(np.isfinite(mean) & (mean <= np.minimum.reduce(neighbours)))
+    lowest = lowest[np.argsort(mean[tuple(lowest.T)], kind="stable")]
+    offsets = (lowest + level.known.shape) % shape - level.known.shape
+    return offsets[np.abs(offsets).max(axis=1) >= PATCH // 2][:_PERIODS]
 
 
 def _take(

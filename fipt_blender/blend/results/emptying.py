@@ -326,8 +326,4 @@ def _rectangles(slot: np.ndarray) -> np.ndarray:
 def _runs(row: np.ndarray) -> set[tuple[int, int, int]]:
     """Start, end and number of the runs of equal numbers of a row (W,), without negative ones."""
     edges = np.flatnonzero(np.diff(row, prepend=-2, append=-2))
-    return {
-        (int(start), int(end), int(row[start]))
-        for start, end in pairwise(edges)
-        if row[start] >= 0
-    }
+    return {(int(start), int(end), int(row[start])) for start, end in pairwise(edges) if row[start] >= 0}

@@ -35,7 +35,8 @@ from .materials import slot_estimates
 LABELS = ("Base Color", "Roughness", "Metallic", "Confidence")
 MOST_CELLS = 320  # on a window's longer side; the completion takes some 10 s for such a window
 FINEST, COARSEST = 0.003, 0.03  # metres, limits of a cell's side
-_REACH = (0.3, 0.8)  # metres around what is removed: where planes are looked for, and the window's margin
+_REACH = (0.3, 0.8)  # metres around what is removed where planes are looked for: half its size within these
+_MARGIN = 2.0  # of a window around what is removed, in units of that: some repetitions of a pattern
 _RAYS = 6000  # from the space that is emptied, in search of planes
 _PARALLEL = 0.97  # cosine (14 degrees) of the normals of one plane's hits, which a scan's noise turns
 _THICKNESS = 0.015  # metres from a plane within which surfaces belong to it; twice the noise of a scan
@@ -219,8 +220,7 @@ def planes_beside(room: Room, points: np.ndarray) -> list[Plane]:
     """The planes beside removed points (N, 3), those first that are seen most from their place."""
     random = np.random.default_rng(0)
     reach = reach_around(points)
-    low, high = points.min(axis=0) - 0.5 * reach, points.max(axis=0) + 0.5 * reach
-    origins = random.uniform(low, high, (_RAYS, 3))
+    origins = random.uniform(points.min(axis=0), points.max(axis=0), (_RAYS, 3))
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     free = random.normal(size=(_RAYS, 3))
     directions = np.where(
@@ -242,8 +242,14 @@ def planes_beside(room: Room, points: np.ndarray) -> list[Plane]:
         if best.sum() < least:
             break
         normal = np.median(normals[best], axis=0)
-        normal /= np.linalg.norm(normal)
-        planes.append(Plane(normal, float(np.median(hits[best] @ normal))))
+        plane = Plane(normal / np.linalg.norm(normal), float(np.median(hits[best] @ normal)))
+        normal = plane.normal
+        # Rays that start behind a wall, in which the furniture is a little, see its back.
+        if not any(
+            each.normal @ normal < -_PARALLEL and abs(each.offset + plane.offset) < 2 * _THICKNESS
+            for each in planes
+        ):
+            planes.append(plane)
         left = ~_on_plane(hits, normals, normal, hits[best].mean(axis=0))
         hits, normals = hits[left & ~best], normals[left & ~best]
     return planes
@@ -285,11 +291,14 @@ def window_of(room: Room, plane: Plane, others: Sequence[Plane], points: np.ndar
     if height.min() > reach or not len(near):
         return None
     low, high = (np.array([limit(near @ first), limit(near @ second)]) for limit in (np.min, np.max))
-    probes = _grid(plane, low - reach, (high - low + 2.0 * reach) / 12.0, (12, 12)).reshape(-1, 3)
-    size = room.cell_size(_under(room, plane, probes)[0])
-    size = max(float(np.clip(size, FINEST, COARSEST)), float((high - low + 2.0 * reach).max()) / MOST_CELLS)
-    shape = np.ceil((high - low + 2.0 * reach) / size).astype(int)[::-1]
-    centers = _grid(plane, low - reach, np.array([size, size]), (int(shape[0]), int(shape[1])))
+    margin = _MARGIN * reach
+    sides = high - low + 2.0 * margin
+    triangle = _under(room, plane, _grid(plane, low - margin, sides / 16.0, (16, 16)).reshape(-1, 3))[0]
+    size = room.cell_size(triangle[triangle >= 0])
+    size = max(float(np.clip(size, FINEST, COARSEST)), float(sides.max()) / MOST_CELLS)
+    rows, columns = np.ceil(sides[::-1] / size).astype(int).tolist()
+    shape = (rows, columns)
+    centers = _grid(plane, low - margin, np.array([size, size]), shape)
     triangle, hits = _under(room, plane, centers.reshape(-1, 3))
     there = triangle >= 0
     slot, values = np.full(len(triangle), -1), np.zeros((len(triangle), 6), np.float32)
@@ -301,14 +310,14 @@ def window_of(room: Room, plane: Plane, others: Sequence[Plane], points: np.ndar
     place = np.indices(shape)
     behind = np.ones(shape, bool)
     for axis, index in ((0, 1), (1, 0)):
-        position = (place[axis] + 0.5) * size - reach
+        position = (place[axis] + 0.5) * size - margin
         behind &= (position >= -2 * size) & (position <= high[index] - low[index] + 2 * size)
     hidden = _connected(unseen, unseen & behind)
     if hidden.sum() < 9:
         return None
     worn = grown(hidden, _WORN) & known
     hidden, known = hidden | worn, known & ~worn
-    origin = plane.normal * plane.offset + first * (low[0] - reach) + second * (low[1] - reach)
+    origin = plane.normal * plane.offset + first * (low[0] - margin) + second * (low[1] - margin)
     return Window(plane, origin, size, values[:, :5].reshape(*shape, 5), known, hidden, slot.reshape(shape))
 
 
