@@ -71,10 +71,15 @@ class FIPT_PT_materials_parts(Section, bpy.types.Panel):
         replaced = _draw_replacement(layout, context, part)
         column = layout.column(align=True)
         column.enabled = settings.shown != "ORIGINAL" and not replaced
+        if part.known:
+            row = column.row(align=True)
+            row.prop(part, "color")
+            row.operator("fipt.set_part_color", text="", icon="EYEDROPPER")
         for name in _SLIDERS:
             column.prop(part, _SUMS.get(name, name) if part.known else name, slider=True)
         shading = getattr(context.space_data, "shading", None)
         changed = any(getattr(part, name) != neutral for name, neutral in _SLIDERS.items())
+        changed |= part.known and part.color != part.base_color
         if changed and shading is not None and shading.type == "SOLID":
             text = "Solid shading shows the textures without these changes. Use Material Preview or Rendered."
             draw_text(layout, context, iface_(text), icon="INFO")

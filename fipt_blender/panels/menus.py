@@ -47,6 +47,7 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("apply_results", ""),
         ("pick_part", "Pick Part of Room"),
         ("select_part_faces", "Select Faces of Part"),
+        ("set_part_color", ""),
         ("reset_part", "Reset Adjustment of Part"),
         ("mark_part_assets", "Mark Material of Part as Asset"),
         ("remove_from_room", ""),
