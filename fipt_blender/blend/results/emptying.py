@@ -55,6 +55,7 @@ from .write_back_nodes import GROUP, agree_with_model
 # than the rays of a render confuse.
 LIFT = 0.002
 _NEAR_LAMP = 0.03  # metres around what is removed within which a lamp belongs to it
+_LEAST_KNOWN = 50  # cells of a part from which it is completed: about those of a patch
 _CHOICE = "Select objects of the room or their faces, or an empty that encloses them."
 
 
@@ -219,10 +220,7 @@ def _surface(
     scene: bpy.types.Scene, run: RunFolder, room: Room, window: Window, number: int
 ) -> bpy.types.Object | None:
     """A new object that completes a window's plane; None where nothing beside it is known."""
-    values, source = complete(window.values, window.known, window.hidden)
-    slot = np.where(window.hidden, window.slot.ravel()[source], -1)
-    estimates = [room.materials[index] if index >= 0 else None for index in range(len(room.materials))]
-    slot[~np.isin(slot, [index for index, each in enumerate(estimates) if each is not None])] = -1
+    values, slot = _completed(room, window)
     used = np.unique(slot[slot >= 0]).tolist()
     if not used:
         return None
@@ -230,16 +228,17 @@ def _surface(
     images = {label: files.load(_path(key), is_data) for key, (label, is_data) in MAPS.items()}
     for label, image in images.items():
         image.name = f"FIPT Emptied {number} {label}"
-    materials = [_material(estimates[index], images, run) for index in used]
+    materials = [_material(room.materials[index], images, run) for index in used]
     mesh = bpy.data.meshes.new("Emptied")
     rectangles = _rectangles(slot)
     left, bottom, right, top = rectangles[:, :4].T
     corners = np.stack([left, bottom, right, bottom, right, top, left, top], axis=1).reshape(-1, 2)
-    flat = np.concatenate([corners * window.size, np.zeros((len(corners), 1))], axis=1)
+    places = np.searchsorted(used, rectangles[:, 4]).astype(np.int32)
+    heights = [np.median(window.height[window.slot == index]) for index in used]
+    flat = np.column_stack([corners * window.size, np.repeat(np.array(heights)[places], 4)])
     mesh.from_pydata(flat.tolist(), [], np.arange(len(corners)).reshape(-1, 4).tolist())
     write_layer(mesh, corners / np.array(slot.shape[::-1]))
     fill_slots(mesh, materials)
-    places = np.searchsorted(used, rectangles[:, 4]).astype(np.int32)
     mesh.polygons.foreach_set("material_index", places)
     first, second = window.plane.axes()
     matrix = np.eye(4)
@@ -251,6 +250,23 @@ def _surface(
     item.parent = room_with_results(scene)[0].parent
     item.matrix_world = Matrix(matrix.tolist())
     return item
+
+
+def _completed(room: Room, window: Window) -> tuple[np.ndarray, np.ndarray]:
+    """A window's values (H, W, 5), and the place in `Room.materials` (H, W) of the cells that are completed.
+
+    Each part goes on with its own cells; holes of the mesh with all parts. Other cells have -1, and so have
+    parts of which nothing beside is known: they keep what the estimate has filled in.
+    """
+    values, slot = window.values, np.full(window.slot.shape, -1)
+    for index in [*np.unique(window.slot[window.hidden & (window.slot >= 0)]).tolist(), -1]:
+        cells = window.hidden & (window.slot == index)
+        known = window.known & ((window.slot == index) | (index < 0)) & (window.slot >= 0)
+        if known.sum() < _LEAST_KNOWN or not cells.any() or (index >= 0 and room.materials[index] is None):
+            continue
+        values, source = complete(values, known, cells)
+        slot[cells] = window.slot.ravel()[source][cells]
+    return values, slot
 
 
 def _path(key: str) -> Path:

@@ -40,7 +40,7 @@ _MARGIN = 2.0  # of a window around what is removed, in units of that: some repe
 _RAYS = 6000  # from the space that is emptied, in search of planes
 _PARALLEL = 0.97  # cosine (14 degrees) of the normals of one plane's hits, which a scan's noise turns
 _THICKNESS = 0.015  # metres from a plane within which surfaces belong to it; twice the noise of a scan
-_LEAST_SHARE = 0.02  # of the rays' hits on a plane that is looked at
+_LEAST_SHARE = 0.03  # of the rays' hits on a plane that is looked at
 _MOST_PLANES = 8
 _WORN = 2  # cells beside what was hidden whose estimate has errors: mixed pixels, light from the furniture
 
@@ -271,6 +271,7 @@ class Window:
         known: (H, W) bool: seen by photographs.
         hidden: (H, W) bool: to be completed.
         slot: (H, W) int64 place in `Room.materials`, -1 without a surface.
+        height: (H, W) of the surface in front of the plane, metres; 0 without one.
     """
 
     plane: Plane
@@ -280,6 +281,7 @@ class Window:
     known: np.ndarray
     hidden: np.ndarray
     slot: np.ndarray
+    height: np.ndarray
 
 
 def window_of(room: Room, plane: Plane, others: Sequence[Plane], points: np.ndarray) -> Window | None:
@@ -318,7 +320,9 @@ def window_of(room: Room, plane: Plane, others: Sequence[Plane], points: np.ndar
     worn = grown(hidden, _WORN) & known
     hidden, known = hidden | worn, known & ~worn
     origin = plane.normal * plane.offset + first * (low[0] - margin) + second * (low[1] - margin)
-    return Window(plane, origin, size, values[:, :5].reshape(*shape, 5), known, hidden, slot.reshape(shape))
+    above = np.where(there, plane.height(hits), 0.0).reshape(shape)
+    grid = values[:, :5].reshape(*shape, 5)
+    return Window(plane, origin, size, grid, known, hidden, slot.reshape(shape), above)
 
 
 def _grid(plane: Plane, low: np.ndarray, step: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
