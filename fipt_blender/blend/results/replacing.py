@@ -17,6 +17,7 @@ from ..own_materials import own_materials
 from ..room.originals import estimated_meshes, shows_original
 from .materials import slot_estimates
 from .part_list import part_materials
+from .tiling import lay_out
 
 SHOWS_REPLACEMENTS = "ESTIMATED"  # the maps are those of the estimate
 
@@ -63,6 +64,7 @@ def show_replacements(scene: bpy.types.Scene, shown: str) -> None:
             if mesh.materials[index] != material:
                 mesh[ESTIMATE.format(index)] = estimate
                 mesh.materials[index] = material
+    lay_out(scene)
 
 
 def adopt(scene: bpy.types.Scene, items: Iterable[bpy.types.Object]) -> list[str]:
