@@ -10,7 +10,7 @@ import pytest
 
 from fipt_blender import api
 from fipt_blender.blend import outliner
-from fipt_blender.blend.marks import PART, REMOVED, filled_surfaces
+from fipt_blender.blend.marks import PART, REMOVED, filled_surfaces, is_fixture
 from fipt_blender.blend.results.completion import complete
 from fipt_blender.blend.room import exporting
 from fipt_blender.core.run.runfolder import RunFolder, write_json
@@ -188,3 +188,17 @@ def test_completion_of_what_is_hardly_known():
     known[:, :2] = True
     filled, source = complete(np.where(known[..., None], values, 0.0), known, ~known)
     assert np.allclose(filled, 0.5) and (source % 9 < 2).all()
+
+
+def test_removed_objects_with_modifiers_and_lamps_stay_as_they_are_when_applied_again(applied):
+    cube, lamp = bpy.data.objects["cube"], next(item for item in applied.objects if is_fixture(item))
+    faces, materials = len(cube.data.polygons), [slot.material for slot in cube.material_slots]
+    api.remove_from_room([cube, lamp])
+    name = lamp.name
+    for _ in range(2):
+        assert ops.apply_results() == {"FINISHED"}
+        assert hidden_names(applied) == sorted(["cube", name])
+        assert len(cube.data.polygons) == faces
+        assert [slot.material for slot in cube.material_slots] == materials
+    exporting.export_room([cube], RunFolder(bpy.path.abspath(applied.fipt.run_folder)))
+    assert ops.bring_back(last=True) == {"FINISHED"} and hidden_names(applied) == []

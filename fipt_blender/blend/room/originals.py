@@ -97,14 +97,18 @@ def show_original(item: bpy.types.Object, on: bool) -> None:
 
 @contextmanager
 def original_shown(item: bpy.types.Object) -> Iterator[None]:
-    """Show the artist's mesh for the length of the block."""
-    result_was_shown = not shows_original(item)
+    """Show the artist's mesh for the length of the block; Blender evaluates no hidden objects."""
+    result_was_shown, hidden = not shows_original(item), item.hide_viewport
+    if hidden:
+        item.hide_viewport = False
     show_original(item, True)
     try:
         yield
     finally:
         if result_was_shown:
             show_original(item, False)
+        if hidden:
+            item.hide_viewport = True
 
 
 def modifiers_in_result(item: bpy.types.Object) -> list[str]:
