@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import json
+
 import bpy
 import numpy as np
 import pytest
@@ -121,6 +123,11 @@ def test_planes_and_patterns_go_on_behind_removed_furniture(tmp_path, monkeypatc
     assert hidden_names(scene) == ["chest"] and len(names) == 2
     quality, area = signal_to_noise(scene)
     assert quality > 24.0
+    api.export(tmp_path / "empty.gltf")
+    document = json.loads((tmp_path / "empty.gltf").read_text())
+    exported = {node["name"] for node in document["nodes"]}
+    assert {*names, "floor"} <= exported and "chest" not in exported
+    assert len(document["images"]) >= 4  # each completed surface has textures of its own
     assert 0.88 <= area < 1.4  # floor and wall behind it, and the cells beside that
     for item in filled_surfaces(scene):
         points, _ = completed(item)

@@ -151,6 +151,11 @@ def room_with_results(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return [item for item in scene.objects if has_results(item)]
 
 
+def has_estimates(item: bpy.types.Object) -> bool:
+    """Whether an object's mesh has estimated materials: a result mesh, or what completes the room."""
+    return has_results(item) or FILLED in item
+
+
 def filled_surfaces(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The scene's objects that complete the surfaces behind what was removed."""
     return [item for item in scene.objects if FILLED in item]
