@@ -208,4 +208,4 @@ def test_removed_objects_with_modifiers_and_lamps_stay_as_they_are_when_applied_
         assert len(cube.data.polygons) == faces
         assert [slot.material for slot in cube.material_slots] == materials
     exporting.export_room([cube], RunFolder(bpy.path.abspath(applied.fipt.run_folder)))
-    assert ops.bring_back(last=True) == {"FINISHED"} and hidden_names(applied) == []
+    assert ops.bring_back() == {"FINISHED"} and hidden_names(applied) == []

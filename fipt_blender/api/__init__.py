@@ -232,7 +232,7 @@ def remove_from_room(
 
     scene = scene or bpy.context.scene
     chosen = emptying.faces_in_box(scene, box) if box is not None else {}
-    return emptying.remove(scene, run_of(scene), {**chosen, **dict.fromkeys(objects)}).surfaces
+    return emptying.remove(scene, run_of(scene), {**chosen, **dict.fromkeys(objects)})[1]
 
 
 def bring_back(scene: bpy.types.Scene | None = None) -> None:

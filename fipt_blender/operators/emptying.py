@@ -4,19 +4,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
-
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..blend.marks import REMOVED
-from ..core.run.declared import Option
-from .action import action, note, warning
-from .polls import has_results, needs, no_job
-from .reporting import Messages
-
-if TYPE_CHECKING:
-    import numpy as np
+from .action import action
+from .polls import has_results, in_object_mode, needs, no_job
 
 _shown = needs(
     lambda context: context.scene.fipt.materials.shown != "ORIGINAL", "Choose Estimated as Show first"
@@ -25,10 +18,13 @@ _selected = needs(
     lambda context: context.mode == "EDIT_MESH" or (context.mode == "OBJECT" and context.selected_objects),
     "Select furniture, or faces of it in Edit Mode, or an empty of the type Cube around it",
 )
+_has_removed = needs(
+    lambda context: any(REMOVED in item for item in context.scene.objects), "Nothing is removed"
+)
 
 
 @action("Remove from Room", needs=(no_job, has_results, _shown, _selected))
-def remove_from_room(context: bpy.types.Context) -> Messages:
+def remove_from_room(context: bpy.types.Context) -> str:
     """Hide the selected furniture, faces, or what lies in the selected empty, and complete the walls, the
     floor and their materials behind it. Its shadow, reflections and lamps go with it. Bring Back shows it
     again.
@@ -36,8 +32,7 @@ def remove_from_room(context: bpy.types.Context) -> Messages:
     from ..api.applying import run_of
     from ..blend.results import emptying
 
-    scene = context.scene
-    chosen: dict[bpy.types.Object, np.ndarray | None] = {}
+    scene, chosen = context.scene, emptying.Chosen()
     if context.mode == "EDIT_MESH":
         items = list(context.objects_in_mode)
         bpy.ops.object.mode_set(mode="OBJECT")
@@ -45,33 +40,14 @@ def remove_from_room(context: bpy.types.Context) -> Messages:
     else:
         for item in context.selected_objects:
             chosen |= emptying.faces_in_box(scene, item) if item.type == "EMPTY" else {item: None}
-    done = emptying.remove(scene, run_of(scene), chosen)
-    messages = [
-        note(iface_("{} objects removed, {} surfaces completed").format(len(done.hidden), len(done.surfaces)))
-    ]
-    if not done.surfaces:
-        text = iface_("Nothing was hidden by it: photographs saw all surfaces behind, or no plane is near")
-        messages.insert(0, warning("nothing-hidden", text))
-    return messages
+    hidden, surfaces = emptying.remove(scene, run_of(scene), chosen)
+    return iface_("{} objects removed, {} surfaces completed").format(len(hidden), len(surfaces))
 
 
-@action(
-    "Bring Back",
-    needs=(
-        no_job,
-        has_results,
-        needs(lambda context: context.mode == "OBJECT", "Switch to Object Mode first"),
-        needs(lambda context: any(REMOVED in item for item in context.scene.objects), "Nothing is removed"),
-    ),
-)
-def bring_back(
-    context: bpy.types.Context,
-    last: Annotated[bool, Option("Only what was removed last", "Last Only")] = False,
-) -> str:
+@action("Bring Back", needs=(no_job, has_results, in_object_mode, _has_removed))
+def bring_back(context: bpy.types.Context) -> str:
     """Show again what was removed: of the selected completed surfaces, or all if none is selected."""
     from ..blend.results import emptying
 
-    items = [item for item in context.scene.objects if REMOVED in item]
-    newest = [max(items, key=lambda item: int(item[REMOVED]))]
-    count = emptying.bring_back(context.scene, newest if last else context.selected_objects)
+    count = emptying.bring_back(context.scene, context.selected_objects)
     return iface_("{} objects are back").format(count)

@@ -10,9 +10,7 @@ Light needs nothing: shadows, reflections and the light of removed lamps are ren
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import bmesh
@@ -25,11 +23,8 @@ from ...core.run.runfolder import RunFolder, atomic_path
 from ..color_spaces import from_scene_linear
 from ..marks import (
     FILLED,
-    MATERIAL,
-    PART,
-    PART_NAME,
+    MAP,
     REMOVED,
-    REPLACEMENT,
     filled_surfaces,
     fixtures_of,
     has_results,
@@ -43,33 +38,19 @@ from ..room.mesh_arrays import corner_vertices, polygon_starts, transform_points
 from ..room.originals import shows_original
 from ..room.uv_layer import write_layer
 from ..texture_files import TextureFiles, texture_files
-from . import adjust
 from .completion import complete
 from .hidden_surfaces import Room, Window, planes_beside, window_of
 from .maps import show
-from .materials import MAPS, Surface, part_material, remove_unused, result_materials
+from .materials import MAPS, remove_unused, result_materials
 from .replacing import fill_slots
-from .write_back_nodes import GROUP, agree_with_model
 
 # What is completed lies so far in front of surfaces that no photograph saw, metres: less than is seen, more
 # than the rays of a render confuse.
 LIFT = 0.002
 _NEAR_LAMP = 0.03  # metres around what is removed within which a lamp belongs to it
 _LEAST_KNOWN = 50  # cells of a part from which it is completed: about those of a patch
-_CHOICE = "Select objects of the room or their faces, or an empty that encloses them."
 
-
-@dataclass(frozen=True)
-class Emptied:
-    """What a removal did.
-
-    Attributes:
-        hidden: names of the objects that are hidden.
-        surfaces: names of the objects that complete what was behind them.
-    """
-
-    hidden: list[str] = field(default_factory=list)
-    surfaces: list[str] = field(default_factory=list)
+Chosen = dict[bpy.types.Object, np.ndarray | None]  # objects with (P,) bool of their faces, None for all
 
 
 def selected_faces(item: bpy.types.Object) -> np.ndarray:
@@ -79,73 +60,72 @@ def selected_faces(item: bpy.types.Object) -> np.ndarray:
     return selected
 
 
-def faces_in_box(scene: bpy.types.Scene, box: bpy.types.Object) -> dict[bpy.types.Object, np.ndarray]:
-    """The faces of the room that lie in the cube of an empty, by their objects: (P,) bool."""
+def faces_in_box(scene: bpy.types.Scene, box: bpy.types.Object) -> Chosen:
+    """The faces of the room that lie in the cube of an empty."""
     inverse = np.linalg.inv(np.array(box.matrix_world, np.float64))
-    size = box.empty_display_size
-    found = {}
+    found = Chosen()
     for item in _shown_room(scene):
-        mesh = item.data
-        points = transform_points(vertex_positions(mesh), inverse @ np.array(item.matrix_world, np.float64))
-        inside = (np.abs(points) <= size).all(axis=1)
-        if len(mesh.polygons):
-            faces = np.logical_and.reduceat(inside[corner_vertices(mesh)], polygon_starts(mesh))
-            if faces.any():
-                found[item] = faces
+        matrix = inverse @ np.array(item.matrix_world, np.float64)
+        points = transform_points(vertex_positions(item.data), matrix)
+        inside = (np.abs(points) <= box.empty_display_size).all(axis=1)[corner_vertices(item.data)]
+        faces = np.logical_and.reduceat(inside, polygon_starts(item.data))
+        if faces.any():
+            found[item] = faces
     return found
 
 
-def remove(
-    scene: bpy.types.Scene, run: RunFolder, chosen: Mapping[bpy.types.Object, np.ndarray | None]
-) -> Emptied:
+def remove(scene: bpy.types.Scene, run: RunFolder, chosen: Chosen) -> tuple[list[str], list[str]]:
     """Hide objects of the room, or some of their faces, and complete what they have hidden.
 
     Args:
         scene: its results are shown, in Object Mode.
         run: whose results they are.
-        chosen: (P,) bool faces of result meshes, None for all; fixtures are objects, too.
+        chosen: objects with result meshes, and fixtures; others are skipped.
+
+    Returns:
+        Names of the objects that are hidden, and of those that complete what was behind them.
 
     Raises:
-        FiptError: ``removal-empty`` where nothing of the room is chosen; ``textures-unwritable``.
+        FiptError: ``removal-empty`` where nothing of the room is chosen; ``removal-attributes``;
+            ``textures-unwritable``.
     """
     chosen = {item: faces for item, faces in chosen.items() if _can_be_removed(item, faces)}
     if not chosen:
-        raise FiptError("removal-empty", "Nothing of the room's results is selected.", _CHOICE)
+        text = "Nothing of the room's results is selected."
+        remedy = "Select objects of the room or their faces, or an empty that encloses them."
+        raise FiptError("removal-empty", text, remedy)
+    if scene.fipt.materials.applied_mode != "uv":
+        text = "The results are color attributes, which can't be completed."
+        raise FiptError("removal-attributes", text, "Choose Image Textures as Store In, and apply again.")
     own_materials(scene)
     points = np.concatenate([_points(item, faces) for item, faces in chosen.items()])
     removed = [item if faces is None else _separated(item, faces) for item, faces in chosen.items()]
-    removed += _lamps_within(scene, points, removed)
-    number = 1 + max((int(item.get(REMOVED, 0)) for item in scene.objects), default=0)
+    low, high = points.min(axis=0) - _NEAR_LAMP, points.max(axis=0) + _NEAR_LAMP
+    lamps = [(item, _points(item, None)) for item in fixtures_of(scene) if item not in removed]
+    removed += [item for item, place in lamps if ((place >= low) & (place <= high)).all()]
+    number = 1 + max(int(item.get(REMOVED, 0)) for item in scene.objects)
     for item in removed:
-        for each in (item, *(child for child in item.children if is_fixture(item))):
+        for each in (item, *(item.children if is_fixture(item) else ())):
             each[REMOVED] = number
             each.hide_viewport = each.hide_render = True
-    staying = [*_shown_room(scene), *filled_surfaces(scene)]
-    emptied = Emptied([item.name for item in removed])
+    hidden, staying = [item.name for item in removed], [*_shown_room(scene), *filled_surfaces(scene)]
     if not staying:
-        return emptied
+        return hidden, []
     room = Room(staying)
     planes = planes_beside(room, points)
-    for plane in planes:
-        window = window_of(room, plane, planes, points)
-        if window is not None:
-            item = _surface(scene, run, room, window, number)
-            if item is not None:
-                emptied.surfaces.append(item.name)
+    windows = [window_of(room, plane, planes, points) for plane in planes]
+    made = [_surface(scene, run, room, window, number) for window in windows if window is not None]
     if scene.fipt.materials.shown != "ESTIMATED":
         show(scene, scene.fipt.materials.shown)
-    return emptied
+    return hidden, [item.name for item in made if item is not None]
 
 
 def bring_back(scene: bpy.types.Scene, chosen: Collection[bpy.types.Object] = ()) -> int:
-    """Show removed objects again, and remove what stands for what they hide.
+    """Show removed objects again, and remove what stands for what they hide; returns how many are back.
 
     Args:
         scene: of the removals.
         chosen: objects of the removals to take back; all removals where none of them is one's.
-
-    Returns:
-        How many objects are back.
     """
     numbers = {int(item.get(REMOVED, item.get(FILLED, 0))) for item in chosen} - {0}
     surfaces = [item for item in filled_surfaces(scene) if not numbers or item[FILLED] in numbers]
@@ -164,26 +144,22 @@ def bring_back(scene: bpy.types.Scene, chosen: Collection[bpy.types.Object] = ()
 
 def _shown_room(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The objects that show results and are rendered."""
-    room = (item for item in room_with_results(scene) if not shows_original(item))
-    return [item for item in room if REMOVED not in item and not item.hide_render]
+    room = [item for item in room_with_results(scene) if not shows_original(item) and not item.hide_render]
+    return [item for item in room if len(item.data.polygons)]
 
 
 def _can_be_removed(item: bpy.types.Object, faces: np.ndarray | None) -> bool:
-    if REMOVED in item or not (is_fixture(item) or (has_results(item) and not shows_original(item))):
-        return False
-    return bool(len(item.data.polygons) if faces is None else faces.any())
+    ours = is_fixture(item) or (has_results(item) and not shows_original(item) and len(item.data.polygons))
+    return bool(ours) and REMOVED not in item and (faces is None or bool(faces.any()))
 
 
 def _points(item: bpy.types.Object, faces: np.ndarray | None) -> np.ndarray:
     """(N, 3) corners of an object's faces in the world."""
-    mesh = item.data
-    if item.type != "MESH":
-        return np.array([item.matrix_world.translation])
+    mesh, matrix = item.data, np.array(item.matrix_world, np.float64)
     corners = corner_vertices(mesh)
     if faces is not None:
         corners = corners[np.repeat(faces, np.diff(polygon_starts(mesh), append=len(mesh.loops)))]
-    points = vertex_positions(mesh)[np.unique(corners)]
-    return transform_points(points, np.array(item.matrix_world, np.float64))
+    return transform_points(vertex_positions(mesh)[np.unique(corners)], matrix)
 
 
 def _separated(item: bpy.types.Object, faces: np.ndarray) -> bpy.types.Object:
@@ -206,16 +182,6 @@ def _separated(item: bpy.types.Object, faces: np.ndarray) -> bpy.types.Object:
     return part
 
 
-def _lamps_within(
-    scene: bpy.types.Scene, points: np.ndarray, removed: Sequence[bpy.types.Object]
-) -> list[bpy.types.Object]:
-    """The lamps that lie within removed points (N, 3), and are not removed yet."""
-    low, high = points.min(axis=0) - _NEAR_LAMP, points.max(axis=0) + _NEAR_LAMP
-    lamps = [item for item in fixtures_of(scene) if item not in removed and REMOVED not in item]
-    around = ((item, _points(item, None)) for item in lamps)
-    return [item for item, place in around if ((place >= low) & (place <= high)).all()]
-
-
 def _surface(
     scene: bpy.types.Scene, run: RunFolder, room: Room, window: Window, number: int
 ) -> bpy.types.Object | None:
@@ -228,23 +194,24 @@ def _surface(
     images = {label: files.load(_path(key), is_data) for key, (label, is_data) in MAPS.items()}
     for label, image in images.items():
         image.name = f"FIPT Emptied {number} {label}"
-    materials = [_material(room.materials[index], images, run) for index in used]
+    # A face for each run of cells of one part in a row.
+    padded = np.pad(slot, ((0, 0), (1, 1)), constant_values=-1)
+    changed = padded[:, 1:] != padded[:, :-1]
+    row, left = np.nonzero(changed & (padded[:, 1:] >= 0))
+    _, right = np.nonzero(changed & (padded[:, :-1] >= 0))
+    corners = np.stack([left, row, right, row, right, row + 1, left, row + 1], axis=1).reshape(-1, 2)
+    material = np.searchsorted(used, slot[row, left]).astype(np.int32)
+    heights = np.array([np.median(window.height[window.slot == index]) for index in used])
+    flat = np.column_stack([corners * window.size, np.repeat(heights[material], 4)])
     mesh = bpy.data.meshes.new("Emptied")
-    rectangles = _rectangles(slot)
-    left, bottom, right, top = rectangles[:, :4].T
-    corners = np.stack([left, bottom, right, bottom, right, top, left, top], axis=1).reshape(-1, 2)
-    places = np.searchsorted(used, rectangles[:, 4]).astype(np.int32)
-    heights = [np.median(window.height[window.slot == index]) for index in used]
-    flat = np.column_stack([corners * window.size, np.repeat(np.array(heights)[places], 4)])
     mesh.from_pydata(flat.tolist(), [], np.arange(len(corners)).reshape(-1, 4).tolist())
     write_layer(mesh, corners / np.array(slot.shape[::-1]))
-    fill_slots(mesh, materials)
-    mesh.polygons.foreach_set("material_index", places)
-    first, second = window.plane.axes()
+    fill_slots(mesh, [_material(room.materials[index], images) for index in used])
+    mesh.polygons.foreach_set("material_index", material)
     matrix = np.eye(4)
-    matrix[:3, :3] = np.stack([first, second, window.plane.normal], axis=1)
+    matrix[:3, :3] = np.stack([*window.plane.axes(), window.plane.normal], axis=1)
     matrix[:3, 3] = window.origin + LIFT * window.plane.normal
-    item = bpy.data.objects.new(f"Emptied {materials[0][PART_NAME]}", mesh)
+    item = bpy.data.objects.new(f"Emptied {mesh.materials[0].name}", mesh)
     item[FILLED] = number
     collection(scene, EMPTIED).objects.link(item)
     item.parent = room_with_results(scene)[0].parent
@@ -259,13 +226,12 @@ def _completed(room: Room, window: Window) -> tuple[np.ndarray, np.ndarray]:
     parts of which nothing beside is known: they keep what the estimate has filled in.
     """
     values, slot = window.values, np.full(window.slot.shape, -1)
-    for index in [*np.unique(window.slot[window.hidden & (window.slot >= 0)]).tolist(), -1]:
+    for index in np.unique(window.slot[window.hidden])[::-1].tolist():
         cells = window.hidden & (window.slot == index)
-        known = window.known & ((window.slot == index) | (index < 0)) & (window.slot >= 0)
-        if known.sum() < _LEAST_KNOWN or not cells.any() or (index >= 0 and room.materials[index] is None):
-            continue
-        values, source = complete(values, known, cells)
-        slot[cells] = window.slot.ravel()[source][cells]
+        known = window.known & ((window.slot == index) | (index < 0))
+        if known.sum() >= _LEAST_KNOWN and (index < 0 or room.materials[index] is not None):
+            values, source = complete(values, known, cells)
+            slot[cells] = window.slot.ravel()[source][cells]
     return values, slot
 
 
@@ -273,16 +239,13 @@ def _path(key: str) -> Path:
     return Path(f"emptied_{key}.exr")
 
 
-def _material(
-    estimate: bpy.types.Material, images: Mapping[str, bpy.types.Image], run: RunFolder
-) -> bpy.types.Material:
-    """The material of a part with other images; it follows the part's adjustment and replacement."""
-    surface = Surface(str(estimate[MATERIAL]), str(estimate[PART]), str(estimate[PART_NAME]))
-    material = part_material(surface, images, adjust.read(estimate))
-    if GROUP in node_tree(estimate).nodes:
-        agree_with_model(material, run.read_estimated().masking)
-    if REPLACEMENT in estimate:
-        material[REPLACEMENT] = estimate[REPLACEMENT]
+def _material(estimate: bpy.types.Material, images: Mapping[str, bpy.types.Image]) -> bpy.types.Material:
+    """The material of a part, with its adjustment and replacement, with other images; constants stay."""
+    material = estimate.copy()
+    for label, image in images.items():
+        node = node_tree(material).nodes[MAP.format(label)]
+        if node.bl_idname == "ShaderNodeTexImage":
+            node.image = image
     return material
 
 
@@ -292,54 +255,23 @@ def _written(scene: bpy.types.Scene, run: RunFolder, values: np.ndarray) -> Text
     Raises:
         FiptError: ``textures-unwritable``.
     """
-    values = np.concatenate([from_scene_linear(values[..., :3]), values[..., 3:]], axis=2)
-    digest = hashlib.blake2b(np.ascontiguousarray(values).tobytes(), digest_size=6).hexdigest()
-    files = texture_files(scene, run, digest)
-    maps = {
-        "base_color": values[..., :3],
-        "roughness": values[..., [3] * 3],
-        "metallic": values[..., [4] * 3],
-    }
-    for key, rgb in {**maps, "confidence": np.zeros((4, 4, 3), np.float32)}.items():
-        target = files.folder / _path(key)
-        image = bpy.data.images.new(
-            "FIPT Emptied", rgb.shape[1], rgb.shape[0], float_buffer=True, is_data=True
-        )
+    rgb = from_scene_linear(values[..., :3])
+    maps = {"base_color": rgb, "roughness": values[..., [3] * 3], "metallic": values[..., [4] * 3]}
+    maps["confidence"] = np.zeros((1, 1, 3))
+    files = texture_files(scene, run, hashlib.blake2b(values.tobytes(), digest_size=6).hexdigest())
+    for key, pixels in maps.items():
+        height, width = pixels.shape[:2]
+        image = bpy.data.images.new("FIPT Emptied", width, height, float_buffer=True, is_data=True)
+        rgba = np.concatenate([pixels, np.ones((height, width, 1))], axis=2)
+        image.pixels.foreach_set(rgba.astype(np.float32).ravel())
         try:
-            rgba = np.concatenate([rgb, np.ones((*rgb.shape[:2], 1))], axis=2).astype(np.float32)
-            image.pixels.foreach_set(rgba.ravel())
-            with atomic_path(target) as temporary:
+            with atomic_path(files.folder / _path(key)) as temporary:
                 image.filepath_raw, image.file_format = str(temporary), "OPEN_EXR"
                 image.save()
         except (RuntimeError, FiptError) as error:
-            raise FiptError(
-                "textures-unwritable",
-                f"The pictures of what was hidden could not be written to {files.folder}.",
-                "Free some space, or save the file in a folder in which you may write.",
-            ) from error
+            text = f"The pictures of what was hidden could not be written to {files.folder}."
+            remedy = "Free some space, or save the file in a folder in which you may write."
+            raise FiptError("textures-unwritable", text, remedy) from error
         finally:
             bpy.data.images.remove(image)
     return files
-
-
-def _rectangles(slot: np.ndarray) -> np.ndarray:
-    """(N, 5) rectangles of cells with one number: lowest column and row, those behind the last, the number.
-
-    Args:
-        slot: (H, W) int64, negative for cells of none.
-    """
-    open_runs: dict[tuple[int, int, int], int] = {}
-    found: list[tuple[int, int, int, int, int]] = []
-    for row in range(slot.shape[0] + 1):
-        runs = _runs(slot[row]) if row < slot.shape[0] else set()
-        for start, end, value in [run for run in open_runs if run not in runs]:
-            found.append((start, open_runs.pop((start, end, value)), end, row, value))
-        for run in runs:
-            open_runs.setdefault(run, row)
-    return np.array(sorted(found)).reshape(-1, 5)
-
-
-def _runs(row: np.ndarray) -> set[tuple[int, int, int]]:
-    """Start, end and number of the runs of equal numbers of a row (W,), without negative ones."""
-    edges = np.flatnonzero(np.diff(row, prepend=-2, append=-2))
-    return {(int(start), int(end), int(row[start])) for start, end in pairwise(edges) if row[start] >= 0}

@@ -27,14 +27,13 @@ from ..room.mesh_arrays import (
     triangle_loops,
     vertex_positions,
 )
-from ..room.originals import result_mesh
+from ..room.tiles import image_uvs, tile_number
 from ..room.uv_layer import UV_LAYER
 from .completion import grown
 from .materials import slot_estimates
 
-LABELS = ("Base Color", "Roughness", "Metallic", "Confidence")
-MOST_CELLS = 320  # on a window's longer side; the completion takes some 10 s for such a window
-FINEST, COARSEST = 0.003, 0.03  # metres, limits of a cell's side
+_COLUMNS = {"Base Color": slice(0, 3), "Roughness": 3, "Metallic": 4, "Confidence": 5}  # of maps' values
+FINEST, MOST_CELLS = 0.004, 280  # metres of a cell's side, at least; cells of a window's longer side, at most
 _REACH = (0.3, 0.8)  # metres around what is removed where planes are looked for: half its size within these
 _MARGIN = 2.0  # of a window around what is removed, in units of that: some repetitions of a pattern
 _RAYS = 6000  # from the space that is emptied, in search of planes
@@ -50,39 +49,31 @@ class Room:
 
     Args:
         items: objects with estimated materials, in Object Mode.
+
+    Attributes:
+        materials: the estimated ones of the objects' slots, None for the artist's.
+        slot: (T,) place in it of each triangle.
+        filled: (T,) bool, completes what was hidden.
     """
 
     def __init__(self, items: Sequence[bpy.types.Object]) -> None:
-        corners, uvs, slots, filled = [], [], [], []
         self.materials: list[bpy.types.Material | None] = []
-        self._colors: dict[str, list[np.ndarray]] = {label: [] for label in LABELS}
+        found: list[tuple[np.ndarray, ...]] = []
         for item in items:
-            mesh = result_mesh(item) or item.data
+            mesh = item.data
             loops, polygons = triangle_loops(mesh, is_mirrored(item))
-            matrix = np.array(item.matrix_world, np.float64)
-            points = transform_points(vertex_positions(mesh), matrix)
-            corners.append(points[corner_vertices(mesh)[loops]])
+            points = transform_points(vertex_positions(mesh), np.array(item.matrix_world, np.float64))
             layer = mesh.uv_layers.get(UV_LAYER)
             uv = np.zeros((len(mesh.loops), 2)) if layer is None else corner_uvs(mesh, layer)
-            uvs.append(uv[loops])
             slot = np.minimum(polygon_slots(mesh)[polygons], max(len(mesh.materials) - 1, 0))
-            slots.append(slot + len(self.materials))
+            filled = np.full(len(loops), FILLED in item)
+            corners = points[corner_vertices(mesh)[loops]]
+            found.append((corners, uv[loops], slot + len(self.materials), filled))
             self.materials += slot_estimates(mesh) or [None]
-            filled.append(np.full(len(loops), FILLED in item))
-            for label, listed in self._colors.items():
-                values = np.ones((len(mesh.loops), 4), np.float32)
-                if MAP.format(label) in mesh.attributes:
-                    mesh.attributes[MAP.format(label)].data.foreach_get("color", values.ravel())
-                listed.append(values[loops])
-        self.corners, self._uvs = np.concatenate(corners), np.concatenate(uvs)
-        self.slot, self.filled = np.concatenate(slots), np.concatenate(filled)
-        count = len(self.corners)
-        self._tree = BVHTree.FromPolygons(
-            self.corners.reshape(-1, 3).tolist(),
-            np.arange(3 * count).reshape(-1, 3).tolist(),
-            all_triangles=True,
-        )
-        self._images: dict[tuple[str, int], np.ndarray] = {}
+        self.corners, self._uvs, self.slot, self.filled = map(np.concatenate, zip(*found, strict=True))
+        triangles = np.arange(3 * len(self.corners)).reshape(-1, 3).tolist()
+        self._tree = BVHTree.FromPolygons(self.corners.reshape(-1, 3).tolist(), triangles, all_triangles=True)
+        self._pixels: dict[tuple[str, int], np.ndarray] = {}
 
     def cast(
         self, origins: np.ndarray, directions: np.ndarray, distance: float
@@ -96,20 +87,6 @@ class Room:
                 triangle[row], points[row], normals[row] = index, point, normal
         return triangle, points, normals
 
-    def cell_size(self, triangles: np.ndarray) -> float:
-        """Side of a texel on these triangles, metres, median; without images that of a coarse cell."""
-        sizes = []
-        for triangle in np.unique(triangles)[:200]:
-            image = self._image_node(self.slot[triangle], "Base Color")
-            if image is None:
-                continue
-            first, second, third = self._uvs[triangle] * np.array(image.size)
-            area = np.linalg.norm(np.cross(*np.diff(self.corners[triangle], axis=0)))
-            texels = abs(float(np.cross(second - first, third - first)))
-            if texels > 0.0 and area > 0.0:
-                sizes.append(float(np.sqrt(area / texels)))
-        return float(np.median(sizes)) if sizes else COARSEST
-
     def maps(self, triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
         """(N, 6) f32 base colour (scene-linear), roughness, metallic and confidence of the base colour.
 
@@ -118,71 +95,40 @@ class Room:
             points: (N, 3).
         """
         values = np.zeros((len(triangles), 6), np.float32)
-        weights = _barycentric(points, self.corners[triangles])
+        uv = np.einsum("nk,nkc->nc", _barycentric(points, self.corners[triangles]), self._uvs[triangles])
         for slot in np.unique(self.slot[triangles]).tolist():
-            rows = np.flatnonzero(self.slot[triangles] == slot)
-            if self.materials[slot] is None:
-                continue
-            for label, column in zip(LABELS, (slice(0, 3), 3, 4, 5), strict=True):
-                found = self._values(slot, label, triangles[rows], weights[rows])
-                values[rows, column] = found[:, :3] if label == "Base Color" else found[:, 0]
+            rows, material = np.flatnonzero(self.slot[triangles] == slot), self.materials[slot]
+            for label, column in _COLUMNS.items() if material is not None else ():
+                node = node_tree(material).nodes[MAP.format(label)]
+                found = (
+                    np.tile(node.outputs["Color"].default_value[:3], (len(rows), 1))
+                    if node.bl_idname == "ShaderNodeRGB"  # a part of one value
+                    else self._texels(node.image, label, uv[rows])
+                )
+                values[rows, column] = found if label == "Base Color" else found[:, 0]
         return values
 
-    def _image_node(self, slot: int, label: str) -> bpy.types.Image | None:
-        material = self.materials[slot]
-        node = None if material is None else node_tree(material).nodes.get(MAP.format(label))
-        return getattr(node, "image", None)
-
-    def _values(self, slot: int, label: str, triangles: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """(N, 3 or 4) values of a map."""
-        node = node_tree(self.materials[slot]).nodes[MAP.format(label)]
-        image = self._image_node(slot, label)
-        if image is None:
-            if node.bl_idname == "ShaderNodeRGB":
-                return np.tile(np.array(node.outputs["Color"].default_value[:]), (len(triangles), 1))
-            colors = np.concatenate(self._colors[label])
-            return np.einsum("nk,nkc->nc", weights, colors[triangles])
-        uv = np.einsum("nk,nkc->nc", weights, self._uvs[triangles])
-        tile = np.floor(uv).astype(int)
-        if image.source != "TILED":
-            tile[:] = 0
-        values = np.zeros((len(uv), 4), np.float32)
-        for column, row in np.unique(tile, axis=0).tolist():
-            rows = np.flatnonzero((tile == [column, row]).all(axis=1))
-            pixels = self._pixels(image, label, 1001 + column + 10 * row)
+    def _texels(self, image: bpy.types.Image, label: str, uv: np.ndarray) -> np.ndarray:
+        """(N, 3) values of an image at UVs (N, 2), which choose its tile."""
+        tile = np.floor(uv).astype(int) @ [1, 10] if image.source == "TILED" else np.zeros(len(uv), int)
+        values = np.zeros((len(uv), 3), np.float32)
+        for number in np.unique(tile).tolist():
+            key, rows = (image.name, number), np.flatnonzero(tile == number)
+            if key not in self._pixels:
+                one = image.source != "TILED" and label == "Base Color"
+                self._pixels[key] = linear_values(image) if one else tile_values(image, tile_number(number))
+            pixels = self._pixels[key]
             size = np.array([pixels.shape[1], pixels.shape[0]])
-            x, y = np.clip(((uv[rows] - tile[rows]) * size).astype(int), 0, size - 1).T
-            values[rows] = (
-                np.resize(pixels[y, x], (len(rows), 4)) if pixels.shape[2] == 4 else _grey(pixels[y, x])
-            )
+            x, y = np.clip((image_uvs(uv[rows], tile[rows]) * size).astype(int), 0, size - 1).T
+            values[rows] = pixels[y, x][:, [0, 1, 2] if pixels.shape[2] > 2 else [0, 0, 0]]
         return values
-
-    def _pixels(self, image: bpy.types.Image, label: str, number: int) -> np.ndarray:
-        key = image.name, number
-        if key not in self._images:
-            whole = image.source != "TILED" and label == "Base Color"
-            self._images[key] = linear_values(image) if whole else tile_values(image, number)
-        return self._images[key]
-
-
-def _grey(values: np.ndarray) -> np.ndarray:
-    """Values (N, 1 to 3) with four channels."""
-    return np.concatenate([values, np.repeat(values[:, -1:], 4 - values.shape[1], axis=1)], axis=1)
 
 
 def _barycentric(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(N, 3) weights of the corners of triangles (N, 3, 3) at points (N, 3) on them."""
-    edges = triangles - np.roll(triangles, -1, axis=1)
-    normal = np.cross(edges[:, 0], edges[:, 1])
-    opposite = [
-        np.einsum(
-            "ni,ni->n",
-            np.cross(triangles[:, (k + 1) % 3] - points, triangles[:, (k + 2) % 3] - points),
-            normal,
-        )
-        for k in range(3)
-    ]
-    weights = np.maximum(np.stack(opposite, axis=1), 0.0)
+    towards = triangles - points[:, None]
+    opposite = np.cross(np.roll(towards, -1, axis=1), np.roll(towards, -2, axis=1))
+    weights = np.maximum(np.einsum("nkc,nc->nk", opposite, opposite.sum(axis=1)), 0.0)
     return weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-30)
 
 
@@ -202,57 +148,51 @@ class Plane:
         """Distances (N,) of points (N, 3) in front of it, metres."""
         return points @ self.normal - self.offset
 
-    def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Two unit vectors (3,) on it, whose cross product is the normal; the first one is level."""
+    def axes(self) -> np.ndarray:
+        """(2, 3) unit vectors on it, whose cross product is the normal; of a wall, the first one is level."""
         level = np.cross([0.0, 0.0, 1.0], self.normal)
-        first = level / np.linalg.norm(level) if np.linalg.norm(level) > 0.1 else np.array([1.0, 0.0, 0.0])
-        first = first - self.normal * (first @ self.normal)
-        first /= np.linalg.norm(first)
-        return first, np.cross(self.normal, first)
+        first = level if np.linalg.norm(level) > 0.1 else np.cross([0.0, 1.0, 0.0], self.normal)
+        first = first / np.linalg.norm(first)
+        return np.stack([first, np.cross(self.normal, first)])
 
 
-def reach_around(points: np.ndarray) -> float:
-    """How far around removed points (N, 3) their room is looked at, metres: half their size."""
+def _reach(points: np.ndarray) -> float:
+    """How far around removed points (N, 3) planes are looked for, metres."""
     return float(np.clip(0.5 * np.ptp(points, axis=0).max(), *_REACH))
 
 
 def planes_beside(room: Room, points: np.ndarray) -> list[Plane]:
     """The planes beside removed points (N, 3), those first that are seen most from their place."""
-    random = np.random.default_rng(0)
-    reach = reach_around(points)
-    origins = random.uniform(points.min(axis=0), points.max(axis=0), (_RAYS, 3))
-    axes = np.concatenate([np.eye(3), -np.eye(3)])
-    free = random.normal(size=(_RAYS, 3))
-    directions = np.where(
-        (np.arange(_RAYS) % 2 == 0)[:, None],
-        axes[random.integers(6, size=_RAYS)],
-        free / np.linalg.norm(free, axis=1, keepdims=True),
-    )
-    triangle, hits, normals = room.cast(origins, directions, 3.0 * reach)
-    normals = -normals * np.sign(np.einsum("ni,ni->n", normals, directions))[:, None]
-    outside = np.maximum(np.maximum(points.min(axis=0) - hits, hits - points.max(axis=0)), 0.0).max(axis=1)
-    chosen = (triangle >= 0) & (outside < reach)
+    random, reach = np.random.default_rng(0), _reach(points)
+    low, high = points.min(axis=0), points.max(axis=0)
+    directions = random.normal(size=(_RAYS, 3))
+    directions[::2] = np.eye(3)[random.integers(3, size=_RAYS // 2)] * random.choice([-1, 1], (_RAYS // 2, 1))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    triangle, hits, normals = room.cast(random.uniform(low, high, (_RAYS, 3)), directions, 3.0 * reach)
+    normals *= -np.sign(np.einsum("ni,ni->n", normals, directions))[:, None]
+    chosen = (triangle >= 0) & ((hits > low - reach) & (hits < high + reach)).all(axis=1)
     hits, normals = hits[chosen], normals[chosen]
     least = max(_LEAST_SHARE * len(hits), 20.0)
     planes: list[Plane] = []
     while len(hits) > least and len(planes) < _MOST_PLANES:
         seeds = random.integers(len(hits), size=48)
-        votes = [_on_plane(hits, normals, normals[seed], hits[seed]) for seed in seeds]
-        best = votes[int(np.argmax([vote.sum() for vote in votes]))]
+        best = max((_on_plane(hits, normals, normals[k], hits[k]) for k in seeds), key=np.count_nonzero)
         if best.sum() < least:
             break
         normal = np.median(normals[best], axis=0)
-        plane = Plane(normal / np.linalg.norm(normal), float(np.median(hits[best] @ normal)))
-        normal = plane.normal
+        normal /= np.linalg.norm(normal)
+        plane = Plane(normal, float(np.median(hits[best] @ normal)))
         # Rays that start behind a wall, in which the furniture is a little, see its back.
-        if not any(
-            each.normal @ normal < -_PARALLEL and abs(each.offset + plane.offset) < 2 * _THICKNESS
-            for each in planes
-        ):
+        if not any(_is_back(plane, each) for each in planes):
             planes.append(plane)
-        left = ~_on_plane(hits, normals, normal, hits[best].mean(axis=0))
-        hits, normals = hits[left & ~best], normals[left & ~best]
+        left = ~best & ~_on_plane(hits, normals, normal, plane.offset * normal)
+        hits, normals = hits[left], normals[left]
     return planes
+
+
+def _is_back(plane: Plane, other: Plane) -> bool:
+    same_place = abs(plane.offset + other.offset) < 2.0 * _THICKNESS
+    return bool(plane.normal @ other.normal < -_PARALLEL) and same_place
 
 
 def _on_plane(hits: np.ndarray, normals: np.ndarray, normal: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -286,81 +226,43 @@ class Window:
 
 def window_of(room: Room, plane: Plane, others: Sequence[Plane], points: np.ndarray) -> Window | None:
     """The window of a plane behind removed points (N, 3); None where they have hidden nothing of it."""
-    first, second = plane.axes()
-    height = plane.height(points)
-    reach = reach_around(points)
-    near = points[(height > -_THICKNESS) & (height < height.min() + 2.0 * reach)]
+    height, reach, axes = plane.height(points), _reach(points), plane.axes()
+    near = points[(height > -_THICKNESS) & (height < height.min() + 2.0 * reach)] @ axes.T
     if height.min() > reach or not len(near):
         return None
-    low, high = (np.array([limit(near @ first), limit(near @ second)]) for limit in (np.min, np.max))
-    margin = _MARGIN * reach
-    sides = high - low + 2.0 * margin
-    triangle = _under(room, plane, _grid(plane, low - margin, sides / 16.0, (16, 16)).reshape(-1, 3))[0]
-    size = room.cell_size(triangle[triangle >= 0])
-    size = max(float(np.clip(size, FINEST, COARSEST)), float(sides.max()) / MOST_CELLS)
-    rows, columns = np.ceil(sides[::-1] / size).astype(int).tolist()
-    shape = (rows, columns)
-    centers = _grid(plane, low - margin, np.array([size, size]), shape)
-    triangle, hits = _under(room, plane, centers.reshape(-1, 3))
-    there = triangle >= 0
-    slot, values = np.full(len(triangle), -1), np.zeros((len(triangle), 6), np.float32)
-    slot[there] = room.slot[triangle[there]]
+    low, high = near.min(axis=0) - _MARGIN * reach, near.max(axis=0) + _MARGIN * reach
+    size = max(FINEST, float((high - low).max()) / MOST_CELLS)
+    columns, rows = np.ceil((high - low) / size).astype(int).tolist()
+    flat = low + size * (np.indices((rows, columns))[::-1].reshape(2, -1).T + 0.5)
+    centers = plane.normal * plane.offset + flat @ axes
+    towards = np.broadcast_to(-plane.normal, centers.shape)
+    triangle, hits, normals = room.cast(centers + _THICKNESS * plane.normal, towards, 2.0 * _THICKNESS)
+    there = (triangle >= 0) & (normals @ plane.normal > 0.5)
+    slot, values = np.where(there, room.slot[triangle], -1), np.zeros((len(centers), 6), np.float32)
     values[there] = room.maps(triangle[there], hits[there])
     known = there & ((values[:, 5] > 0.0) | room.filled[triangle])
-    closing = ~there & _closes(room, plane, others, centers.reshape(-1, 3), there)
-    known, unseen = known.reshape(shape), (there & ~known | closing).reshape(shape)
-    place = np.indices(shape)
-    behind = np.ones(shape, bool)
-    for axis, index in ((0, 1), (1, 0)):
-        position = (place[axis] + 0.5) * size - margin
-        behind &= (position >= -2 * size) & (position <= high[index] - low[index] + 2 * size)
-    hidden = _connected(unseen, unseen & behind)
+    unseen = there & ~known
+    unseen[~there] = _closes(room, plane, others, centers[~there])
+    behind = ((flat > near.min(axis=0) - 2.0 * size) & (flat < near.max(axis=0) + 2.0 * size)).all(axis=1)
+    grid = (rows, columns)
+    known, unseen, hidden = known.reshape(grid), unseen.reshape(grid), (unseen & behind).reshape(grid)
+    while (more := grown(hidden) & unseen).sum() > hidden.sum():  # what is connected with it
+        hidden = more
     if hidden.sum() < 9:
         return None
     worn = grown(hidden, _WORN) & known
-    hidden, known = hidden | worn, known & ~worn
-    origin = plane.normal * plane.offset + first * (low[0] - margin) + second * (low[1] - margin)
-    above = np.where(there, plane.height(hits), 0.0).reshape(shape)
-    grid = values[:, :5].reshape(*shape, 5)
-    return Window(plane, origin, size, grid, known, hidden, slot.reshape(shape), above)
+    origin = plane.normal * plane.offset + low @ axes
+    above = np.where(there, plane.height(hits), 0.0).reshape(grid)
+    maps = values[:, :5].reshape(*grid, 5)
+    return Window(plane, origin, size, maps, known & ~worn, hidden | worn, slot.reshape(grid), above)
 
 
-def _grid(plane: Plane, low: np.ndarray, step: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """(H, W, 3) centres of cells on a plane."""
-    first, second = plane.axes()
-    rows = low[1] + step[1] * (np.arange(shape[0]) + 0.5)
-    columns = low[0] + step[0] * (np.arange(shape[1]) + 0.5)
-    flat = columns[None, :, None] * first + rows[:, None, None] * second
-    return np.asarray(plane.normal * plane.offset + flat)
-
-
-def _under(room: Room, plane: Plane, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangle (N,) of the surface on a plane at points (N, 3), -1 for none, and its points (N, 3)."""
+def _closes(room: Room, plane: Plane, others: Sequence[Plane], points: np.ndarray) -> np.ndarray:
+    """Which points (N, 3) without a surface a plane closes: nothing of the room is behind them."""
+    crossing = [other for other in others if abs(float(other.normal @ plane.normal)) < 0.9]
+    inside = np.ones(len(points), bool)
+    for other in crossing:
+        inside &= other.height(points) > -_THICKNESS
     towards = np.broadcast_to(-plane.normal, points.shape)
-    triangle, hits, normals = room.cast(points + _THICKNESS * plane.normal, towards, 2.0 * _THICKNESS)
-    return np.where(normals @ plane.normal > 0.5, triangle, -1), hits
-
-
-def _closes(
-    room: Room, plane: Plane, others: Sequence[Plane], points: np.ndarray, there: np.ndarray
-) -> np.ndarray:
-    """Points (N, 3) of holes that the plane closes: outside of it is nothing of the room."""
-    result = ~there
-    for other in others:
-        if other is not plane and abs(float(other.normal @ plane.normal)) < 0.9:
-            result &= other.height(points) > -_THICKNESS
-    chosen = np.flatnonzero(result)
-    towards = np.broadcast_to(-plane.normal, (len(chosen), 3))
-    triangle, _, normals = room.cast(points[chosen] + _THICKNESS * plane.normal, towards, 100.0)
-    result[chosen] = (triangle < 0) | (normals @ plane.normal < 0.0)
-    return result
-
-
-def _connected(mask: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """The cells of a mask (H, W) that are connected with seeds."""
-    found = seeds
-    while True:
-        more = grown(found) & mask
-        if (more == found).all():
-            return found
-        found = more
+    triangle, _, normals = room.cast(points + _THICKNESS * plane.normal, towards, 100.0)
+    return inside & ((triangle < 0) | (normals @ plane.normal < 0.0))
