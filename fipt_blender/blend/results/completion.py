@@ -14,13 +14,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 PATCH = 7  # cells of a patch's side, odd
 HALF = PATCH // 2
-ROUNDS = 5  # of matching and voting on each level; more change little
+ROUNDS = (5, 2)  # of matching and voting on coarser levels and on the finest one; more change little
 _RANDOM_TRIES = 5  # random matches that are tried in each round, within halved distances
 _LEAST_SIDE = 24  # cells: the coarsest level has no smaller side
 _TRUST = (
     1.3  # by which a cell counts less than its neighbour that is nearer to the known ones (Wexler et al.)
 )
-_PERIODS = 24  # offsets by which the known cells repeat that are tried as matches (He and Sun 2012)
+_PERIODS = 12  # offsets by which the known cells repeat that are tried as matches (He and Sun 2012)
 _LEAST_OVERLAP = 0.15  # share of the known cells that an offset must map on known ones
 _STEPS = [
     (step * y, step * x) for step in (1, 4) for y, x in ((0, 1), (0, -1), (1, 0), (-1, 0))
@@ -52,7 +52,8 @@ def complete(
     match: np.ndarray | None = None
     for colors, sure, missing in reversed(levels):
         if _sources(sure).any():  # else the nearest cells stay
-            match = _match(colors, sure, missing, match, features, random)
+            rounds = ROUNDS[sure.shape == known.shape]
+            match = _match(colors, sure, missing, match, features, rounds, random)
     if match is not None and match.shape[:2] == hole.shape:
         nearest = np.where(hole, match @ [hole.shape[1], 1], nearest)
     return np.where(hole[..., None], levels[0][0], values), nearest
@@ -110,6 +111,7 @@ def _match(
     hole: np.ndarray,
     coarser: np.ndarray | None,
     features: int,
+    rounds: int,
     random: np.random.Generator,
 ) -> np.ndarray:
     """Match and vote on a level, whose values change; (H, W, 2) row and column of each patch's match."""
@@ -147,7 +149,7 @@ def _match(
         present[fits] = guess[fits]
         _vote(values, hole, centers, present, np.ones(len(rows)))
     periods = _periods(np.sqrt(values[..., :features]), known)
-    for _ in range(ROUNDS):
+    for number in range(rounds):
         roots = np.sqrt(np.maximum(values[..., :features], 0.0))  # nearer to what is seen than radiances
         windows = sliding_window_view(roots, (PATCH, PATCH, features))[:, :, 0]
         own = windows[rows - HALF, columns - HALF]
@@ -156,7 +158,7 @@ def _match(
         for step in _STEPS:  # what the neighbour has found, moved as far as it lies from here
             near = match[tuple(np.clip(centers - step, 0, shape - 1).T)]
             take(np.where(near.any(axis=1, keepdims=True), near + step, -1))
-        for period in periods:
+        for period in periods if number == 0 else ():
             take(centers + period)
         for attempt in range(1, _RANDOM_TRIES + 1):
             span = max(int(shape.max()) >> attempt, 1)
