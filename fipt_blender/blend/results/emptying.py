@@ -24,6 +24,7 @@ from ..color_spaces import from_scene_linear
 from ..marks import (
     FILLED,
     MAP,
+    PART_NAME,
     REMOVED,
     filled_surfaces,
     fixtures_of,
@@ -211,7 +212,7 @@ def _surface(
     matrix = np.eye(4)
     matrix[:3, :3] = np.stack([*window.plane.axes(), window.plane.normal], axis=1)
     matrix[:3, 3] = window.origin + LIFT * window.plane.normal
-    item = bpy.data.objects.new(f"Emptied {mesh.materials[0].name}", mesh)
+    item = bpy.data.objects.new(f"Emptied {room.materials[used[0]][PART_NAME]}", mesh)
     item[FILLED] = number
     collection(scene, EMPTIED).objects.link(item)
     item.parent = room_with_results(scene)[0].parent
