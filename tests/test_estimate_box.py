@@ -22,7 +22,6 @@ import pytest
 from PIL import Image
 
 from benchmarks.tracer.environment import EnvironmentLight
-from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.light import baking
 from fipt_blender.core.material import training
