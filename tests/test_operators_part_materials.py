@@ -12,6 +12,7 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend import marks
+from fipt_blender.blend.png16 import decode_srgb
 from fipt_blender.blend.results import adjust
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running
@@ -178,3 +179,31 @@ def test_faces_that_were_left_alone_keep_their_material(scene, mode):
     row(scene, "Box").value = 0.5
     assert ops.apply_results() == {"FINISHED"} and face_materials("cube") == own
     assert row(scene, "Box").value == pytest.approx(0.5)
+
+
+def test_a_part_gets_a_colour_and_keeps_its_pattern(applied):
+    part = row(applied, "Sill")
+    assert tuple(part.color) == pytest.approx((0.6, 0.3, 0.1), abs=1e-6)
+    make_active(applied, "Sill")
+    assert "is no color" in refused(ops.set_part_color, color="RAL 1")
+    assert ops.set_part_color(color="RAL 7035") == {"FINISHED"}
+    grey = decode_srgb(np.array([0xC5, 0xC7, 0xC4]) / 255.0)
+    assert np.allclose(part.color, grey, atol=1e-5)
+    assert ops.set_part_color(color="#c5c7c4") == {"FINISHED"} and np.allclose(part.color, grey, atol=1e-5)
+    values = adjust.read(bpy.data.materials["Sill FIPT"])
+    assert row(applied, "Frame").color[0] == pytest.approx(0.6)
+    maps = np.array([[0.6, 0.3, 0.1, 0.7, 0.2], [0.7, 0.4, 0.2, 0.5, 0.0], [0.5, 0.2, 0.0, 0.9, 1.0]])
+    colored = adjust.adjusted(values, maps)
+    assert np.allclose(colored[:, :3].mean(axis=0), grey, atol=1e-5)
+    assert np.allclose(np.ptp(colored[:, :3], axis=0), 0.2 * values.gain, atol=1e-5)
+    assert np.array_equal(colored[:, 3:], maps[:, 3:])
+    ops.show_map(shown="BASE_COLOR")
+    sill = Vector((4.5, 0.5, 0.0))
+    shown = picture(applied, sill + Vector((0, 0, 2)), sill, 3, 0.1)
+    assert np.allclose(shown, np.array([0xC5, 0xC7, 0xC4]) / 255.0, atol=0.01)
+    fingerprint_before = astuple(values)
+    assert ops.apply_results() == {"FINISHED"}
+    assert astuple(adjust.read(bpy.data.materials["Sill FIPT"])) == pytest.approx(fingerprint_before)
+    part = row(applied, "Sill")
+    part.color = part.base_color
+    assert adjust.read(bpy.data.materials["Sill FIPT"]).gain == 1.0

@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 import bpy
+import numpy as np
 import pytest
 
 from fipt_blender.blend.marks import MATERIAL, PART, room_with_results
 from fipt_blender.blend.results.replacing import adopt, replacement
+from fipt_blender.blend.results.tiling import METRES
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
@@ -110,3 +112,31 @@ def test_a_dropped_material_replaces_the_part_on_all_objects(applied):
     assert second.materials[0] == estimate and replacement(applied, estimate[PART]) is None
     assert MATERIAL in other
     assert adopt(applied, room) == []
+
+
+def test_a_replaced_part_has_coordinates_in_metres_along_the_longest_wall(applied):
+    cube = bpy.data.objects["cube"]
+    shown = next((layer.name for layer in cube.data.uv_layers if layer.active_render), "")
+    cube.location.y += 2.0  # now the room is longest along Y
+    bpy.context.view_layer.update()
+    choose(applied, "Cube")
+    bpy.data.materials.new("tiles")
+    ops.replace_part_material(material="tiles")
+    layer = cube.data.uv_layers[METRES]
+    assert layer.active_render and METRES not in bpy.data.objects["panel"].data.uv_layers
+    uvs = np.array([each.vector for each in layer.uv])
+    for polygon in cube.data.polygons:
+        corners = np.array([cube.data.vertices[index].co for index in polygon.vertices])
+        if np.abs(polygon.normal).max() > 0.99:  # a side of two metres, without its bevel
+            assert np.allclose(
+                sorted(np.ptp(uvs[list(polygon.loop_indices)], axis=0)), sorted(np.ptp(corners, axis=0))[1:]
+            )
+    top = next(polygon for polygon in cube.data.polygons if polygon.normal.z > 0.99)
+    index = top.loop_indices[0]
+    place = cube.matrix_world @ cube.data.vertices[cube.data.loops[index].vertex_index].co
+    assert np.allclose(np.abs(uvs[index]), np.abs([place.y, place.x]), atol=1e-4)
+    assert ops.apply_results() == {"FINISHED"}
+    assert cube.data.uv_layers[METRES].active_render
+    assert ops.restore_estimate() == {"FINISHED"}
+    assert METRES not in cube.data.uv_layers
+    assert next((each.name for each in cube.data.uv_layers if each.active_render), "") == shown

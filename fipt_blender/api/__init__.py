@@ -8,7 +8,7 @@ Each function works on one scene, the context's by default, waits for its end an
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = (
     *("FiptError", "Outcome", "import_capture", "estimate", "reestimate", "apply"),
     *("fixtures", "materials", "blender_materials", "render", "export"),
+    *("remove_from_room", "bring_back"),
     *("versions", "use_version", "delete_version"),
 )
 
@@ -208,6 +209,37 @@ def export(
     options = ExportOptions(texture_size, lamp_lights)
     exported = export_room(scene or bpy.context.scene, Path(bpy.path.abspath(str(path))).absolute(), options)
     return [f"{warning['text']} {warning['remedy']}" for warning in exported.warnings]
+
+
+def remove_from_room(
+    objects: Collection[bpy.types.Object] = (),
+    box: bpy.types.Object | None = None,
+    scene: bpy.types.Scene | None = None,
+) -> list[str]:
+    """Hide furniture, and complete the planes and materials behind it; returns the names of the new surfaces.
+
+    Args:
+        objects: of the room's results, lamps among them.
+        box: an empty, whose cube encloses further faces.
+        scene: see the module.
+
+    Raises:
+        FiptError: ``removal-empty`` where these are none of the room's, ``run-missing``,
+            ``textures-unwritable``.
+    """
+    from ..blend.results import emptying
+    from .applying import run_of
+
+    scene = scene or bpy.context.scene
+    chosen = emptying.faces_in_box(scene, box) if box is not None else {}
+    return emptying.remove(scene, run_of(scene), {**chosen, **dict.fromkeys(objects)})[1]
+
+
+def bring_back(scene: bpy.types.Scene | None = None) -> None:
+    """Show all that was removed from the room again."""
+    from ..blend.results import emptying
+
+    emptying.bring_back(scene or bpy.context.scene)
 
 
 def versions(scene: bpy.types.Scene | None = None) -> list[Version]:

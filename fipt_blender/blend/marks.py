@@ -39,6 +39,10 @@ LAID_OUT = "fipt_laid_out"  # on a result mesh: digest of the atlas of its UVs
 SPLIT_OFF = (
     "fipt_split_off"  # on a result mesh: those of the object's exported triangles that became fixtures
 )
+REMOVED = (
+    "fipt_removed"  # on what the artist has removed from the room, which is hidden: the removal's number
+)
+FILLED = "fipt_filled"  # on what completes the surfaces behind it: the removal's number
 CATCHER = "fipt_catcher"  # we made the object a shadow catcher
 
 # --- fixtures and lights -----------------------------------------------------------------------------------
@@ -145,6 +149,16 @@ def has_results(item: bpy.types.Object) -> bool:
 def room_with_results(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The scene's objects that have a result mesh."""
     return [item for item in scene.objects if has_results(item)]
+
+
+def has_estimates(item: bpy.types.Object) -> bool:
+    """Whether an object's mesh has estimated materials: a result mesh, or what completes the room."""
+    return has_results(item) or FILLED in item
+
+
+def filled_surfaces(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The scene's objects that complete the surfaces behind what was removed."""
+    return [item for item in scene.objects if FILLED in item]
 
 
 def shadow_catchers(scene: bpy.types.Scene) -> list[bpy.types.Object]:

@@ -16,6 +16,7 @@ FIXTURES = "FIPT Fixtures"
 LIGHTS = "FIPT Lights"
 INSERTED = "FIPT Inserted"
 EARLIER_ROOMS = "FIPT Earlier Rooms"
+EMPTIED = "FIPT Emptied"
 NAMES = {
     TREE: "Room",
     ROOM: "Parts",
@@ -24,6 +25,7 @@ NAMES = {
     LIGHTS: "Added Lights",
     INSERTED: "Inserted",
     EARLIER_ROOMS: "Earlier Rooms",
+    EMPTIED: "Behind Removed",
 }
 
 

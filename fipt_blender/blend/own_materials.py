@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 import bpy
 
-from .marks import ESTIMATE, MATERIAL, RESULT_MESH, has_results, is_fixture, is_our_light
+from .marks import ESTIMATE, MATERIAL, RESULT_MESH, has_estimates, is_fixture, is_our_light
 
 
 def own_materials(scene: bpy.types.Scene) -> None:
@@ -41,7 +41,7 @@ def own_materials(scene: bpy.types.Scene) -> None:
 
 def _meshes(items: Iterable[bpy.types.Object]) -> set[bpy.types.Mesh]:
     """The result meshes of objects."""
-    return {item.get(RESULT_MESH, item.data) for item in items if has_results(item) or is_fixture(item)}
+    return {item.get(RESULT_MESH, item.data) for item in items if has_estimates(item) or is_fixture(item)}
 
 
 def _materials(mesh: bpy.types.Mesh) -> set[bpy.types.Material]:

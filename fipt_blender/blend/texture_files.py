@@ -114,10 +114,16 @@ def content_name(run: RunFolder) -> str:
     return digest.hexdigest()
 
 
-def texture_files(scene: bpy.types.Scene, run: RunFolder) -> TextureFiles:
-    """Where the textures of a scene are kept: beside the file; in the run folder while it has no name."""
-    png = scene.fipt.materials.texture_format == "PNG"
+def texture_files(scene: bpy.types.Scene, run: RunFolder, name: str = "") -> TextureFiles:
+    """Where the textures of a scene are kept: beside the file; in the run folder while it has no name.
+
+    Args:
+        scene, run: whose textures.
+        name: of a set that is no run's, a digest of its content; its files are EXRs.
+    """
+    png = scene.fipt.materials.texture_format == "PNG" and not name
+    name = name or content_name(run)
     if not bpy.data.filepath:
-        return in_run_folder(run, png)
+        return TextureFiles(run.root / IN_RUN / name, png)
     blend = Path(bpy.data.filepath)
-    return TextureFiles(blend.with_name(f"{blend.stem}_textures") / content_name(run), png, True)
+    return TextureFiles(blend.with_name(f"{blend.stem}_textures") / name, png, True)

@@ -153,6 +153,22 @@ def select_part_faces(
         bpy.ops.object.mode_set(mode="EDIT")
 
 
+@action("Set Color of Part", needs=_has_parts, invoke=dialog)
+def set_part_color(
+    scene: bpy.types.Scene,
+    color: Annotated[str, 'A RAL number, such as "RAL 7035", or sRGB as "#d7d5cb"'] = "",
+) -> str:
+    """Give the active part a color by its RAL number or its sRGB code. The part's pattern and gloss stay."""
+    from ..blend.results.part_colors import named_color
+
+    part = scene.fipt.materials.part()
+    if part is None or not part.known:
+        text = "No part is chosen whose colors are known."
+        raise FiptError("part-missing", text, "Choose a part in the list that photographs saw.")
+    part.color = named_color(color)
+    return iface_("{} has the color {}").format(part.name, color)
+
+
 @action("Reset Adjustment", needs=_has_parts)
 def reset_part(scene: bpy.types.Scene, all_parts: AllParts = False) -> str:
     """Remove the adjustment of the active part, or of all parts."""

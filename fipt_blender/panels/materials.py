@@ -71,10 +71,15 @@ class FIPT_PT_materials_parts(Section, bpy.types.Panel):
         replaced = _draw_replacement(layout, context, part)
         column = layout.column(align=True)
         column.enabled = settings.shown != "ORIGINAL" and not replaced
+        if part.known:
+            row = column.row(align=True)
+            row.prop(part, "color")
+            row.operator("fipt.set_part_color", text="", icon="EYEDROPPER")
         for name in _SLIDERS:
             column.prop(part, _SUMS.get(name, name) if part.known else name, slider=True)
         shading = getattr(context.space_data, "shading", None)
         changed = any(getattr(part, name) != neutral for name, neutral in _SLIDERS.items())
+        changed |= part.known and part.color != part.base_color
         if changed and shading is not None and shading.type == "SOLID":
             text = "Solid shading shows the textures without these changes. Use Material Preview or Rendered."
             draw_text(layout, context, iface_(text), icon="INFO")
@@ -93,12 +98,25 @@ class FIPT_PT_materials_parts_more(SubSection, bpy.types.Panel):
         column.operator("fipt.mark_part_assets", icon="ASSET_MANAGER").all_parts = False
 
 
+class FIPT_PT_materials_emptying(SubSection, bpy.types.Panel):
+    """The room without some of its furniture"""
+
+    bl_label = "Empty the Room"
+    bl_parent_id = "FIPT_PT_materials"
+    bl_order = 1
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = self.layout.column(align=True)
+        column.operator("fipt.remove_from_room", icon="TRASH")
+        column.operator("fipt.bring_back", icon="LOOP_BACK")
+
+
 class FIPT_PT_materials_hand_off(SubSection, bpy.types.Panel):
     """The room for other programs and machines"""
 
     bl_label = "Hand Off"
     bl_parent_id = "FIPT_PT_materials"
-    bl_order = 2
+    bl_order = 3
 
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column(align=True)
@@ -111,7 +129,7 @@ class FIPT_PT_materials_settings(SubSection, bpy.types.Panel):
 
     bl_label = "Apply Settings"
     bl_parent_id = "FIPT_PT_materials"
-    bl_order = 1
+    bl_order = 2
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The menu View > FIPT, by which the menu search (F3) finds the operators; File > Export; the pie menu."""
+"""The menu View > FIPT, by which the menu search (F3) finds the operators; File > Import and Export."""
 
 from __future__ import annotations
 
@@ -47,8 +47,11 @@ SECTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("apply_results", ""),
         ("pick_part", "Pick Part of Room"),
         ("select_part_faces", "Select Faces of Part"),
+        ("set_part_color", ""),
         ("reset_part", "Reset Adjustment of Part"),
         ("mark_part_assets", "Mark Material of Part as Asset"),
+        ("remove_from_room", ""),
+        ("bring_back", "Bring Back to Room"),
         ("export_room", ""),
         ("revert", "Revert Results"),
     ),
@@ -162,6 +165,7 @@ MENUS = [_section_menu(label, operators) for label, operators in SECTIONS.items(
 def register() -> None:
     """Add the menu, the key and the addresses of the documentation."""
     bpy.types.VIEW3D_MT_view.append(_draw_menu)
+    bpy.types.TOPBAR_MT_file_import.append(_draw_import)
     bpy.types.TOPBAR_MT_file_export.append(_draw_export)
     bpy.utils.register_manual_map(online_manual)
     configuration = bpy.context.window_manager.keyconfigs.addon
@@ -179,6 +183,7 @@ def unregister() -> None:
         keymap.keymap_items.remove(item)
     bpy.utils.unregister_manual_map(online_manual)
     bpy.types.TOPBAR_MT_file_export.remove(_draw_export)
+    bpy.types.TOPBAR_MT_file_import.remove(_draw_import)
     bpy.types.VIEW3D_MT_view.remove(_draw_menu)
 
 
@@ -204,6 +209,11 @@ def online_manual() -> tuple[str, tuple[tuple[str, str], ...]]:
 def _draw_menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
     self.layout.separator()
     self.layout.menu("FIPT_MT_main")
+
+
+def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+    self.layout.operator_context = "INVOKE_DEFAULT"
+    self.layout.operator("fipt.choose_capture", text="Room Capture (FIPT)")
 
 
 def _draw_export(self: bpy.types.Menu, context: bpy.types.Context) -> None:

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import bpy
 
 from ..core.run.stage_settings import TextureSettings
@@ -69,6 +71,24 @@ def _adjustment(field: str, name: str, text: str, low: float, high: float) -> ob
     return bpy.props.FloatProperty(name=name, description=text, min=low, max=high, get=read, set=write)
 
 
+def _color() -> object:
+    """A part's mean base colour with its adjustment by gain and shift."""
+
+    def read(self: FIPT_Part) -> tuple[float, ...]:
+        from ..blend.results.part_colors import color_of
+
+        return color_of(self)
+
+    def write(self: FIPT_Part, value: Sequence[float]) -> None:
+        from ..blend.results.part_colors import set_color
+
+        set_color(self, value)
+
+    text = "Mean base color of the part. Its pattern and gloss stay when you choose another one"
+    limits = {"subtype": "COLOR", "size": 3, "min": 0.0, "max": 1.0}
+    return bpy.props.FloatVectorProperty(name="Color", description=text, get=read, set=write, **limits)
+
+
 class FIPT_Part(bpy.types.PropertyGroup):
     """A part of the room with applied results; its name is unique."""
 
@@ -92,6 +112,7 @@ class FIPT_Part(bpy.types.PropertyGroup):
     metallic_offset: _adjustment(
         "metallic", "Metallic ±", "Added to the estimated metallic of the part", -1.0, 1.0
     )
+    color: _color()
     roughness_value: _absolute("roughness")
     metallic_value: _absolute("metallic")
     hue: _adjustment(

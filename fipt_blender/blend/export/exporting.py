@@ -28,6 +28,7 @@ from ..marks import (
     VISIBILITY,
     WORLD,
     fixture_lights,
+    has_estimates,
     has_results,
     is_our_light,
     room_with_results,
@@ -172,7 +173,7 @@ def _show_surfaces(stage: Stage, shown: list[bpy.types.Object], warnings: list[M
             stage.show(item)
         elif item.type in ("CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL") or item.is_instancer:
             others.append(item.name)
-        if has_results(item) and UV_LAYER in item.data.uv_layers:
+        if has_estimates(item) and UV_LAYER in item.data.uv_layers:
             if item.data not in meshes:
                 meshes[item.data] = stage.add(item.data.copy(), stage.name(item))
             stage.set(item, "data", meshes[item.data])
@@ -232,7 +233,7 @@ class _Plain:
 def _plain_room(stage: Stage, pictures: str, texture_size: int) -> set[str]:
     """Give the room's meshes on the stage plain materials, whose names are returned."""
     plain = _Plain(stage, pictures, texture_size)
-    for mesh in {item.data: None for item in stage.scene.objects if has_results(item)}:
+    for mesh in {item.data: None for item in stage.scene.objects if has_estimates(item)}:
         materials = [each if has_maps(each) else None for each in mesh.materials]
         slots, tiles = polygon_slots(mesh), np.zeros(len(mesh.polygons), np.int64)
         if any(each is not None and is_tiled(each) for each in materials):  # few readers know tiles

@@ -22,6 +22,7 @@ from ..marks import (
     NEW_LIGHT,
     PLACED,
     PROBABILITY,
+    REMOVED,
     fixture_lights,
     fixtures_of,
     remove_marks,
@@ -47,7 +48,11 @@ class FixtureState:
         matrix: its matrix to the world if the artist has moved it, else None.
         mesh: name of its mesh if the artist has modelled that, else "". It has a fake user.
         hidden: in viewports and in renders.
+<<<<<<< HEAD
         materials: the artist's, by slot, in place of ours.
+=======
+        removed: number of the removal that has hidden it, else 0.
+>>>>>>> artist
     """
 
     settings: dict[str, Setting]
@@ -58,7 +63,11 @@ class FixtureState:
     matrix: Matrix | None = None
     mesh: str = ""
     hidden: tuple[bool, bool] = (False, False)
+<<<<<<< HEAD
     materials: Mapping[int, bpy.types.Material] = field(default_factory=dict)
+=======
+    removed: int = 0
+>>>>>>> artist
 
 
 def release_copies(scene: bpy.types.Scene) -> None:
@@ -97,11 +106,15 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
             world_matrix(item).copy() if moved else None,
             item.data.name if modelled else "",
             (item.hide_viewport, item.hide_render),
+<<<<<<< HEAD
             {
                 slot: each
                 for slot, each in enumerate(slots)
                 if each is not None and not is_emission_material(each)
             },
+=======
+            int(item.get(REMOVED, 0)),
+>>>>>>> artist
         )
     return states
 
@@ -154,6 +167,8 @@ def _is_near(place: Sequence[float], other: Sequence[float]) -> bool:
 def _keep_shape(item: bpy.types.Object, state: FixtureState) -> None:
     """Give a new fixture the place, mesh and visibility that the artist has given the earlier one."""
     item.hide_viewport, item.hide_render = state.hidden
+    if state.removed:
+        item[REMOVED] = state.removed
     if state.matrix is not None:
         item.matrix_world = state.matrix
     mesh = bpy.data.meshes.get(state.mesh)

@@ -18,7 +18,7 @@ from ..node_trees import node_tree
 
 GROUP = "FIPT Adjust"
 MAPS = ("Base Color", "Roughness", "Metallic")
-_VERSION = 1
+_VERSION = 2  # of the node group; those of earlier ones are replaced when a value is written
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,7 @@ class Adjustment:
         roughness, metallic: added, -1 to 1; the sum is clamped to 0 to 1.
         hue: turn of the base colour's hue, -0.5 to 0.5 of the circle.
         saturation, value: factors of the base colour's saturation and value, 0 to 2.
+        gain, red, green, blue: factor of the base colour and what is then added, scene-linear, before these.
     """
 
     roughness: float = 0.0
@@ -36,6 +37,10 @@ class Adjustment:
     hue: float = 0.0
     saturation: float = 1.0
     value: float = 1.0
+    gain: float = 1.0
+    red: float = 0.0
+    green: float = 0.0
+    blue: float = 0.0
 
 
 NO_ADJUSTMENT = Adjustment()
@@ -46,7 +51,12 @@ _INPUTS = {
     "hue": ("Hue", -0.5, 0.5),
     "saturation": ("Saturation", 0.0, 2.0),
     "value": ("Value", 0.0, 2.0),
+    "gain": ("Gain", 0.0, 4.0),
+    "red": ("Red", -4.0, 4.0),
+    "green": ("Green", -4.0, 4.0),
+    "blue": ("Blue", -4.0, 4.0),
 }
+_SHIFT = ("red", "green", "blue")
 
 
 def add_adjustment(material: bpy.types.Material, values: Adjustment) -> bpy.types.Node:
@@ -89,6 +99,8 @@ def read(material: bpy.types.Material) -> Adjustment:
 def write(material: bpy.types.Material, values: Adjustment) -> None:
     """Set the adjustment of a material; nothing happens where it has no group."""
     node = node_tree(material).nodes.get(GROUP)
+    if node is not None and values != NO_ADJUSTMENT and node.node_tree.get(ADJUSTMENT) != _VERSION:
+        node.node_tree = _group()  # the sockets that it had keep their links and values
     for field, value in zip(fields(Adjustment), astuple(values), strict=True):
         name = _INPUTS[field.name][0]
         if node is not None and name in node.inputs:
@@ -108,7 +120,8 @@ def adjusted(values: Adjustment, maps: np.ndarray) -> np.ndarray:
     if values == NO_ADJUSTMENT:
         return maps
     result = np.empty_like(maps)
-    result[:, :3] = _shifted(maps[:, :3].astype(np.float64), values)
+    moved = maps[:, :3].astype(np.float64) * values.gain + [getattr(values, name) for name in _SHIFT]
+    result[:, :3] = _shifted(np.maximum(moved, 0.0), values)
     result[:, 3:] = np.clip(maps[:, 3:] + np.array([values.roughness, values.metallic]), 0.0, 1.0)
     return result
 
@@ -158,14 +171,14 @@ def _group() -> bpy.types.NodeTree:
 def _fill(tree: bpy.types.NodeTree) -> None:
     nodes, links = tree.nodes, tree.links
     entry, result = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")
-    entry.location, result.location = (-600.0, 0.0), (400.0, 0.0)
+    entry.location, result.location = (-1000.0, 0.0), (400.0, 0.0)
     turn = _math(tree, "ADD", entry.outputs["Hue"], 0.5, -400.0, 240.0)  # 0.5 leaves the hue as it is
     color = nodes.new("ShaderNodeHueSaturation")
     color.location = (-200.0, 240.0)
     links.new(turn, color.inputs["Hue"])
     for name in ("Saturation", "Value"):
         links.new(entry.outputs[name], color.inputs[name])
-    links.new(entry.outputs["Base Color"], color.inputs["Color"])
+    links.new(_moved(tree, entry), color.inputs["Color"])
     most = nodes.new("ShaderNodeVectorMath")  # a surface reflects no more light than it gets
     most.operation, most.location = "MINIMUM", (0.0, 240.0)
     links.new(color.outputs["Color"], most.inputs[0])
@@ -176,6 +189,24 @@ def _fill(tree: bpy.types.NodeTree) -> None:
         links.new(
             _math(tree, "ADD", entry.outputs[label], offset, -200.0, -200.0 * row), result.inputs[label]
         )
+
+
+def _moved(tree: bpy.types.NodeTree, entry: bpy.types.Node) -> bpy.types.NodeSocket:
+    """The base colour with gain and shift, not below 0."""
+    shift = tree.nodes.new("ShaderNodeCombineXYZ")
+    shift.location = (-800.0, 60.0)
+    for name, socket in zip(_SHIFT, shift.inputs, strict=True):
+        tree.links.new(entry.outputs[_INPUTS[name][0]], socket)
+    moved, least = (tree.nodes.new("ShaderNodeVectorMath") for _ in range(2))
+    moved.operation, moved.location = "MULTIPLY_ADD", (-600.0, 240.0)
+    for socket, source in zip(
+        moved.inputs, (entry.outputs["Base Color"], entry.outputs["Gain"], shift.outputs[0]), strict=False
+    ):
+        tree.links.new(source, socket)
+    least.operation, least.location = "MAXIMUM", (-400.0, 60.0)
+    tree.links.new(moved.outputs["Vector"], least.inputs[0])
+    least.inputs[1].default_value = (0.0, 0.0, 0.0)
+    return least.outputs["Vector"]
 
 
 def _math(

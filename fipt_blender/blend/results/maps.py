@@ -18,9 +18,9 @@ from ..color_spaces import set_view_transform
 from ..lights import light_state
 from ..lights.world import show_original_world
 from ..marks import MAP, room_with_results
-from ..outliner import FIXTURES, find_collection
+from ..outliner import EMPTIED, FIXTURES, find_collection
 from ..own_materials import own_materials
-from ..room.originals import result_meshes, show_original
+from ..room.originals import estimated_meshes, show_original
 from ..shown import write_surface
 from . import adjust
 from .materials import MAPS, is_uniform, result_materials
@@ -56,13 +56,13 @@ def show(scene: bpy.types.Scene, shown: str) -> None:
     for item in items:
         show_original(item, shown == "ORIGINAL")
     show_replacements(scene, shown)
-    meshes = result_meshes(items)
+    meshes = estimated_meshes(scene)
     for material in result_materials(meshes):
         _show_in_material(material, shown)
     for mesh in meshes:
         _show_in_mesh(mesh, shown)
-    target = find_collection(scene, FIXTURES)
-    if target is not None:
+    targets = (find_collection(scene, name) for name in (FIXTURES, EMPTIED))
+    for target in filter(None, targets):
         target.hide_viewport = target.hide_render = shown == "ORIGINAL"
     show_original_world(scene, shown == "ORIGINAL")
     light_state.refresh(scene)

@@ -23,7 +23,7 @@ from ..own_materials import own_materials
 from ..ray_hits import hits
 from ..room.arrays import read_room
 from ..room.mesh_arrays import corner_vertices, polygon_slots, polygon_starts
-from ..room.originals import result_meshes
+from ..room.originals import estimated_meshes, result_meshes
 from . import adjust
 from .materials import materials_by_part, result_materials, slot_estimates
 
@@ -70,7 +70,7 @@ def _slot_parts(mesh: bpy.types.Mesh) -> list[str]:
 
 def part_materials(scene: bpy.types.Scene, key: str) -> list[bpy.types.Material]:
     """The materials of a part in a scene: one, unless the artist has copied it."""
-    materials = result_materials(result_meshes(room_with_results(scene)))
+    materials = result_materials(estimated_meshes(scene))
     return materials_by_part(materials).get(key, [])
 
 

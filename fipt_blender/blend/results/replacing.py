@@ -12,11 +12,12 @@ from collections.abc import Iterable
 
 import bpy
 
-from ..marks import ESTIMATE, PART, REPLACEMENT, remove_marks, room_with_results
+from ..marks import ESTIMATE, PART, REPLACEMENT, remove_marks
 from ..own_materials import own_materials
-from ..room.originals import result_meshes, shows_original
+from ..room.originals import estimated_meshes, shows_original
 from .materials import slot_estimates
 from .part_list import part_materials
+from .tiling import lay_out
 
 SHOWS_REPLACEMENTS = "ESTIMATED"  # the maps are those of the estimate
 
@@ -55,7 +56,7 @@ def fill_slots(mesh: bpy.types.Mesh, materials: Iterable[bpy.types.Material | No
 
 def show_replacements(scene: bpy.types.Scene, shown: str) -> None:
     """Put the replacements into the slots of the scene's results, or the estimates while a map is shown."""
-    for mesh in result_meshes(room_with_results(scene)):
+    for mesh in estimated_meshes(scene):
         for index, estimate in enumerate(slot_estimates(mesh)):
             if estimate is None:
                 continue
@@ -63,6 +64,7 @@ def show_replacements(scene: bpy.types.Scene, shown: str) -> None:
             if mesh.materials[index] != material:
                 mesh[ESTIMATE.format(index)] = estimate
                 mesh.materials[index] = material
+    lay_out(scene)
 
 
 def adopt(scene: bpy.types.Scene, items: Iterable[bpy.types.Object]) -> list[str]:

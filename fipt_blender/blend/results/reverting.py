@@ -15,6 +15,7 @@ from ..marks import UNIT, added_lights, is_split_off, light_probe, remove_marks,
 from ..outliner import FIXTURES, remove_if_empty, remove_object
 from ..render_settings import restore
 from ..room.originals import restore_original, result_meshes, separated
+from .emptying import bring_back
 from .maps import restore_solid_views
 from .materials import remove_unused, result_materials
 from .scene_state import mute_other_lights
@@ -34,6 +35,7 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> tuple[list[str],
     settings = scene.fipt.materials
     settings.shown = "ESTIMATED"  # restores view settings, world and collections
     set_backdrop(scene, "ROOM", ())
+    bring_back(scene)
     for layer in scene.view_layers:
         remove_light_groups(scene, layer)
     room = room_with_results(scene)

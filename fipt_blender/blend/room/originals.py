@@ -24,10 +24,12 @@ from ..marks import (
     ORIGINAL_MESH,
     ORIGINAL_STATE,
     RESULT_MESH,
+    filled_surfaces,
     has_results,
     is_split_off,
     object_id,
     remove_marks,
+    room_with_results,
 )
 from .mesh_digest import is_edited
 
@@ -45,6 +47,11 @@ def result_mesh(item: bpy.types.Object) -> bpy.types.Mesh | None:
 def result_meshes(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Mesh]:
     """The result meshes of those objects that have one."""
     return [mesh for mesh in map(result_mesh, objects) if mesh is not None]
+
+
+def estimated_meshes(scene: bpy.types.Scene) -> list[bpy.types.Mesh]:
+    """The meshes that have estimated materials: the result meshes, and what completes the room."""
+    return [*result_meshes(room_with_results(scene)), *(item.data for item in filled_surfaces(scene))]
 
 
 def set_result_mesh(
@@ -91,14 +98,18 @@ def show_original(item: bpy.types.Object, on: bool) -> None:
 
 @contextmanager
 def original_shown(item: bpy.types.Object) -> Iterator[None]:
-    """Show the artist's mesh for the length of the block."""
-    result_was_shown = not shows_original(item)
+    """Show the artist's mesh for the length of the block; Blender evaluates no hidden objects."""
+    result_was_shown, hidden = not shows_original(item), item.hide_viewport
+    if hidden:
+        item.hide_viewport = False
     show_original(item, True)
     try:
         yield
     finally:
         if result_was_shown:
             show_original(item, False)
+        if hidden:
+            item.hide_viewport = True
 
 
 def modifiers_in_result(item: bpy.types.Object) -> list[str]:
