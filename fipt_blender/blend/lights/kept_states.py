@@ -48,11 +48,8 @@ class FixtureState:
         matrix: its matrix to the world if the artist has moved it, else None.
         mesh: name of its mesh if the artist has modelled that, else "". It has a fake user.
         hidden: in viewports and in renders.
-<<<<<<< HEAD
         materials: the artist's, by slot, in place of ours.
-=======
         removed: number of the removal that has hidden it, else 0.
->>>>>>> artist
     """
 
     settings: dict[str, Setting]
@@ -63,11 +60,8 @@ class FixtureState:
     matrix: Matrix | None = None
     mesh: str = ""
     hidden: tuple[bool, bool] = (False, False)
-<<<<<<< HEAD
     materials: Mapping[int, bpy.types.Material] = field(default_factory=dict)
-=======
     removed: int = 0
->>>>>>> artist
 
 
 def release_copies(scene: bpy.types.Scene) -> None:
@@ -106,15 +100,12 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
             world_matrix(item).copy() if moved else None,
             item.data.name if modelled else "",
             (item.hide_viewport, item.hide_render),
-<<<<<<< HEAD
             {
                 slot: each
                 for slot, each in enumerate(slots)
                 if each is not None and not is_emission_material(each)
             },
-=======
             int(item.get(REMOVED, 0)),
->>>>>>> artist
         )
     return states
 
