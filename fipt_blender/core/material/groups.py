@@ -70,7 +70,7 @@ def neighbours(surface: np.ndarray, cube: np.ndarray) -> np.ndarray:
     strides = np.array([shape[1] * shape[2], shape[2], 1])
     key = numbered([surface]) * int(np.prod(shape)) + cube @ strides
     order = np.argsort(key, kind="stable")
-    ascending, pairs = key[order], []
+    ascending, pairs = key[order], [np.zeros((0, 2), np.int64)]
     steps = [step for step in itertools.product((-1, 0, 1), repeat=3) if step >= (0, 0, 0)]
     for step in steps:
         wanted = key + strides @ step
