@@ -194,7 +194,7 @@ METAL, GLOSSY = (float(LEVELS[3]), 1.0), (float(LEVELS[4]), 0.0)
 
 def placed(*hints: Hint, parts: bool = True) -> SurfaceHints:
     found = Parts(WALL if parts else np.full(12, -1, np.int32), "part" if parts else "none")
-    return place_hints(hints, ROOM.vertices, ROOM.triangles, found, None if parts else WALL)
+    return place_hints(hints, ROOM.vertices, ROOM.triangles, found, WALL)
 
 
 def infer(known: KnownMaterials | None) -> GroupMaterials:
@@ -316,9 +316,9 @@ def test_light_depends_on_known_base_colors_alone() -> None:
     card, plain = Hint((FLOOR,), "Card", base_color=(0.2, 0.2, 0.1)), Hint((CEILING,), "Panel", emits=True)
     assert references([plain]) == []
     assert references([plain, card]) == references([replace(card, name="Other", material="metal")])
-    known = known_colors([card, plain], ROOM.vertices, ROOM.triangles, Parts(WALL, "part"), None)
+    known = known_colors([card, plain], ROOM.vertices, ROOM.triangles, Parts(WALL, "part"), WALL)
     assert known[:2].tolist() == [[0.2, 0.2, 0.1]] * 2 and np.isnan(known[2:]).all()
-    assert np.isnan(known_colors([], ROOM.vertices, ROOM.triangles, Parts(WALL, "part"), None)).all()
+    assert np.isnan(known_colors([], ROOM.vertices, ROOM.triangles, Parts(WALL, "part"), WALL)).all()
 
 
 @pytest.mark.parametrize(

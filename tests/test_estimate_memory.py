@@ -8,6 +8,7 @@ import io
 import os
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from fipt_blender.core.light.observations import Observations, observe
 from fipt_blender.core.material import training_input as training_input_module
 from fipt_blender.core.material.closed_form import fit_cells
 from fipt_blender.core.material.training_input import material_units, training_input
+from fipt_blender.core.parts.labels import NO_PART, Parts
 from fipt_blender.core.pixels.store import NO_TRIANGLE, PixelStore
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.surface.room import Room
@@ -30,6 +32,7 @@ from samples.panel_pixels import IS_PANEL, PARTS, ROOM, SETTINGS, make_pixels
 
 # An array of one number a pixel, of the smallest kind that is kept, would be four bytes.
 MOST_BYTES = 2.0
+NO_PARTS = Parts(np.full(len(ROOM.triangles), NO_PART, np.int32), "none")
 
 
 def peak(action: Callable[[], object]) -> int:
@@ -67,13 +70,13 @@ def window(pixels: PixelStore) -> None:
         pixels.triangle[above], pixels.pure[above] = NO_TRIANGLE, True
 
 
-def learn_from(seen: Observations, pieces: np.ndarray | None) -> None:
+def learn_from(seen: Observations) -> None:
     levels = np.array([0.1, 0.5, 1.0], np.float32)
     shadings = open_shadings(seen.folder, len(seen.pixels), len(levels), create=True)
-    data = training_input(seen, pieces, shadings, levels, SETTINGS)
+    data = training_input(seen, shadings, levels, SETTINGS)
     cells = fit_cells(data)
     assert 0 < len(cells.keys) < len(seen.pixels)
-    units = material_units(pieces, data, scan=False)
+    units = material_units(data)
     assert len(units.triangle) == len(seen.parts.triangle_part)
 
 
@@ -108,8 +111,8 @@ def test_memory_of_the_views(action: str, captures: list, tmp_path: Path, monkey
             "look up": partial(everything, known),
             "lamps": partial(lamps, pixels, ROOM),
             "agree": partial(agreement_of, pixels, ROOM),
-            "learn": partial(learn_from, known, None),
-            "learn without parts": partial(learn_from, known, ROOM.triangle_object),
+            "learn": partial(learn_from, known),
+            "learn without parts": partial(learn_from, replace(known, parts=NO_PARTS)),
         }
         again = partial(observe, ROOM, pixels, PARTS, SETTINGS, tmp_path / "observed")
         peaks.append(peak(actions.get(action, again)))

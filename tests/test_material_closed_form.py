@@ -14,18 +14,12 @@ from fipt_blender.core.light.baking import ShadingStore, open_shadings
 from fipt_blender.core.light.observations import Observations, observe
 from fipt_blender.core.material import training_input as training_input_module
 from fipt_blender.core.material.closed_form import CellEstimate, TrainingData, fit_cells, followed_by_paths, white_rows
-from fipt_blender.core.material.groups import (
-    NO_GROUP,
-    color_class,
-    material_groups,
-    part_units,
-    piece_units,
-    similarity,
-)
+from fipt_blender.core.material.groups import group_units, join_cells, neighbours
 from fipt_blender.core.material.mixture import GroupMaterials
 from fipt_blender.core.material.projection import color_lines
 from fipt_blender.core.material.training_input import training_input
 from fipt_blender.core.parts.labels import NO_PART, Parts
+from fipt_blender.core.parts.smooth_parts import Votes
 from samples.panel_pixels import IS_PANEL, PARTS, ROOM, SETTINGS, make_pixels
 
 LEVELS = np.array([0.1, 0.5, 1.0], np.float32)
@@ -120,84 +114,41 @@ def test_paths_follow_groups_that_may_be_smooth() -> None:
     np.testing.assert_array_equal(followed[1:], roughness[1:])
 
 
-def columns(*rows: tuple[int, int, int, int]) -> list[np.ndarray]:
-    """Label, piece, colour and weight 1 of the pixels of (label, piece, colour, count) rows."""
-    counts = [row[3] for row in rows]
-    return [np.repeat(column, counts) for column in ([row[i] for row in rows] for i in range(3))] + [
-        np.ones(sum(counts), int)
-    ]
+def test_neighbours_are_cells_of_one_surface_whose_cubes_touch() -> None:
+    surface = np.array([0, 0, 0, 0, 1])
+    cube = np.array([[4, 4, 4], [5, 3, 4], [7, 4, 4], [4, 4, 4], [4, 4, 5]])
+    pairs = np.sort(neighbours(surface, cube), axis=1)
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+    assert set(map(tuple, pairs.tolist())) == {(0, 1), (0, 3), (1, 3)}
+    assert neighbours(surface[:0], cube[:0]).shape == (0, 2)
 
 
-def test_the_finest_group_that_is_large_enough_counts():
-    # Two colours of one piece; a piece whose colours have few pixels; small pieces of one class and colour.
-    rows = [(0, 0, 7, 50), (0, 0, 8, 50), (1, 1, 7, 20), (1, 1, 8, 25), *((2, 10 + i, 9, 5) for i in range(8))]
-    group = material_groups(*columns(*rows), least=40)
-    assert (group >= 0).all() and len(np.unique(group)) == 4
-    assert len(np.unique(group[:50])) == 1 and group[0] != group[60]
-    assert len(np.unique(group[100:145])) == 1 and len(np.unique(group[145:])) == 1
+@pytest.mark.parametrize("other", [(0.3, 0.3, 0.3), (0.6, 0.28, 0.6)])
+def test_regions_end_where_the_base_colour_changes(rng, other) -> None:
+    """A strip of cells with errors of few pixels, brighter towards one end, as the light may be wrong."""
+    color = np.where(np.arange(100)[:, None] < 60, 0.6, other) * np.linspace(1.0, 1.1, 100)[:, None]
+    noisy, pixels = color * np.exp(rng.normal(0.0, 0.1, (100, 1))), rng.uniform(3.0, 9.0, 100)
+    strip = np.stack([np.arange(99), np.arange(1, 100)], axis=1)
+    region = join_cells(noisy, pixels, strip)
+    assert np.ptp(region[:60]) == np.ptp(region[60:]) == 0 and region[0] != region[99]
+    dark = join_cells(rng.uniform(0.0, 0.01, (100, 3)), pixels, strip)  # whatever the chroma of noise
+    assert np.ptp(dark) == 0
+    assert join_cells(color, pixels, strip[:0]).tolist() == list(range(100))
 
 
-def test_pixels_in_no_large_combination_have_no_group(rng):
-    label, piece, color, one = columns((0, 0, 1, 100), (3, 5, 6, 9))
-    order = rng.permutation(109)
-    group = material_groups(label[order], piece[order], color[order], one, least=10)
-    assert (group[label[order] == 3] == NO_GROUP).all() and (group[label[order] == 0] == 0).all()
-
-
-def test_kinds_of_pixels_are_weighted_by_their_number():
-    rows = [(0, 0, 7, 50), (0, 0, 8, 30), (1, 1, 7, 20), (1, 2, 7, 25)]
-    each = material_groups(*columns(*rows), least=40)
-    kinds = material_groups(*(np.array(column) for column in zip(*rows, strict=True)), least=40)
-    assert np.array_equal(each, kinds.repeat([row[3] for row in rows]))
-
-
-def test_classes_of_one_colour_never_share_a_group():
-    group = material_groups(*columns((0, 0, 1, 30), (1, 0, 1, 30)), least=10)
-    assert group[0] != group[-1]
-
-
-def test_color_classes_separate_hue_and_brightness_and_tolerate_noise(rng):
-    base = np.array([[0.6, 0.6, 0.6], [0.15, 0.15, 0.15], [0.6, 0.15, 0.08], [0.08, 0.15, 0.6]])
-    classes = color_class(base)
-    assert len(np.unique(classes)) == 4
-    noisy = base.repeat(100, axis=0) * rng.normal(1.0, 0.01, (400, 1))
-    assert (color_class(noisy) == classes.repeat(100)).mean() > 0.95
-    # A black surface has one class, whatever the chroma of its noise.
-    assert len(np.unique(color_class(rng.uniform(0.0, 0.004, (100, 3))))) == 1
-
-
-def test_similar_groups_are_of_one_class_and_similar_colour():
-    color = np.array([[0.85] * 3, [0.9] * 3, [0.6] * 3, [0.85, 0.6, 0.5], [0.85] * 3, [0.01] * 3, [0.0] * 3])
-    likeness = similarity(np.array([0, 0, 0, 0, 1, 0, 0]), color)
-    np.testing.assert_array_equal(likeness, likeness.T)
-    assert (np.diag(likeness) == 1.0).all()
-    assert likeness[0, 1] > 0.8 and likeness[5, 6] > 0.1  # noise of bright and of dark colours
-    assert (likeness[0, 2:] < 0.1).all()
-
-
-def test_surfaces_of_one_material_are_units_and_others_belong_to_their_class():
-    # Piece 0: two groups of one roughness; 1: a triangle that is half matt, half glossy; 2: hardly any pixel
-    # has a group; 3: a tenth are outliers; 4: unseen.
-    piece = np.array([0, 0, 1, 2, 3, 4, 1])
-    parts = Parts(np.array([0, 0, 0, 1, 1, 1, NO_PART], np.int32), "semantic")
-    triangle, group = np.array([0, 1, 2, 2, 3, 3, 4, 4]), np.array([0, 1, 0, 2, NO_GROUP, 0, 2, 0])
-    pixels = np.array([50, 50, 50, 50, 90, 10, 95, 5])
-    materials = np.array([[0.4, 0.0], [0.45, 0.0], [1.0, 0.0], [1.0, 0.0]])
-    units = piece_units(parts, piece, triangle, group, pixels, materials)
-    assert units.triangle.tolist() == [2, 2, 0, 1, 3, 1, NO_PART]
+def test_a_unit_is_what_a_surface_has_of_one_gloss() -> None:
+    # Surface 0: two groups of one gloss, and another; 1: a triangle of two; 2: an unseen triangle of class 1.
+    surface = np.array([0, 0, 0, 0, 1, 2])
+    parts = Parts(np.array([0, 0, 0, 0, 0, 1], np.int32), "semantic")
+    triangle, group = np.array([0, 1, 2, 4, 4]), np.array([0, 1, 2, 0, 2])
+    votes = Votes(triangle, group, np.array([50.0, 40.0, 30.0, 50.0, 50.0]))
+    materials = np.array([[0.4, 0.0], [0.4, 0.0], [0.4, 1.0]])
+    units = group_units(parts, surface, votes, materials)
+    assert units.triangle.tolist() == [2, 2, 3, 2, 0, 1]
     assert units.single.tolist() == [False, False, True, True]
     assert units.is_single(np.array([3, 0, NO_PART])).tolist() == [True, False, False]
-    # One triangle of piece 0 is metal: both are units, if a tenth of the piece's pixels see it.
-    materials = np.array([[0.4, 0.0], [0.4, 1.0], [1.0, 0.0], [1.0, 0.0]])
-    metal = piece_units(parts, piece, triangle, group, pixels, materials)
-    assert metal.triangle.tolist() == [2, 4, 0, 1, 3, 1, NO_PART]
-    assert metal.single.tolist() == [False, False, True, True, True]
-    undivided = piece_units(parts, piece, triangle, group, pixels, materials, divided=False)
-    assert undivided.triangle[:2].tolist() == [0, 0] and undivided.single.tolist() == [False, False, True]
-    pixels[:2] = 95, 5
-    few = piece_units(parts, piece, triangle, group, pixels, materials)
-    assert few.triangle[:2].tolist() == [2, 2] and few.single[2]  # an outlier
-    assert part_units(parts).single.all()
+    few = group_units(parts, surface, Votes(triangle, group, votes.weight / 10.0 + group), materials)
+    assert few.triangle.tolist() == [2, 2, 3, 2, 4, 1]  # too few to tell
 
 
 def test_pixels_outside_the_sample_have_their_own_colour(tmp_path, monkeypatch: pytest.MonkeyPatch):
@@ -208,9 +159,8 @@ def test_pixels_outside_the_sample_have_their_own_colour(tmp_path, monkeypatch: 
     seen = observe(ROOM, pixels, nothing, SETTINGS, tmp_path / "observed")
     shadings = open_shadings(tmp_path / "shadings", len(pixels), 3, create=True)
     shadings.diffuse[:] = 2.0
-    levels, pieces = np.array([0.1, 0.5, 1.0], np.float32), ROOM.triangle_object
-    data = training_input(seen, pieces, shadings, levels, SETTINGS)
+    data = training_input(seen, shadings, np.array([0.1, 0.5, 1.0], np.float32), SETTINGS)
     known = np.asarray(data.group) >= 0
-    surface = pieces[pixels.triangle[known]]
+    surface = ROOM.triangle_object[pixels.triangle[known]]
     assert known.sum() > 0.9 * len(seen.pool)
     assert (np.bincount(np.unique(np.stack([surface, data.group[known]]), axis=1)[0]) <= 1).all()

@@ -11,8 +11,17 @@ import pytest
 
 from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.material import likelihood, training_input
+from fipt_blender.core.material.groups import TELLING_PIXELS
 from fipt_blender.core.material.likelihood import make_candidates
-from fipt_blender.core.material.mixture import GroupMaterials, Prior, broad_prior, group_posterior, infer_materials
+from fipt_blender.core.material.mixture import (
+    GroupMaterials,
+    Prior,
+    broad_prior,
+    group_posterior,
+    infer_materials,
+    joined_groups,
+    similarity,
+)
 from fipt_blender.core.material.pixel_samples import PixelSamples, window_means
 from fipt_blender.core.material.projection import color_lines, fit_colors
 from fipt_blender.core.optics.factorised import color_line
@@ -23,9 +32,9 @@ HALF = len(CANDIDATES.roughness) // 2
 DIFFUSE = HALF - 1
 
 
-def infer(samples: PixelSamples, similarity: np.ndarray | None = None) -> GroupMaterials:
+def infer(samples: PixelSamples, places: np.ndarray | None = None) -> GroupMaterials:
     groups = int(samples.group.max(initial=-1)) + 1
-    return infer_materials(samples, groups, samples.cell, SETTINGS, similarity)
+    return infer_materials(samples, groups, samples.cell, SETTINGS, places)
 
 
 def first_cells(samples: PixelSamples, cells: int) -> PixelSamples:
@@ -152,6 +161,29 @@ def test_groups_of_one_class_and_color_count_more_than_the_room() -> None:
     alike[26, 5:25] = alike[5:25, 26] = 1.0
     roughness = roughness_of(log_likelihood, alike)
     assert roughness[25] < 0.55 and roughness[26] > 0.95
+
+
+def test_groups_of_one_surface_share_their_gloss_unless_it_differs() -> None:
+    """Groups 0 and 1 are sharp alike, 2 is unclear, 3 is diffuse; 4 is on another surface."""
+    log_likelihood = likelihood_of((12, 40.0), (12, 30.0), (12, 1.0), (12, -40.0), (12, 40.0))
+    surface, same = np.array([0, 0, 0, 0, 1]), np.arange(5)
+    found = joined_groups(log_likelihood, broad_prior(CANDIDATES), surface, same)
+    assert found[0] == found[1] and len({found[0], found[3], found[4]}) == 3
+    assert found[2] in (found[0], found[3])
+    hinted = joined_groups(log_likelihood, broad_prior(CANDIDATES), surface, np.array([0, 1, 2, 3, 0]))
+    assert hinted[4] == hinted[0]
+
+
+def test_groups_are_alike_by_class_and_base_colour(rng: np.random.Generator) -> None:
+    """As diffuse surfaces in any light; a group of few pixels counts less for others."""
+    samples, _ = synthetic(rng, [(1.0, 0.0)] * 5, 0.0, 0.0)
+    color = np.array([0.5, 0.52, 0.3, 0.5, 0.5], np.float32)[samples.group, None]
+    samples = replace(samples, radiance=samples.diffuse * color)
+    few = (samples.group < 4) | (np.cumsum(samples.group == 4) <= 0.5 * TELLING_PIXELS)
+    alike = similarity(samples.take(few), np.array([0, 0, 0, 1, 0]))
+    assert (np.diag(alike)[:4] == 1.0).all() and alike[0, 1] == alike[1, 0] > 0.8
+    assert (alike[0, 2:4] < 0.1).all() and alike[3, 0] == 0.0
+    assert alike[0, 4] == pytest.approx(0.5, abs=0.02) and alike[4, 0] == pytest.approx(1.0)
 
 
 def test_pixels_without_group_or_company_tell_nothing(rng: np.random.Generator) -> None:

@@ -18,7 +18,7 @@ from ..light.shadings import SampleCounts, roughness_levels
 from ..light.unseen_light import with_unseen_light
 from ..material.hints import known_colors
 from ..optics.lights import EmitterTable
-from ..parts.labels import Parts, room_pieces, surface_labels
+from ..parts.labels import Parts, surface_labels
 from ..pixels.store import PixelStore
 from ..run.chain import Tools
 from ..run.errors import FiptError
@@ -81,8 +81,7 @@ def infer_outside(
     """
     if settings.unseen_light:
         label, bright = surface_labels(room, parts), lamps.bright.not_reflective()
-        pieces = None if parts.kind == "part" else room_pieces(room)
-        known = known_colors(references, room.vertices, room.triangles, parts, pieces)
+        known = known_colors(references, room.vertices, room.triangles, parts, label)
         observed = with_unseen_light(observed, room, label, bright, settings, known)
     light = observed.environment
     if light is not None and light.unseen_light > MUCH_INFERRED:

@@ -29,7 +29,7 @@ from ..material.hints import SurfaceHints, place_hints
 from ..material.seen import fallback_values, seen_statistics
 from ..material.training_input import hinted_units, material_units, training_input
 from ..optics.lights import EmitterTable
-from ..parts.labels import NO_PART, Parts, room_pieces
+from ..parts.labels import NO_PART, Parts
 from ..photometry.encoded_photographs import Photometry
 from ..pixels.grouped import place_of
 from ..pixels.store import PixelStore
@@ -56,12 +56,10 @@ class HintedObservations:
     Attributes:
         observations: with the light from outside.
         surface_hints: the hints on the mesh; None without any.
-        pieces: (T,) int32 connected piece of each triangle; None where parts are known, which need no pieces.
     """
 
     observations: Observations
     surface_hints: SurfaceHints | None
-    pieces: np.ndarray | None
 
 
 def honour_hints(
@@ -69,15 +67,14 @@ def honour_hints(
 ) -> HintedObservations:
     """Place the hints that are honoured from here on on the mesh, and divide the observations by them."""
     observed = replace(observed, folder=tools.folder)
-    pieces = None if parts.kind == "part" else room_pieces(room)
     if not hints:
-        return HintedObservations(observed, None, pieces)
-    placed = place_hints(hints, room.vertices, room.triangles, parts, pieces)
+        return HintedObservations(observed, None)
+    placed = place_hints(hints, room.vertices, room.triangles, parts, observed.surface)
     left_alone = placed.of_triangles(placed.left_alone)
     divided = replace(
         observed, parts=placed.split_parts(parts), left_alone=left_alone if left_alone.any() else None
     )
-    return HintedObservations(divided, placed, pieces)
+    return HintedObservations(divided, placed)
 
 
 # ---- Closed form (Eq. 5) and emitters (Sec. 4.4) -----------------------------------------------------------
@@ -95,13 +92,12 @@ def fit_closed_form(
     observations: Observations,
     shadings: ShadingStore,
     levels: np.ndarray,
-    pieces: np.ndarray | None,
     surface_hints: SurfaceHints | None,
     *,
     settings: MaterialSettings,
 ) -> ClosedForm:
     """Group the pixels by material, infer these, and fit the base colour of each cell."""
-    data = training_input(observations, pieces, shadings, levels, settings, surface_hints)
+    data = training_input(observations, shadings, levels, settings, surface_hints)
     return ClosedForm(data, fit_cells(data))
 
 
@@ -132,7 +128,6 @@ def estimate(
     cells: CellEstimate,
     emitter_units: EmitterSurfaces,
     baked_lamps: np.ndarray,
-    pieces: np.ndarray | None,
     surface_hints: SurfaceHints | None,
     emitting: np.ndarray | None = None,
     units_before: Units | None = None,
@@ -159,8 +154,8 @@ def estimate(
         _warn_of_problems(surface_hints, tools)
     tools.facts["cells"] = len(cells.keys)
     units = units_before
-    if units is None or pieces is None:
-        units = material_units(pieces, data, room.scan is not None)
+    if units is None or observations.parts.kind == "part":
+        units = material_units(data)
     hinted = np.zeros(len(room.triangles), np.int8)
     if surface_hints is not None:
         units = hinted_units(units, observations.parts, surface_hints, data.materials)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from ..parts.labels import NO_PART, Parts
+from ..parts.labels import NO_PART, Parts, surface_labels
 from ..pixels.mixed_pixels import find_donors
 from ..pixels.store import PixelStore, open_array
 from ..run.stage_settings import LightSettings
@@ -43,6 +43,7 @@ class Observations:
     Attributes:
         pixels: N of them.
         parts: of the room's triangles.
+        surface: (T,) int32 surface of each triangle (:func:`..parts.labels.surface_labels`).
         grid: voxels of the radiance cache.
         entry: (N,) int32 cache entry of each pixel, -1 where the mesh is missed; memory-mapped.
         environment: in units of the capture's median, None where no pixel looks outside.
@@ -54,6 +55,7 @@ class Observations:
 
     pixels: PixelStore
     parts: Parts
+    surface: np.ndarray
     grid: VoxelGrid
     entry: np.ndarray
     environment: Environment | None
@@ -197,6 +199,7 @@ def observe(
     return Observations(
         pixels=pixels,
         parts=parts,
+        surface=surface_labels(room, parts),
         grid=grid,
         entry=entry,
         environment=estimate_environment(

@@ -1,36 +1,42 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Groups that take the place of parts where no part masks exist.
+"""Groups that take the place of parts where no part masks exist: regions of one base colour.
 
-Surfaces of one semantic class, one connected piece of the mesh and one colour are likely of one material. The
-paper's kernel for semantic masks (Eq. 20) rests on the same idea.
+Cells of a surface (a connected piece of the mesh, or a segment of a scan) are joined by the posterior odds of
+one material against two. A group that is too small costs little, because groups share their gloss by
+probability (:func:`.mixture.infer_materials`); two materials in one group cost more.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..parts.components import graph_components
 from ..parts.labels import Parts
-from ..pixels.grouped import grouped_weighted_median, numbered
+from ..parts.modelled_parts import strongest_votes
+from ..parts.smooth_parts import Votes
+from ..pixels.grouped import grouped_sums, numbered, pairs_of
 from ..run.store import Gaps
 
 NO_GROUP = -1  # in place of a group
 # Added to base colours before they are compared, because their errors are about as large on dark surfaces as
 # on bright ones.
 COLOR_LIFT = 0.05
-BRIGHTNESS_STEP = 1.0  # stops
-CHROMA_STEP = 0.1  # width of the classes of chroma
-# Largest number of groups, so that arrays over pairs of groups do not grow with the capture: one has at least
-# this share of all pixels.
+# Largest number of groups, so that arrays over pairs of groups do not grow with the capture.
 MOST_GROUPS = 2000
-# Standard deviation of the base colours of similar groups, in stops.
+# Standard deviation of the base colours of regions of one material, in stops: errors of the light.
 SIMILAR_COLOR = 0.15
-# A piece is of one material if the roughness and metallic of this share of its pixels is within SAME_MATERIAL
-# of their medians.
-SAME_SHARE = 0.9
-SAME_MATERIAL = 0.1
+# That of the base colour by a single pixel, in stops.
+PIXEL_ERROR = 0.3
+# Squared difference of base colours, in variances, at which one material and two are equally probable: two
+# materials are two stops apart or so, and adjacent cells of a surface are mostly of one material.
+EVEN_ODDS = 6.0
+# A triangle belongs to a group that has this share of its pixels, or to the most frequent one if it has fewer
+# than `TELLING_PIXELS`. Groups with fewer count less in what similar ones are expected to be.
+AGREED, TELLING_PIXELS = 0.9, 100.0
 
 
 @dataclass(frozen=True)
@@ -52,113 +58,74 @@ class Units:
         return np.append(self.single, False)[np.maximum(unit, -1)]
 
 
-def part_units(parts: Parts) -> Units:
-    """Units where parts are known: each is one material."""
-    return Units(parts.triangle_part, np.ones(int(parts.triangle_part.max(initial=-1)) + 1, bool))
+def stops(color: np.ndarray) -> np.ndarray:
+    """Base colours (..., 3) as they are compared: logarithms in base 2."""
+    return np.asarray(np.log2(color + COLOR_LIFT))
 
 
-def color_class(color: np.ndarray) -> np.ndarray:
-    """(N,) int64 class of each base colour (N, 3): a step of brightness and of chromaticity."""
-    lifted = color + COLOR_LIFT
-    brightness = np.round(np.log2(lifted.mean(axis=1)) / BRIGHTNESS_STEP)
-    chroma = np.round(lifted[:, :2] / lifted.sum(axis=1, keepdims=True) / CHROMA_STEP)
-    return (brightness * 10_000 + chroma[:, 0] * 100 + chroma[:, 1]).astype(np.int64)
+def neighbours(surface: np.ndarray, cube: np.ndarray) -> np.ndarray:
+    """(E, 2) int64 pairs of cells on one surface (C,) whose cubes (C, 3) int are the same or touch."""
+    cube = cube - cube.min(axis=0, initial=0) + 1
+    shape = cube.max(axis=0, initial=0) + 2
+    strides = np.array([shape[1] * shape[2], shape[2], 1])
+    key = numbered([surface]) * int(np.prod(shape)) + cube @ strides
+    order = np.argsort(key, kind="stable")
+    ascending, pairs = key[order], [np.zeros((0, 2), np.int64)]
+    steps = [step for step in itertools.product((-1, 0, 1), repeat=3) if step >= (0, 0, 0)]
+    for step in steps:
+        wanted = key + strides @ step
+        low, high = (np.searchsorted(ascending, wanted, side) for side in ("left", "right"))
+        for number in range(int((high - low).max(initial=0))):
+            found = np.flatnonzero(low + number < high)
+            pairs.append(np.stack([found, order[low[found] + number]], axis=1))
+    return np.concatenate(pairs)
 
 
-def material_groups(
-    label: np.ndarray, piece: np.ndarray, color: np.ndarray, pixels: np.ndarray, least: int
-) -> np.ndarray:
-    """(N,) int32 group of each kind of pixel from 0, NO_GROUP for those that are in no group large enough.
+def join_cells(color: np.ndarray, pixels: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """(C,) int64 region of each cell, from 0: pairs join as long as one material is more probable than two.
 
-    The finest group that is large enough counts: class, piece and colour; else class and piece; else class
-    and colour.
+    In each round the regions join that are each other's most similar neighbours.
 
     Args:
-        label: (N,) int semantic class; a constant where there is none.
-        piece: (N,) int connected piece of the mesh.
-        color: (N,) int :func:`color_class`.
-        pixels: (N,) int number of pixels of each kind.
-        least: number of pixels that a group must have.
+        color: (C, 3) base colour. pixels: (C,) by which it was found. pairs: (E, 2) adjacent cells.
     """
-    group = np.full(len(label), NO_GROUP, np.int64)
-    used = 0
-    for columns in ((label, piece, color), (label, piece), (label, color)):
-        key = numbered(columns)
-        count = np.bincount(key, pixels)
-        assigned = (group < 0) & (count[key] >= least)
-        group[assigned] = used + key[assigned]
-        used += len(count)
-    known = group >= 0
-    result = np.full(len(label), NO_GROUP, np.int32)
-    result[known] = np.unique(group[known], return_inverse=True)[1]
-    return result
+    sums, count = stops(color) * pixels[:, None], pixels.astype(np.float64)
+    region: np.ndarray = np.arange(len(count))
+    while True:
+        apart = pairs[:, 0] != pairs[:, 1]
+        one, other, _ = pairs_of(pairs[apart].min(axis=1), pairs[apart].max(axis=1))
+        mean = sums / count[:, None]
+        squared = ((mean[one] - mean[other]) ** 2).mean(axis=1)
+        odds = squared / (SIMILAR_COLOR**2 + PIXEL_ERROR**2 * (1.0 / count[one] + 1.0 / count[other]))
+        alike = odds < EVEN_ODDS
+        pairs, odds = np.stack([one, other], axis=1)[alike], odds[alike]
+        if not len(pairs):
+            return region
+        best = np.full(len(count), np.inf)
+        for side in pairs.T:
+            np.minimum.at(best, side, odds)
+        joined = graph_components(pairs[(odds[:, None] <= best[pairs]).all(axis=1)], len(count))
+        sums, count = grouped_sums(sums, joined), np.bincount(joined, count).astype(np.float64)
+        region, pairs = joined[region], joined[pairs]
 
 
-def piece_units(
-    parts: Parts,
-    pieces: np.ndarray,
-    triangle: np.ndarray,
-    group: np.ndarray,
-    pixels: np.ndarray,
-    materials: np.ndarray,
-    divided: bool = True,
-) -> Units:
-    """Units where no parts are known: connected pieces of the mesh that are of one material, else classes.
+def group_units(parts: Parts, surface: np.ndarray, votes: Votes, materials: np.ndarray) -> Units:
+    """Units where no parts are known: what a surface has of one gloss; classes where pixels disagree.
 
-    In a piece of several materials, such as a mirror with its frame, the triangles of the most frequent one
-    are a unit, then those of the next, as long as they have a tenth of the piece's pixels.
+    Triangles that no pixel sees are like most of their surface.
 
     Args:
         parts: semantic classes, or none.
-        pieces: (T,) int connected piece of each triangle.
-        triangle, group, pixels: (K,) int, the number of pixels that see a triangle and belong to a group
-            (NO_GROUP for none).
-        materials: (G + 1, 2) roughness and metallic of the groups; the last row, at -1, is of no group.
-        divided: whether pieces of several materials are; otherwise they are no units.
+        surface: (T,) int surface of each triangle, of one class.
+        votes: the number of pixels that see a triangle and belong to a group.
+        materials: (G, 2) roughness and metallic of the groups.
     """
-    label, piece = parts.triangle_part, numbered([parts.triangle_part, pieces])
-    place = piece[triangle]
-    size = np.bincount(place, pixels, minlength=int(piece.max(initial=-1)) + 1)
-    unit, classes = label.astype(np.int64), int(label.max(initial=-1)) + 1
-    units, free = classes, np.ones(len(piece), bool)
-    while True:
-        seen = pixels * free[triangle]
-        alike = _most_frequent(materials[group], seen * (group >= 0), place)
-        found = free & (_share(place, seen, alike, len(size)) >= SAME_SHARE)[piece]
-        if divided:
-            found |= free & (_share(triangle, seen, alike, len(piece)) >= SAME_SHARE)
-        of_unit = np.bincount(place, seen * found[triangle], minlength=len(size))
-        found &= ((of_unit > 0) & (of_unit >= (1.0 - SAME_SHARE) * size))[piece]
-        if not found.any():
-            return Units(unit.astype(np.int32), np.arange(units) >= classes)
-        number = numbered([piece[found]])
-        unit[found] = units + number
-        units += int(number.max()) + 1
-        free &= ~found
-
-
-def _most_frequent(values: np.ndarray, pixels: np.ndarray, piece: np.ndarray) -> np.ndarray:
-    """(K,) bool, whether values (K, 2) are within SAME_MATERIAL of the medians of their piece (K,)."""
-    alike = pixels > 0
-    for column in values.T:
-        medians = grouped_weighted_median(column, pixels, piece, int(piece.max(initial=-1)) + 1)
-        alike &= np.abs(column - medians[piece]) < SAME_MATERIAL
-    return alike
-
-
-def _share(number: np.ndarray, pixels: np.ndarray, chosen: np.ndarray, count: int) -> np.ndarray:
-    """(count,) share of the pixels (K,) with a number (K,) that are chosen (K,), 0 without any."""
-    total = np.bincount(number, pixels, minlength=count)
-    return np.bincount(number, pixels * chosen, minlength=count) / np.maximum(total, 1)
-
-
-def similarity(label: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """(G, G) prior probability that two groups are of one material: of one class and similar colour.
-
-    Args:
-        label: (G,) int semantic class; a constant where there is none.
-        color: (G, 3) base colour.
-    """
-    stops = np.log2(color + COLOR_LIFT)
-    squared = sum((column[:, None] - column) ** 2 for column in stops.T) / 3.0
-    return np.exp(-0.5 * squared / SIMILAR_COLOR**2) * (label[:, None] == label)
+    gloss = np.unique(materials, axis=0, return_inverse=True)[1].reshape(-1)
+    votes = Votes(votes.triangle, gloss[votes.label], votes.weight)
+    own, share, total = strongest_votes(np.arange(len(surface)), votes)
+    agreed = (share >= AGREED) | (total < TELLING_PIXELS)
+    label = np.where(agreed, own, NO_GROUP)
+    label = np.where(total > 0.0, label, strongest_votes(surface, votes)[0][surface])
+    unit, classes = parts.triangle_part.astype(np.int64), int(parts.triangle_part.max(initial=-1)) + 1
+    unit[label >= 0] = classes + numbered([surface[label >= 0], label[label >= 0]])
+    return Units(unit.astype(np.int32), np.arange(max(int(unit.max(initial=-1)) + 1, classes)) >= classes)

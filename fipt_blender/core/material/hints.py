@@ -16,7 +16,6 @@ from scipy.spatial import cKDTree
 
 from ..alignment.surface import closest_points
 from ..parts.labels import NO_PART, Parts
-from ..pixels.grouped import numbered
 from ..run.hints import DIELECTRIC, METAL, UNKNOWN, Hint
 
 NO_HINT = -1  # in place of a hint
@@ -139,12 +138,12 @@ def known_colors(
     vertices: np.ndarray,
     triangles: np.ndarray,
     parts: Parts,
-    pieces: np.ndarray | None,
+    surface: np.ndarray,
 ) -> np.ndarray:
     """(T, 3) base colour of each triangle that hints know, else NaN; arguments as of :func:`place_hints`."""
     if not hints:
         return np.full((len(triangles), 3), np.nan)
-    placed = place_hints(hints, vertices, triangles, parts, pieces)
+    placed = place_hints(hints, vertices, triangles, parts, surface)
     return np.append(placed.base_color, [[np.nan] * 3], axis=0)[placed.triangle]
 
 
@@ -162,7 +161,7 @@ def place_hints(
     vertices: np.ndarray,
     triangles: np.ndarray,
     parts: Parts,
-    pieces: np.ndarray | None,
+    surface: np.ndarray,
 ) -> SurfaceHints:
     """Find the surfaces that hints are about.
 
@@ -172,10 +171,9 @@ def place_hints(
     Args:
         vertices, triangles: of the mesh, (V, 3) and (T, 3).
         parts: of the triangles.
-        pieces: (T,) int connected pieces; None where parts are known.
+        surface: (T,) int of :func:`.surface_labels`.
     """
     corners = np.asarray(vertices, np.float64)[triangles]
-    surface = parts.triangle_part if pieces is None else numbered([parts.triangle_part, pieces])
     triangle = np.full(len(triangles), NO_HINT, np.int32)
     problems: list[str] = []
     for number, hint in enumerate(hints):
@@ -211,7 +209,7 @@ def place_hints(
             take(len(entries) - 1, at)
         if triangle[at] >= 0:
             same[same == same[number]] = same[triangle[at]]
-    own = np.array([hint.area or pieces is not None for hint in entries], bool)
+    own = np.array([hint.area or parts.kind != "part" for hint in entries], bool)
     return _placed(entries, triangle, own, same, problems)
 
 

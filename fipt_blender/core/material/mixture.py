@@ -12,16 +12,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import logsumexp
 
+from ..pixels.grouped import rows_of_groups
 from ..run.stage_settings import MaterialSettings
 from .confidence import UNIFORM_DEVIATION
+from .groups import SIMILAR_COLOR, TELLING_PIXELS, stops
 from .hints import KnownMaterials
 from .likelihood import Candidates, group_log_likelihoods, make_candidates
 from .pixel_samples import PixelSamples
+from .projection import fit_colors
 
 # Standard deviation of the kernel by which the roughness of one group makes similar values likely for others:
 # errors of the shadings shift the roughness of groups of one material by about so much.
 ROUGHNESS_WIDTH = 0.05
+# Logarithm of the prior odds that regions of different colour on one surface have one gloss: most are
+# patterns.
+SAME_SURFACE = 5.0
 # Iterations of the expectation maximisation; it changes posterior means by less than 0.01 after ten.
 ITERATIONS = 20
 
@@ -49,7 +56,7 @@ def infer_materials(
     groups: int,
     light_cell: np.ndarray,
     settings: MaterialSettings,
-    similarity: np.ndarray | None = None,
+    places: np.ndarray | None = None,
     known: KnownMaterials | None = None,
 ) -> GroupMaterials:
     """Roughness and metallic of each group: those with which its cells look most alike in all views.
@@ -61,19 +68,24 @@ def infer_materials(
         groups: their number; those without pixels have the room's distribution.
         light_cell: (N,) int from 0, cell of one slope on which the same light falls.
         settings: `residual_degrees`, `pixels_per_sample`, `view_error`, `view_outliers`, `prior_weight`.
-        similarity: (groups, groups) prior probability that two groups are of one material
-            (:func:`.groups.similarity`); None where each group is known to be one material of its own.
+        places: (2, groups) int, of each group its semantic class (a constant where there is none) and the
+            surface of which it is a region; None where each group is known to be one material of its own.
         known: what is known of the groups; None for nothing.
     """
     candidates = make_candidates(samples.levels)
     broad = broad_prior(candidates)
     known = known or KnownMaterials.none(groups)
-    # Groups of one material count as one.
-    lowest, member = np.unique(known.same, return_inverse=True)
-    likelihood = np.zeros((len(broad), len(lowest)))
     found = group_log_likelihoods(samples, groups, light_cell, broad, settings)
+    same = known.same if places is None else joined_groups(found, broad, places[1], known.same)
+    # Groups of one material count as one.
+    lowest, member = np.unique(same, return_inverse=True)
+    likelihood = np.zeros((len(broad), len(lowest)))
     np.add.at(likelihood.T, member.reshape(-1), found.T)
-    alike = None if similarity is None else similarity[np.ix_(lowest, lowest)]
+    alike = None
+    if places is not None:
+        grouped = np.flatnonzero(samples.group >= 0)
+        joined = samples.take(grouped, group=member.reshape(-1)[samples.group[grouped]])
+        alike = similarity(joined, places[0, lowest])
     allowed = known.allows(candidates.roughness, candidates.metallic)[:, lowest]
     prior = Prior(broad, settings.prior_weight, alike)
     posterior = group_posterior(likelihood, candidates, prior, allowed)
@@ -102,7 +114,7 @@ class Prior:
     Attributes:
         broad: (S,) prior of the room's distribution.
         weight: of a prior, as a number of groups.
-        similarity: as in :func:`infer_materials`.
+        similarity: (groups, groups) of :func:`similarity`; None where groups are not alike.
     """
 
     broad: np.ndarray
@@ -142,6 +154,60 @@ def group_posterior(
             expected = (counts @ others.T + weight * expected) / (others.sum(axis=1) + weight)
     posterior = likelihood * expected
     return posterior / posterior.sum(axis=0)
+
+
+def joined_groups(
+    log_likelihood: np.ndarray, prior: np.ndarray, surface: np.ndarray, same: np.ndarray
+) -> np.ndarray:
+    """(G,) int as `same` (G,), the lowest group that has the same material, with groups of a surface joined.
+
+    Two groups join as long as one gloss is more probable than two, the most probable ones first.
+
+    Args:
+        log_likelihood: (S, G). prior: (S,). surface: (G,) int.
+    """
+    result, log_prior = same.copy(), np.log(prior)
+    for members in rows_of_groups(surface, int(surface.max(initial=-1)) + 1):
+        rows = np.unique(same[members])
+        if len(rows) < 2:
+            continue
+        joint = log_likelihood[:, rows].T + log_prior
+        evidence = logsumexp(joint, axis=1)
+        odds = np.array([_odds(joint, evidence, log_prior, row) for row in range(len(rows))])
+        while odds.max() > 0.0:
+            one, other = sorted(map(int, np.unravel_index(odds.argmax(), odds.shape)))
+            result[np.isin(result, rows[other])] = rows[one]
+            joint[one] += joint[other] - log_prior
+            evidence[one], evidence[other] = logsumexp(joint[one]), np.inf
+            odds[other], odds[:, other] = -np.inf, -np.inf
+            odds[one] = odds[:, one] = _odds(joint, evidence, log_prior, one)
+    return result
+
+
+def _odds(joint: np.ndarray, evidence: np.ndarray, log_prior: np.ndarray, row: int) -> np.ndarray:
+    """(G,) logarithm of the posterior odds that group `row` and each other one have one gloss.
+
+    Args:
+        joint: (G, S) logarithm of prior times likelihood. evidence: (G,) of its sum. log_prior: (S,).
+    """
+    odds = logsumexp(joint + joint[row] - log_prior, axis=1) - evidence - evidence[row] + SAME_SURFACE
+    odds[row] = -np.inf
+    return np.asarray(odds)
+
+
+def similarity(samples: PixelSamples, label: np.ndarray) -> np.ndarray:
+    """(G, G) weight of groups (columns) in what each group is expected to be: of one class and base colour.
+
+    Args:
+        samples: pixels of G groups, all with one. label: (G,) int semantic class of each.
+    """
+    group, offset = samples.group, np.zeros_like(samples.diffuse)
+    color, pixels = np.zeros((len(label), 3)), np.bincount(group, samples.weight, minlength=len(label))
+    found = fit_colors(samples.radiance, samples.diffuse, offset, samples.square_weight, group)
+    color[: len(found)] = found
+    squared = sum((column[:, None] - column) ** 2 for column in stops(color).T) / 3.0
+    alike = np.exp(-0.5 * squared / SIMILAR_COLOR**2) * (label[:, None] == label)
+    return np.asarray(alike * np.minimum(pixels / TELLING_PIXELS, 1.0))
 
 
 def _kernel(candidates: Candidates) -> np.ndarray:

@@ -4,27 +4,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from ..light.baking import ShadingStore
 from ..light.cache import SIDES
 from ..light.observations import Observations
-from ..parts.labels import Parts
-from ..pixels.grouped import grouped_means, numbered, summed_by_key
-from ..pixels.store import open_array
+from ..parts.labels import Parts, count_votes
+from ..pixels.grouped import grouped_sums, numbered
+from ..pixels.store import CELL_PIXELS, open_array
 from ..run.stage_settings import MaterialSettings
 from .closed_form import TrainingData, fit_cells
 from .groups import (
     MOST_GROUPS,
     NO_GROUP,
     Units,
-    color_class,
-    material_groups,
-    part_units,
-    piece_units,
-    similarity,
+    group_units,
+    join_cells,
+    neighbours,
 )
 from .hints import NO_HINT, SurfaceHints, values_of_hints
 from .mixture import GroupMaterials, infer_materials
@@ -49,7 +47,6 @@ NORMAL_STEP = 0.2
 
 def training_input(
     observations: Observations,
-    pieces: np.ndarray | None,
     shadings: ShadingStore,
     levels: np.ndarray,
     settings: MaterialSettings,
@@ -58,27 +55,22 @@ def training_input(
     """The pixels with their shadings, groups and the materials of these.
 
     Args:
-        pieces: (T,) int connected piece of each triangle; None where parts are known.
         hints: what the artist knows; the parts of the observations are divided by them.
         shadings: of all pixels at the roughness `levels` (K,).
     """
-    group, color = observations.part, np.zeros((0, 3))
+    group, places = observations.part, None
     groups = int(observations.parts.triangle_part.max(initial=-1)) + 1
-    if pieces is not None:
-        color = _diffuse_colors(observations, shadings, levels)
-        group, groups = _assign_groups(observations, pieces, color, hints)
+    if observations.parts.kind != "part":
+        group, places = _group_pixels(observations, shadings, levels, hints)
+        groups = places.shape[1]
     known = None
     if hints is not None:
         known = hints.known(groups_of_hints(hints, observations.parts, groups), groups)
     start = np.random.default_rng([settings.seed, 5]).random()
     wide_rows, wide_cell = _wide_rows(observations, group, groups, start)
     wide = _wide_samples(observations, shadings, levels, group, wide_rows, wide_cell)
-    alike = None
-    if pieces is not None:
-        label, seen_color = observations.part[wide.rows], color[observations.entry[wide.rows]]
-        alike = _similarity(wide.group, groups, label, seen_color)
     light = _light_cells(observations, wide.rows)
-    materials = infer_materials(wide, groups, light, settings, alike, known)
+    materials = infer_materials(wide, groups, light, settings, places, known)
     return TrainingData(observations, shadings, levels, group, materials)
 
 
@@ -109,91 +101,70 @@ def hinted_units(units: Units, parts: Parts, hints: SurfaceHints, materials: Gro
     return Units(triangle, single, fixed)
 
 
-def material_units(pieces: np.ndarray | None, data: TrainingData, scan: bool) -> Units:
-    """Units of the mesh by the groups of :func:`training_input`; `pieces` as there.
+def material_units(data: TrainingData) -> Units:
+    """Units of the mesh by the groups of :func:`training_input`."""
+    pixels, parts = data.observations.pixels, data.observations.parts
+    if parts.kind == "part":
+        return Units(parts.triangle_part, np.ones(len(data.materials.mean), bool))
+    views = [pixels.rows(view) for view in range(len(pixels.views))]
+    ids = (data.group[rows] + 1 for rows in views)  # 0 stands for none
+    votes = count_votes(ids, (np.asarray(pixels.triangle[rows]) for rows in views))
+    votes = replace(votes, label=votes.label - 1)
+    return group_units(parts, data.observations.surface, votes, data.materials.mean)
 
-    Pieces of a scan are not divided: the pixels of what it lacks spoil its triangles.
+
+def _group_pixels(
+    observations: Observations,
+    shadings: ShadingStore,
+    levels: np.ndarray,
+    hints: SurfaceHints | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) int32 group of each pixel with a donor, NO_GROUP for the others; memory-mapped.
+
+    And (2, groups) the places of :func:`.infer_materials`.
+
+    Base colours of cells are those of their pixels, taken as diffuse. Of more than `MOST_GROUPS` regions the
+    smallest are no groups. The pixels of a hint are a group of their own, numbered after the others.
     """
-    observations, groups = data.observations, len(data.materials.mean)
-    if pieces is None:
-        return part_units(observations.parts)
-
-    def views() -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        for view in range(len(observations.pixels.views)):
-            rows = rows_with_donor(observations, view)
-            key = observations.pixels.triangle[rows] * np.int64(groups + 1) + data.group[rows] + 1
-            yield key, np.ones(len(key))
-
-    keys, count = summed_by_key(views())
-    triangle, group = np.divmod(keys, groups + 1)
-    materials = data.materials.of_pixels
-    return piece_units(observations.parts, pieces, triangle, group - 1, count, materials, divided=not scan)
-
-
-def _diffuse_colors(observations: Observations, shadings: ShadingStore, levels: np.ndarray) -> np.ndarray:
-    """(M * 6, 3) base colour of each cache entry from all its pixels, taken as diffuse; 0 without any."""
-    none = np.zeros((0, 2), np.float32)
-    group = np.broadcast_to(np.int32(NO_GROUP), len(observations.pixels))
-    data = TrainingData(observations, shadings, levels, group, GroupMaterials(none, none))
-    cells = fit_cells(data)
-    color = np.zeros((len(observations.grid.voxels) * SIDES, 3), np.float32)
-    color[cells.entry] = cells.color
-    return color
-
-
-def _assign_groups(
-    observations: Observations, pieces: np.ndarray, color: np.ndarray, hints: SurfaceHints | None
-) -> tuple[np.ndarray, int]:
-    """(N,) int32 group of each pixel with a donor, NO_GROUP for the others; memory-mapped. And their number.
-
-    Only the combinations of label, piece and colour are counted, which are few, not the pixels. The pixels of
-    a hint are a group of their own, numbered after the others.
-
-    Args:
-        color: (M * 6, 3) base colour of each cache entry.
-    """
-    pixels = observations.pixels
-    hint = np.full(len(pieces), NO_HINT) if hints is None else hints.triangle
-    classes, class_of_entry = np.unique(color_class(color), return_inverse=True)
-    shape = (
-        int(observations.parts.triangle_part.max(initial=-1)) + 2,
-        int(pieces.max(initial=0)) + 1,
-        len(classes),
-    )
-
-    def combinations(view: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pixels of a view with a donor: those of hints, the others, and label, piece, colour as a key."""
-        rows = rows_with_donor(observations, view)
-        hinted = hint[pixels.triangle[rows]] >= 0
-        rows, of_hints = rows[~hinted], rows[hinted]
-        columns = (
-            observations.part[rows] + 1,
-            pieces[pixels.triangle[rows]],
-            class_of_entry[observations.entry[rows]],
-        )
-        return of_hints, rows, np.ravel_multi_index(columns, shape)
-
-    every = (combinations(view)[2] for view in range(len(pixels.views)))
-    keys, count = summed_by_key((key, np.ones(len(key))) for key in every)
-    label_of_key, piece, color_of_key = np.unravel_index(keys, shape)
-    least = max(FEW_PIXELS, int(count.sum()) // MOST_GROUPS)
-    group_of_key = material_groups(label_of_key, piece, color_of_key, count, least)
-    groups = int(group_of_key.max(initial=NO_GROUP)) + 1
+    pixels, label = observations.pixels, observations.parts.triangle_part
+    hint = np.full(len(label), NO_HINT) if hints is None else hints.triangle
+    # One more row, at -1, for pixels that miss the mesh.
+    surface = np.append(observations.surface, np.int32(NO_GROUP))
     group = open_array(observations.folder / "group.npy", (len(pixels),), np.int32, create=True)
-    for view in range(len(pixels.views)):
-        of_hints, rows, key = combinations(view)
-        group[pixels.rows(view)] = NO_GROUP
-        group[rows] = group_of_key[np.searchsorted(keys, key)]
-        group[of_hints] = groups + hint[pixels.triangle[of_hints]]
-    return group, groups + (0 if hints is None else len(hints.names))
-
-
-def _similarity(group: np.ndarray, groups: int, label: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """(G, G) similarity of the groups of pixels (M,) with classes (M,) and base colours (M, 3)."""
-    means = np.nan_to_num(grouped_means(color, group, groups))
-    label_of_group = np.zeros(len(means), np.int64)
-    label_of_group[group] = label
-    return similarity(label_of_group, means)
+    views = [pixels.rows(view) for view in range(len(pixels.views))]
+    for rows in views:
+        group[rows] = surface[np.maximum(pixels.triangle[rows], -1)]
+    diffuse = np.tile(np.array([1.0, 0.0], np.float32), (int(surface.max()) + 1, 1))
+    data = TrainingData(
+        observations, shadings, levels, group, GroupMaterials(diffuse, np.zeros_like(diffuse))
+    )
+    cells, grid = fit_cells(data), observations.grid
+    voxel = np.stack(np.unravel_index(grid.voxels[cells.entry // SIDES], (grid.resolution,) * 3), axis=1)
+    cube = voxel // np.ceil(CELL_PIXELS * observations.footprint / grid.size).astype(np.int64)
+    wide = numbered([cells.group, *cube.T, cells.entry % SIDES])
+    count = np.bincount(wide, cells.pixels)
+    color = grouped_sums(cells.pixels[:, None] * cells.color, wide) / count[:, None]
+    first = np.unique(wide, return_index=True)[1]
+    region = join_cells(color, count, neighbours(cells.group[first], cube[first]))
+    size = np.bincount(region, count)
+    kept = np.argsort(-size, kind="stable")[:MOST_GROUPS]
+    number = np.full(len(size) + 1, NO_GROUP, np.int32)
+    number[kept] = np.arange(len(kept), dtype=np.int32)
+    of_cell = np.append(number[region[wide]], np.int32(NO_GROUP))
+    for view, rows in enumerate(views):
+        known = rows_with_donor(observations, view)
+        found = of_cell[cells.of_pixels(data, known)]
+        hinted = hint[pixels.triangle[known]]
+        group[rows] = NO_GROUP
+        group[known] = np.where(hinted >= 0, len(kept) + hinted, found)
+    class_of_surface = np.zeros(len(diffuse), np.int64)
+    class_of_surface[observations.surface] = label
+    of_region = cells.group[first][np.unique(region, return_index=True)[1][kept]]
+    places = np.stack([class_of_surface[of_region], of_region])
+    if hints is not None:  # each is a surface of its own
+        own = len(diffuse) + np.arange(len(hints.names))
+        places = np.append(places, [values_of_hints(hints, label), own], axis=1)
+    return group, places
 
 
 def _wide_rows(

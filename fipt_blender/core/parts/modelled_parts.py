@@ -61,7 +61,7 @@ def divided_surfaces(room: Room, own: np.ndarray, votes: Votes) -> np.ndarray:
     connected = mesh_components(corners_within(mesh.triangles, own))
     label = _inside(flat, mesh.triangles, votes)
     for piece, least in ((flat, LEAST_VOTES), (connected, LEAST_VOTES), (own, 0.0)):
-        best, share, total = _strongest(piece, votes)
+        best, share, total = strongest_votes(piece, votes)
         known = (total >= least) & (share >= (AGREED if least else 0.0))
         label = np.where(label < 0, np.where(known, best, NO_PART)[piece], label)
     return label
@@ -70,10 +70,10 @@ def divided_surfaces(room: Room, own: np.ndarray, votes: Votes) -> np.ndarray:
 def _inside(piece: np.ndarray, triangles: np.ndarray, votes: Votes) -> np.ndarray:
     """(T,) int64 ids inside the flat pieces (T,) that masks divide, NO_PART elsewhere."""
     every = np.arange(len(piece))
-    _, whole, total = _strongest(piece, votes)
-    own = _strongest(every, votes)[0]
+    _, whole, total = strongest_votes(piece, votes)
+    own = strongest_votes(every, votes)[0]
     region = numbered([piece, own])
-    best, share, voted = _strongest(region, votes)
+    best, share, voted = strongest_votes(region, votes)
     large = voted[region] >= np.maximum(LEAST_VOTES, LEAST_SHARE * total[piece])
     divided = (whole < WHOLE)[piece] & large & (share[region] >= AGREED) & (own == best[region]) & (own >= 0)
     regions = np.unique(np.stack([piece, own])[:, divided], axis=1)
@@ -90,7 +90,7 @@ def corners_within(triangles: np.ndarray, surface: np.ndarray) -> np.ndarray:
     return np.unique(keys, return_inverse=True)[1].reshape(-1, 3)
 
 
-def _strongest(piece: np.ndarray, votes: Votes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def strongest_votes(piece: np.ndarray, votes: Votes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(P,) id with most votes in each piece (T,), the lower of equals, its share of them, and their sum."""
     count = int(piece.max(initial=-1)) + 1
     of, label, place = pairs_of(piece[votes.triangle], votes.label)
