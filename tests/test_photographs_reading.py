@@ -252,8 +252,14 @@ def test_corrections_by_the_user_stay_until_the_files_change(tmp_path: Path) -> 
     after = read_preparation(folder)
     assert after.groups == before.groups[:1] and after.settings.working_width == 640
     assert [message["code"] for message in reporter.warnings]  # those of the reading are told again
+    unticked = (replace(before.groups[0], used=False), *before.groups[1:])
+    write_preparation(folder, replace(after, groups=unticked))
+    read(source, folder.root, f"cameras={tmp_path}")  # with which panoramas would be read, too
+    assert read_preparation(folder).groups == unticked
+    read(source, folder.root, "grouping=single")
+    assert len(read_preparation(folder).groups) == len(before.photographs)
     write_jpeg(source / "y.jpg", GREY, exif(1 / 30, 500.0))
-    read(source, folder.root)
+    read(source, folder.root, "grouping=auto")
     again = read_preparation(folder)
     assert len(again.groups) == len(before.groups) + 1
     assert next(item for item in again.photographs if item.path == "x.jpg").exposure == 0.5

@@ -90,6 +90,8 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     settings = make_prepare_settings({**asdict(preparation.settings), **changes})
     with explained_write_errors(folder.root):
         folder.stage.mkdir(parents=True, exist_ok=True)
+    if "read" in names and settings.grouping != preparation.settings.grouping:
+        preparation = replace(preparation, groups=())
     write_preparation(folder, replace(preparation, settings=settings))
     files = run_steps(folder, names, reporter)
     reporter.done([str(file) for file in files], {"capture": str(folder.root), "steps": names})

@@ -19,7 +19,7 @@ from ..core.run.messages import Reporter
 from .brackets import find_groups, in_order, likeness, listed, remarks
 from .exif import describe
 from .facts import LeftOut, ReadFacts
-from .preparation import Photograph, Preparation, PreparationFolder, write_preparation
+from .preparation import Group, Photograph, Preparation, PreparationFolder, write_preparation
 
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
@@ -34,7 +34,7 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
 def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> ReadFacts:
     """Read all headers and write prepare.json.
 
-    Exposures that the user entered are kept.
+    Exposures that the user entered are kept, and so are the groups if they have the same photographs.
 
     Raises:
         FiptError: ``no-photographs``.
@@ -73,7 +73,9 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     # Exposures that the header lacks may be in prepare.json.
     entered = {item.path: item.exposure for item in preparation.photographs}
     photographs = [replace(item, exposure=item.exposure or entered.get(item.path)) for item in photographs]
-    groups = find_groups(photographs, preparation.settings.grouping, likeness(source))
+    groups: Sequence[Group] = preparation.groups
+    if {path for group in groups for path in group.photographs} != {item.path for item in photographs}:
+        groups = find_groups(photographs, preparation.settings.grouping, likeness(source))
     if panoramas:
         reporter.warning(
             "panoramas-left-out",
