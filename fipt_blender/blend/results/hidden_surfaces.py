@@ -19,6 +19,7 @@ from ..image_datablocks import linear_values, tile_values
 from ..marks import FILLED, MAP
 from ..node_trees import node_tree
 from ..room.mesh_arrays import (
+    barycentric,
     corner_uvs,
     corner_vertices,
     is_mirrored,
@@ -95,7 +96,7 @@ class Room:
             points: (N, 3).
         """
         values = np.zeros((len(triangles), 6), np.float32)
-        uv = np.einsum("nk,nkc->nc", _barycentric(points, self.corners[triangles]), self._uvs[triangles])
+        uv = np.einsum("nk,nkc->nc", barycentric(points, self.corners[triangles]), self._uvs[triangles])
         for slot in np.unique(self.slot[triangles]).tolist():
             rows, material = np.flatnonzero(self.slot[triangles] == slot), self.materials[slot]
             for label, column in _COLUMNS.items() if material is not None else ():
@@ -122,14 +123,6 @@ class Room:
             x, y = np.clip((image_uvs(uv[rows], tile[rows]) * size).astype(int), 0, size - 1).T
             values[rows] = pixels[y, x][:, [0, 1, 2] if pixels.shape[2] > 2 else [0, 0, 0]]
         return values
-
-
-def _barycentric(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(N, 3) weights of the corners of triangles (N, 3, 3) at points (N, 3) on them."""
-    towards = triangles - points[:, None]
-    opposite = np.cross(np.roll(towards, -1, axis=1), np.roll(towards, -2, axis=1))
-    weights = np.maximum(np.einsum("nkc,nc->nk", opposite, opposite.sum(axis=1)), 0.0)
-    return weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-30)
 
 
 @dataclass(frozen=True)

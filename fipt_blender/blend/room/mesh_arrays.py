@@ -92,3 +92,15 @@ def world_bounds(objects: Iterable[bpy.types.Object]) -> tuple[np.ndarray, np.nd
         return None
     points = np.array(corners)
     return points.min(axis=0), points.max(axis=0)
+
+
+def barycentric(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(N,3) weights of the corners of triangles (N,3,3) at points (N,3) on them, none negative."""
+    first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    offset = points - triangles[:, 0]
+    a, b, c = (first * first).sum(1), (first * second).sum(1), (second * second).sum(1)
+    d, e = (offset * first).sum(1), (offset * second).sum(1)
+    area = np.maximum(a * c - b * b, 1e-300)
+    v, w = np.maximum((c * d - b * e) / area, 0.0), np.maximum((a * e - b * d) / area, 0.0)
+    weights = np.stack([np.maximum(1.0 - v - w, 0.0), v, w], axis=1)
+    return weights / weights.sum(axis=1, keepdims=True)

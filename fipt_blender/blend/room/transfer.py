@@ -17,7 +17,14 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from ...bridge.step import Slices
-from .mesh_arrays import corner_vertices, polygon_starts, transform_points, triangle_loops, vertex_positions
+from .mesh_arrays import (
+    barycentric,
+    corner_vertices,
+    polygon_starts,
+    transform_points,
+    triangle_loops,
+    vertex_positions,
+)
 
 # How far the centre of a face may be from its counterpart: a share of the diagonal of the room's bounding box
 # (5 cm in a room of 10 m), so that rounded edges and thin cladding count and the next surface does not.
@@ -230,22 +237,10 @@ def find_nearest(
             points.append(point)
     if chosen:
         triangles = surfaces.corners[found.corner[chosen]]
-        found.weights[chosen] = _barycentric(np.array(points), triangles)
+        found.weights[chosen] = barycentric(np.array(points), triangles)
 
 
 def _area_normal(corners: np.ndarray) -> np.ndarray:
     """(3,) normal of a polygon (n,3), as long as twice its area (Newell)."""
     following = np.roll(corners, -1, axis=0)
     return np.cross(corners - corners[0], following - corners[0]).sum(axis=0)
-
-
-def _barycentric(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(N,3) weights of the corners of triangles (N,3,3) at points (N,3) on them, none negative."""
-    first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    offset = points - triangles[:, 0]
-    a, b, c = (first * first).sum(1), (first * second).sum(1), (second * second).sum(1)
-    d, e = (offset * first).sum(1), (offset * second).sum(1)
-    area = np.maximum(a * c - b * b, 1e-300)
-    v, w = np.maximum((c * d - b * e) / area, 0.0), np.maximum((a * e - b * d) / area, 0.0)
-    weights = np.stack([np.maximum(1.0 - v - w, 0.0), v, w], axis=1)
-    return weights / weights.sum(axis=1, keepdims=True)
