@@ -27,7 +27,8 @@ from fipt_blender.core.optics import brdf, factorised
 from fipt_blender.core.optics.brdf import Material
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.pixels.camera_rays import trace_pixels
-from fipt_blender.core.run.run_files import read_emitters
+from fipt_blender.core.run.documents import read_document
+from fipt_blender.core.run.result_contents import Emitters
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.surface.room import load_room
 
@@ -44,7 +45,7 @@ def load_result(run: RunFolder, spacing: float = LATTICE_SPACING) -> tuple[LitRo
     room = load_room(run)
     fields = RoomFields.load(run)
     materials = LatticeMaterials(room, fields.query, spacing)
-    emitters = read_emitters(run, len(room.triangles))
+    emitters = read_document(run.emitters_json, Emitters)
     table = EmitterTable.from_fixtures(emitters.fixtures)
     lights = AreaLights(room.vertices, room.triangles, table)
     environment = None
@@ -57,7 +58,7 @@ def with_inferred_lamps(lit: LitRoom, table: EmitterTable, run: RunFolder) -> Li
     """The same room with the lamps that were inferred, as cubes and squares that cast about their light."""
     emitters, count = table, len(lit.room.triangles)
     room = lit.room
-    for lamp in read_emitters(run, count).missing:
+    for lamp in read_document(run.emitters_json, Emitters).missing:
         if lamp.inferred:
             shape = np.array(lamp.position), lamp.radius, np.array(lamp.radiance)
             room, added = add_lamp(room, *shape, lamp.facing)

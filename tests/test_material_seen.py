@@ -153,7 +153,7 @@ def test_missing_and_damaged_results_raise(tmp_path):
     np.savez(run.fields_npz, box_extent=1.0)
     assert error_of(RoomFields.load, run).code == "results-missing"
     np.savez(run.parts_npz, triangle_part=np.zeros(2, np.int32))
-    assert error_of(RoomFields.load, run).code == "results-damaged"
+    assert error_of(RoomFields.load, run).code == "file-damaged"
     assert room_box((np.zeros(3), np.ones(3))).extent > 1.0
 
 

@@ -30,9 +30,11 @@ from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.lock import hold, holder, open_lockable
 from fipt_blender.core.run.replacing import atomic_folder
-from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room_files
+from fipt_blender.core.run.result_contents import AtlasImages
+from fipt_blender.core.run.run_files import LeftAlone
 from fipt_blender.core.run.runfolder import RunFolder, explained_write_errors, write_json
 from fipt_blender.core.run.settings import PRESETS, Settings, make_settings
+from fipt_blender.core.run.store import read_arrays, write_arrays
 from fipt_blender.jobs import run_job
 from samples.child_processes import posix
 from samples.refusals import error_of
@@ -126,88 +128,24 @@ def test_a_folder_is_replaced_when_the_new_one_is_complete_never_before(run_fold
     assert names(results) == ["new"]
 
 
-ROOM = {
-    "vertices": np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32),
-    "triangles": np.array([[0, 1, 2], [0, 2, 3]], np.int32),
-    "corner_normals": np.tile(np.float32([0, 0, 1]), (2, 3, 1)),
-    "triangle_object": np.zeros(2, np.int32),
-    "triangle_material": np.array([-1, 0], np.int32),
-    "triangle_polygon": np.zeros(2, np.int32),
-}
-ATLAS = {"corner_uv": np.zeros((2, 3, 2), np.float32), "triangle_image": np.array([0, -1], np.int32)}
-IMAGE = {"name": "Room.001", "width": 8, "height": 8}
-FIXTURE = {"name": "a", "triangles": [0, 1], "radiance": [1, 1, 1], "back_radiance": [0, 0, 0]}
-
-
-@pytest.fixture
-def run(tmp_path: Path) -> RunFolder:
-    folder = RunFolder(tmp_path)
-    np.savez(folder.room_npz, **ROOM)
-    write_json(folder.room_json, {"objects": ["a"], "materials": ["b"]})
-    np.savez(folder.atlas_npz, **ATLAS)
-    write_json(folder.atlas_json, {"mode": "uv", "images": [IMAGE]})
-    write_json(folder.emitters_json, {"fixtures": [FIXTURE], "environment": None})
-    return folder
-
-
-def read_all(run: RunFolder) -> None:
-    room, _ = read_room_files(run)
-    read_atlas(run, len(room["triangles"]))
-    read_emitters(run, len(room["triangles"]))
-
-
-def refused(run: RunFolder) -> str:
-    caught = error_of(read_all, run)
-    assert caught.code == "file-damaged" and caught.remedy
-    return caught.text
-
-
-@pytest.mark.parametrize("name", ["room.npz", "atlas.npz"])
-def test_damaged_archives_are_refused(run: RunFolder, name: str) -> None:
-    path = run.root / name
+def test_a_damaged_archive_is_one_error_with_a_remedy(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    write_arrays(path, LeftAlone(np.ones(3, bool)))
     data = path.read_bytes()
+    assert read_arrays(path, LeftAlone).left_alone.tolist() == [True] * 3
     encrypted = data.replace(b"PK\x01\x02-\x03-\x00\x00", b"PK\x01\x02-\x03-\x00\x01")
     damaged = (data[: len(data) // 2], data[:30] + bytes(100) + data[130:], encrypted)
     for content in (*damaged, b"", b"PK\x05\x06" + bytes(18), b"\x80\x04N."):
         path.write_bytes(content)
-        assert content != data and name in refused(run)
+        caught = error_of(read_arrays, path, LeftAlone)
+        assert content != data and caught.code == "file-damaged" and path.name in caught.text and caught.remedy
 
 
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [
-        ({"triangles": ROOM["triangles"] + 5}, "missing vertices"),
-        ({"triangle_object": ROOM["triangle_object"] + 1}, "missing objects"),
-        ({"triangle_material": ROOM["triangle_material"] + 1}, "missing materials"),
-        ({"triangles": ROOM["triangles"].astype(np.float32)}, "whole numbers"),
-        ({"vertices": ROOM["vertices"][:, :2]}, "vertices"),
-        ({"corner_normals": ROOM["corner_normals"][:1]}, "corner_normals"),
-        ({"triangle_polygon": np.array(["x", "y"])}, "triangle_polygon"),
-    ],
-)
-def test_a_room_that_does_not_fit_itself_is_refused(run: RunFolder, change: dict, text: str) -> None:
-    np.savez(run.room_npz, **{**ROOM, **change})
-    assert text in refused(run)
-
-
-def test_an_atlas_of_another_room_is_refused(run: RunFolder) -> None:
-    longer = {"corner_uv": np.zeros((3, 3, 2)), "triangle_image": np.zeros(3, int)}
-    for change, text in (({"triangle_image": np.array([1, 0], np.int32)}, "missing images"), (longer, "sizes")):
-        np.savez(run.atlas_npz, **{**ATLAS, **change})
-        assert text in refused(run)
-
-
-def test_names_of_images_are_file_names(run: RunFolder) -> None:
+def test_names_of_images_are_file_names(tmp_path: Path) -> None:
+    path = tmp_path / "atlas.json"
     for name in ("../../EVIL", "..", "", "a/b", "a\\b", "C:x", "a\0b", "x" * 300, ".hidden", "a\n", 5):
-        run.atlas_json.write_text(json.dumps({"mode": "uv", "images": [{**IMAGE, "name": name}]}))
-        assert "images[0].name should be a file name" in refused(run), name
-
-
-def test_fixtures_of_another_room_are_refused(run: RunFolder) -> None:
-    write_json(run.emitters_json, {"fixtures": [{**FIXTURE, "triangles": [2]}], "environment": None})
-    assert "triangles that the room lacks" in refused(run)
-    write_json(run.emitters_json, {"fixtures": [], "environment": {"image": "../../x.exr"}})
-    assert "environment.exr" in refused(run)
+        write_json(path, {"mode": "uv", "images": [{"name": name, "width": 8, "height": 8}]})
+        assert "images[0].name should be a file name" in error_of(read_document, path, AtlasImages).text, name
 
 
 SMALL = Settings(rounds=2, hash_levels=2, hash_log2_size=6, brdf_width=8)
@@ -296,11 +234,6 @@ def test_the_detail_of_parts_is_kept_with_the_fields(tmp_path: Path) -> None:
     saved.save(run)
     for one, other in zip(saved.query(points, part), RoomFields.load(run).query(points, part), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-5)
-    with np.load(run.fields_npz) as data:
-        arrays = dict(data)
-    for name, wrong in (("detail_median", np.zeros((2, 3))), ("detail_sums", arrays["detail_sums"][1:])):
-        np.savez(run.fields_npz, **arrays | {name: wrong})
-        assert error_of(RoomFields.load, run).code == "results-damaged"
 
 
 OBJECTS = ["Side_table", "floor"]
@@ -323,10 +256,9 @@ def described(tmp_path):
     return folder
 
 
-def describe(folder, units, entries, **changes):
+def describe(folder, units, entries):
     np.savez(folder.parts_npz, triangle_part=np.array(units, np.int32), single=np.ones(len(entries), bool))
-    document = {"format": "fipt-parts", "version": 1, "source": "masks", "parts": entries}
-    write_json(folder.parts_json, document | changes)
+    write_json(folder.parts_json, {"format": "fipt-parts", "version": 1, "source": "masks", "parts": entries})
 
 
 def part_names(found: parts.RoomParts) -> list[str]:
@@ -351,22 +283,6 @@ def test_units_of_few_pixels_join_the_rest_of_their_object(described, monkeypatc
 def test_a_run_without_description_has_its_objects_as_parts(described):
     described.parts_json.unlink()
     assert part_names(parts.read_parts(described, OF_OBJECT, OBJECTS)) == ["Side table"] * 3 + ["Floor"] * 2
-
-
-@pytest.mark.parametrize(
-    ("units", "change"),
-    [
-        ([0, 0, -1, 1, -1], {"version": 2}),
-        ([0, 0, -1, 1, -1], {"parts": [entry(0, "Top")]}),
-        ([0, 0, -1, 1, -1], {"parts": [entry(1, "Top"), entry(0, "Floor")]}),
-        ([0, 0, -1, 1, -1], {"parts": [entry(0, "Top"), entry(1, "Floor") | {"roughness": 2.0}]}),
-        ([0, 0, 1], {}),
-        ([0, 0, 2, 1, 1], {}),
-    ],
-)
-def test_damaged_descriptions_and_units_of_another_room_are_refused(described, units, change):
-    describe(described, units, [entry(0, "Top"), entry(1, "Floor")], **change)
-    assert error_of(parts.read_parts, described, OF_OBJECT, OBJECTS).code == "file-damaged"
 
 
 def test_presets_and_changes() -> None:

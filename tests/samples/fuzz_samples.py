@@ -14,10 +14,8 @@ import numpy as np
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.rig import Lens
 from fipt_blender.core.run.hints import Hint, write_hints
-from fipt_blender.core.run.run_files import RoomArrays
-from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.core.run.store import write_arrays
 from samples import capture_files, rig_writers
 
 PINHOLE = Lens("PINHOLE", (9.0, 9.0, 6.0, 4.0))
@@ -143,36 +141,9 @@ def write_capture(folder: Path) -> None:
     (folder / "capture.json").write_text(json.dumps({**capture, "mesh": None}))
 
 
-def write_run_files(folder: Path) -> None:
-    """The room, the atlas, the emitters and the records of a run folder."""
-    run = RunFolder(folder)
-    run.create(make_settings("draft"))
-    of_triangle = np.zeros(2, np.int32)
-    corners, normals = np.zeros((2, 3), np.int32), np.zeros((2, 3, 3))
-    room = RoomArrays(np.zeros((4, 3)), corners, normals, of_triangle, of_triangle, of_triangle)
-    write_arrays(run.room_npz, room)
-    write_json(run.room_json, {"objects": ["a"], "materials": ["b"], "parts": "auto"})
-    np.savez(run.atlas_npz, corner_uv=np.zeros((2, 3, 2), np.float32), triangle_image=np.zeros(2, np.int32))
-    write_json(run.atlas_json, {"mode": "uv", "images": [{"name": "Room.001", "width": 8, "height": 8}]})
-    fixture = {"name": "a", "triangles": [0, 1], "radiance": [1, 1, 1], "back_radiance": [0, 0, 0]}
-    write_json(run.emitters_json, {"fixtures": [fixture], "environment": None})
-    write_json(run.stage / "stages.json", {"keys": {"a": "b"}, "stages": {}, "warnings": {}, "values": {}})
-
-
-def write_finished_run(folder: Path) -> None:
-    """A run folder with photographs, renders and hints, of which a report can be written."""
-    write_run_files(folder)
-    write_capture(folder)
-    run = RunFolder(folder)
-    name = json.loads(run.capture_json.read_text())["views"][0]["name"]
-    write_exr(run.renders / "a.exr", np.ones((8, 12, 3), np.float32))
-    write_exr(run.environment_exr, np.ones((4, 8, 3), np.float32))
-    write_json(run.renders_json, {"renders": [{"kind": "render", "view": name, "image": "renders/a.exr"}]})
-    fixture = {"name": "a", "triangles": [0], "radiance": [1, 1, 1], "back_radiance": [0, 0, 0], "area": 1}
-    environment = {"image": "environment.exr", "observed_share": 0.5}
-    write_json(run.emitters_json, {"fixtures": [fixture], "environment": environment})
-    write_json(run.statistics_json, {"stages": [{"name": "a", "seconds": 1, "rays": 2}], "peak_memory_gb": 1})
-    write_hints(run.hints_json, [Hint(points=((0.0, 0.0, 0.0),), name="a", roughness=(0.1, 0.5))])
+def write_known(folder: Path) -> None:
+    """hints.json."""
+    write_hints(folder / "hints.json", [Hint(points=((0.0, 0.0, 0.0),), name="a", roughness=(0.1, 0.5))])
 
 
 def write_preparation(folder: Path) -> None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,11 +14,8 @@ import numpy as np
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
-from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.hints import read_hints
-from fipt_blender.core.run.result_contents import Stages
-from fipt_blender.core.run.run_files import read_atlas, read_emitters, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder
 from samples import capture_files, fuzz_samples, metashape_writers, rgbd_frames, rig_writers
 
@@ -72,25 +68,6 @@ def _program(write: Callable[[Path, list[rig_writers.Shot]], None]) -> Callable[
         capture_files.write_mesh(folder / "scene.obj")
 
     return write_all
-
-
-def _read_run_files(sample: Path, out: Path) -> None:
-    run = RunFolder(sample)
-    room, _ = read_room_files(run)
-    read_atlas(run, len(room["triangles"]))
-    read_emitters(run, len(room["triangles"]))
-    read_document(run.stage / "stages.json", Stages)
-    run.read()
-
-
-def _report(sample: Path, out: Path) -> None:
-    """The run folder's documents, and the report, which is written into a copy."""
-    from fipt_blender.core.report.page import write_report
-
-    run = RunFolder(out / "run")
-    shutil.copytree(sample, run.root)
-    read_hints(run.hints_json)
-    write_report(run)
 
 
 def _preparation(sample: Path, out: Path) -> None:
@@ -200,8 +177,7 @@ TARGETS = (
     Target("points", fuzz_samples.write_points, _points),
     Target("images", fuzz_samples.write_image_files, _image_files),
     Target("capture", fuzz_samples.write_capture, _load_capture),
-    Target("run-files", fuzz_samples.write_run_files, _read_run_files),
-    Target("report", fuzz_samples.write_finished_run, _report, ("fipt_blender.core.report.page",)),
+    Target("hints", fuzz_samples.write_known, lambda sample, out: read_hints(sample / "hints.json")),
     Target("options", fuzz_samples.write_options, _ingest_with_options),
     Target("preparation", fuzz_samples.write_preparation, _preparation, ("fipt_blender.prepare.preparation",)),
     Target("named-meshes", fuzz_samples.write_named_meshes, _named_meshes, ("fipt_blender.jobs.fingerprints",)),

@@ -252,10 +252,8 @@ def read_survey(run: RunFolder) -> Survey | None:
         time = run.survey_npz.stat().st_mtime
         if _cached is None or _cached[:2] != (str(run.survey_npz), time):
             names = [view.name for view in read_document(run.survey_json, SurveyNote).views]
-            arrays = read_arrays(run.survey_npz, SurveyArrays, sizes={"views": len(names)})
+            arrays = read_arrays(run.survey_npz, SurveyArrays)
             seen, areas = arrays.seen.astype(np.uint8), arrays.areas
-            if seen.shape[1] != -(-len(areas) // 8):
-                return None
             _cached = str(run.survey_npz), time, Survey(names, seen, areas, dict(arrays.parts))
     except (OSError, FiptError):
         return None

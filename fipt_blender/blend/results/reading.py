@@ -11,17 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
+from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
-from ...core.run.result_contents import EmitterFixture, TextureImage
-from ...core.run.run_files import (
-    CornerFields,
-    Geometry,
-    LeftAlone,
-    read_atlas,
-    read_emitters,
-    read_outlined,
-)
+from ...core.run.result_contents import AtlasImages, EmitterFixture, Emitters, TextureImage
+from ...core.run.run_files import AtlasArrays, CornerFields, Geometry, LeftAlone, read_outlined
 from ...core.run.runfolder import RunFolder
 from ...core.run.store import read_arrays
 from ..color_spaces import to_scene_linear
@@ -100,13 +94,14 @@ class Results:
 def read_results(run: RunFolder) -> Results:
     room = read_room(run)
     count = len(room.triangles)
-    atlas, arrays = read_atlas(run, count)
+    atlas = read_document(run.atlas_json, AtlasImages, _AGAIN)
+    arrays = read_arrays(run.atlas_npz, AtlasArrays, _AGAIN)
     corner_fields: dict[str, np.ndarray] = {}
     entries: Sequence[TextureImage] = ()
     uniform: dict[str, tuple[float, ...]] = {}
     if atlas.mode == "color_attribute":
         path = run.textures / "corner_fields.npz"
-        corner_fields = vars(read_arrays(path, CornerFields, _AGAIN, sizes={"triangles": count}))
+        corner_fields = vars(read_arrays(path, CornerFields, _AGAIN))
     else:
         entries, uniform = read_textures(run)
         if len(entries) != len(atlas.images):
@@ -114,7 +109,7 @@ def read_results(run: RunFolder) -> Results:
     parts = read_parts(run, room.triangle_object, room.objects)
     left_alone = np.zeros(count, bool)
     if run.left_alone_npz.is_file():
-        found = read_arrays(run.left_alone_npz, LeftAlone, _ESTIMATE_AGAIN, sizes={"triangles": count})
+        found = read_arrays(run.left_alone_npz, LeftAlone, _ESTIMATE_AGAIN)
         left_alone = of_whole_polygons(room, found.left_alone)
     image, apart = arrays.triangle_image, atlas.apart and bool(entries)
     shared = np.zeros_like(image)
@@ -127,7 +122,7 @@ def read_results(run: RunFolder) -> Results:
         apart=apart,
         uniform=uniform,
         corner_fields=corner_fields,
-        emitters=read_emitters(run, count).fixtures,
+        emitters=read_document(run.emitters_json, Emitters, _ESTIMATE_AGAIN).fixtures,
     )
 
 

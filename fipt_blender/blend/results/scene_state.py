@@ -9,9 +9,9 @@ import math
 
 import bpy
 
-from ...core.run.documents import optional_document, read_document
+from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
-from ...core.run.result_contents import AtlasImages, Statistics
+from ...core.run.result_contents import AtlasImages
 from ...core.run.runfolder import RunFolder
 from ...core.run.versions import results_id
 from ..capture.backdrop import set_backdrop
@@ -67,8 +67,7 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
 
 def median_radiance(run: RunFolder) -> float:
     """The photographs' median radiance; 0 where the run does not record it."""
-    statistics = optional_document(run.statistics_json, Statistics)
-    return 0.0 if statistics is None else statistics.radiance_scale
+    return float(run.statistics().get("radiance_scale", 0.0))
 
 
 def median_shown(run: RunFolder) -> float:
@@ -76,8 +75,7 @@ def median_shown(run: RunFolder) -> float:
 
     Photographs that are not HDR have one; HDR photographs are shown with their median at middle grey.
     """
-    statistics = optional_document(run.statistics_json, Statistics)
-    shown = statistics and statistics.photometry and statistics.photometry.median_shown
+    shown = run.statistics().get("photometry", {}).get("median_shown")
     return shown if shown and 0.0 < shown < 1.0 else MIDDLE_GREY
 
 

@@ -153,7 +153,7 @@ def atlas_slices(
             islands.uv[task.triangles] = uv
             islands.island[task.triangles] = uv_islands(room.triangles[task.triangles], uv)
         yield None
-    found = optional_arrays(run.resolution_npz, Resolution, {"triangles": count}) if settings.detail else None
+    found = optional_arrays(run.resolution_npz, Resolution) if settings.detail else None
     resolved = None if found is None else found.density
     if resolved is not None:
         size = max(settings.texture_size, DETAIL_SIZES.get(settings.preset, 0))

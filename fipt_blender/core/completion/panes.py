@@ -25,7 +25,7 @@ from ..parts.masked_views import masked_views
 from ..pixels.camera_rays import first_hits, trace_pixels
 from ..robust import LEAST_VIEWS
 from ..run.messages import Progress, unwatched, within
-from ..run.run_files import PANES, AddedSurfaces, has_searched_panes, mesh_digest, read_room_files
+from ..run.run_files import PANES, AddedSurfaces, mesh_digest, read_made, read_room_files
 from ..run.runfolder import RunFolder, explained_write_errors
 from ..run.stage_settings import RoomSettings
 from ..run.store import optional_arrays, write_arrays
@@ -87,13 +87,15 @@ def close_holes(
         run.panes_npz.unlink()
         prepare_geometry(run, settings.clean_scan, settings.close_holes_edges)
         room, changed = None, True  # it may have had them
-    arrays, names = read_room_files(run, "mesh-damaged")
+    arrays, names = read_room_files(run)
     if names.completed or PANES in names.ids:
         return changed
     cleaned = stored_geometry(run, arrays)
     use_masks = names.parts in ("auto", "masks")
     masks = masks_digest(views, (view.part_ids() for view in views if use_masks))
-    if cleaned is None or has_searched_panes(run, arrays, masks):
+    made = read_made(run.panes_npz, AddedSurfaces, mesh_digest(arrays))
+    found_nothing = made is not None and made.masks is not None and np.array_equal(made.masks, masks)
+    if cleaned is None or found_nothing:
         return changed
     mesh, _ = make_mesh(cleaned.vertices, arrays["triangles"][scanned(arrays)])
     edge = median_edge(mesh)

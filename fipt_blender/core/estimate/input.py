@@ -25,7 +25,7 @@ from ..run.hints import hints_digest, light_changes, read_hints, references
 from ..run.light_size import LightPlan, light_plan, refuse_full_disk
 from ..run.messages import Reporter
 from ..run.per_view import Workers
-from ..run.run_files import ScanHoles, read_scan_holes
+from ..run.run_files import AddedSurfaces, read_closing
 from ..run.runfolder import RunFolder
 from ..run.settings import Settings
 from ..run.stage_settings import RoomSettings, ViewSettings, chosen
@@ -57,7 +57,7 @@ class EstimationInput:
     folder: RunFolder
     settings: Settings
     plan: LightPlan
-    holes: ScanHoles | None
+    holes: AddedSurfaces | None
     stages: Sequence[Stage]
     values: Mapping[str, Given]
 
@@ -128,7 +128,7 @@ def input_key(folder: RunFolder, settings: Settings, views: Sequence[View]) -> s
 
 def completed_room(
     folder: RunFolder, settings: Settings, capture: Capture, reporter: Reporter
-) -> tuple[list[View], Room, dict[int, float], ScanHoles | None]:
+) -> tuple[list[View], Room, dict[int, float], AddedSurfaces | None]:
     """The views at the resolution of light, the room with what its scan lacks, without outlines, views that
     are far off and the holes; the last two as of `EstimationInput`.
 
@@ -139,7 +139,7 @@ def completed_room(
         FiptError: where the room can't be read, and those of `check_input`.
     """
     prepare_geometry(folder, settings.clean_scan, settings.close_holes_edges)
-    holes = read_scan_holes(folder)
+    holes = read_closing(folder)
     begin = partial(reporter.stage, "light", "Averaging the photographs to the resolution of light")
     photographs = spread_views(capture.train, settings.view_share)
     views = light_views(folder, photographs, settings.light_pixels, begin, reporter.progress)

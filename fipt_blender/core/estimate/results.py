@@ -32,8 +32,8 @@ from ..pixels.store import PixelStore
 from ..report.pictures import write_quality
 from ..run.messages import Reporter, peak_memory_gb
 from ..run.replacing import atomic_folder
-from ..run.result_contents import EmitterEnvironment, EmitterFixture, Emitters, HintFigures, MissingLamp
-from ..run.run_files import LeftAlone, ScanHoles
+from ..run.result_contents import EmitterEnvironment, EmitterFixture, Emitters, MissingLamp
+from ..run.run_files import AddedSurfaces, LeftAlone
 from ..run.runfolder import RunFolder, explained_write_errors, write_json
 from ..run.store import write_arrays
 from ..surface.room import Room
@@ -194,7 +194,7 @@ def summary(
     }
 
 
-def hint_facts(hints: SurfaceHints, units: Units) -> list[HintFigures]:
+def hint_facts(hints: SurfaceHints, units: Units) -> list[dict[str, Any]]:
     """One entry per hint for the statistics: its surface, and the values that it has decided."""
     triangles = np.bincount(hints.triangle[hints.triangle >= 0], minlength=len(hints.names))
     unit = values_of_hints(hints, units.triangle)
@@ -202,14 +202,14 @@ def hint_facts(hints: SurfaceHints, units: Units) -> list[HintFigures]:
     fixed = np.concatenate([none[:0] if units.fixed is None else units.fixed, none])
     fixed = fixed[np.where(unit < len(fixed) - 1, unit, -1)]
     return [
-        HintFigures(
-            name=name,
-            triangles=int(triangles[row]),
-            roughness=None if np.isnan(fixed[row, 0]) else round(float(fixed[row, 0]), 4),
-            metallic=None if np.isnan(fixed[row, 1]) else round(float(fixed[row, 1]), 4),
-            emits={0: None, 1: True, -1: False}[int(hints.emits[row])],
-            left_alone=bool(hints.left_alone[row]),
-        )
+        {
+            "name": name,
+            "triangles": int(triangles[row]),
+            "roughness": None if np.isnan(fixed[row, 0]) else round(float(fixed[row, 0]), 4),
+            "metallic": None if np.isnan(fixed[row, 1]) else round(float(fixed[row, 1]), 4),
+            "emits": {0: None, 1: True, -1: False}[int(hints.emits[row])],
+            "left_alone": bool(hints.left_alone[row]),
+        }
         for row, name in enumerate(hints.names)
     ]
 
@@ -229,10 +229,12 @@ def result_files(folder: RunFolder) -> list[Path]:
     return [path for path in results if path.exists()]
 
 
-def _hole_facts(holes: ScanHoles) -> dict[str, Any]:
+def _hole_facts(closing: AddedSurfaces) -> dict[str, Any]:
+    assert closing.count is not None and closing.area is not None
+    (closed, left), (closed_area, open_area) = closing.count.tolist(), closing.area.tolist()
     return {
-        "closed_holes": holes.closed,
-        "closed_holes_m2": round(holes.closed_area, 4),
-        "open_holes": holes.left,
-        "open_holes_m2": round(holes.open_area, 4),
+        "closed_holes": closed,
+        "closed_holes_m2": round(closed_area, 4),
+        "open_holes": left,
+        "open_holes_m2": round(open_area, 4),
     }

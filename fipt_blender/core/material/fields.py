@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 import torch
@@ -24,7 +23,7 @@ from ..parts.labels import NO_PART
 from ..run.errors import FiptError
 from ..run.run_files import PartArrays
 from ..run.runfolder import RunFolder
-from ..run.store import Array, read_arrays, write_arrays
+from ..run.store import Gaps, read_arrays, write_arrays
 from .confidence import UNIFORM_DEVIATION, confidence, errors_with_place
 from .groups import Units
 from .inference import Fields
@@ -38,21 +37,21 @@ COLOR, MATERIAL = slice(0, 3), slice(3, 5)
 
 @dataclass(frozen=True, eq=False)
 class FieldArrays:
-    """results/fields.npz: the network's weights, and arguments of `RoomFields`."""
+    """results/fields.npz: the network's weights, and arguments of `RoomFields`, of C cells and U units."""
 
     network: Mapping[str, np.ndarray]
-    hash_levels: Annotated[int, Array("i")]
-    box_low: Annotated[np.ndarray, Array("f", 3)]
-    box_extent: Annotated[float, Array("f")]
-    seen_keys: Annotated[np.ndarray, Array("i", "cells")]
-    seen_points: Annotated[np.ndarray, Array("f", "cells", 3)]
-    seen_part: Annotated[np.ndarray, Array("i", "cells")]
-    seen_errors: Annotated[np.ndarray, Array("f", "cells", 3)]
-    place: Annotated[float | None, Array("f")] = None
-    detail_median: Annotated[np.ndarray | None, Array("u", "units", 3)] = None
-    detail_width: Annotated[float | None, Array("f")] = None
-    detail_keys: Annotated[np.ndarray | None, Array("i", "nodes")] = None
-    detail_sums: Annotated[np.ndarray | None, Array("f", "nodes", 9)] = None
+    hash_levels: int
+    box_low: np.ndarray  # (3,)
+    box_extent: float
+    seen_keys: np.ndarray  # (C,) int
+    seen_points: np.ndarray  # (C, 3)
+    seen_part: np.ndarray  # (C,) int
+    seen_errors: np.ndarray  # (C, 3)
+    place: float = 0.0
+    detail_median: Gaps | None = None  # (U, 3)
+    detail_width: float | None = None
+    detail_keys: np.ndarray | None = None  # (N,) int, of the nodes of a grid
+    detail_sums: np.ndarray | None = None  # (N, 9)
 
 
 class RoomFields:
@@ -145,7 +144,7 @@ class RoomFields:
         Mitsuba's variant must be set before.
 
         Raises:
-            FiptError: ``results-missing`` or ``results-damaged``.
+            FiptError: ``results-missing`` or ``file-damaged``.
         """
         settings = run.read()
         set_masking(settings.masking)
@@ -157,21 +156,15 @@ class RoomFields:
                     "Run the estimation, and wait until it has finished.",
                 )
         again = "Run the estimation again."
-        parts = read_arrays(run.parts_npz, PartArrays, again, "results-damaged")
+        parts = read_arrays(run.parts_npz, PartArrays, again)
         units = Units(parts.triangle_part, parts.single, parts.fixed)
-        arrays = read_arrays(
-            run.fields_npz, FieldArrays, again, "results-damaged", {"units": len(units.single)}
-        )
+        arrays = read_arrays(run.fields_npz, FieldArrays, again)
+        typical, device = np.zeros((len(units.single) + 1, 5)), torch.device(torch_device())
+        network = BrdfNetwork(settings, int(arrays.hash_levels), typical, torch.Generator(), device)
         try:
-            hash_levels = int(arrays.hash_levels)
-            if not 1 <= hash_levels <= settings.hash_levels:
-                raise ValueError(f"it has {hash_levels} levels, the settings {settings.hash_levels}")
-            typical = np.zeros((len(units.single) + 1, 5))
-            device = torch.device(torch_device())
-            network = BrdfNetwork(settings, hash_levels, typical, torch.Generator(), device)
             network.load_state_dict({name: torch.from_numpy(each) for name, each in arrays.network.items()})
-        except (TypeError, ValueError, RuntimeError) as error:
-            raise FiptError("results-damaged", f"{run.fields_npz} can't be read ({error}).", again) from None
+        except RuntimeError as error:  # the settings have changed since
+            raise FiptError("file-damaged", f"{run.fields_npz} can't be read ({error}).", again) from None
         median, width = arrays.detail_median, arrays.detail_width
         keys, sums = arrays.detail_keys, arrays.detail_sums
         detail = None
@@ -179,8 +172,7 @@ class RoomFields:
             detail = PartDetail(median, float(width), keys, sums)
         box = Box(arrays.box_low.astype(np.float64), float(arrays.box_extent))
         cells = SeenCells(arrays.seen_keys, arrays.seen_points, arrays.seen_part)
-        place = 0.0 if arrays.place is None else float(arrays.place)
-        return cls(Fields(network, box), units, cells, arrays.seen_errors, place, detail)
+        return cls(Fields(network, box), units, cells, arrays.seen_errors, float(arrays.place), detail)
 
     def save(self, run: RunFolder) -> None:
         """Write results/fields.npz and parts.npz."""
@@ -194,7 +186,7 @@ class RoomFields:
             self.cells.points,
             self.cells.part,
             self.errors,
-            self.place or None,
+            self.place,
             *(() if detail is None else vars(detail).values()),
         )
         write_arrays(run.fields_npz, arrays)

@@ -65,7 +65,7 @@ def outline_parts(run: RunFolder, views: Sequence[View], room: Room | None = Non
     if not run.geometry_npz.exists():
         run.outlines_npz.unlink(missing_ok=True)
         return False
-    cleaned = read_geometry(run, read_room_files(run, "mesh-damaged")[0])
+    cleaned = read_geometry(run, read_room_files(run)[0])
     if cleaned is None:
         return False
     room = room or load_room(run, outlined=False)

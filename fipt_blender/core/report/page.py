@@ -11,8 +11,9 @@ import argparse
 import math
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,6 @@ from ..run.result_contents import (
     QualityFigures,
     Render,
     Renders,
-    Statistics,
 )
 from ..run.runfolder import PRODUCT_VERSION, RunFolder, explained_write_errors
 from ..run.settings import Settings
@@ -105,7 +105,7 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
     progress(0.8)
     emitters = _optional(run.emitters_json, Emitters) or Emitters((), None)
     environment = emitters.environment if run.environment_exr.exists() else None
-    statistics = _optional(run.statistics_json, Statistics) or Statistics()
+    statistics = run.statistics()
     quality = _optional(run.quality_json, QualityFigures)
     record = _optional(run.root / "steps.json", Steps)
     steps = record.steps if record else {}
@@ -129,11 +129,11 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
         "environment_picture": pictures.add_radiance("environment", run.environment_exr)
         if environment
         else None,
-        "stages": statistics.stages,
+        "stages": statistics.get("stages", []),
         "steps": [(name, step.seconds) for name, step in steps.items() if step.finished],
-        "hints": statistics.hints,
+        "hints": statistics.get("hints", []),
         "numbers": _numbers(statistics),
-        "peak_memory_gb": statistics.peak_memory_gb,
+        "peak_memory_gb": statistics.get("peak_memory_gb"),
         "warnings": [warning for step in steps.values() for warning in step.warnings],
         "settings": [
             (name, getattr(settings, name), item.option.text) for name, item in declared(Settings).items()
@@ -260,11 +260,10 @@ def swatch(radiance: Sequence[float]) -> str:
     return "#" + "".join(f"{round(255 * float(value)):02x}" for value in values)
 
 
-def _numbers(statistics: Statistics) -> list[tuple[str, str | int | float]]:
+def _numbers(statistics: dict[str, Any]) -> list[tuple[str, str | int | float]]:
     """Name and value of all other plain values in the statistics."""
-    values = {item.name: (getattr(statistics, item.name), item.default) for item in fields(Statistics)}
     return [
         (name.replace("_", " "), value)
-        for name, (value, default) in values.items()
-        if isinstance(value, (str, int, float)) and value != default and name != "peak_memory_gb"
+        for name, value in statistics.items()
+        if isinstance(value, (str, int, float)) and name != "peak_memory_gb"
     ]

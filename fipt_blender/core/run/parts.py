@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .documents import read_document
-from .errors import FiptError
 from .result_contents import PartList, RoomPart
 from .run_files import PartArrays
 from .runfolder import RunFolder
@@ -58,10 +57,7 @@ def read_parts(run: RunFolder, triangle_object: np.ndarray, objects: Sequence[st
     if run.parts_json.is_file():
         listed = read_document(run.parts_json, PartList, _AGAIN)
         source, described = listed.source, listed.parts
-        if [part.unit for part in described] != list(range(len(described))):
-            raise FiptError("file-damaged", f"{run.parts_json} does not list the units in order.", _AGAIN)
-        sizes = {"triangles": len(triangle_object), "units": len(described)}
-        unit = read_arrays(run.parts_npz, PartArrays, _AGAIN, sizes=sizes).triangle_part.astype(np.int64)
+        unit = read_arrays(run.parts_npz, PartArrays, _AGAIN).triangle_part.astype(np.int64)
     return _compact(described, unit, triangle_object, objects, source)
 
 

@@ -9,8 +9,8 @@ absolute.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 from .contents import Problem
 from .kinds import Count, FileName, Key, NotNegative, Number, Pixels, Row, Share, Vector, choice
@@ -154,15 +154,6 @@ class QualityFigures:
 
 
 @dataclass(frozen=True)
-class StageFigures:
-    """Time and rays of a stage."""
-
-    name: str = ""
-    seconds: float | None = None
-    rays: float | None = None
-
-
-@dataclass(frozen=True)
 class Stages:
     """stages.json: the key of each stage of an estimation, and facts and warnings of the finished ones.
 
@@ -173,53 +164,6 @@ class Stages:
     stages: Mapping[str, dict]
     warnings: Mapping[str, tuple[Problem, ...]]
     dropped: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class HintFigures:
-    """What became of a hint: its triangles, and the values that it has decided; None for others."""
-
-    name: str
-    triangles: Count
-    roughness: Share | None
-    metallic: Share | None
-    emits: bool | None
-    left_alone: bool
-
-
-@dataclass(frozen=True)
-class PhotometryFigures:
-    """What was found of photographs that are not HDR, as far as it is used later.
-
-    They show their median radiance at `median_shown` between black and white; `log_curve` (256,) is the
-    logarithm of the radiance of each code.
-    """
-
-    median_shown: float | None = None
-    log_curve: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """statistics.json as far as it is read; `radiance_scale` is the photographs' median radiance."""
-
-    stages: tuple[StageFigures, ...] = ()
-    peak_memory_gb: float | None = None
-    pixels: int | None = None
-    light_resolution: str | None = None
-    expected: str | None = None
-    triangles: int | None = None
-    fixtures: int | None = None
-    part_kind: str | None = None
-    radiance_scale: float = 0.0
-    variant: str | None = None
-    closed_holes: int | None = None
-    closed_holes_m2: float | None = None
-    open_holes: int | None = None
-    open_holes_m2: float | None = None
-    hints: tuple[HintFigures, ...] = ()
-    photometry: PhotometryFigures | None = None
-    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,35 +19,27 @@ from .contents import CapturedViews, RoomNames
 from .documents import read_document
 from .errors import FiptError
 from .kinds import T
-from .result_contents import AtlasImages, Emitters
 from .runfolder import RunFolder
-from .store import Array, optional_arrays, read_arrays
+from .store import Gaps, optional_arrays, read_arrays
 
 # Names and ids of the objects of what the engine has added to a scan: triangles that close small holes, and
 # panes in larger ones with the surfaces that photographs show.
 CLOSING = "FIPT Closed Holes"
 PANES = "FIPT Panes"
 _EXPORT_AGAIN = "Export the room's mesh again (start the estimation again)."
-_ATLAS_AGAIN = "Start the run again without --resume, or apply the results again."
-_ESTIMATE_AGAIN = "Run the estimation again."
-
-_Points = Annotated[np.ndarray, Array("f", "vertices", 3)]
-_Corners = Annotated[np.ndarray, Array("i", "triangles", 3, below="vertices")]
-_Normals = Annotated[np.ndarray, Array("f", "triangles", 3, 3)]
-_Digest = Annotated[np.ndarray, Array("i", 32)]  # of what a file was made of
 
 
 @dataclass(frozen=True, eq=False)
 class RoomArrays:
-    """room.npz."""
+    """room.npz: V vertices in world metres, T triangles; -1 for no material."""
 
-    vertices: _Points
-    triangles: _Corners
-    corner_normals: _Normals
-    triangle_object: Annotated[np.ndarray, Array("i", "triangles", below="objects")]
-    triangle_material: Annotated[np.ndarray, Array("i", "triangles", below="materials", least=-1)]
-    triangle_polygon: Annotated[np.ndarray, Array("i", "triangles", below="polygons")]
-    triangle_exact: Annotated[np.ndarray | None, Array("b", "triangles")] = None
+    vertices: np.ndarray  # (V, 3) f32
+    triangles: np.ndarray  # (T, 3) i32
+    corner_normals: np.ndarray  # (T, 3, 3) f32, unit
+    triangle_object: np.ndarray  # (T,) i32, of the names in room.json
+    triangle_material: np.ndarray  # (T,) i32, likewise
+    triangle_polygon: np.ndarray  # (T,) i32, in its object
+    triangle_exact: np.ndarray | None = None  # (T,) bool
 
 
 # Those that every room has.
@@ -56,70 +48,47 @@ ROOM_ARRAYS = tuple(item.name for item in fields(RoomArrays) if item.name != "tr
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """geometry.npz."""
+    """geometry.npz: what a scan has in place of room.npz."""
 
-    vertices: _Points
-    corner_normals: _Normals
-    plane: Annotated[np.ndarray, Array("i", "triangles")]
-    noise: Annotated[float, Array("f")]
-    source: _Digest
+    vertices: np.ndarray  # (V, 3) f32
+    corner_normals: np.ndarray  # (T, 3, 3) f32
+    plane: np.ndarray  # (T,) i32, -1 without one
+    noise: float  # metres
+    source: np.ndarray  # (32,) u8, `mesh_digest` of what it was made of
 
 
 @dataclass(frozen=True, eq=False)
 class Outlines:
-    """outlines.npz."""
+    """outlines.npz: vertices in place of geometry.npz's."""
 
-    vertices: _Points
-    source: _Digest
-    masks: _Digest
+    vertices: np.ndarray  # (V, 3) f32
+    source: np.ndarray  # (32,) u8, digest of those of geometry.npz
+    masks: np.ndarray  # (32,) u8, digest of masks and cameras
 
 
 @dataclass(frozen=True, eq=False)
 class AddedSurfaces:
     """closing.npz, with what follows `source`, and panes.npz, with `masks` and `kinds`."""
 
-    vertices: _Points
-    triangles: _Corners
-    corner_normals: _Normals
-    source: _Digest
-    beside: Annotated[np.ndarray | None, Array("i", "triangles", below="triangles of the room")] = None
-    most_edges: Annotated[int | None, Array("i")] = None
-    count: Annotated[np.ndarray | None, Array("i", 2)] = None
-    area: Annotated[np.ndarray | None, Array("f", 2)] = None
-    masks: Annotated[np.ndarray | None, Array("i", 32)] = None
-    kinds: Annotated[np.ndarray | None, Array("b", 3)] = None
-
-    @property
-    def holes(self) -> ScanHoles | None:
-        """What closing.npz says of a scan's holes."""
-        if self.most_edges is None or self.count is None or self.area is None:
-            return None
-        (closed, left), (closed_area, open_area) = self.count.tolist(), self.area.tolist()
-        return ScanHoles(closed, left, closed_area, open_area, int(self.most_edges))
-
-
-@dataclass(frozen=True)
-class ScanHoles:
-    """The holes of a scan.
-
-    Attributes:
-        closed, left: how many small ones were closed, and how many stay open.
-        closed_area, open_area: square metres.
-        most_edges: the setting `close_holes_edges`.
-    """
-
-    closed: int
-    left: int
-    closed_area: float
-    open_area: float
-    most_edges: int
+    vertices: np.ndarray  # (V, 3) f32
+    triangles: np.ndarray  # (T, 3) i32
+    corner_normals: np.ndarray  # (T, 3, 3) f32
+    source: np.ndarray  # (32,) u8, `mesh_digest` of what it was made of
+    beside: np.ndarray | None = None  # (T,) i64, the room's triangle at the rim
+    most_edges: int | None = None  # the setting `close_holes_edges`
+    count: np.ndarray | None = None  # (2,) i32, holes that were closed, and those that stay open
+    area: np.ndarray | None = None  # (2,) f32, of these, square metres
+    masks: np.ndarray | None = None  # (32,) u8, digest of masks and cameras
+    kinds: np.ndarray | None = None  # (3,) bool, of `completion.panes.KINDS`
 
     @property
     def text(self) -> str:
-        """A sentence for the user."""
+        """A sentence on the holes of a scan, of closing.npz."""
+        assert self.count is not None and self.area is not None
+        (closed, left), (closed_area, open_area) = self.count.tolist(), self.area.tolist()
         return (
-            f"The scan has {self.closed:,} small holes, which were closed ({self.closed_area:.2g} m2), and"
-            f" {self.left:,} large ones, which stay open ({self.open_area:.2g} m2)."
+            f"The scan has {closed:,} small holes, which were closed ({closed_area:.2g} m2), and"
+            f" {left:,} large ones, which stay open ({open_area:.2g} m2)."
         )
 
 
@@ -127,50 +96,50 @@ class ScanHoles:
 class AtlasArrays:
     """atlas.npz."""
 
-    corner_uv: Annotated[np.ndarray, Array("f", "triangles", 3, 2)]
-    triangle_image: Annotated[np.ndarray, Array("i", "triangles", below="images", least=-1)]
+    corner_uv: np.ndarray  # (T, 3, 2) f32 in [0, 1], V up
+    triangle_image: np.ndarray  # (T,) i32 of the images in atlas.json, -1 for none
 
 
 @dataclass(frozen=True, eq=False)
 class CornerFields:
     """textures/corner_fields.npz."""
 
-    base_color: _Normals
-    roughness: Annotated[np.ndarray, Array("f", "triangles", 3)]
-    metallic: Annotated[np.ndarray, Array("f", "triangles", 3)]
-    confidence: _Normals
+    base_color: np.ndarray  # (T, 3, 3) f32
+    roughness: np.ndarray  # (T, 3) f32
+    metallic: np.ndarray  # (T, 3) f32
+    confidence: np.ndarray  # (T, 3, 3) f32
 
 
 @dataclass(frozen=True, eq=False)
 class SurveyArrays:
     """survey/survey.npz."""
 
-    seen: Annotated[np.ndarray, Array("i", "views", "bytes")]
-    areas: Annotated[np.ndarray, Array("f", "triangles")]
-    parts: Annotated[Mapping[str, np.ndarray], Array("i", "triangles")]
+    seen: np.ndarray  # (views, ceil(T / 8)) u8, a bit for each triangle, the first is the highest
+    areas: np.ndarray  # (T,) f32 square metres
+    parts: Mapping[str, np.ndarray]  # (T,) i32 for each source, -1 without a part
 
 
 @dataclass(frozen=True, eq=False)
 class PartArrays:
-    """results/parts.npz; `fixed`: roughness and metallic where hints fix them."""
+    """results/parts.npz."""
 
-    triangle_part: Annotated[np.ndarray, Array("i", "triangles", below="units", least=-1)]
-    single: Annotated[np.ndarray, Array("b", "units")]
-    fixed: Annotated[np.ndarray | None, Array("u", "units", 2)] = None
+    triangle_part: np.ndarray  # (T,) i32, unit, -1 without one
+    single: np.ndarray  # (U,) bool, whether a unit is of one material
+    fixed: Gaps | None = None  # (U, 2) f32, roughness and metallic where hints fix them
 
 
 @dataclass(frozen=True, eq=False)
 class Resolution:
     """results/resolution.npz; only where photographs have more pixels than light was solved at."""
 
-    density: Annotated[np.ndarray, Array("u", "triangles")]
+    density: Gaps  # (T,) f32 texels a metre
 
 
 @dataclass(frozen=True, eq=False)
 class LeftAlone:
     """results/left_alone.npz; only where the artist has asked for triangles not to be estimated."""
 
-    left_alone: Annotated[np.ndarray, Array("b", "triangles")]
+    left_alone: np.ndarray  # (T,) bool
 
 
 def read_capture(path: Path) -> CapturedViews:
@@ -182,34 +151,31 @@ def read_capture(path: Path) -> CapturedViews:
     return read_document(path, CapturedViews, "Import the capture again.", other="capture-version")
 
 
-def read_room_files(run: RunFolder, code: str = "file-damaged") -> tuple[dict[str, np.ndarray], RoomNames]:
-    """The arrays of room.npz, and room.json; indices are within their ranges.
+def read_room_files(run: RunFolder) -> tuple[dict[str, np.ndarray], RoomNames]:
+    """The arrays of room.npz, and room.json.
 
     What the engine has added to a scan, `CLOSING` and `PANES`, are more objects, the last ones; a room that
     the artist has completed gets none. Surfaces that are no scan are those of `triangle_exact`, (T,) bool, if
     there are any.
 
-    Args:
-        run: the run folder.
-        code: of the error for damaged arrays.
-
     Raises:
-        FiptError: ``file-missing``, ``file-damaged`` or `code`.
+        FiptError: ``file-missing`` or ``file-damaged``.
     """
-    names = read_document(run.room_json, RoomNames, _EXPORT_AGAIN)
-    if len(names.ids) != len(names.objects):
-        raise FiptError("file-damaged", f"{run.room_json} has not one id per object.", _EXPORT_AGAIN)
-    arrays = _read_mesh(run, code, {"objects": len(names.objects), "materials": len(names.materials)})
+    arrays, names = _read_mesh(run), read_document(run.room_json, RoomNames, _EXPORT_AGAIN)
     for name, path in ((CLOSING, run.closing_npz), (PANES, run.panes_npz)):
-        added = None if names.completed else _read_added(path, arrays)
+        added = None if names.completed else read_made(path, AddedSurfaces, mesh_digest(arrays))
         if added is not None and len(added.triangles):
             arrays, names = _with_object(arrays, names, name, added)
     return arrays, names
 
 
-def _read_mesh(run: RunFolder, code: str, sizes: Mapping[str, int] | None = None) -> dict[str, np.ndarray]:
-    """The arrays of room.npz that are there; raises like `read_arrays`."""
-    arrays = vars(read_arrays(run.room_npz, RoomArrays, _EXPORT_AGAIN, code, sizes))
+def _read_mesh(run: RunFolder) -> dict[str, np.ndarray]:
+    """The arrays of room.npz that are there; indices of vertices are within their range."""
+    arrays = vars(read_arrays(run.room_npz, RoomArrays, _EXPORT_AGAIN))
+    corners, count = arrays["triangles"], len(arrays["vertices"])
+    if corners.size and not 0 <= corners.min() <= corners.max() < count:  # libraries would read beyond
+        text = f"The triangles of {run.room_npz} refer to missing vertices."
+        raise FiptError("file-damaged", text, _EXPORT_AGAIN)
     return {name: array for name, array in arrays.items() if array is not None}
 
 
@@ -233,92 +199,27 @@ def _with_object(
     return joined, replace(names, objects=(*names.objects, name), object_ids=(*names.ids, name))
 
 
-def read_made(path: Path, kind: type[T], source: np.ndarray, sizes: Mapping[str, int]) -> T | None:
+def read_made(path: Path, kind: type[T], source: np.ndarray) -> T | None:
     """An array file that the engine made of what has the digest `source` (32,); None where there is none.
 
     A damaged one is made again, like one that was made of something else.
     """
-    made: Any = optional_arrays(path, kind, sizes)
+    made: Any = optional_arrays(path, kind)
     return made if made is not None and np.array_equal(made.source, source) else None
 
 
-def _read_added(path: Path, arrays: Mapping[str, np.ndarray]) -> AddedSurfaces | None:
-    """closing.npz or panes.npz, None where there is none for this mesh."""
-    sizes = {"triangles of the room": len(arrays["triangles"])}
-    return read_made(path, AddedSurfaces, mesh_digest(arrays), sizes)
-
-
-def read_scan_holes(run: RunFolder) -> ScanHoles | None:
-    """What closing.npz says of a scan's holes; None where there is none for the run's mesh."""
-    closing = _read_added(run.closing_npz, _read_mesh(run, "mesh-damaged"))
-    return None if closing is None else closing.holes
-
-
-def has_searched_panes(run: RunFolder, arrays: Mapping[str, np.ndarray], masks: np.ndarray) -> bool:
-    """Whether panes.npz says that these masks (32,) show nothing that this mesh lacks.
-
-    Args:
-        run: the run folder.
-        arrays: the room's vertices and triangles.
-        masks: digest of masks and cameras.
-    """
-    panes = _read_added(run.panes_npz, arrays)
-    found = None if panes is None or len(panes.triangles) else panes.masks
-    return found is not None and np.array_equal(found, masks)
-
-
-def read_atlas(run: RunFolder, triangles: int) -> tuple[AtlasImages, AtlasArrays]:
-    """atlas.json, and atlas.npz.
-
-    Args:
-        run: the run folder.
-        triangles: how many the room has.
-
-    Raises:
-        FiptError: ``file-missing`` or ``file-damaged``.
-    """
-    atlas = read_document(run.atlas_json, AtlasImages, _ATLAS_AGAIN)
-    # Colour attributes need no images.
-    sizes = {"triangles": triangles} | ({"images": len(atlas.images)} if atlas.mode == "uv" else {})
-    return atlas, read_arrays(run.atlas_npz, AtlasArrays, _ATLAS_AGAIN, sizes=sizes)
-
-
-def read_emitters(run: RunFolder, triangles: int) -> Emitters:
-    """emitters.json.
-
-    Args:
-        run: the run folder.
-        triangles: how many the room has.
-
-    Raises:
-        FiptError: ``file-missing`` or ``file-damaged``.
-    """
-    emitters = read_document(run.emitters_json, Emitters, _ESTIMATE_AGAIN)
-    if any(max(fixture.triangles, default=-1) >= triangles for fixture in emitters.fixtures):
-        raise FiptError(
-            "file-damaged", f"{run.emitters_json} names triangles that the room lacks.", _ESTIMATE_AGAIN
-        )
-    return emitters
+def read_closing(run: RunFolder) -> AddedSurfaces | None:
+    """closing.npz, None where there is none for the run's mesh."""
+    return read_made(run.closing_npz, AddedSurfaces, mesh_digest(_read_mesh(run)))
 
 
 def read_geometry(run: RunFolder, arrays: Mapping[str, np.ndarray]) -> Geometry | None:
-    """geometry.npz, None where there is none for this mesh: then the mesh is used as it is.
-
-    Args:
-        run: the run folder.
-        arrays: the room's vertices and triangles.
-    """
-    sizes = {name: len(arrays[name]) for name in ("vertices", "triangles")}
-    return read_made(run.geometry_npz, Geometry, mesh_digest(arrays), sizes)
+    """geometry.npz, None where there is none for this room: then the mesh is used as it is."""
+    return read_made(run.geometry_npz, Geometry, mesh_digest(arrays))
 
 
 def read_outlined(run: RunFolder, arrays: Mapping[str, np.ndarray]) -> Geometry | None:
-    """geometry.npz with the vertices of outlines.npz, if these were made of it; None where the first is not.
-
-    Args:
-        run: the run folder.
-        arrays: the room's vertices and triangles.
-    """
+    """geometry.npz with the vertices of outlines.npz, if these fit it; None where the first does not."""
     cleaned = read_geometry(run, arrays)
     outlines = None if cleaned is None else read_outlines(run, cleaned.vertices)
     return cleaned if cleaned is None or outlines is None else replace(cleaned, vertices=outlines.vertices)
@@ -326,7 +227,7 @@ def read_outlined(run: RunFolder, arrays: Mapping[str, np.ndarray]) -> Geometry 
 
 def read_outlines(run: RunFolder, cleaned: np.ndarray) -> Outlines | None:
     """outlines.npz, None where there is none that was made of these vertices (V, 3) of geometry.npz."""
-    return read_made(run.outlines_npz, Outlines, array_digest(cleaned), {"vertices": len(cleaned)})
+    return read_made(run.outlines_npz, Outlines, array_digest(cleaned))
 
 
 def array_digest(*arrays: np.ndarray) -> np.ndarray:

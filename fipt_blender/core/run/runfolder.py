@@ -187,16 +187,19 @@ class RunFolder:
         """
         from dataclasses import replace
 
-        from .documents import optional_document
-        from .result_contents import Statistics
         from .settings import TEXTURE_SETTINGS, make_settings
 
-        present = self.read()
-        statistics = optional_document(self.statistics_json, Statistics)
-        if statistics is None or not statistics.settings:
+        present, estimated = self.read(), self.statistics().get("settings")
+        if not estimated:
             return present
         kept = {name: getattr(present, name) for name in TEXTURE_SETTINGS}
-        return replace(make_settings(changes=statistics.settings), **kept)
+        return replace(make_settings(changes=estimated), **kept)
+
+    def statistics(self) -> dict[str, Any]:
+        """What statistics.json records of the estimate; empty where there is none."""
+        from .documents import optional_document
+
+        return optional_document(self.statistics_json, dict) or {}
 
     def recover(self) -> None:
         """Bring back folders whose replacement was killed in the middle (`replacing.atomic_folder`).

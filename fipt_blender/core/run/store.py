@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Dataclasses of arrays, numbers and texts as files: array files of a run (.npz), and the outputs of stages.
 
-A field of arrays may say by an `Array` what these hold; what is written is finite, what is read fits. JSON
-alone is in :mod:`.documents`. A file may have been cut off by a full disk or come from somebody else: there
-is one error for all that can fail. Needs numpy alone.
+What is written is finite, but for NaN in fields that are `Gaps`. These are files of our own, complete or not
+there at all, whose keys or digests say what they were made of: what is in them is not checked when they are
+read. One that can't be read is an error that says so, or is made again. JSON alone is in :mod:`.documents`.
+Needs numpy alone.
 """
 
 from __future__ import annotations
@@ -14,11 +15,10 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from types import EllipsisType
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
 
@@ -27,41 +27,15 @@ from .kinds import T, as_kind
 from .paths import leads_outside
 from .runfolder import atomic_path
 
-# Unpacked bytes of an archive: more than any room needs, and compressed at most this much.
-MOST_BYTES = 32_000_000_000
 # What numpy and zipfile raise for damaged files.
 DAMAGE = (
     *(OSError, ValueError, KeyError, EOFError, IndexError, TypeError, SyntaxError, NotImplementedError),
     *(zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError, OverflowError, MemoryError),
     RuntimeError,  # an archive that says that it is encrypted
 )
-AGAIN = "Repeat the step that writes it."  # remedy for a damaged file
-# Numpy's kinds of numbers by those of `Array`, and words for them.
-_KINDS = {"f": "f", "u": "f", "i": "iu", "b": "b"}
-_KIND_TEXTS = {"f": "numbers", "u": "numbers", "i": "whole numbers", "b": "truth values"}
 _BLOCK = 1 << 22  # values that are checked at a time
-
-
-@dataclass(frozen=True, init=False)
-class Array:
-    """What the arrays of a field hold.
-
-    Attributes:
-        kind: "f" float, "u" float or NaN for unknown, "i" whole numbers, "b" truth values.
-        sizes: each a number, or a word for a size that all fields with this word have; ``...``: any.
-        below: of indices: the word for the size that they are below. least: the lowest of them.
-    """
-
-    kind: str
-    sizes: tuple[int | str | EllipsisType, ...]
-    below: str
-    least: int
-
-    def __init__(self, kind: str, *sizes: int | str | EllipsisType, below: str = "", least: int = 0) -> None:
-        vars(self).update(kind=kind, sizes=sizes, below=below, least=least)
-
-
-Gaps = Annotated[np.ndarray, Array("u", ...)]  # in which NaN stands for unknown values
+_UNKNOWN = "NaN stands for unknown"  # what `Gaps` says of an array
+Gaps = Annotated[np.ndarray, _UNKNOWN]
 
 
 class DamagedStage(Exception):
@@ -79,50 +53,37 @@ class DamagedStage(Exception):
 # ---- Array files -------------------------------------------------------------------------------------------
 
 
-def read_arrays(
-    path: Path,
-    kind: type[T],
-    remedy: str = AGAIN,
-    code: str = "file-damaged",
-    sizes: Mapping[str, int] | None = None,
-) -> T:
+def read_arrays(path: Path, kind: type[T], remedy: str = "Repeat the step that writes it.") -> T:
     """The dataclass that an .npz file holds; a field that is a mapping has the arrays FIELD/NAME.
 
     Args:
         path: of the file.
         kind: of dataclass; fields with a default may be missing.
         remedy: what the user can do where the file is damaged.
-        code: of the error then.
-        sizes: that are known, by the words of `Array`.
 
     Raises:
-        FiptError: ``file-missing``, or `code`.
+        FiptError: ``file-missing`` or ``file-damaged``.
     """
+    values: dict[str, Any] = {}
     try:
-        _check_sizes(path)
         with np.load(path, allow_pickle=False) as archive:
-            found = {name: archive[name] for name in archive.files}
-        values: dict[str, Any] = {}
-        for name, hint in get_type_hints(kind).items():
-            start = f"{name}/"
-            if get_origin(hint) is Mapping:
-                values[name] = {each[len(start) :]: found[each] for each in found if each.startswith(start)}
-            elif name in found or hasattr(kind, name):  # a default
-                values[name] = found.get(name, getattr(kind, name, None))
-            else:
-                raise ValueError(f"it lacks the array '{name}'")
-        _check_layouts(values, _layouts(kind), dict(sizes or {}))
-        return kind(**values)
+            for name in archive.files:
+                field, inside, key = name.partition("/")
+                if inside:
+                    values.setdefault(field, {})[key] = archive[name]
+                else:
+                    values[name] = archive[name]
+        return kind(**{name: values[name] for name in get_type_hints(kind) if name in values})
     except FileNotFoundError:
         raise FiptError("file-missing", f"{path} does not exist.", remedy) from None
     except DAMAGE as error:
-        raise FiptError(code, f"{path} can't be read ({error}).", remedy) from None
+        raise FiptError("file-damaged", f"{path} can't be read ({error}).", remedy) from None
 
 
-def optional_arrays(path: Path, kind: type[T], sizes: Mapping[str, int] | None = None) -> T | None:
+def optional_arrays(path: Path, kind: type[T]) -> T | None:
     """The dataclass that an .npz file holds, None where it is missing or damaged; see `read_arrays`."""
     try:
-        return read_arrays(path, kind, sizes=sizes)
+        return read_arrays(path, kind)
     except FiptError:
         return None
 
@@ -133,35 +94,22 @@ def write_arrays(path: Path, value: Any) -> None:
     Raises:
         FiptError: ``not-finite``, ``disk-full`` or ``run-unwritable``.
     """
-    arrays, layouts = {}, _layouts(type(value))
+    arrays, gaps = {}, _with_gaps(type(value))
     for item in fields(value):
-        for name, array in _named(item.name, getattr(value, item.name)):
+        found = getattr(value, item.name)
+        named = found.items() if isinstance(found, Mapping) else [("", found)] * (found is not None)
+        for key, array in named:
+            name = f"{item.name}/{key}" if key else item.name
             arrays[name] = np.asarray(array)
-            refuse_infinite(f"{path.name}/{name}", arrays[name], _may_have_gaps(layouts.get(item.name)))
+            refuse_infinite(f"{path.name}/{name}", arrays[name], item.name in gaps)
     with atomic_path(path) as temporary:
         np.savez(temporary, **arrays)
 
 
-def _named(name: str, value: Any) -> Iterable[tuple[str, Any]]:
-    """The names and arrays of a field."""
-    if isinstance(value, Mapping):
-        return ((f"{name}/{key}", each) for key, each in value.items())
-    return () if value is None else ((name, value),)
-
-
-def _layouts(kind: Any) -> dict[str, Array]:
-    """What the fields of a dataclass that say so hold, by their names."""
-    found: dict[str, Array] = {}
-    for name, hint in get_type_hints(kind, include_extras=True).items():
-        for each in (hint, *get_args(hint)):  # X, or X | None
-            for layout in getattr(each, "__metadata__", ()):
-                if isinstance(layout, Array):
-                    found[name] = layout
-    return found
-
-
-def _may_have_gaps(layout: Array | None) -> bool:
-    return layout is not None and layout.kind == "u"
+def _with_gaps(kind: Any) -> set[str]:
+    """The fields of a dataclass whose arrays may hold NaN: `Gaps`, or `Gaps` or None."""
+    hints = get_type_hints(kind, include_extras=True).items()
+    return {name for name, hint in hints if Gaps in (hint, *get_args(hint))}
 
 
 def refuse_infinite(name: str, array: np.ndarray, unknown: bool = False) -> None:
@@ -186,45 +134,6 @@ def refuse_infinite(name: str, array: np.ndarray, unknown: bool = False) -> None
             f"{bad:,} of {array.size:,} values of {name} are infinite or not a number. They were not stored.",
             "Please report this with the file log.txt of the run folder.",
         )
-
-
-def _check_layouts(values: Mapping[str, Any], layouts: Mapping[str, Array], sizes: dict[str, int]) -> None:
-    """Check kinds and sizes of arrays, and that indices are within their ranges.
-
-    Raises:
-        ValueError: names the array, what is needed and what is there.
-    """
-    named = [
-        (name, array, layout)
-        for field, layout in layouts.items()
-        for name, array in _named(field, values[field])
-    ]
-    for name, array, layout in named:
-        if array.dtype.kind not in _KINDS[layout.kind]:
-            text = _KIND_TEXTS[layout.kind]
-            raise ValueError(f"the array '{name}' should hold {text}, not {array.dtype}")
-        needed = layout.sizes
-        fits = len(array.shape) == len(needed) and all(
-            size == (sizes.setdefault(wanted, size) if isinstance(wanted, str) else wanted)
-            for size, wanted in zip(array.shape, needed, strict=True)
-        )
-        if not fits and needed != (...,):
-            shape = tuple(sizes.get(size, size) if isinstance(size, str) else size for size in needed)
-            raise ValueError(f"the array '{name}' should have the sizes {shape}, not {array.shape}")
-    for name, array, layout in named:
-        end = sizes.get(layout.below, np.iinfo(np.int32).max)
-        if layout.below and array.size and not layout.least <= array.min() <= array.max() < end:
-            raise ValueError(f"the array '{name}' refers to missing {layout.below}")
-
-
-def _check_sizes(path: Path) -> None:
-    """Refuse an archive that unpacks to far more than it holds."""
-    with zipfile.ZipFile(path) as archive:
-        members = archive.infolist()
-    total, packed = sum(member.file_size for member in members), path.stat().st_size
-    # A high ratio of a small archive does no harm.
-    if total > MOST_BYTES or (total > 64_000_000 and total > 2000 * packed):
-        raise ValueError(f"it unpacks to {total / 1e9:.1f} GB")
 
 
 # ---- Outputs of stages -------------------------------------------------------------------------------------
@@ -261,11 +170,8 @@ def saved(value: Any, folder: Path, root: Path, given: Mapping[str, Any], unknow
             np.save(path, value, allow_pickle=False)
         return {"stored": path.relative_to(root).as_posix()}
     if is_dataclass(value):
-        layouts, names = _layouts(type(value)), [item.name for item in fields(value) if item.init]
-        return {
-            name: saved(getattr(value, name), folder / name, root, given, _may_have_gaps(layouts.get(name)))
-            for name in names
-        }
+        gaps, names = _with_gaps(type(value)), [item.name for item in fields(value) if item.init]
+        return {name: saved(getattr(value, name), folder / name, root, given, name in gaps) for name in names}
     if isinstance(value, Mapping):
         return {str(key): saved(each, folder / str(key), root, given, unknown) for key, each in value.items()}
     if isinstance(value, (list, tuple)):

@@ -16,7 +16,7 @@ from pathlib import Path
 from .contents import RunNote
 from .documents import optional_document
 from .errors import FiptError
-from .result_contents import Stages, Statistics
+from .result_contents import Stages
 from .runfolder import RunFolder, explained_write_errors
 
 
@@ -115,8 +115,7 @@ def _same_capture(run: RunFolder) -> list[Path]:
 def _describe(folder: Path, current: bool) -> Version:
     run = RunFolder(folder)
     settings = (optional_document(run.run_json, RunNote) or RunNote()).settings
-    statistics = optional_document(run.statistics_json, Statistics) or Statistics()
-    preset = str((statistics.settings or settings).get("preset", ""))
+    preset = str(run.statistics().get("settings", settings).get("preset", ""))
     return Version(folder, run.fields_npz.stat().st_mtime, preset, current)
 
 

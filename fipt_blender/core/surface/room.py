@@ -211,7 +211,7 @@ def load_room(run: RunFolder, outlined: bool = True, cleaned: bool = True) -> Ro
     """
     if not run.room_npz.exists():
         raise FiptError("mesh-missing", f"{run.room_npz} does not exist.", "Export the room's mesh first.")
-    arrays, names = read_room_files(run, "mesh-damaged")
+    arrays, names = read_room_files(run)
     scan = stored_geometry(run, arrays, outlined) if cleaned else None
     if scan is not None:
         arrays |= {"vertices": scan.vertices, "corner_normals": scan.corner_normals}

@@ -18,10 +18,10 @@ from ..run.run_files import (
     AddedSurfaces,
     Geometry,
     mesh_digest,
+    read_closing,
     read_geometry,
     read_outlined,
     read_room_files,
-    read_scan_holes,
 )
 from ..run.runfolder import RunFolder, explained_write_errors
 from ..run.store import write_arrays
@@ -42,21 +42,25 @@ def prepare_geometry(run: RunFolder, clean: bool = True, most_edges: int = 0) ->
     Raises:
         FiptError: ``file-missing``, ``file-damaged``, ``disk-full`` or ``run-unwritable``.
     """
-    arrays, names = read_room_files(run, "mesh-damaged")
+    arrays, names = read_room_files(run)
     most_edges = 0 if names.completed else most_edges
-    holes = read_scan_holes(run)
-    if clean and (holes.most_edges if holes else 0) == most_edges and read_geometry(run, arrays) is not None:
+    closing = read_closing(run)
+    if (
+        clean
+        and (closing.most_edges if closing else 0) == most_edges
+        and read_geometry(run, arrays) is not None
+    ):
         return
     with explained_write_errors(run.root):
-        if most_edges or holes:
+        if most_edges or closing:
             run.closing_npz.unlink(missing_ok=True)
             run.panes_npz.unlink(missing_ok=True)  # made for the mesh with the closing
-            arrays, names = read_room_files(run, "mesh-damaged")
+            arrays, names = read_room_files(run)
         usable = clean and len(scanned(arrays)) and np.isfinite(arrays["vertices"]).all()
         if usable and most_edges:
             closed_before = CLOSING in names.ids
             usable = _store_closing(run, arrays, most_edges, closed_before)
-            arrays, _ = read_room_files(run, "mesh-damaged")
+            arrays, _ = read_room_files(run)
         cleaned = _cleaned(arrays) if usable else None
         if cleaned is None:
             run.geometry_npz.unlink(missing_ok=True)

@@ -19,13 +19,14 @@ import numpy as np
 
 from ..capture.views import load_capture
 from ..device.variant import set_variant
+from ..run.documents import read_document
 from ..run.messages import Reporter
 from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
-from ..run.result_contents import AtlasImage, TextureImage, Textures, UniformPart
-from ..run.run_files import AtlasArrays, CornerFields, read_atlas, read_room_files
+from ..run.result_contents import AtlasImage, AtlasImages, TextureImage, Textures, UniformPart
+from ..run.run_files import AtlasArrays, CornerFields, read_room_files
 from ..run.runfolder import RunFolder, write_json
-from ..run.store import write_arrays
+from ..run.store import read_arrays, write_arrays
 from ..surface.stored import stored_geometry
 from .padding import pad
 from .raster import nearest_triangle_map
@@ -110,7 +111,7 @@ def bake(
         The files written.
     """
     room, _ = read_room_files(folder)
-    atlas, arrays = read_atlas(folder, len(room["triangles"]))
+    atlas, arrays = read_document(folder.atlas_json, AtlasImages), read_arrays(folder.atlas_npz, AtlasArrays)
     scan = stored_geometry(folder, room, outlined=True)
     corners = (scan.vertices if scan else room["vertices"])[room["triangles"]]
     folder.stage.mkdir(parents=True, exist_ok=True)

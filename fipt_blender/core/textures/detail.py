@@ -30,7 +30,7 @@ from ..run.documents import read_document
 from ..run.errors import FiptError
 from ..run.kinds import Pixels
 from ..run.messages import Reporter
-from ..run.result_contents import Stages, Statistics
+from ..run.result_contents import Stages
 from ..run.run_files import Resolution
 from ..run.runfolder import RunFolder, write_json
 from ..run.store import DamagedStage, loaded, saved, stages_of, write_arrays
@@ -159,10 +159,8 @@ def load_input(run: RunFolder, reporter: Reporter | None = None) -> DetailInput 
     if all(view.width * view.height <= light.width * light.height for view, light in pairs):
         return None
     light = solved_light(run, lights)
-    photometry = None
-    if run.statistics_json.exists():
-        photometry = read_document(run.statistics_json, Statistics).photometry
-    response = np.array(photometry.log_curve) if photometry else None
+    photometry = run.statistics().get("photometry")
+    response = np.array(photometry["log_curve"]) if photometry else None
     return DetailInput(photographs, light.pixels, light.shadings, light.levels, response)
 
 

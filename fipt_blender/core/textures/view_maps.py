@@ -19,8 +19,8 @@ from ..light.baking import SUBPIXELS
 from ..material.fields import RoomFields
 from ..optics.lights import AreaLights, EmitterTable
 from ..pixels.camera_rays import trace_pixels
-from ..run.result_contents import Maps, ViewMaps
-from ..run.run_files import read_emitters
+from ..run.documents import read_document
+from ..run.result_contents import Emitters, Maps, ViewMaps
 from ..run.runfolder import RunFolder, write_json
 from ..surface.room import Room, load_room
 
@@ -32,7 +32,7 @@ def write_view_maps(run: RunFolder, fields: RoomFields, views: Sequence[View]) -
         FiptError: the run's room or emitters can't be read; ``disk-full`` or ``run-unwritable``.
     """
     room = load_room(run)
-    table = EmitterTable.from_fixtures(read_emitters(run, len(room.triangles)).fixtures)
+    table = EmitterTable.from_fixtures(read_document(run.emitters_json, Emitters).fixtures)
     lights = AreaLights(room.vertices, room.triangles, table)
     folder = run.results / "maps"
     listed, files = [], []
