@@ -25,15 +25,15 @@ def score(folder: Path, truth: Path | None) -> dict[str, float]:
     """Figures of a finished run."""
     from fipt_blender.core.device.variant import set_variant
     from fipt_blender.core.run.documents import read_document
-    from fipt_blender.core.run.result_contents import Emitters, QualityFigures
+    from fipt_blender.core.run.result_contents import Emitters
 
     run, figures = RunFolder(folder), {}
     set_variant(run.read().device)  # before Mitsuba is imported
     from benchmarks import lamps
 
     if run.quality_json.exists():  # where photographs were held back
-        quality = read_document(run.quality_json, QualityFigures)
-        figures |= {"judged_db": quality.held_back_db, "projection_db": quality.projection_db}
+        quality = read_document(run.quality_json, dict)
+        figures |= {"judged_db": quality["held_back_db"], "projection_db": quality["projection_db"]}
     fixtures = read_document(run.emitters_json, Emitters)
     figures["inferred"] = sum(lamp.inferred for lamp in fixtures.missing)
     for level, suffix in ((LIKELY, "50"), (CERTAIN, "95")):

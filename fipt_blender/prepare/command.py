@@ -10,9 +10,7 @@ Each step leaves stage/STEP.json, which says that it is done. A step is a module
 from __future__ import annotations
 
 import argparse
-import hashlib
 import importlib
-import json
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -25,6 +23,7 @@ from ..core.run.documents import optional_document
 from ..core.run.errors import FiptError
 from ..core.run.kinds import as_json
 from ..core.run.messages import Reporter
+from ..core.run.method import digest, method_digest
 from ..core.run.runfolder import explained_write_errors, write_json
 from .facts import FinishedStep
 from .preparation import (
@@ -171,14 +170,6 @@ def _step_key(name: str, folder: PreparationFolder, value: Any) -> str:
     return digest(name, value, before, "" if name == "read" else code_digest())
 
 
-def digest(*values: Any) -> str:
-    """A short text that differs for different values (JSON)."""
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:24]
-
-
 def code_digest() -> str:
-    """A hash of the room's source code, on which the results depend."""
-    code = hashlib.sha256()
-    for file in sorted(Path(__file__).parent.glob("*.py")):
-        code.update(file.name.encode() + b"\0" + file.read_bytes())
-    return code.hexdigest()
+    """A digest of the room's source code, on which the results depend."""
+    return method_digest(Path(__file__).parent, (".",))

@@ -16,9 +16,10 @@ from ..core.capture.images import HALF_MAX, write_exr
 from ..core.run.documents import optional_document
 from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter
+from ..core.run.method import digest
 from ..core.run.runfolder import atomic_path, write_json
 from .calibration import Calibration, Survey, calibrate, survey_group
-from .command import code_digest, digest
+from .command import code_digest
 from .facts import MergedImage, MergeFacts, ResponseFacts
 from .frames import Frame, linear_frame, load, upright
 from .lens import light_share, vignetting

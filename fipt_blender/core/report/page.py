@@ -28,8 +28,6 @@ from ..run.messages import Reporter
 from ..run.result_contents import (
     EmitterFixture,
     Emitters,
-    Maps,
-    QualityFigures,
     Render,
     Renders,
 )
@@ -106,7 +104,7 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
     emitters = _optional(run.emitters_json, Emitters) or Emitters((), None)
     environment = emitters.environment if run.environment_exr.exists() else None
     statistics = run.statistics()
-    quality = _optional(run.quality_json, QualityFigures)
+    quality = _optional(run.quality_json, dict)
     record = _optional(run.root / "steps.json", Steps)
     steps = record.steps if record else {}
     context = {
@@ -217,31 +215,30 @@ def _shot(run: RunFolder, render: Render, pictures: _Pictures) -> Shot:
 
 
 def _judged_views(
-    run: RunFolder, quality: QualityFigures | None, pictures: _Pictures
+    run: RunFolder, quality: dict[str, Any] | None, pictures: _Pictures
 ) -> list[tuple[str, dict[str, str]]]:
     """Name and pictures, by their kind, of the photographs by which the result was judged."""
     rows = []
-    for view in quality.views if quality else ():
-        paths = {kind: run.quality / getattr(view, kind) for kind in KINDS}
-        rows.append(
-            (view.name, {kind: pictures.add(kind, path) for kind, path in paths.items() if path.is_file()})
-        )
+    for view in quality["views"] if quality else ():
+        paths = {kind: run.quality / Path(view[kind]).name for kind in KINDS}
+        shown = {kind: pictures.add(kind, path) for kind, path in paths.items() if path.is_file()}
+        rows.append((view["name"], shown))
     return rows
 
 
 def _map_rows(run: RunFolder, pictures: _Pictures) -> list[tuple[str, dict[str, str]]]:
     """The view and the pictures by map's name of each row of material maps that `textures` wrote."""
     rows = []
-    maps = _optional(run.results / "maps" / "maps.json", Maps)
-    for view in maps.views if maps else ():
+    maps = _optional(run.results / "maps" / "maps.json", dict)
+    for view in maps["views"] if maps else ():
         images = {}
         for name in MAPS:
-            values = read_radiance(run.resolve(getattr(view, name)))
+            values = read_radiance(run.resolve(view[name]))
             # Roughness and metallic are data and are shown unchanged.
             if name in ("base_color", "emission"):
                 values = to_display(values, pictures.exposure if name == "emission" else 1.0)
             images[name] = pictures.add(name.replace("_", "-"), values)
-        rows.append((view.view, images))
+        rows.append((view["view"], images))
     return rows
 
 

@@ -12,7 +12,6 @@ that was interrupted its finished views back, repeats warnings, and does again w
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 import json
 import shutil
@@ -28,7 +27,7 @@ from .documents import read_document
 from .errors import FiptError
 from .finished_views import FinishedViews
 from .messages import Progress, Reporter, within
-from .method import method_digest
+from .method import digest, method_digest
 from .per_view import LocalWorkers, Workers
 from .result_contents import Stages
 from .runfolder import explained_write_errors, write_json
@@ -196,8 +195,7 @@ class Chain:
         }
         options = declared(stage.types["settings"]) if "settings" in stage.types else {}
         read = {name: getattr(self.settings, name) for name, item in options.items() if item.option.keyed}
-        text = json.dumps([method_digest(), stage.name, sources, dict(stage.takes), read], sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return digest(method_digest(), stage.name, sources, dict(stage.takes), read)
 
     def _kept(self, index: int) -> bool:
         return bool(self.stages[index].text)

@@ -14,13 +14,10 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from .contents import Problem
-from .documents import parse_document
-from .kinds import as_json, as_kind
+from .kinds import as_json
 
 # Share of a plan whose time counts as known before anything is done, where seconds are expected; and without
 # these the share from which on the time that is left is told.
@@ -28,46 +25,7 @@ PRIOR, LEAST_DONE = 0.2, 0.05
 # Share of a stage at which its own rate and that of the whole plan count alike.
 OWN_RATE = 0.1
 
-# The fields of each type of message that its readers rely on.
-
-
-@dataclass(frozen=True)
-class _Stage:
-    name: str
-    text: str
-    index: int = 0
-    count: int = 0
-
-
-@dataclass(frozen=True)
-class _Progress:
-    fraction: float
-    stage_fraction: float = 0.0
-    memory_gb: float = 0.0
-    remaining_seconds: float | None = None
-    files: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class _Note:
-    text: str
-
-
-@dataclass(frozen=True)
-class _Done:
-    files: tuple[str, ...]
-    data: dict
-
-
-_KINDS: dict[str, type] = {
-    "stage": _Stage,
-    "progress": _Progress,
-    "note": _Note,
-    "warning": Problem,
-    "error": Problem,
-    "done": _Done,
-}
-
+TYPES = ("stage", "progress", "note", "warning", "error", "done")  # of messages
 
 Progress = Callable[[float], None]  # is called with the share of a work that is done, 0 to 1
 
@@ -83,14 +41,11 @@ def within(progress: Progress, begin: float, end: float) -> Progress:
 
 def parse_message(line: str) -> dict[str, Any] | None:
     """The message in one line of the engine's stdout, or None if the line is not a message."""
-    if not line.startswith("{"):
-        return None
     try:
-        message: dict[str, Any] = as_kind(parse_document(line), dict)
-        as_kind(message, _KINDS[message["type"]])
-    except (ValueError, LookupError, TypeError):  # no message, or of a type that is not known
+        message = json.loads(line)
+    except (ValueError, RecursionError):
         return None
-    return message
+    return message if isinstance(message, dict) and message.get("type") in TYPES else None
 
 
 def says_out_of_memory(text: str) -> bool:

@@ -10,8 +10,11 @@ only.
 from __future__ import annotations
 
 import hashlib
+import json
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 _CORE = Path(__file__).resolve().parent.parent
 # The rooms whose code determines the results of an estimation; the others only start, watch or show it
@@ -23,17 +26,23 @@ ROOMS = (
 )
 
 
+def digest(*values: Any) -> str:
+    """A hexadecimal text that differs for different values (JSON)."""
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:24]
+
+
 @cache
-def method_digest(core: Path = _CORE) -> str:
+def method_digest(core: Path = _CORE, rooms: Sequence[str] = ROOMS) -> str:
     """Hexadecimal digest of the source files that determine the results of an estimation.
 
     Args:
         core: the engine's folder.
+        rooms: folders and files in it.
     """
-    digest = hashlib.sha256()
-    for room in ROOMS:
+    code = hashlib.sha256()
+    for room in rooms:
         path = core / room
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            digest.update(f"{file.relative_to(core).as_posix()}\0".encode())
-            digest.update(file.read_bytes())
-    return digest.hexdigest()[:24]
+            code.update(f"{file.relative_to(core).as_posix()}\0".encode())
+            code.update(file.read_bytes())
+    return code.hexdigest()[:24]

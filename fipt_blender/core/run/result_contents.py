@@ -128,32 +128,6 @@ class Doubts:
 
 
 @dataclass(frozen=True)
-class JudgedPictures:
-    """A photograph that was held back: mean squared errors of render and projection, and pictures of all."""
-
-    name: str
-    errors: tuple[Vector, ...]
-    photograph: FileName
-    render: FileName
-    projection: FileName
-
-
-@dataclass(frozen=True)
-class QualityFigures:
-    """quality.json: PSNR in dB of photographs that were held back, rendered and projected.
-
-    Figures of the pixels that see the mesh are None where there are none.
-    """
-
-    held_back_db: float
-    projection_db: float
-    views: tuple[JudgedPictures, ...]
-    on_mesh_db: float | None = None
-    projection_on_mesh_db: float | None = None
-    on_mesh_share: float | None = None
-
-
-@dataclass(frozen=True)
 class Stages:
     """stages.json: the key of each stage of an estimation, and facts and warnings of the finished ones.
 
@@ -211,25 +185,6 @@ class Textures:
 
     images: tuple[TextureImage, ...]
     uniform: tuple[UniformPart, ...] = ()
-
-
-@dataclass(frozen=True)
-class ViewMaps:
-    """The files of a view's maps."""
-
-    view: str
-    base_color: str
-    roughness: str
-    metallic: str
-    emission: str
-    confidence: str = ""
-
-
-@dataclass(frozen=True)
-class Maps:
-    """maps.json."""
-
-    views: tuple[ViewMaps, ...]
 
 
 @dataclass(frozen=True)

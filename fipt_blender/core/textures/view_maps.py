@@ -20,7 +20,7 @@ from ..material.fields import RoomFields
 from ..optics.lights import AreaLights, EmitterTable
 from ..pixels.camera_rays import trace_pixels
 from ..run.documents import read_document
-from ..run.result_contents import Emitters, Maps, ViewMaps
+from ..run.result_contents import Emitters
 from ..run.runfolder import RunFolder, write_json
 from ..surface.room import Room, load_room
 
@@ -44,8 +44,8 @@ def write_view_maps(run: RunFolder, fields: RoomFields, views: Sequence[View]) -
             write_exr(path, values, half=True)
             names[name] = path.relative_to(run.root).as_posix()
             files.append(path)
-        listed.append(ViewMaps(view.name, **names))
-    write_json(folder / "maps.json", Maps(tuple(listed)))
+        listed.append({"view": view.name, **names})
+    write_json(folder / "maps.json", {"views": listed})
     return [*files, folder / "maps.json"]
 
 
