@@ -23,14 +23,7 @@ from fipt_blender.core.run.extras import EXTRAS, install_list, optional
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.prepare.brackets import find_groups, remarks
 from fipt_blender.prepare.exif import describe
-from fipt_blender.prepare.preparation import (
-    Group,
-    Photograph,
-    PreparationFolder,
-    make_prepare_settings,
-    read_preparation,
-    write_preparation,
-)
+from fipt_blender.prepare.preparation import Group, Photograph, PreparationFolder, read_preparation, write_preparation
 from fipt_blender.prepare.reading import list_photographs, without_doubles
 from samples.photographs import exif, write_brackets, write_jpeg
 from samples.prepared_captures import facts, prepare
@@ -320,24 +313,6 @@ def test_a_damaged_preparation_is_refused(tmp_path: Path, damage: dict[str, obje
     caught = error_of(read_preparation, folder)
     assert caught.code in ("file-damaged", "setting-unknown", "setting-invalid")
     assert caught.remedy
-
-
-@pytest.mark.parametrize("masks", ["", "/models/sam"])
-def test_a_preparation_with_a_setting_of_an_earlier_version_is_continued(tmp_path: Path, masks: str) -> None:
-    """The masks that the earlier version has found stay."""
-    source, folder = tmp_path / "in", PreparationFolder(tmp_path / "out")
-    write_brackets(source, 1, (1 / 60,))
-    read(source, folder.root)
-    data = json.loads(folder.prepare_json.read_text())
-    settings = {**data["settings"], "masks": masks, "seed": 3}
-    folder.prepare_json.write_text(json.dumps({**data, "settings": settings}))
-    mask = folder.root / "parts" / "IMG_1.png"
-    mask.parent.mkdir()
-    mask.write_bytes(b"a mask")
-    read(source, folder.root)
-    assert read_preparation(folder).settings == make_prepare_settings({"seed": 3})
-    assert mask.read_bytes() == b"a mask"
-    assert error_of(read, source, folder.root, f"masks={masks}").code == "setting-unknown"
 
 
 def test_unknown_steps_and_options_are_refused(tmp_path: Path) -> None:

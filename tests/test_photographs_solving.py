@@ -31,7 +31,7 @@ from fipt_blender.prepare.preparation import (
     PrepareSettings,
     write_preparation,
 )
-from fipt_blender.prepare.solve_step import WantedView, model_from_rig, read_model, write_model
+from fipt_blender.prepare.solve_step import model_from_rig, read_model, write_model
 from fipt_blender.prepare.solving import (
     Connections,
     SolveView,
@@ -234,7 +234,7 @@ class CutOff:
 
 
 def test_a_model_that_was_cut_off_replaces_no_other(tmp_path: Path) -> None:
-    model = model_from_rig(rig_of(300, 200, "a"), [WantedView("a", 300, 200, ("a",))])
+    model = model_from_rig(rig_of(300, 200, "a"), [SolveView("a", 300, 200, files=("a",))])
     folder = tmp_path / "sparse" / "0"
     write_model(folder, model)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -253,7 +253,7 @@ def rig_of(width: int, height: int, name: str) -> Rig:
     ("rig", "code"), [(rig_of(300, 200, "b"), "solve-foreign"), (rig_of(200, 300, "a"), "solve-size")]
 )
 def test_a_solve_of_other_photographs_is_refused(rig: Rig, code: str) -> None:
-    assert error_of(model_from_rig, rig, [WantedView("a", 300, 200, ("a",))]).code == code
+    assert error_of(model_from_rig, rig, [SolveView("a", 300, 200, files=("a",))]).code == code
 
 
 def write_copies(folder: Path, count: int) -> list[SolveView]:

@@ -9,7 +9,6 @@ stays in the camera model, so that a photograph is resampled once, by `ingest`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -26,18 +25,11 @@ _SAMPLES = 256  # pixels of the longer side of lensfun's maps, which are smooth
 _FOCAL_TOLERANCE = 0.03  # a lens whose zoom range ends by more than this from EXIF's value is another one
 
 
-@dataclass(frozen=True)
-class RadialStart:
-    """Intrinsics to start a solve from: focal length in pixels and COLMAP's RADIAL coefficients."""
+def start(photograph: Photograph, width: int, height: int) -> tuple[float | None, tuple[float, float]]:
+    """Where a solve starts for images of a size: focal length in pixels, and COLMAP's RADIAL coefficients.
 
-    focal: float
-    distortion: tuple[float, float] = (0.0, 0.0)
-
-
-def start(photograph: Photograph, width: int, height: int) -> RadialStart | None:
-    """Where a solve starts for images of a size; None where EXIF does not give the focal length.
-
-    Where lensfun knows the lens, it is the RADIAL camera that comes closest to its distortion.
+    Where lensfun knows the lens, it is the RADIAL camera that comes closest to its distortion; None where
+    EXIF does not give the focal length.
 
     Args:
         photograph: its EXIF.
@@ -45,12 +37,12 @@ def start(photograph: Photograph, width: int, height: int) -> RadialStart | None
     """
     focal = focal_pixels(photograph, width, height)
     if focal is None:
-        return None
+        return None, (0.0, 0.0)
     small_width, small_height = _small_size(width, height)
     modifier = _modifier(photograph, small_width, small_height, lensfunpy.ModifyFlags.DISTORTION)
     source = None if modifier is None else modifier.apply_geometry_distortion()
     if source is None:
-        return RadialStart(focal)
+        return focal, (0.0, 0.0)
     focal_small = focal * small_width / max(width, height)
     y, x = np.mgrid[0:small_height, 0:small_width]
     center = np.array([0.5 * (small_width - 1), 0.5 * (small_height - 1)])
@@ -61,7 +53,7 @@ def start(photograph: Photograph, width: int, height: int) -> RadialStart | None
     columns = np.stack([straight, straight * radii, straight * radii**2]).reshape(3, -1).T
     scale, first, second = map(float, np.linalg.lstsq(columns, bent.ravel(), rcond=None)[0])
     # s · x (1 + a r²) is a camera of the focal length s · f whose coefficients refer to the same x.
-    return RadialStart(focal * scale, (first / scale, second / scale))
+    return focal * scale, (first / scale, second / scale)
 
 
 def focal_pixels(photograph: Photograph, width: int, height: int) -> float | None:

@@ -45,7 +45,6 @@ SCALES = (
     ("marker", "Printed Marker", "A printed ArUco marker that is seen in photographs"),
     ("mesh", "Mesh", "The transform to a mesh (scale_matrix)"),
 )
-_REMOVED_SETTINGS = {"masks"}  # of earlier versions, which their prepare.json names
 _Positive = Annotated[float, Number(1e-12, 1e12)]
 _REMEDY = "Correct the file, or delete it and find the brackets again."
 
@@ -327,8 +326,7 @@ def read_preparation(folder: PreparationFolder) -> Preparation:
     fault = _fault(Path(data.source), data.photographs, data.groups)
     if fault:
         raise FiptError("file-damaged", f"{folder.prepare_json} can't be used: {fault}.", _REMEDY)
-    kept = {name: value for name, value in data.settings.items() if name not in _REMOVED_SETTINGS}
-    settings = make_prepare_settings(kept)
+    settings = make_prepare_settings(data.settings)
     for path in (data.source, settings.cameras):
         if is_network(path):
             raise FiptError(

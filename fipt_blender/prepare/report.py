@@ -170,20 +170,13 @@ def _picture(folder: PreparationFolder, group: Group, index: int, exposure: floa
         return ""
     display = to_display(small(path), exposure)
     if mask.is_file():
-        display[_clipped_pixels(mask, display.shape)] = CLIPPED_COLOR
+        with Image.open(mask) as image:  # a pixel in which any of the mask's is clipped
+            size = display.shape[1], display.shape[0]
+            clipped = np.asarray(image.convert("L").resize(size, Image.Resampling.BOX)) > 0
+        display[clipped] = CLIPPED_COLOR
     address = f"images/{index:04d}.jpg"
     write_jpeg(folder.report / address, display)
     return address
-
-
-def _clipped_pixels(path: Path, shape: tuple[int, ...]) -> np.ndarray:
-    """Pixels (H, W) of the picture in which any pixel of the mask is clipped."""
-    try:
-        with Image.open(path) as image:
-            mask = image.convert("L").resize((shape[1], shape[0]), Image.Resampling.BOX)
-    except (OSError, ValueError, Image.DecompressionBombError) as error:
-        raise FiptError("file-damaged", f"{path} can't be read ({error}).", "Merge again.") from None
-    return np.asarray(mask) > 0
 
 
 def make_plan(rig: Rig) -> Plan | None:

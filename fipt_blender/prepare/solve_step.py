@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import errno
 import io
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -89,10 +88,9 @@ def _solve(folder: PreparationFolder, preparation: Preparation, reporter: Report
     views = []
     for group in preparation.used_groups:
         width, height = read_size(folder.image(group))
-        start = lens.start(preparation.of(group)[0], width, height)
         camera = "|".join(str(value) for value in _lens_facts(preparation, group))
-        known = (None,) if start is None else (start.focal, start.distortion)
-        views.append(SolveView(group.name, width, height, camera, *known))
+        start = lens.start(preparation.of(group)[0], width, height)
+        views.append(SolveView(group.name, width, height, camera, *start))
     progress = within(reporter.progress, _COPIES_SHARE, 1.0)
     solved = solve(folder.solve, views, preparation.settings.seed, progress)
     for indices in camera_groups(views):
@@ -135,7 +133,7 @@ def _existing(folder: PreparationFolder, preparation: Preparation, reporter: Rep
     wanted = []
     for group in preparation.used_groups:
         width, height = read_size(folder.image(group))
-        wanted.append(WantedView(group.name, width, height, (group.name, *group.photographs)))
+        wanted.append(SolveView(group.name, width, height, files=(group.name, *group.photographs)))
     model = model_from_rig(rig, wanted)
     placed = registered_names(model)
     left_out = tuple(
@@ -227,17 +225,7 @@ def poses(model: pycolmap.Reconstruction) -> np.ndarray:
     return np.array([np.vstack([pose.inverse().matrix(), [0.0, 0.0, 0.0, 1.0]]) for pose in placed])
 
 
-@dataclass(frozen=True)
-class WantedView:
-    """A view of the capture: its name, its size, and paths of files by which a rig may call it."""
-
-    name: str
-    width: int
-    height: int
-    files: tuple[str, ...]
-
-
-def model_from_rig(rig: Rig, wanted: list[WantedView]) -> pycolmap.Reconstruction:
+def model_from_rig(rig: Rig, wanted: list[SolveView]) -> pycolmap.Reconstruction:
     """A model without points of the views of an existing solve; sizes may differ by one factor.
 
     Args:

@@ -45,6 +45,7 @@ class SolveView:
         camera: what photographs of one camera and lens setting share.
         focal: focal length in pixels, None where EXIF does not give it.
         distortion: first and second radial coefficient to start from.
+        files: paths of files by which an existing solve may call it.
     """
 
     name: str
@@ -53,6 +54,7 @@ class SolveView:
     camera: str = ""
     focal: float | None = None
     distortion: tuple[float, float] = (0.0, 0.0)
+    files: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

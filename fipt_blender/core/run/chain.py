@@ -229,16 +229,6 @@ class Chain:
     def _done(self, index: int) -> bool:
         return self.stages[index].name in self._data["stages"]
 
-    def _dropped(self, index: int) -> bool:
-        return self.stages[index].name in self._data["dropped"]
-
-    def _discard(self, name: str) -> None:
-        """Forget the outputs of a stage that can't be read."""
-        self._outputs.clear()
-        self._data["stages"].pop(name, None)
-        write_json(self._path, self._data)
-        shutil.rmtree(self._root / name, ignore_errors=True)
-
     # Work
 
     def run(self, target: type[Target], watch: Watch | None = None) -> Target:
@@ -265,7 +255,10 @@ class Chain:
                     raise FiptError("file-damaged", str(damage), START_AGAIN) from None
                 damaged.add(damage.stage)
                 self._warn_of_damage(str(damage))
-                self._discard(damage.stage)
+                self._outputs.clear()
+                self._data["stages"].pop(damage.stage, None)
+                write_json(self._path, self._data)
+                shutil.rmtree(self._root / damage.stage, ignore_errors=True)
 
     def value(self, name: str, after: str) -> Any:
         """The output of this name as it is after a stage; made where it is not kept."""
@@ -307,7 +300,8 @@ class Chain:
 
         def visit(index: int) -> None:
             if self._kept(index):
-                if index in due or (self._done(index) and not self._dropped(index)):
+                dropped = self.stages[index].name in self._data["dropped"]
+                if index in due or (self._done(index) and not dropped):
                     return
                 due.add(index)
             demand(self._providers[index])
@@ -347,7 +341,7 @@ class Chain:
         outputs, facts = self._work(index)
         folder = self._root / stage.name
         write_json(folder / _DOCUMENT, saved(outputs, folder / "outputs", self._root, self._values))
-        for path in self._unfinished(folder):
+        for path in (folder / _FINISHED, *folder.glob("unfinished*")):
             path.unlink(missing_ok=True)
         seconds = time.monotonic() - started
         facts["seconds"] = round(seconds, 2)
@@ -358,9 +352,6 @@ class Chain:
         if name in self._data["dropped"]:
             self._data["dropped"].remove(name)
         write_json(self._path, self._data)
-
-    def _unfinished(self, folder: Path) -> list[Path]:
-        return [folder / _FINISHED, *folder.glob("unfinished*")]
 
     def _work(self, index: int) -> tuple[Any, dict[str, Any]]:
         """The outputs of a stage, made now, and its facts."""

@@ -6,24 +6,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from .documents import optional_document
-from .kinds import Count
 from .runfolder import write_json
 
 # Between notes: each waits until the results are on the disk.
 NOTE_SECONDS = 5.0
-
-
-@dataclass(frozen=True)
-class _Note:
-    """Key of the stage, indices of the finished views, and the rays traced for them."""
-
-    key: str
-    views: tuple[Count, ...]
-    rays: Count
 
 
 class FinishedViews:
@@ -50,9 +39,9 @@ class FinishedViews:
         self._noted = time.monotonic()
         if not path.exists():
             return
-        note = optional_document(path, _Note)  # a damaged one: only time is lost
-        if note is not None and note.key == key:
-            self.views, self.rays = set(note.views), note.rays
+        note = optional_document(path, dict) or {}  # a damaged one: only time is lost
+        if note.get("key") == key:
+            self.views, self.rays = set(note["views"]), note["rays"]
         else:
             self.forget()
 
@@ -67,5 +56,5 @@ class FinishedViews:
         self.rays += rays
         if time.monotonic() - self._noted >= NOTE_SECONDS:
             self.flush()
-            write_json(self._path, _Note(self._key, tuple(sorted(self.views)), self.rays))
+            write_json(self._path, {"key": self._key, "views": sorted(self.views), "rays": self.rays})
             self._noted = time.monotonic()
