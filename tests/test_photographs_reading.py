@@ -145,15 +145,10 @@ def test_what_looks_wrong_is_told() -> None:
     assert [remark.code for remark in remarks(single, find_groups(single, "auto"))] == ["no-brackets"]
 
 
-def test_the_jpeg_beside_a_raw_photograph_is_left_out() -> None:
-    photographs = [shot("1.jpg", 1.0), shot("1.DNG", 1.0, kind="raw"), shot("2.jpg", 1.0)]
-    kept, doubles = without_doubles(photographs)
-    assert [item.path for item in kept] == ["1.DNG", "2.jpg"] and doubles == photographs[:1]
-
-
-def test_copies_in_other_folders_and_of_other_edits_are_left_out() -> None:
+def test_copies_beside_raw_photographs_in_other_folders_and_of_other_edits_are_left_out() -> None:
     photographs = [
         shot("RAW/1.DNG", 1.0, 10.0, kind="raw"),
+        shot("RAW/1.jpg", 1.0),  # beside it
         shot("JPG/1.JPG", 1.0, 10.0),
         shot("other/1.JPG", 1.0, 99.0),  # another camera's, whose counter was there, too
         shot("IMG_100.JPG", 1.0, 20.0),
@@ -163,7 +158,7 @@ def test_copies_in_other_folders_and_of_other_edits_are_left_out() -> None:
         shot("day/a-edited.jpg", 1.0, 40.0),
     ]
     kept, copies = without_doubles(photographs)
-    assert [item.path for item in copies] == ["JPG/1.JPG", "IMG_E100.JPG", "day/a-edited.jpg"]
+    assert [item.path for item in copies] == ["RAW/1.jpg", "JPG/1.JPG", "IMG_E100.JPG", "day/a-edited.jpg"]
     assert len(kept) == 5
 
 

@@ -143,7 +143,7 @@ def test_the_largest_room_is_solved_and_the_rest_is_told(solved: Solved) -> None
     left = next(item for item in reporter.warnings if item["code"] == "solve-left-out")
     assert left["text"].startswith("4 of 11 photographs") and "working width" in left["remedy"]
     few = next(item for item in reporter.warnings if item["code"] == "camera-few-views")
-    assert few["text"].startswith("blank: ")
+    assert few["text"].startswith("'blank': ")
     assert sum("not connected" in reasons[f"hall {index}"] for index in range(3)) >= 2
 
 

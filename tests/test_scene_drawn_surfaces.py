@@ -16,13 +16,11 @@ from fipt_blender.core.checks.agreement import survey_pixels
 from fipt_blender.core.completion.panes import close_holes
 from fipt_blender.core.parts.labels import label_parts
 from fipt_blender.core.parts.outlines import outlined_vertices
-from fipt_blender.core.run.run_files import read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.surface.room import Room, load_room
 from fipt_blender.core.surface.stored import prepare_geometry
 from samples.lost_things import HIGH, photographed, with_box
-from samples.part_views import looking_views, write_run
-from samples.refusals import error_of
+from samples.part_views import looking_views
 from samples.scans import joined, scanned_box
 from samples.small_rooms import write_room
 
@@ -104,11 +102,3 @@ def test_what_is_drawn_has_no_holes_and_two_views_are_too_few_to_compare(
     views = photographed(tmp_path, BOTH, rng)
     assert survey_pixels(SCAN, views[:2]) is None
     assert not close_holes(written(tmp_path / "a", BOTH, drawn(BOTH)), views)
-
-
-def test_a_damaged_mark_of_exact_triangles_is_told(tmp_path: Path) -> None:
-    scan, _ = scanned_box(cells=10)
-    run = write_run(tmp_path, scan, "none")
-    write_room(tmp_path, scan, triangle_exact=np.zeros(3, bool))
-    error = error_of(read_room_files, run)
-    assert error.code == "file-damaged" and "triangle_exact" in error.text

@@ -36,6 +36,7 @@ CERTAIN_SECONDS, GAP_SECONDS, LONGEST_SECONDS = 2.0, 5.0, 60.0
 CERTAIN_STOPS = 0.6  # between exposures of a bracket; automatic exposure changes by less from view to view
 # EXIF rounds shutter times (1/60 stands for 1/64); brackets differ by a third of a stop or more.
 SAME_STOPS = 0.2
+MOST_NAMES = 5  # of files or groups in a warning
 SIDE = 96  # pixels of the small pictures' longer side
 # Correlation of the logarithms once they are aligned. Exposures of real brackets, up to 3 EV apart, had
 # 0.92 and more; neighbouring views of a walk around a building had 0.87 and less.
@@ -278,8 +279,9 @@ def remarks(photographs: Sequence[Photograph], groups: Sequence[Group]) -> Itera
 
 
 def listed(names: Sequence[str]) -> str:
-    """The first name and the number of the others."""
-    return f"'{names[0]}'" if len(names) == 1 else f"'{names[0]}' and {len(names) - 1} more"
+    """The first names, and the number of the others."""
+    text = ", ".join(f"'{name}'" for name in names[:MOST_NAMES])
+    return text if len(names) <= MOST_NAMES else f"{text} and {len(names) - MOST_NAMES} more"
 
 
 def _folders_speak(photographs: Sequence[Photograph]) -> bool:

@@ -18,6 +18,7 @@ from ..core.run.errors import FiptError
 from ..core.run.messages import Reporter
 from ..core.run.method import digest
 from ..core.run.runfolder import atomic_path, write_json
+from .brackets import listed
 from .calibration import Calibration, Survey, calibrate, survey_group
 from .command import code_digest
 from .facts import MergedImage, MergeFacts, ResponseFacts
@@ -191,7 +192,6 @@ def _warn(reporter: Reporter, entries: Sequence[MergedImage]) -> None:
     if left_out:
         reporter.warning(
             "exposures-left-out",
-            f"{len(left_out)} photographs don't show what the others of their group show, and were left out:"
-            f" {', '.join(left_out[:3])}{' and others' if len(left_out) > 3 else ''}.",
+            f"{listed(left_out)}: left out, as they don't show what the others of their group show.",
             "Correct the groups.",
         )

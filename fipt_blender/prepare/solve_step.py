@@ -29,6 +29,7 @@ from ..core.run.messages import Reporter, within
 from ..core.run.replacing import atomic_folder
 from ..core.run.runfolder import atomic_path, explained_write_errors
 from . import lens
+from .brackets import listed
 from .facts import LeftOut, Registered, SolveFacts
 from .preparation import Group, Preparation, PreparationFolder
 from .solving import Solve, SolveView, camera_groups, copy_name, registered_names, solve, tone_mapped
@@ -37,7 +38,6 @@ _COPIES_SHARE = 0.1  # of the step's time
 POOR_ERROR = 1.5  # pixels of mean reprojection error; a good solve has less than one
 SMALL_SIDE = 1000  # pixels; in smaller images, most photographs of a room have too few features
 FEW_VIEWS = 3  # of one camera; with less, its focal length is hardly determined
-_NAMES_IN_TEXT = 5  # of a warning
 
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
@@ -63,7 +63,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     if missing:
         raise FiptError(
             "image-missing",
-            f"{_listed(missing)} of the capture's images are not merged yet.",
+            f"{listed(missing)} of the capture's images are not merged yet.",
             "Run the step merge before the step solve.",
         )
     changed = _write_copies(folder, groups, reporter)
@@ -95,7 +95,7 @@ def _solve(folder: PreparationFolder, preparation: Preparation, reporter: Report
     solved = solve(folder.solve, views, preparation.settings.seed, progress)
     for indices in camera_groups(views):
         if len(indices) < FEW_VIEWS < len(views):
-            names = _listed([views[index].name for index in indices])
+            names = listed([views[index].name for index in indices])
             reporter.warning(
                 "camera-few-views",
                 f"{names}: taken with a camera, focal length or format that no other photograph has.",
@@ -166,7 +166,7 @@ def _warn(solved: Solve, facts: SolveFacts, count: int, reporter: Reporter) -> N
             "one set to the other.",
         )
     if solved.left_out:
-        names = _listed([item.name for item in solved.left_out])
+        names = listed([item.name for item in solved.left_out])
         side = max(max(camera.width, camera.height) for camera in solved.model.cameras.values())
         remedy = solved.left_out[0].remedy
         if side < SMALL_SIDE:
@@ -184,11 +184,6 @@ def _warn(solved: Solve, facts: SolveFacts, count: int, reporter: Reporter) -> N
             f"The mean reprojection error is {error:.2f} pixels; a good solve has less than 1.",
             "Leave blurred photographs out, and use one focal length and focus for all of them.",
         )
-
-
-def _listed(names: list[str]) -> str:
-    text = ", ".join(names[:_NAMES_IN_TEXT])
-    return text if len(names) <= _NAMES_IN_TEXT else f"{text} and {len(names) - _NAMES_IN_TEXT} more"
 
 
 def write_model(folder: Path, model: pycolmap.Reconstruction) -> None:

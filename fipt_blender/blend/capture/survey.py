@@ -254,6 +254,8 @@ def read_survey(run: RunFolder) -> Survey | None:
             names = [view.name for view in read_document(run.survey_json, SurveyNote).views]
             arrays = read_arrays(run.survey_npz, SurveyArrays)
             seen, areas = arrays.seen.astype(np.uint8), arrays.areas
+            if len(seen) != len(names):  # one of the two files is still to be written
+                return None
             _cached = str(run.survey_npz), time, Survey(names, seen, areas, dict(arrays.parts))
     except (OSError, FiptError):
         return None

@@ -39,6 +39,8 @@ START_AGAIN = "Start the estimation again without resuming it."
 _DOCUMENT, _FINISHED = "outputs.json", "finished.json"
 _NOT_TAKEN = ("settings", "tools")  # parameters that are no values of the chain
 Target = TypeVar("Target")
+Source = tuple[int | None, str]  # the stage that makes an output, and its name; None: a value that was given
+Sources = dict[str, Source]  # of parameters
 
 
 @dataclass(frozen=True)
@@ -144,14 +146,12 @@ class Chain:
         self.stages, self.given, self.settings = list(stages), dict(given), settings
         self._reporter, self._workers = reporter, workers or LocalWorkers()
         self._values = {name: each.value for name, each in given.items()}
-        self._outputs: dict[tuple[int, str], Any] = {}
+        self._outputs: dict[Source, Any] = {}
         self._places = {stage.name: index for index, stage in enumerate(stages)}
-        self._providers = [
-            self._providers_of(stage.work, stage.takes, index) for index, stage in enumerate(stages)
-        ]
+        self._sources = [self._sources_of(stage.work, stage.takes, i) for i, stage in enumerate(stages)]
         for index, stage in enumerate(stages):
-            replaced = self._places.get(stage.replaces, len(stages))
-            if any(replaced in providers.values() for providers in self._providers[index:]):
+            later = {of for sources in self._sources[index:] for of, _ in sources.values()}
+            if self._places.get(stage.replaces) in later - {None}:
                 raise TypeError(f"{stage.replaces} is needed after {stage.name} has replaced it")
         self._keys: list[str] = []
         for index in range(len(stages)):
@@ -166,23 +166,16 @@ class Chain:
         """The last stage before another one that makes an output; None where none does."""
         return next((i for i in reversed(range(before)) if name in self.stages[i].outputs), None)
 
-    def _providers_of(
-        self, work: Callable[..., Any], takes: Mapping[str, str], before: int
-    ) -> dict[str, int | str]:
-        """For each parameter the stage, or the name of the given value, that it is taken from.
-
-        Parameters with a default may have none.
-        """
-        found: dict[str, int | str] = {}
+    def _sources_of(self, work: Callable[..., Any], takes: Mapping[str, str], before: int) -> Sources:
+        """For each parameter what it is taken from; those with a default may have nothing."""
+        found: Sources = {}
         for parameter, item in inspect.signature(work).parameters.items():
             name = takes.get(parameter, parameter)
-            provider = self._maker(name, before)
+            maker = self._maker(name, before)
             if parameter in _NOT_TAKEN:
                 continue
-            if provider is not None:
-                found[parameter] = provider
-            elif name in self.given:
-                found[parameter] = name
+            if maker is not None or name in self.given:
+                found[parameter] = maker, name
             elif item.default is inspect.Parameter.empty:
                 raise TypeError(f"nothing before stage {before} makes {name}")
         return found
@@ -190,12 +183,12 @@ class Chain:
     def _key(self, index: int) -> str:
         stage = self.stages[index]
         sources = {
-            name: self.given[of].key if isinstance(of, str) else self._keys[of]
-            for name, of in self._providers[index].items()
+            parameter: [name, self.given[name].key if of is None else self._keys[of]]
+            for parameter, (of, name) in self._sources[index].items()
         }
         options = declared(stage.types["settings"]) if "settings" in stage.types else {}
         read = {name: getattr(self.settings, name) for name, item in options.items() if item.option.keyed}
-        return digest(method_digest(), stage.name, sources, dict(stage.takes), read)
+        return digest(method_digest(), stage.name, sources, read)
 
     def _kept(self, index: int) -> bool:
         return bool(self.stages[index].text)
@@ -243,13 +236,13 @@ class Chain:
         """
         with explained_write_errors(self._root):
             self._open()
-        providers = self._providers_of(target, {}, len(self.stages))
+        sources = self._sources_of(target, {}, len(self.stages))
         damaged: set[str] = set()
         while True:
             try:
                 with explained_write_errors(self._root):
-                    self._do_all(providers, watch or Watch())
-                    return target(**self._taken(providers, {}))
+                    self._do_all(sources, watch or Watch())
+                    return target(**self._taken(sources))
             except DamagedStage as damage:
                 if damage.stage in damaged:  # its files can't be kept here
                     raise FiptError("file-damaged", str(damage), START_AGAIN) from None
@@ -271,7 +264,7 @@ class Chain:
         listed = [stage.name for stage in self.stages if stage.name in self._data["stages"]]
         return [{"name": name, **self._data["stages"][name]} for name in listed]
 
-    def _do_all(self, target: Mapping[str, int | str], watch: Watch) -> None:
+    def _do_all(self, target: Sources, watch: Watch) -> None:
         kept = [index for index in range(len(self.stages)) if self._kept(index)]
         due = self._due(target)
         last_use = self._last_uses(target)
@@ -289,14 +282,14 @@ class Chain:
             for output in [each for each in self._outputs if last_use.get(each, -1) <= index]:
                 del self._outputs[output]
 
-    def _due(self, target: Mapping[str, int | str]) -> set[int]:
+    def _due(self, target: Sources) -> set[int]:
         """The stages to do: those that are not done, and those that they need and whose files are removed."""
         due: set[int] = set()
 
-        def demand(providers: Mapping[str, int | str]) -> None:
-            for index in providers.values():
-                if isinstance(index, int):
-                    visit(index)
+        def demand(sources: Sources) -> None:
+            for of, _ in sources.values():
+                if of is not None:
+                    visit(of)
 
         def visit(index: int) -> None:
             if self._kept(index):
@@ -304,7 +297,7 @@ class Chain:
                 if index in due or (self._done(index) and not dropped):
                     return
                 due.add(index)
-            demand(self._providers[index])
+            demand(self._sources[index])
 
         demand(target)
         for index in range(len(self.stages)):
@@ -312,18 +305,16 @@ class Chain:
                 visit(index)
         return due
 
-    def _last_uses(self, target: Mapping[str, int | str]) -> dict[tuple[int, str], int]:
+    def _last_uses(self, target: Sources) -> dict[Source, int]:
         """For each output the last stage with files of its own that takes it, maybe through others."""
         end = len(self.stages)
-        last = {(of, name): end for name, of in target.items() if isinstance(of, int)}
+        last = dict.fromkeys(target.values(), end)
         for index in reversed(range(end)):
             use = index
             if not self._kept(index):
                 use = max((place for (of, _), place in last.items() if of == index), default=-1)
-            for parameter, of in self._providers[index].items():
-                if isinstance(of, int):
-                    output = of, self.stages[index].takes.get(parameter, parameter)
-                    last[output] = max(last.get(output, -1), use)
+            for source in self._sources[index].values():
+                last[source] = max(last.get(source, -1), use)
         return last
 
     def _do_kept(self, index: int) -> None:
@@ -356,7 +347,7 @@ class Chain:
     def _work(self, index: int) -> tuple[Any, dict[str, Any]]:
         """The outputs of a stage, made now, and its facts."""
         stage = self.stages[index]
-        values = self._taken(self._providers[index], stage.takes)
+        values = self._taken(self._sources[index])
         folder, facts = self._root / stage.name, dict[str, Any]()
         folder.mkdir(exist_ok=True)
         if "settings" in stage.types:
@@ -366,11 +357,11 @@ class Chain:
             values["tools"] = Tools(folder, self._reporter, self._workers, finished, facts)
         return stage.work(**values), facts
 
-    def _taken(self, providers: Mapping[str, int | str], takes: Mapping[str, str]) -> dict[str, Any]:
+    def _taken(self, sources: Sources) -> dict[str, Any]:
         """The values of parameters."""
         return {
-            name: self._values[of] if isinstance(of, str) else self._output(of, takes.get(name, name))
-            for name, of in providers.items()
+            parameter: self._values[name] if of is None else self._output(of, name)
+            for parameter, (of, name) in sources.items()
         }
 
     def _output(self, index: int, name: str) -> Any:
