@@ -4,33 +4,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 import pytest
 from PIL import Image
 
 from fipt_blender.core.capture.upright import common_up
-from fipt_blender.core.run.messages import Reporter
 from fipt_blender.prepare import scale
-from fipt_blender.prepare.command import run_steps
-from fipt_blender.prepare.preparation import (
-    Group,
-    Photograph,
-    Preparation,
-    PreparationFolder,
-    PrepareSettings,
-    write_preparation,
-)
+from fipt_blender.prepare.preparation import PreparationFolder
 from fipt_blender.prepare.scale import Pick, marker_finder
 from fipt_blender.prepare.solve_step import poses, read_model, write_model
 from fipt_blender.prepare.solving import copy_name, tone_mapped
 from samples.camera_poses import look_at, random_rotation
-from samples.prepared_captures import facts
+from samples.prepared_captures import facts, placed_model, run_with, single
 from samples.refusals import error_of
-from samples.textured_room import FOCAL, HEIGHT, WIDTH, photograph
+from samples.textured_room import HEIGHT, WIDTH, photograph
 
 
 def turned(pose: np.ndarray, quarter_turns: int) -> np.ndarray:
@@ -75,17 +64,6 @@ def test_the_room_frame_stands_on_the_floor_and_is_in_meters() -> None:
     distances = np.linalg.norm(result.T[0] - result.T[1:], axis=1)
     assert np.allclose(distances, np.linalg.norm(places[0] - places[1:], axis=1))
     assert np.allclose(scale.room_frame(moved, np.empty((0, 3)), 4.0)[:3, :3], frame[:3, :3])
-
-
-def placed_model(poses: Sequence[np.ndarray]) -> pycolmap.Reconstruction:
-    """A solve of views v1, v2, ... with these poses (4, 4)."""
-    model, params = pycolmap.Reconstruction(), [FOCAL, 0.5 * WIDTH, 0.5 * HEIGHT]
-    camera = pycolmap.Camera(camera_id=1, model="SIMPLE_PINHOLE", width=WIDTH, height=HEIGHT, params=params)
-    model.add_camera_with_trivial_rig(camera)
-    for number, pose in enumerate(poses, start=1):
-        image = pycolmap.Image(name=f"v{number}.exr", camera_id=1, image_id=number)
-        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.linalg.inv(pose)[:3]))
-    return model
 
 
 def test_rays_meet_and_a_wrong_one_is_dropped() -> None:
@@ -149,13 +127,10 @@ def test_a_marker_on_a_wall_gives_meters(tmp_path: Path) -> None:
         copy.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(tone_mapped(photograph(where[number - 1], textures))).save(copy, quality=95)
     write_model(folder.model, placed_model(tenths))
-    photographs = tuple(Photograph(f"v{number}.jpg", "ldr", WIDTH, HEIGHT) for number in (1, 2, 3))
-    groups = tuple(Group(f"v{number}", (f"v{number}.jpg",)) for number in (1, 2, 3))
+    preparation = single(tmp_path, ("v1", "v2", "v3"), (WIDTH, HEIGHT))
 
     def run(**settings: object) -> dict:
-        chosen = PrepareSettings(scale="marker", scale_length=0.6, **settings)
-        write_preparation(folder, Preparation(tmp_path, photographs, groups, chosen))
-        run_steps(folder, ["scale"], Reporter())
+        run_with(folder, preparation, ["scale"], scale="marker", scale_length=0.6, **settings)
         return facts(folder, "scale")
 
     found = run()

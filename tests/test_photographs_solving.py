@@ -21,16 +21,8 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import Lens, Rig, RigView
 from fipt_blender.core.run.messages import Reporter
-from fipt_blender.prepare.command import run_steps
 from fipt_blender.prepare.lens import FULL_FRAME_DIAGONAL
-from fipt_blender.prepare.preparation import (
-    Group,
-    Photograph,
-    Preparation,
-    PreparationFolder,
-    PrepareSettings,
-    write_preparation,
-)
+from fipt_blender.prepare.preparation import Preparation, PreparationFolder
 from fipt_blender.prepare.solve_step import model_from_rig, read_model, write_model
 from fipt_blender.prepare.solving import (
     Connections,
@@ -45,7 +37,7 @@ from fipt_blender.prepare.solving import (
 )
 from samples import textured_room
 from samples.camera_poses import look_at
-from samples.prepared_captures import facts
+from samples.prepared_captures import facts, run_with, single
 from samples.refusals import error_of
 from samples.textured_room import FOCAL, HEIGHT, WIDTH
 
@@ -78,23 +70,14 @@ def write_capture(
     """Merged images and the prepare.json of a folder as the step merge leaves it; `models` are cameras."""
     for name, pixels in images.items():
         write_exr(folder.images / f"{name}.exr", pixels)
-    photographs = tuple(
-        Photograph(f"{name}.jpg", "ldr", WIDTH, HEIGHT, focal_35mm=FOCAL_35MM, model=models.get(name, ""))
-        for name in images
-    )
-    groups = tuple(Group(name, (f"{name}.jpg",)) for name in images)
-    preparation = Preparation(folder.root / "photographs", photographs, groups)
-    write_preparation(folder, preparation)
-    return preparation
+    made = single(folder.root / "photographs", images, (WIDTH, HEIGHT), focal_35mm=FOCAL_35MM)
+    named = (replace(item, model=models.get(item.path.removesuffix(".jpg"), "")) for item in made.photographs)
+    return replace(made, photographs=tuple(named))
 
 
 def run(folder: PreparationFolder, preparation: Preparation, **settings: object) -> Reporter:
     """Solve and scale with some settings; returns what was reported."""
-    changed = replace(preparation, settings=replace(PrepareSettings(), **settings))
-    write_preparation(folder, changed)
-    reporter = Reporter()
-    run_steps(folder, ["solve", "scale"], reporter)
-    return reporter
+    return run_with(folder, preparation, ["solve", "scale"], **settings)
 
 
 @pytest.fixture(scope="module")

@@ -13,21 +13,12 @@ import pytest
 
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.radiometry.adjustment import falloff_terms
-from fipt_blender.core.run.messages import Reporter
-from fipt_blender.prepare.command import run_steps
 from fipt_blender.prepare.lens import light_share
-from fipt_blender.prepare.preparation import (
-    Group,
-    Photograph,
-    Preparation,
-    PreparationFolder,
-    PrepareSettings,
-    write_preparation,
-)
+from fipt_blender.prepare.preparation import Preparation, PreparationFolder
 from fipt_blender.prepare.solve_step import write_model
 from fipt_blender.prepare.vignetting import TERMS, Observations, fit_falloff, profile_of
 from samples.camera_poses import look_at
-from samples.prepared_captures import facts
+from samples.prepared_captures import facts, placed_model, run_with, single
 from samples.textured_room import FOCAL, HEIGHT, SIZE, WIDTH, project
 
 TRUE = np.array([-0.3, -0.15, 0.0])
@@ -84,26 +75,18 @@ def capture(tmp_path: Path) -> Capture:
     folder = PreparationFolder(tmp_path / "capture")
     generator = np.random.default_rng(1)
     points = generator.uniform(0.0, 1.0, (900, 3)) * [SIZE[0], 0.0, SIZE[2]] + [0.0, SIZE[1], 0.0]
-    model = pycolmap.Reconstruction()
     center = [0.5 * WIDTH, 0.5 * HEIGHT]
-    camera = pycolmap.Camera(camera_id=1, model="SIMPLE_PINHOLE", width=WIDTH, height=HEIGHT, params=[FOCAL, *center])
-    model.add_camera_with_trivial_rig(camera)
     share = light_share(profile_of(TRUE), WIDTH, HEIGHT)[..., None]
     tracks: dict[int, pycolmap.Track] = {index: pycolmap.Track() for index in range(len(points))}
     originals = {}
-    for number in range(1, 6):
-        pose = look_at(np.array([0.6 * number, 0.4, 1.2]), np.array([2.0 + 0.3 * number, 3.0, 1.1]))
+    poses = [look_at(np.array([0.6 * i, 0.4, 1.2]), np.array([2.0 + 0.3 * i, 3.0, 1.1])) for i in range(1, 6)]
+    places: list[list[np.ndarray]] = []
+    for number, pose in enumerate(poses, start=1):
         seen = [(index, project(point, pose)) for index, point in enumerate(points)]
         seen = [(i, xy) for i, xy in seen if 0.0 <= xy[0] < WIDTH and 0.0 <= xy[1] < HEIGHT]
         for place, (index, _) in enumerate(seen):
             tracks[index].add_element(number, place)
-        image = pycolmap.Image(
-            name=f"v{number}.exr",
-            camera_id=1,
-            image_id=number,
-            points2D=pycolmap.Point2DList([pycolmap.Point2D(xy) for _, xy in seen]),
-        )
-        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.linalg.inv(pose)[:3]))
+        places.append([xy for _, xy in seen])
         # A wall whose brightness is a smooth function of the position on it.
         x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
         rays = np.stack([(x - center[0]) / FOCAL, (y - center[1]) / FOCAL, np.ones_like(x)], axis=-1) @ pose[:3, :3].T
@@ -112,19 +95,16 @@ def capture(tmp_path: Path) -> Capture:
         value = 1.5 + np.sin(2.0 * wall[..., 0]) * np.cos(3.0 * wall[..., 2])
         originals[f"v{number}"] = np.repeat(value[..., None], 3, axis=-1).astype(np.float32)
         write_exr(folder.images / f"v{number}.exr", originals[f"v{number}"] * share)
+    model = placed_model(poses, places)
     for index, track in tracks.items():
         if track.length() > 1:
             model.add_point3D(points[index], track)
     write_model(folder.model, model)
-    names = list(originals)
-    photographs = tuple(Photograph(f"{name}.jpg", "ldr", WIDTH, HEIGHT, focal_length=20.0) for name in names)
-    groups = tuple(Group(name, (f"{name}.jpg",)) for name in names)
-    return folder, Preparation(tmp_path, photographs, groups), originals
+    return folder, single(tmp_path, originals, (WIDTH, HEIGHT), focal_length=20.0), originals
 
 
 def run(folder: PreparationFolder, preparation: Preparation, **settings: str) -> dict:
-    write_preparation(folder, replace(preparation, settings=PrepareSettings(**settings)))
-    run_steps(folder, ["vignetting"], Reporter())
+    run_with(folder, preparation, ["vignetting"], **settings)
     return facts(folder, "vignetting")
 
 
@@ -197,9 +177,6 @@ def test_radiance_files_and_known_lenses_are_left_alone(capture: Capture) -> Non
 
 def test_vignetting_that_nothing_tells_is_said(capture: Capture) -> None:
     folder, preparation, _ = capture
-    few = replace(preparation, groups=preparation.groups[:1])
-    write_preparation(folder, few)
-    reporter = Reporter()
-    run_steps(folder, ["vignetting"], reporter)
+    reporter = run_with(folder, replace(preparation, groups=preparation.groups[:1]), ["vignetting"])
     assert [warning["code"] for warning in reporter.warnings] == ["vignetting-unknown"]
     assert "20 mm" in reporter.warnings[0]["text"]

@@ -6,16 +6,28 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 from PIL import Image
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.runfolder import write_json
 from fipt_blender.prepare import command
-from fipt_blender.prepare.preparation import Group, Photograph, Preparation, PreparationFolder, write_preparation
+from fipt_blender.prepare.preparation import (
+    Group,
+    Photograph,
+    Preparation,
+    PreparationFolder,
+    PrepareSettings,
+    write_preparation,
+)
+from samples.textured_room import FOCAL, HEIGHT, WIDTH
 
 SHUTTERS = (0.01, 0.04, 0.16)
 SIZE = (24, 16)
@@ -30,6 +42,32 @@ def prepare(photographs: Path, capture: Path, steps: str, *changes: str) -> Repo
 
 def facts(folder: PreparationFolder, step: str) -> dict:
     return json.loads(folder.facts(step).read_text(encoding="utf-8"))
+
+
+def single(source: Path, names: Iterable[str], size: tuple[int, int], **others: object) -> Preparation:
+    """Photographs that are groups of their own; `others`: of all of them."""
+    photographs = tuple(Photograph(f"{name}.jpg", "ldr", *size, **others) for name in names)
+    return Preparation(source, photographs, tuple(Group(item.path[:-4], (item.path,)) for item in photographs))
+
+
+def run_with(folder: PreparationFolder, preparation: Preparation, steps: list[str], **settings: object) -> Reporter:
+    """Run steps with some settings; returns what was reported."""
+    write_preparation(folder, replace(preparation, settings=PrepareSettings(**settings)))
+    reporter = Reporter()
+    command.run_steps(folder, steps, reporter)
+    return reporter
+
+
+def placed_model(poses: Iterable[np.ndarray], seen: Iterable[list[np.ndarray]] = ()) -> pycolmap.Reconstruction:
+    """A solve of views v1, v2, ... of the textured room with these poses (4, 4); `seen`: places (2,) of points."""
+    model, params = pycolmap.Reconstruction(), [FOCAL, 0.5 * WIDTH, 0.5 * HEIGHT]
+    camera = pycolmap.Camera(camera_id=1, model="SIMPLE_PINHOLE", width=WIDTH, height=HEIGHT, params=params)
+    model.add_camera_with_trivial_rig(camera)
+    for number, (pose, places) in enumerate(zip_longest(poses, seen, fillvalue=[]), start=1):
+        points = pycolmap.Point2DList([pycolmap.Point2D(place) for place in places])
+        image = pycolmap.Image(name=f"v{number}.exr", camera_id=1, image_id=number, points2D=points)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.linalg.inv(pose)[:3]))
+    return model
 
 
 def make_preparation(source: Path, names: tuple[str, ...] = ("IMG_1", "IMG_4", "IMG_7")) -> Preparation:

@@ -166,16 +166,16 @@ def read_room_files(run: RunFolder) -> tuple[dict[str, np.ndarray], RoomNames]:
         added = None if names.completed else read_made(path, AddedSurfaces, mesh_digest(arrays))
         if added is not None and len(added.triangles):
             arrays, names = _with_object(arrays, names, name, added)
-    return arrays, names
-
-
-def _read_mesh(run: RunFolder) -> dict[str, np.ndarray]:
-    """The arrays of room.npz that are there; indices of vertices are within their range."""
-    arrays = vars(read_arrays(run.room_npz, RoomArrays, _EXPORT_AGAIN))
     corners, count = arrays["triangles"], len(arrays["vertices"])
     if corners.size and not 0 <= corners.min() <= corners.max() < count:  # libraries would read beyond
         text = f"The triangles of {run.room_npz} refer to missing vertices."
         raise FiptError("file-damaged", text, _EXPORT_AGAIN)
+    return arrays, names
+
+
+def _read_mesh(run: RunFolder) -> dict[str, np.ndarray]:
+    """The arrays of room.npz that are there."""
+    arrays = vars(read_arrays(run.room_npz, RoomArrays, _EXPORT_AGAIN))
     return {name: array for name, array in arrays.items() if array is not None}
 
 
