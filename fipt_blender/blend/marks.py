@@ -18,8 +18,6 @@ SPLIT = "fipt_split"  # the view's split: "train", "held_back"
 RESOLUTION = "fipt_resolution"  # width and height of the photograph, pixels
 PIXEL_ASPECT = "fipt_pixel_aspect"
 LOOKED_PAST = "fipt_looked_past"  # hidden while another view is looked through: view layers, whether selected
-# Stored with the camera's data:
-KEPT_PHOTOGRAPH = "fipt_photograph"  # the photograph, while another picture lies over the view
 # On an image that is a smaller copy of a photograph: the file of that
 LARGE_PHOTOGRAPH = "fipt_large_photograph"
 
@@ -44,6 +42,7 @@ REMOVED = (
 )
 FILLED = "fipt_filled"  # on what completes the surfaces behind it: the removal's number
 CATCHER = "fipt_catcher"  # we made the object a shadow catcher
+PLATE = "fipt_plate"  # a copy, as photographed, for a scene over a photograph
 
 # --- fixtures and lights -----------------------------------------------------------------------------------
 FIXTURE = "fipt_fixture"  # the fixture's name in emitters.json

@@ -31,7 +31,7 @@ class FIPT_PT_check(Section, bpy.types.Panel):
         row.operator("fipt.write_report", icon="FILE_TEXT")
         row.operator("fipt.open_report", text="", icon="URL")
         draw_job(layout, context, "report")
-        draw_warnings(layout, context, "check", job_warnings(context, "insert", "report"))
+        draw_warnings(layout, context, "check", job_warnings(context, "report"))
 
 
 def _draw_picture(
@@ -62,7 +62,6 @@ def _draw_picture(
     row.operator("fipt.open_picture", text="", icon="WINDOW")
     if insert.backdrop == "PHOTOGRAPH":
         row.operator("fipt.plate_nodes", text="", icon="NODE_COMPOSITING")
-    draw_job(layout, context, "insert")
     if insert.picture:
         layout.label(text=os.path.basename(insert.picture), icon="CHECKMARK", translate=False)
 

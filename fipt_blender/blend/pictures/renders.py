@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
@@ -16,9 +16,6 @@ from ...core.run.runfolder import RunFolder, write_json
 from ..capture.cameras import find_camera
 from ..marks import RESOLUTION
 from .cycles import RenderOptions, render_exr
-
-# Called before each render with the shares of the whole work (0 to 1) at which it starts and ends.
-Progress = Callable[[float, float], None]
 
 # Most columns of renders that are compared with photographs: those of 12 megapixels would take hours.
 COMPARED_WIDTH = 1920

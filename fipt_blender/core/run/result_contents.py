@@ -188,6 +188,13 @@ class HintFigures:
 
 
 @dataclass(frozen=True)
+class ExposureFigures:
+    """How many stops brighter a photograph is than the median one."""
+
+    exposure_ev: float
+
+
+@dataclass(frozen=True)
 class PhotometryFigures:
     """What was found of photographs that are not HDR, as far as it is used later.
 
@@ -197,6 +204,7 @@ class PhotometryFigures:
 
     median_shown: float | None = None
     log_curve: tuple[float, ...] = ()
+    views: Mapping[str, ExposureFigures] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
