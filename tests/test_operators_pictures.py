@@ -222,7 +222,7 @@ def test_sizes_are_the_scenes_resolution_in_the_photographs_proportions(run):
     scene.render.resolution_x = 1000
     assert settings.size == "OUTPUT"
     scene.render.resolution_percentage = 50
-    assert plate_size(scene, scene.camera) == (SIZE[0] // 2, SIZE[1] // 2)  # whatever the size of others
+    assert plate_size(scene, scene.camera) == (1200, 750)  # in the photograph's proportions, however small that is
     settings.size = "PHOTOGRAPH"
     assert (scene.render.resolution_x, scene.render.resolution_y) == SIZE
 

@@ -69,18 +69,17 @@ def _draw_picture(
 def _draw_settings(
     layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup, plate: bool
 ) -> None:
-    """Blender's own render settings on which pictures depend most; over a plate, the size is its own."""
+    """Blender's own render settings on which pictures depend most; a plate keeps its proportions."""
     from ..blend.pictures.renders import output_size, plate_size
     from ..blend.render_settings import changed_by_artist
 
     scene = context.scene
     plate = plate and scene.camera is not None and RESOLUTION in scene.camera
     column = layout.column(align=True)
-    if not plate:
-        column.prop(settings, "size")
+    column.prop(settings, "size")
     column.prop(scene.render, "resolution_percentage", text="Scale")
     size = plate_size(scene, scene.camera) if plate else output_size(scene)
-    text = "{} x {} pixels, of the photograph" if plate else "{} x {} pixels, also with F12"
+    text = "{} x {} pixels over the photograph" if plate else "{} x {} pixels, also with F12"
     column.label(text=iface_(text).format(*size), translate=False)
     if hasattr(scene, "cycles"):
         column = layout.column(align=True)

@@ -15,6 +15,7 @@ from ...core.run.result_contents import Render, Renders
 from ...core.run.runfolder import RunFolder, write_json
 from ..capture.cameras import find_camera
 from ..marks import RESOLUTION
+from ..render_settings import fitted
 from .cycles import RenderOptions, render_exr
 
 # Most columns of renders that are compared with photographs: those of 12 megapixels would take hours.
@@ -39,9 +40,12 @@ def picture_path(run: RunFolder, kind: str, camera: str) -> Path:
 
 
 def plate_size(scene: bpy.types.Scene, camera: bpy.types.Object) -> tuple[int, int]:
-    """Columns and rows of pictures over a view's photograph: its own, at most, by the scene's scale."""
-    share = min(1.0, scene.render.resolution_percentage / 100.0)
-    return max(1, int(share * camera[RESOLUTION][0])), max(1, int(share * camera[RESOLUTION][1]))
+    """Columns and rows of pictures over a view's photograph: of the scene's size, in its proportions.
+
+    A photograph of another size is scaled: objects are never as coarse as a small one.
+    """
+    longer = max(output_size(scene))
+    return fitted((int(camera[RESOLUTION][0]), int(camera[RESOLUTION][1])), longer)
 
 
 def output_size(scene: bpy.types.Scene) -> tuple[int, int]:
