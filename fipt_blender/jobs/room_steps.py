@@ -118,12 +118,11 @@ class RoomSteps:
         low, high = room.vertices.min(axis=0), room.vertices.max(axis=0)
         capture = read_capture(self._run.capture_json)
         eye_height = float(np.mean([view.camera_to_world[2][3] for view in capture.views]))
-        place = find_light_place(make_cast(room), low, high, eye_height)
+        (x, y, z), size = find_light_place(make_cast(room), low, high, eye_height)
         photographed, warnings = self.photographed_radiance(self._view()[0])
         power = room_light_power(float(np.median(photographed)), low, high)
-        radiance = power / (np.pi * place.size**2)  # P = pi A L
-        half, (x, y, z) = 0.5 * place.size, place.center
-        signs = ((-1, -1), (-1, 1), (1, 1), (1, -1))
+        radiance = power / (np.pi * size**2)  # P = pi A L
+        half, signs = 0.5 * size, ((-1, -1), (-1, 1), (1, 1), (1, -1))
         switch_all(False)
         light = add_area_light(NEW_LIGHT, [radiance] * 3, [(x + i * half, y + j * half, z) for i, j in signs])
         try:

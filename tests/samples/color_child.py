@@ -20,12 +20,13 @@ import pytest
 from mathutils import Vector
 
 import fipt_blender
+from benchmarks.cycles_pixels import render_pixels
 from fipt_blender.blend.color_spaces import to_scene_linear
 from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.insert.balls import add_ball
 from fipt_blender.blend.lights import light_state
 from fipt_blender.blend.marks import fixtures_of
-from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
+from fipt_blender.blend.pictures.cycles import RenderOptions
 from fipt_blender.blend.render_settings import set_up
 from fipt_blender.blend.results import maps
 from fipt_blender.properties.materials import SHOWN

@@ -6,7 +6,6 @@ whatever the artist's settings are; and the saving of Blender's renders.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from ..lights.calibration import scene_unit
 from ..marks import PIXEL_ASPECT, RESOLUTION
 from ..render_settings import LIGHT_PATHS, can_denoise
 from ..save import check_space
-from .image_files import STILL_IMAGE, read_pixels, write_image
+from .image_files import STILL_IMAGE, write_image
 
 CYCLES = {
     **LIGHT_PATHS,
@@ -154,16 +153,3 @@ def render_failed(reason: str) -> FiptError:
     return FiptError(
         "render-failed", f"Cycles could not render ({reason}).", "Look at Blender's console output."
     )
-
-
-def render_pixels(
-    scene: bpy.types.Scene,
-    options: RenderOptions,
-    camera: bpy.types.Object | None = None,
-    widest: int | None = None,
-) -> np.ndarray:
-    """Like `render_exr`, but return the image: (H, W, 3) f32, first row at the top."""
-    with tempfile.TemporaryDirectory(prefix="fipt-") as folder:
-        path = Path(folder) / "render.exr"
-        render_exr(scene, path, options, camera, widest)
-        return read_pixels(path)

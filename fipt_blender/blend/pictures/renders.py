@@ -54,20 +54,6 @@ def output_size(scene: bpy.types.Scene) -> tuple[int, int]:
     return max(1, int(scene.render.resolution_x * share)), max(1, int(scene.render.resolution_y * share))
 
 
-def render_view(
-    scene: bpy.types.Scene, view: str, path: Path, options: RenderOptions, widest: int | None = None
-) -> None:
-    """Render one view of the capture in the frame of its photograph.
-
-    Args:
-        widest: the render is made smaller than the photograph where that has more columns.
-
-    Raises:
-        FiptError: ``view-missing``, and those of `render_exr`.
-    """
-    render_exr(scene, path, options, find_camera(view, scene), widest)
-
-
 def list_render(run: RunFolder, kind: str, view: str, path: Path) -> None:
     """Add a render to renders.json, in place of an earlier one of the same kind and view."""
     listed: Sequence[Render] = ()
@@ -91,5 +77,5 @@ def render_listed(
         options: how to render it.
     """
     path = render_path(run, kind, view)
-    render_view(scene, view, path, options, COMPARED_WIDTH)
+    render_exr(scene, path, options, find_camera(view, scene), COMPARED_WIDTH)
     list_render(run, kind, view, path)
