@@ -50,20 +50,21 @@ def render_views(
     """
     import bpy
 
-    from fipt_blender.blend.lights.area_lights import Rectangle, add_area_light
+    from fipt_blender.blend.capture.cameras import find_camera
+    from fipt_blender.blend.lights.area_lights import add_area_light
     from fipt_blender.blend.lights.light_state import switch_all
-    from fipt_blender.blend.pictures.renders import list_render, render_path, render_view
+    from fipt_blender.blend.pictures.cycles import render_exr
+    from fipt_blender.blend.pictures.renders import list_render, render_path
 
     bpy.ops.wm.open_mainfile(filepath=str(blend_file), load_ui=False, use_scripts=False)
     scene = bpy.context.scene
     kind = "rerender" if relight is None else "relight"
     if relight is not None:
         switch_all(False)
-        rectangle = Rectangle.of_corners(relight["vertices"])
-        add_area_light("FIPT Relight", relight["radiance"], rectangle, scene)
+        add_area_light("FIPT Relight", relight["radiance"], relight["vertices"], scene)
     for view, columns in views.items():
         path = render_path(run, kind, view)
-        render_view(scene, view, path, options, columns)
+        render_exr(scene, path, options, find_camera(view, scene), columns)
         list_render(run, kind, view, path)
     return [render_path(run, kind, view) for view in views]
 

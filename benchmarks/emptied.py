@@ -46,7 +46,8 @@ def look(scene: bpy.types.Scene, position: tuple[float, ...], target: tuple[floa
 
 def picture() -> np.ndarray:
     """(HEIGHT, WIDTH, 3) radiance that the scene's camera sees."""
-    from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
+    from benchmarks.cycles_pixels import render_pixels
+    from fipt_blender.blend.pictures.cycles import RenderOptions
 
     return render_pixels(bpy.context.scene, RenderOptions(SAMPLES))
 

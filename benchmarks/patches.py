@@ -16,8 +16,9 @@ import bpy
 import numpy as np
 from mathutils import Euler, Matrix
 
+from benchmarks.cycles_pixels import render_pixels
 from fipt_blender.blend.marks import MAP
-from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
+from fipt_blender.blend.pictures.cycles import RenderOptions
 from fipt_blender.blend.results import materials
 from fipt_blender.blend.results.adjust import NO_ADJUSTMENT
 

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from mathutils import Matrix, Vector
 
+from benchmarks.cycles_pixels import render_pixels
 from fipt_blender.blend.lights import convert, fixtures, light_state
 from fipt_blender.blend.lights.fixture_nodes import emission_material
 from fipt_blender.blend.node_trees import node_tree
-from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
+from fipt_blender.blend.pictures.cycles import RenderOptions
 from fipt_blender.core.run.result_contents import EmitterFixture
 from samples.rendered_rooms import diffuse_floor
 from samples.small_rooms import agree

@@ -10,7 +10,7 @@ import math
 import bpy
 import pytest
 
-from fipt_blender.blend.marks import FIXTURE, MADE, fixtures_of
+from fipt_blender.blend.marks import FIXTURE, fixtures_of
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 
 ops = bpy.ops.fipt
@@ -68,12 +68,3 @@ def test_another_apply_keeps_joined_lamps(lamps):
     assert ops.apply_results() == {"FINISHED"}
     (row,) = lamps.fipt.lights.lights
     assert emitted(row.object) == pytest.approx([16.0, 4.0]) and row.stops == 1.0
-
-
-def test_lamps_that_an_earlier_release_merged_are_single_after_another_apply(lamps):
-    row = join(lamps)
-    row.object["fipt_merged"] = json.dumps(["Fixture.001", "Fixture.002"])
-    del row.object.data[MADE]
-    assert emitted(row.object) == pytest.approx([8.0, 2.0])
-    assert ops.apply_results() == {"FINISHED"}
-    assert [emitted(row.object) for row in lamps.fipt.lights.lights] == [pytest.approx([8.0]), pytest.approx([2.0])]

@@ -55,19 +55,3 @@ def test_keyframes_of_the_power_of_a_blender_light_survive_another_apply(scene):
     for frame, factor in ((11, 4.0), (1, 1.0)):
         scene.frame_set(frame)
         assert light.data.energy == pytest.approx(factor * power, rel=1e-4)
-
-
-def test_a_light_with_keyframes_of_an_earlier_release_stays_usable(scene):
-    row = scene.fipt.lights.lights[0]
-    row.object["fipt_animated"] = 1
-    row.object["fipt_stops"] = 1.0
-    strength = row.object.data.materials[0].node_tree.nodes["FIPT Front"].inputs["Strength"]
-    curve = strength.driver_add("default_value")
-    variable = curve.driver.variables.new()
-    variable.name, variable.targets[0].id, variable.targets[0].data_path = "stops", row.object, '["fipt_stops"]'
-    curve.driver.expression = "pow(2, stops)"
-    bpy.context.view_layer.update()
-    row.on = False
-    assert ops.save_light_state() == {"FINISHED"} and ops.recall_light_state() == {"FINISHED"}
-    assert ops.apply_results() == {"FINISHED"}
-    assert "fipt_animated" not in scene.fipt.lights.lights[0].object

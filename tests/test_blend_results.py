@@ -12,7 +12,7 @@ import pytest
 from mathutils import Euler, Matrix, Vector
 
 from fipt_blender.blend.lights import light_state, world
-from fipt_blender.blend.lights.area_lights import Rectangle, add_area_light
+from fipt_blender.blend.lights.area_lights import add_area_light
 from fipt_blender.blend.marks import ADDED, DRAWN, ON
 from fipt_blender.blend.results import applying
 from fipt_blender.blend.room import exporting, originals
@@ -123,8 +123,7 @@ def test_area_light_has_the_given_radiance():
     """A diffuse floor of albedo 0.5 below a square light: radiance by the analytic form factor."""
     radiance, height, half = np.array([3.0, 2.0, 1.0]), 1.0, 0.5
     corners = [(-half, -half, height), (-half, half, height), (half, half, height), (half, -half, height)]
-    light = add_area_light("light", radiance, Rectangle.of_corners(corners))
-    assert light.matrix_world.to_3x3() @ Vector((0, 0, -1)) == Vector((0, 0, -1))
+    add_area_light("light", radiance, corners)
     diffuse_floor(0.2, 0.5)
     # Irradiance below the centre of a parallel square: 4 times the form factor of a corner.
     x = half / math.hypot(half, height)

@@ -17,7 +17,7 @@ from mathutils import Euler, Matrix, Vector
 
 from fipt_blender.blend.capture import cameras, scene_cameras
 from fipt_blender.blend.capture.exporting import camera_pose, export_capture
-from fipt_blender.blend.marks import KEPT_PHOTOGRAPH, LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION
+from fipt_blender.blend.marks import LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION
 from fipt_blender.core import conventions
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from samples.camera_views import points_before, projections
@@ -208,14 +208,6 @@ def test_a_lens_that_cannot_be_adapted_is_refused(scene, tmp_path):
     assert scene_cameras.describe_camera(scene, item)["fl_x"] == pytest.approx(40 * 50 / 36)
 
 
-def test_a_picture_over_a_view_in_an_old_file_does_not_become_its_photograph(scene, tmp_path):
-    item = own_camera(scene, tmp_path / "a.exr", (40, 30))
-    (background,) = item.data.background_images
-    item.data[KEPT_PHOTOGRAPH] = background.image
-    background.image = photograph(tmp_path / "render.exr", 40, 30)
-    assert scene_cameras.describe_camera(scene, item)["file_path"] == str(tmp_path / "a.exr")
-
-
 def test_unusable_cameras_are_refused(scene, run, tmp_path):
 
     def code() -> str:
@@ -268,49 +260,3 @@ def test_a_small_copy_stands_for_its_photograph(scene, tmp_path):
     item[RESOLUTION], item[PIXEL_ASPECT] = (48, 24), (1.0, 1.0)
     frame = scene_cameras.describe_camera(scene, item)
     assert (frame["file_path"], frame["w"], frame["h"]) == (str(tmp_path / "large.exr"), 48, 24)
-
-
-def through_file(kind: str, path: Path) -> None:
-    """Export the cameras of the scene, remove all its objects, and import the file."""
-    if kind == "abc":
-        bpy.ops.wm.alembic_export(filepath=str(path), start=1, end=1)
-    elif kind == "usd":
-        bpy.ops.wm.usd_export(filepath=str(path), export_cameras=True)
-    else:
-        bpy.ops.preferences.addon_enable(module="io_scene_fbx")
-        bpy.ops.export_scene.fbx(filepath=str(path), object_types={"CAMERA", "EMPTY"})
-    bpy.data.batch_remove(list(bpy.context.scene.objects))
-    if kind == "abc":
-        bpy.ops.wm.alembic_import(filepath=str(path), as_background_job=False)
-    elif kind == "usd":
-        bpy.ops.wm.usd_import(filepath=str(path), import_cameras=True)
-    else:
-        bpy.ops.import_scene.fbx(filepath=str(path))
-
-
-@pytest.mark.parametrize("kind", ["abc", "usd", "fbx"])
-def test_cameras_survive_the_files_of_other_programs(scene, run, tmp_path, kind):
-    width, height = scene.render.resolution_x, scene.render.resolution_y = 96, 64
-    lenses = [(24.0, 36.0, 0.0, 0.0), (35.0, 32.0, 0.05, -0.08)]
-    truth = []
-    for index, (lens, sensor, *shift) in enumerate(lenses):
-        item = bpy.data.objects.new(f"camera {index}", bpy.data.cameras.new("camera"))
-        scene.collection.objects.link(item)
-        item.matrix_world = Matrix.LocRotScale((0.4 + index, -1.0, 1.6), Euler((1.3, 0.1, 0.7 + index)), None)
-        camera = item.data
-        camera.lens, camera.sensor_width, camera.sensor_height = lens, sensor, sensor * height / width
-        camera.shift_x, camera.shift_y = shift
-        centre = (0.5 * width - shift[0] * width, 0.5 * height + shift[1] * width)
-        truth.append((lens / sensor * width, centre, conventions.blender_to_opencv_camera(np.array(item.matrix_world))))
-    bpy.context.view_layer.update()
-    through_file(kind, tmp_path / f"cameras.{kind}")
-    for item in scene.objects:
-        if item.type == "CAMERA":
-            background = item.data.background_images.new()
-            background.image, background.frame_method = photograph(tmp_path / "a.exr", width, height), "STRETCH"
-    bpy.context.view_layer.update()
-    found = sorted(written(scene, run).values(), key=lambda entry: entry["fx"])
-    for entry, (focal, centre, pose) in zip(found, truth, strict=True):
-        np.testing.assert_allclose([entry["fx"], entry["fy"]], focal, rtol=0, atol=1e-4)
-        np.testing.assert_allclose([entry["cx"], entry["cy"]], centre, rtol=0, atol=1e-4)
-        np.testing.assert_allclose(entry["camera_to_world"], pose, atol=1e-5)

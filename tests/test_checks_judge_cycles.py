@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 
 from fipt_blender.blend import outliner
-from fipt_blender.blend.capture.cameras import add_camera
-from fipt_blender.blend.pictures.cycles import RenderOptions
-from fipt_blender.blend.pictures.renders import render_view
+from fipt_blender.blend.capture.cameras import add_camera, find_camera
+from fipt_blender.blend.pictures.cycles import RenderOptions, render_exr
 from fipt_blender.blend.room.exporting import export_room
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.views import View, load_capture
@@ -144,7 +143,8 @@ def test_the_judge_and_cycles_agree(name: str, tmp_path: Path, monkeypatch: pyte
     for view in read_capture(run.capture_json).views:
         add_camera(scene, run, view, photograph=False)
     assert bpy.ops.fipt.apply_results() == {"FINISHED"}
-    render_view(scene, held_back.name, tmp_path / "cycles.exr", RenderOptions(64))
+    camera = find_camera(held_back.name, scene)
+    render_exr(scene, tmp_path / "cycles.exr", RenderOptions(64), camera)
     cycles = read_radiance(tmp_path / "cycles.exr") / SCALE
     photograph, render, _ = quality.views[0].pictures
     display = Display()

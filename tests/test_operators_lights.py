@@ -229,16 +229,6 @@ def test_deleted_lights_stay_deleted_and_others_are_made_anew(scene):
     assert len(scene.fipt.lights.lights[0].object.children) == 1
 
 
-def test_a_lamp_that_the_mesh_lacks_in_an_earlier_run_is_left_out(tmp_path, monkeypatch):
-    use_fake_engine(monkeypatch)
-    scene = make_scene(tmp_path / "run")
-    path = tmp_path / "run" / "results" / "emitters.json"
-    ball = {"position": [0.5, 0.25, 2.0], "radius": 0.1, "radiance": [30.0, 20.0, 10.0]}
-    path.write_text(json.dumps({**json.loads(path.read_text()), "missing": [ball]}))
-    assert ops.apply_results() == {"FINISHED"}
-    assert not [row for row in scene.fipt.lights.lights if row.object.type == "LIGHT"]
-
-
 def test_light_that_nothing_shows_is_there_with_the_results(tmp_path, monkeypatch):
     use_fake_engine(monkeypatch)
     scene = make_scene(tmp_path / "run")

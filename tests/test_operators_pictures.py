@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import webbrowser
 from pathlib import Path
 
@@ -19,17 +17,15 @@ import fipt_blender
 from fipt_blender.blend import png16
 from fipt_blender.blend.lights import light_state
 from fipt_blender.blend.marks import STOPS
-from fipt_blender.blend.pictures import image_files, orders, render_job
+from fipt_blender.blend.pictures import image_files
 from fipt_blender.blend.pictures.renders import plate_size
 from fipt_blender.blend.render_settings import can_denoise
 from fipt_blender.blend.results.scene_state import median_shown
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.report.comparison import psnr
 from fipt_blender.core.run.documents import read_document
-from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import write_json
 from fipt_blender.jobs.room_steps import RoomSteps
-from samples.child_processes import PATIENCE_SECONDS
 from samples.engine_here import engine_here
 from samples.operator_calls import refused
 from samples.rendered_rooms import SIZE, VIEW, exr_layers, make_scene, photograph
@@ -174,9 +170,11 @@ def test_a_plate_that_is_not_hdr_is_brought_to_the_unit_of_the_room(run):
     codes = png16.encode_srgb(np.clip(2.0 * photo, 0.0, 1.0))
     write_exr(run.root / "photos/val_000.exr", codes)
     without_radiance(run)
-    layers = into_photograph(run, 64)
+    exposure = {"median_shown": 0.2, "views": {VIEW: {"exposure_ev": 1.0}}}
+    write_json(run.statistics_json, {"radiance_scale": 0.2, "photometry": exposure})
+    layers = into_photograph(run, 4)
     dark = photo.max(axis=-1) < 0.4
-    np.testing.assert_allclose(layers["Composite.Combined"][..., :3][dark], photo[dark], rtol=0.1)
+    np.testing.assert_allclose(layers["Composite.Combined"][..., :3][dark], photo[dark], rtol=5e-3, atol=1e-4)
 
 
 def test_f12_and_the_final_picture_are_the_same(run, tmp_path):
@@ -224,7 +222,7 @@ def test_sizes_are_the_scenes_resolution_in_the_photographs_proportions(run):
     scene.render.resolution_x = 1000
     assert settings.size == "OUTPUT"
     scene.render.resolution_percentage = 50
-    assert plate_size(scene, scene.camera) == (SIZE[0] // 2, SIZE[1] // 2)  # whatever the size of others
+    assert plate_size(scene, scene.camera) == (1200, 750)  # in the photograph's proportions, however small that is
     settings.size = "PHOTOGRAPH"
     assert (scene.render.resolution_x, scene.render.resolution_y) == SIZE
 
@@ -262,7 +260,7 @@ def test_missing_views_photographs_rooms_and_cameras_are_explained(run):
     bpy.context.scene.camera = camera
     for name in ROOM:
         bpy.data.objects.remove(bpy.data.objects[name])
-    assert "no room" in refused(bpy.ops.fipt.final_picture)
+    assert "as the room" in refused(bpy.ops.fipt.final_picture)
 
 
 def test_a_photograph_that_is_not_hdr_has_no_radiance_of_its_own(run):
@@ -307,36 +305,3 @@ def test_no_file_is_opened_with_its_scripts():
     lines = [line for path in package.rglob("*.py") for line in path.read_text("utf-8").splitlines()]
     opening = [line for line in lines if "open_mainfile(" in line]
     assert opening and all("use_scripts=False" in line for line in opening)
-
-
-def child(folder: Path, start: str = "") -> tuple[int, list[dict]]:
-    """The exit status and the messages of the child for an order in a folder, in a bpy module."""
-    code = render_job.child_command(folder / "scene.blend", folder / "order.json")[-1]
-    command = [sys.executable, "-c", start + code]
-    result = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=PATIENCE_SECONDS)
-    return result.returncode, [message for line in result.stdout.splitlines() if (message := parse_message(line))]
-
-
-def test_a_second_blender_carries_out_the_order(run, tmp_path):
-    """And removes its folder."""
-    photograph(run, 4)
-    scene = bpy.context.scene
-    folder = run.renders / ".job"
-    scene.cycles.samples = 2
-    order = orders.order_picture(scene, run, scene.camera, plate=True)
-    write_json(folder / "order.json", vars(order))
-    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"), copy=True)
-    start = f"import bpy; bpy.ops.wm.open_mainfile(filepath={str(folder / 'scene.blend')!r})\n"
-    status, messages = child(folder, start)
-    assert status == 0
-    assert [messages[0]["type"], messages[-1]["type"]] == ["stage", "done"]
-    assert any(message["type"] == "progress" and message["fraction"] > 0.0 for message in messages)
-    assert not folder.exists() and orders.last_picture(run).is_file()
-
-
-def test_a_second_blender_reports_errors(run):
-    folder = run.renders / ".job"
-    order = orders.order_picture(bpy.context.scene, run, bpy.context.scene.camera, plate=False)
-    write_json(folder / "order.json", {**vars(order), "scene": "gone"})
-    status, messages = child(folder)
-    assert status == 1 and (messages[-1]["type"], messages[-1]["code"]) == ("error", "scene-gone")

@@ -156,7 +156,7 @@ def render(
 ) -> Path:
     """Render a view of the capture in Cycles, in linear Rec.709 and with Blender's light paths unclamped.
 
-    The scene's render settings have no influence, except for its device and what decides on its content.
+    The scene's render settings have no influence, except for what decides on its content.
 
     Args:
         path: of the file, which ends in .exr.
@@ -170,20 +170,18 @@ def render(
     Raises:
         FiptError: ``render-format``, ``view-missing``, ``render-failed``, or the errors of writing.
     """
+    from ..blend.capture.cameras import find_camera
     from ..blend.pictures.cycles import RenderOptions, render_exr
-    from ..blend.pictures.renders import render_view
 
     scene, path = scene or bpy.context.scene, Path(bpy.path.abspath(str(path))).absolute()
     if path.suffix.lower() != ".exr":
         raise FiptError(
             "render-format", f"{path} does not end in .exr.", "For other formats use bpy.ops.render.render."
         )
-    if view:
-        render_view(scene, view, path, RenderOptions(samples))
-    elif scene.camera is None:
+    camera = find_camera(view, scene) if view else None
+    if camera is None and scene.camera is None:
         raise FiptError("view-missing", "The scene has no camera.", "Name a view, or set the scene's camera.")
-    else:
-        render_exr(scene, path, RenderOptions(samples))
+    render_exr(scene, path, RenderOptions(samples), camera)
     return path
 
 

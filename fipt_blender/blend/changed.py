@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 
@@ -20,12 +20,3 @@ def changed(target: object, values: Mapping[str, Any]) -> Iterator[None]:
     finally:
         for name, value in kept.items():
             setattr(target, name, value)
-
-
-@contextmanager
-def all_changed(targets: Iterable[object], values: Mapping[str, Any]) -> Iterator[None]:
-    """`changed` for several objects."""
-    with ExitStack() as stack:
-        for target in targets:
-            stack.enter_context(changed(target, values))
-        yield

@@ -18,8 +18,6 @@ SPLIT = "fipt_split"  # the view's split: "train", "held_back"
 RESOLUTION = "fipt_resolution"  # width and height of the photograph, pixels
 PIXEL_ASPECT = "fipt_pixel_aspect"
 LOOKED_PAST = "fipt_looked_past"  # hidden while another view is looked through: view layers, whether selected
-# Stored with the camera's data:
-KEPT_PHOTOGRAPH = "fipt_photograph"  # the photograph, while another picture lies over the view
 # On an image that is a smaller copy of a photograph: the file of that
 LARGE_PHOTOGRAPH = "fipt_large_photograph"
 
@@ -44,6 +42,7 @@ REMOVED = (
 )
 FILLED = "fipt_filled"  # on what completes the surfaces behind it: the removal's number
 CATCHER = "fipt_catcher"  # we made the object a shadow catcher
+PLATE = "fipt_plate"  # a copy, as photographed, for a scene over a photograph
 
 # --- fixtures and lights -----------------------------------------------------------------------------------
 FIXTURE = "fipt_fixture"  # the fixture's name in emitters.json
@@ -59,10 +58,8 @@ BASE = "fipt_base"  # rgb as estimated or added: radiance of a fixture's front, 
 UNIT = "fipt_unit"  # on lights, our world and the scene: W/(m² sr) for one of the unit of bases (photographs)
 PROBABILITY = "fipt_probability"  # that a fixture emits, as estimated
 BACK = "fipt_back"  # rgb radiance of a fixture's back; both are on the fixture's material, too
-MERGED = "fipt_merged"  # on a lamp that an earlier release merged: names of its fixtures (JSON)
 ON, SOLO, STOPS = "fipt_on", "fipt_solo", "fipt_stops"
 TINT, COLOR, KELVIN = "fipt_tint", "fipt_color", "fipt_kelvin"
-ANIMATED = "fipt_animated"  # on a light of an earlier release whose settings drivers lead to the strengths
 WRITTEN = "fipt_written"  # the strength that we wrote last; any other was set by the artist
 VISIBILITY = "fipt_visibility"  # original ray visibility of a fixture that Blender lights stand for (JSON)
 AS_CONVERTED = "fipt_as_converted"  # on these lights: shape and place as made; on the fixture: their number

@@ -24,6 +24,7 @@ NOISE_THRESHOLD = 0.02
 # around a bulb.
 LEAST_SAMPLES, MOST_SAMPLES = 8, 8
 MOST_UNDENOISED = 256  # in a Blender without its denoiser, where the noise threshold ends a pixel
+MOST_SECONDS = 120.0  # of sampling, after which Cycles denoises what it has
 LONGER_SIDE = 1920  # pixels
 
 # How light is computed, wherever we render: nothing is clamped or left out.
@@ -68,6 +69,7 @@ def picture_settings(exposure: float | None = None) -> dict[str, Any]:
         "adaptive_threshold": NOISE_THRESHOLD,
         "adaptive_min_samples": LEAST_SAMPLES,
         "samples": MOST_SAMPLES if can_denoise() else MOST_UNDENOISED,
+        "time_limit": MOST_SECONDS,
         "use_denoising": can_denoise(),
         **(_DENOISER if can_denoise() else {}),
     }

@@ -21,7 +21,7 @@ from ..blend.capture.look import enter_camera_on_opening
 from ..blend.capture.view_geometry import view_geometry
 from ..blend.insert.balls import add_ball
 from ..blend.insert.support import Support, choose_view
-from ..blend.lights.area_lights import Rectangle, add_area_light, area_light_watts
+from ..blend.lights.area_lights import add_area_light
 from ..blend.lights.light_state import switch_all
 from ..blend.lights.placement import find_light_place, room_light_power
 from ..blend.pictures.cycles import RenderOptions
@@ -118,14 +118,13 @@ class RoomSteps:
         low, high = room.vertices.min(axis=0), room.vertices.max(axis=0)
         capture = read_capture(self._run.capture_json)
         eye_height = float(np.mean([view.camera_to_world[2][3] for view in capture.views]))
-        place = find_light_place(make_cast(room), low, high, eye_height)
+        (x, y, z), size = find_light_place(make_cast(room), low, high, eye_height)
         photographed, warnings = self.photographed_radiance(self._view()[0])
         power = room_light_power(float(np.median(photographed)), low, high)
-        radiance = power / area_light_watts(1.0, place.size**2)
-        matrix = np.eye(4)
-        matrix[:3, 3] = place.center
+        radiance = power / (np.pi * size**2)  # P = pi A L
+        half, signs = 0.5 * size, ((-1, -1), (-1, 1), (1, 1), (1, -1))
         switch_all(False)
-        light = add_area_light(NEW_LIGHT, [radiance] * 3, Rectangle((place.size, place.size), matrix))
+        light = add_area_light(NEW_LIGHT, [radiance] * 3, [(x + i * half, y + j * half, z) for i, j in signs])
         try:
             self._render("relight", self._view()[0])
         finally:

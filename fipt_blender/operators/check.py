@@ -14,9 +14,11 @@ from ..core.run.declared import Option
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
+from ..jobs.window import show_notice
 from ..properties.check import BACKDROPS
-from .action import REGISTER, action
+from .action import REGISTER, action, warning
 from .polls import has_results, has_run, in_object_mode, needs, no_job
+from .reporting import Messages
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
@@ -129,40 +131,33 @@ def final_picture(
     view: Annotated[
         str, "Name of a view to look through first. If empty, the scene's active camera is used"
     ] = "",
-) -> Task:
-    """Render what the scene's camera sees in Cycles, with the scene's render settings as F12 does, beside
-    your work. Rendered Room: the whole room; Photograph: the inserted objects with their shadows and
-    reflections over the photograph, whose lens's distortion is undone. It is saved beside the .blend file as
-    EXR of all layers and passes and as PNG, and shown.
+) -> Messages:
+    """Render what the scene's camera sees with the scene's render settings, as F12 does. Rendered Room: the
+    whole room; Photograph: the inserted objects with their shadows and reflections over the photograph, whose
+    lens's distortion is undone, in Cycles. It is saved beside the .blend file as EXR of all layers and passes
+    and as PNG. Esc stops it.
     """
+    from ..blend.capture.cameras import find_camera, use_view
+    from ..blend.pictures.final import take_picture
+    from ..blend.render_settings import can_denoise
 
-    def make(scene: bpy.types.Scene) -> Job:
-        from ..blend.capture.cameras import find_camera, use_view
-        from ..blend.pictures.orders import order_picture
-        from ..blend.pictures.render_job import make_job
+    if view:
+        use_view(scene, find_camera(view, scene))
+    if scene.camera is None:
+        raise FiptError(
+            "view-missing",
+            "The scene has no camera.",
+            "Click a view in the section Capture, or add a camera.",
+        )
 
-        if view:
-            use_view(scene, find_camera(view, scene))
-        if scene.camera is None:
-            raise FiptError(
-                "view-missing",
-                "The scene has no camera.",
-                "Click a view in the section Capture, or add a camera.",
-            )
-        run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-        return make_job(order_picture(scene, run, scene.camera, scene.fipt.insert.backdrop == "PHOTOGRAPH"))
+    def failed(error: FiptError) -> None:
+        show_notice(str(error), "ERROR")
 
-    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        from ..blend.pictures.editors import load_picture, open_editor
-        from ..blend.pictures.orders import last_picture
-
-        picture = last_picture(run)
-        scene.fipt.insert.picture = str(picture)
-        image = load_picture(picture)
-        if image is not None and not bpy.app.background:
-            open_editor(bpy.context, image)
-
-    return Task("Final Picture", "insert", make, finished, undo=True)
+    take_picture(scene, RunFolder(bpy.path.abspath(scene.fipt.run_folder)), failed)
+    if can_denoise():
+        return []
+    text, remedy = "This Blender was built without its denoiser; the render is noisy.", "Raise the samples."
+    return [warning("denoise-missing", text, remedy)]
 
 
 @action("Set Render Settings", needs=(has_results,))
@@ -205,12 +200,7 @@ def plate_nodes(scene: bpy.types.Scene) -> str:
     """Make a scene with the same objects, whose compositor nodes put them over the photograph of the current
     view, as Final Picture does. The room's scene is not changed.
     """
-    from ..blend.pictures.orders import view_of
-    from ..blend.pictures.plate import plate_scene
-    from ..core.run.run_files import read_capture
+    from ..blend.pictures.final import view_scene
 
-    run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
-    view = read_capture(run.capture_json).view(view_of(scene.camera))
-    room = [item.name for item in scene.fipt.capture.room_objects(scene)]
-    made = plate_scene(scene, run, view, scene.camera, room)
+    made = view_scene(scene, RunFolder(bpy.path.abspath(scene.fipt.run_folder)))
     return iface_("The scene '{}' has the nodes").format(made.name)

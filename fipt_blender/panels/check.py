@@ -31,7 +31,7 @@ class FIPT_PT_check(Section, bpy.types.Panel):
         row.operator("fipt.write_report", icon="FILE_TEXT")
         row.operator("fipt.open_report", text="", icon="URL")
         draw_job(layout, context, "report")
-        draw_warnings(layout, context, "check", job_warnings(context, "insert", "report"))
+        draw_warnings(layout, context, "check", job_warnings(context, "report"))
 
 
 def _draw_picture(
@@ -62,7 +62,6 @@ def _draw_picture(
     row.operator("fipt.open_picture", text="", icon="WINDOW")
     if insert.backdrop == "PHOTOGRAPH":
         row.operator("fipt.plate_nodes", text="", icon="NODE_COMPOSITING")
-    draw_job(layout, context, "insert")
     if insert.picture:
         layout.label(text=os.path.basename(insert.picture), icon="CHECKMARK", translate=False)
 
@@ -70,18 +69,17 @@ def _draw_picture(
 def _draw_settings(
     layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup, plate: bool
 ) -> None:
-    """Blender's own render settings on which pictures depend most; over a plate, the size is its own."""
+    """Blender's own render settings on which pictures depend most; a plate keeps its proportions."""
     from ..blend.pictures.renders import output_size, plate_size
     from ..blend.render_settings import changed_by_artist
 
     scene = context.scene
     plate = plate and scene.camera is not None and RESOLUTION in scene.camera
     column = layout.column(align=True)
-    if not plate:
-        column.prop(settings, "size")
+    column.prop(settings, "size")
     column.prop(scene.render, "resolution_percentage", text="Scale")
     size = plate_size(scene, scene.camera) if plate else output_size(scene)
-    text = "{} x {} pixels, of the photograph" if plate else "{} x {} pixels, also with F12"
+    text = "{} x {} pixels over the photograph" if plate else "{} x {} pixels, also with F12"
     column.label(text=iface_(text).format(*size), translate=False)
     if hasattr(scene, "cycles"):
         column = layout.column(align=True)

@@ -9,10 +9,8 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
 from ..blend.marks import (
-    ANIMATED,
     FIXTURE,
     INFERRED,
-    MERGED,
     NAMED,
     PROBABILITY,
     VISIBILITY,
@@ -22,11 +20,6 @@ from ..blend.marks import (
 from .hints import ANSWER_NAMES, draw_again
 from .sidebar import Rows, Section, SubSection, draw_text
 
-# What lights of earlier releases have, by the mark that says so.
-_OLD = {
-    ANIMATED: "Keyframes of an earlier release, until results are applied",
-    MERGED: "Merged by an earlier release, until results are applied",
-}
 CERTAIN = 0.98  # probability from which a fixture is not called in question
 
 
@@ -177,9 +170,6 @@ def _draw_light(
         column.prop(light, "color")
     if is_temperature:
         column.prop(light, "kelvin")
-    for mark, note in _OLD.items():
-        if mark in light.object:
-            layout.label(text=note, icon="INFO")
     if FIXTURE in light.object and VISIBILITY not in light.object:
         layout.operator("fipt.fixture_to_area_light", icon="LIGHT_AREA")
         return

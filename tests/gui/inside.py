@@ -205,6 +205,11 @@ def emission_strengths(name: str) -> list[float]:
     return strengths
 
 
+def picture() -> str:
+    """The file of the last picture, "" before the first one."""
+    return str(ours("insert.picture"))
+
+
 def change(before: str, after: str) -> float:
     """Difference of two pictures of one view: median over blocks of pixels of |ln(after/before)|."""
     import numpy as np

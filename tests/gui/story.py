@@ -245,7 +245,7 @@ def check(window: Window, options: Options) -> None:
     window.open_section("Render")
     window.choose("check.size", "PHOTOGRAPH")  # as the picture that it is compared with
     window.click("fipt.final_picture")
-    finish(window, "insert")
+    window.wait(inside.picture, seconds=600)
     window.wait(agent.is_open, *PICTURE)
     window.settle()
     window.shot("14_check_render")
@@ -290,10 +290,9 @@ def insert(window: Window, options: Options) -> None:
     selected = window.ask(lambda: [item.name for item in bpy.context.view_layer.objects.selected])
     assert {*selected} & ({*new} - before), new
     window.shot("19_inserted")
-    rendered = window.ask(lambda: bpy.context.scene.fipt.insert.picture)
+    rendered = window.ask(inside.picture)
     window.click("fipt.final_picture")
-    finish(window, "insert")
-    picture = window.ask(lambda: bpy.context.scene.fipt.insert.picture)
+    picture = window.wait(inside.picture, until=lambda now: now != rendered, seconds=600)
     assert Path(picture).is_file(), picture
     change = window.ask(inside.change, rendered, picture)
     assert change > 0.05, change

@@ -8,12 +8,11 @@ import json
 import subprocess
 import time
 from pathlib import Path
-from typing import Any
 
 import agent
 import bpy
 import inside
-from chapters import Options, finish
+from chapters import Options
 from hand import PICTURE
 from window import Window
 
@@ -102,10 +101,10 @@ def _scale(percent: int) -> None:
 def _picture(window: Window, name: str) -> float:
     """Press Final Picture, wait for the window with it and close that; seconds waited."""
     started = time.monotonic()
+    before = window.ask(inside.picture)
     window.click("fipt.final_picture")
-    finish(window, "insert", _RENDER_SECONDS)
+    picture = Path(window.wait(inside.picture, until=lambda now: now != before, seconds=_RENDER_SECONDS))
     seconds = time.monotonic() - started
-    picture = Path(window.ask(_last_picture))
     assert picture.is_file() and picture.with_suffix(".exr").is_file(), picture
     window.wait(agent.is_open, *PICTURE)
     window.settle(5.0)
@@ -113,10 +112,6 @@ def _picture(window: Window, name: str) -> float:
     window.ask(agent.close_window, PICTURE[0])
     window.settle()
     return round(seconds, 1)
-
-
-def _last_picture() -> Any:
-    return bpy.context.scene.fipt.insert.picture
 
 
 def _collected(folder: str) -> str:

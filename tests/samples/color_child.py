@@ -20,13 +20,13 @@ import pytest
 from mathutils import Vector
 
 import fipt_blender
+from benchmarks.cycles_pixels import render_pixels
 from fipt_blender.blend.color_spaces import to_scene_linear
 from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.insert.balls import add_ball
 from fipt_blender.blend.lights import light_state
 from fipt_blender.blend.marks import fixtures_of
-from fipt_blender.blend.pictures import orders
-from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
+from fipt_blender.blend.pictures.cycles import RenderOptions
 from fipt_blender.blend.render_settings import set_up
 from fipt_blender.blend.results import maps
 from fipt_blender.properties.materials import SHOWN
@@ -106,9 +106,10 @@ def compared(folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict:
     floor.node_tree or setattr(floor, "use_nodes", True)
     photo = rendered_rooms.photograph(run, 64)
     scene.cycles.samples, scene.cycles.use_denoising = 4, False
-    orders.carry_out(orders.order_picture(scene, run, scene.camera, plate=True))
-    picture = orders.last_picture(run)
-    composite = rendered_rooms.exr_layers(picture.with_suffix(".exr"))["Composite.Combined"][..., :3]
+    bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")
+    bpy.ops.fipt.final_picture()
+    picture = Path(scene.fipt.insert.picture).with_suffix(".exr")
+    composite = rendered_rooms.exr_layers(picture)["Composite.Combined"][..., :3]
     return {"composite": float(np.abs(composite - photo).max()) < 1e-3 * float(photo.max())}
 
 

@@ -16,7 +16,7 @@ from fipt_blender.blend.lights.fixture_nodes import emission_material
 from fipt_blender.blend.marks import BACK, BASE, FIXTURE, FIXTURE_SOURCES
 from fipt_blender.blend.node_trees import node_tree
 from fipt_blender.blend.outliner import FIXTURES, ROOM, collection
-from fipt_blender.blend.pictures import image_files, renders
+from fipt_blender.blend.pictures import cycles, image_files
 from fipt_blender.blend.pictures.cycles import RenderOptions
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.run_files import read_capture
@@ -69,7 +69,8 @@ def diffuse_floor(size: float, albedo: float) -> None:
 def photograph(run: RunFolder, spp: int = 64) -> np.ndarray:
     """Replace the held-back view's photograph by a render of the room; returns it."""
     path = run.root / "photo.exr"
-    renders.render_view(bpy.context.scene, VIEW, path, RenderOptions(spp, seed=5, denoise=False))
+    scene = bpy.context.scene
+    cycles.render_exr(scene, path, RenderOptions(spp, seed=5, denoise=False), cameras.find_camera(VIEW, scene))
     image = image_files.read_pixels(path)
     write_exr(run.root / "photos/val_000.exr", image)
     return image

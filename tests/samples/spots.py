@@ -11,8 +11,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from benchmarks.cycles_pixels import render_pixels
 from fipt_blender.blend.node_trees import node_tree
-from fipt_blender.blend.pictures.cycles import RenderOptions, render_pixels
+from fipt_blender.blend.pictures.cycles import RenderOptions
 
 
 @contextmanager

@@ -13,7 +13,6 @@ import bpy
 from ..marks import (
     CATCHER,
     KEPT_FILM,
-    KEPT_PHOTOGRAPH,
     all_view_cameras,
     estimated_objects,
     remove_marks,
@@ -49,7 +48,7 @@ def set_backdrop(scene: bpy.types.Scene, mode: str, room: Iterable[bpy.types.Obj
 
 
 def show_photographs(scene: bpy.types.Scene) -> None:
-    """`show_photograph` for all views, also those over which another picture lies."""
+    """`show_photograph` for all views."""
     for camera in all_view_cameras(scene):
         show_photograph(scene, camera)
 
@@ -57,11 +56,6 @@ def show_photographs(scene: bpy.types.Scene) -> None:
 def show_photograph(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
     """Show a view's photograph in front of the room, if the panel says so, or as the backdrop behind it."""
     data = camera.data
-    kept = data.get(KEPT_PHOTOGRAPH)
-    if kept is not None:  # of files in which another picture lay over the view
-        if data.background_images:
-            data.background_images[0].image = kept
-        remove_marks(data, KEPT_PHOTOGRAPH)
     behind = scene.fipt.insert.backdrop == "PHOTOGRAPH"
     settings = scene.fipt.capture
     shown = behind or getattr(settings, settings.photograph_switch())

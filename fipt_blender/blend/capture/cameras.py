@@ -61,34 +61,20 @@ def add_camera(
     if parent is not None:
         item.parent = parent
         item.matrix_parent_inverse = Matrix.Identity(4)
-    set_camera(item, view, local=parent is not None)
+    lens = conventions.intrinsics_to_blender(view.width, view.height, view.fx, view.fy, view.cx, view.cy)
+    item.data.type = "PERSP"
+    set_lens(item.data, lens)
+    item.data.clip_start, item.data.clip_end = 0.001, 10000.0
+    item.data.dof.use_dof = False
+    matrix = Matrix(conventions.opencv_to_blender_camera(np.array(view.camera_to_world)).tolist())
+    if parent is None:
+        item.matrix_world = matrix
+    else:
+        item.matrix_basis = matrix
+    mark_camera(item, view, lens)
     if photograph:
         _set_background(item.data, _load_photograph(run, view))
     return item
-
-
-def set_camera(item: bpy.types.Object, view: CapturedView, local: bool = False) -> None:
-    """Give a camera object the exact projection of a view.
-
-    Args:
-        item: a camera object.
-        view: an entry of capture.json's views.
-        local: whether the pose is in the space of the camera's parent.
-    """
-    parameters = conventions.intrinsics_to_blender(
-        view.width, view.height, view.fx, view.fy, view.cx, view.cy
-    )
-    camera = item.data
-    camera.type = "PERSP"
-    set_lens(camera, parameters)
-    camera.clip_start, camera.clip_end = 0.001, 10000.0
-    camera.dof.use_dof = False
-    matrix = conventions.opencv_to_blender_camera(np.array(view.camera_to_world))
-    if local:
-        item.matrix_basis = Matrix(matrix.tolist())
-    else:
-        item.matrix_world = Matrix(matrix.tolist())
-    mark_camera(item, view, parameters)
 
 
 def set_lens(camera: bpy.types.Camera, parameters: conventions.BlenderCamera) -> None:

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import os
 import re
+import struct
 import urllib.parse
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+from ...core.run.documents import MOST_BYTES, parse_document
 from ...core.run.errors import FiptError
 from ...core.run.paths import is_network, is_special, leads_outside
-from .gltf_document import check_scenes, read_document
 
 # Not anchored to the line, as searching for plain text is many times faster. Names in comments do no harm.
 _LIBRARY = re.compile(rb"mtllib[ \t]+([^\r\n]{1,4096})")
@@ -23,6 +25,7 @@ _MAPS = rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+([^\r\n]{1,4096})"
 _TEXTURE = re.compile(_MAPS, re.M | re.I)
 BLOCK = 1 << 24  # bytes that are searched at a time
 _GLTF = (".gltf", ".glb")
+_LISTS = ("scenes", "nodes", "buffers", "images")  # of glTF's JSON that are read
 
 
 def named_files(path: Path) -> set[str]:
@@ -46,7 +49,7 @@ def check_mesh_file(path: Path) -> None:
     try:
         check_named_files(path)
         if path.suffix.lower() in _GLTF:
-            check_scenes(read_document(path))
+            _check_scene(_gltf(path))
     except (OSError, ValueError) as error:
         raise FiptError(
             "mesh-unreadable",
@@ -104,6 +107,64 @@ def _matches(path: Path, pattern: re.Pattern[bytes]) -> Iterator[str]:
 
 def _gltf_names(path: Path) -> set[str]:
     """Buffers and images of a glTF file."""
-    document = read_document(path)
-    names = {each.uri or "data:" for each in (*document.buffers, *document.images)}
+    document = _gltf(path)
+    names = {each.get("uri", "data:") for each in (*document["buffers"], *document["images"])}
     return {urllib.parse.unquote(name) for name in names if not name.startswith("data:")}
+
+
+def _gltf(path: Path) -> dict[str, Any]:
+    """The JSON of a .gltf or .glb file, with its lists, whose items are objects.
+
+    Raises:
+        OSError: the system's.
+        ValueError: what is wrong with it.
+    """
+    with open(path, "rb") as file:
+        head, size, start = file.read(20), path.stat().st_size, 0
+        if head[:4] == b"glTF":
+            if len(head) < 20 or head[16:] != b"JSON":
+                raise ValueError("it is cut off")
+            (size,), start = struct.unpack_from("<I", head, 12), 20
+        if size > MOST_BYTES:
+            raise ValueError("its description is too long")
+        file.seek(start)
+        text = file.read(size)
+    if len(text) < size:
+        raise ValueError("it is cut off")
+    document = parse_document(text.decode("utf-8"))
+    if not isinstance(document, dict):
+        raise ValueError("it is no glTF file")
+    lists: dict[str, Any] = {name: document.get(name, []) for name in _LISTS}
+    for name, items in lists.items():
+        if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
+            raise ValueError(f"its {name} are damaged")
+    if not all(isinstance(each.get("uri", ""), str) for each in (*lists["buffers"], *lists["images"])):
+        raise ValueError("its names of files are damaged")
+    return document | lists
+
+
+def _check_scene(document: dict[str, Any]) -> None:
+    """Refuse a file whose meshes are not all in its scene.
+
+    Blender imports the nodes of all scenes, and how it tells them apart depends on its version.
+
+    Raises:
+        ValueError: a node is missing or has several parents, or a mesh is not in the scene.
+    """
+    nodes, scenes = document["nodes"], document["scenes"]
+    try:
+        children = [list(map(range(len(nodes)).__getitem__, node.get("children", []))) for node in nodes]
+        below = [child for each in children for child in each]
+        waiting = sorted(set(range(len(nodes))) - set(below))
+        if scenes:
+            waiting = [range(len(nodes))[node] for node in scenes[document.get("scene", 0)].get("nodes", [])]
+    except (IndexError, TypeError):
+        raise ValueError("its scenes or nodes lack some that it numbers") from None
+    if len({*below, *waiting}) < len(below) + len(waiting):
+        raise ValueError("its nodes form a circle, or have several parents")
+    shown: set[int] = set()
+    while waiting:
+        shown.add(index := waiting.pop())
+        waiting += children[index]
+    if any("mesh" in node for index, node in enumerate(nodes) if index not in shown):
+        raise ValueError("it has several scenes, or meshes in none; export one scene alone")

@@ -28,8 +28,6 @@ def watch(scene: bpy.types.Scene) -> None:
 
 def hide_others(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
     """Hide all view cameras but one in the view layers that are open."""
-    import json
-
     show_all(scene)
     for layer in _open_layers(scene):
         items = [
@@ -38,20 +36,17 @@ def hide_others(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
             if item != camera and item.name in layer.objects and not item.hide_get(view_layer=layer)
         ]
         for item in items:
-            selected = json.loads(item.get(LOOKED_PAST, "{}"))
-            selected[layer.name] = item.select_get(view_layer=layer)
-            item[LOOKED_PAST] = json.dumps(selected)
+            selected = {layer.name: item.select_get(view_layer=layer)}
+            item[LOOKED_PAST] = {**item.get(LOOKED_PAST, {}), **selected}
         for item in items:
             item.hide_set(True, view_layer=layer)
 
 
 def show_all(scene: bpy.types.Scene) -> None:
     """Show the cameras again that `hide_others` has hidden, selected as they were."""
-    import json
-
     items = [item for item in _in_the_way(scene) if LOOKED_PAST in item]
     for item in items:
-        for name, selected in json.loads(item[LOOKED_PAST]).items():
+        for name, selected in item[LOOKED_PAST].items():
             layer = scene.view_layers.get(name)
             if layer is None or item.name not in layer.objects or not item.hide_get(view_layer=layer):
                 continue

@@ -20,7 +20,7 @@ from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder, write_json
-from ..marks import KEPT_PHOTOGRAPH, LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION
+from ..marks import LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION
 from . import cameras
 from .exporting import camera_pose
 from .importing import fill_views
@@ -121,8 +121,7 @@ def describe_camera(scene: bpy.types.Scene, item: bpy.types.Object) -> dict[str,
             f"The camera '{item.name}' is not a perspective camera.",
             "Set its lens type to Perspective, or remove its background image.",
         )
-    # While another picture lies over a view, its photograph is kept elsewhere.
-    image = item.data.get(KEPT_PHOTOGRAPH) or background.image
+    image = background.image
     path = photograph_path(item, image)
     size = item.get(RESOLUTION, image.size) if LARGE_PHOTOGRAPH in image else image.size
     width, height = (int(value) for value in size)

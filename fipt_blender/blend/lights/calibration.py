@@ -69,7 +69,7 @@ def calibrate_by_lux(
         FiptError: ``calibration-dark`` or ``calibration-value``; ``engine-missing`` without Cycles.
     """
     above = (place[0], place[1], place[2] + _SENSOR)
-    found = irradiance(scene, [above], [(0.0, 0.0, 1.0)], samples, indirect=True)[0].tolist()
+    found = irradiance(scene, above, samples).tolist()
     text, remedy = "No light comes from above to this place.", "Put the 3D cursor on a lit, open surface."
     return _calibrate(scene, LUMENS_PER_WATT * luminance(found), lux, text, remedy)
 

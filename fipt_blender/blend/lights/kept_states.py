@@ -93,8 +93,7 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
         states[item[FIXTURE]] = FixtureState(
             settings,
             AS_CONVERTED in item,
-            # Files of earlier versions used the name of emitters.json.
-            "" if item.name == item.get(NAMED, item[FIXTURE]) else item.name,
+            "" if item.name == item.get(NAMED) else item.name,
             [_taken(light) for light in fixture_lights(item)],
             tuple(item.get(CENTROID, ())),
             world_matrix(item).copy() if moved else None,

@@ -26,8 +26,7 @@ def add_inferred(scene: bpy.types.Scene, run: RunFolder) -> None:
     """
     emitters = read_document(run.emitters_json, Emitters, "Run the estimation again.")
     added = [list(item[MISSING_LAMP]) for item in scene.objects if MISSING_LAMP in item]
-    # Runs of earlier versions also name lamps that photographs show and the mesh lacks.
-    inferred = {lamp.position: lamp for lamp in emitters.missing if lamp.inferred}
+    inferred = {lamp.position: lamp for lamp in emitters.missing}
     for item in [item for item in scene.objects if INFERRED in item]:
         if tuple(item[MISSING_LAMP]) not in inferred:
             bpy.data.objects.remove(item)

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..room.rays import Cast
@@ -13,16 +11,12 @@ from ..room.rays import Cast
 _UP = np.array([0.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True)
-class LightPlace:
-    """A horizontal square that faces down: its centre (3,) and side, in metres."""
-
-    center: np.ndarray
-    size: float
-
-
-def find_light_place(cast: Cast, low: np.ndarray, high: np.ndarray, eye_height: float) -> LightPlace:
+def find_light_place(
+    cast: Cast, low: np.ndarray, high: np.ndarray, eye_height: float
+) -> tuple[np.ndarray, float]:
     """A place for an area light below the ceiling, as near the middle of the room as hanging lamps allow.
+
+    Returns the centre (3,) and the side in metres of a horizontal square that faces down.
 
     Args:
         cast: ray casting into the room.
@@ -43,7 +37,7 @@ def find_light_place(cast: Cast, low: np.ndarray, high: np.ndarray, eye_height: 
             rank = (ceiling / float(extent[2]) - 0.2 * float(np.hypot(dx, dy)), -float(np.hypot(dx, dy)))
             if best is None or rank > best:
                 best, place = rank, np.array([x, y, ceiling - margin])
-    return LightPlace(place, size)
+    return place, size
 
 
 def _lowest_above(cast: Cast, x: float, y: float, z: float, half: float, highest: float) -> float:

@@ -1,17 +1,15 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cycles renders to linear Rec.709: pictures, by the scene's render settings, as F12 makes them; and renders
-that can be compared with photographs: nothing clamped, box filter, whatever the artist's settings are.
+"""Cycles renders to linear Rec.709 that can be compared with photographs: nothing clamped, box filter,
+whatever the artist's settings are; and the saving of Blender's renders.
 """
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypedDict
 
 import bpy
 import numpy as np
@@ -25,7 +23,7 @@ from ..lights.calibration import scene_unit
 from ..marks import PIXEL_ASPECT, RESOLUTION
 from ..render_settings import LIGHT_PATHS, can_denoise
 from ..save import check_space
-from .image_files import LAYERED_IMAGE, PNG, STILL_IMAGE, read_pixels, write_image
+from .image_files import STILL_IMAGE, write_image
 
 CYCLES = {
     **LIGHT_PATHS,
@@ -46,41 +44,11 @@ class RenderOptions:
         spp: samples per pixel.
         seed: seed of the sampling pattern.
         denoise: None denoises where Open Image Denoise is available.
-        device: Cycles' device, "CPU" or "GPU".
     """
 
     spp: int
     seed: int = 0
     denoise: bool | None = None
-    device: str = "CPU"
-
-
-class Devices(TypedDict):
-    """Cycles devices as in the user's preferences."""
-
-    type: str
-    ids: list[str]
-
-
-def user_devices() -> Devices | None:
-    """The devices that the user's preferences enable; None for the processor, as in factory settings."""
-    addon = bpy.context.preferences.addons.get("cycles")
-    preferences = getattr(addon, "preferences", None)
-    kind = getattr(preferences, "compute_device_type", "NONE")
-    if preferences is None or kind == "NONE":
-        return None
-    return Devices(type=kind, ids=[device.id for device in preferences.devices if device.use])
-
-
-def enable_devices(devices: Devices | None) -> None:
-    """Enable devices in the preferences of this Blender."""
-    addon = bpy.context.preferences.addons.get("cycles")
-    if addon is None or devices is None:
-        return
-    addon.preferences.compute_device_type = devices["type"]
-    addon.preferences.refresh_devices()
-    for device in addon.preferences.devices:
-        device.use = device.id in devices["ids"]
 
 
 def render_exr(
@@ -107,7 +75,7 @@ def render_exr(
     fixed = {
         **CYCLES,
         **{name: getattr(scene.cycles, name) for name in _CONTENT if hasattr(scene.cycles, name)},
-        "device": options.device,
+        "device": "CPU",
         "film_exposure": 1.0 / scene_unit(scene),  # the photographs' unit
         "samples": options.spp,
         "seed": options.seed,
@@ -117,43 +85,31 @@ def render_exr(
     with _plain_scene(scene, camera, widest) as plain:
         for name, value in fixed.items():
             setattr(plain.cycles, name, value)
-        _save(_render(plain), plain, path, {**STILL_IMAGE, **exr})
+        render(plain)
+        save_render(plain, path, {**STILL_IMAGE, **exr})
 
 
-def render_picture(scene: bpy.types.Scene, path: Path, device: str) -> None:
-    """Render in Cycles what F12 renders: an EXR of all its layers and passes, linear Rec.709, and beside it
-    the picture as the scene's view transform shows it, as PNG.
-
-    Args:
-        scene: the scene.
-        path: ends in .exr.
-        device: Cycles' device, "CPU" or "GPU".
+def render(scene: bpy.types.Scene) -> None:
+    """Render a scene, as F12 does, and wait for the end.
 
     Raises:
-        FiptError: see `render_exr`.
+        FiptError: ``render-failed``.
     """
-    with changed(scene.render, {"engine": "CYCLES"}), changed(scene.cycles, {"device": device}):
-        result = _render(scene)
-        _save(result, scene, path, LAYERED_IMAGE)
-        _save(result, scene, path.with_suffix(".png"), {**STILL_IMAGE, **PNG})
-
-
-def _render(scene: bpy.types.Scene) -> bpy.types.Image:
-    """Render the scene; returns Blender's image of the result."""
     try:
         bpy.ops.render.render(scene=scene.name)
     except RuntimeError as error:
-        raise _render_failed(str(error).strip()) from None
+        raise render_failed(str(error).strip()) from None
+
+
+def save_render(scene: bpy.types.Scene, path: Path, file_settings: Mapping[str, str]) -> None:
+    """Write Blender's render of a scene, atomically; an EXR in linear Rec.709.
+
+    Raises:
+        FiptError: ``render-failed``, ``color-space-missing``, or the errors of writing.
+    """
     result = next((image for image in bpy.data.images if image.type == "RENDER_RESULT"), None)
     if result is None:
-        raise _render_failed("there is no image")
-    return result
-
-
-def _save(
-    result: bpy.types.Image, scene: bpy.types.Scene, path: Path, file_settings: Mapping[str, str]
-) -> None:
-    """Write a render, atomically; an EXR in linear Rec.709."""
+        raise render_failed("there is no image")
     settings = scene.render.image_settings
     with ExitStack() as stack, atomic_path(path) as temporary:
         stack.enter_context(changed(settings, file_settings))
@@ -192,20 +148,8 @@ def _plain_scene(
         bpy.data.scenes.remove(made)
 
 
-def _render_failed(reason: str) -> FiptError:
+def render_failed(reason: str) -> FiptError:
+    """The error for a render that Blender did not make."""
     return FiptError(
         "render-failed", f"Cycles could not render ({reason}).", "Look at Blender's console output."
     )
-
-
-def render_pixels(
-    scene: bpy.types.Scene,
-    options: RenderOptions,
-    camera: bpy.types.Object | None = None,
-    widest: int | None = None,
-) -> np.ndarray:
-    """Like `render_exr`, but return the image: (H, W, 3) f32, first row at the top."""
-    with tempfile.TemporaryDirectory(prefix="fipt-") as folder:
-        path = Path(folder) / "render.exr"
-        render_exr(scene, path, options, camera, widest)
-        return read_pixels(path)

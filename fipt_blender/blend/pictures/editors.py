@@ -8,19 +8,17 @@ from pathlib import Path
 
 import bpy
 
-from ..color_spaces import set_encoded, set_linear
+from ..color_spaces import set_encoded
 from ..marks import PICTURE
 
 
 def load_picture(path: Path) -> bpy.types.Image | None:
-    """An image file, reloaded from disk; None where it is missing."""
+    """A picture's PNG, reloaded from disk; None where it is missing."""
     if not path.is_file():
         return None
     image = bpy.data.images.load(str(path), check_existing=True)
     image.reload()
-    is_radiance = path.suffix == ".exr"
-    (set_linear if is_radiance else set_encoded)(image)
-    image.use_view_as_render = is_radiance  # the scene's view transform and exposure
+    set_encoded(image)
     image[PICTURE] = True
     return image
 

@@ -34,18 +34,15 @@ LAYERED_IMAGE = {
 PNG = {"file_format": "PNG", "color_mode": "RGB", "color_depth": "8"}
 
 
-def photograph(run: RunFolder, view: CapturedView, smaller: bool = False) -> np.ndarray:
+def photograph(run: RunFolder, view: CapturedView) -> np.ndarray:
     """A view's photograph, (H, W, 3) f32 scene-linear, first row at the top.
 
     One that is not HDR is read as if its response were sRGB's curve.
 
-    Args:
-        smaller: its smaller copy will do, where it has one.
-
     Raises:
         FiptError: ``image-missing`` or ``path-outside``.
     """
-    path = run.resolve((smaller and view.preview) or view.image)
+    path = run.resolve(view.image)
     try:
         pixels = read_pixels(path)
         if not pixels.size:

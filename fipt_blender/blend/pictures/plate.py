@@ -8,61 +8,52 @@ Shadow Catcher is the ratio of the room with and without the objects, so it has 
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from contextlib import AbstractContextManager
-
 import bpy
-import numpy as np
 
-from ...core.capture.averaging import means
 from ...core.run.contents import CapturedView
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
-from ..changed import all_changed
+from ..capture.backdrop import set_backdrop
 from ..color_spaces import set_encoded
+from ..export.stage import rendered_objects
 from ..image_datablocks import load_radiance
-from ..marks import estimated_objects
-from ..render_settings import can_denoise, fitted
-from .cycles import RenderOptions, render_pixels
-from .image_files import photograph
-from .photographed import lights_as_photographed
+from ..lights.convert import RAYS
+from ..lights.fixture_nodes import emission_material, is_emission_material, surfaces
+from ..lights.tint import unit_of
+from ..marks import (
+    BACKGROUND,
+    BASE,
+    FIXTURE,
+    FIXTURE_SOURCES,
+    MAPPING,
+    PLATE,
+    VISIBILITY,
+    WORLD,
+    fixture_lights,
+    fixtures_of,
+    remove_marks,
+    result_world,
+)
+from ..render_settings import can_denoise
+from ..results.scene_state import median_radiance, median_shown
 from .renders import plate_size
 
 SCENE = "FIPT Composite"
-# Values by sRGB's curve that say how bright a photograph is: neither clipped nor lost in its darkest codes
-_EXPOSED = (0.02, 0.9)
-_GAIN_SIDE, _GAIN_SAMPLES = 128, 32  # pixels and samples of the render that a photograph is brought to
 # Pixels over which the shadow catcher's change is averaged, and the change from which it is denoised in full:
 # the denoiser changes a constant by less than 1 %, and by 12 % within 4 pixels of the picture's edge.
 _BLUR, _DENOISED = 4, 0.05
-_SHAPES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME", "EMPTY"}
 
 
-def not_catching(scene: bpy.types.Scene, room: Collection[str]) -> AbstractContextManager[None]:
-    """Draw the room whatever the backdrop is, for the length of a block."""
-    return all_changed(estimated_objects(scene, room), {"is_shadow_catcher": False})
+def plate_scene(scene: bpy.types.Scene, run: RunFolder, view: CapturedView) -> bpy.types.Scene:
+    """A copy of a scene, with the same objects, that renders them over the photograph of its camera's view.
 
-
-def catching(scene: bpy.types.Scene, room: Collection[str]) -> AbstractContextManager[None]:
-    """Let the room and its lamps catch shadows, for the length of a block."""
-    return all_changed(estimated_objects(scene, room), {"is_shadow_catcher": True})
-
-
-def plate_scene(
-    scene: bpy.types.Scene,
-    run: RunFolder,
-    view: CapturedView,
-    camera: bpy.types.Object,
-    room: Collection[str],
-) -> bpy.types.Scene:
-    """A copy of a scene, with the same objects, that renders them over a view's photograph.
+    Its lamps and its world are copies that shine as photographed, whatever the artist has changed since: the
+    surfaces of lamps, not Blender lights that stand for them.
 
     Args:
         scene: the room's.
         run: the run folder.
         view: the view.
-        camera: its camera.
-        room: names of the room's objects.
 
     Raises:
         FiptError: ``image-missing``.
@@ -75,57 +66,84 @@ def plate_scene(
             f"The photograph {path} of the view '{view.name}' can't be read.",
             "Put the file back where it was, or import the capture again from where it is now.",
         )
-    gain = 1.0
     if view.encoded:
         set_encoded(image)
-        gain = _gain(scene, run, view, camera, room)
+    set_backdrop(scene, "PHOTOGRAPH", scene.fipt.capture.room_objects(scene))  # also objects that came since
+    size, rendered = plate_size(scene, scene.camera), rendered_objects(scene)
     made = scene.copy()
-    made.name, made.camera = SCENE, camera
-    render = made.render
+    made.name = SCENE
+    render, root = made.render, made.collection
     render.engine, render.film_transparent, render.resolution_percentage = "CYCLES", True, 100
-    render.resolution_x, render.resolution_y = plate_size(scene, camera)
+    render.resolution_x, render.resolution_y = size
     render.use_border, render.use_sequencer, render.use_compositing = False, False, True
+    for group in list(root.children):
+        root.children.unlink(group)
+    for item in list(root.objects):
+        root.objects.unlink(item)
+    fixtures = [item for item in fixtures_of(scene) if BASE in item]
+    replaced = set(fixtures).union(*map(fixture_lights, fixtures))
+    for item in [each for each in rendered if each not in replaced] + [
+        _as_photographed(each) for each in fixtures
+    ]:
+        root.objects.link(item)
+    if (world := result_world(scene)) is not None:
+        made.world = _world_as_photographed(world)
     layer = next((each for each in made.view_layers if each.use), made.view_layers[0])
     for each in made.view_layers:
         each.use = each == layer
     layer.use_pass_combined, layer.use_pass_z, layer.cycles.use_pass_shadow_catcher = True, True, True
-    _add_nodes(made, layer, image, gain)
+    _add_nodes(made, layer, image, plate_gain(run, view) if view.encoded else 1.0)
     return made
 
 
 def remove_plate_scene(scene: bpy.types.Scene) -> None:
     """Remove what `plate_scene` made."""
-    tree = getattr(scene, "compositing_node_group", None)
+    tree, world = getattr(scene, "compositing_node_group", None), scene.world
+    copies = [item for item in scene.objects if PLATE in item]
+    meshes = [item.data for item in copies]
+    materials = {material for mesh in meshes for material in mesh.materials if material and PLATE in material}
     bpy.data.scenes.remove(scene)
-    if tree is not None:
-        bpy.data.node_groups.remove(tree)
+    made = [tree, world if world is not None and PLATE in world else None, *copies, *meshes, *materials]
+    bpy.data.batch_remove([block for block in made if block is not None])
 
 
-def _gain(
-    scene: bpy.types.Scene,
-    run: RunFolder,
-    view: CapturedView,
-    camera: bpy.types.Object,
-    room: Collection[str],
-) -> float:
+def plate_gain(run: RunFolder, view: CapturedView) -> float:
     """Radiance of the renders for a value of 1 of a photograph that is not HDR: its exposure is its own.
 
-    By the median over the pixels of a small render of the room as it was photographed.
+    By what the estimation has found of the photographs' exposures, in stops from the median photograph's.
     """
-    options = RenderOptions(_GAIN_SAMPLES)
-    estimated = set(estimated_objects(scene, room))
-    added = [item for item in scene.objects if item.type in _SHAPES | {"LIGHT"} and item not in estimated]
-    side = fitted((view.width, view.height), _GAIN_SIDE)[0]
-    with (
-        not_catching(scene, room),
-        all_changed(added, {"hide_render": True}),
-        lights_as_photographed(scene),
-    ):
-        rendered = render_pixels(scene, options, camera, side)
-    encoded = means(photograph(run, view, smaller=True), rendered.shape[1], rendered.shape[0])
-    value, radiance = encoded.mean(axis=-1), rendered.mean(axis=-1)
-    used = (encoded.min(axis=-1) > _EXPOSED[0]) & (encoded.max(axis=-1) < _EXPOSED[1]) & (radiance > 0.0)
-    return float(np.median(radiance[used] / value[used])) if used.any() else 1.0
+    photometry = run.statistics().get("photometry") or {}
+    stops = photometry.get("views", {}).get(view.name, {}).get("exposure_ev", 0.0)
+    return (median_radiance(run) or median_shown(run)) / median_shown(run) * 2.0**-stops
+
+
+def _as_photographed(fixture: bpy.types.Object) -> bpy.types.Object:
+    """A copy of a fixture whose surfaces have the estimated radiance."""
+    item = fixture.copy()
+    item.data = fixture.data.copy()
+    remove_marks(item, FIXTURE, FIXTURE_SOURCES, VISIBILITY)
+    item[PLATE], item.hide_render, item.is_shadow_catcher = True, False, True
+    for name in ("visible_camera", *RAYS):
+        setattr(item, name, True)
+    unit = unit_of(fixture)
+    for each in surfaces(fixture):
+        if is_emission_material(each.material):
+            sides = ([unit * value for value in side] for side in (each.front, each.back))
+            item.data.materials[each.slot] = material = emission_material(each.material.name, *sides)
+            material[PLATE] = True
+    return item
+
+
+def _world_as_photographed(world: bpy.types.World) -> bpy.types.World:
+    """A copy of our world as estimated."""
+    made = world.copy()
+    made[PLATE] = True
+    nodes = made.node_tree.nodes
+    if BACKGROUND in nodes:
+        nodes[BACKGROUND].inputs["Strength"].default_value = unit_of(world) if world[WORLD] else 0.0
+    if MAPPING in nodes:
+        nodes[MAPPING].inputs["Rotation"].default_value = (0.0, 0.0, 0.0)
+    return made
 
 
 def _add_nodes(

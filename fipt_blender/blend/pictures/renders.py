@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
@@ -15,10 +15,8 @@ from ...core.run.result_contents import Render, Renders
 from ...core.run.runfolder import RunFolder, write_json
 from ..capture.cameras import find_camera
 from ..marks import RESOLUTION
+from ..render_settings import fitted
 from .cycles import RenderOptions, render_exr
-
-# Called before each render with the shares of the whole work (0 to 1) at which it starts and ends.
-Progress = Callable[[float, float], None]
 
 # Most columns of renders that are compared with photographs: those of 12 megapixels would take hours.
 COMPARED_WIDTH = 1920
@@ -42,29 +40,18 @@ def picture_path(run: RunFolder, kind: str, camera: str) -> Path:
 
 
 def plate_size(scene: bpy.types.Scene, camera: bpy.types.Object) -> tuple[int, int]:
-    """Columns and rows of pictures over a view's photograph: its own, at most, by the scene's scale."""
-    share = min(1.0, scene.render.resolution_percentage / 100.0)
-    return max(1, int(share * camera[RESOLUTION][0])), max(1, int(share * camera[RESOLUTION][1]))
+    """Columns and rows of pictures over a view's photograph: of the scene's size, in its proportions.
+
+    A photograph of another size is scaled: objects are never as coarse as a small one.
+    """
+    longer = max(output_size(scene))
+    return fitted((int(camera[RESOLUTION][0]), int(camera[RESOLUTION][1])), longer)
 
 
 def output_size(scene: bpy.types.Scene) -> tuple[int, int]:
     """Columns and rows of what F12 renders."""
     share = scene.render.resolution_percentage / 100.0
     return max(1, int(scene.render.resolution_x * share)), max(1, int(scene.render.resolution_y * share))
-
-
-def render_view(
-    scene: bpy.types.Scene, view: str, path: Path, options: RenderOptions, widest: int | None = None
-) -> None:
-    """Render one view of the capture in the frame of its photograph.
-
-    Args:
-        widest: the render is made smaller than the photograph where that has more columns.
-
-    Raises:
-        FiptError: ``view-missing``, and those of `render_exr`.
-    """
-    render_exr(scene, path, options, find_camera(view, scene), widest)
 
 
 def list_render(run: RunFolder, kind: str, view: str, path: Path) -> None:
@@ -90,5 +77,5 @@ def render_listed(
         options: how to render it.
     """
     path = render_path(run, kind, view)
-    render_view(scene, view, path, options, COMPARED_WIDTH)
+    render_exr(scene, path, options, find_camera(view, scene), COMPARED_WIDTH)
     list_render(run, kind, view, path)

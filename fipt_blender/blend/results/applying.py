@@ -7,7 +7,6 @@ Until the last slice nothing visible has changed, so that a failure leaves the r
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -23,7 +22,6 @@ from ..lights.kept_states import keep_states, states_of
 from ..marks import (
     FIXTURE,
     LAID_OUT,
-    MERGED,
     OBJECT_ID,
     SPLIT_OFF,
     fixtures_of,
@@ -312,9 +310,7 @@ def _deleted_lamps(
         if mesh is not None and not target.is_copy:
             of_object = results.fixture[results.room.triangle_object == target.index]
             placed |= set(of_object[list(mesh.get(SPLIT_OFF, ()))].tolist())
-    present = {
-        name for item in fixtures_of(scene) for name in (item[FIXTURE], *json.loads(item.get(MERGED, "[]")))
-    }
+    present = {item[FIXTURE] for item in fixtures_of(scene)}
     return {results.emitters[index].name for index in placed} - present
 
 
