@@ -23,10 +23,9 @@ from ..run.messages import Reporter
 from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
 from ..run.result_contents import AtlasImage, TextureImage, Textures, UniformPart
-from ..run.run_files import AtlasArrays, CornerFields, read_atlas, read_room_files
+from ..run.run_files import AtlasArrays, CornerFields, read_atlas, read_outlined, read_room_files
 from ..run.runfolder import RunFolder, write_json
 from ..run.store import write_arrays
-from ..surface.stored import stored_geometry
 from .padding import pad
 from .raster import nearest_triangle_map
 from .texels import FieldSource, Texels, sample_fields
@@ -111,7 +110,7 @@ def bake(
     """
     room, _ = read_room_files(folder)
     atlas, arrays = read_atlas(folder, len(room["triangles"]))
-    scan = stored_geometry(folder, room, outlined=True)
+    scan = read_outlined(folder, room)
     corners = (scan.vertices if scan else room["vertices"])[room["triangles"]]
     folder.stage.mkdir(parents=True, exist_ok=True)
     with (
