@@ -55,7 +55,11 @@ def choose_parts(room: Room, views: Sequence[View], triangles: Sequence[np.ndarr
     Args:
         triangles: for each view the (H * W,) triangle that each pixel sees, negative where none.
     """
-    source = choose_source(room, views)
+    return source_parts(room, choose_source(room, views), views, triangles)
+
+
+def source_parts(room: Room, source: str, views: Sequence[View], triangles: Sequence[np.ndarray]) -> Parts:
+    """As :func:`choose_parts`, parts from one source of :func:`label_parts`."""
     # A generator: all images together may not fit into memory.
     images = (view.part_ids() if source == "masks" else view.semantic_ids() for view in views)
     return label_parts(room, source, images, triangles)
