@@ -9,8 +9,6 @@ Unstructured Lumigraph Rendering, SIGGRAPH 2001). Where the mesh is missed, poin
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
@@ -30,20 +28,6 @@ FAR = 1.0e4  # metres, of what lies outside of the mesh
 FLOOR = 1e-3  # radiance in units of the capture's median, below which logarithms do not fall
 
 
-@dataclass(frozen=True, eq=False)
-class _Points:
-    """Points that a camera sees: position (N, 3) metres, normal (N, 3), whether outside (N,), camera (3,)."""
-
-    position: np.ndarray
-    normal: np.ndarray
-    outside: np.ndarray
-    camera: np.ndarray
-
-    def every(self, step: int) -> _Points:
-        """Each `step`-th of them."""
-        return _Points(self.position[::step], self.normal[::step], self.outside[::step], self.camera)
-
-
 def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) -> np.ndarray:
     """The training photographs as they are seen from a camera, (H, W, 3) float32.
 
@@ -58,13 +42,14 @@ def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) 
     outside = traced.triangle == NO_TRIANGLE
     origin, direction = view.rays()
     position = np.where(outside[:, None], origin + FAR * direction, traced.position)
-    points = _Points(position, traced.normal, outside, np.asarray(view.camera_to_world)[:3, 3])
-    few = points.every(SAMPLE)
-    shown = [int(np.count_nonzero(_seen(pixels, index, few, place)[0])) for index in range(len(pixels.views))]
+    points, camera = (position, traced.normal, outside), np.asarray(view.camera_to_world)[:3, 3]
+    few = [each[::SAMPLE] for each in points]
+    views = range(len(pixels.views))
+    shown = [int(np.count_nonzero(_seen(pixels, index, *few, camera, place)[0])) for index in views]
     order = [index for index in np.argsort(shown, kind="stable")[::-1][:MOST_VIEWS] if shown[index]]
     total, sums = np.zeros(len(position)), np.zeros((len(position), 3))
     for index in order:
-        rows, weight, where = _seen(pixels, int(index), points, place)
+        rows, weight, where = _seen(pixels, int(index), *points, camera, place)
         # Of logarithms, as of display values, the mean is not that of a single highlight.
         radiance = np.log(np.maximum(_sampled(pixels, int(index), where), FLOOR))
         total[rows] += weight
@@ -79,12 +64,22 @@ def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) 
 
 
 def _seen(
-    pixels: PixelStore, index: int, points: _Points, place: float
+    pixels: PixelStore,
+    index: int,
+    position: np.ndarray,
+    normal: np.ndarray,
+    outside: np.ndarray,
+    camera: np.ndarray,
+    place: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(M,) int64 points that a training view shows, (M,) their weights, and (M, 2) x and y there, pixels."""
+    """(M,) int64 points that a training view shows, (M,) their weights, and (M, 2) x and y there, pixels.
+
+    Args:
+        position, normal, outside: (N, 3), (N, 3) and (N,) of points that a camera (3,) sees, metres.
+    """
     view = pixels.views[index]
     pose = np.asarray(view.camera_to_world, np.float64)
-    where, depth = project(points.position, view)
+    where, depth = project(position, view)
     chosen = np.flatnonzero(
         ((where >= 0.5) & (where <= np.array([view.width, view.height]) - 0.5)).all(axis=1)
     )
@@ -92,16 +87,16 @@ def _seen(
     column, row = np.rint(where - 0.5).astype(np.int64).T
     pixel = pixels.rows(index).start + row * view.width + column
     triangle = np.asarray(pixels.triangle[pixel])
-    toward = pose[:3, 3] - points.position[chosen]
+    toward = pose[:3, 3] - position[chosen]
     toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-12)
-    cosine = np.abs((toward * points.normal[chosen]).sum(axis=1))
+    cosine = np.abs((toward * normal[chosen]).sum(axis=1))
     met = (np.asarray(pixels.position[pixel]) - pose[:3, 3]) @ pose[:3, 2]
     reach = REACH * depth / view.fx / np.maximum(cosine, LEAST_COSINE) + REACH * place
-    outside = points.outside[chosen]
+    outside = outside[chosen]
     on_mesh = (triangle >= 0) & (np.abs(met - depth) < reach)
     visible = np.where(outside, triangle == NO_TRIANGLE, on_mesh)
     chosen, toward = chosen[visible], toward[visible]
-    back = points.camera - points.position[chosen]
+    back = camera - position[chosen]
     distance = np.linalg.norm(back, axis=1)
     alike = (toward * back).sum(axis=1) / np.maximum(distance, 1e-12)
     nearer = np.minimum(distance / depth[visible], 1.0) ** 2
