@@ -73,17 +73,14 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     most = threads_for(view.width * view.height for view in capture.views)
     photographs = in_threads(partial(examined, folder=folder), capture.views, most)
     for index, (view, photograph) in enumerate(zip(capture.views, photographs, strict=True)):
-        coverage = view_coverage(room, view, known=in_sight)
-        seen[index] = coverage.seen
-        in_sight |= coverage.in_sight
+        seen[index], visible, room_share = view_coverage(room, view, known=in_sight)
+        in_sight |= visible
         misfit, reduced = image_misfit(room, view, photograph.image) or (None, 1)
         found = None if misfit is None else round(misfit * reduced, 2)
         much_off = misfit is not None and misfit > MUCH_OFF
         off = f"the mesh is {found:.1f} pixels off in this view" if much_off else ""
-        warning, share = view_warning(photograph, coverage.room_share, off), photograph.clipped_share
-        surveyed.append(
-            SurveyedView(view.name, warning, photograph.missing, coverage.room_share, share, found)
-        )
+        warning, share = view_warning(photograph, room_share, off), photograph.clipped_share
+        surveyed.append(SurveyedView(view.name, warning, photograph.missing, room_share, share, found))
         reporter.progress((index + 1) / len(capture.views))
 
     reporter.stage("parts", "Finding the parts")

@@ -6,8 +6,6 @@ to the centroid of each triangle, because small triangles fall between the pixel
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..capture.views import View
@@ -19,35 +17,22 @@ GRID = 256  # pixels along the longer side
 _COINCIDENT = 2e-5  # of the distance: coincident faces do not occlude each other
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """The triangles that a view sees.
-
-    Attributes:
-        seen: (T,) bool, whether some point of each triangle is seen.
-        in_sight: (T,) bool, whether it is seen or, if it was not `known`, its centroid would be visible to
-            the camera after a rotation towards it.
-        room_share: 0..1, share of the pixels that see the mesh.
-    """
-
-    seen: np.ndarray
-    in_sight: np.ndarray
-    room_share: float
-
-
-def view_coverage(room: Room, view: View, known: np.ndarray) -> Coverage:
+def view_coverage(room: Room, view: View, known: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Which triangles a view sees, whatever their size.
 
     Args:
         known: (T,) bool, triangles that are in sight of earlier views. Outside the image they are not tested
             again, which saves rays.
+
+    Returns:
+        (T,) bool, whether some point of each triangle is seen; (T,) bool, whether it is seen or, if it was
+        not `known`, its centroid would be visible to the camera after a rotation towards it; and the share,
+        0..1, of the pixels that see the mesh.
     """
     triangle = coarse_triangles(room, coarse_view(view))
-    seen = np.zeros(len(room.triangles), bool)
+    seen, in_sight = _centroids_seen(room, view, known)
     seen[triangle[triangle >= 0]] = True
-    centroid_seen, centroid_in_sight = _centroids_seen(room, view, known)
-    seen |= centroid_seen
-    return Coverage(seen, seen | centroid_in_sight, float((triangle >= 0).mean()))
+    return seen, seen | in_sight, float((triangle >= 0).mean())
 
 
 def coarse_view(view: View) -> View:
