@@ -9,6 +9,8 @@ Unstructured Lumigraph Rendering, SIGGRAPH 2001). Where the mesh is missed, poin
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
@@ -45,11 +47,11 @@ def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) 
     points, camera = (position, traced.normal, outside), np.asarray(view.camera_to_world)[:3, 3]
     few = [each[::SAMPLE] for each in points]
     views = range(len(pixels.views))
-    shown = [int(np.count_nonzero(_seen(pixels, index, *few, camera, place)[0])) for index in views]
+    shown = [int(np.count_nonzero(_seen(pixels, index, few, camera, place)[0])) for index in views]
     order = [index for index in np.argsort(shown, kind="stable")[::-1][:MOST_VIEWS] if shown[index]]
     total, sums = np.zeros(len(position)), np.zeros((len(position), 3))
     for index in order:
-        rows, weight, where = _seen(pixels, int(index), *points, camera, place)
+        rows, weight, where = _seen(pixels, int(index), points, camera, place)
         # Of logarithms, as of display values, the mean is not that of a single highlight.
         radiance = np.log(np.maximum(_sampled(pixels, int(index), where), FLOOR))
         total[rows] += weight
@@ -64,19 +66,15 @@ def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) 
 
 
 def _seen(
-    pixels: PixelStore,
-    index: int,
-    position: np.ndarray,
-    normal: np.ndarray,
-    outside: np.ndarray,
-    camera: np.ndarray,
-    place: float,
+    pixels: PixelStore, index: int, points: Sequence[np.ndarray], camera: np.ndarray, place: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(M,) int64 points that a training view shows, (M,) their weights, and (M, 2) x and y there, pixels.
 
     Args:
-        position, normal, outside: (N, 3), (N, 3) and (N,) of points that a camera (3,) sees, metres.
+        points: position (N, 3) metres, normal (N, 3) and whether it is outside (N,), of what a camera sees.
+        camera: (3,) its place, metres.
     """
+    position, normal, outside = points
     view = pixels.views[index]
     pose = np.asarray(view.camera_to_world, np.float64)
     where, depth = project(position, view)
