@@ -69,8 +69,8 @@ _TABLE = (
     ),
     ("outlines", "outlines of parts", ["parts/outlines", "parts/outline_misses"], {}, (SCAN, MASKS)),
     ("unmix", "mixed pixels are used", ["pixels/unmixing", "pixels/fragments"], {}, ()),
-    ("reject_views", "misaligned views are left out", ["checks/misaligned", "checks/registration"], {}, ()),
-    ("correct_exposure", "unlike exposures are corrected", ["checks/exposure"], {}, ()),
+    ("reject_views", "misaligned views are left out", ["checks/registration"], {}, ()),
+    ("correct_exposure", "unlike exposures are corrected", [], {}, ()),
     (
         "clipped_lamps",
         "clipped lamps by the light that they cast",

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.checks import exposure
+from fipt_blender.core.checks import consistency
 from fipt_blender.core.checks.view_check import ViewCheck, check_views
 from fipt_blender.core.light import emitters, environment, observations
 from fipt_blender.core.light.baking import open_shadings
@@ -97,7 +97,7 @@ def test_memory_of_the_views(action: str, captures: list, tmp_path: Path, monkey
     # Smaller than these captures, as their usual sizes are smaller than large ones.
     monkeypatch.setattr(emitters, "CHUNK", 4096)
     monkeypatch.setattr(observations, "FOOTPRINT_PIXELS", 1000)
-    monkeypatch.setattr(exposure, "GAIN_PIXELS", 5000)
+    monkeypatch.setattr(consistency, "GAIN_PIXELS", 5000)
     monkeypatch.setattr(environment, "MAX_PIXELS", 3)
     monkeypatch.setattr(training_input_module, "PROJECTION_PIXELS", 500)
     # How many views are in memory at the same moment is otherwise chance.

@@ -19,7 +19,7 @@ from fipt_blender.core.surface.room import Room, load_room
 from fipt_blender.core.surface.stored import prepare_geometry
 from samples.part_views import write_run
 from samples.scans import scanned_box
-from samples.small_rooms import BOX, make_room, mesh_room
+from samples.small_rooms import mesh_room
 
 PINHOLES = 40
 
@@ -83,12 +83,6 @@ def test_a_room_that_holds_an_earlier_closing_gets_no_second_one(tmp_path: Path,
     before = run.closing_npz.stat().st_mtime_ns
     prepare_geometry(run, most_edges=120)
     assert run.closing_npz.stat().st_mtime_ns == before
-
-
-def test_a_modelled_room_keeps_its_openings(tmp_path: Path) -> None:
-    run = write_run(tmp_path, make_room(BOX[:2] + BOX[3:], objects=np.zeros(5, int)), "none")
-    prepare_geometry(run, most_edges=120)
-    assert not run.closing_npz.exists() and len(load_room(run).triangles) == 10
 
 
 def test_a_closing_that_does_not_fit_is_left_out(tmp_path: Path, scan: Room) -> None:

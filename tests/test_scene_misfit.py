@@ -12,8 +12,7 @@ import pytest
 
 from fipt_blender.core.alignment.turns import turn_by
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.checks.edges import edge_flow
-from fipt_blender.core.checks.misfit import edge_image, image_misfit, view_edges
+from fipt_blender.core.checks.misfit import edge_flow, edge_image, image_misfit, view_edges
 from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.surface.room import Room
 from samples.camera_poses import look_at

@@ -3,12 +3,11 @@
 """Scans: telling them from modelled rooms, parts by a random walk, and segments."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fipt_blender.core.parts.labels import choose_source, label_parts, room_pieces
+from fipt_blender.core.parts.labels import choose_source, room_pieces
 from fipt_blender.core.parts.segments import absorb_small
 from fipt_blender.core.parts.smooth_parts import Votes, smooth_labels, without_specks
 from fipt_blender.core.run.run_files import PANES
@@ -67,14 +66,6 @@ def test_parts_of_a_scan_follow_the_walk_of_the_votes() -> None:
     assert np.count_nonzero(found[seen] != true[seen]) < 0.6 * wrong_before
     away = np.abs(np.abs(centers[:, :2]) - 1.0).min(axis=1) > 0.3
     assert (found[away] == true[away]).all()  # corners of the room included
-
-
-def test_modelled_rooms_keep_the_majority(tmp_path: Path) -> None:
-    """No vote walks there, however many pixels of the neighbour disagree."""
-    room = make_room(BOX, parts="masks")
-    mask = np.array([[1, 2, 2, 2, 2, 2, 2, 2]])
-    found = label_parts(room, "masks", [mask], [np.array([0, 1, 1, 1, 2, 2, 2, 2])])
-    assert found.triangle_part[:3].tolist() == [0, 1, 1] and found.ids.tolist() == [1, 2]
 
 
 def test_specks_join_the_part_around_them_and_small_parts_stay() -> None:

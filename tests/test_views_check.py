@@ -3,7 +3,7 @@
 """Photographs that do not agree with the others are left out or corrected."""
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,11 +12,10 @@ import pytest
 
 from fipt_blender.core.alignment.turns import turn_by
 from fipt_blender.core.capture.views import load_capture
-from fipt_blender.core.checks.misaligned import CLEARLY_BETTER
-from fipt_blender.core.checks.registration import Fit, register
+from fipt_blender.core.checks.registration import CLEARLY_BETTER, Fit, register
 from fipt_blender.core.checks.view_check import ViewCheck, check_views
 from fipt_blender.core.pixels.mixed_pixels import mark_pure
-from fipt_blender.core.pixels.store import LEFT_OUT, NO_TRIANGLE, PixelStore, create_pixels, fill_pixels
+from fipt_blender.core.pixels.store import LEFT_OUT, PixelStore, create_pixels, fill_pixels
 from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.settings import make_settings
 from samples.ingesting import edited_json
@@ -55,16 +54,11 @@ def capture() -> SmallCapture:
 
 
 def run_check(
-    root: Path,
-    capture: SmallCapture,
-    change_pixels: Callable[[PixelStore], None] = lambda pixels: None,
-    faces: Sequence[int] = (),
-    **settings: bool,
+    root: Path, capture: SmallCapture, faces: Sequence[int] = (), **settings: bool
 ) -> tuple[PixelStore, ViewCheck, list[dict]]:
     """The pixels after the check of a capture's views, its result, and its messages; the objects are the parts.
 
     Args:
-        change_pixels: is called on the pixels before the check.
         faces: views that are the faces of one panorama.
         settings: changes of the draft preset.
     """
@@ -76,7 +70,6 @@ def run_check(
     fill_pixels(pixels, capture.room, lambda _: None)
     part = capture.room.triangle_object
     mark_pure(pixels, capture.room, part, lambda _: None)
-    change_pixels(pixels)
     stream = io.StringIO()
     check = check_views(pixels, capture.room, part, make_settings("draft", settings), Reporter(stream))
     return pixels, check, [m for line in stream.getvalue().splitlines() if (m := parse_message(line))]
@@ -206,14 +199,3 @@ def test_an_overlap_too_narrow_to_compare_speaks_against_no_view(
     photograph, predicted = rng.normal(size=(2, *known.shape))
     assert known.sum() >= 200
     assert register(photograph, predicted, known, INTRINSICS) == Fit(0.0, 1.0, 0.0, 0.0)
-
-
-def test_a_good_view_that_shares_a_strip_with_the_others_is_kept(capture: SmallCapture, tmp_path: Path) -> None:
-    def keep_strip(pixels: PixelStore) -> None:
-        outside = np.ones((HEIGHT, WIDTH), bool)
-        outside[26:30] = False
-        pixels.triangle[pixels.rows(3)][outside.reshape(-1)] = NO_TRIANGLE
-
-    pixels, check, messages = run_check(tmp_path, capture, keep_strip)
-    assert np.count_nonzero(pixels.pure[pixels.rows(3)] & (pixels.triangle[pixels.rows(3)] >= 0)) > 200
-    assert check.left_out == {} and messages == []

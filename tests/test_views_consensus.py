@@ -57,6 +57,16 @@ def disturbed(views: list[View], chosen: list[int]) -> list[View]:
     return result
 
 
+def paired(views: list[View]) -> list[View]:
+    """Each view twice, from nearly one place."""
+    pairs = []
+    for view in views:
+        beside = view.camera_to_world.copy()
+        beside[:3, 3] += 0.002
+        pairs += [view, replace(view, name=f"{view.name}~2", camera_to_world=beside)]
+    return pairs
+
+
 def refused(code: str, capture: SmallCapture, views: list[View], vertices: np.ndarray | None = None) -> str:
     """The error's text and remedy; forced, there is none."""
     room = capture.room
@@ -108,11 +118,7 @@ def test_a_mirrored_mesh_and_a_wrong_unit_are_named(capture: SmallCapture, views
 
 def test_poses_or_mesh_are_blamed_by_evidence(capture: SmallCapture, views: list[View]) -> None:
     """Pairs of cameras at nearly one place tell which: a wrong mesh hardly matters to them."""
-    pairs = []
-    for view in views:
-        beside = view.camera_to_world.copy()
-        beside[:3, 3] += 0.002
-        pairs += [view, replace(view, name=f"{view.name}~2", camera_to_world=beside)]
+    pairs = paired(views)
     rng = np.random.default_rng(2)
     wrong = capture.room.vertices * np.float32([1.0, 1.0, 0.6]) + np.float32([0.8, -0.7, 0.9])
     wrong = wrong + rng.normal(0.0, 0.25, wrong.shape)
@@ -135,11 +141,7 @@ def test_with_a_mesh_of_these_cameras_wrong_poses_are_left_out_and_a_bad_mesh_st
     assert set(check_input(room, wrong, SETTINGS, own_mesh=True)) == {0, 1, 2, 3}
     most = disturbed(views, list(range(12)))
     assert error_of(check_input, room, most, SETTINGS, own_mesh=True).code == "views-disagree"
-    pairs = []
-    for view in views:
-        beside = view.camera_to_world.copy()
-        beside[:3, 3] += 0.002
-        pairs += [view, replace(view, name=f"{view.name}~2", camera_to_world=beside)]
+    pairs = paired(views)
     squeezed = capture.room.vertices * np.float32([1.0, 1.0, 0.75]) + np.float32([0.3, -0.2, 0.3])
     room = replace(capture.room, vertices=squeezed)
     assert error_of(check_input, room, pairs, SETTINGS).code in ("views-disagree", "mesh-misplaced")

@@ -16,21 +16,17 @@ import numpy as np
 from scipy.ndimage import label as connected
 
 from ..capture.views import View
-from ..light.cache import side_index
 from ..parts.masked_views import grid_points, seen_before
-from ..pixels.camera_rays import first_hits, rays_along
 from ..pixels.grouped import grouped_means, grouped_median, numbered, pairs_of
-from ..pixels.store import CELL_PIXELS
+from ..pixels.store import LEFT_OUT
 from ..robust import LEAST_VIEWS
 from ..run.messages import Progress, unwatched
 from ..surface.room import Room
-from .cells import lattice_spacing
+from .consistency import ConsistencyTable, SmallPhotographs, footprint, lattice_spacing
 
 # Difference of the logarithm of radiance (root mean square over the channels) from which on photographs
 # disagree completely. Gloss and errors of poses cause differences on one surface, too.
 DISAGREE = 0.35
-# Radiance in units of the capture's median, below which differences count less.
-FLOOR = 0.05
 # Most pixels that are compared; those of larger captures are averaged.
 MOST_PIXELS = 4_000_000
 # Largest edge of a mesh, metres, that determines the size of cells: modelled rooms have few triangles.
@@ -41,8 +37,6 @@ LEAST_GAIN = 0.1
 LEAST_COSINE = 0.2
 # Spacing of the points in the air, in widths of a pixel on the scan, and largest number of points.
 COARSE, MOST_POINTS = 3, 1_000_000
-# Rounds in which the views' exposures are found.
-_ROUNDS = 3
 _CHUNK = 20_000
 
 Box = tuple[np.ndarray, np.ndarray]  # lowest and highest corner, each (3,), metres
@@ -166,27 +160,22 @@ def compared_pixels(room: Room, views: Sequence[View], edge: float) -> ComparedP
     """The pixels of the views on a scan with this median edge, metres."""
     every = sum(view.width * view.height / lattice_spacing(view) ** 2 for view in views)
     coarser = int(np.ceil(np.sqrt(every / MOST_PIXELS)))
-    smaller, means, used = zip(
-        *(on_lattice(view, coarser * lattice_spacing(view)) for view in views), strict=True
-    )
-    sizes = [view.width * view.height for view in smaller]
-    number = np.repeat(np.arange(len(views), dtype=np.int32), sizes)
-    radiance, shown = np.concatenate(means), np.concatenate(used)
-    color = np.log(np.maximum(radiance / max(float(np.median(radiance)), 1e-12), 0.0) + FLOOR)
-    direction = np.concatenate([view.rays()[1].reshape(-1, 3) for view in smaller]).astype(np.float32)
-    triangle, distance = hits_of(room, smaller, number, direction)
-    distance[~shown] = 0.0
-    met = (triangle >= 0) & shown
-    view, hits = number[met], (triangle[met], distance[met])
-    widths = distance[met] / np.array([view.fx for view in smaller])[view]
-    size = max(edge, float(np.median(widths)) if len(widths) else 0.0)
-    on = cells_of(smaller, room, view, direction[met], hits, size)
-    color -= _exposures(view, on, color[met], len(views))[number]
+    small = SmallPhotographs.of(views, [coarser * lattice_spacing(view) for view in views])
+    unit = np.float32(max(float(np.median(np.concatenate(small.radiance))), 1e-12))
+    pixels = replace(small, radiance=[each / unit for each in small.radiance]).traced(room)
+    size = max(edge, footprint(pixels))
+    table = ConsistencyTable.of(pixels, room, size, colored=True)
+    number = pixels.view_of(np.arange(len(pixels))).astype(np.int32)
+    color = table.values(slice(None)) - np.log(table.view_gains())[number]
+    direction = np.concatenate([view.rays()[1] for view in small.views])
+    away = np.linalg.norm(pixels.position - pixels.camera_positions()[number], axis=1)
+    distance = np.where(pixels.triangle >= 0, away, np.where(pixels.triangle == LEFT_OUT, 0.0, np.inf))
     cell, doubt = np.full(len(number), -1, np.int64), np.full(len(number), np.nan, np.float32)
-    cell[met], doubt[met] = on, doubts(view, on, color[met])
-    first = np.concatenate([[0], np.cumsum(sizes)])
+    met = np.flatnonzero(pixels.triangle >= 0)
+    cell[met] = numbered([table.grid.keys(pixels, met)])
+    doubt[met] = doubts(number[met], cell[met], color[met])
     arrays = (color.astype(np.float32), distance.astype(np.float32), cell, doubt)
-    return ComparedPixels(size, list(smaller), first, number, direction, *arrays)
+    return ComparedPixels(size, small.views, pixels.ranges, number, direction, *arrays)
 
 
 def survey_pixels(room: Room, views: Sequence[View]) -> ComparedPixels | None:
@@ -202,65 +191,10 @@ def survey_pixels(room: Room, views: Sequence[View]) -> ComparedPixels | None:
     return compared_pixels(room, views, min(edge, MOST_EDGE))
 
 
-def on_lattice(view: View, step: int) -> tuple[View, np.ndarray, np.ndarray]:
-    """The view with fewer pixels, the mean radiance (N, 3) of each, and (N,) bool, which are not masked."""
-    width, height = view.width // step, view.height // step
-
-    def means(image: np.ndarray) -> np.ndarray:
-        blocks = image[: height * step, : width * step].reshape(height, step, width, step, -1)
-        return np.asarray(blocks.mean(axis=(1, 3)).reshape(width * height, -1))
-
-    masked = view.masked()
-    used = np.ones(width * height, bool) if masked is None else means(masked)[:, 0] == 0.0
-    cropped = replace(view, width=width * step, height=height * step)
-    return cropped.resized(width, height), means(view.radiance()), used
-
-
-def hits_of(
-    room: Room, views: Sequence[View], view: np.ndarray, direction: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Triangle and distance (:func:`.first_hits`) of rays from the views (n,) along directions (n, 3)."""
-    places = np.array([each.camera_to_world[:3, 3] for each in views], np.float32)
-    return first_hits(room.intersect(rays_along(places[view], direction)))
-
-
-def cells_of(
-    views: Sequence[View],
-    room: Room,
-    view: np.ndarray,
-    direction: np.ndarray,
-    hits: tuple[np.ndarray, np.ndarray],
-    size: float,
-) -> np.ndarray:
-    """(n,) int from 0, cell and side of the room's surface that rays hit (`hits`: triangle and distance)."""
-    triangle, distance = hits
-    places = np.array([each.camera_to_world[:3, 3] for each in views])
-    points = places[view] + direction * distance[:, None]
-    side = side_index(room.normals)[triangle]
-    return numbered([*np.floor(points / (CELL_PIXELS * size)).astype(np.int64).T, side])
-
-
-def cell_means(view: np.ndarray, cell: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, ...]:
-    """View and cell (m,) of each cell in each view, and the mean (m, 3) of its colours."""
-    cell, view, pair = pairs_of(cell, view)
-    return view, cell, grouped_means(color, pair)
-
-
-def _exposures(view: np.ndarray, cell: np.ndarray, color: np.ndarray, views: int) -> np.ndarray:
-    """(views, 3) logarithm of each view's exposure, by the cells (n,) that it shares with others."""
-    of, on, mean = cell_means(view, cell, color)
-    count = int(cell.max(initial=-1)) + 1
-    known = (np.bincount(on) >= LEAST_VIEWS)[on]
-    gains = np.zeros((views, 3))
-    for _ in range(_ROUNDS):
-        difference = mean - grouped_median(mean - gains[of], on, count)[on]
-        gains = grouped_median(difference[known], of[known], views)
-    return gains
-
-
 def doubts(view: np.ndarray, cell: np.ndarray, color: np.ndarray) -> np.ndarray:
     """(n,) how much pixels disagree with other views of their cell; NaN where too few see it."""
-    _, on, mean = cell_means(view, cell, color)
+    on, _, pair = pairs_of(cell, view)
+    mean = grouped_means(color, pair)
     known = np.bincount(on) >= LEAST_VIEWS
     medians = grouped_median(mean, on, len(known))
     return np.where(known[cell], _doubt(color - medians[cell]), np.nan)

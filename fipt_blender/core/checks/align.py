@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import generate_binary_structure, maximum_filter, minimum_filter
 
 from ..alignment.registration import refine
 from ..alignment.surface import sample_surface
@@ -156,9 +157,6 @@ def depth_points(views: Sequence[DepthView], rng: np.random.Generator) -> np.nda
 
 def _inside(depth: np.ndarray) -> np.ndarray:
     """(H, W) bool: measured, and so are the four neighbours, at similar depths."""
-    inside = np.zeros(depth.shape, bool)
-    middle = depth[1:-1, 1:-1]
-    around = (depth[:-2, 1:-1], depth[2:, 1:-1], depth[1:-1, :-2], depth[1:-1, 2:])
-    near = [(other > 0.0) & (np.abs(other - middle) <= _STEEP * middle) for other in around]
-    inside[1:-1, 1:-1] = (middle > 0.0) & np.logical_and.reduce(near)
-    return inside
+    cross = generate_binary_structure(2, 1)
+    low, high = (each(depth, footprint=cross, mode="constant") for each in (minimum_filter, maximum_filter))
+    return np.asarray((low > 0.0) & (np.maximum(high - depth, depth - low) <= _STEEP * depth))

@@ -14,13 +14,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
 
 from ..capture.views import View
 from ..run.errors import FiptError
 from ..run.stage_settings import Forced
 from ..surface.room import Room
-from .agreement import FLOOR, cell_means, cells_of, hits_of, on_lattice
+from .consistency import FLOOR, ConsistencyTable, SmallPhotographs, footprint
 
 WIDTH = 96  # about, of the photographs that are compared, pixels
 LEAST_CELLS = 30  # that a pair of views must share
@@ -49,28 +48,6 @@ SAME = 0.02  # standard deviation of log radiance in all photographs, below whic
 _FORCE = " To estimate nevertheless, set Force in the section Estimate > Advanced (--force)."
 _ALIGN = "align the cameras to the mesh by pairs of points in Blender (Capture > Alignment > Cameras to Mesh)"
 _AXES = "XYZ"
-
-
-@dataclass(frozen=True, eq=False)
-class SmallViews:
-    """The photographs on coarse pixels.
-
-    Attributes:
-        views: with as many pixels as the arrays have.
-        color: of each view (n, 3), logarithm of radiance in units of its median.
-        used: of each view (n,) bool, which pixels are not masked.
-        clear: (V,) bool, photographs that show more than noise.
-    """
-
-    views: list[View]
-    color: list[np.ndarray]
-    used: list[np.ndarray]
-    clear: np.ndarray
-
-    def among(self, chosen: Sequence[int]) -> SmallViews:
-        """Some of the views."""
-        views, color, used = zip(*((self.views[i], self.color[i], self.used[i]) for i in chosen), strict=True)
-        return SmallViews(list(views), list(color), list(used), self.clear[list(chosen)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,27 +92,20 @@ class PairAgreement:
         return ~judged | (score > AGREE), judged
 
 
-def small_views(views: Sequence[View]) -> SmallViews:
-    """The views on coarse pixels.
+def small_photographs(views: Sequence[View]) -> SmallPhotographs:
+    """The photographs on coarse pixels, each in units of its median.
 
     Raises:
         FiptError: those of reading the photographs and masks.
     """
-    smaller, color, used = [], [], []
-    for view in views:
-        coarse, means, shown = on_lattice(view, max(1, view.width // WIDTH))
-        means = np.maximum(means, 0.0)
-        unit = max(float(np.median(means)), 1e-12)
-        smaller.append(coarse)
-        color.append(np.log(means / unit + FLOOR))
-        used.append(shown)
-    clear = [_is_clear(values, view) for values, view in zip(color, smaller, strict=True)]
-    return SmallViews(smaller, color, used, np.array(clear, bool))
+    small = SmallPhotographs.of(views, [max(1, view.width // WIDTH) for view in views])
+    positive = [np.maximum(each, 0.0) for each in small.radiance]
+    return replace(small, radiance=[each / max(float(np.median(each)), 1e-12) for each in positive])
 
 
-def _is_clear(color: np.ndarray, view: View) -> bool:
-    """Whether neighbouring pixels (n, 3) of a photograph are alike."""
-    gray = color.mean(axis=1).reshape(view.height, view.width)
+def _is_clear(radiance: np.ndarray, view: View) -> bool:
+    """Whether neighbouring pixels (n, 3) of a photograph are alike: it shows more than noise."""
+    gray = np.log(radiance + FLOOR).mean(axis=1).reshape(view.height, view.width)
     for one, other in ((gray[:, 1:], gray[:, :-1]), (gray[1:], gray[:-1])):
         one, other = one - one.mean(), other - other.mean()
         if (one * other).sum() < CLEAR * np.sqrt((one**2).sum() * (other**2).sum()):
@@ -143,48 +113,16 @@ def _is_clear(color: np.ndarray, view: View) -> bool:
     return True
 
 
-def pair_agreement(room: Room, small: SmallViews, places: np.ndarray | None = None) -> PairAgreement:
-    """How the photographs agree on the mesh.
-
-    Args:
-        places: (4, 4) similarity by which the mesh is moved; None for none.
-    """
-    views, count = small.views, len(small.views)
-    sizes = [view.width * view.height for view in views]
-    number = np.repeat(np.arange(count, dtype=np.int32), sizes)
-    direction = np.concatenate([view.rays()[1].reshape(-1, 3) for view in views])
-    if places is not None:  # rays are moved the other way, because a mesh that moves takes long to sort
-        unit = np.cbrt(abs(np.linalg.det(places[:3, :3])))
-        direction = np.einsum("nj,ji->ni", direction, places[:3, :3] / unit)
-        inverse = np.linalg.inv(places)
-        views = [replace(view, camera_to_world=inverse @ view.camera_to_world) for view in views]
-    direction = direction.astype(np.float32)
-    triangle, distance = hits_of(room, views, number, direction)
-    met = (triangle >= 0) & np.concatenate(small.used)
-    seen = np.bincount(number[met], minlength=count) / np.array(sizes)
-    none = np.zeros((count, count))
-    if not met.any():
-        return PairAgreement(none, none, seen)
-    view, hits = number[met], (triangle[met], distance[met])
-    size = float(np.median(distance[met] / np.array([each.fx for each in views])[view]))
-    cell = cells_of(views, room, view, direction[met], hits, size)
-    seen_by, seen_cell, color = cell_means(view, cell, np.concatenate(small.color)[met])
-    place, shape = (seen_by, seen_cell), (count, int(cell.max()) + 1)
-    shows = sparse.csr_matrix((np.ones(len(seen_by)), place), shape)
-    shared = (shows @ shows.T).toarray()
-    common, covariance, variance = np.maximum(shared, 1.0), none, none
-    for channel in range(3):
-        value = sparse.csr_matrix((color[:, channel], place), shape)
-        sums = (value @ shows.T).toarray()
-        covariance = covariance + (value @ value.T).toarray() / common - sums * sums.T / common**2
-        variance = variance + (value.multiply(value) @ shows.T).toarray() / common - (sums / common) ** 2
-    least = np.minimum(variance, variance.T)
-    product = np.sqrt(np.maximum(variance * variance.T, 1e-12))
-    compared = (shared >= LEAST_CELLS) & (least > 3.0 * LEAST_SPREAD**2) & np.outer(small.clear, small.clear)
-    np.fill_diagonal(compared, False)
-    return PairAgreement(
-        np.where(compared, covariance / product, 0.0), np.where(compared, np.sqrt(shared), 0.0), seen
-    )
+def pair_agreement(room: Room, small: SmallPhotographs) -> PairAgreement:
+    """How the photographs agree on the mesh."""
+    pixels = small.traced(room)
+    table = ConsistencyTable.of(pixels, room, footprint(pixels), colored=True)
+    correlation, shared, variance = table.pair_correlation()
+    clear = np.array([_is_clear(*each) for each in zip(small.radiance, small.views, strict=True)], bool)
+    compared = (shared >= LEAST_CELLS) & (np.minimum(variance, variance.T) > 3.0 * LEAST_SPREAD**2)
+    compared &= np.outer(clear, clear) & ~np.eye(len(clear), dtype=bool)
+    seen = np.array([np.mean(pixels.triangle[pixels.rows(index)] >= 0) for index in range(len(clear))])
+    return PairAgreement(np.where(compared, correlation, 0.0), np.where(compared, np.sqrt(shared), 0.0), seen)
 
 
 def check_input(
@@ -201,7 +139,7 @@ def check_input(
     Raises:
         FiptError: ``input-insufficient``, ``mesh-misplaced`` or ``views-disagree``, unless forced.
     """
-    small = small_views(views)
+    small = small_photographs(views)
     found = pair_agreement(room, small)
     if not settings.force:
         _check_photographs(small)
@@ -286,7 +224,7 @@ def _insufficient(text: str, remedy: str) -> FiptError:
     return FiptError("input-insufficient", f"Not enough to estimate: {text}.", remedy + _FORCE)
 
 
-def _check_photographs(small: SmallViews) -> None:
+def _check_photographs(small: SmallPhotographs) -> None:
     """Refuse one view, and photographs without content.
 
     Raises:
@@ -298,7 +236,8 @@ def _check_photographs(small: SmallViews) -> None:
             "Add photographs from other places, or hold fewer back.",
         )
     black = np.log(FLOOR) + 1e-6  # black photographs are refused when they are read
-    spread = [float(color.std(axis=0).max()) for color in small.color if color.max() > black]
+    colors = [np.log(radiance + FLOOR) for radiance in small.radiance]
+    spread = [float(color.std(axis=0).max()) for color in colors if color.max() > black]
     if spread and max(spread) < SAME:
         raise _insufficient(
             "the photographs show nothing, all pixels are alike",
@@ -306,7 +245,7 @@ def _check_photographs(small: SmallViews) -> None:
         )
 
 
-def _check_mesh(room: Room, small: SmallViews, given: PairAgreement, anything: bool) -> None:
+def _check_mesh(room: Room, small: SmallPhotographs, given: PairAgreement, anything: bool) -> None:
     """Find out whether the photographs agree far better with the mesh mirrored, turned or in another unit.
 
     Args:
@@ -320,7 +259,7 @@ def _check_mesh(room: Room, small: SmallViews, given: PairAgreement, anything: b
     reference = pair_agreement(room, some).median if step > 1 else given.median
     best, name = 0.0, ""
     for text, places in _placements(room, some.views, anything):
-        found = pair_agreement(room, some, places)
+        found = pair_agreement(room, some.moved(places))
         enough = (found.weight > 0.0).sum() >= 2 * JUDGED_VIEWS and found.seen.mean() > LEAST_SEEN
         if enough and found.median > best:
             best, name = found.median, text
@@ -347,10 +286,9 @@ def _placements(room: Room, views: Sequence[View], anything: bool) -> Iterator[t
             yield f"mirror {_AXES[axis]}" + (" at its middle" if around else ""), places
     if not anything:
         return
-    turns = list(_turns())
-    both = [(turn, unit) for turn in turns[1:] for unit in UNITS if unit != 1.0]
-    first = [(turns[0], unit) for unit in UNITS] + [(turn, 1.0) for turn in turns[1:]]
-    for (words, turn), unit in first + both:
+    # Turns and units alone come before both.
+    both = itertools.product(_turns(), UNITS)
+    for (words, turn), unit in sorted(both, key=lambda pair: bool(pair[0][0]) and pair[1] != 1.0):
         places = np.eye(4)
         places[:3, :3] = unit * turn
         corners = np.array([low, high]) @ places[:3, :3].T

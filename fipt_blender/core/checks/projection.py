@@ -9,12 +9,13 @@ Unstructured Lumigraph Rendering, SIGGRAPH 2001). Where the mesh is missed, poin
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from ..capture.views import View
+from ..conventions import project
 from ..pixels.store import NO_TRIANGLE, PixelStore, TracedView
 
 # A point is seen where the surface of a pixel is at most so many pixel widths nearer or farther.
@@ -27,20 +28,6 @@ MOST_VIEWS = 24
 SAMPLE = 97  # every so many pixels of a view decide which photographs show most of it
 FAR = 1.0e4  # metres, of what lies outside of the mesh
 FLOOR = 1e-3  # radiance in units of the capture's median, below which logarithms do not fall
-
-
-@dataclass(frozen=True, eq=False)
-class _Points:
-    """Points that a camera sees: position (N, 3) metres, normal (N, 3), whether outside (N,), camera (3,)."""
-
-    position: np.ndarray
-    normal: np.ndarray
-    outside: np.ndarray
-    camera: np.ndarray
-
-    def every(self, step: int) -> _Points:
-        """Each `step`-th of them."""
-        return _Points(self.position[::step], self.normal[::step], self.outside[::step], self.camera)
 
 
 def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) -> np.ndarray:
@@ -57,13 +44,14 @@ def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) 
     outside = traced.triangle == NO_TRIANGLE
     origin, direction = view.rays()
     position = np.where(outside[:, None], origin + FAR * direction, traced.position)
-    points = _Points(position, traced.normal, outside, np.asarray(view.camera_to_world)[:3, 3])
-    few = points.every(SAMPLE)
-    shown = [int(np.count_nonzero(_seen(pixels, index, few, place)[0])) for index in range(len(pixels.views))]
+    points, camera = (position, traced.normal, outside), np.asarray(view.camera_to_world)[:3, 3]
+    few = [each[::SAMPLE] for each in points]
+    views = range(len(pixels.views))
+    shown = [int(np.count_nonzero(_seen(pixels, index, few, camera, place)[0])) for index in views]
     order = [index for index in np.argsort(shown, kind="stable")[::-1][:MOST_VIEWS] if shown[index]]
     total, sums = np.zeros(len(position)), np.zeros((len(position), 3))
     for index in order:
-        rows, weight, where = _seen(pixels, int(index), points, place)
+        rows, weight, where = _seen(pixels, int(index), points, camera, place)
         # Of logarithms, as of display values, the mean is not that of a single highlight.
         radiance = np.log(np.maximum(_sampled(pixels, int(index), where), FLOOR))
         total[rows] += weight
@@ -78,47 +66,45 @@ def projected(pixels: PixelStore, place: float, view: View, traced: TracedView) 
 
 
 def _seen(
-    pixels: PixelStore, index: int, points: _Points, place: float
+    pixels: PixelStore, index: int, points: Sequence[np.ndarray], camera: np.ndarray, place: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(M,) int64 points that a training view shows, (M,) their weights, and (M, 2) column and row there."""
+    """(M,) int64 points that a training view shows, (M,) their weights, and (M, 2) x and y there, pixels.
+
+    Args:
+        points: position (N, 3) metres, normal (N, 3) and whether it is outside (N,), of what a camera sees.
+        camera: (3,) its place, metres.
+    """
+    position, normal, outside = points
     view = pixels.views[index]
     pose = np.asarray(view.camera_to_world, np.float64)
-    local = (points.position - pose[:3, 3]) @ pose[:3, :3]
-    depth = np.maximum(local[:, 2], 1e-9)
-    where = (
-        np.stack([view.fx * local[:, 0] / depth + view.cx, view.fy * local[:, 1] / depth + view.cy], 1) - 0.5
+    where, depth = project(position, view)
+    chosen = np.flatnonzero(
+        ((where >= 0.5) & (where <= np.array([view.width, view.height]) - 0.5)).all(axis=1)
     )
-    inside = (local[:, 2] > 1e-6) & (where >= 0.0).all(axis=1)
-    inside &= (where[:, 0] <= view.width - 1) & (where[:, 1] <= view.height - 1)
-    chosen = np.flatnonzero(inside)
-    column, row = np.rint(where[chosen]).astype(np.int64).T
+    where, depth = where[chosen], depth[chosen]
+    column, row = np.rint(where - 0.5).astype(np.int64).T
     pixel = pixels.rows(index).start + row * view.width + column
     triangle = np.asarray(pixels.triangle[pixel])
-    toward = pose[:3, 3] - points.position[chosen]
+    toward = pose[:3, 3] - position[chosen]
     toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-12)
-    cosine = np.abs((toward * points.normal[chosen]).sum(axis=1))
+    cosine = np.abs((toward * normal[chosen]).sum(axis=1))
     met = (np.asarray(pixels.position[pixel]) - pose[:3, 3]) @ pose[:3, 2]
-    reach = REACH * depth[chosen] / view.fx / np.maximum(cosine, LEAST_COSINE) + REACH * place
-    outside = points.outside[chosen]
-    visible = np.where(
-        outside, triangle == NO_TRIANGLE, (triangle >= 0) & (np.abs(met - depth[chosen]) < reach)
-    )
+    reach = REACH * depth / view.fx / np.maximum(cosine, LEAST_COSINE) + REACH * place
+    outside = outside[chosen]
+    on_mesh = (triangle >= 0) & (np.abs(met - depth) < reach)
+    visible = np.where(outside, triangle == NO_TRIANGLE, on_mesh)
     chosen, toward = chosen[visible], toward[visible]
-    back = points.camera - points.position[chosen]
+    back = camera - position[chosen]
     distance = np.linalg.norm(back, axis=1)
     alike = (toward * back).sum(axis=1) / np.maximum(distance, 1e-12)
-    nearer = np.minimum(distance / np.maximum(depth[chosen], 1e-9), 1.0) ** 2
+    nearer = np.minimum(distance / depth[visible], 1.0) ** 2
     facing = np.where(outside[visible], 1.0, np.maximum(cosine[visible], LEAST_COSINE))
-    return chosen, facing * nearer / (1.0 - np.minimum(alike, 1.0) + ANGLE), where[chosen]
+    return chosen, facing * nearer / (1.0 - np.minimum(alike, 1.0) + ANGLE), where[visible]
 
 
 def _sampled(pixels: PixelStore, index: int, where: np.ndarray) -> np.ndarray:
-    """(M, 3) radiance of a training view at columns and rows (M, 2), bilinear."""
+    """(M, 3) radiance of a training view at x and y (M, 2), bilinear."""
     view, image = pixels.views[index], np.asarray(pixels.radiance[pixels.rows(index)])
-    corner = np.minimum(where.astype(np.int64), np.array([view.width, view.height]) - 2).clip(0)
-    across, down = np.clip(where - corner, 0.0, 1.0).T[..., None]
-    first = corner[:, 1] * view.width + corner[:, 0]
-    right, below = int(view.width > 1), view.width * int(view.height > 1)
-    upper = image[first] * (1.0 - across) + image[first + right] * across
-    lower = image[first + below] * (1.0 - across) + image[first + below + right] * across
-    return np.asarray(upper * (1.0 - down) + lower * down)
+    planes = np.moveaxis(image.reshape(view.height, view.width, 3), 2, 0)
+    place = where[:, ::-1].T - 0.5
+    return np.stack([map_coordinates(plane, place, order=1, mode="nearest") for plane in planes], axis=1)

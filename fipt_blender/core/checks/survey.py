@@ -11,7 +11,6 @@ import itertools
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,9 +30,6 @@ from ..run.run_files import SurveyArrays
 from ..run.runfolder import RunFolder, write_json
 from ..run.store import write_arrays
 from ..run.threads import in_threads
-
-if TYPE_CHECKING:
-    from ..surface.room import Room
 
 LITTLE_SEEN = 0.5  # share of a photograph's pixels that see the room
 MUCH_CLIPPED = 0.002  # share of a photograph's pixels
@@ -59,11 +55,12 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.stage("device", "Starting the engine")
     set_variant(arguments.device)
     # Mitsuba's types exist only after the variant is set.
-    from ..parts.coverage import fuse_inputs, view_coverage
-    from ..parts.labels import automatic_source, label_parts, usable_sources
+    from ..parts.coverage import coarse_triangles, view_coverage
+    from ..parts.labels import IMAGE_SOURCES, automatic_source, source_parts, usable_sources
     from ..parts.linked_masks import link_masks
     from ..surface.room import load_room
     from .agreement import survey_pixels
+    from .misfit import image_misfit
 
     folder = RunFolder(arguments.folder)
     capture = load_capture(folder)
@@ -76,20 +73,14 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     most = threads_for(view.width * view.height for view in capture.views)
     photographs = in_threads(partial(examined, folder=folder), capture.views, most)
     for index, (view, photograph) in enumerate(zip(capture.views, photographs, strict=True)):
-        coverage = view_coverage(room, view, known=in_sight)
-        seen[index] = coverage.seen
-        in_sight |= coverage.in_sight
-        facts = with_misfit(photograph, view, room)
-        surveyed.append(
-            SurveyedView(
-                name=view.name,
-                warning=view_warning(facts, coverage.room_share),
-                image_missing=facts.image_missing,
-                room_share=coverage.room_share,
-                clipped_share=facts.clipped_share,
-                misfit=facts.misfit,
-            )
-        )
+        seen[index], visible, room_share = view_coverage(room, view, known=in_sight)
+        in_sight |= visible
+        misfit, reduced = image_misfit(room, view, photograph.image) or (None, 1)
+        found = None if misfit is None else round(misfit * reduced, 2)
+        much_off = misfit is not None and misfit > MUCH_OFF
+        off = f"the mesh is {found:.1f} pixels off in this view" if much_off else ""
+        warning, share = view_warning(photograph, room_share, off), photograph.clipped_share
+        surveyed.append(SurveyedView(view.name, warning, photograph.missing, room_share, share, found))
         reporter.progress((index + 1) / len(capture.views))
 
     reporter.stage("parts", "Finding the parts")
@@ -98,9 +89,10 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     labels = {}
     usable = usable_sources(room, train)
     sources = [*usable, "loose"]
+    by_images = not set(IMAGE_SOURCES).isdisjoint(usable)
+    triangles = [coarse_triangles(room, view) for view in train] if by_images else []
     for index, source in enumerate(sources):
-        images, triangles = fuse_inputs(room, train, source)
-        labels[source] = label_parts(room, source, images, triangles).triangle_part
+        labels[source] = source_parts(room, source, train, triangles).triangle_part
         reporter.progress((index + 1) / (len(sources) + 1))
     pixels = survey_pixels(room, [view for view in train if view.image.is_file()])
     missing: list[Box] = []
@@ -154,50 +146,27 @@ def _coarse_image(folder: RunFolder, view: View) -> Path:
     return folder.root / "coarse" / "image" / f"{view.name}.exr"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PhotographFacts:
-    """What is wrong with a photograph, and with the mesh in it.
+    """What is wrong with a photograph.
 
     Attributes:
-        image_missing: whether its file is missing.
-        image_problem: why it is unusable, "" where it is not.
-        clipped_share: of its pixels that are over-exposed.
-        looks_ldr: whether it looks 8-bit although it should be HDR.
-        encoded: whether it is no HDR file.
-        misfit: distance in pixels of the mesh's edges from its own; None where it can't be measured.
-        much_off: whether that is much.
+        missing: whether its file is missing.
+        unusable: why it can't be used, "" if it can.
+        clipped_share: 0..1, of its pixels that are over-exposed.
+        flaw: what is wrong with its radiance, "" for nothing.
+        image: (h, w) what is compared with the mesh (:func:`.edge_image`), None without any.
     """
 
-    image_missing: bool = False
-    image_problem: str = ""
+    missing: bool = False
+    unusable: str = ""
     clipped_share: float = 0.0
-    looks_ldr: bool = False
-    encoded: bool = False
-    misfit: float | None = None
-    much_off: bool = False
+    flaw: str = ""
+    image: np.ndarray | None = None
 
 
-def with_misfit(
-    photograph: tuple[PhotographFacts, np.ndarray | None], view: View, room: Room
-) -> PhotographFacts:
-    """The facts of a photograph, with the distance in pixels of the mesh's edges from its own; None where it
-    can't be measured.
-
-    Args:
-        photograph: by `examined`.
-    """
-    from .misfit import image_misfit
-
-    facts, image = photograph
-    measured = image_misfit(room, view, image)
-    if measured is None:
-        return facts
-    misfit, factor = measured
-    return replace(facts, misfit=round(misfit * factor, 2), much_off=misfit > MUCH_OFF)
-
-
-def examined(view: View, folder: RunFolder | None = None) -> tuple[PhotographFacts, np.ndarray | None]:
-    """The facts of a photograph, and the image that is compared with the mesh, None without any.
+def examined(view: View, folder: RunFolder | None = None) -> PhotographFacts:
+    """The facts of a photograph.
 
     Args:
         folder: gets the photograph on the coarse grid, if it can be used.
@@ -207,48 +176,42 @@ def examined(view: View, folder: RunFolder | None = None) -> tuple[PhotographFac
 
     if folder is not None:
         _coarse_image(folder, view).unlink(missing_ok=True)  # of an earlier survey
+    problem = "the photograph can't be used: {}".format
     try:
         pixels = read_radiance(view.image)
         if pixels.shape[:2] != (view.height, view.width):
             size = f"{pixels.shape[1]} x {pixels.shape[0]}"
-            problem = f"is {size} pixels, not {view.width} x {view.height}"
-            return PhotographFacts(image_problem=problem), None
+            return PhotographFacts(unusable=problem(f"is {size} pixels, not {view.width} x {view.height}"))
         statistics = pixel_statistics(view.image, pixels)
     except FiptError as error:
         missing = error.code == "image-missing"
-        return PhotographFacts(missing, "" if missing else error.text), None
+        return PhotographFacts(missing, "the photograph is missing" if missing else problem(error.text))
     if folder is not None:
         coarse = coarse_view(view)
         write_exr(_coarse_image(folder, view), means(pixels, coarse.width, coarse.height))
-    clipped, looks_ldr = statistics.clipped, statistics.looks_ldr
+    clipped, flaw = statistics.clipped, ""
     if view.encoded:
         codes = srgb_encoded(pixel_sample(pixels)) * 255.0
-        clipped, looks_ldr = float(is_clipped(codes).mean()), False  # the import has warned
-    facts = PhotographFacts(clipped_share=clipped, looks_ldr=looks_ldr, encoded=view.encoded)
-    return facts, edge_image(view, pixels)
+        clipped = float(is_clipped(codes).mean())
+    if statistics.looks_ldr and not view.encoded:  # of encoded ones, the import has warned
+        share = f"; {100.0 * clipped:.1f} % of its pixels are clipped" if clipped else ""
+        flaw = f"looks like an 8-bit photograph, without the true radiance of lamps{share}"
+    elif clipped > (MUCH_CLIPPED_ENCODED if view.encoded else MUCH_CLIPPED):
+        flaw = f"{100.0 * clipped:.1f} % of its pixels look over-exposed"
+    return PhotographFacts(clipped_share=clipped, flaw=flaw, image=edge_image(view, pixels))
 
 
-def view_warning(facts: PhotographFacts, room_share: float) -> str:
+def view_warning(photograph: PhotographFacts, room_share: float, off: str = "") -> str:
     """The most serious problem of a view in a few words, "" where there is none.
 
     Args:
-        facts: of its photograph.
-        room_share: of its pixels that see the room.
+        room_share: 0..1, of its pixels that see the room.
+        off: that the mesh is off in the view, "" if it is not.
     """
-    if facts.image_missing:
-        return "the photograph is missing"
-    if facts.image_problem:
-        return f"the photograph can't be used: {facts.image_problem}"
+    if photograph.unusable:
+        return photograph.unusable
     if room_share == 0.0:
         return "sees nothing of the room"
     if room_share < LITTLE_SEEN:
         return f"sees the room in only {100.0 * room_share:.0f} % of its pixels"
-    if facts.much_off:
-        return f"the mesh is {facts.misfit:.1f} pixels off in this view"
-    if facts.looks_ldr:
-        share = 100.0 * facts.clipped_share
-        clipped = f"; {share:.1f} % of its pixels are clipped" if share else ""
-        return f"looks like an 8-bit photograph, without the true radiance of lamps{clipped}"
-    if facts.clipped_share > (MUCH_CLIPPED_ENCODED if facts.encoded else MUCH_CLIPPED):
-        return f"{100.0 * facts.clipped_share:.1f} % of its pixels look over-exposed"
-    return ""
+    return off or photograph.flaw

@@ -18,9 +18,11 @@ from ..pixels.store import LEFT_OUT, PixelStore
 from ..run.messages import Reporter
 from ..run.stage_settings import CheckSettings
 from ..surface.room import Room
-from .cells import surface_cells
-from .exposure import exposure_gains, unlike_exposures
-from .misaligned import FAR_OFF, misaligned_views
+from .consistency import ConsistencyTable
+from .registration import FAR_OFF, misaligned_views
+
+# Exposures that differ by less than this factor are not corrected: highlights cause differences of this size.
+SAME_EXPOSURE = 1.06
 
 
 @dataclass(frozen=True)
@@ -63,9 +65,9 @@ def check_views(
     views = pixels.views
     if len(views) < 2:
         return check
-    cells = surface_cells(pixels, room, part, median_footprint(pixels))
-    gains = exposure_gains(cells, far_off)
-    if settings.reject_views and (fits := misaligned_views(cells, gains, far_off, settings.force)):
+    table = ConsistencyTable.of(pixels, room, median_footprint(pixels), part)
+    gains = table.view_gains(far_off)[:, 0]
+    if settings.reject_views and (fits := misaligned_views(table, gains, far_off, settings.force)):
         shifts = {i: -1.0 if fit is FAR_OFF else round(fit.shift, 1) for i, fit in fits.items()}
         check.left_out.update({views[i].name: shift for i, shift in shifts.items()})
         remarks = {
@@ -80,9 +82,11 @@ def check_views(
             " Advanced (--set reject_views=false).",
         )
         for index in fits:
-            _leave_out(pixels, pixels.rows(index))
-        gains = exposure_gains(cells)
-    if settings.correct_exposure and len(unlike := unlike_exposures(gains)):
+            pixels.triangle[pixels.rows(index)] = LEFT_OUT
+            pixels.pure[pixels.rows(index)] = False
+        gains = table.view_gains()[:, 0]
+    unlike = np.flatnonzero(np.abs(np.log(gains)) > np.log(SAME_EXPOSURE))
+    if settings.correct_exposure and len(unlike):
         check.exposure.update({views[i].name: round(float(gains[i]), 4) for i in unlike})
         remarks = {int(i): f"× {gains[i]:.2f}" for i in unlike}
         reporter.warning(
@@ -95,11 +99,6 @@ def check_views(
         for index in unlike:
             pixels.radiance[pixels.rows(index)] /= np.float32(gains[index])
     return check
-
-
-def _leave_out(pixels: PixelStore, rows: np.ndarray | slice) -> None:
-    pixels.triangle[rows] = LEFT_OUT
-    pixels.pure[rows] = False
 
 
 def _describe(views: Sequence[View], values: dict[int, str], most: int = 8) -> str:

@@ -9,16 +9,18 @@ surface behind, an upright prism is fitted.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from itertools import product
 
 import numpy as np
-from scipy.ndimage import binary_erosion, binary_fill_holes, binary_opening, label
+from scipy.ndimage import binary_dilation, binary_erosion, binary_fill_holes, binary_opening, label
 from scipy.special import bdtrc  # scipy.stats takes half a second to import
 
-from ..checks.agreement import LEAST_GAIN, Box, ComparedPixels, cells_of, doubts, hits_of
+from ..checks.agreement import LEAST_GAIN, Box, ComparedPixels, doubts
+from ..checks.consistency import CellGrid
+from ..pixels.camera_rays import rays_along
+from ..pixels.grouped import numbered
+from ..pixels.store import traced
 from ..run.messages import Progress, unwatched
 from ..surface.adjacency import NONE, Surface, without_unused
 from ..surface.room import Room
@@ -65,8 +67,7 @@ class _Prism:
 
     Attributes:
         low: (3,) lowest corner of the cells, metres.
-        footprint: (X, Y) bool.
-        layers: lowest and highest.
+        body: (X, Y, Z) bool, cells inside it: those of a footprint in some layers.
         mesh: vertices, triangles and corner normals.
         rows, distance: (m,) int pixels that see it, and metres to it.
         cell, doubt: (n,) of the pixels that the search touches.
@@ -74,8 +75,7 @@ class _Prism:
     """
 
     low: np.ndarray
-    footprint: np.ndarray
-    layers: tuple[int, int]
+    body: np.ndarray
     mesh: tuple[np.ndarray, np.ndarray, np.ndarray]
     rows: np.ndarray
     distance: np.ndarray
@@ -91,8 +91,7 @@ class _Prism:
     @property
     def rank(self) -> tuple[float, int]:
         """Greater for a better prism; of two that explain the same, the smaller one is better."""
-        first, last = self.layers
-        return self.score, -int(self.footprint.sum()) * (last - first + 1)
+        return self.score, -int(self.body.sum())
 
     @property
     def is_likely(self) -> bool:
@@ -102,9 +101,8 @@ class _Prism:
 
     def inside(self, points: np.ndarray, size: float) -> float:
         """Share of the cells well inside it, with edges of `size` metres, that hold points (N, 3)."""
-        first, last = self.layers
-        body = binary_erosion(np.repeat(self.footprint[:, :, None], last - first + 1, axis=2))
-        place = np.floor((points - self.low) / size).astype(np.int64) - [0, 0, first]
+        body = binary_erosion(self.body)
+        place = np.floor((points - self.low) / size).astype(np.int64)
         within = ((place >= 0) & (place < body.shape)).all(axis=1)
         held = np.zeros(body.shape, bool)
         held[tuple(place[within].T)] = True
@@ -142,27 +140,29 @@ class _Search:
         cells, place = np.unique(pixels.cell[rows], return_inverse=True)
         return cls(pixels, box[0], entering, rows, place - int((cells[:1] < 0).sum()))
 
-    def prism(self, footprint: np.ndarray, layers: tuple[int, int]) -> _Prism:
-        """A prism over cells of the box, and the disagreement that it explains."""
-        pixels, (first, last) = self.pixels, layers
-        corner = self.low + [0.0, 0.0, first * pixels.size]
-        mesh = prism(footprint, corner, pixels.size, last - first + 1)
+    def prism(self, body: np.ndarray) -> _Prism:
+        """A prism of cells (X, Y, Z) bool of the box, and the disagreement that it explains."""
+        pixels, layers = self.pixels, np.flatnonzero(body.any(axis=(0, 1)))
+        corner = self.low + [0.0, 0.0, layers[0] * pixels.size]
+        mesh = prism(body.any(axis=2), corner, pixels.size, len(layers))
         none = np.zeros(len(mesh[1]), np.int32)
         room = Room(*mesh, none, none - 1)
         view, direction = pixels.view[self.entering], pixels.direction[self.entering]
-        triangle, reached = hits_of(room, pixels.views, view, direction)
-        hides = np.flatnonzero(reached < pixels.distance[self.entering] - pixels.size)
-        rows, hits = self.entering[hides], (triangle[hides], reached[hides])
-        own = cells_of(pixels.views, room, view[hides], direction[hides], hits, pixels.size)
+        places = pixels.places[view].astype(np.float32)
+        seen = traced(room.intersect(rays_along(places, direction)))
+        reached = np.linalg.norm(seen.position - places, axis=1)
+        before = pixels.distance[self.entering] - pixels.size
+        hides = np.flatnonzero((seen.triangle >= 0) & (reached < before))
+        rows, own = self.entering[hides], numbered([CellGrid.of(room, pixels.size).keys(seen, hides)])
         view, color, before = (values[self.touched] for values in (pixels.view, pixels.color, pixels.doubt))
         cell = self.place.copy()
         cell[np.searchsorted(self.touched, rows)] = own + int(self.place.max()) + 1
-        seen = cell >= 0
+        known = cell >= 0
         doubt = np.full(len(cell), np.nan, np.float32)
-        doubt[seen] = doubts(view[seen], cell[seen], color[seen])
+        doubt[known] = doubts(view[known], cell[known], color[known])
         # Cells that too few views see (NaN) are no evidence.
         by_view = np.bincount(view, np.nan_to_num(before - doubt), len(pixels.views))
-        return _Prism(self.low, footprint, layers, mesh, rows, hits[1], cell, doubt, by_view)
+        return _Prism(self.low, body, mesh, rows, reached[hides], cell, doubt, by_view)
 
     def accepted(self, found: _Prism) -> ComparedPixels:
         """The pixels with a prism in front of the scan."""
@@ -189,13 +189,14 @@ def _fitted(pixels: ComparedPixels, box: Box, middles: np.ndarray) -> tuple[_Pri
     footprint = _footprint(shows[:, :, layer])
     if footprint is None:
         return None
-    search = _Search.within(pixels, box)
-    best = search.prism(footprint, (layer, layer))
+    search, body = _Search.within(pixels, box), np.zeros(shape, bool)
+    body[:, :, layer] = footprint
+    best = search.prism(body)
     for step in STEPS:
         kind, failed = 0, 0
         while failed < len(_CHANGES):
-            change = _CHANGES[kind](best, step, int(shape[2]))
-            tried = None if change is None else search.prism(*change)
+            changed = _changed(best.body, step, *_CHANGES[kind])
+            tried = None if changed is None else search.prism(changed)
             if tried is not None and tried.rank > best.rank:
                 best, failed = tried, 0
             else:
@@ -206,38 +207,17 @@ def _fitted(pixels: ComparedPixels, box: Box, middles: np.ndarray) -> tuple[_Pri
     return best, search.accepted(best)
 
 
-Change = tuple[np.ndarray, tuple[int, int]]  # footprint and layers
+# Sides of a prism that move: whether it grows, along which axis, and to which end of it.
+_CHANGES = (*product((True, False), (2,), (-1, 1)), *product((True, False), (0, 1), (1, -1)))
 
 
-def _taller(best: _Prism, step: int, height: int, down: int, up: int) -> Change | None:
-    """The prism with its ends moved down and up by steps, in a box of a height in layers."""
-    first, last = best.layers
-    layers = max(first - down * step, 0), min(last + up * step, height - 1)
-    return None if layers == best.layers or layers[0] > layers[1] else (best.footprint, layers)
-
-
-def _wider(best: _Prism, step: int, _: int, along: int, by: int, grows: bool) -> Change | None:
-    """The prism with one side of its footprint moved by a step."""
-    moved = _moved(best.footprint, along, by * step)
-    footprint = best.footprint | moved if grows else best.footprint & moved
-    same = (footprint == best.footprint).all()
-    return None if same or not footprint.any() else (footprint, best.layers)
-
-
-_CHANGES: list[Callable[[_Prism, int, int], Change | None]] = [
-    *(partial(_taller, down=down, up=up) for down, up in ((1, 0), (0, 1), (-1, 0), (0, -1))),
-    *(
-        partial(_wider, along=along, by=by, grows=grows)
-        for grows, along, by in itertools.product((True, False), (0, 1), (1, -1))
-    ),
-]
-
-
-def _moved(mask: np.ndarray, along: int, by: int) -> np.ndarray:
-    """A mask (X, Y) moved by some cells along an axis."""
-    rolled = np.roll(mask, by, axis=along)
-    rolled[(slice(None),) * along + (slice(0, by) if by > 0 else slice(by, None),)] = False
-    return rolled
+def _changed(body: np.ndarray, step: int, grows: bool, along: int, by: int) -> np.ndarray | None:
+    """A prism (X, Y, Z) bool with one side moved by a step; None if nothing changes, or nothing is left."""
+    beside = np.zeros((3, 3, 3), bool)
+    beside[1, 1, 1] = True
+    beside[tuple(1 + by * (axis == along) for axis in range(3))] = True
+    changed = (binary_dilation if grows else binary_erosion)(body, beside, step)
+    return None if (changed == body).all() or not changed.any() else changed
 
 
 def _footprint(shows: np.ndarray) -> np.ndarray | None:

@@ -12,7 +12,8 @@ the room through it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
@@ -25,7 +26,14 @@ from ..parts.masked_views import masked_views
 from ..pixels.camera_rays import first_hits, trace_pixels
 from ..robust import LEAST_VIEWS
 from ..run.messages import Progress, unwatched, within
-from ..run.run_files import PANES, AddedSurfaces, mesh_digest, read_made, read_room_files
+from ..run.run_files import (
+    PANES,
+    AddedSurfaces,
+    mesh_digest,
+    read_geometry,
+    read_made,
+    read_room_files,
+)
 from ..run.runfolder import RunFolder, explained_write_errors
 from ..run.stage_settings import RoomSettings
 from ..run.store import optional_arrays, write_arrays
@@ -33,7 +41,7 @@ from ..surface.adjacency import NONE, Surface, make_mesh
 from ..surface.clean import CleanMesh
 from ..surface.holes import FlatHole, flat_holes, median_edge
 from ..surface.room import Room, load_room
-from ..surface.stored import prepare_geometry, scanned, store_geometry, stored_geometry
+from ..surface.stored import prepare_geometry, scanned, store_geometry
 from .lost_surfaces import lost_surfaces
 from .torn_parts import torn_parts, torn_round_things
 
@@ -43,14 +51,6 @@ LEAST_PIXELS, LEAST_MISSED = 100, 0.5
 OUTSIDE = 2.0
 # The settings that switch the kinds of surfaces on.
 KINDS = ("panes", "lost_surfaces", "torn_parts")
-
-
-@dataclass
-class _Look:
-    """The pixels that look into a hole: their number, and the luminance of those that meet no surface."""
-
-    count: int
-    missed: list[np.ndarray]
 
 
 def close_holes(
@@ -90,7 +90,7 @@ def close_holes(
     arrays, names = read_room_files(run)
     if names.completed or PANES in names.ids:
         return changed
-    cleaned = stored_geometry(run, arrays)
+    cleaned = read_geometry(run, arrays)
     use_masks = names.parts in ("auto", "masks")
     masks = masks_digest(views, (view.part_ids() for view in views if use_masks))
     made = read_made(run.panes_npz, AddedSurfaces, mesh_digest(arrays))
@@ -120,7 +120,7 @@ def close_holes(
             np.concatenate([cleaned.vertices, vertices]),
             np.concatenate([cleaned.corner_normals, normals]),
             np.concatenate([cleaned.plane, plane.astype(np.int32)]),
-            cleaned.noise,
+            float(cleaned.noise),
         )
         store_geometry(run, read_room_files(run)[0], extended)
     return True
@@ -180,21 +180,18 @@ def _joined(one: Surface, other: Surface) -> Surface:
 
 def _panes(holes: Sequence[FlatHole]) -> Surface:
     """The panes of all holes, each with a plane of its own."""
-    vertices, triangles, normals, numbers, count = [], [], [], [], 0
+    surfaces = []
     for number, hole in enumerate(holes):
-        places, corners = hole.pane()
-        vertices.append(places)
-        triangles.append(corners + np.int32(count))
-        normals.append(np.tile(hole.axes[2].astype(np.float32), (len(corners), 3, 1)))
-        numbers.append(np.full(len(corners), number))
-        count += len(places)
-    joined = np.concatenate
-    return joined(vertices), joined(triangles), joined(normals), joined(numbers)
+        vertices, triangles = hole.pane()
+        normals = np.tile(hole.axes[2].astype(np.float32), (len(triangles), 3, 1))
+        surfaces.append((vertices, triangles, normals, np.full(len(triangles), number)))
+    return reduce(_joined, surfaces)
 
 
 def _looks(room: Room, holes: Sequence[FlatHole], views: Sequence[View], progress: Progress) -> list[bool]:
     """Whether the photographs show that each hole is a surface."""
-    looks = [_Look(0, []) for _ in holes]
+    counts = [0] * len(holes)  # pixels that look into a hole, and luminance of those that meet no surface
+    missed: list[list[np.ndarray]] = [[] for _ in holes]
     medians = []
     for number, view in enumerate(views if holes else ()):
         progress(number / len(views))
@@ -202,16 +199,13 @@ def _looks(room: Room, holes: Sequence[FlatHole], views: Sequence[View], progres
         medians.append(np.median(luminance))
         reached = first_hits(trace_pixels(room, view))[1]
         origin, directions = view.camera_to_world[:3, 3], view.rays()[1]
-        for hole, look in zip(holes, looks, strict=True):
+        for index, hole in enumerate(holes):
             enters, distance = hole.crossed(origin, directions)
             enters &= reached > distance
-            look.count += int(enters.sum())
-            look.missed.append(luminance[enters & np.isinf(reached)])
-    outside = OUTSIDE * float(np.median(medians)) if medians else 0.0
-    return [_is_surface(look, outside) for look in looks]
-
-
-def _is_surface(look: _Look, outside: float) -> bool:
-    missed = np.concatenate(look.missed)
-    enough = len(missed) >= max(LEAST_PIXELS, LEAST_MISSED * look.count)
-    return enough and float(np.median(missed)) < outside
+            counts[index] += int(enters.sum())
+            missed[index].append(luminance[enters & np.isinf(reached)])
+    found = []
+    for count, values in zip(counts, map(np.concatenate, missed), strict=True):
+        enough = len(values) >= max(LEAST_PIXELS, LEAST_MISSED * count)
+        found.append(enough and float(np.median(values)) < OUTSIDE * float(np.median(medians)))
+    return found

@@ -55,7 +55,11 @@ def choose_parts(room: Room, views: Sequence[View], triangles: Sequence[np.ndarr
     Args:
         triangles: for each view the (H * W,) triangle that each pixel sees, negative where none.
     """
-    source = choose_source(room, views)
+    return source_parts(room, choose_source(room, views), views, triangles)
+
+
+def source_parts(room: Room, source: str, views: Sequence[View], triangles: Sequence[np.ndarray]) -> Parts:
+    """As :func:`choose_parts`, parts from one source of :func:`label_parts`."""
     # A generator: all images together may not fit into memory.
     images = (view.part_ids() if source == "masks" else view.semantic_ids() for view in views)
     return label_parts(room, source, images, triangles)
@@ -162,20 +166,12 @@ def room_pieces(room: Room) -> np.ndarray:
         segments = scan_segments(scan.mesh, scan.cross, room.plane).astype(np.int32)
         if exact is None:
             return segments
-    loose = loose_pieces(weld(room.vertices)[room.triangles], room.triangle_object)
+    # A piece never extends over several objects.
+    corners = corners_within(weld(room.vertices)[room.triangles], room.triangle_object)
+    loose = mesh_components(corners).astype(np.int32)
     if scan is None or exact is None:
         return loose
     return numbered([np.where(exact, loose, segments), exact]).astype(np.int32)
-
-
-def loose_pieces(triangles: np.ndarray, objects: np.ndarray) -> np.ndarray:
-    """(T,) int32 connected piece of each triangle, from 0; a piece never extends over several objects.
-
-    Args:
-        triangles: (T, 3) welded vertex indices; triangles that share a vertex are connected.
-        objects: (T,) object of each triangle.
-    """
-    return mesh_components(corners_within(triangles, objects)).astype(np.int32)
 
 
 def fuse_masks(masks: Iterable[np.ndarray | None], triangles: Iterable[np.ndarray], count: int) -> np.ndarray:

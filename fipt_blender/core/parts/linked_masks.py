@@ -40,18 +40,13 @@ class _Seen:
 
     Attributes:
         view: at its own size.
-        place: (h, w, 3) int64 cell that each pixel of the grid sees; -1 where it sees nothing.
-        ids: (h, w) int32 its id.
+        ids: (h, w) int32 id of each pixel of the grid.
+        cell: (h, w) int64 cell that it sees; -1 where it sees nothing or has no id.
     """
 
     view: View
-    place: np.ndarray
     ids: np.ndarray
-
-    @property
-    def usable(self) -> np.ndarray:
-        """(h, w) bool, pixels of the grid with an id and a surface."""
-        return (self.ids > 0) & (self.place[..., 0] >= 0)
+    cell: np.ndarray
 
 
 def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
@@ -75,18 +70,17 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
     notes = {f"{digest} {outcome}": found for outcome, found in (("linked", linked), ("shared", list(views)))}
     if record.is_file() and (noted := record.read_text(encoding="utf-8")) in notes:
         return notes[noted]
-    seen = seen_cells(room, views)
-    cells, places = numbered_cells(seen)
+    seen, places = seen_cells(room, views)
+    known = [one.cell >= 0 for one in seen]
     pixels = [
-        RegionPixels(one.ids[cell >= 0].astype(np.int64), cell[cell >= 0])
-        for one, cell in zip(seen, cells, strict=True)
+        RegionPixels(one.ids[k].astype(np.int64), one.cell[k]) for one, k in zip(seen, known, strict=True)
     ]
     record.unlink(missing_ok=True)
     outcome = "shared" if shared_ids(pixels) >= SHARED else "linked"
     if outcome == "linked":
         part = link_regions(pixels, places)
-        for one, cell in zip(seen, cells, strict=True):
-            write_exr(names[one.view.name], _linked(one, np.append(part, -1)[cell]))
+        for one in seen:
+            write_exr(names[one.view.name], _linked(one, np.append(part, -1)[one.cell]))
     record.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(record) as temporary:
         temporary.write_text(f"{digest} {outcome}", encoding="utf-8")
@@ -107,9 +101,9 @@ def shared_ids(views: Sequence[RegionPixels]) -> float:
     return float(np.median(same[known] / pairs_seen[known])) if known.any() else 1.0
 
 
-def seen_cells(room: Room, views: Sequence[View]) -> list[_Seen]:
-    """The surface cells and ids that the views with part masks see."""
-    places, widths, ids = [], [], []
+def seen_cells(room: Room, views: Sequence[View]) -> tuple[list[_Seen], np.ndarray]:
+    """The surface cells and ids that the views with part masks see, and (C, 3) int64 places of the cells."""
+    points, widths, images = [], [], []
     views = [view for view in views if view.parts]
     for view in views:
         coarse = coarse_view(view)
@@ -117,13 +111,24 @@ def seen_cells(room: Room, views: Sequence[View]) -> list[_Seen]:
         hit = np.isfinite(distance)
         origin, directions = coarse.rays()
         point = origin + directions.reshape(-1, 3) * np.where(hit, distance, np.nan)[:, None]
-        places.append(point.reshape(coarse.height, coarse.width, 3))
+        points.append(point.reshape(coarse.height, coarse.width, 3))
         widths.append(float(np.median(distance[hit])) / coarse.fx if hit.any() else 0.0)
-        ids.append(resampled(_mask(view), (coarse.height, coarse.width)))
+        images.append(resampled(_mask(view), (coarse.height, coarse.width)))
     size = max(CELL_PIXELS * float(np.median(widths)) if widths else 0.0, 1e-6)
-    low = room.bounds[0]
-    cells = [np.nan_to_num(np.floor((place - low) / size), nan=-1.0).astype(np.int64) for place in places]
-    return [_Seen(*one) for one in zip(views, cells, ids, strict=True)]
+    usable = [(ids > 0) & np.isfinite(point[..., 0]) for ids, point in zip(images, points, strict=True)]
+    used = [point[chosen] for point, chosen in zip(points, usable, strict=True)]
+    every = np.floor((np.concatenate([*used, np.zeros((0, 3))]) - room.bounds[0]) / size)
+    places, number = np.unique(every.astype(np.int64), axis=0, return_inverse=True)
+    while len(places) > MOST_CELLS:
+        places, wider = np.unique(places // 2, axis=0, return_inverse=True)
+        number = wider.reshape(-1)[number.reshape(-1)]
+    seen, first = [], 0
+    for view, ids, chosen in zip(views, images, usable, strict=True):
+        cell, count = np.full(ids.shape, -1), int(chosen.sum())
+        cell[chosen] = number.reshape(-1)[first : first + count]
+        seen.append(_Seen(view, ids, cell))
+        first += count
+    return seen, places
 
 
 def _mask(view: View) -> np.ndarray:
@@ -131,23 +136,6 @@ def _mask(view: View) -> np.ndarray:
     ids = view.part_ids()
     assert ids is not None
     return np.maximum(ids, 0)
-
-
-def numbered_cells(seen: Sequence[_Seen]) -> tuple[list[np.ndarray], np.ndarray]:
-    """For each view (h, w) int64 the cell of each usable pixel, -1 of others; (C, 3) places of the cells."""
-    used = [one.place[one.usable] for one in seen]
-    every = np.concatenate([*used, np.zeros((0, 3), np.int64)])
-    places, number = np.unique(every, axis=0, return_inverse=True)
-    while len(places) > MOST_CELLS:
-        places, wider = np.unique(places // 2, axis=0, return_inverse=True)
-        number = wider.reshape(-1)[number.reshape(-1)]
-    cells, first = [], 0
-    for one, rows in zip(seen, used, strict=True):
-        cell = np.full(one.ids.shape, -1)
-        cell[one.usable] = number.reshape(-1)[first : first + len(rows)]
-        cells.append(cell)
-        first += len(rows)
-    return cells, places
 
 
 def _linked(seen: _Seen, part: np.ndarray) -> np.ndarray:

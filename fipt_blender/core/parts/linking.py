@@ -9,7 +9,8 @@ one part if most of the views that see both show them in one region.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +24,8 @@ LEAST_TOGETHER = 0.5
 # Cells are first joined within blocks of this width, in cells, so that no chain of them crosses a border.
 BLOCK = 4
 # Most sets that are joined although they are not adjacent, those with the most pixels: all their pairs are in
-# memory at once, 72 MB for this number. Rooms have hundreds; there are more only where views hardly overlap.
-MOST_SETS = 3000
+# memory. Rooms have hundreds; there are more only where views hardly overlap.
+MOST_SETS = 1000
 _BESIDE = 1.8  # cells between neighbours, diagonal ones included
 
 
@@ -70,9 +71,12 @@ def link_regions(views: Sequence[RegionPixels], places: np.ndarray) -> np.ndarra
         shape=(int(patch.max(initial=-1)) + 1, len(patch)),
     )
     edges = np.unique(np.sort(patch[pairs], axis=1), axis=0)
-    sets = _Sets(gather @ counts, (gather @ seen).toarray())
-    part = sets.join_neighbours(edges[edges[:, 0] != edges[:, 1]])
-    return sets.join_all(part)[patch]
+    seen_by = (gather @ seen).toarray().astype(np.float64)
+    sets = _Sets(gather @ counts, seen_by)
+    part = sets.join(range(len(seen_by)), edges[edges[:, 0] != edges[:, 1]])
+    live = np.unique(part)
+    largest = live[np.argsort(-seen_by[live].sum(axis=1), kind="stable")[:MOST_SETS]]
+    return np.unique(sets.join(largest.tolist())[part], return_inverse=True)[1].reshape(-1)[patch]
 
 
 def _tables(views: Sequence[RegionPixels], count: int) -> tuple[csr_array, csr_array]:
@@ -106,35 +110,35 @@ class _Sets:
 
     Args:
         counts: (S, R) pixels of each set in each region.
-        seen: (S, V) pixels of each set in each view.
+        seen: (S, V) float64 pixels of each set in each view; changed in place.
     """
 
     def __init__(self, counts: csr_array, seen: np.ndarray) -> None:
         counts.sort_indices()
         ends = counts.indptr[1:-1]
         self._regions, self._pixels = np.split(counts.indices, ends), np.split(counts.data, ends)
-        self._seen = seen.astype(np.float64)
+        self._seen = seen
         self._row = np.zeros(counts.shape[1])
 
-    def join_neighbours(self, edges: np.ndarray) -> np.ndarray:
-        """(S,) int64 set that each has joined, after neighbours (E, 2) were joined."""
-        count = len(self._seen)
-        beside: list[set[int]] = [set() for _ in range(count)]
-        for one, other in edges.tolist():
-            beside[one].add(other)
-            beside[other].add(one)
-        version = np.zeros(count, np.int64)
-        joins = np.arange(count)
+    def join(self, among: Iterable[int], edges: np.ndarray | None = None) -> np.ndarray:
+        """(S,) int64 set that each has joined, after the most similar pairs were joined one after the other.
+
+        Args:
+            among: sets that may join.
+            edges: (E, 2) neighbours, which alone may join; None: all pairs.
+        """
+        alive, beside = set(among), None if edges is None else _neighbours(edges)
+        joins, version = np.arange(len(self._seen)), np.zeros(len(self._seen), np.int64)
         heap: list[tuple[float, int, int, int, int]] = []
 
-        def offer(one: int, others: Sequence[int]) -> None:
-            shares = self._together(one, others)
-            for other, share in zip(others, shares.tolist(), strict=True):
-                if share > LEAST_TOGETHER:
+        def offer(one: int, least: int) -> None:
+            others = sorted(other for other in (alive if beside is None else beside[one]) if other > least)
+            for other, share in zip(others, self._together(one, others).tolist(), strict=True):
+                if share > LEAST_TOGETHER and other != one:
                     heapq.heappush(heap, (-share, one, other, int(version[one]), int(version[other])))
 
-        for one in range(count):
-            offer(one, sorted(other for other in beside[one] if other > one))
+        for one in sorted(alive):
+            offer(one, one)
         while heap:
             _, one, other, *versions = heapq.heappop(heap)
             if versions != [version[one], version[other]]:
@@ -143,51 +147,16 @@ class _Sets:
             joins[other] = one
             version[one] += 1
             version[other] = -1  # never offered again
-            for set_ in beside[other] - {one}:
-                beside[set_].discard(other)
-                beside[set_].add(one)
-            beside[one] = (beside[one] | beside[other]) - {one, other}
-            beside[other] = set()
-            offer(one, sorted(beside[one]))
+            alive.discard(other)
+            if beside is not None:
+                for set_ in beside[other] - {one}:
+                    beside[set_].discard(other)
+                    beside[set_].add(one)
+                beside[one] = (beside[one] | beside.pop(other)) - {one, other}
+            offer(one, -1)
         while (joins[joins] != joins).any():
             joins = joins[joins]
         return joins
-
-    def join_all(self, joins: np.ndarray) -> np.ndarray:
-        """(S,) int64 part of each set, after sets were joined although they are not adjacent.
-
-        If there are more than `MOST_SETS`, the smaller ones stay parts of their own.
-
-        Args:
-            joins: (S,) set that each has joined.
-        """
-        live, part = np.unique(joins, return_inverse=True)
-        part = part.reshape(-1)
-        if len(live) > MOST_SETS:
-            largest = np.argsort(-self._seen[live].sum(axis=1), kind="stable")
-            place = np.empty(len(live), np.int64)
-            place[largest] = np.arange(len(live))
-            live, part = live[largest[:MOST_SETS]], place[part]
-        shares = np.stack([self._together(one, live) for one in live])
-        np.fill_diagonal(shares, 0.0)
-        there = np.ones(len(live), bool)
-        best = shares.max(axis=1)
-        while True:
-            one = int(best.argmax())
-            other = int(shares[one].argmax())
-            if best[one] <= LEAST_TOGETHER:
-                return np.unique(part, return_inverse=True)[1].reshape(-1)
-            falls = (best > 0.0) & (np.maximum(shares[:, one], shares[:, other]) >= best)
-            falls[[one, other]] = True
-            self._join(int(live[one]), int(live[other]))
-            part[part == other] = one
-            there[other] = False
-            shares[other] = shares[:, other] = 0.0
-            shares[one] = np.where(there, self._together(int(live[one]), live), 0.0)
-            shares[one, one] = 0.0
-            shares[:, one] = shares[one]
-            best = np.maximum(best, shares[one])
-            best[falls] = shares[falls].max(axis=1)
 
     def _together(self, one: int, others: Sequence[int] | np.ndarray) -> np.ndarray:
         """(n,) share of the pairs of pixels of a set and each of others that lie in one region."""
@@ -209,3 +178,12 @@ class _Sets:
         pixels = np.concatenate([self._pixels[one], self._pixels[other]])
         self._pixels[one] = np.bincount(place.reshape(-1), pixels)
         self._seen[one] += self._seen[other]
+
+
+def _neighbours(edges: np.ndarray) -> dict[int, set[int]]:
+    """The sets at the other ends of the edges (E, 2) of each set."""
+    beside: dict[int, set[int]] = defaultdict(set)
+    for one, other in edges.tolist():
+        beside[one].add(other)
+        beside[other].add(one)
+    return beside

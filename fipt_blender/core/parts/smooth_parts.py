@@ -50,18 +50,6 @@ class Votes:
     weight: np.ndarray
 
 
-def edge_passage(mesh: Mesh, cross: np.ndarray) -> np.ndarray:
-    """(E,) how easily a walk passes each edge: its length, less at creases.
-
-    Args:
-        cross: (T, 3) normals with the areas as lengths.
-    """
-    normals = averaged_normals(mesh, cross, CREASE_RINGS)
-    one, other = normals[mesh.dual_edges.T]
-    angle = np.arccos(np.clip((one * other).sum(axis=1), -1.0, 1.0))
-    return mesh.dual_lengths * np.maximum(np.exp(-((angle / CREASE) ** 2)), LEAST_PASSED)
-
-
 def smooth_labels(votes: Votes, mesh: Mesh, cross: np.ndarray) -> np.ndarray:
     """(T,) int64 label of each triangle after a random walk; -1 where no vote arrives.
 
@@ -69,7 +57,10 @@ def smooth_labels(votes: Votes, mesh: Mesh, cross: np.ndarray) -> np.ndarray:
         cross: (T, 3) normals with the areas as lengths.
     """
     labels, column = np.unique(votes.label, return_inverse=True)
-    passage = edge_passage(mesh, cross)
+    one, other = averaged_normals(mesh, cross, CREASE_RINGS)[mesh.dual_edges.T]
+    angle = np.arccos(np.clip((one * other).sum(axis=1), -1.0, 1.0))
+    # A walk passes an edge by its length, less at creases.
+    passage = mesh.dual_lengths * np.maximum(np.exp(-((angle / CREASE) ** 2)), LEAST_PASSED)
     sums = _walk(votes, column, len(labels), mesh.dual_matrix(passage))
     row = np.repeat(np.arange(len(mesh.triangles)), np.diff(sums.indptr))
     found = strongest(row, sums.indices, sums.data, len(mesh.triangles))

@@ -20,20 +20,12 @@ def spread_labels(labels: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         (T,) int64, negative where no triangle of the connected piece has a label.
     """
     labels = labels.astype(np.int64).copy()
-    # The triangles around each vertex, concatenated over the vertices.
-    around = np.argsort(triangles, axis=None, kind="stable") // 3
-    count = np.bincount(triangles.reshape(-1))
-    first = np.cumsum(count) - count
-    vertex_label = np.full(len(count), NO_PART, np.int64)
-    ring = np.flatnonzero(labels >= 0)
+    vertex_label = np.full(int(triangles.max(initial=-1)) + 1, NO_PART, np.int64)
+    ring, left = np.flatnonzero(labels >= 0), np.flatnonzero(labels < 0)
     while len(ring):
-        corners = triangles[ring].reshape(-1)
-        np.maximum.at(vertex_label, corners, np.repeat(labels[ring], 3))
-        touched = np.unique(corners)
-        # Rows of `around`: count[touched] of them, starting at first[touched].
-        ends = np.cumsum(count[touched])
-        rows = np.arange(ends[-1]) + np.repeat(first[touched] + count[touched] - ends, count[touched])
-        neighbours = around[rows]
-        ring = np.unique(neighbours[labels[neighbours] < 0])
-        labels[ring] = vertex_label[triangles[ring]].max(axis=1)
+        np.maximum.at(vertex_label, triangles[ring].reshape(-1), np.repeat(labels[ring], 3))
+        found = vertex_label[triangles[left]].max(axis=1)
+        ring = left[found >= 0]
+        labels[ring] = found[found >= 0]
+        left = left[found < 0]
     return labels

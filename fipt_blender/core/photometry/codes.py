@@ -12,7 +12,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from ..capture.encoded import srgb_encoded
 from ..capture.views import photographs_of
-from ..checks.cells import SurfaceCells, lattice_hits
+from ..checks.consistency import ConsistencyTable, lattice_hits
 from ..pixels.grouped import grouped_means
 from ..pixels.store import PixelStore, open_array
 from ..radiometry.adjustment import Samples
@@ -73,7 +73,7 @@ class Codes:
         return np.sqrt(squared / squared.max())
 
 
-def calm_samples(cells: SurfaceCells, codes: Codes) -> Samples:
+def calm_samples(cells: ConsistencyTable, codes: Codes) -> Samples:
     """Mean codes of surface cells in each of the views that are not HDR."""
     pixels = codes.pixels
     # Cells are thinned out rather than pixels, so that each keeps all views that share it.

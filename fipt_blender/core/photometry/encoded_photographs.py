@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Turns photographs that are not HDR into radiance: the radiometric adjustment on a capture's pixels.
 
-The views are compared on surface cells (:mod:`.cells`). Codes become radiance with a weight for their errors;
-triangles that are clipped in most pixels get the radiance inferred from the room's light (`light.clipped`).
+The views are compared on surface cells (`checks.consistency`). Codes become radiance with a weight.
+Triangles that are clipped in most pixels get the radiance inferred from the room's light (`light.clipped`).
 Once shadings are baked, both are found again with their light (:mod:`.refit`).
 """
 
@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks.cells import SurfaceCells, surface_cells
-from ..checks.exposure import exposure_gains
+from ..checks.consistency import ConsistencyTable
 from ..light.clipped import Expectation, LampLight, LitPoints, solve_lamps
 from ..light.observations import median_footprint
 from ..pixels.store import LEFT_OUT, VIEW_LUMINANCES, PixelStore
@@ -99,7 +98,7 @@ def adjust_photographs(
     """
     codes, basis = Codes.of(pixels, scale, folder), response_basis()
     footprint = median_footprint(pixels)
-    cells = surface_cells(pixels, room, part, footprint)
+    cells = ConsistencyTable.of(pixels, room, footprint, part)
     adjustment = adjust(calm_samples(cells, codes), codes.photograph, basis)
     exposures = np.array([pixels.views[index].exposure or np.nan for index in codes.encoded])
     exif = exif_contrast(adjustment.log_gains.mean(axis=1), exposures)
@@ -147,7 +146,7 @@ def write_radiance(room: Room, part: np.ndarray, scale: float, found: Found) -> 
     weight, share = _invert(scale, found)
     unit = _common_unit(pixels, encoded)
     if len(encoded) < len(pixels.views):
-        _align(pixels, surface_cells(pixels, room, part, median_footprint(pixels)), encoded)
+        _align(ConsistencyTable.of(pixels, room, median_footprint(pixels), part), encoded)
     middle = _median(pixels, range(len(pixels.views)))
     for index in range(len(pixels.views)):
         pixels.radiance[pixels.rows(index)] /= np.float32(middle)
@@ -209,9 +208,9 @@ def _common_unit(pixels: PixelStore, encoded: Sequence[int]) -> float:
     return unit
 
 
-def _align(pixels: PixelStore, cells: SurfaceCells, encoded: Sequence[int]) -> None:
+def _align(table: ConsistencyTable, encoded: Sequence[int]) -> None:
     """Bring photographs that are not HDR to the exposure of those that are."""
-    gains = np.log(exposure_gains(cells))
+    gains, pixels = np.log(table.view_gains()[:, 0]), table.pixels
     among = np.isin(np.arange(len(gains)), encoded)
     factor = float(np.exp(np.median(gains[among]) - np.median(gains[~among])))
     for index in encoded:

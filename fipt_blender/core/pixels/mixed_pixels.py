@@ -12,7 +12,7 @@ import numpy as np
 
 from ..capture.views import View
 from ..run.per_view import LocalWorkers, Workers
-from ..surface.room import Room, Surface
+from ..surface.room import Room
 from .camera_rays import opaque_vector, trace_pixels
 from .store import LEFT_OUT, PixelStore, ViewFunction
 
@@ -44,7 +44,8 @@ def _pure(room: Room, labels: np.ndarray, view: View) -> np.ndarray:
     valid = centre.valid
     label_of = mi.Int32(labels.astype(np.int32))
     here = dr.gather(mi.Int32, label_of, centre.triangle, valid)
-    cosine = dr.abs(dr.dot(centre.normal, _toward(view, centre)))
+    camera = opaque_vector(mi.Point3f, np.asarray(view.camera_to_world)[:3, 3])
+    cosine = dr.abs(dr.dot(centre.normal, dr.normalize(camera - centre.position)))
     # Half a pixel's diagonal on the tangent plane, with a margin for curvature.
     pixel = centre.distance / dr.opaque(mi.Float, float(min(view.fx, view.fy)))
     reach = 1.5 * pixel / dr.maximum(cosine, 0.05)
@@ -56,12 +57,6 @@ def _pure(room: Room, labels: np.ndarray, view: View) -> np.ndarray:
         pure &= dr.dot(corner.normal, centre.normal) > 0.8
         pure &= dr.gather(mi.Int32, label_of, corner.triangle, corner.valid) == here
     return np.array(pure | outside)
-
-
-def _toward(view: View, surface: Surface) -> mi.Vector3f:
-    """Unit directions from the surface to the camera."""
-    centre = opaque_vector(mi.Point3f, np.asarray(view.camera_to_world)[:3, 3])
-    return dr.normalize(centre - surface.position)
 
 
 def find_donors(store: PixelStore, index: int, part: np.ndarray, reach: int) -> np.ndarray:

@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import numpy as np
 
 from ..capture.images import read_radiance
@@ -23,7 +24,7 @@ from ..run.chain import START_AGAIN
 from ..run.errors import FiptError
 from ..run.per_view import LocalWorkers, Workers
 from ..run.store import DAMAGE
-from ..surface.room import Room
+from ..surface.room import Room, Surface
 from .camera_rays import trace_pixels
 
 NO_TRIANGLE = -1  # in place of a triangle: the pixel looks outside
@@ -85,8 +86,9 @@ class PixelStore:
     def of_view(self, view: int) -> ViewPixels:
         """What one view sees, copied to memory."""
         rows = self.rows(view)
-        arrays = (self.position, self.normal, self.triangle, self.front)
-        return ViewPixels(view, self.views[view], *(np.array(array[rows]) for array in arrays))
+        stored = (self.position, self.normal, self.triangle, self.front)
+        position, normal, triangle, front = (np.array(array[rows]) for array in stored)
+        return ViewPixels(position, normal, triangle, front, view, self.views[view])
 
     def hits(self, view: int) -> np.ndarray:
         """(n,) int64 pixels of a view that see the mesh."""
@@ -118,19 +120,24 @@ class PixelStore:
 
 
 @dataclass(frozen=True)
-class ViewPixels:
-    """What the pixels of one view see; arrays as in :class:`PixelStore`.
+class TracedView:
+    """First surfaces that the pixels of views see: arrays as in :class:`PixelStore`, before any mask.
 
-    Attributes:
-        index: of the view.
+    Positions and normals are undefined where the mesh is missed.
     """
 
-    index: int
-    view: View
     position: np.ndarray
     normal: np.ndarray
     triangle: np.ndarray
     front: np.ndarray
+
+
+@dataclass(frozen=True)
+class ViewPixels(TracedView):
+    """What the pixels of one view see, with its index; LEFT_OUT where it is masked."""
+
+    index: int
+    view: View
 
 
 _ARRAYS: dict[str, tuple[type, tuple[int, ...]]] = {
@@ -186,19 +193,6 @@ def create_pixels(folder: Path, views: list[View]) -> PixelStore:
 
 
 @dataclass(frozen=True)
-class TracedView:
-    """First surfaces that the pixels of one view see: arrays as in :class:`PixelStore`, before any mask.
-
-    Positions and normals are undefined where the mesh is missed.
-    """
-
-    position: np.ndarray
-    normal: np.ndarray
-    triangle: np.ndarray
-    front: np.ndarray
-
-
-@dataclass(frozen=True)
 class ViewFunction:
     """Work on views: a function of what all views share and of one view, which is the last argument."""
 
@@ -212,7 +206,13 @@ class ViewFunction:
 
 def trace_view(room: Room, view: View) -> TracedView:
     """The first surface that each pixel of a view sees at its centre."""
-    surface = trace_pixels(room, view)
+    return traced(trace_pixels(room, view))
+
+
+def traced(surface: Surface) -> TracedView:
+    """First surfaces as arrays."""
+    # Together, or each would trace the rays again.
+    dr.eval(surface.valid, surface.position, surface.normal, surface.triangle, surface.front)
     valid = np.array(surface.valid)
     return TracedView(
         np.array(surface.position).T,

@@ -35,23 +35,28 @@ class Mesh:
     triangles: np.ndarray
 
     @cached_property
-    def neighbours(self) -> np.ndarray:
-        """(T, 3) int64 triangle on the other side of each edge (from corner i to corner i + 1).
+    def opposite(self) -> tuple[np.ndarray, np.ndarray]:
+        """The other sides of edges; an edge is three times its triangle plus the corner where it starts.
 
-        NONE at open edges, and where more than two triangles meet.
+        Returns:
+            (3 T,) int64 the same edge of the triangle beyond, NONE at open edges and where more than two
+            triangles meet, and (O,) int64 the open edges, ascending.
         """
         first, second = self.triangles, np.roll(self.triangles, -1, axis=1)
-        count = len(self.vertices)
-        key = (np.minimum(first, second) * count + np.maximum(first, second)).reshape(-1)
+        key = (np.minimum(first, second) * len(self.vertices) + np.maximum(first, second)).reshape(-1)
         order = np.argsort(key, kind="stable")
-        ordered = key[order]
-        change = np.concatenate([[True], ordered[1:] != ordered[:-1], [True]])
-        start = np.flatnonzero(change)
-        pairs = start[:-1][np.diff(start) == 2]
+        start = np.flatnonzero(np.diff(key[order], prepend=-1, append=-1))
+        uses = np.diff(start)
+        pairs = start[:-1][uses == 2]
         one, other = order[pairs], order[pairs + 1]
         result = np.full(len(key), NONE, np.int64)
-        result[one], result[other] = other // 3, one // 3
-        return result.reshape(-1, 3)
+        result[one], result[other] = other, one
+        return result, np.sort(order[start[:-1][uses == 1]])
+
+    @cached_property
+    def neighbours(self) -> np.ndarray:
+        """(T, 3) int64 triangle on the other side of each edge (from corner i to corner i + 1), or NONE."""
+        return self.opposite[0].reshape(-1, 3) // 3
 
     @cached_property
     def _shared(self) -> np.ndarray:

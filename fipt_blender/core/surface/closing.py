@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from .adjacency import NONE, Mesh
 from .holes import MIN_AREA, MIN_RIM, median_edge, rim_hole
@@ -25,9 +27,7 @@ RIM_COSINE = -0.5
 SHAPE = 0.05
 # Inner edges longer than so many times the rim's mean edge are divided.
 LONGEST_EDGE = 1.7
-_REFINEMENTS, _RELAXATIONS = 8, 20
-# Most triangles around a vertex.
-_MAX_AROUND = 64
+_REFINEMENTS, _RELAXATIONS = 40, 20
 # Numbers in an array of the dynamic programming.
 _CHUNK = 2_000_000
 
@@ -113,16 +113,19 @@ def open_loops(mesh: Mesh) -> Iterator[_Loop]:
     At each vertex a loop goes on at the last open edge of the triangles around it. Where it comes to a vertex
     again, it is divided, so that each vertex is once in a loop.
     """
-    first, second = mesh.triangles.reshape(-1), np.roll(mesh.triangles, -1, axis=1).reshape(-1)
-    count = len(mesh.vertices)
-    key = np.minimum(first, second) * count + np.maximum(first, second)
-    uses = np.unique(key, return_inverse=True, return_counts=True)
-    single = uses[2][uses[1].reshape(-1)] == 1
-    open_edges = np.flatnonzero(single)
-    following = _following(mesh, first, open_edges, single)
-    place = np.full(len(first), NONE, np.int64)
-    place[open_edges] = np.arange(len(open_edges))
-    ahead = np.where(following >= 0, place[following], NONE).tolist()
+    first = mesh.triangles.reshape(-1)
+    after = np.arange(len(first)).reshape(-1, 3)[:, [1, 2, 0]].reshape(-1)
+    opposite, open_edges = mesh.opposite
+    # Corners of one vertex whose triangles are joined by edges form a fan; a loop goes on in the fan where an
+    # edge ends. Triangles of other winding are of another fan.
+    shared = np.flatnonzero((opposite > np.arange(len(first))) & (first != first[opposite]))
+    beyond = opposite[shared]
+    joints = np.concatenate([shared, after[shared]]), np.concatenate([after[beyond], beyond])
+    graph = coo_array((np.ones(len(joints[0]), bool), joints), (len(first), len(first)))
+    fan = connected_components(graph, directed=False)[1]
+    starting = np.full(len(first), NONE, np.int64)
+    starting[fan[open_edges]] = np.arange(len(open_edges))
+    ahead = starting[fan[after[open_edges]]].tolist()
     start, triangle = first[open_edges].tolist(), (open_edges // 3).tolist()
     visited = [False] * len(ahead)
     for begin in range(len(ahead)):
@@ -150,32 +153,6 @@ def _loop(path: list[int], begin: int, start: list[int], triangle: list[int]) ->
         around = [start[edge] for edge in loop][::-1]
         beside = [triangle[edge] for edge in loop[:-1]][::-1] + [triangle[loop[-1]]]
         yield _Loop(np.array(around), np.array(beside))
-
-
-def _following(mesh: Mesh, first: np.ndarray, open_edges: np.ndarray, single: np.ndarray) -> np.ndarray:
-    """(E,) int64 edge (three times the triangle plus the corner) that follows each open one around the same
-    triangles; NONE where more than two meet or their windings differ.
-    """
-    after = np.arange(len(first)).reshape(-1, 3)[:, [1, 2, 0]].reshape(-1)
-    neighbour = mesh.neighbours.reshape(-1)
-    current = after[open_edges]
-    vertex = first[current]
-    turning = ~single[current]
-    for _ in range(_MAX_AROUND):
-        rows = np.flatnonzero(turning)
-        if not len(rows):
-            break
-        beyond = neighbour[current[rows]]
-        corners = mesh.triangles[beyond]
-        # In the next triangle the edge runs the other way and ends at the vertex, so that the next edge
-        # starts there.
-        match = corners == vertex[rows][:, None]
-        leaving = 3 * beyond + match.argmax(axis=1)
-        came = first[after[after[leaving]]] == first[after[current[rows]]]
-        lost = (beyond == NONE) | ~match.any(axis=1) | ~came
-        current[rows] = np.where(lost, NONE, leaving)
-        turning[rows] = ~lost & ~single[np.where(lost, 0, leaving)]
-    return np.where(turning, NONE, current)
 
 
 def _triangulated(mesh: Mesh, loops: list[_Loop]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -222,19 +199,15 @@ def triangulate(rims: np.ndarray) -> np.ndarray:
         cost[:, rows, rows + gap] = np.take_along_axis(total, best[:, :, None], axis=2)[:, :, 0]
         middle[:, rows, rows + gap] = rows + 1 + best
     result = np.zeros((batch, size - 2, 3), np.int64)
-    every = np.arange(batch)
-    stack = np.zeros((batch, size, 2), np.int64)
-    stack[:, 0] = 0, size - 1
-    filled = np.ones(batch, np.int64)
-    for number in range(size - 2):
-        filled -= 1
-        one, other = stack[every, filled].T
-        between = middle[every, one, other]
-        result[:, number] = np.stack([one, between, other], axis=1)
-        for low, high in ((one, between), (between, other)):
-            wide = high - low > 1
-            stack[every[wide], filled[wide]] = np.stack([low, high], axis=1)[wide]
-            filled += wide
+    for number, between in enumerate(middle.tolist()):
+        open_ones, found = [(0, size - 1)], []
+        while open_ones:
+            low, high = open_ones.pop()
+            if high - low > 1:
+                corner = between[low][high]
+                found.append((low, corner, high))
+                open_ones += [(low, corner), (corner, high)]
+        result[number] = found
     return result
 
 
@@ -258,42 +231,30 @@ def _rim_edges(points: np.ndarray, corners: np.ndarray, of_loop: np.ndarray, cou
 def _refined(
     points: np.ndarray, corners: np.ndarray, of_loop: np.ndarray, longest: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Triangles with inner edges divided in their middles until none is longer than its loop's limit."""
+    """Triangles with inner edges halved until none is longer than its loop's limit.
+
+    In each round those are halved that are the longest of both their triangles.
+    """
     for _ in range(_REFINEMENTS):
         ends, place, uses = _edges(corners)
         limit = np.zeros(len(ends))
         limit[place] = longest[of_loop][:, None]
         length = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
-        divided = (uses == 2) & (length > limit)
-        if not divided.any():
+        rank = np.argsort(np.argsort(length, kind="stable")) + 1
+        rank[(uses != 2) | (length <= limit)] = 0
+        side = rank[place].argmax(axis=1)
+        edge = place[np.arange(len(place)), side]
+        halved = np.bincount(edge, rank[edge] > 0, len(ends)) == 2
+        if not halved.any():
             break
-        new = np.full(len(ends), NONE, np.int64)
-        new[divided] = len(points) + np.arange(int(divided.sum()))
-        points = np.concatenate([points, points[ends[divided]].mean(axis=1)])
-        corners, of_loop = _divided(corners, new[place], of_loop)
+        rows = np.flatnonzero(halved[edge])
+        a, b, c = corners[rows[:, None], (side[rows, None] + np.arange(3)) % 3].T
+        middle = (len(points) + np.cumsum(halved) - 1)[edge[rows]]
+        points = np.concatenate([points, points[ends[halved]].mean(axis=1)])
+        halves = np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)
+        corners = np.concatenate([np.delete(corners, rows, axis=0), *halves])
+        of_loop = np.concatenate([np.delete(of_loop, rows), of_loop[rows], of_loop[rows]])
     return points, corners, of_loop
-
-
-def _divided(corners: np.ndarray, new: np.ndarray, of_loop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles divided at the new vertices (T, 3) on the edges from their corners on, NONE for no vertex."""
-    count = (new >= 0).sum(axis=1)
-    # Turned so that one new vertex is on the first edge, and the edge without one of two is the last.
-    turn = np.where(count == 2, ((new < 0).argmax(axis=1) + 1) % 3, (new >= 0).argmax(axis=1))
-    index = (turn[:, None] + np.arange(3)) % 3
-    (a, b, c), (ab, bc, ca) = (np.take_along_axis(each, index, axis=1).T for each in (corners, new))
-    patterns = (
-        ((a, b, c),),
-        ((a, ab, c), (ab, b, c)),
-        ((a, ab, c), (ab, bc, c), (ab, b, bc)),
-        ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)),
-    )
-    pieces, owner = [], []
-    for number, pattern in enumerate(patterns):
-        chosen = count == number
-        for piece in pattern:
-            pieces.append(np.stack(piece, axis=1)[chosen])
-            owner.append(of_loop[chosen])
-    return np.concatenate(pieces), np.concatenate(owner)
 
 
 def _relaxed(points: np.ndarray, corners: np.ndarray, rim: int) -> np.ndarray:

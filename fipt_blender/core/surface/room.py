@@ -16,12 +16,11 @@ import mitsuba as mi
 import numpy as np
 
 from ..run.errors import FiptError
-from ..run.run_files import CLOSING, read_room_files
+from ..run.run_files import CLOSING, read_geometry, read_outlined, read_room_files
 from ..run.runfolder import RunFolder
 from ..run.threads import cached_property
 from .adjacency import face_vectors
 from .scan import Scan, find_scan
-from .stored import stored_geometry
 
 # Distance at which rays start above a scan, in units of its noise.
 OFFSET_NOISE = 2.0
@@ -212,12 +211,12 @@ def load_room(run: RunFolder, outlined: bool = True, cleaned: bool = True) -> Ro
     if not run.room_npz.exists():
         raise FiptError("mesh-missing", f"{run.room_npz} does not exist.", "Export the room's mesh first.")
     arrays, names = read_room_files(run)
-    scan = stored_geometry(run, arrays, outlined) if cleaned else None
+    scan = (read_outlined if outlined else read_geometry)(run, arrays) if cleaned else None
     if scan is not None:
         arrays |= {"vertices": scan.vertices, "corner_normals": scan.corner_normals}
     room = Room(
         **{name: np.asarray(arrays[name], kind) for name, kind in _ARRAYS.items()},
-        noise=scan.noise if scan else 0.0,
+        noise=float(scan.noise) if scan else 0.0,
         plane=scan.plane.astype(np.int32) if scan else None,
         objects=names.objects,
         materials=names.materials,

@@ -20,7 +20,6 @@ from ..run.run_files import (
     mesh_digest,
     read_closing,
     read_geometry,
-    read_outlined,
     read_room_files,
 )
 from ..run.runfolder import RunFolder, explained_write_errors
@@ -125,18 +124,3 @@ def store_geometry(run: RunFolder, arrays: dict[str, np.ndarray], cleaned: Clean
     """
     vertices, normals, plane, noise = vars(cleaned).values()
     write_arrays(run.geometry_npz, Geometry(vertices, normals, plane, noise, mesh_digest(arrays)))
-
-
-def stored_geometry(
-    run: RunFolder, arrays: dict[str, np.ndarray], outlined: bool = False
-) -> CleanMesh | None:
-    """The cleaned copy of the run's mesh, None where there is none for it.
-
-    Args:
-        arrays: content of room.npz.
-        outlined: with its vertices on the outlines that masks show, where these are known.
-    """
-    stored = read_outlined(run, arrays) if outlined else read_geometry(run, arrays)
-    if stored is None:
-        return None
-    return CleanMesh(stored.vertices, stored.corner_normals, stored.plane, float(stored.noise))

@@ -24,10 +24,9 @@ from ..run.messages import Reporter
 from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
 from ..run.result_contents import AtlasImage, AtlasImages, TextureImage, Textures, UniformPart
-from ..run.run_files import AtlasArrays, CornerFields, read_room_files
+from ..run.run_files import AtlasArrays, CornerFields, read_outlined, read_room_files
 from ..run.runfolder import RunFolder, write_json
 from ..run.store import read_arrays, write_arrays
-from ..surface.stored import stored_geometry
 from .padding import pad
 from .raster import nearest_triangle_map
 from .texels import FieldSource, Texels, sample_fields
@@ -112,7 +111,7 @@ def bake(
     """
     room, _ = read_room_files(folder)
     atlas, arrays = read_document(folder.atlas_json, AtlasImages), read_arrays(folder.atlas_npz, AtlasArrays)
-    scan = stored_geometry(folder, room, outlined=True)
+    scan = read_outlined(folder, room)
     corners = (scan.vertices if scan else room["vertices"])[room["triangles"]]
     folder.stage.mkdir(parents=True, exist_ok=True)
     with (
