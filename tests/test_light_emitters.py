@@ -17,14 +17,13 @@ from fipt_blender.core.light.emission import constancy, emission_probability, lo
 from fipt_blender.core.light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
 from fipt_blender.core.light.emitters import (
     ALIKE,
-    EmitterPixels,
     bright_triangles,
     emitter_components,
     emitter_table,
     group_fixtures,
+    presume_lamps,
 )
 from fipt_blender.core.light.evidence import brighter_than_white, log_ratio
-from fipt_blender.core.light.presumed import presume_lamps
 from fipt_blender.core.light.radiance import CachedRadiance, new_path
 from fipt_blender.core.light.scan_fixtures import scan_groups, seen_sides
 from fipt_blender.core.optics.lights import AreaLights
@@ -41,10 +40,11 @@ CENTERS = SCAN.scan.centers
 CEILING = 1
 
 
-def pixels(rows: list[tuple[int, bool, float, float]]) -> EmitterPixels:
+def pixels(rows: list[tuple[int, bool, float, float]]) -> PixelStore:
     """Pixels of (triangle, front, weight, grey) rows."""
     triangle, front, weight, grey = (np.array(column) for column in zip(*rows, strict=True))
-    return EmitterPixels(triangle, front.astype(bool), np.repeat(grey[:, None], 3, axis=1), weight.astype(float))
+    own, ones = np.repeat(grey[:, None], 3, axis=1), np.ones(len(grey))
+    return PixelStore([], ones, own, ones, ones, triangle, front.astype(bool), ones > 0, own, weight.astype(float))
 
 
 def test_two_lamps_apart_are_two_fixtures_with_their_sides() -> None:
@@ -94,10 +94,10 @@ def test_bright_triangles_are_aimed_at() -> None:
     room = make_room([*BOX, [[0, 0, 2.9], [0, 0.4, 2.9], [0.4, 0.4, 2.9], [0.4, 0, 2.9]]])
     rows = [(i, True, 1.0, 0.5) for i in range(12)] + [(12, True, 1.0, 60.0), (13, False, 1.0, 40.0)]
     seen = pixels(rows)
-    table = bright_triangles(room, seen.triangle, seen.front, seen.radiance)
+    table = bright_triangles(room, seen)
     assert table.triangles.tolist() == [12, 13]
     assert table.radiance[:, 0].tolist() == [60.0, 0.0] and table.back_radiance[:, 0].tolist() == [0.0, 40.0]
-    assert len(bright_triangles(room, seen.triangle, seen.front, seen.radiance * 0.0).triangles) == 0
+    assert len(bright_triangles(room, replace(seen, radiance=seen.radiance * 0.0)).triangles) == 0
 
 
 @pytest.mark.parametrize("unseen", [0, 3])
@@ -199,7 +199,7 @@ def test_fixtures_of_a_scan_are_whole_and_have_one_side() -> None:
 def presumed(room: Room, radiance: dict[int, list[float]]) -> tuple:
     """Bright triangles, table and lamps, of pure pixels of grey radiances on the fronts of triangles."""
     seen = pixels([(index, True, 1.0, grey) for index, values in radiance.items() for grey in values])
-    bright = bright_triangles(room, seen.triangle, seen.front, seen.radiance)
+    bright = bright_triangles(room, seen)
     return bright, *presume_lamps(room, seen, bright)
 
 

@@ -98,7 +98,7 @@ def observations(folder: Path, room: Room, lit: bool = True, lamps: EmitterTable
         def cache(self, without: np.ndarray | None = None) -> np.ndarray:
             return np.full((len(grid.voxels) * 6, 3), INDIRECT, np.float32)
 
-    return Shown(pixels, None, None, grid, entry, None, 0.02, folder)  # type: ignore[arg-type]
+    return Shown(pixels, None, None, grid, entry, None, 0.02, folder, entry < -1)  # type: ignore[arg-type]
 
 
 def found_light(observed: Observations, room: Room, lamps: EmitterTable | None = None) -> Observations:

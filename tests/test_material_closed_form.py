@@ -15,6 +15,7 @@ from fipt_blender.core.light.observations import Observations, observe
 from fipt_blender.core.material import training_input as training_input_module
 from fipt_blender.core.material.closed_form import CellEstimate, TrainingData, fit_cells, followed_by_paths, white_rows
 from fipt_blender.core.material.groups import group_units, join_cells, neighbours
+from fipt_blender.core.material.hints import place_hints
 from fipt_blender.core.material.mixture import GroupMaterials
 from fipt_blender.core.material.projection import color_lines
 from fipt_blender.core.material.training_input import training_input
@@ -159,7 +160,8 @@ def test_pixels_outside_the_sample_have_their_own_colour(tmp_path, monkeypatch: 
     seen = observe(ROOM, pixels, nothing, SETTINGS, tmp_path / "observed")
     shadings = open_shadings(tmp_path / "shadings", len(pixels), 3, create=True)
     shadings.diffuse[:] = 2.0
-    data = training_input(seen, shadings, np.array([0.1, 0.5, 1.0], np.float32), SETTINGS)
+    hints = place_hints([], ROOM.vertices, ROOM.triangles, nothing, seen.surface)
+    data = training_input(seen, shadings, LEVELS, SETTINGS, hints)
     known = np.asarray(data.group) >= 0
     surface = ROOM.triangle_object[pixels.triangle[known]]
     assert known.sum() > 0.9 * len(seen.pool)

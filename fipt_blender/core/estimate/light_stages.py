@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..light.baking import Baking, ShadingStore, TracedLight, bake_views, open_shadings
-from ..light.emitters import EmitterPixels, bright_triangles
+from ..light.emitters import bright_triangles, presume_lamps
 from ..light.environment import Environment
 from ..light.observations import Observations, observe
-from ..light.presumed import presume_lamps
 from ..light.shadings import SampleCounts, roughness_levels
 from ..light.unseen_light import with_unseen_light
 from ..material.hints import known_colors
@@ -43,7 +42,7 @@ def observe_pixels(
 
 @dataclass(frozen=True)
 class PresumedLamps:
-    """What stage 1 aims at (:mod:`..light.presumed`).
+    """What stage 1 aims at (:func:`..light.emitters.presume_lamps`).
 
     Attributes:
         bright: triangles to sample, and their radiance; that of presumed lamps is not in the cache.
@@ -56,9 +55,9 @@ class PresumedLamps:
 
 def find_presumed_lamps(pixels: PixelStore, room: Room, *, settings: ShadingSettings) -> PresumedLamps:
     """Presume which bright surfaces are lamps, before any light is known."""
-    bright = bright_triangles(room, pixels.triangle, pixels.front, pixels.radiance)
+    bright = bright_triangles(room, pixels)
     if settings.presumed_lamps:
-        return PresumedLamps(*presume_lamps(room, EmitterPixels.of(pixels), bright))
+        return PresumedLamps(*presume_lamps(room, pixels, bright))
     in_cache = np.ones(len(bright.triangles), bool)
     return PresumedLamps(replace(bright, reflective=in_cache), np.zeros(len(room.triangles), bool))
 

@@ -54,7 +54,7 @@ class Solution:
     scale: float
     view_check: ViewCheck
     observations: Observations
-    surface_hints: SurfaceHints | None
+    surface_hints: SurfaceHints
     shadings: ShadingStore
     levels: np.ndarray
     data: TrainingData
@@ -79,12 +79,11 @@ def write_solution(
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     run, observations = given.folder, solution.observations
-    pixels, room = solution.pixels, solution.room
-    left_alone = observations.left_alone
+    pixels, room, hints = solution.pixels, solution.room, solution.surface_hints
     fields = solution.room_fields
     if solution.quality is not None:
         fields = fields.with_errors(no_better_than(fields.errors, solution.quality.deviation))
-    areas = area_names(solution.surface_hints, solution.units)
+    areas = area_names(hints, solution.units)
     statistics = summary(given, solution, stages)
     with atomic_folder(run.results) as new:
         folder = RunFolder(run.root, results=new.name)
@@ -92,11 +91,9 @@ def write_solution(
         if solution.quality is not None:
             write_quality(folder, solution.quality)
         names = write_part_list(folder, room, solution.parts, solution.views, pixels, fields, areas)
-        if left_alone is not None:
-            write_arrays(folder.left_alone_npz, LeftAlone(left_alone))
-        decided = np.zeros((len(room.triangles), 3), bool)
-        if solution.surface_hints is not None:
-            decided = solution.surface_hints.of_triangles(solution.surface_hints.decides)
+        if observations.left_alone.any():
+            write_arrays(folder.left_alone_npz, LeftAlone(observations.left_alone))
+        decided = hints.of_triangles(hints.decides)
         of_triangle = np.array([*names, ""], object)[fields.units.triangle]
         write_doubts(folder, solution.data, solution.cells, solution.probability, decided, of_triangle)
         remember_light(folder, SolvedLight(pixels, solution.shadings, solution.levels))
@@ -190,7 +187,7 @@ def summary(
         "settings": asdict(given.settings),
         **({"photometry": photometry.facts} if photometry else {}),
         **(_hole_facts(given.holes) if given.holes else {}),
-        **({"hints": hint_facts(hints, solution.units)} if hints else {}),
+        **({"hints": hint_facts(hints, solution.units)} if hints.names else {}),
     }
 
 
@@ -214,10 +211,8 @@ def hint_facts(hints: SurfaceHints, units: Units) -> list[HintFigures]:
     ]
 
 
-def area_names(hints: SurfaceHints | None, units: Units) -> dict[int, str]:
+def area_names(hints: SurfaceHints, units: Units) -> dict[int, str]:
     """The hints' names of the units that they have made."""
-    if hints is None:
-        return {}
     unit = values_of_hints(hints, units.triangle)
     return {int(unit[row]): name for row, name in enumerate(hints.names) if hints.own[row] and unit[row] >= 0}
 

@@ -5,8 +5,8 @@
 Rays from points of the surfaces land on surfaces that photographs show, on others, or on the hull of the
 mesh. Landing places of the last two kinds that are close together are one source; :mod:`.sources` finds its
 radiance. Sources that cast much of the light are divided, and solved for again. The light is kept only if
-points that were held back fit better with it. The light of presumed lamps (:mod:`.presumed`) is sampled
-towards them: few rays would hit a bulb, and the light of the others would be explained by sources beside it.
+points that were held back fit better with it. The light of presumed lamps is sampled towards them: few rays
+would hit a bulb, and the light of the others would be explained by sources beside it.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from .groups import (
     join_cells,
     neighbours,
 )
-from .hints import NO_HINT, SurfaceHints, values_of_hints
+from .hints import SurfaceHints, values_of_hints
 from .mixture import GroupMaterials, infer_materials
 from .pixel_samples import PixelSamples, rows_with_donor, window_means
 
@@ -50,7 +50,7 @@ def training_input(
     shadings: ShadingStore,
     levels: np.ndarray,
     settings: MaterialSettings,
-    hints: SurfaceHints | None = None,
+    hints: SurfaceHints,
 ) -> TrainingData:
     """The pixels with their shadings, groups and the materials of these.
 
@@ -63,9 +63,7 @@ def training_input(
     if observations.parts.kind != "part":
         group, places = _group_pixels(observations, shadings, levels, hints)
         groups = places.shape[1]
-    known = None
-    if hints is not None:
-        known = hints.known(groups_of_hints(hints, observations.parts, groups), groups)
+    known = hints.known(groups_of_hints(hints, observations.parts, groups), groups)
     start = np.random.default_rng([settings.seed, 5]).random()
     wide_rows, wide_cell = _wide_rows(observations, group, groups, start)
     wide = _wide_samples(observations, shadings, levels, group, wide_rows, wide_cell)
@@ -114,10 +112,7 @@ def material_units(data: TrainingData) -> Units:
 
 
 def _group_pixels(
-    observations: Observations,
-    shadings: ShadingStore,
-    levels: np.ndarray,
-    hints: SurfaceHints | None,
+    observations: Observations, shadings: ShadingStore, levels: np.ndarray, hints: SurfaceHints
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N,) int32 group of each pixel with a donor, NO_GROUP for the others; memory-mapped.
 
@@ -127,7 +122,6 @@ def _group_pixels(
     smallest are no groups. The pixels of a hint are a group of their own, numbered after the others.
     """
     pixels, label = observations.pixels, observations.parts.triangle_part
-    hint = np.full(len(label), NO_HINT) if hints is None else hints.triangle
     # One more row, at -1, for pixels that miss the mesh.
     surface = np.append(observations.surface, np.int32(NO_GROUP))
     group = open_array(observations.folder / "group.npy", (len(pixels),), np.int32, create=True)
@@ -154,17 +148,15 @@ def _group_pixels(
     for view, rows in enumerate(views):
         known = rows_with_donor(observations, view)
         found = of_cell[cells.of_pixels(data, known)]
-        hinted = hint[pixels.triangle[known]]
+        hinted = hints.triangle[pixels.triangle[known]]
         group[rows] = NO_GROUP
         group[known] = np.where(hinted >= 0, len(kept) + hinted, found)
     class_of_surface = np.zeros(len(diffuse), np.int64)
     class_of_surface[observations.surface] = label
     of_region = cells.group[first][np.unique(region, return_index=True)[1][kept]]
     places = np.stack([class_of_surface[of_region], of_region])
-    if hints is not None:  # each is a surface of its own
-        own = len(diffuse) + np.arange(len(hints.names))
-        places = np.append(places, [values_of_hints(hints, label), own], axis=1)
-    return group, places
+    own = len(diffuse) + np.arange(len(hints.names))  # each hint is a surface of its own
+    return group, np.append(places, [values_of_hints(hints, label), own], axis=1)
 
 
 def _wide_rows(
