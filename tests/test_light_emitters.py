@@ -15,18 +15,11 @@ from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.light.cache import SurfaceLookup
 from fipt_blender.core.light.emission import constancy, emission_probability, log_evidence
 from fipt_blender.core.light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
-from fipt_blender.core.light.emitters import (
-    ALIKE,
-    bright_triangles,
-    emitter_components,
-    emitter_table,
-    group_fixtures,
-    presume_lamps,
-)
+from fipt_blender.core.light.emitters import ALIKE, bright_triangles, emitter_components, group_fixtures, presume_lamps
 from fipt_blender.core.light.evidence import brighter_than_white, log_ratio
 from fipt_blender.core.light.radiance import CachedRadiance, new_path
 from fipt_blender.core.light.scan_fixtures import scan_groups, seen_sides
-from fipt_blender.core.optics.lights import AreaLights
+from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.parts.labels import NO_PART, Parts
 from fipt_blender.core.pixels.store import NO_TRIANGLE, PixelStore, create_pixels
 from fipt_blender.core.surface.room import Room
@@ -62,11 +55,11 @@ def test_two_lamps_apart_are_two_fixtures_with_their_sides() -> None:
     assert fixtures[1].radiance[0] == pytest.approx(4.0) and fixtures[1].back_radiance[0] == 3.0
     assert fixtures[0].area == pytest.approx(1.0) and fixtures[1].area == pytest.approx(0.25)
     assert fixtures[0].centroid == pytest.approx([-1.0, -0.5, 2.9])
-    table = emitter_table(fixtures)
+    table = EmitterTable.from_fixtures(fixtures)
     assert table.triangles.tolist() == [12, 13, 14, 15]
     assert table.radiance[:, 1].tolist() == pytest.approx([10.0, 10.0, 4.0, 4.0])
     assert table.back_radiance[:, 2].tolist() == [0.0, 0.0, 3.0, 3.0]
-    assert len(emitter_table([]).triangles) == 0
+    assert len(EmitterTable.from_fixtures([]).triangles) == 0
     assert group_fixtures(room, np.zeros(16, bool), pixels(rows)) == []
 
 

@@ -133,20 +133,20 @@ def test_a_lamp_that_no_view_shows_is_found_at_its_place(
     assert light_excess(found, dark) == 0.0 and light_excess(found, 0.9 * dark) == pytest.approx(-0.1, abs=1e-6)
     assert abs(light_excess(found, baked(observed, room, found))) < 0.05, "shadings have the light that was solved for"
     for lamp in found.lamps:
-        facing = None if lamp["facing"] is None else np.array(lamp["facing"])
-        free = free_radius(np.array(lamp["position"]), facing, *looks(observed))
-        assert lamp["radius"] <= max(free, 0.05)
+        facing = None if lamp.facing is None else np.array(lamp.facing)
+        free = free_radius(np.array(lamp.position), facing, *looks(observed))
+        assert lamp.radius <= max(free, 0.05)
     if len(quads) == 6:
         assert found.lamps, "an unseen surface that shines is offered as a lamp"
-        disc = max(found.lamps, key=lambda lamp: sum(lamp["radiance"]) * lamp["radius"] ** 2)
-        assert np.linalg.norm(np.array(disc["position"]) - [*CORNER, 2.9]) < 0.6
-        assert disc["facing"] == [0.0, 0.0, -1.0] and 0.3 < disc["radius"] < 0.9
-        power = disc["radius"] ** 2 * np.array(disc["radiance"])
+        disc = max(found.lamps, key=lambda lamp: sum(lamp.radiance) * lamp.radius**2)
+        assert np.linalg.norm(np.array(disc.position) - [*CORNER, 2.9]) < 0.6
+        assert disc.facing == [0.0, 0.0, -1.0] and 0.3 < disc.radius < 0.9
+        power = disc.radius**2 * np.array(disc.radiance)
         assert np.all(np.abs(np.log(power / (LAMP / np.pi))) < 0.5), power
         seen = np.flatnonzero(np.asarray(observed.pixels.triangle) >= 0)[::53]
         normal = room.normals[observed.pixels.triangle[seen]]
         of_lamp = 1.0 - INDIRECT / light(room, observed.pixels.position[seen], normal).mean(axis=1)
-        assert sum(lamp["share"] for lamp in found.lamps) == pytest.approx(of_lamp.mean(), abs=0.1)
+        assert sum(lamp.share for lamp in found.lamps) == pytest.approx(of_lamp.mean(), abs=0.1)
 
 
 def looks(observed: Observations) -> tuple[np.ndarray, np.ndarray]:
@@ -228,11 +228,11 @@ def test_what_shines_through_a_wide_opening_are_lamps_beside_it() -> None:
     )
     cast = np.zeros(len(floor))
     for lamp in found.lamps():
-        assert lamp["facing"] == [0.0, -1.0, 0.0]
-        assert lamp["position"][1] == pytest.approx(2.0, abs=0.1)
-        off = np.array(lamp["position"]) - floor
-        far = (off**2).sum(axis=1) + lamp["radius"] ** 2
-        cast += lamp["radius"] ** 2 * lamp["radiance"][0] * off[:, 1] * off[:, 2] / far**2
+        assert lamp.facing == [0.0, -1.0, 0.0]
+        assert lamp.position[1] == pytest.approx(2.0, abs=0.1)
+        off = np.array(lamp.position) - floor
+        far = (off**2).sum(axis=1) + lamp.radius**2
+        cast += lamp.radius**2 * lamp.radiance[0] * off[:, 1] * off[:, 2] / far**2
     ratio = cast / (unseen @ radiance[:, 0])
     assert np.abs(np.log(ratio)).max() < 0.35, ratio
 

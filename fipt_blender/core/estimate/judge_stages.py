@@ -9,16 +9,17 @@ import numpy as np
 from ..capture.views import View
 from ..checks.quality import Quality, judge
 from ..checks.rerender import Estimate
-from ..light.emitters import Fixture, emitter_table
+from ..light.emitters import Fixture
 from ..light.lamp_doubt import hardly_seen, light_errors, power_errors
 from ..light.observations import Observations
 from ..material.cell_errors import add_light_errors, cell_errors, draw_pixels, lit_cells
 from ..material.closed_form import TrainingData
 from ..material.fields import RoomFields
 from ..material.groups import Units
-from ..material.inference import Fields
+from ..material.networks import Fields
 from ..material.part_colors import room_detail
 from ..material.seen import Box, find_seen_cells
+from ..optics.lights import EmitterTable
 from ..photometry.encoded_photographs import Photometry
 from ..pixels.store import PixelStore
 from ..report.fixture_names import fixture_names
@@ -87,6 +88,7 @@ def judge_result(
 
     None where no photograph can be used. `held_back` are at full size.
     """
-    estimate = Estimate(room, room_fields.query, emitter_table(fixtures), observations.environment)
+    table = EmitterTable.from_fixtures(fixtures)
+    estimate = Estimate(room, room_fields.query, table, observations.environment)
     facts = {} if photometry is None else photometry.facts
     return judge(pixels, held_back, estimate, facts, scale, settings.seed, tools.reporter.progress)

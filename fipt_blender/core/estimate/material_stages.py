@@ -14,7 +14,7 @@ from ..light.baking import ShadingStore
 from ..light.cache import pool
 from ..light.emission import emission_probability
 from ..light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
-from ..light.emitters import Fixture, emitter_table, group_fixtures
+from ..light.emitters import Fixture, group_fixtures
 from ..light.evidence import brighter_than_white
 from ..light.observations import Observations
 from ..material.closed_form import (
@@ -203,7 +203,7 @@ def find_fixtures(
     parts = observations.parts
     surface = parts.triangle_part if parts.kind == "part" else None
     fixtures = group_fixtures(room, probability > 0.5, pixels, surface, probability)
-    table = emitter_table(fixtures)
+    table = EmitterTable.from_fixtures(fixtures)
     emitting = np.zeros(len(room.triangles), bool)
     emitting[table.triangles] = True
     return Emitters(fixtures, table, emitting)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ from ..pixels.store import PixelStore
 from ..report.pictures import write_quality
 from ..run.messages import Reporter, peak_memory_gb
 from ..run.replacing import atomic_folder
-from ..run.result_contents import EmitterEnvironment, EmitterFixture, Emitters, HintFigures, MissingLamp
+from ..run.result_contents import EmitterEnvironment, EmitterFixture, Emitters, HintFigures
 from ..run.run_files import LeftAlone, ScanHoles
 from ..run.runfolder import RunFolder, explained_write_errors, write_json
 from ..run.store import write_arrays
@@ -138,14 +138,7 @@ def write_results(
         for number, fixture in enumerate(fixtures, start=1)
     )
     missing = tuple(
-        MissingLamp(
-            lamp["position"],
-            lamp["radius"],
-            (scale * np.asarray(lamp["radiance"])).tolist(),
-            lamp.get("inferred", False),
-            lamp.get("facing"),
-            lamp.get("share", 0.0),
-        )
+        replace(lamp, radiance=(scale * np.asarray(lamp.radiance)).tolist())
         for lamp in (environment.lamps if environment is not None else ())
     )
     write_json(folder.emitters_json, Emitters(listed, described, missing))

@@ -174,18 +174,6 @@ def emitter_components(corners: np.ndarray, luminance: np.ndarray, measured: np.
     return graph_components(pairs[similar], len(corners))
 
 
-def emitter_table(fixtures: Sequence[Fixture]) -> EmitterTable:
-    """The fixtures' triangles as a table of emitters."""
-    if not fixtures:
-        return EmitterTable.empty()
-    sizes = [len(fixture.triangles) for fixture in fixtures]
-    return EmitterTable(
-        np.concatenate([fixture.triangles for fixture in fixtures]).astype(np.int32),
-        np.repeat([fixture.radiance for fixture in fixtures], sizes, axis=0).astype(np.float32),
-        np.repeat([fixture.back_radiance for fixture in fixtures], sizes, axis=0).astype(np.float32),
-    )
-
-
 def bright_triangles(room: Room, pixels: PixelStore) -> EmitterTable:
     """Triangles to sample before any emitter is known: those much brighter than the room's mean.
 
@@ -238,7 +226,7 @@ def presume_lamps(room: Room, pixels: PixelStore, bright: EmitterTable) -> tuple
     median = grouped_weighted_median(luminance, weight, side, 2 * len(fixtures))[side]
     deviation = np.abs(luminance - median) / np.maximum(median, 1e-12)
     shown &= grouped_weighted_median(deviation, weight, index, len(fixtures)) < CONSTANT_DEVIATION
-    table = emitter_table([each for each, kept in zip(fixtures, shown, strict=True) if kept])
+    table = EmitterTable.from_fixtures([each for each, kept in zip(fixtures, shown, strict=True) if kept])
     lamps[table.triangles] = True
     others = ~lamps[bright.triangles]
     columns = (bright.triangles[others], bright.radiance[others], bright.back_radiance[others])

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -23,6 +22,7 @@ from ..optics.lights import AreaLights, EmitterTable
 from ..parts.components import graph_components
 from ..pixels.grouped import numbered
 from ..pixels.store import PixelStore
+from ..run.result_contents import MissingLamp
 from ..run.stage_settings import LightSettings
 from ..run.threads import cached_property
 from ..surface.room import Room
@@ -182,7 +182,7 @@ class Sources:
         result[members] = np.where(own, np.cumsum(own) - 1, -1)[lamp]
         return result
 
-    def lamps(self) -> Iterator[dict[str, Any]]:
+    def lamps(self) -> Iterator[MissingLamp]:
         """Discs and balls that cast the light of bright sources, as lamps that the mesh lacks.
 
         What shines to one side is a disc as wide as its sources are spread, or several; others are balls.
@@ -221,7 +221,7 @@ class Sources:
 
     def _fitted(
         self, own: np.ndarray, center: np.ndarray, radius: float, facing: np.ndarray | None
-    ) -> dict[str, Any]:
+    ) -> MissingLamp:
         """The lamp of a place and at most a radius, metres, that casts about the light of sources (n,)."""
         free = max(free_radius(center, facing, *self.looks), MIN_RADIUS * self.cells.size)
         radius = min(radius, free)
@@ -235,14 +235,9 @@ class Sources:
         if facing is not None:
             unit *= np.maximum(-toward @ facing, 0.0) * np.sqrt(squared) / (squared + radius**2)
         fitted = unit @ cast[lit] / max(float(unit @ unit), 1e-12)
-        return {
-            "position": center.tolist(),
-            "radius": radius,
-            "radiance": fitted.tolist(),
-            "inferred": True,
-            "share": float(self.shares[own].sum()),
-            "facing": None if facing is None else facing.tolist(),
-        }
+        toward = None if facing is None else facing.tolist()
+        share = float(self.shares[own].sum())
+        return MissingLamp(center.tolist(), radius, fitted.tolist(), True, toward, share)
 
 
 def find_sources(

@@ -15,7 +15,7 @@ from ..pixels.store import PixelStore
 from .closed_form import TrainingData
 from .confidence import FLOOR, UNIFORM_DEVIATION, linearise, standard_errors
 from .groups import Units
-from .inference import Fields
+from .networks import Fields
 from .projection import color_lines
 from .seen import RESOLUTION, Box, SeenCells, cell_keys
 

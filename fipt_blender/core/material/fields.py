@@ -16,9 +16,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import torch
 
-from ..device.variant import torch_device
 from ..optics.brdf import set_masking
 from ..parts.labels import NO_PART
 from ..run.errors import FiptError
@@ -27,8 +25,7 @@ from ..run.runfolder import RunFolder
 from ..run.store import Array, read_arrays, write_arrays
 from .confidence import UNIFORM_DEVIATION, confidence, errors_with_place
 from .groups import Units
-from .inference import Fields
-from .networks import BrdfNetwork
+from .networks import Fields, brdf_network
 from .reliability import PartDetail
 from .seen import Box, SeenCells, fallback_values, seen_statistics
 
@@ -41,7 +38,6 @@ class FieldArrays:
     """results/fields.npz: the network's weights, and arguments of `RoomFields`."""
 
     network: Mapping[str, np.ndarray]
-    hash_levels: Annotated[int, Array("i")]
     box_low: Annotated[np.ndarray, Array("f", 3)]
     box_extent: Annotated[float, Array("f")]
     seen_keys: Annotated[np.ndarray, Array("i", "cells")]
@@ -163,14 +159,8 @@ class RoomFields:
             run.fields_npz, FieldArrays, again, "results-damaged", {"units": len(units.single)}
         )
         try:
-            hash_levels = int(arrays.hash_levels)
-            if not 1 <= hash_levels <= settings.hash_levels:
-                raise ValueError(f"it has {hash_levels} levels, the settings {settings.hash_levels}")
-            typical = np.zeros((len(units.single) + 1, 5))
-            device = torch.device(torch_device())
-            network = BrdfNetwork(settings, hash_levels, typical, torch.Generator(), device)
-            network.load_state_dict({name: torch.from_numpy(each) for name, each in arrays.network.items()})
-        except (TypeError, ValueError, RuntimeError) as error:
+            network = brdf_network(settings, arrays.network, len(units.single))
+        except (TypeError, ValueError, RuntimeError, KeyError, IndexError) as error:
             raise FiptError("results-damaged", f"{run.fields_npz} can't be read ({error}).", again) from None
         median, width = arrays.detail_median, arrays.detail_width
         keys, sums = arrays.detail_keys, arrays.detail_sums
@@ -187,7 +177,6 @@ class RoomFields:
         network, box, units, detail = self.fields.network, self.fields.box, self.units, self.detail
         arrays = FieldArrays(
             {name: value.cpu().numpy() for name, value in network.state_dict().items()},
-            len(network.grid.resolutions),
             box.low,
             box.extent,
             self.cells.keys,

@@ -12,7 +12,7 @@ from .cell_errors import DrawnPixels
 from .closed_form import TrainingData
 from .confidence import FLOOR
 from .groups import Units
-from .inference import Fields
+from .networks import Fields
 from .pixel_samples import residual_weight
 from .projection import color_lines
 from .reliability import PartDetail, PlaceColors, part_detail
