@@ -29,6 +29,7 @@ from fipt_blender.core.optics.brdf import set_masking
 from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.pixels.store import create_pixels, fill_pixels, trace_view
 from fipt_blender.core.run.messages import Reporter
+from fipt_blender.core.run.result_contents import MissingLamp
 from fipt_blender.core.run.run_files import read_capture
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
@@ -42,9 +43,9 @@ pytestmark = pytest.mark.usefixtures("registered")
 
 SCALE = 0.5  # the captures' median radiance
 AGREE = 0.5  # dB
-FLOOR_LAMP = {"position": [0.9, 0.8, 0.9], "radius": 0.2, "radiance": [9.0, 8.0, 6.0], "inferred": True, "facing": None}
+FLOOR_LAMP = MissingLamp((0.9, 0.8, 0.9), 0.2, (9.0, 8.0, 6.0), True)
 # Before the first camera's lens, facing the room.
-DISC = {"position": [0.0, -2.6, 1.5], "radius": 0.9, "radiance": [6.0, 6.5, 7.0], "inferred": True, "facing": [0, 1, 0]}
+DISC = MissingLamp((0.0, -2.6, 1.5), 0.9, (6.0, 6.5, 7.0), True, (0.0, 1.0, 0.0))
 
 
 @dataclass(frozen=True)

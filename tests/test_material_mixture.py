@@ -251,7 +251,7 @@ def test_a_material_is_less_certain_where_views_err(rng: np.random.Generator, mo
     [([10, 20, 70_000], 50_000.0), ([400_000] * 20, 30_000.0), ([0, 100_000, 40_000, 20_000] * 10, 20_000.0)],
 )
 def test_no_group_uses_more_pixels_than_all_may_use_together(count, most):
-    assert training_input.most_of_each(np.array(count)) == most
+    assert training_input.max_of_each(np.array(count)) == most
     assert np.minimum(count, most).sum() <= 600_000
 
 

@@ -28,10 +28,10 @@ from ..run.runfolder import RunFolder, write_json
 from ..surface.room import Room
 
 # Cells whose values are averaged.
-MOST_CELLS = 50_000
+MAX_CELLS = 50_000
 # Two surfaces are one if each holds this share of the other's area; a surface has a direction or a class if
 # this share of it has.
-SAME, MOST = 0.9, 0.7
+SAME, MAJORITY = 0.9, 0.7
 # A surface is at the floor or the ceiling within this share of the room's height, and a wall from this share
 # of the room's area.
 END, LARGE = 0.1, 0.03
@@ -107,7 +107,7 @@ def write_part_list(
 def _mean_values(fields: RoomFields, count: int) -> np.ndarray:
     """(count, 8) means over the seen cells of each unit: base colour, roughness, metallic, confidences."""
     cells = fields.cells
-    rows = np.arange(0, len(cells.part), max(len(cells.part) // MOST_CELLS, 1))
+    rows = np.arange(0, len(cells.part), max(len(cells.part) // MAX_CELLS, 1))
     rows = rows[cells.part[rows] >= 0]
     if not len(rows):
         return np.full((count, 8), np.nan)
@@ -153,7 +153,7 @@ def _semantic_classes(
     classes = []
     for row in _areas(room, unit, count, label, len(ids)):
         total, best = row.sum(), int(row.argmax()) if len(row) else 0
-        number = int(ids[best]) if total > 0.0 and row[best] >= MOST * total else -1
+        number = int(ids[best]) if total > 0.0 and row[best] >= MAJORITY * total else -1
         classes.append((number, names.get(str(number), "")))
     return classes
 
@@ -237,7 +237,7 @@ def _places(room: Room, unit: np.ndarray, count: int) -> list[str]:
 
     low, high = room.bounds
     height = (mean(corners[:, :, 2].mean(axis=1)) - low[2]) / max(high[2] - low[2], 1e-9)
-    flat, upright = mean(steepness > 0.9) > MOST, mean(steepness < 0.3) > MOST
+    flat, upright = mean(steepness > 0.9) > MAJORITY, mean(steepness < 0.3) > MAJORITY
     large = area > LARGE * room.areas.sum()
     names = np.full(count, "", object)
     names[upright & large] = "Wall"

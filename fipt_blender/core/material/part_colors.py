@@ -18,8 +18,8 @@ from .projection import color_lines
 from .reliability import PartDetail, PlaceColors, part_detail
 from .seen import SeenCells
 
-# Least and largest base colour of a pixel, whose light may be wrong.
-LEAST, MOST = -0.5, 2.0
+# Smallest and largest base colour of a pixel, whose light may be wrong.
+MIN_COLOR, MAX_COLOR = -0.5, 2.0
 
 
 def room_detail(
@@ -46,7 +46,7 @@ def room_detail(
     values = fields.query(position, unit)
     slope, offset = color_lines(data.shadings, data.levels, pixels, values[:, 3:])
     radiance = data.observations.pixels.own[pixels]
-    color = np.clip((radiance - offset) / np.maximum(slope, 1e-6), LEAST, MOST)
+    color = np.clip((radiance - offset) / np.maximum(slope, 1e-6), MIN_COLOR, MAX_COLOR)
     # By the part's median, so that the dark places of a pattern don't weigh more than the bright ones.
     weight = (residual_weight(slope * median[unit] + offset) * slope**2).mean(axis=1)
     cell = np.floor((position - box.low) / footprint).astype(np.int64)

@@ -17,7 +17,7 @@ from ..pixels.store import CELL_PIXELS, open_array
 from ..run.stage_settings import MaterialSettings
 from .closed_form import TrainingData, fit_cells
 from .groups import (
-    MOST_GROUPS,
+    MAX_GROUPS,
     NO_GROUP,
     Units,
     group_units,
@@ -118,7 +118,7 @@ def _group_pixels(
 
     And (2, groups) the places of :func:`.infer_materials`.
 
-    Base colours of cells are those of their pixels, taken as diffuse. Of more than `MOST_GROUPS` regions the
+    Base colours of cells are those of their pixels, taken as diffuse. Of more than `MAX_GROUPS` regions the
     smallest are no groups. The pixels of a hint are a group of their own, numbered after the others.
     """
     pixels, label = observations.pixels, observations.parts.triangle_part
@@ -141,7 +141,7 @@ def _group_pixels(
     first = np.unique(wide, return_index=True)[1]
     region = join_cells(color, count, neighbours(cells.group[first], cube[first]))
     size = np.bincount(region, count)
-    kept = np.argsort(-size, kind="stable")[:MOST_GROUPS]
+    kept = np.argsort(-size, kind="stable")[:MAX_GROUPS]
     number = np.full(len(size) + 1, NO_GROUP, np.int32)
     number[kept] = np.arange(len(kept), dtype=np.int32)
     of_cell = np.append(number[region[wide]], np.int32(NO_GROUP))
@@ -184,7 +184,7 @@ def _wide_rows(
             total += np.bincount(group[some], minlength=groups)
     few = count[1] < FEW_PIXELS
     usable = np.where(few, count[0], count[1])
-    share = most_of_each(usable) / np.maximum(usable, 1)
+    share = max_of_each(usable) / np.maximum(usable, 1)
     edge = WIDE_CELL * float(observations.grid.size.max())
     found = []
     for rows in map(known, views):
@@ -215,7 +215,7 @@ def _wide_samples(
     return PixelSamples(rows, radiance, diffuse, specular, levels, cell, group[rows], view, weight)
 
 
-def most_of_each(count: np.ndarray) -> float:
+def max_of_each(count: np.ndarray) -> float:
     """The number of pixels up to which each group is used, of which it has so many (G,).
 
     It is the largest up to `GROUP_PIXELS` with which all together use at most `PROJECTION_PIXELS`.

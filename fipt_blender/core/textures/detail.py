@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -116,20 +116,6 @@ def remember_light(run: RunFolder, light: SolvedLight) -> None:
     write_json(run.stage / "views.json", _UsedViews(listed, document))
 
 
-def solved_light(run: RunFolder, views: list[View]) -> SolvedLight:
-    """What :func:`remember_light` wrote; `views`: the same, at light resolution.
-
-    Raises:
-        FiptError: ``file-damaged``.
-    """
-    path = run.stage / "views.json"
-    try:
-        light = read_document(path, _UsedViews).light
-        return cast(SolvedLight, loaded(light, SolvedLight, run.stage.resolve(), {"views": views}))
-    except (ValueError, DamagedStage) as error:
-        raise FiptError("file-damaged", f"{path} can't be used ({error}).", START_AGAIN) from None
-
-
 def load_input(run: RunFolder, reporter: Reporter | None = None) -> DetailInput | None:
     """The views of a finished estimation; None where detail is off, or no photograph has more than light has.
 
@@ -158,7 +144,10 @@ def load_input(run: RunFolder, reporter: Reporter | None = None) -> DetailInput 
     pairs = zip(photographs, lights, strict=True)
     if all(view.width * view.height <= light.width * light.height for view, light in pairs):
         return None
-    light = solved_light(run, lights)
+    try:
+        light = loaded(document.light, SolvedLight, run.stage.resolve(), {"views": lights})
+    except (ValueError, DamagedStage) as error:
+        raise FiptError("file-damaged", f"{path} can't be used ({error}).", START_AGAIN) from None
     photometry = None
     if run.statistics_json.exists():
         photometry = read_document(run.statistics_json, Statistics).photometry
