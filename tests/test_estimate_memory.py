@@ -73,9 +73,9 @@ def window(pixels: PixelStore) -> None:
 
 def learn_from(seen: Observations) -> None:
     levels = np.array([0.1, 0.5, 1.0], np.float32)
-    shadings = open_shadings(seen.folder, len(seen.pixels), len(levels), create=True)
+    shadings = open_shadings(seen.folder, len(seen.pixels), levels, create=True)
     hints = place_hints([], ROOM.vertices, ROOM.triangles, seen.parts, seen.surface)
-    data = training_input(seen, shadings, levels, SETTINGS, hints)
+    data = training_input(seen, shadings, SETTINGS, hints)
     cells = fit_cells(data)
     assert 0 < len(cells.keys) < len(seen.pixels)
     units = material_units(data)

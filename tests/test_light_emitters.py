@@ -13,12 +13,17 @@ import pytest
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.light.cache import SurfaceLookup
-from fipt_blender.core.light.emission import constancy, emission_probability, log_evidence
+from fipt_blender.core.light.emission import (
+    brighter_than_white,
+    constancy,
+    emission_probability,
+    log_evidence,
+    log_ratio,
+)
 from fipt_blender.core.light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
 from fipt_blender.core.light.emitters import ALIKE, bright_triangles, emitter_components, group_fixtures, presume_lamps
-from fipt_blender.core.light.evidence import brighter_than_white, log_ratio
 from fipt_blender.core.light.radiance import CachedRadiance, new_path
-from fipt_blender.core.light.scan_fixtures import scan_groups, seen_sides
+from fipt_blender.core.light.scan_fixtures import scan_groups
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.parts.labels import NO_PART, Parts
 from fipt_blender.core.pixels.store import NO_TRIANGLE, PixelStore, create_pixels
@@ -127,7 +132,7 @@ def seen(triangles: np.ndarray, grey: np.ndarray | float, front: bool = True) ->
 def test_a_modelled_room_emits_triangle_by_triangle_and_unjudged_ones_follow_their_part() -> None:
     room = make_room(BOX)
     surfaces = emitter_surfaces(room, Parts(np.full(12, NO_PART, np.int32), "none"), 0.01)
-    assert np.array_equal(surfaces.unit, np.arange(12)) and surfaces.light_error == 0.0 and surfaces.unseen is None
+    assert np.array_equal(surfaces.unit, np.arange(12))
     assert len(np.unique(surfaces.component)) == 6
     part = np.arange(12, dtype=np.int32) % 2  # the two triangles of a side
     assert len(np.unique(emitter_surfaces(room, Parts(part, "part"), 0.01).component)) == 12
@@ -163,15 +168,6 @@ def test_specks_near_a_lamp_are_part_of_it_and_others_are_none() -> None:
     assert sorted(np.bincount(group)) == sorted([lamp.sum(), small.sum()])  # a small lamp far from the large one
     apart = scan_groups(SCAN.scan, ids, np.where(near, 1, 0))
     assert (apart[near[ids]] == -1).all()  # the speck is of another part
-
-
-def test_a_side_shines_only_if_much_of_it_is_seen() -> None:
-    areas, fixture = np.ones(10), np.zeros(10, np.int64)
-    seen_front, seen_back = np.ones(10, bool), np.arange(10) < 2
-    assert seen_sides(areas, np.column_stack([seen_front, seen_back]), fixture).tolist() == [[True, False]]
-    assert seen_sides(areas, np.ones((10, 2), bool), fixture).tolist() == [[True, True]]
-    unseen = seen_sides(areas, np.zeros((10, 2), bool), np.full(10, -1))
-    assert unseen.shape == (0, 2)
 
 
 def test_fixtures_of_a_scan_are_whole_and_have_one_side() -> None:
@@ -259,18 +255,17 @@ def probability(
     pixels: PixelStore,
     told: tuple[int, ...] = (),
     diffuse: np.ndarray | float = 1.0,
+    light_error: float = 0.0,
     hdr: bool = True,
     **changes: object,
 ) -> np.ndarray:
     """(T,) probability to emit where L_d is 1, or as given for each pixel, and surfaces are diffuse."""
     ids = np.arange(len(ROOM.triangles))
-    surfaces: EmitterSurfaces = replace(emitter_surfaces(ROOM, Parts(ids, "none"), 0.01), **changes)
+    surfaces: EmitterSurfaces = replace(emitter_surfaces(ROOM, Parts(ids, "none"), 0.01, light_error, hdr), **changes)
     light = np.broadcast_to(np.reshape(diffuse, (-1, 1)), (len(pixels), 3)).astype(np.float16)
-    shadings = ShadingStore(light, np.zeros((len(pixels), 2, 2, 3), np.float16))
-    none, hints = np.zeros(len(ids), bool), np.isin(ids, told).astype(np.int8)
-    return emission_probability(
-        ROOM, pixels, shadings, lambda rows: light[rows].astype(np.float32), surfaces, hints, none, hdr
-    )
+    shadings = ShadingStore(light, np.zeros((len(pixels), 2, 2, 3), np.float16), np.array([0.1, 1.0]))
+    hints = np.isin(ids, told).astype(np.int8)
+    return emission_probability(ROOM, pixels, shadings, lambda rows: light[rows].astype(np.float32), surfaces, hints)
 
 
 def emission(pixels: PixelStore, **options: object) -> list[int]:
@@ -324,14 +319,13 @@ def test_a_lamp_much_brighter_than_white_emits(tmp_path: Path) -> None:
 def test_what_lies_outside_is_not_brighter_than_white_surfaces(tmp_path: Path) -> None:
     pixels = store(tmp_path, [(["..LL??"], [[0.8, 0.8, 5.0, 5.0, 9.0, 9.0]])])
     light = np.ones((len(pixels), 3), np.float16)
-    shadings = ShadingStore(light, np.zeros((len(pixels), 2, 2, 3), np.float16))
+    shadings = ShadingStore(light, np.zeros((len(pixels), 2, 2, 3), np.float16), np.array([0.1, 1.0]))
     assert brighter_than_white(pixels, shadings) == 0.5
 
 
 def test_light_that_may_be_brighter_explains_more(tmp_path: Path) -> None:
     pixels = store(tmp_path, [(["..LL"], [[0.8, 0.8, 5.0, 5.0]])] * 4)
-    close = np.full(len(ROOM.triangles), 0.5)
-    changes = ({}, {"light_error": 0.5}, {"hdr": False}, {"unseen": close})
+    changes = ({}, {"light_error": 0.5}, {"hdr": False})
     found = [probability(pixels, **options)[LAMP] for options in changes]  # type: ignore[arg-type]
     assert found[0] > 0.9 and all(found[0] > other for other in found[1:])
     assert emission(pixels, told=(WALL, WALL + 1)) == [WALL, WALL + 1, LAMP, LAMP + 1]

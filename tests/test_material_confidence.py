@@ -75,7 +75,7 @@ def linearised(
 ) -> LinearisedPixels:
     """Pixels of this material and its errors, linearised at these base colours (N, 3)."""
     materials, errors = (np.tile(np.float32(values), (len(color), 1)) for values in (material, error))
-    lines = partial(color_lines, ShadingStore(diffuse, specular), LEVELS, np.arange(len(color)))
+    lines = partial(color_lines, ShadingStore(diffuse, specular, LEVELS), np.arange(len(color)))
     return linearise(radiance, lines, color, materials, errors)
 
 

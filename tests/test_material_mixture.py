@@ -264,8 +264,8 @@ def test_known_materials_are_recovered(rng: np.random.Generator, noise: float, o
     np.testing.assert_allclose(metallic, [metallic for _, metallic in truths], atol=1e-3)
     for estimated, (true, _) in zip(roughness, truths, strict=True):
         assert estimated == pytest.approx(true, abs=0.08)
-    shadings, rows = ShadingStore(samples.diffuse, samples.specular), np.arange(len(samples.group))
-    lines = color_lines(shadings, LEVELS, rows, np.stack(materials, axis=1)[samples.group])
+    shadings, rows = ShadingStore(samples.diffuse, samples.specular, LEVELS), np.arange(len(samples.group))
+    lines = color_lines(shadings, rows, np.stack(materials, axis=1)[samples.group])
     found = fit_colors(samples.radiance, *lines, samples.square_weight, samples.cell)[samples.cell]
     for index in range(len(truths)):
         rows = samples.group == index

@@ -66,8 +66,7 @@ def make_data(kind: str = "part") -> TrainingData:
     )
     return TrainingData(
         observations,
-        ShadingStore(diffuse.astype(np.float16), np.full((count, 3, 2, 3), 1e-3, np.float16)),
-        LEVELS,
+        ShadingStore(diffuse.astype(np.float16), np.full((count, 3, 2, 3), 1e-3, np.float16), LEVELS),
         np.full(count, -1) if kind == "none" else part.copy(),
         GroupMaterials(np.array([[1.0, 0.0]] * 2, np.float32), np.zeros((2, 2), np.float32)),
     )

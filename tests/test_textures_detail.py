@@ -130,8 +130,8 @@ def scene(folder, color, light, gains=(1.0, 1.0, 1.0), noise=0.0, shelf=False):
     columns = (position, normal, triangle.astype(np.int32), every, ~every, radiance, ones)
     store = PixelStore(lights, ranges, radiance, *columns)
     diffuse = np.repeat(shading[:, None], 3, axis=1).astype(np.float16)
-    shadings = ShadingStore(diffuse, np.zeros((count, 2, 2, 3), np.float16))
-    return detail.DetailInput(photographs, store, shadings, roughness_levels(2, 0.1, 1.0))
+    shadings = ShadingStore(diffuse, np.zeros((count, 2, 2, 3), np.float16), roughness_levels(2, 0.1, 1.0))
+    return detail.DetailInput(photographs, store, shadings)
 
 
 def wall_texels(color=plain):
@@ -264,7 +264,7 @@ def estimated_run(folder, given):
     run = RunFolder(folder / "run")
     run.create(make_settings())
     write_views(run, given.photographs)
-    detail.remember_light(run, detail.SolvedLight(given.pixels, given.shadings, given.levels))
+    detail.remember_light(run, detail.SolvedLight(given.pixels, given.shadings))
     run.results.mkdir(exist_ok=True)
     for path in (run.stages_json, run.results / "stages.json"):
         write_json(path, Stages({"light": "a", "quality": "b"}, {"light": {}, "quality": {}}, {}))

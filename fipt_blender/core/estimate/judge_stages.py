@@ -18,7 +18,7 @@ from ..material.fields import RoomFields
 from ..material.groups import Units
 from ..material.networks import Fields
 from ..material.part_colors import room_detail
-from ..material.seen import Box, find_seen_cells
+from ..material.seen import find_seen_cells
 from ..optics.lights import EmitterTable
 from ..photometry.encoded_photographs import Photometry
 from ..pixels.store import PixelStore
@@ -37,7 +37,6 @@ def find_room_fields(
     fixtures: list[Fixture],
     emitting: np.ndarray,
     fields: Fields,
-    box: Box,
     *,
     settings: ResultSettings,
     tools: Tools,
@@ -46,8 +45,8 @@ def find_room_fields(
 
     From the pixels of all triangles that reflect and are not left alone.
     """
-    cells = find_seen_cells(pixels, units, box)
-    drawn = draw_pixels(pixels, units, box, cells, emitting | observations.left_alone, settings.seed)
+    cells, unused = find_seen_cells(pixels, units, fields.box), emitting | observations.left_alone
+    drawn = draw_pixels(pixels, units, fields.box, cells, unused, settings.seed)
     errors = cell_errors(drawn, data, units, fields, cells)
     doubted = hardly_seen(fixtures, pixels, len(room.triangles)) if settings.lamp_doubt else []
     if settings.lamp_doubt and fixtures and (room.place or doubted):

@@ -103,21 +103,6 @@ def light_outside(observed: Observations, environment: Environment | None) -> Ob
 # ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) -------------------------------------------
 
 
-@dataclass(frozen=True)
-class BakedShadings:
-    """Shadings of all pixels.
-
-    Attributes:
-        shadings: in units of the capture's median.
-        levels: (K,) float32 roughness levels.
-        baked_lamps: (T,) bool lamps whose own radiance was baked, instead of that of the cache.
-    """
-
-    shadings: ShadingStore
-    levels: np.ndarray
-    baked_lamps: np.ndarray
-
-
 def bake_shadings(
     observed: Observations,
     lamps: PresumedLamps,
@@ -127,7 +112,7 @@ def bake_shadings(
     *,
     settings: ShadingSettings,
     tools: Tools,
-) -> BakedShadings:
+) -> ShadingStore:
     """Bake the shadings of all views from the radiance cache; `lamps` are the presumed ones."""
     baking = first_baking(room, parts, observed, lamps, settings)
     store = _bake(baking, pixels, tools)
@@ -139,7 +124,7 @@ def bake_shadings(
             " what no photograph shows, and base colors are as uncertain.",
             "Add photographs that show the lamps and windows.",
         )
-    return BakedShadings(store, baking.levels, lamps.presumed)
+    return store
 
 
 def light_excess(environment: Environment | None, diffuse: np.ndarray) -> float:
@@ -196,7 +181,7 @@ def _baking(
 
 def _bake(baking: Baking, pixels: PixelStore, tools: Tools) -> ShadingStore:
     """The shadings of all views; those that an interrupted run has finished are kept."""
-    finished, size = tools.finished, (len(pixels), len(baking.levels))
+    finished, size = tools.finished, (len(pixels), baking.levels)
     store = None
     if finished.views:
         try:
@@ -220,19 +205,17 @@ def refine_shadings(
     parts: Parts,
     emitters: EmitterTable,
     emitting: np.ndarray,
-    lamps: PresumedLamps,
     diffuse: np.ndarray,
     materials: np.ndarray,
     *,
     settings: RefinementSettings,
     tools: Tools,
-) -> BakedShadings:
+) -> ShadingStore:
     """Bake the shadings of all views anew by path tracing with the estimate.
 
     Args:
         index: number of the round.
         emitters: the fixtures found so far, and emitting: (T,) bool, their triangles.
-        lamps: those presumed before any estimate.
         diffuse: (M * 6, 3) float16 mean L_d of each cache entry in the last closed-form estimate.
         materials: (M * 6, 5) float32 base colour, roughness and metallic of each entry in it.
     """
@@ -243,5 +226,4 @@ def refine_shadings(
         settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
     )
     baking = _baking(room, parts, observed, cache, emitters, counts, traced, settings, index)
-    baked = emitting if emitting.any() else lamps.presumed
-    return BakedShadings(_bake(baking, pixels, tools), baking.levels, baked)
+    return _bake(baking, pixels, tools)

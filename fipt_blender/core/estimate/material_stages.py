@@ -12,10 +12,9 @@ import numpy as np
 
 from ..light.baking import ShadingStore
 from ..light.cache import pool
-from ..light.emission import emission_probability
+from ..light.emission import brighter_than_white, emission_probability
 from ..light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
 from ..light.emitters import Fixture, group_fixtures
-from ..light.evidence import brighter_than_white
 from ..light.observations import Observations
 from ..material.closed_form import (
     CellEstimate,
@@ -86,19 +85,25 @@ class ClosedForm:
 def fit_closed_form(
     observations: Observations,
     shadings: ShadingStore,
-    levels: np.ndarray,
     surface_hints: SurfaceHints,
     *,
     settings: MaterialSettings,
 ) -> ClosedForm:
     """Group the pixels by material, infer these, and fit the base colour of each cell."""
-    data = training_input(observations, shadings, levels, settings, surface_hints)
+    data = training_input(observations, shadings, settings, surface_hints)
     return ClosedForm(data, fit_cells(data))
 
 
-def find_emitter_units(room: Room, parts: Parts, observed: Observations) -> EmitterSurfaces:
-    """Divide the mesh into surfaces of which each emits as a whole, or not at all."""
-    return emitter_surfaces(room, parts, observed.footprint, observed.environment)
+def find_emitter_units(
+    room: Room, parts: Parts, observed: Observations, photometry: Photometry | None = None
+) -> EmitterSurfaces:
+    """Divide the mesh into surfaces of which each emits as a whole, or not at all.
+
+    Args:
+        photometry: of photographs that are not HDR; None where all are.
+    """
+    light_error = 0.0 if observed.environment is None else observed.environment.unseen_error
+    return emitter_surfaces(room, parts, observed.footprint, light_error, photometry is None)
 
 
 @dataclass(frozen=True)
@@ -122,12 +127,10 @@ def estimate(
     data: TrainingData,
     cells: CellEstimate,
     emitter_units: EmitterSurfaces,
-    baked_lamps: np.ndarray,
     surface_hints: SurfaceHints,
     emitting: np.ndarray | None = None,
     units_before: Units | None = None,
     lamps_before: np.ndarray | None = None,
-    photometry: Photometry | None = None,
     *,
     tools: Tools,
 ) -> Estimate:
@@ -137,11 +140,9 @@ def estimate(
     warn of those that could not be honoured.
 
     Args:
-        baked_lamps: (T,) bool, lamps whose own radiance is in the shadings.
         emitting: (T,) bool, the lamps of the estimate before; None in the first one.
         units_before: of a training, which hints divide further; None without.
         lamps_before: as `emitting`, in the last estimate with hints that were given since; else None.
-        photometry: of photographs that are not HDR; None where all are.
     """
     if emitting is None:
         _warn_of_missing_light(brighter_than_white(pixels, shadings), tools)
@@ -155,8 +156,8 @@ def estimate(
     units = hinted_units(units, observations.parts, surface_hints, data.materials)
     known = surface_hints.emits - (surface_hints.left_alone & (surface_hints.emits == 0))
     hinted = np.asarray(surface_hints.of_triangles(known), np.int8)
-    white, hdr = partial(white_rows, data), photometry is None
-    probability = emission_probability(room, pixels, shadings, white, emitter_units, hinted, baked_lamps, hdr)
+    white = partial(white_rows, data)
+    probability = emission_probability(room, pixels, shadings, white, emitter_units, hinted)
     if lamps_before is not None:
         changed = lamps_before != (probability > 0.5)
         if changed[surface_hints.of_triangles(surface_hints.emits) != 0].any():

@@ -56,7 +56,6 @@ class Solution:
     observations: Observations
     surface_hints: SurfaceHints
     shadings: ShadingStore
-    levels: np.ndarray
     data: TrainingData
     cells: CellEstimate
     units: Units
@@ -96,7 +95,7 @@ def write_solution(
         decided = hints.of_triangles(hints.decides)
         of_triangle = np.array([*names, ""], object)[fields.units.triangle]
         write_doubts(folder, solution.data, solution.cells, solution.probability, decided, of_triangle)
-        remember_light(folder, SolvedLight(pixels, solution.shadings, solution.levels))
+        remember_light(folder, SolvedLight(pixels, solution.shadings))
         write_resolution(folder, len(room.triangles))
         write_json(folder.statistics_json, statistics)
         with explained_write_errors(folder.results):

@@ -23,7 +23,7 @@ from ..material.networks import (
     typical_values,
     useful_hash_levels,
 )
-from ..material.seen import Box, room_box
+from ..material.seen import room_box
 from ..material.training import (
     PRETRAINING_STEPS,
     Networks,
@@ -123,22 +123,8 @@ def _train_anew(
     train(networks, data, surfaces, settings, resume, progress)
 
 
-@dataclass(frozen=True)
-class TrainedFields:
-    """The materials as functions of places.
-
-    Attributes:
-        fields: base colour, roughness and metallic.
-        box: to which the network normalises positions.
-    """
-
-    fields: Fields
-    box: Box
-
-
 def open_fields(
     room: Room, units: Units, brdf: dict[str, np.ndarray], *, settings: NetworkSettings
-) -> TrainedFields:
-    """Make the network of its weights."""
-    box = room_box(room.bounds)
-    return TrainedFields(Fields(brdf_network(settings, brdf, len(units.single)), box), box)
+) -> Fields:
+    """The materials as functions of places: the network of its weights."""
+    return Fields(brdf_network(settings, brdf, len(units.single)), room_box(room.bounds))

@@ -44,7 +44,7 @@ def room_detail(
     position, unit = drawn.position[rows], drawn.unit[rows]
     footprint = data.observations.footprint
     values = fields.query(position, unit)
-    slope, offset = color_lines(data.shadings, data.levels, pixels, values[:, 3:])
+    slope, offset = color_lines(data.shadings, pixels, values[:, 3:])
     radiance = data.observations.pixels.own[pixels]
     color = np.clip((radiance - offset) / np.maximum(slope, 1e-6), MIN_COLOR, MAX_COLOR)
     # By the part's median, so that the dark places of a pattern don't weigh more than the bright ones.

@@ -19,15 +19,15 @@ def lower_levels(levels: np.ndarray, roughness: np.ndarray) -> tuple[np.ndarray,
 
 
 def color_lines(
-    shadings: ShadingStore, levels: np.ndarray, rows: np.ndarray, material: np.ndarray
+    shadings: ShadingStore, rows: np.ndarray, material: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(R, 3) slope and offset of the rendering, slope a + offset, of some pixels at a material of each.
 
     Args:
-        shadings: at the roughness `levels` (K,); may be memory-mapped.
+        shadings: may be memory-mapped.
         rows: (R,) pixels. material: (R, 2) roughness and metallic.
     """
-    lower, share = lower_levels(levels, material[:, 0])
+    lower, share = lower_levels(shadings.levels, material[:, 0])
     below, above = (np.asarray(shadings.specular[rows, level], np.float32) for level in (lower, lower + 1))
     s0, s1 = np.moveaxis(below + share[:, None, None] * (above - below), 1, 0)
     return color_line(np.asarray(shadings.diffuse[rows], np.float32), s0, s1, material[:, 1:])

@@ -119,7 +119,7 @@ def gather_batch(data: TrainingData, surfaces: Surfaces, rows: np.ndarray, devic
         grouped=torch.from_numpy(group >= 0).to(device),
         diffuse=tensor(data.shadings.diffuse),
         specular=tensor(data.shadings.specular),
-        levels=torch.tensor(data.levels).to(device),
+        levels=torch.tensor(data.shadings.levels).to(device),
         group_material=torch.from_numpy(material).to(device),
         semantic=observations.parts.kind == "semantic",
     )

@@ -48,7 +48,6 @@ NORMAL_STEP = 0.2
 def training_input(
     observations: Observations,
     shadings: ShadingStore,
-    levels: np.ndarray,
     settings: MaterialSettings,
     hints: SurfaceHints,
 ) -> TrainingData:
@@ -56,20 +55,20 @@ def training_input(
 
     Args:
         hints: what the artist knows; the parts of the observations are divided by them.
-        shadings: of all pixels at the roughness `levels` (K,).
+        shadings: of all pixels.
     """
     group, places = observations.part, None
     groups = int(observations.parts.triangle_part.max(initial=-1)) + 1
     if observations.parts.kind != "part":
-        group, places = _group_pixels(observations, shadings, levels, hints)
+        group, places = _group_pixels(observations, shadings, hints)
         groups = places.shape[1]
     known = hints.known(groups_of_hints(hints, observations.parts, groups), groups)
     start = np.random.default_rng([settings.seed, 5]).random()
     wide_rows, wide_cell = _wide_rows(observations, group, groups, start)
-    wide = _wide_samples(observations, shadings, levels, group, wide_rows, wide_cell)
+    wide = _wide_samples(observations, shadings, group, wide_rows, wide_cell)
     light = _light_cells(observations, wide.rows)
     materials = infer_materials(wide, groups, light, settings, places, known)
-    return TrainingData(observations, shadings, levels, group, materials)
+    return TrainingData(observations, shadings, group, materials)
 
 
 def groups_of_hints(hints: SurfaceHints, parts: Parts, groups: int) -> np.ndarray:
@@ -112,7 +111,7 @@ def material_units(data: TrainingData) -> Units:
 
 
 def _group_pixels(
-    observations: Observations, shadings: ShadingStore, levels: np.ndarray, hints: SurfaceHints
+    observations: Observations, shadings: ShadingStore, hints: SurfaceHints
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N,) int32 group of each pixel with a donor, NO_GROUP for the others; memory-mapped.
 
@@ -129,9 +128,7 @@ def _group_pixels(
     for rows in views:
         group[rows] = surface[np.maximum(pixels.triangle[rows], -1)]
     diffuse = np.tile(np.array([1.0, 0.0], np.float32), (int(surface.max()) + 1, 1))
-    data = TrainingData(
-        observations, shadings, levels, group, GroupMaterials(diffuse, np.zeros_like(diffuse))
-    )
+    data = TrainingData(observations, shadings, group, GroupMaterials(diffuse, np.zeros_like(diffuse)))
     cells, grid = fit_cells(data), observations.grid
     voxel = np.stack(np.unravel_index(grid.voxels[cells.entry // SIDES], (grid.resolution,) * 3), axis=1)
     cube = voxel // np.ceil(CELL_PIXELS * observations.footprint / grid.size).astype(np.int64)
@@ -200,7 +197,6 @@ def _wide_rows(
 def _wide_samples(
     observations: Observations,
     shadings: ShadingStore,
-    levels: np.ndarray,
     group: np.ndarray,
     rows: np.ndarray,
     cell: np.ndarray,
@@ -212,7 +208,8 @@ def _wide_samples(
     pure = np.asarray(pixels.pure)
     radiance, diffuse, specular = window_means(arrays, rows, pure, group, pixels.ranges, widths)
     view, weight = pixels.view_of(rows), np.asarray(pixels.weight[rows])
-    return PixelSamples(rows, radiance, diffuse, specular, levels, cell, group[rows], view, weight)
+    columns = radiance, diffuse, specular, shadings.levels, cell, group[rows], view, weight
+    return PixelSamples(rows, *columns)
 
 
 def max_of_each(count: np.ndarray) -> float:
