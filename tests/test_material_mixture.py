@@ -78,14 +78,6 @@ def test_no_gloss_in_errors_that_views_share() -> None:
         assert (found.mean[:, 1] < 0.01).all()
 
 
-def test_order_of_pixels_and_numbers_of_views_do_not_matter(rng: np.random.Generator) -> None:
-    samples = with_view_errors(rng, [(1.0, 0.0), (float(LEVELS[4]), 0.0), (float(LEVELS[3]), 1.0)], 0.1, 0.01)
-    order = rng.permutation(len(samples.rows))
-    shuffled = infer(samples.take(order, view=rng.permutation(VIEWS)[samples.view[order]]))
-    for one, other in zip(vars(infer(samples)).values(), vars(shuffled).values(), strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-3)
-
-
 def test_small_changes_of_the_pixels_change_the_answer_by_little(rng: np.random.Generator) -> None:
     """Also where gloss and no gloss are about equally likely: there is no switch that rounding could flip."""
     samples = with_view_errors(rng, [(float(LEVELS[5]), 0.0), (1.0, 0.0)] * 10, 0.2, 0.005)

@@ -252,13 +252,6 @@ def test_weights_whose_squares_vanish_stay_finite():
     assert np.isfinite(color).all() and np.array_equal(color[weight < 1.0], texels.base_color[weight < 1.0])
 
 
-def test_two_large_photographs_among_small_ones_show_their_detail(tmp_path):
-    given = scene(tmp_path, texture, smooth_light)
-    texels, color = improved(replace(given, photographs=[*given.photographs[:2], given.pixels.views[2]]))
-    seen = middle(texels) & (texels.position[:, :2] < 1.0).all(axis=1)
-    assert np.isfinite(color).all() and np.corrcoef(color[seen, 0], mean_texture(texels)[seen, 0])[0, 1] > 0.8
-
-
 def estimated_run(folder, given):
     """A run whose results were made of the pixels and shadings in its stage `light`."""
     run = RunFolder(folder / "run")

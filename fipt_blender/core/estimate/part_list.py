@@ -69,7 +69,7 @@ def write_part_list(
     of_mesh = mesh_borders(room, source) is not None
     keys = [_key(source, room, parts, unit, index, of_mesh) for index in range(count)]
     keys = unique_names([f"area:{areas[index]}" if index in areas else key for index, key in enumerate(keys)])
-    names = _names(room, source, unit, keys, [name for _, name in classes])
+    names = _names(room, source, unit, keys, classes)
     names = unique_names([areas.get(index, name) for index, name in enumerate(names)])
     seen = np.zeros(count + 1, np.int64)
     for first, last in itertools.pairwise(pixels.ranges):
@@ -84,7 +84,7 @@ def write_part_list(
             unit=index,
             key=keys[index],
             name=names[index],
-            class_name=classes[index][1] or None,
+            class_name=classes[index] or None,
             single=bool(fields.units.single[index]),
             triangles=int(size[index + 1]),
             pixels=int(seen[index + 1]),
@@ -140,10 +140,10 @@ def _key(source: str, room: Room, parts: Parts, unit: np.ndarray, index: int, of
 
 def _semantic_classes(
     room: Room, views: Sequence[View], pixels: PixelStore, unit: np.ndarray, count: int
-) -> list[tuple[int, str]]:
-    """(id, name) of the semantic class of each unit; (-1, "") without masks, the name "" where unknown."""
+) -> list[str]:
+    """The name of the semantic class of each unit, "" where it is unknown."""
     if not any(view.semantics for view in views):
-        return [(-1, "")] * count
+        return [""] * count
     triangles = (np.asarray(pixels.triangle[first:last]) for first, last in itertools.pairwise(pixels.ranges))
     images = (view.semantic_ids() for view in views)
     label = fuse_masks(images, triangles, len(room.triangles))
@@ -154,7 +154,7 @@ def _semantic_classes(
     for row in _areas(room, unit, count, label, len(ids)):
         total, best = row.sum(), int(row.argmax()) if len(row) else 0
         number = int(ids[best]) if total > 0.0 and row[best] >= MAJORITY * total else -1
-        classes.append((number, names.get(str(number), "")))
+        classes.append(names.get(str(number), ""))
     return classes
 
 
