@@ -16,7 +16,7 @@ import pytest
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.conventions import equirect_pixel_directions
 from fipt_blender.core.estimate.light_stages import light_excess
-from fipt_blender.core.light.albedos import MAX_ALBEDO
+from fipt_blender.core.light import sources
 from fipt_blender.core.light.cache import SurfaceLookup
 from fipt_blender.core.light.clipped import ON_LAMP, OUTSIDE, LitPoints, hemisphere_rays, light_on_points, solve_lamps
 from fipt_blender.core.light.clipped import Expectation as LampExpectation
@@ -301,7 +301,7 @@ def test_no_albedo_is_above_white(share: float, others: list[float]) -> None:
     logs = np.log(albedo * (seen + unseen * 2.0)) + 0.1 * rng.normal(size=(count, 3))
     found = solve_sources(Transport(logs, group, seen, unseen), Expectation(np.full((1, 3), -2.0), np.ones(1, bool)))
     white = logs[group == 0] - np.log(seen + unseen @ found.radiance)[group == 0]
-    assert np.exp(white.mean()) < 1.5 * MAX_ALBEDO  # 2.4 with the expected light
+    assert np.exp(white.mean()) < 1.5 * sources.MAX_ALBEDO  # 2.4 with the expected light
 
 
 def test_a_known_albedo_tells_the_level_and_the_color_of_the_light() -> None:

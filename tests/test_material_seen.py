@@ -15,8 +15,7 @@ from fipt_blender.core.light.shadings import roughness_levels
 from fipt_blender.core.material.cell_errors import DrawnPixels
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.material.groups import Units
-from fipt_blender.core.material.part_colors import room_detail
-from fipt_blender.core.material.reliability import PlaceColors, part_detail
+from fipt_blender.core.material.reliability import PlaceColors, part_detail, room_detail
 from fipt_blender.core.material.seen import RESOLUTION, Box, room_box, seen_cells
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings

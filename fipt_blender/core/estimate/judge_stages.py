@@ -17,7 +17,7 @@ from ..material.closed_form import TrainingData
 from ..material.fields import RoomFields
 from ..material.groups import Units
 from ..material.networks import Fields
-from ..material.part_colors import room_detail
+from ..material.reliability import room_detail
 from ..material.seen import find_seen_cells
 from ..optics.lights import EmitterTable
 from ..photometry.encoded_photographs import Photometry

@@ -26,7 +26,6 @@ from ..run.result_contents import MissingLamp
 from ..run.stage_settings import LightSettings
 from ..run.threads import cached_property
 from ..surface.room import Room
-from .albedos import MIN_GROUP
 from .cache import SIDES, SurfaceLookup, VoxelGrid
 from .clipped import MAX_POINTS
 from .environment import Environment, diffused
@@ -36,6 +35,7 @@ from .shadings import SampleCounts, ShadingPoints, bake
 from .source_cells import DARK_OUTSIDE, FINER, Cells, Landed, traced
 from .sources import (
     DARKEST,
+    MIN_GROUP,
     Expectation,
     SourceLight,
     Transport,
