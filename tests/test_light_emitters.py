@@ -22,6 +22,7 @@ from fipt_blender.core.light.emission import (
 )
 from fipt_blender.core.light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
 from fipt_blender.core.light.emitters import ALIKE, bright_triangles, emitter_components, group_fixtures, presume_lamps
+from fipt_blender.core.light.environment import Environment
 from fipt_blender.core.light.radiance import CachedRadiance, new_path
 from fipt_blender.core.light.scan_fixtures import scan_groups
 from fipt_blender.core.optics.lights import AreaLights, EmitterTable
@@ -255,13 +256,13 @@ def probability(
     pixels: PixelStore,
     told: tuple[int, ...] = (),
     diffuse: np.ndarray | float = 1.0,
-    light_error: float = 0.0,
+    environment: Environment | None = None,
     hdr: bool = True,
     **changes: object,
 ) -> np.ndarray:
     """(T,) probability to emit where L_d is 1, or as given for each pixel, and surfaces are diffuse."""
     ids = np.arange(len(ROOM.triangles))
-    surfaces: EmitterSurfaces = replace(emitter_surfaces(ROOM, Parts(ids, "none"), 0.01, light_error, hdr), **changes)
+    surfaces: EmitterSurfaces = replace(emitter_surfaces(ROOM, Parts(ids, "none"), 0.01, environment, hdr), **changes)
     light = np.broadcast_to(np.reshape(diffuse, (-1, 1)), (len(pixels), 3)).astype(np.float16)
     shadings = ShadingStore(light, np.zeros((len(pixels), 2, 2, 3), np.float16), np.array([0.1, 1.0]))
     hints = np.isin(ids, told).astype(np.int8)
@@ -325,7 +326,9 @@ def test_what_lies_outside_is_not_brighter_than_white_surfaces(tmp_path: Path) -
 
 def test_light_that_may_be_brighter_explains_more(tmp_path: Path) -> None:
     pixels = store(tmp_path, [(["..LL"], [[0.8, 0.8, 5.0, 5.0]])] * 4)
-    changes = ({}, {"light_error": 0.5}, {"hdr": False})
+    close, seen = np.full(len(ROOM.triangles), 0.5), np.zeros((1, 2), bool)
+    inferred = Environment(np.zeros((1, 2, 3)), 0.0, seen, unseen_error=0.5, unseen=0.0 * close)
+    changes = ({}, {"environment": inferred}, {"hdr": False}, {"unseen": close})
     found = [probability(pixels, **options)[LAMP] for options in changes]  # type: ignore[arg-type]
     assert found[0] > 0.9 and all(found[0] > other for other in found[1:])
     assert emission(pixels, told=(WALL, WALL + 1)) == [WALL, WALL + 1, LAMP, LAMP + 1]

@@ -102,8 +102,7 @@ def find_emitter_units(
     Args:
         photometry: of photographs that are not HDR; None where all are.
     """
-    light_error = 0.0 if observed.environment is None else observed.environment.unseen_error
-    return emitter_surfaces(room, parts, observed.footprint, light_error, photometry is None)
+    return emitter_surfaces(room, parts, observed.footprint, observed.environment, photometry is None)
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from ..robust import DEGREES, deviation
 from ..surface.adjacency import weld
 from ..surface.room import Room
 from .baking import ShadingStore
-from .emitter_surfaces import RADIANCE_ERROR, SPREAD, EmitterSurfaces
+from .emitter_surfaces import HIDDEN, MUCH_UNSEEN, RADIANCE_ERROR, SPREAD, EmitterSurfaces
 
 # Prior probability that a surface is a lamp, where pixels are brighter than a white surface.
 PRIOR = 0.003
@@ -76,7 +76,13 @@ def emission_probability(
     of_lamp = _constancy(seen, np.where(part >= 0, -1, lamp), count, surfaces.spread)
     of_lamp[lamp[likely]] += constant[likely]
     total = total / (1.0 + number / surfaces.max_samples) + of_lamp
-    probability = 1.0 / (1.0 + np.exp(-np.clip(total + logit(PRIOR), -50.0, 50.0)))
+    odds = np.exp(-np.clip(total + logit(PRIOR), -50.0, 50.0))
+    # What a hidden lamp lights is not of one radiance, either.
+    inside = np.flatnonzero(lamp[unit] >= 0)
+    weights = room.areas, room.areas * surfaces.unseen
+    area, close = (np.bincount(lamp[unit[inside]], each[inside], count) for each in weights)
+    share = np.minimum(close / np.maximum(area, 1e-12) / MUCH_UNSEEN, 1.0)
+    probability = 1.0 / (1.0 + odds + HIDDEN * share * np.exp(-np.clip(of_lamp, 0.0, 50.0)))
     judged = (samples > 0.0)[unit] | (hinted != 0)
     of_triangle = np.append(probability, 0.0)[lamp][unit]
     result = np.where(hinted == 0, of_triangle, (hinted > 0).astype(np.float64))

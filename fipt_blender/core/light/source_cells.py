@@ -56,6 +56,7 @@ def traced(
     lamps: np.ndarray,
     lit: tuple[np.ndarray, np.ndarray],
     seed: int,
+    count: int = RAYS,
 ) -> Rays:
     """Rays from points.
 
@@ -67,7 +68,7 @@ def traced(
     for number, first in enumerate(range(0, len(lit[0]), CHUNK)):
         position, normal = (array[first : first + CHUNK] for array in lit)
         stream = seed * 1009 + number
-        entry, direction = hemisphere_rays(room, observed.grid, position, normal, known, stream, RAYS)
+        entry, direction = hemisphere_rays(room, observed.grid, position, normal, known, stream, count)
         cell, outside = cells.of_entry[np.maximum(entry, 0)], entry == OUTSIDE
         cell[entry == ON_LAMP] = -1
         start = np.broadcast_to(position[:, None], direction.shape)

@@ -27,12 +27,12 @@ from ..run.stage_settings import LightSettings
 from ..run.threads import cached_property
 from ..surface.room import Room
 from .cache import SIDES, SurfaceLookup, VoxelGrid
-from .clipped import MAX_POINTS
+from .clipped import MAX_POINTS, OUTSIDE
 from .environment import Environment, diffused
 from .observations import Observations
 from .radiance import CachedRadiance
 from .shadings import SampleCounts, ShadingPoints, bake
-from .source_cells import DARK_OUTSIDE, FINER, Cells, Landed, traced
+from .source_cells import DARK_OUTSIDE, FINER, Cells, Landed, middles, traced
 from .sources import (
     DARKEST,
     MIN_GROUP,
@@ -53,6 +53,8 @@ LAMP_SAMPLES = SampleCounts(16, 0, 64)  # of the light of presumed lamps at each
 # Relative error of the inferred part of the light beside its covariance: root mean square of five rooms.
 MODEL_ERROR = 0.3
 GAIN = 3.0  # least logarithm of the likelihood of points held back
+# Rays to unseen places closer than a source is wide, and pixels that send them.
+CLOSE_RAYS, MAX_CLOSE = 64, 20_000
 # A source is a lamp or a window if it is brighter than the room's median light by this factor.
 LAMP = 4.0
 # Sources of one side are one lamp if they are closer than so many of their widths; others, of a whole one.
@@ -85,7 +87,8 @@ def with_unseen_light(
     if found is None:
         return observed
     environment = found.environment(observed.environment, settings.environment_width)
-    return replace(observed, environment=environment)
+    unseen = close_share(observed, room, found, lamps, settings.seed)
+    return replace(observed, environment=replace(environment, unseen=unseen))
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,6 +331,23 @@ def lamp_light(
     position, normal = (np.asarray(array, np.float32) for array in lit)
     points, source = ShadingPoints(position, normal, normal, normal), CachedRadiance(room, dark, None, lights)
     return bake(points, source, lights, np.zeros(0, np.float32), LAMP_SAMPLES, seed * 31 + 26).diffuse
+
+
+def close_share(
+    observed: Observations, room: Room, found: Sources, lamps: EmitterTable, seed: int
+) -> np.ndarray:
+    """(T,) float32 share of the directions around each triangle, or the nearest that pixels see, in which
+    unseen places are closer than a source is wide."""
+    rows = observed.pixels.some_hits(MAX_CLOSE)
+    known = np.isin(np.arange(len(room.triangles)), lamps.triangles)
+    lit = observed.pixels.surface(room, rows)
+    rays = traced(observed, room, found.cells, known, lit, seed, CLOSE_RAYS)
+    place = found.cells.hull.centers(np.where(rays.entry == OUTSIDE, np.maximum(rays.cell, 0), 0))
+    place = np.where((rays.entry >= 0)[..., None], middles(observed.grid, rays.entry), place)
+    close = (rays.cell >= 0) & (np.linalg.norm(place - lit[0][:, None], axis=2) < found.cells.size)
+    centers = room.vertices[room.triangles].mean(axis=1)
+    nearest = cKDTree(centers[np.asarray(observed.pixels.triangle[rows])]).query(centers)[1]
+    return close.mean(axis=1, dtype=np.float32)[nearest]
 
 
 def _comparable(
