@@ -80,7 +80,7 @@ _TABLE = (
     ),
     ("refit_photographs", "codes again with baked light", ["photometry/refit"], {}, (JPEG,)),
     ("unseen_light", "light from unseen directions", ["light/unseen_light"], {}, ()),
-    ("presumed_lamps", "presumed lamps in stage 1", ["light/presumed"], {}, ()),
+    ("presumed_lamps", "presumed lamps in stage 1", [], {}, ()),
     ("denoise_specular", "denoised specular shadings", [], {}, ()),
     ("shrink_detail", "detail as far as it is reliable", ["material/reliability"], {}, ()),
     ("lamp_doubt", "errors of the light of uncertain lamps", ["light/lamp_doubt"], {}, ()),

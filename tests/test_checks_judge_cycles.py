@@ -22,11 +22,13 @@ from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.checks.quality import Display, judge
 from fipt_blender.core.checks.rerender import Estimate, Renderer
 from fipt_blender.core.estimate.results import write_results
-from fipt_blender.core.light.emitters import Fixture, emitter_table
+from fipt_blender.core.light.emitters import Fixture
 from fipt_blender.core.light.environment import Environment
 from fipt_blender.core.optics.brdf import set_masking
+from fipt_blender.core.optics.lights import EmitterTable
 from fipt_blender.core.pixels.store import create_pixels, fill_pixels, trace_view
 from fipt_blender.core.run.messages import Reporter
+from fipt_blender.core.run.result_contents import MissingLamp
 from fipt_blender.core.run.run_files import read_capture
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
@@ -40,9 +42,9 @@ pytestmark = pytest.mark.usefixtures("registered")
 
 SCALE = 0.5  # the captures' median radiance
 AGREE = 0.5  # dB
-FLOOR_LAMP = {"position": [0.9, 0.8, 0.9], "radius": 0.2, "radiance": [9.0, 8.0, 6.0], "inferred": True, "facing": None}
+FLOOR_LAMP = MissingLamp((0.9, 0.8, 0.9), 0.2, (9.0, 8.0, 6.0), True)
 # Before the first camera's lens, facing the room.
-DISC = {"position": [0.0, -2.6, 1.5], "radius": 0.9, "radiance": [6.0, 6.5, 7.0], "inferred": True, "facing": [0, 1, 0]}
+DISC = MissingLamp((0.0, -2.6, 1.5), 0.9, (6.0, 6.5, 7.0), True, (0.0, 1.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -124,14 +126,13 @@ def test_the_judge_and_cycles_agree(name: str, tmp_path: Path, monkeypatch: pyte
     wrong = replace(true, colors=true.colors * np.array([0.6, 0.8, 1.1]))
 
     # The photographs are of the true surfaces, the results have the wrong ones.
-    truth = Renderer(Estimate(room, true.query, emitter_table(fixtures), environment), 1)
+    table = EmitterTable.from_fixtures(fixtures)
+    truth = Renderer(Estimate(room, true.query, table, environment), 1)
     for number, view in enumerate((held_back, *training)):
         write_exr(view.image, truth.render(view, number) * SCALE)
     pixels = create_pixels(tmp_path / "pixels", training)
     fill_pixels(pixels, room, lambda done: None)
-    quality = judge(
-        pixels, [held_back], Estimate(room, wrong.query, emitter_table(fixtures), environment), {}, SCALE, 0
-    )
+    quality = judge(pixels, [held_back], Estimate(room, wrong.query, table, environment), {}, SCALE, 0)
     assert quality is not None
 
     write_results(run, wrong, fixtures, environment, SCALE, Reporter(io.StringIO()))  # type: ignore[arg-type]

@@ -19,10 +19,11 @@ from fipt_blender.core.checks import consistency
 from fipt_blender.core.checks.view_check import ViewCheck, check_views
 from fipt_blender.core.light import emitters, environment, observations
 from fipt_blender.core.light.baking import open_shadings
-from fipt_blender.core.light.emitters import EmitterPixels, bright_triangles, group_fixtures
+from fipt_blender.core.light.emitters import bright_triangles, group_fixtures
 from fipt_blender.core.light.observations import Observations, observe
 from fipt_blender.core.material import training_input as training_input_module
 from fipt_blender.core.material.closed_form import fit_cells
+from fipt_blender.core.material.hints import place_hints
 from fipt_blender.core.material.training_input import material_units, training_input
 from fipt_blender.core.parts.labels import NO_PART, Parts
 from fipt_blender.core.pixels.store import NO_TRIANGLE, PixelStore
@@ -46,10 +47,10 @@ def peak(action: Callable[[], object]) -> int:
 
 
 def lamps(pixels: PixelStore, room: Room) -> None:
-    marked = bright_triangles(room, pixels.triangle, pixels.front, pixels.radiance)
+    marked = bright_triangles(room, pixels)
     assert marked.triangles.tolist() == [12, 13]
     # Of a lamp, whose pixels are few, all are looked at together; here there is none.
-    assert group_fixtures(room, np.zeros(len(room.triangles), bool), EmitterPixels.of(pixels)) == []
+    assert group_fixtures(room, np.zeros(len(room.triangles), bool), pixels) == []
 
 
 def everything(seen: Observations) -> None:
@@ -72,8 +73,9 @@ def window(pixels: PixelStore) -> None:
 
 def learn_from(seen: Observations) -> None:
     levels = np.array([0.1, 0.5, 1.0], np.float32)
-    shadings = open_shadings(seen.folder, len(seen.pixels), len(levels), create=True)
-    data = training_input(seen, shadings, levels, SETTINGS)
+    shadings = open_shadings(seen.folder, len(seen.pixels), levels, create=True)
+    hints = place_hints([], ROOM.vertices, ROOM.triangles, seen.parts, seen.surface)
+    data = training_input(seen, shadings, SETTINGS, hints)
     cells = fit_cells(data)
     assert 0 < len(cells.keys) < len(seen.pixels)
     units = material_units(data)

@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from fipt_blender.core.light.emitters import EmitterPixels, group_fixtures
+from fipt_blender.core.light.emitters import group_fixtures
 from fipt_blender.core.parts.labels import NO_PART, label_parts, usable_sources
 from fipt_blender.core.run.run_files import CLOSING, read_closing, read_room_files
 from fipt_blender.core.run.runfolder import RunFolder, write_json
@@ -112,6 +113,6 @@ def test_what_closes_a_hole_has_the_part_around_it_and_is_no_lamp(tmp_path: Path
     ceiling = room.vertices[room.triangles].mean(axis=1)[:, 2] > room.vertices[:, 2].max() - 0.05
     for lamp, count in ((room.closing, 0), (ceiling & ~room.closing, 1)):
         seen = np.repeat(np.flatnonzero(lamp), 4)
-        pixels = EmitterPixels(seen, np.ones(len(seen), bool), np.full((len(seen), 3), 9.0), np.ones(len(seen)))
-        fixtures = group_fixtures(room, lamp, pixels)
-        assert len(fixtures) == count
+        own, ones = np.full((len(seen), 3), 9.0), np.ones(len(seen))
+        pixels = SimpleNamespace(triangle=seen, front=ones > 0, own=own, weight=ones)
+        assert len(group_fixtures(room, lamp, pixels)) == count

@@ -13,21 +13,19 @@ import pytest
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.light.cache import SurfaceLookup
-from fipt_blender.core.light.emission import constancy, emission_probability, log_evidence
-from fipt_blender.core.light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
-from fipt_blender.core.light.emitters import (
-    ALIKE,
-    EmitterPixels,
-    bright_triangles,
-    emitter_components,
-    emitter_table,
-    group_fixtures,
+from fipt_blender.core.light.emission import (
+    brighter_than_white,
+    constancy,
+    emission_probability,
+    log_evidence,
+    log_ratio,
 )
-from fipt_blender.core.light.evidence import brighter_than_white, log_ratio
-from fipt_blender.core.light.presumed import presume_lamps
+from fipt_blender.core.light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
+from fipt_blender.core.light.emitters import ALIKE, bright_triangles, emitter_components, group_fixtures, presume_lamps
+from fipt_blender.core.light.environment import Environment
 from fipt_blender.core.light.radiance import CachedRadiance, new_path
-from fipt_blender.core.light.scan_fixtures import scan_groups, seen_sides
-from fipt_blender.core.optics.lights import AreaLights
+from fipt_blender.core.light.scan_fixtures import scan_groups
+from fipt_blender.core.optics.lights import AreaLights, EmitterTable
 from fipt_blender.core.parts.labels import NO_PART, Parts
 from fipt_blender.core.pixels.store import NO_TRIANGLE, PixelStore, create_pixels
 from fipt_blender.core.surface.room import Room
@@ -41,10 +39,11 @@ CENTERS = SCAN.scan.centers
 CEILING = 1
 
 
-def pixels(rows: list[tuple[int, bool, float, float]]) -> EmitterPixels:
+def pixels(rows: list[tuple[int, bool, float, float]]) -> PixelStore:
     """Pixels of (triangle, front, weight, grey) rows."""
     triangle, front, weight, grey = (np.array(column) for column in zip(*rows, strict=True))
-    return EmitterPixels(triangle, front.astype(bool), np.repeat(grey[:, None], 3, axis=1), weight.astype(float))
+    own, ones = np.repeat(grey[:, None], 3, axis=1), np.ones(len(grey))
+    return PixelStore([], ones, own, ones, ones, triangle, front.astype(bool), ones > 0, own, weight.astype(float))
 
 
 def test_two_lamps_apart_are_two_fixtures_with_their_sides() -> None:
@@ -62,11 +61,11 @@ def test_two_lamps_apart_are_two_fixtures_with_their_sides() -> None:
     assert fixtures[1].radiance[0] == pytest.approx(4.0) and fixtures[1].back_radiance[0] == 3.0
     assert fixtures[0].area == pytest.approx(1.0) and fixtures[1].area == pytest.approx(0.25)
     assert fixtures[0].centroid == pytest.approx([-1.0, -0.5, 2.9])
-    table = emitter_table(fixtures)
+    table = EmitterTable.from_fixtures(fixtures)
     assert table.triangles.tolist() == [12, 13, 14, 15]
     assert table.radiance[:, 1].tolist() == pytest.approx([10.0, 10.0, 4.0, 4.0])
     assert table.back_radiance[:, 2].tolist() == [0.0, 0.0, 3.0, 3.0]
-    assert len(emitter_table([]).triangles) == 0
+    assert len(EmitterTable.from_fixtures([]).triangles) == 0
     assert group_fixtures(room, np.zeros(16, bool), pixels(rows)) == []
 
 
@@ -94,10 +93,10 @@ def test_bright_triangles_are_aimed_at() -> None:
     room = make_room([*BOX, [[0, 0, 2.9], [0, 0.4, 2.9], [0.4, 0.4, 2.9], [0.4, 0, 2.9]]])
     rows = [(i, True, 1.0, 0.5) for i in range(12)] + [(12, True, 1.0, 60.0), (13, False, 1.0, 40.0)]
     seen = pixels(rows)
-    table = bright_triangles(room, seen.triangle, seen.front, seen.radiance)
+    table = bright_triangles(room, seen)
     assert table.triangles.tolist() == [12, 13]
     assert table.radiance[:, 0].tolist() == [60.0, 0.0] and table.back_radiance[:, 0].tolist() == [0.0, 40.0]
-    assert len(bright_triangles(room, seen.triangle, seen.front, seen.radiance * 0.0).triangles) == 0
+    assert len(bright_triangles(room, replace(seen, radiance=seen.radiance * 0.0)).triangles) == 0
 
 
 @pytest.mark.parametrize("unseen", [0, 3])
@@ -134,7 +133,7 @@ def seen(triangles: np.ndarray, grey: np.ndarray | float, front: bool = True) ->
 def test_a_modelled_room_emits_triangle_by_triangle_and_unjudged_ones_follow_their_part() -> None:
     room = make_room(BOX)
     surfaces = emitter_surfaces(room, Parts(np.full(12, NO_PART, np.int32), "none"), 0.01)
-    assert np.array_equal(surfaces.unit, np.arange(12)) and surfaces.light_error == 0.0 and surfaces.unseen is None
+    assert np.array_equal(surfaces.unit, np.arange(12))
     assert len(np.unique(surfaces.component)) == 6
     part = np.arange(12, dtype=np.int32) % 2  # the two triangles of a side
     assert len(np.unique(emitter_surfaces(room, Parts(part, "part"), 0.01).component)) == 12
@@ -172,15 +171,6 @@ def test_specks_near_a_lamp_are_part_of_it_and_others_are_none() -> None:
     assert (apart[near[ids]] == -1).all()  # the speck is of another part
 
 
-def test_a_side_shines_only_if_much_of_it_is_seen() -> None:
-    areas, fixture = np.ones(10), np.zeros(10, np.int64)
-    seen_front, seen_back = np.ones(10, bool), np.arange(10) < 2
-    assert seen_sides(areas, np.column_stack([seen_front, seen_back]), fixture).tolist() == [[True, False]]
-    assert seen_sides(areas, np.ones((10, 2), bool), fixture).tolist() == [[True, True]]
-    unseen = seen_sides(areas, np.zeros((10, 2), bool), np.full(10, -1))
-    assert unseen.shape == (0, 2)
-
-
 def test_fixtures_of_a_scan_are_whole_and_have_one_side() -> None:
     """The rim is darker, pixels at the rim see the back, and the wall beside the lamp is lit by it."""
     lamp = np.flatnonzero(in_square(CEILING, 0.8))
@@ -199,7 +189,7 @@ def test_fixtures_of_a_scan_are_whole_and_have_one_side() -> None:
 def presumed(room: Room, radiance: dict[int, list[float]]) -> tuple:
     """Bright triangles, table and lamps, of pure pixels of grey radiances on the fronts of triangles."""
     seen = pixels([(index, True, 1.0, grey) for index, values in radiance.items() for grey in values])
-    bright = bright_triangles(room, seen.triangle, seen.front, seen.radiance)
+    bright = bright_triangles(room, seen)
     return bright, *presume_lamps(room, seen, bright)
 
 
@@ -266,18 +256,17 @@ def probability(
     pixels: PixelStore,
     told: tuple[int, ...] = (),
     diffuse: np.ndarray | float = 1.0,
+    environment: Environment | None = None,
     hdr: bool = True,
     **changes: object,
 ) -> np.ndarray:
     """(T,) probability to emit where L_d is 1, or as given for each pixel, and surfaces are diffuse."""
     ids = np.arange(len(ROOM.triangles))
-    surfaces: EmitterSurfaces = replace(emitter_surfaces(ROOM, Parts(ids, "none"), 0.01), **changes)
+    surfaces: EmitterSurfaces = replace(emitter_surfaces(ROOM, Parts(ids, "none"), 0.01, environment, hdr), **changes)
     light = np.broadcast_to(np.reshape(diffuse, (-1, 1)), (len(pixels), 3)).astype(np.float16)
-    shadings = ShadingStore(light, np.zeros((len(pixels), 2, 2, 3), np.float16))
-    none, hints = np.zeros(len(ids), bool), np.isin(ids, told).astype(np.int8)
-    return emission_probability(
-        ROOM, pixels, shadings, lambda rows: light[rows].astype(np.float32), surfaces, hints, none, hdr
-    )
+    shadings = ShadingStore(light, np.zeros((len(pixels), 2, 2, 3), np.float16), np.array([0.1, 1.0]))
+    hints = np.isin(ids, told).astype(np.int8)
+    return emission_probability(ROOM, pixels, shadings, lambda rows: light[rows].astype(np.float32), surfaces, hints)
 
 
 def emission(pixels: PixelStore, **options: object) -> list[int]:
@@ -331,14 +320,15 @@ def test_a_lamp_much_brighter_than_white_emits(tmp_path: Path) -> None:
 def test_what_lies_outside_is_not_brighter_than_white_surfaces(tmp_path: Path) -> None:
     pixels = store(tmp_path, [(["..LL??"], [[0.8, 0.8, 5.0, 5.0, 9.0, 9.0]])])
     light = np.ones((len(pixels), 3), np.float16)
-    shadings = ShadingStore(light, np.zeros((len(pixels), 2, 2, 3), np.float16))
+    shadings = ShadingStore(light, np.zeros((len(pixels), 2, 2, 3), np.float16), np.array([0.1, 1.0]))
     assert brighter_than_white(pixels, shadings) == 0.5
 
 
 def test_light_that_may_be_brighter_explains_more(tmp_path: Path) -> None:
     pixels = store(tmp_path, [(["..LL"], [[0.8, 0.8, 5.0, 5.0]])] * 4)
-    close = np.full(len(ROOM.triangles), 0.5)
-    changes = ({}, {"light_error": 0.5}, {"hdr": False}, {"unseen": close})
+    close, seen = np.full(len(ROOM.triangles), 0.5), np.zeros((1, 2), bool)
+    inferred = Environment(np.zeros((1, 2, 3)), 0.0, seen, unseen_error=0.5, unseen=0.0 * close)
+    changes = ({}, {"environment": inferred}, {"hdr": False}, {"unseen": close})
     found = [probability(pixels, **options)[LAMP] for options in changes]  # type: ignore[arg-type]
     assert found[0] > 0.9 and all(found[0] > other for other in found[1:])
     assert emission(pixels, told=(WALL, WALL + 1)) == [WALL, WALL + 1, LAMP, LAMP + 1]

@@ -17,7 +17,7 @@ from benchmarks.tracer.forward import LitRoom, RenderSettings, trace_paths
 from benchmarks.tracer.surfaces import TriangleMaterials
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
-from fipt_blender.core.light.baking import SUBPIXELS, TriangleTables, denoised, samples_per_start, start_points
+from fipt_blender.core.light.baking import SUBPIXELS, TriangleTables, denoised, start_points
 from fipt_blender.core.light.cache import SIDES, SurfaceLookup, pool
 from fipt_blender.core.light.observations import observe
 from fipt_blender.core.light.radiance import CachedRadiance, TracedRadiance, new_path
@@ -266,11 +266,6 @@ def test_other_parts_and_what_lies_behind_are_no_start(tmp_path: Path, gap: floa
         assert (slopes == centre).all()
 
 
-@pytest.mark.parametrize("samples", [4, 8, 16, 30, 64])
-def test_all_starts_together_take_the_pixels_samples(samples: int) -> None:
-    assert 0 <= samples_per_start(samples) * len(SUBPIXELS) - samples < len(SUBPIXELS)
-
-
 def test_specular_shadings_are_denoised_by_their_brightness() -> None:
     """Four levels, which are not a number of whole images; terms and channels keep their proportions."""
     rng = np.random.default_rng(2)
@@ -359,18 +354,6 @@ def filled_grid(room, resolution: int = 32):
     rng = np.random.default_rng(0)
     points, normals, triangle = surface_points(room, 3000, rng)
     return make_grid(room, points, normals, resolution, rng), points, normals, triangle
-
-
-def test_pooling_is_the_mean_of_each_entry(rng: np.random.Generator) -> None:
-    grid, points, normals, _ = filled_grid(make_room([*BOX, SHELF]))
-    entries = grid.entries(points, normals)
-    values = rng.normal(size=(len(points), 3))
-    mean, count = pool(grid, entries, values)
-    assert len(mean) == len(grid.voxels) * SIDES and count.sum() == len(points)
-    for entry in rng.choice(entries, 50):
-        inside = entries == entry
-        assert count[entry] == inside.sum()
-        np.testing.assert_allclose(mean[entry], values[inside].mean(axis=0), rtol=1e-5, atol=1e-6)
 
 
 def test_two_sides_of_a_thin_wall_do_not_mix() -> None:

@@ -15,6 +15,7 @@ from fipt_blender.core.light.observations import Observations, observe
 from fipt_blender.core.material import training_input as training_input_module
 from fipt_blender.core.material.closed_form import CellEstimate, TrainingData, fit_cells, followed_by_paths, white_rows
 from fipt_blender.core.material.groups import group_units, join_cells, neighbours
+from fipt_blender.core.material.hints import place_hints
 from fipt_blender.core.material.mixture import GroupMaterials
 from fipt_blender.core.material.projection import color_lines
 from fipt_blender.core.material.training_input import training_input
@@ -50,7 +51,7 @@ def data(seen: Observations) -> TrainingData:
     radiance[IS_PANEL[pixels.triangle]] = 50.0
     pixels.own[:], pixels.weight[:] = radiance, np.where(pixels.pure, 1.0, 0.25)
     materials = GroupMaterials(np.column_stack([roughness, metallic]), np.zeros((len(roughness), 2)))
-    return TrainingData(seen, ShadingStore(diffuse, specular), LEVELS, part, materials)
+    return TrainingData(seen, ShadingStore(diffuse, specular, LEVELS), part, materials)
 
 
 def reflecting(seen: Observations) -> np.ndarray:
@@ -85,7 +86,7 @@ def test_a_white_surface_reflects_the_most(seen, data) -> None:
     rows = reflecting(seen)
     white, diffuse = white_rows(data, rows), np.asarray(data.shadings.diffuse[rows], np.float32)
     assert (white >= np.maximum(seen.pixels.own[rows], diffuse) * 0.99).all()
-    slope, offset = color_lines(data.shadings, LEVELS, rows, data.materials.of_pixels[data.group[rows]])
+    slope, offset = color_lines(data.shadings, rows, data.materials.of_pixels[data.group[rows]])
     np.testing.assert_allclose(white, np.maximum(slope, diffuse) + offset, rtol=1e-5)
 
 
@@ -157,9 +158,10 @@ def test_pixels_outside_the_sample_have_their_own_colour(tmp_path, monkeypatch: 
     pixels = make_pixels(tmp_path / "pixels", 6)
     nothing = Parts(np.full(len(ROOM.triangles), NO_PART, np.int32), "none")
     seen = observe(ROOM, pixels, nothing, SETTINGS, tmp_path / "observed")
-    shadings = open_shadings(tmp_path / "shadings", len(pixels), 3, create=True)
+    shadings = open_shadings(tmp_path / "shadings", len(pixels), LEVELS, create=True)
     shadings.diffuse[:] = 2.0
-    data = training_input(seen, shadings, np.array([0.1, 0.5, 1.0], np.float32), SETTINGS)
+    hints = place_hints([], ROOM.vertices, ROOM.triangles, nothing, seen.surface)
+    data = training_input(seen, shadings, SETTINGS, hints)
     known = np.asarray(data.group) >= 0
     surface = ROOM.triangle_object[pixels.triangle[known]]
     assert known.sum() > 0.9 * len(seen.pool)

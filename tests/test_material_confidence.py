@@ -75,7 +75,7 @@ def linearised(
 ) -> LinearisedPixels:
     """Pixels of this material and its errors, linearised at these base colours (N, 3)."""
     materials, errors = (np.tile(np.float32(values), (len(color), 1)) for values in (material, error))
-    lines = partial(color_lines, ShadingStore(diffuse, specular), LEVELS, np.arange(len(color)))
+    lines = partial(color_lines, ShadingStore(diffuse, specular, LEVELS), np.arange(len(color)))
     return linearise(radiance, lines, color, materials, errors)
 
 
@@ -223,7 +223,7 @@ def test_lamps_that_few_pixels_see_alone_are_doubted_by_the_spread_of_their_radi
     pixels = SimpleNamespace(triangle=triangle, own=own, weight=np.full(32, 0.5), pure=np.arange(32) < 22, radiance=own)
     lamps = [fixture(1, 0.5), fixture(2, 1.0)]
     (doubt,) = hardly_seen(lamps, pixels, len(room.triangles))
-    assert (doubt.index, doubt.pixels) == (1, 12) and doubt.spread == pytest.approx(0.2)
+    assert doubt == (1, 12, pytest.approx(0.2))
     surface = np.array([[0.3, 0.0, 0.75]]), UP  # below that lamp, above the other
     received = AREA * LUMINANCE / np.pi * 0.25**2 / (0.25**2 + 0.3**2) ** 2
     found = power_errors(room, lamps, [doubt], surface, 0)

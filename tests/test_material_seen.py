@@ -15,9 +15,8 @@ from fipt_blender.core.light.shadings import roughness_levels
 from fipt_blender.core.material.cell_errors import DrawnPixels
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.material.groups import Units
-from fipt_blender.core.material.part_colors import room_detail
-from fipt_blender.core.material.reliability import PlaceColors, part_detail
-from fipt_blender.core.material.seen import RESOLUTION, Box, fallback_values, room_box, seen_cells, seen_statistics
+from fipt_blender.core.material.reliability import PlaceColors, part_detail, room_detail
+from fipt_blender.core.material.seen import RESOLUTION, Box, room_box, seen_cells
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
 from samples.refusals import error_of
@@ -120,16 +119,6 @@ def test_without_any_seen_surface_the_networks_values_remain():
     points = grid_points(0.0, 4.0, 0.0)
     values = RoomFields(Ramp(), units([0]), nothing).query(points, np.zeros(len(points), int))
     np.testing.assert_array_equal(values[0], Ramp().query(points)[:, :3])
-
-
-def test_points_far_from_the_few_seen_ones_take_the_nearest_value():
-    """A scan of a whole building of which a corner was photographed; here by one pixel, then by two."""
-    for points in ([[1.0, 1.0, 1.0]], [[1.0, 1.0, 1.0], [1.0 + 1e-5, 1.0, 1.0]]):
-        seen = np.array(points, np.float32)
-        statistics = seen_statistics(seen, np.zeros(len(seen), int), seen, 2)
-        far = np.array([[-300.0, 50.0, 4.0], [1.0, 1.0, 1.0], [2e3, 1e3, -5e2]], np.float32)
-        values = fallback_values(far, np.ones(3, int), statistics)
-        np.testing.assert_allclose(values, 1.0, atol=1e-4)
 
 
 def test_refinement_has_a_point_for_every_entry_without_pixels():
@@ -260,15 +249,6 @@ def test_patterns_stay_and_paint_beside_them_is_one_colour(kind: str, width: int
             assert correlation(result, true) > 0.95 * correlation(places.color, true)
 
 
-@pytest.mark.parametrize(("views", "light"), [(4, 1.0), (24, 0.0)])
-def test_errors_of_paint_are_gone(views: int, light: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(f"{__name__}.VIEWS", views)
-    rng = np.random.default_rng(views)
-    made = [seen(np.full((SIDE, SIDE, 3), 0.7) * TINT, rng, light) for _ in range(4)]
-    for (places, true), result in zip(made, shrunk([places for places, _ in made]), strict=True):
-        assert psnr(result, true) > 50.0 > psnr(places.color, true)
-
-
 @pytest.mark.parametrize("height", [0.01, 0.02, 0.035])
 def test_a_blotch_of_wrong_light_near_a_lamp_is_gone(height: float) -> None:
     places, _ = seen(np.full((SIDE, SIDE, 3), 0.6) * TINT, np.random.default_rng(4))
@@ -297,16 +277,6 @@ def test_a_picture_on_a_wall_stays_and_the_wall_beside_it_is_plainer() -> None:
     assert (kept > 0.95).all() and (kept < 1.02).all()
     assert correlation(values[picture], true[picture]) > 0.95 * correlation(places.color[picture], true[picture])
     assert psnr(values[far], true[far]) > psnr(places.color[far], true[far]) + 2.0
-
-
-def test_parts_that_no_photograph_shows_have_their_median_and_other_parts_are_unchanged() -> None:
-    rng = np.random.default_rng(6)
-    places, _ = seen(0.6 * TINT * (1.0 - 0.3 * pattern("lines", 2, rng)[..., None]), rng)
-    median = np.array([np.median(places.color, axis=0), [0.3, 0.2, 0.1], [np.nan] * 3])
-    detail = part_detail(places, median, PIXEL, WALL)
-    for part, expected in ((1, median[1]), (2, places.color), (-1, places.color)):
-        values = detail.shrink(places.color, places.position, np.full(len(places.part), part), WALL)
-        np.testing.assert_allclose(values, np.broadcast_to(expected, values.shape), atol=1e-6)
 
 
 def test_detail_that_no_other_photograph_could_repeat_stays_above_the_noise_of_the_room() -> None:
@@ -348,11 +318,12 @@ def test_the_halves_are_made_of_the_pixels_of_the_views(contrast: float) -> None
     units = Units(np.arange(2, dtype=np.int32), np.array([True, False]))
     cells = seen_cells(WALL, [(points, part)])
     count, levels = VIEWS * SIDE**2, roughness_levels(2, 0.1, 1.0)
-    shadings = ShadingStore(light.reshape(-1, 3).astype(np.float16), np.zeros((count, len(levels), 2, 3), np.float16))
+    specular = np.zeros((count, len(levels), 2, 3), np.float16)
+    shadings = ShadingStore(light.reshape(-1, 3).astype(np.float16), specular, levels)
     view = np.repeat(2 * np.arange(VIEWS), SIDE**2)  # those of odd number see other parts
     pixels = SimpleNamespace(own=(shown * light).reshape(-1, 3), view_of=lambda rows: view[rows])
     seen_by = SimpleNamespace(pixels=pixels, footprint=PIXEL)
-    data = SimpleNamespace(observations=seen_by, shadings=shadings, levels=levels)
+    data = SimpleNamespace(observations=seen_by, shadings=shadings)
     position, unit = np.tile(points, (VIEWS, 1)), np.tile(part, VIEWS)
     found, place = np.unique(cells.find(WALL, position, unit), return_inverse=True)
     drawn = DrawnPixels(np.arange(count), position, unit, found, place)

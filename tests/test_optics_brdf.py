@@ -48,50 +48,6 @@ def test_plugin_samples_fit_its_density(sigma: float, metallic: float, angle: fl
     assert test.run(0.01, len(CASES), quiet=True), test.messages
 
 
-class MirrorCap:
-    """Equal-area coordinates of a small cap around a direction: turn and height, for lobes of a mirror."""
-
-    def __init__(self, axis: list[float], radius: float) -> None:
-        self.frame = mi.Frame3f(mi.Vector3f(axis))
-        self.scale = radius**2 / 2.0  # height of the cap
-
-    def bounds(self) -> mi.ScalarBoundingBox2f:
-        return mi.ScalarBoundingBox2f([0.0, 0.0], [2.0 * np.pi, 1.0])
-
-    def aspect(self) -> float:
-        return 2.0
-
-    def map_forward(self, point: mi.Point2f) -> mi.Vector3f:
-        height = point.y * self.scale
-        sine = dr.sqrt(height * (2.0 - height))
-        return self.frame.to_world(mi.Vector3f(sine * dr.cos(point.x), sine * dr.sin(point.x), 1.0 - height))
-
-    def map_backward(self, direction: mi.Vector3f) -> mi.Point2f:
-        local = self.frame.to_local(direction)
-        height = dr.squared_norm(direction - self.frame.n) / 2.0  # keeps its digits near the axis
-        turn = dr.atan2(local.y, local.x)
-        return mi.Point2f(dr.select(turn < 0.0, turn + 2.0 * dr.pi, turn), height / self.scale)
-
-
-@pytest.mark.parametrize("sigma", [0.06, 0.15])
-def test_sharp_lobes_fit_their_density(sigma: float) -> None:
-    towards = viewer(40.0)
-    cap = MirrorCap([-towards[0], -towards[1], towards[2]], 12.0 * sigma**2)
-    material = (mi.Color3f(0.9), mi.Float(sigma), mi.Float(1.0))
-
-    def sample(numbers: mi.Vector3f) -> tuple[mi.Vector3f, mi.Float]:
-        wi, _, density = brdf.sample(numbers.x, mi.Point2f(numbers.y, numbers.z), mi.Vector3f(towards), *material)
-        inside = cap.map_backward(wi).y < 1.0
-        counts = (density > 0.0) & inside
-        return dr.select(counts, wi, cap.frame.n), dr.select(counts, 1.0, 0.0)
-
-    def density(wi: mi.Vector3f) -> mi.Float:
-        return brdf.pdf(wi, mi.Vector3f(towards), *material) * cap.scale
-
-    test = mi.chi2.ChiSquareTest(cap, sample, density, sample_dim=3, sample_count=100_000, res=41, ires=16)
-    assert test.run(0.01, 2, quiet=True), test.messages
-
-
 @pytest.mark.parametrize("sigma, metallic, angle", CASES)
 def test_weights_integrate_the_brdf(sigma: float, metallic: float, angle: float) -> None:
     """a' by sampling and by quadrature agree (z-test), and the factorisation of paper Eq. 6 is exact."""

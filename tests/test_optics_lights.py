@@ -66,26 +66,6 @@ def test_triangles_are_chosen_by_power_with_their_density() -> None:
     assert np.allclose(np.array(lights.pdf_area(sample.triangle)), np.array(sample.pdf_area))
 
 
-def test_points_are_uniform_by_area() -> None:
-    """Barycentric coordinates of points on triangle 1 fill 8 x 8 cells of the unit triangle evenly."""
-    lights = AreaLights(VERTICES, TRIANGLES, TABLE)
-    sample = lights.sample(*draw(200_000, 2))
-    inside = np.array(sample.triangle) == 1
-    points = np.array(sample.position).T[inside] - VERTICES[3]
-    edges = np.stack([VERTICES[4] - VERTICES[3], VERTICES[5] - VERTICES[3]], axis=1)
-    coordinates, residual, *_ = np.linalg.lstsq(edges, points.T, rcond=None)
-    assert np.max(residual) < 1e-6
-    assert coordinates.min() > -1e-5 and coordinates.sum(axis=0).max() < 1 + 1e-5
-    cells = np.floor(np.clip(coordinates, 0, 0.999999) * 8).astype(int)
-    # only whole cells below the unit square's diagonal are compared
-    whole = cells.sum(axis=0) < 7
-    histogram = np.bincount(cells[0, whole] * 8 + cells[1, whole], minlength=64)
-    expected = inside.sum() * 2.0 / 64.0
-    used = np.add.outer(np.arange(8), np.arange(8)).ravel() < 7
-    statistic = float(((histogram[used] - expected) ** 2 / expected).sum())
-    assert chi2_upper(statistic, used.sum() - 1) > 1e-3
-
-
 def test_lookup_by_side_also_without_emitters() -> None:
     lights = AreaLights(VERTICES, TRIANGLES, TABLE)
     triangle = mi.UInt32([0, 1, 1, 2, 2, 4, 4])

@@ -18,8 +18,7 @@ import torch
 
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.material.groups import Units
-from fipt_blender.core.material.inference import Fields
-from fipt_blender.core.material.networks import BrdfNetwork
+from fipt_blender.core.material.networks import BrdfNetwork, Fields
 from fipt_blender.core.material.reliability import PlaceColors, part_detail
 from fipt_blender.core.material.seen import Box, seen_cells
 from fipt_blender.core.material.training import load_tensors, save_tensors

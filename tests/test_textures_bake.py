@@ -11,7 +11,7 @@ from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.core.textures import bake, padding, raster
+from fipt_blender.core.textures import bake, raster
 from samples.refusals import error_of
 from samples.small_rooms import mesh_room, write_room
 
@@ -200,11 +200,11 @@ def test_padding_keeps_islands_and_fills_everything():
     filled = np.zeros((70, 51), bool)
     filled[10:20, 5:15] = filled[50:53, 40:42] = True
     image = random.uniform(0.2, 0.8, (70, 51, 3)).astype(np.float32)
-    padded = padding.pad(image, filled, 8)
+    padded = bake.pad(image, filled)
     assert np.array_equal(padded[filled], image[filled])
     assert padded.min() >= 0.2 - 1e-6 and padded.max() <= 0.8 + 1e-6
-    assert not padding.pad(image, np.zeros_like(filled)).any()
+    assert not bake.pad(0.0 * image, np.zeros_like(filled)).any()
     # Near an island the padding is its border's, not an average of everything.
     constant = np.zeros((70, 51, 1), np.float32)
     constant[10:20, 5:15] = 1.0
-    assert (padding.pad(constant, filled, 8)[10:20, 15:23] == 1.0).all()
+    assert (bake.pad(constant, filled)[10:20, 15:23] == 1.0).all()

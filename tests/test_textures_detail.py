@@ -130,8 +130,8 @@ def scene(folder, color, light, gains=(1.0, 1.0, 1.0), noise=0.0, shelf=False):
     columns = (position, normal, triangle.astype(np.int32), every, ~every, radiance, ones)
     store = PixelStore(lights, ranges, radiance, *columns)
     diffuse = np.repeat(shading[:, None], 3, axis=1).astype(np.float16)
-    shadings = ShadingStore(diffuse, np.zeros((count, 2, 2, 3), np.float16))
-    return detail.DetailInput(photographs, store, shadings, roughness_levels(2, 0.1, 1.0))
+    shadings = ShadingStore(diffuse, np.zeros((count, 2, 2, 3), np.float16), roughness_levels(2, 0.1, 1.0))
+    return detail.DetailInput(photographs, store, shadings)
 
 
 def wall_texels(color=plain):
@@ -252,19 +252,12 @@ def test_weights_whose_squares_vanish_stay_finite():
     assert np.isfinite(color).all() and np.array_equal(color[weight < 1.0], texels.base_color[weight < 1.0])
 
 
-def test_two_large_photographs_among_small_ones_show_their_detail(tmp_path):
-    given = scene(tmp_path, texture, smooth_light)
-    texels, color = improved(replace(given, photographs=[*given.photographs[:2], given.pixels.views[2]]))
-    seen = middle(texels) & (texels.position[:, :2] < 1.0).all(axis=1)
-    assert np.isfinite(color).all() and np.corrcoef(color[seen, 0], mean_texture(texels)[seen, 0])[0, 1] > 0.8
-
-
 def estimated_run(folder, given):
     """A run whose results were made of the pixels and shadings in its stage `light`."""
     run = RunFolder(folder / "run")
     run.create(make_settings())
     write_views(run, given.photographs)
-    detail.remember_light(run, detail.SolvedLight(given.pixels, given.shadings, given.levels))
+    detail.remember_light(run, detail.SolvedLight(given.pixels, given.shadings))
     run.results.mkdir(exist_ok=True)
     for path in (run.stages_json, run.results / "stages.json"):
         write_json(path, Stages({"light": "a", "quality": "b"}, {"light": {}, "quality": {}}, {}))

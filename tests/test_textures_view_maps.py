@@ -9,7 +9,7 @@ from fipt_blender.core.capture.images import read_radiance
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder, write_json
-from fipt_blender.core.textures.view_maps import shrunk, write_view_maps
+from fipt_blender.core.textures.view_maps import write_view_maps
 from samples.small_rooms import mesh_room, write_room
 
 VIEWS = [
@@ -62,9 +62,3 @@ def test_held_back_views_come_first_and_their_maps_are_right(run):
     rows = np.nonzero(wall)[0]
     np.testing.assert_allclose(maps["base_color"][wall][:, 0], (rows + 0.5 - 6.0) / 24.0 + 0.5, atol=1e-3)
     assert (maps["base_color"][painted == 0.0] == 0.0).all()
-
-
-def test_large_views_get_fewer_pixels_of_the_same_sight():
-    small = shrunk(VIEWS[0], 6)
-    assert (small.width, small.height, small.fx, small.fy, small.cx, small.cy) == (6, 3, 3.0, 3.0, 3.0, 1.5)
-    assert shrunk(VIEWS[0], 24) is VIEWS[0]

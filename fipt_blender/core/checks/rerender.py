@@ -69,8 +69,8 @@ class _Paths(TracedRadiance):
     ):
         extended, first = room, len(room.triangles)
         for lamp in () if environment is None else environment.lamps:
-            shape = np.array(lamp["position"]), lamp["radius"], np.array(lamp["radiance"], np.float32)
-            extended, added = add_lamp(extended, *shape, lamp.get("facing"))
+            shape = np.array(lamp.position), lamp.radius, np.array(lamp.radiance, np.float32)
+            extended, added = add_lamp(extended, *shape, lamp.facing)
             emitters = emitters.joined(added)
         self.lights = AreaLights(extended.vertices, extended.triangles, emitters)
         # The .blend has the image alone: light that the hull has by place is in its lamps, or in the image.

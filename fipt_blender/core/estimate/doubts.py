@@ -20,14 +20,14 @@ from ..run.kinds import Row
 from ..run.result_contents import Doubt, Doubts
 from ..run.runfolder import RunFolder, write_json
 
-MOST_DOUBTS = 20  # of a run
+MAX_DOUBTS = 20  # of a run
 # Standard deviation of roughness or metallic, or of whether a part emits, from which a part is doubtful.
-LEAST_DOUBT = 0.1
+MIN_DOUBT = 0.1
 # Parts with a smaller share of all pixels are not worth a question.
-LEAST_SHARE = 2e-4
+MIN_SHARE = 2e-4
 DARK = 0.2  # base color of dark surfaces
 # A picture shows the part's box and so much around it, as a share of the box; at least so many pixels.
-MARGIN, LEAST_PIXELS = 0.5, 24
+MARGIN, MIN_PIXELS = 0.5, 24
 PICTURE_SIZE = 192  # about, by repeating pixels
 EXPOSURE = 0.4  # the capture's median is mid-gray then
 DIMMED = 0.35  # brightness of what does not belong to the part
@@ -51,7 +51,7 @@ class GroupDoubts:
     def score(self) -> np.ndarray:
         """(G,) what a hint is worth; 0 where nothing is in doubt."""
         spread = np.maximum(self.material, self.lamp)
-        return np.where((spread >= LEAST_DOUBT) & (self.share >= LEAST_SHARE), spread * self.share, 0.0)
+        return np.where((spread >= MIN_DOUBT) & (self.share >= MIN_SHARE), spread * self.share, 0.0)
 
 
 def group_doubts(errors: np.ndarray, pixels: np.ndarray, emits: np.ndarray, doubt: np.ndarray) -> GroupDoubts:
@@ -77,7 +77,7 @@ def question(metallic: float, errors: np.ndarray, color: float, lamp: bool) -> t
     if lamp:
         return "lamp", "Lamp or white surface?"
     unclear = 0.0 < metallic < 1.0 or errors[0] == 0.0  # where a hint says how rough it is
-    if errors[1] >= LEAST_DOUBT and errors[1] >= 0.5 * errors[0] and unclear:
+    if errors[1] >= MIN_DOUBT and errors[1] >= 0.5 * errors[0] and unclear:
         return "metal", "Dark metal or plastic?" if color < DARK else "Metal or paint?"
     return "gloss", "Glossy or matt?"
 
@@ -109,7 +109,7 @@ def write_doubts(
     total = counts.sum(axis=0)
     open_errors = np.where(decided_of[:, :2], 0.0, materials.error)
     doubts = group_doubts(open_errors, total, emits, np.where(decided_of[:, 2], 0.0, doubt))
-    order = np.argsort(-doubts.score, kind="stable")[:MOST_DOUBTS]
+    order = np.argsort(-doubts.score, kind="stable")[:MAX_DOUBTS]
     entries = []
     for number, group in enumerate(order[doubts.score[order] > 0.0].tolist(), start=1):
         lamp = bool(doubts.lamp[group] >= doubts.material[group])
@@ -180,7 +180,7 @@ def _picture(data: TrainingData, view: int, group: int) -> tuple[int, Row, np.nd
     y, x = np.divmod(rows - bounds.start, width)
     low, high = np.quantile([x, y], [0.02, 0.98], axis=1)
     middle = np.argmin((x - np.median(x)) ** 2 + (y - np.median(y)) ** 2)
-    size = np.maximum((1.0 + MARGIN) * (high - low + 1.0), LEAST_PIXELS)
+    size = np.maximum((1.0 + MARGIN) * (high - low + 1.0), MIN_PIXELS)
     center = 0.5 * (low + high + 1.0)
     left, top = (int(max(value, 0)) for value in center - 0.5 * size)
     right, bottom = (

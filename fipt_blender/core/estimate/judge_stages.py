@@ -4,28 +4,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ..capture.views import View
 from ..checks.quality import Quality, judge
 from ..checks.rerender import Estimate
-from ..light.emitters import Fixture, emitter_table
-from ..light.lamp_doubt import HardlySeen, hardly_seen, light_errors, power_errors
+from ..light.emitters import Fixture
+from ..light.lamp_doubt import hardly_seen, light_errors, power_errors
 from ..light.observations import Observations
 from ..material.cell_errors import add_light_errors, cell_errors, draw_pixels, lit_cells
 from ..material.closed_form import TrainingData
 from ..material.fields import RoomFields
 from ..material.groups import Units
-from ..material.inference import Fields
-from ..material.part_colors import room_detail
-from ..material.seen import Box, find_seen_cells
+from ..material.networks import Fields
+from ..material.reliability import room_detail
+from ..material.seen import find_seen_cells
+from ..optics.lights import EmitterTable
 from ..photometry.encoded_photographs import Photometry
 from ..pixels.store import PixelStore
 from ..report.fixture_names import fixture_names
 from ..run.chain import Tools
-from ..run.messages import Reporter
 from ..run.stage_settings import ResultSettings, Seeded
 from ..surface.room import Room
 
@@ -39,7 +37,6 @@ def find_room_fields(
     fixtures: list[Fixture],
     emitting: np.ndarray,
     fields: Fields,
-    box: Box,
     *,
     settings: ResultSettings,
     tools: Tools,
@@ -48,17 +45,22 @@ def find_room_fields(
 
     From the pixels of all triangles that reflect and are not left alone.
     """
-    left_alone = observations.left_alone
-    unused = emitting if left_alone is None else emitting | left_alone
-    cells = find_seen_cells(pixels, units, box)
-    drawn = draw_pixels(pixels, units, box, cells, unused, settings.seed)
+    cells, unused = find_seen_cells(pixels, units, fields.box), emitting | observations.left_alone
+    drawn = draw_pixels(pixels, units, fields.box, cells, unused, settings.seed)
     errors = cell_errors(drawn, data, units, fields, cells)
     doubted = hardly_seen(fixtures, pixels, len(room.triangles)) if settings.lamp_doubt else []
     if settings.lamp_doubt and fixtures and (room.place or doubted):
         lit = lit_cells(drawn, data, fields, cells)
         places = lit.points, lit.normals
         if doubted:
-            _warn_of_lamps(room, fixtures, doubted, tools.reporter)
+            names = fixture_names(room, fixtures)
+            listed = ", ".join(f"{names[lamp]} ({count} pixels)" for lamp, count, _ in doubted)
+            tools.reporter.warning(
+                "lamp-hardly-seen",
+                f"The photographs hardly show these lamps: {listed}. Their light and the colors near them may"
+                " be wrong: glow may have become paint.",
+                "Add photographs that show these lamps from near, most of all their bright insides.",
+            )
             of_power = power_errors(room, fixtures, doubted, places, settings.seed)
             errors = add_light_errors(errors, lit, of_power)
         if room.place:
@@ -66,20 +68,6 @@ def find_room_fields(
             errors = add_light_errors(errors, lit, of_light)
     detail = room_detail(drawn, data, units, fields, cells, errors) if settings.shrink_detail else None
     return RoomFields(fields, units, cells, errors, room.place, detail)
-
-
-def _warn_of_lamps(
-    room: Room, fixtures: Sequence[Fixture], doubted: Sequence[HardlySeen], reporter: Reporter
-) -> None:
-    """Say which lamps photographs hardly show."""
-    names = fixture_names(room, fixtures)
-    listed = ", ".join(f"{names[lamp.index]} ({lamp.pixels} pixels)" for lamp in doubted)
-    reporter.warning(
-        "lamp-hardly-seen",
-        f"The photographs hardly show these lamps: {listed}. Their light and the colors near them may be"
-        " wrong: glow may have become paint.",
-        "Add photographs that show these lamps from near, most of all their bright insides.",
-    )
 
 
 def judge_result(
@@ -99,6 +87,7 @@ def judge_result(
 
     None where no photograph can be used. `held_back` are at full size.
     """
-    estimate = Estimate(room, room_fields.query, emitter_table(fixtures), observations.environment)
+    table = EmitterTable.from_fixtures(fixtures)
+    estimate = Estimate(room, room_fields.query, table, observations.environment)
     facts = {} if photometry is None else photometry.facts
     return judge(pixels, held_back, estimate, facts, scale, settings.seed, tools.reporter.progress)

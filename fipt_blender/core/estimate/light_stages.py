@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..light.baking import Baking, ShadingStore, TracedLight, bake_views, open_shadings
-from ..light.emitters import EmitterPixels, bright_triangles
+from ..light.emitters import bright_triangles, presume_lamps
 from ..light.environment import Environment
 from ..light.observations import Observations, observe
-from ..light.presumed import presume_lamps
 from ..light.shadings import SampleCounts, roughness_levels
 from ..light.unseen_light import with_unseen_light
 from ..material.hints import known_colors
@@ -43,7 +42,7 @@ def observe_pixels(
 
 @dataclass(frozen=True)
 class PresumedLamps:
-    """What stage 1 aims at (:mod:`..light.presumed`).
+    """What stage 1 aims at (:func:`..light.emitters.presume_lamps`).
 
     Attributes:
         bright: triangles to sample, and their radiance; that of presumed lamps is not in the cache.
@@ -56,9 +55,9 @@ class PresumedLamps:
 
 def find_presumed_lamps(pixels: PixelStore, room: Room, *, settings: ShadingSettings) -> PresumedLamps:
     """Presume which bright surfaces are lamps, before any light is known."""
-    bright = bright_triangles(room, pixels.triangle, pixels.front, pixels.radiance)
+    bright = bright_triangles(room, pixels)
     if settings.presumed_lamps:
-        return PresumedLamps(*presume_lamps(room, EmitterPixels.of(pixels), bright))
+        return PresumedLamps(*presume_lamps(room, pixels, bright))
     in_cache = np.ones(len(bright.triangles), bool)
     return PresumedLamps(replace(bright, reflective=in_cache), np.zeros(len(room.triangles), bool))
 
@@ -104,21 +103,6 @@ def light_outside(observed: Observations, environment: Environment | None) -> Ob
 # ---- Stage 1: shadings from the radiance cache (Sec. 4.2, Eq. 9) -------------------------------------------
 
 
-@dataclass(frozen=True)
-class BakedShadings:
-    """Shadings of all pixels.
-
-    Attributes:
-        shadings: in units of the capture's median.
-        levels: (K,) float32 roughness levels.
-        baked_lamps: (T,) bool lamps whose own radiance was baked, instead of that of the cache.
-    """
-
-    shadings: ShadingStore
-    levels: np.ndarray
-    baked_lamps: np.ndarray
-
-
 def bake_shadings(
     observed: Observations,
     lamps: PresumedLamps,
@@ -128,7 +112,7 @@ def bake_shadings(
     *,
     settings: ShadingSettings,
     tools: Tools,
-) -> BakedShadings:
+) -> ShadingStore:
     """Bake the shadings of all views from the radiance cache; `lamps` are the presumed ones."""
     baking = first_baking(room, parts, observed, lamps, settings)
     store = _bake(baking, pixels, tools)
@@ -140,7 +124,7 @@ def bake_shadings(
             " what no photograph shows, and base colors are as uncertain.",
             "Add photographs that show the lamps and windows.",
         )
-    return BakedShadings(store, baking.levels, lamps.presumed)
+    return store
 
 
 def light_excess(environment: Environment | None, diffuse: np.ndarray) -> float:
@@ -197,7 +181,7 @@ def _baking(
 
 def _bake(baking: Baking, pixels: PixelStore, tools: Tools) -> ShadingStore:
     """The shadings of all views; those that an interrupted run has finished are kept."""
-    finished, size = tools.finished, (len(pixels), len(baking.levels))
+    finished, size = tools.finished, (len(pixels), baking.levels)
     store = None
     if finished.views:
         try:
@@ -221,19 +205,17 @@ def refine_shadings(
     parts: Parts,
     emitters: EmitterTable,
     emitting: np.ndarray,
-    lamps: PresumedLamps,
     diffuse: np.ndarray,
     materials: np.ndarray,
     *,
     settings: RefinementSettings,
     tools: Tools,
-) -> BakedShadings:
+) -> ShadingStore:
     """Bake the shadings of all views anew by path tracing with the estimate.
 
     Args:
         index: number of the round.
         emitters: the fixtures found so far, and emitting: (T,) bool, their triangles.
-        lamps: those presumed before any estimate.
         diffuse: (M * 6, 3) float16 mean L_d of each cache entry in the last closed-form estimate.
         materials: (M * 6, 5) float32 base colour, roughness and metallic of each entry in it.
     """
@@ -244,5 +226,4 @@ def refine_shadings(
         settings.refine_diffuse_spp, settings.refine_specular_spp, settings.refine_light_spp
     )
     baking = _baking(room, parts, observed, cache, emitters, counts, traced, settings, index)
-    baked = emitting if emitting.any() else lamps.presumed
-    return BakedShadings(_bake(baking, pixels, tools), baking.levels, baked)
+    return _bake(baking, pixels, tools)

@@ -12,10 +12,9 @@ import numpy as np
 
 from ..light.baking import ShadingStore
 from ..light.cache import pool
-from ..light.emission import emission_probability
+from ..light.emission import brighter_than_white, emission_probability
 from ..light.emitter_surfaces import EmitterSurfaces, emitter_surfaces
-from ..light.emitters import EmitterPixels, Fixture, emitter_table, group_fixtures
-from ..light.evidence import brighter_than_white
+from ..light.emitters import Fixture, group_fixtures
 from ..light.observations import Observations
 from ..material.closed_form import (
     CellEstimate,
@@ -55,26 +54,21 @@ class HintedObservations:
 
     Attributes:
         observations: with the light from outside.
-        surface_hints: the hints on the mesh; None without any.
+        surface_hints: the hints on the mesh.
     """
 
     observations: Observations
-    surface_hints: SurfaceHints | None
+    surface_hints: SurfaceHints
 
 
 def honour_hints(
     observed: Observations, room: Room, parts: Parts, hints: Sequence[Hint], *, tools: Tools
 ) -> HintedObservations:
     """Place the hints that are honoured from here on on the mesh, and divide the observations by them."""
-    observed = replace(observed, folder=tools.folder)
-    if not hints:
-        return HintedObservations(observed, None)
     placed = place_hints(hints, room.vertices, room.triangles, parts, observed.surface)
-    left_alone = placed.of_triangles(placed.left_alone)
-    divided = replace(
-        observed, parts=placed.split_parts(parts), left_alone=left_alone if left_alone.any() else None
-    )
-    return HintedObservations(divided, placed)
+    divided, left_alone = placed.split_parts(parts), placed.of_triangles(placed.left_alone)
+    observed = replace(observed, folder=tools.folder, parts=divided, left_alone=left_alone)
+    return HintedObservations(observed, placed)
 
 
 # ---- Closed form (Eq. 5) and emitters (Sec. 4.4) -----------------------------------------------------------
@@ -91,19 +85,24 @@ class ClosedForm:
 def fit_closed_form(
     observations: Observations,
     shadings: ShadingStore,
-    levels: np.ndarray,
-    surface_hints: SurfaceHints | None,
+    surface_hints: SurfaceHints,
     *,
     settings: MaterialSettings,
 ) -> ClosedForm:
     """Group the pixels by material, infer these, and fit the base colour of each cell."""
-    data = training_input(observations, shadings, levels, settings, surface_hints)
+    data = training_input(observations, shadings, settings, surface_hints)
     return ClosedForm(data, fit_cells(data))
 
 
-def find_emitter_units(room: Room, parts: Parts, observed: Observations) -> EmitterSurfaces:
-    """Divide the mesh into surfaces of which each emits as a whole, or not at all."""
-    return emitter_surfaces(room, parts, observed.footprint, observed.environment)
+def find_emitter_units(
+    room: Room, parts: Parts, observed: Observations, photometry: Photometry | None = None
+) -> EmitterSurfaces:
+    """Divide the mesh into surfaces of which each emits as a whole, or not at all.
+
+    Args:
+        photometry: of photographs that are not HDR; None where all are.
+    """
+    return emitter_surfaces(room, parts, observed.footprint, observed.environment, photometry is None)
 
 
 @dataclass(frozen=True)
@@ -127,12 +126,10 @@ def estimate(
     data: TrainingData,
     cells: CellEstimate,
     emitter_units: EmitterSurfaces,
-    baked_lamps: np.ndarray,
-    surface_hints: SurfaceHints | None,
+    surface_hints: SurfaceHints,
     emitting: np.ndarray | None = None,
     units_before: Units | None = None,
     lamps_before: np.ndarray | None = None,
-    photometry: Photometry | None = None,
     *,
     tools: Tools,
 ) -> Estimate:
@@ -142,28 +139,25 @@ def estimate(
     warn of those that could not be honoured.
 
     Args:
-        baked_lamps: (T,) bool, lamps whose own radiance is in the shadings.
         emitting: (T,) bool, the lamps of the estimate before; None in the first one.
         units_before: of a training, which hints divide further; None without.
         lamps_before: as `emitting`, in the last estimate with hints that were given since; else None.
-        photometry: of photographs that are not HDR; None where all are.
     """
     if emitting is None:
         _warn_of_missing_light(brighter_than_white(pixels, shadings), tools)
-    if emitting is None or lamps_before is not None:
-        _warn_of_problems(surface_hints, tools)
+    if surface_hints.problems and (emitting is None or lamps_before is not None):
+        text = "Some hints could not be honoured: " + " ".join(surface_hints.problems)
+        tools.reporter.warning("hints-unclear", text, "Correct or remove these hints.")
     tools.facts["cells"] = len(cells.keys)
     units = units_before
     if units is None or observations.parts.kind == "part":
         units = material_units(data)
-    hinted = np.zeros(len(room.triangles), np.int8)
-    if surface_hints is not None:
-        units = hinted_units(units, observations.parts, surface_hints, data.materials)
-        known = surface_hints.emits - (surface_hints.left_alone & (surface_hints.emits == 0))
-        hinted = np.asarray(surface_hints.of_triangles(known), np.int8)
-    white, hdr = partial(white_rows, data), photometry is None
-    probability = emission_probability(room, pixels, shadings, white, emitter_units, hinted, baked_lamps, hdr)
-    if lamps_before is not None and surface_hints is not None:
+    units = hinted_units(units, observations.parts, surface_hints, data.materials)
+    known = surface_hints.emits - (surface_hints.left_alone & (surface_hints.emits == 0))
+    hinted = np.asarray(surface_hints.of_triangles(known), np.int8)
+    white = partial(white_rows, data)
+    probability = emission_probability(room, pixels, shadings, white, emitter_units, hinted)
+    if lamps_before is not None:
         changed = lamps_before != (probability > 0.5)
         if changed[surface_hints.of_triangles(surface_hints.emits) != 0].any():
             tools.reporter.warning(
@@ -187,12 +181,6 @@ def _warn_of_missing_light(share: float, tools: Tools) -> None:
         )
 
 
-def _warn_of_problems(hints: SurfaceHints | None, tools: Tools) -> None:
-    if hints is not None and hints.problems:
-        text = "Some hints could not be honoured: " + " ".join(hints.problems)
-        tools.reporter.warning("hints-unclear", text, "Correct or remove these hints.")
-
-
 @dataclass(frozen=True)
 class Emitters:
     """The lamps.
@@ -214,8 +202,8 @@ def find_fixtures(
     """Group the triangles that probably emit to fixtures."""
     parts = observations.parts
     surface = parts.triangle_part if parts.kind == "part" else None
-    fixtures = group_fixtures(room, probability > 0.5, EmitterPixels.of(pixels), surface, probability)
-    table = emitter_table(fixtures)
+    fixtures = group_fixtures(room, probability > 0.5, pixels, surface, probability)
+    table = EmitterTable.from_fixtures(fixtures)
     emitting = np.zeros(len(room.triangles), bool)
     emitting[table.triangles] = True
     return Emitters(fixtures, table, emitting)

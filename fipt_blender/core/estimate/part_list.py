@@ -28,10 +28,10 @@ from ..run.runfolder import RunFolder, write_json
 from ..surface.room import Room
 
 # Cells whose values are averaged.
-MOST_CELLS = 50_000
+MAX_CELLS = 50_000
 # Two surfaces are one if each holds this share of the other's area; a surface has a direction or a class if
 # this share of it has.
-SAME, MOST = 0.9, 0.7
+SAME, MAJORITY = 0.9, 0.7
 # A surface is at the floor or the ceiling within this share of the room's height, and a wall from this share
 # of the room's area.
 END, LARGE = 0.1, 0.03
@@ -69,7 +69,7 @@ def write_part_list(
     of_mesh = mesh_borders(room, source) is not None
     keys = [_key(source, room, parts, unit, index, of_mesh) for index in range(count)]
     keys = unique_names([f"area:{areas[index]}" if index in areas else key for index, key in enumerate(keys)])
-    names = _names(room, source, unit, keys, [name for _, name in classes])
+    names = _names(room, source, unit, keys, classes)
     names = unique_names([areas.get(index, name) for index, name in enumerate(names)])
     seen = np.zeros(count + 1, np.int64)
     for first, last in itertools.pairwise(pixels.ranges):
@@ -84,7 +84,7 @@ def write_part_list(
             unit=index,
             key=keys[index],
             name=names[index],
-            class_name=classes[index][1] or None,
+            class_name=classes[index] or None,
             single=bool(fields.units.single[index]),
             triangles=int(size[index + 1]),
             pixels=int(seen[index + 1]),
@@ -107,7 +107,7 @@ def write_part_list(
 def _mean_values(fields: RoomFields, count: int) -> np.ndarray:
     """(count, 8) means over the seen cells of each unit: base colour, roughness, metallic, confidences."""
     cells = fields.cells
-    rows = np.arange(0, len(cells.part), max(len(cells.part) // MOST_CELLS, 1))
+    rows = np.arange(0, len(cells.part), max(len(cells.part) // MAX_CELLS, 1))
     rows = rows[cells.part[rows] >= 0]
     if not len(rows):
         return np.full((count, 8), np.nan)
@@ -140,10 +140,10 @@ def _key(source: str, room: Room, parts: Parts, unit: np.ndarray, index: int, of
 
 def _semantic_classes(
     room: Room, views: Sequence[View], pixels: PixelStore, unit: np.ndarray, count: int
-) -> list[tuple[int, str]]:
-    """(id, name) of the semantic class of each unit; (-1, "") without masks, the name "" where unknown."""
+) -> list[str]:
+    """The name of the semantic class of each unit, "" where it is unknown."""
     if not any(view.semantics for view in views):
-        return [(-1, "")] * count
+        return [""] * count
     triangles = (np.asarray(pixels.triangle[first:last]) for first, last in itertools.pairwise(pixels.ranges))
     images = (view.semantic_ids() for view in views)
     label = fuse_masks(images, triangles, len(room.triangles))
@@ -153,8 +153,8 @@ def _semantic_classes(
     classes = []
     for row in _areas(room, unit, count, label, len(ids)):
         total, best = row.sum(), int(row.argmax()) if len(row) else 0
-        number = int(ids[best]) if total > 0.0 and row[best] >= MOST * total else -1
-        classes.append((number, names.get(str(number), "")))
+        number = int(ids[best]) if total > 0.0 and row[best] >= MAJORITY * total else -1
+        classes.append(names.get(str(number), ""))
     return classes
 
 
@@ -237,7 +237,7 @@ def _places(room: Room, unit: np.ndarray, count: int) -> list[str]:
 
     low, high = room.bounds
     height = (mean(corners[:, :, 2].mean(axis=1)) - low[2]) / max(high[2] - low[2], 1e-9)
-    flat, upright = mean(steepness > 0.9) > MOST, mean(steepness < 0.3) > MOST
+    flat, upright = mean(steepness > 0.9) > MAJORITY, mean(steepness < 0.3) > MAJORITY
     large = area > LARGE * room.areas.sum()
     names = np.full(count, "", object)
     names[upright & large] = "Wall"

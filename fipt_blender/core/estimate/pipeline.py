@@ -67,7 +67,7 @@ def _light() -> Iterator[Stage]:
     yield Stage("outside", infer_outside, "Inferring the light from outside", 0.4, "environment")
     yield Stage("lit", light_outside, gives="observed")
     yield Stage("hints", honour_hints)
-    yield Stage("shadings", bake_shadings, "Baking shadings from the photographs", 1.0)
+    yield Stage("shadings", bake_shadings, "Baking shadings from the photographs", 1.0, "shadings")
 
 
 def _rounds(rounds: int) -> Iterator[Stage]:
@@ -89,13 +89,13 @@ def _refinement(suffix: str, number: int, text: str, prefix: str = "", replaces:
     """Stage 3 with the last estimate; of the shadings that it replaces the files are not kept."""
     yield Stage(f"{prefix}reflection{suffix}", find_reflection, f"Preparing light paths{text}", 0.2)
     name, takes = f"{prefix}refinement{suffix}", {"index": f"round_{number}"}
-    yield Stage(name, refine_shadings, f"Refining shadings{text}", 2.9, takes=takes, replaces=replaces)
+    yield Stage(name, refine_shadings, f"Refining shadings{text}", 2.9, "shadings", takes, replaces)
 
 
 def _training() -> Iterator[Stage]:
     """Stage 2: BRDF and emission mask, once (Sec. 4.5, Eq. 12 to 20)."""
     yield Stage("training", train_networks, "Training materials", 1.6)
-    yield Stage("fields", open_fields)
+    yield Stage("fields", open_fields, gives="fields")
 
 
 def _hinted(rounds: int, rerun: bool, light: bool) -> Iterator[Stage]:
@@ -114,7 +114,7 @@ def _hinted(rounds: int, rerun: bool, light: bool) -> Iterator[Stage]:
     yield Stage("hinted-estimate", estimate, text, 0.4, takes=before | {"lamps_before": "emitting"})
     yield Stage("hinted-lamps-found", find_fixtures)
     yield Stage("hinted-training", train_networks, "Training materials with the hints", 0.4)
-    yield Stage("hinted-fields", open_fields)
+    yield Stage("hinted-fields", open_fields, gives="fields")
 
 
 def _judgement(judged: bool) -> Iterator[Stage]:

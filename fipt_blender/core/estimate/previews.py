@@ -92,24 +92,19 @@ class Preview:
         return max(squares, key=lambda rows: self._emission(emitters, rows).any(axis=1).mean())
 
     def _emission(self, emitters: EmitterTable, rows: np.ndarray) -> np.ndarray:
-        """(S * S, 3) emitted radiance in pixels (S, S)."""
+        """(S * S, 3) radiance that pixels (S, S) show of what emits, on the side that is visible."""
         rows = rows.reshape(-1)
+        if not len(emitters.triangles):
+            return np.zeros((len(rows), 3), np.float32)
         triangle, front = np.asarray(self._pixels.triangle[rows]), np.asarray(self._pixels.front[rows])
-        return _emission(emitters, triangle, front)
+        order = np.argsort(emitters.triangles)
+        nearest = order[np.clip(np.searchsorted(emitters.triangles[order], triangle), 0, len(order) - 1)]
+        radiance = np.where(front[:, None], emitters.radiance[nearest], emitters.back_radiance[nearest])
+        return np.where((emitters.triangles[nearest] == triangle)[:, None], radiance, 0.0)
 
     def _write(self, path: Path, values: np.ndarray, size: tuple[int, ...]) -> Path:
         write_png(path, to_display(values.reshape(*size, 3)))
         return path
-
-
-def _emission(emitters: EmitterTable, triangle: np.ndarray, front: np.ndarray) -> np.ndarray:
-    """(N, 3) radiance that triangles (N,) emit on the side that is visible."""
-    if not len(emitters.triangles):
-        return np.zeros((len(triangle), 3), np.float32)
-    order = np.argsort(emitters.triangles)
-    nearest = order[np.clip(np.searchsorted(emitters.triangles[order], triangle), 0, len(order) - 1)]
-    radiance = np.where(front[:, None], emitters.radiance[nearest], emitters.back_radiance[nearest])
-    return np.where((emitters.triangles[nearest] == triangle)[:, None], radiance, 0.0)
 
 
 def _square(pixels: PixelStore, view: int) -> np.ndarray:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ from ..pixels.store import PixelStore
 from ..report.pictures import write_quality
 from ..run.messages import Reporter, peak_memory_gb
 from ..run.replacing import atomic_folder
-from ..run.result_contents import EmitterEnvironment, EmitterFixture, Emitters, MissingLamp
+from ..run.result_contents import EmitterEnvironment, EmitterFixture, Emitters
 from ..run.run_files import AddedSurfaces, LeftAlone
 from ..run.runfolder import RunFolder, explained_write_errors, write_json
 from ..run.store import write_arrays
@@ -54,9 +54,8 @@ class Solution:
     scale: float
     view_check: ViewCheck
     observations: Observations
-    surface_hints: SurfaceHints | None
+    surface_hints: SurfaceHints
     shadings: ShadingStore
-    levels: np.ndarray
     data: TrainingData
     cells: CellEstimate
     units: Units
@@ -79,12 +78,11 @@ def write_solution(
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
     run, observations = given.folder, solution.observations
-    pixels, room = solution.pixels, solution.room
-    left_alone = observations.left_alone
+    pixels, room, hints = solution.pixels, solution.room, solution.surface_hints
     fields = solution.room_fields
     if solution.quality is not None:
         fields = fields.with_errors(no_better_than(fields.errors, solution.quality.deviation))
-    areas = area_names(solution.surface_hints, solution.units)
+    areas = area_names(hints, solution.units)
     statistics = summary(given, solution, stages)
     with atomic_folder(run.results) as new:
         folder = RunFolder(run.root, results=new.name)
@@ -92,14 +90,12 @@ def write_solution(
         if solution.quality is not None:
             write_quality(folder, solution.quality)
         names = write_part_list(folder, room, solution.parts, solution.views, pixels, fields, areas)
-        if left_alone is not None:
-            write_arrays(folder.left_alone_npz, LeftAlone(left_alone))
-        decided = np.zeros((len(room.triangles), 3), bool)
-        if solution.surface_hints is not None:
-            decided = solution.surface_hints.of_triangles(solution.surface_hints.decides)
+        if observations.left_alone.any():
+            write_arrays(folder.left_alone_npz, LeftAlone(observations.left_alone))
+        decided = hints.of_triangles(hints.decides)
         of_triangle = np.array([*names, ""], object)[fields.units.triangle]
         write_doubts(folder, solution.data, solution.cells, solution.probability, decided, of_triangle)
-        remember_light(folder, SolvedLight(pixels, solution.shadings, solution.levels))
+        remember_light(folder, SolvedLight(pixels, solution.shadings))
         write_resolution(folder, len(room.triangles))
         write_json(folder.statistics_json, statistics)
         with explained_write_errors(folder.results):
@@ -141,14 +137,7 @@ def write_results(
         for number, fixture in enumerate(fixtures, start=1)
     )
     missing = tuple(
-        MissingLamp(
-            lamp["position"],
-            lamp["radius"],
-            (scale * np.asarray(lamp["radiance"])).tolist(),
-            lamp.get("inferred", False),
-            lamp.get("facing"),
-            lamp.get("share", 0.0),
-        )
+        replace(lamp, radiance=(scale * np.asarray(lamp.radiance)).tolist())
         for lamp in (environment.lamps if environment is not None else ())
     )
     write_json(folder.emitters_json, Emitters(listed, described, missing))
@@ -190,7 +179,7 @@ def summary(
         "settings": asdict(given.settings),
         **({"photometry": photometry.facts} if photometry else {}),
         **(_hole_facts(given.holes) if given.holes else {}),
-        **({"hints": hint_facts(hints, solution.units)} if hints else {}),
+        **({"hints": hint_facts(hints, solution.units)} if hints.names else {}),
     }
 
 
@@ -214,10 +203,8 @@ def hint_facts(hints: SurfaceHints, units: Units) -> list[dict[str, Any]]:
     ]
 
 
-def area_names(hints: SurfaceHints | None, units: Units) -> dict[int, str]:
+def area_names(hints: SurfaceHints, units: Units) -> dict[int, str]:
     """The hints' names of the units that they have made."""
-    if hints is None:
-        return {}
     unit = values_of_hints(hints, units.triangle)
     return {int(unit[row]): name for row, name in enumerate(hints.names) if hints.own[row] and unit[row] >= 0}
 

@@ -11,30 +11,31 @@ import numpy as np
 import torch
 
 from ..device.variant import torch_device
-from ..material.closed_form import (
-    CellEstimate,
-    TrainingData,
-)
-from ..material.emission_mask import EmissionNetwork
+from ..material.closed_form import CellEstimate, TrainingData
 from ..material.groups import Units
-from ..material.inference import Fields
-from ..material.networks import BrdfNetwork, network_generator, typical_values, useful_hash_levels
-from ..material.seen import Box, room_box
+from ..material.networks import (
+    BrdfNetwork,
+    EmissionNetwork,
+    Fields,
+    brdf_network,
+    network_generator,
+    tensors,
+    typical_values,
+    useful_hash_levels,
+)
+from ..material.seen import room_box
 from ..material.training import (
     PRETRAINING_STEPS,
     Networks,
     Resume,
     Surfaces,
+    load_tensors,
     pretrain,
-    read_checkpoint,
     train,
 )
-from ..run.chain import START_AGAIN, Tools
+from ..run.chain import Tools
 from ..run.errors import FiptError
-from ..run.stage_settings import (
-    NetworkSettings,
-    TrainingSettings,
-)
+from ..run.stage_settings import NetworkSettings, TrainingSettings
 from ..surface.room import Room
 
 # The last steps of the training that are repeated with hints, as a share of all: high learning rates would
@@ -85,7 +86,7 @@ def train_networks(
         _train_anew(networks, data, surfaces, cells, settings, tools)
     else:
         present = networks.brdf.state_dict()["typical"]
-        networks.load({"brdf": {**_tensors(brdf), "typical": present}, "emission": _tensors(emission)})
+        networks.load({"brdf": {**tensors(brdf), "typical": present}, "emission": tensors(emission)})
         steps = max(round(HINTED_SHARE * steps), 1)
         first = settings.training_steps - steps
         train(networks, data, surfaces, settings, None, tools.reporter.progress, first)
@@ -110,7 +111,7 @@ def _train_anew(
     state = None
     if checkpoint.exists():
         try:
-            state = read_checkpoint(checkpoint, networks, settings.training_steps)
+            state = load_tensors(checkpoint, networks.brdf.grid.table.device)
         except FiptError as error:
             text = f"{error.text} The training starts again."
             tools.reporter.warning("checkpoint-damaged", text, "There is nothing to do.")
@@ -122,38 +123,8 @@ def _train_anew(
     train(networks, data, surfaces, settings, resume, progress)
 
 
-def _tensors(weights: Mapping[str, np.ndarray]) -> dict[str, torch.Tensor]:
-    return {key: torch.from_numpy(np.array(array)) for key, array in weights.items()}
-
-
-@dataclass(frozen=True)
-class TrainedFields:
-    """The materials as functions of places.
-
-    Attributes:
-        fields: base colour, roughness and metallic.
-        box: to which the network normalises positions.
-    """
-
-    fields: Fields
-    box: Box
-
-
 def open_fields(
     room: Room, units: Units, brdf: dict[str, np.ndarray], *, settings: NetworkSettings
-) -> TrainedFields:
-    """Make the network of its weights.
-
-    Raises:
-        FiptError: ``file-damaged`` where they do not fit the network.
-    """
-    device, box = torch.device(torch_device()), room_box(room.bounds)
-    try:
-        levels = brdf["mlp.0.weight"].shape[1] // settings.hash_features
-        typical = np.zeros((len(units.single) + 1, 5))
-        network = BrdfNetwork(settings, levels, typical, network_generator(settings), device)
-        network.load_state_dict(_tensors(brdf))
-    except (KeyError, IndexError, RuntimeError) as error:
-        text = f"The networks of the training can't be used ({error})."
-        raise FiptError("file-damaged", text, START_AGAIN) from None
-    return TrainedFields(Fields(network, box), box)
+) -> Fields:
+    """The materials as functions of places: the network of its weights."""
+    return Fields(brdf_network(settings, brdf, len(units.single)), room_box(room.bounds))

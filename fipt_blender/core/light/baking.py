@@ -48,10 +48,12 @@ class ShadingStore:
     Attributes:
         diffuse: (N, 3) float16.
         specular: (N, K, 2, 3) float16.
+        levels: (K,) float32 roughness of the specular ones, ascending.
     """
 
     diffuse: np.ndarray
     specular: np.ndarray
+    levels: np.ndarray
 
     def flush(self) -> None:
         """Write what was changed to the disk."""
@@ -61,12 +63,13 @@ class ShadingStore:
 
 
 def open_shadings(
-    folder: Path, pixels: int, levels: int, create: bool = False, keep: bool = False
+    folder: Path, pixels: int, levels: np.ndarray, create: bool = False, keep: bool = False
 ) -> ShadingStore:
     """Open (or create) the arrays in `folder`; arguments and errors as of `open_array`."""
     return ShadingStore(
         open_array(folder / "diffuse.npy", (pixels, 3), np.float16, create, keep),
-        open_array(folder / "specular.npy", (pixels, levels, 2, 3), np.float16, create, keep),
+        open_array(folder / "specular.npy", (pixels, len(levels), 2, 3), np.float16, create, keep),
+        levels,
     )
 
 

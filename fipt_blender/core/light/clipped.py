@@ -19,8 +19,8 @@ from ..pixels.camera_rays import rays_along
 from ..robust import deviation, gauss_newton
 from ..run.store import Gaps
 from ..surface.room import Room
-from .albedos import MIN_GROUP, without_albedo
 from .cache import VoxelGrid
+from .sources import MIN_GROUP, without_albedo
 
 RAYS = 128  # over the hemisphere of each point; their noise would make the contrast too high
 LAMP_SAMPLES = 32  # points on each lamp

@@ -21,11 +21,17 @@ from .environment import Environment
 # Width of the patches of a scan without part masks, in pixel widths, and largest distance between the centers
 # of adjacent patches of one lamp, in widths of a patch.
 PATCH, GAP = 2.0, 2.5
-# Relative errors of the shadings of a modelled room and of a scan.
-SHADING_ERROR, SCAN_ERROR = 0.15, 0.2
+# Relative errors: of the shadings of a modelled room and of a scan, and of radiance that was unmixed, beside
+# its standard error, or that of photographs that are not HDR.
+SHADING_ERROR, SCAN_ERROR, RADIANCE_ERROR = 0.15, 0.2, 0.3
 # Most independent samples that the pixels of a lamp count as: they share errors of the shadings.
 MAX_SAMPLES, MAX_SAMPLES_SCAN = 50.0, 10.0
-SPREAD = 0.03  # deviation of radiance over light on one surface of a modelled room, by errors of the light
+# Deviation of radiance over light on one surface of an exact mesh, by noise and errors of the light. Clipped
+# pixels are constant in any case.
+SPREAD, CLIPPED_SPREAD = 0.03, 1e6
+# Where lamps may be close that nothing shows, one is likelier than the surface that it lights by HIDDEN, in
+# full from this share of the directions on.
+MUCH_UNSEEN, HIDDEN = 0.1, 2.0
 
 
 @dataclass(frozen=True)
@@ -35,58 +41,55 @@ class EmitterSurfaces:
     Attributes:
         unit: (T,) int64 surface of each triangle, from 0.
         component: (T,) int larger surface, from 0; triangles that no pixel judged get the mean of theirs.
-        part: (T,) int part of each triangle, negative for none; None where parts are unknown.
+        part: (T,) int part of each triangle, negative where it is unknown.
+        unseen: (T,) share of the directions in which lamps may be that nothing shows, too close for
+            :mod:`.unseen_light`.
+        error: relative standard error of the most that a surface reflects.
+        spread: least deviation of the logarithm of radiance over light on one surface.
+        max_samples: independent ones that the pixels of a lamp count as, at most.
         reach: largest distance in pixels between the surface that a pixel shows and the one that it hits.
         gap: metres between the centers of units of one lamp at most; 0 where units are triangles.
-        unseen: (T,) share of the directions in which lamps may be that nothing shows, too close for
-            :mod:`.unseen_light`; None for none.
-        light_error: standard deviation of the logarithm of the light, because some of it is inferred.
-        shading_error: relative error of the shadings.
-        most_samples: independent ones that the pixels of a lamp count as, at most.
-        spread: least deviation of the logarithm of radiance over light on one surface.
-        place: metres to which positions of a lamp and of what it lights are known; 0 where they are exact.
     """
 
     unit: np.ndarray
     component: np.ndarray
-    part: np.ndarray | None
+    part: np.ndarray
+    unseen: np.ndarray
+    error: float = SHADING_ERROR
+    spread: float = SPREAD
+    max_samples: float = MAX_SAMPLES
     reach: int = 0
     gap: float = 0.0
-    unseen: np.ndarray | None = None
-    light_error: float = 0.0
-    shading_error: float = SHADING_ERROR
-    most_samples: float = MAX_SAMPLES
-    spread: float = SPREAD
-    place: float = 0.0
 
 
 def emitter_surfaces(
-    room: Room, parts: Parts, footprint: float, environment: Environment | None = None
+    room: Room, parts: Parts, footprint: float, environment: Environment | None = None, hdr: bool = True
 ) -> EmitterSurfaces:
     """Triangles of a modelled room; of a scan its parts or, where they are unknown, patches of its segments.
 
     Args:
         footprint: median width of a pixel on the surfaces, metres.
         environment: with the light that is inferred; None without any.
+        hdr: whether all photographs are.
     """
     pieces = room_pieces(room)
-    part = parts.triangle_part if parts.kind == "part" else None
-    unseen, light_error = (
-        (None, 0.0) if environment is None else (environment.unseen, environment.unseen_error)
-    )
+    known = parts.kind == "part"
+    part = parts.triangle_part if known else np.full(len(pieces), -1)
+    unseen, light_error = np.zeros(len(pieces)), 0.0
+    if environment is not None and environment.unseen is not None:
+        unseen, light_error = environment.unseen, environment.unseen_error
+    shading = SHADING_ERROR if room.scan is None else SCAN_ERROR
+    error = float(np.sqrt(shading**2 + light_error**2 + (0.0 if hdr else RADIANCE_ERROR**2)))
     if room.scan is None:
         # Photographs see most of a lamp shade's outside and little of its inside, which may be one piece.
-        component = pieces if part is None else numbered([pieces, part])
-        units = np.arange(len(room.triangles))
-        return EmitterSurfaces(units, component, part, unseen=unseen, light_error=light_error)
+        component, unit = numbered([pieces, part]), np.arange(len(room.triangles))
+        return EmitterSurfaces(unit, component, part, unseen, error, SPREAD if hdr else CLIPPED_SPREAD)
     # Detail finer than an edge is lost: rims of thin things face sideways, but pixels show their tops.
     reach = round(room.scan.edge / max(footprint, 1e-9))
     patch, gap = surface_patches(room.scan, pieces, PATCH * footprint), GAP * PATCH * footprint
-    component = pieces
-    if part is not None:
-        patch = component = numbered([part >= 0, np.where(part >= 0, part, patch)])
-    errors = SCAN_ERROR, MAX_SAMPLES_SCAN, SCAN_ERROR, room.scan.edge
-    return EmitterSurfaces(patch, component, part, reach, gap, unseen, light_error, *errors)
+    unit = numbered([part >= 0, np.where(part >= 0, part, patch)])
+    component, spread = unit if known else pieces, SCAN_ERROR if hdr else CLIPPED_SPREAD
+    return EmitterSurfaces(unit, component, part, unseen, error, spread, MAX_SAMPLES_SCAN, reach, gap)
 
 
 def surface_patches(scan: Scan, pieces: np.ndarray, edge: float) -> np.ndarray:

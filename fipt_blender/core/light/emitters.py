@@ -8,12 +8,14 @@ of paper Eq. 13). Connected triangles of similar radiance form a fixture.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..optics.lights import LUMINANCE, EmitterTable
-from ..parts.components import graph_components
+from ..parts.components import component_means, graph_components
+from ..parts.labels import room_pieces
 from ..pixels.grouped import grouped_sums, grouped_weighted_median
 from ..pixels.store import PixelStore
 from ..surface.adjacency import weld
@@ -29,6 +31,11 @@ ALIKE = 1.5
 MIN_MEASURED = 1.0
 # Triangles that exceed the room's mean by this factor are aimed at before emitters are known.
 BRIGHT = 8.0
+# Of presumed lamps: largest median deviation of the radiance of a lamp, relative to its median (lamps of the
+# test rooms are below 0.03, shades that a bulb lights above 0.15); unseen triangles are bright if more than
+# this share of their component's seen area is; least weight of the pixels that show a lamp, as the
+# radiance of single ones is constant in any case.
+CONSTANT_DEVIATION, MAJORITY, MIN_PIXELS = 0.08, 0.5, 5.0
 # Pixels per chunk: arrays of all pixels of a large capture would take gigabytes.
 CHUNK = 1 << 20
 
@@ -54,61 +61,38 @@ class Fixture:
     probability: float = 1.0
 
 
-def pixels_on(triangle: np.ndarray, marked: np.ndarray) -> np.ndarray:
-    """(R,) int64 pixels that see one of the triangles marked ((T,) bool).
+def fixture_of(fixtures: Sequence[Fixture], triangles: int) -> np.ndarray:
+    """(T,) int64 fixture of each of so many triangles, -1 for none."""
+    result = np.full(triangles, -1, np.int64)
+    for index, fixture in enumerate(fixtures):
+        result[fixture.triangles] = index
+    return result
 
-    Args:
-        triangle: (N,) triangle of each pixel, negative where none; may be memory-mapped.
-    """
+
+def pixels_on(pixels: PixelStore, marked: np.ndarray) -> np.ndarray:
+    """(R,) int64 pixels that see one of the triangles marked ((T,) bool)."""
     rows = [np.zeros(0, np.int64)]
-    for start in range(0, len(triangle), CHUNK):
-        chunk = triangle[start : start + CHUNK]
+    for start in range(0, len(pixels.triangle), CHUNK):
+        chunk = pixels.triangle[start : start + CHUNK]
         rows.append(np.flatnonzero((chunk >= 0) & marked[np.maximum(chunk, 0)]) + start)
     return np.concatenate(rows)
 
 
-@dataclass(frozen=True)
-class EmitterPixels:
-    """N pixels and the surfaces that they see; arrays may be memory-mapped.
-
-    Attributes:
-        triangle: (N,) int, negative where no surface is seen.
-        front: (N,) bool, whether the triangle's front is seen.
-        radiance: (N, 3) of the surface.
-        weight: (N,) its information: 1 for pure pixels.
-    """
-
-    triangle: np.ndarray
-    front: np.ndarray
-    radiance: np.ndarray
-    weight: np.ndarray
-
-    @classmethod
-    def of(cls, pixels: PixelStore) -> EmitterPixels:
-        """All pixels of a store."""
-        return cls(pixels.triangle, pixels.front, pixels.own, pixels.weight)
-
-    def rows(self, rows: np.ndarray) -> EmitterPixels:
-        """Some of the pixels, in memory."""
-        return EmitterPixels(self.triangle[rows], self.front[rows], self.radiance[rows], self.weight[rows])
-
-
-def side_medians(pixels: EmitterPixels, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def side_medians(pixels: PixelStore, rows: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Per-channel weighted median of the radiance of each group's two sides.
 
     Args:
-        pixels: in memory.
+        rows: (R,) pixels that see triangles; few.
         group: (T,) int group of each triangle, negative without.
 
     Returns:
         (groups, 2, 3) medians, front first, and (groups, 2) sums of weights.
     """
     groups = int(group.max(initial=-1)) + 1
-    pixel_group = np.where(pixels.triangle >= 0, group[np.maximum(pixels.triangle, 0)], -1)
-    inside = np.flatnonzero(pixel_group >= 0)
-    side = pixel_group[inside] * 2 + ~pixels.front[inside]
-    weight = pixels.weight[inside].astype(np.float64)
-    columns = pixels.radiance[inside].T.astype(np.float64)
+    rows = rows[group[pixels.triangle[rows]] >= 0]
+    side = group[pixels.triangle[rows]] * 2 + ~pixels.front[rows]
+    weight = pixels.weight[rows].astype(np.float64)
+    columns = pixels.own[rows].T.astype(np.float64)
     medians = [grouped_weighted_median(column, weight, side, groups * 2) for column in columns]
     weights = np.bincount(side, weight, minlength=groups * 2)
     return np.stack(medians, axis=1).reshape(groups, 2, 3), weights.reshape(groups, 2)
@@ -117,7 +101,7 @@ def side_medians(pixels: EmitterPixels, group: np.ndarray) -> tuple[np.ndarray, 
 def group_fixtures(
     room: Room,
     emitting: np.ndarray,
-    pixels: EmitterPixels,
+    pixels: PixelStore,
     surface: np.ndarray | None = None,
     probability: np.ndarray | None = None,
 ) -> list[Fixture]:
@@ -131,11 +115,10 @@ def group_fixtures(
     ids = np.flatnonzero(emitting)
     if not len(ids):
         return []
-    rows = pixels_on(pixels.triangle, emitting)  # few, so they fit into memory
-    pixels = pixels.rows(rows)
+    rows = pixels_on(pixels, emitting)  # few, so they fit into memory
     emitter = np.full(len(emitting), -1, np.int64)  # a group per triangle
     emitter[ids] = np.arange(len(ids))
-    medians, weights = side_medians(pixels, emitter)
+    medians, weights = side_medians(pixels, rows, emitter)
     luminance = (medians @ LUMINANCE).max(axis=1)
     measured = weights.sum(axis=1) >= MIN_MEASURED
     group = np.full(len(emitting), -1, np.int64)
@@ -143,7 +126,7 @@ def group_fixtures(
         group[ids] = emitter_components(corners[ids], luminance, measured)
     else:
         group[ids] = scan_groups(room.scan, ids, surface)
-    medians, total = side_medians(pixels, group)
+    medians, total = side_medians(pixels, rows, group)
     known = total >= np.minimum(total.max(axis=1, keepdims=True, initial=0.0), MIN_MEASURED)
     if room.scan is not None:
         known &= seen_sides(room.areas[ids], weights > 0.0, group[ids])
@@ -191,31 +174,17 @@ def emitter_components(corners: np.ndarray, luminance: np.ndarray, measured: np.
     return graph_components(pairs[similar], len(corners))
 
 
-def emitter_table(fixtures: list[Fixture]) -> EmitterTable:
-    """The fixtures' triangles as a table of emitters."""
-    if not fixtures:
-        return EmitterTable.empty()
-    sizes = [len(fixture.triangles) for fixture in fixtures]
-    return EmitterTable(
-        np.concatenate([fixture.triangles for fixture in fixtures]).astype(np.int32),
-        np.repeat([fixture.radiance for fixture in fixtures], sizes, axis=0).astype(np.float32),
-        np.repeat([fixture.back_radiance for fixture in fixtures], sizes, axis=0).astype(np.float32),
-    )
-
-
-def bright_triangles(
-    room: Room, triangle: np.ndarray, front: np.ndarray, radiance: np.ndarray
-) -> EmitterTable:
+def bright_triangles(room: Room, pixels: PixelStore) -> EmitterTable:
     """Triangles to sample before any emitter is known: those much brighter than the room's mean.
 
     They affect the variance only, never the expectation.
     """
     sums = np.zeros((2 * len(room.triangles), 4))
-    for start in range(0, len(triangle), CHUNK):
+    for start in range(0, len(pixels.triangle), CHUNK):
         rows = slice(start, start + CHUNK)
-        hit = np.flatnonzero(np.asarray(triangle[rows]) >= 0)
-        side = np.asarray(triangle[rows])[hit] * 2 + ~front[rows][hit]
-        sums += grouped_sums(np.insert(radiance[rows][hit], 3, 1.0, axis=1), side, len(sums))
+        hit = np.flatnonzero(np.asarray(pixels.triangle[rows]) >= 0)
+        side = np.asarray(pixels.triangle[rows])[hit] * 2 + ~pixels.front[rows][hit]
+        sums += grouped_sums(np.insert(pixels.radiance[rows][hit], 3, 1.0, axis=1), side, len(sums))
     means = sums[:, :3] / np.maximum(sums[:, 3:], 1.0)
     sides = means[0::2], means[1::2]
     light = np.maximum(*(side @ LUMINANCE for side in sides))
@@ -225,3 +194,50 @@ def bright_triangles(
     return EmitterTable(
         bright.astype(np.int32), sides[0][bright].astype(np.float32), sides[1][bright].astype(np.float32)
     )
+
+
+def presume_lamps(room: Room, pixels: PixelStore, bright: EmitterTable) -> tuple[EmitterTable, np.ndarray]:
+    """Triangles to aim at in stage 1, and which of them are presumed to be lamps: bright and of one radiance.
+
+    A voxel of the radiance cache that holds a bulb or a strip of light and the surfaces beside it is too dark
+    for the one and too bright for the others. The radiance of presumed lamps is therefore that of their
+    fixture.
+
+    Args:
+        bright: triangles much brighter than the room (:func:`bright_triangles`).
+
+    Returns:
+        a table of presumed lamps and of other bright triangles, which are `reflective`: their radiance is in
+        the cache; and (T,) bool, the lamps.
+    """
+    lamps = np.zeros(len(room.triangles), bool)
+    if not len(bright.triangles):
+        return bright, lamps
+    marked = lamps.copy()
+    marked[bright.triangles] = True
+    seen = _shown(pixels, len(lamps))
+    marked |= ~seen & (component_means(room.areas, room_pieces(room), marked, seen) > MAJORITY)
+    fixtures = group_fixtures(room, marked, pixels)
+    fixture = fixture_of(fixtures, len(lamps))
+    rows = pixels_on(pixels, fixture >= 0)
+    index, weight = fixture[pixels.triangle[rows]], pixels.weight[rows].astype(np.float64)
+    shown = np.bincount(index, weight, minlength=len(fixtures)) >= MIN_PIXELS
+    side, luminance = index * 2 + ~pixels.front[rows], pixels.own[rows] @ LUMINANCE
+    median = grouped_weighted_median(luminance, weight, side, 2 * len(fixtures))[side]
+    deviation = np.abs(luminance - median) / np.maximum(median, 1e-12)
+    shown &= grouped_weighted_median(deviation, weight, index, len(fixtures)) < CONSTANT_DEVIATION
+    table = EmitterTable.from_fixtures([each for each, kept in zip(fixtures, shown, strict=True) if kept])
+    lamps[table.triangles] = True
+    others = ~lamps[bright.triangles]
+    columns = (bright.triangles[others], bright.radiance[others], bright.back_radiance[others])
+    return table.joined(EmitterTable(*columns, reflective=np.ones(int(others.sum()), bool))), lamps
+
+
+def _shown(pixels: PixelStore, triangles: int) -> np.ndarray:
+    """(T,) bool, triangles that some pixel shows."""
+    seen = np.zeros(triangles, bool)
+    for start in range(0, len(pixels.triangle), CHUNK):
+        rows = slice(start, start + CHUNK)
+        triangle = np.asarray(pixels.triangle[rows])
+        seen[triangle[(triangle >= 0) & (pixels.weight[rows] > 0.0)]] = True
+    return seen

@@ -7,15 +7,15 @@ Paper Sec. 5.4, "Complex emitters": each pixel of the map is estimated like the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ..conventions import direction_to_equirect
 from ..pixels.grouped import grouped_median
 from ..pixels.store import NO_TRIANGLE, PixelStore
+from ..run.result_contents import MissingLamp
 
 # A smaller observed share of the sphere is a hole in the mesh, not a window; extrapolated to all directions,
 # it would light the room through all other holes.
@@ -77,11 +77,10 @@ class Environment:
         seen: (H, 2H) bool, where that is.
         unseen_light: 0..1, share of the light on the surfaces that is only inferred (:mod:`.unseen_light`).
         unseen_error: standard deviation of the logarithm of the light on the surfaces, because of it.
-        unseen: (T,) float32 as in :class:`.emitter_surfaces.EmitterSurfaces`; None without inferred light.
+        unseen: (T,) float32 share of the directions in which unseen places are close; None without.
         hull: radiance from all other directions, by place; None without inferred light.
         entries: (E,) int64 cache entries of unseen surfaces, and their inferred `radiance` (E, 3).
-        lamps: balls and discs that cast the light of the bright sources of it, as :class:`.MissingLamp` has
-            them.
+        lamps: balls and discs that cast the light of the bright sources of it.
         pixels: (N,) int64 from which it was inferred, and the `light` (N, 3) on them: irradiance over pi.
     """
 
@@ -94,7 +93,7 @@ class Environment:
     hull: Hull | None = None
     entries: np.ndarray | None = None
     radiance: np.ndarray | None = None
-    lamps: Sequence[Mapping[str, Any]] = ()
+    lamps: tuple[MissingLamp, ...] = ()
     pixels: np.ndarray | None = None
     light: np.ndarray | None = None
 

@@ -9,7 +9,6 @@ centimetre decides whether an object beside the lamp occludes it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -19,7 +18,7 @@ from ..pixels.camera_rays import rays_along
 from ..pixels.grouped import rows_of_groups
 from ..pixels.store import PixelStore
 from ..surface.room import Room
-from .emitters import Fixture, pixels_on
+from .emitters import Fixture, fixture_of, pixels_on
 
 # Points on a lamp, and lamps, the brightest first.
 SAMPLES, MAX_LAMPS = 8, 6
@@ -33,27 +32,15 @@ CLOSEST = 0.02
 MIN_PURE = 10
 
 
-@dataclass(frozen=True)
-class HardlySeen:
-    """A lamp that photographs hardly show.
+def hardly_seen(lamps: Sequence[Fixture], pixels: PixelStore, triangles: int) -> list[tuple[int, int, float]]:
+    """Number of each lamp that photographs hardly show, how many pixels see it, and the relative standard
+    deviation of the radiance that they show, which is taken to be constant.
 
-    Attributes:
-        index: of the fixture.
-        pixels: how many see it.
-        spread: relative standard deviation of the radiance that they show, which is taken to be constant.
+    Args:
+        triangles: how many the room has.
     """
-
-    index: int
-    pixels: int
-    spread: float
-
-
-def hardly_seen(lamps: Sequence[Fixture], pixels: PixelStore, triangles: int) -> list[HardlySeen]:
-    """The lamps that photographs hardly show; `triangles`: how many the room has."""
-    lamp_of = np.full(triangles, -1, np.int64)
-    for index, lamp in enumerate(lamps):
-        lamp_of[lamp.triangles] = index
-    on_lamps = pixels_on(pixels.triangle, lamp_of >= 0)  # few, in one pass over all pixels
+    lamp_of = fixture_of(lamps, triangles)
+    on_lamps = pixels_on(pixels, lamp_of >= 0)  # few, in one pass over all pixels
     shown_by = rows_of_groups(lamp_of[pixels.triangle[on_lamps]], len(lamps))
     found = []
     for index, place in enumerate(shown_by):
@@ -65,28 +52,28 @@ def hardly_seen(lamps: Sequence[Fixture], pixels: PixelStore, triangles: int) ->
         mean = (weight @ shown) / max(float(weight.sum()), 1e-12)
         variance = (weight @ (shown - mean) ** 2) / max(float(weight.sum()), 1e-12)
         spread = float(np.sqrt(variance)) / mean if mean > 0.0 else 1.0
-        found.append(HardlySeen(index, len(rows), min(spread, 1.0)))
+        found.append((index, len(rows), min(spread, 1.0)))
     return found
 
 
 def power_errors(
     room: Room,
     lamps: Sequence[Fixture],
-    doubted: Sequence[HardlySeen],
+    doubted: Sequence[tuple[int, int, float]],
     surface: tuple[np.ndarray, np.ndarray],
     seed: int,
 ) -> np.ndarray:
     """(N,) standard errors of L_d at surface points by the spread of the radiance of lamps hardly seen.
 
     Args:
+        doubted: of :func:`hardly_seen`.
         surface: (N, 3) points, metres, and (N, 3) unit normals on the seen side.
     """
     rng = np.random.default_rng([seed, 29])
     variance = np.zeros(len(surface[0]))
-    for doubt in doubted:
-        lamp = lamps[doubt.index]
-        chosen = _sample(room, lamp, rng)
-        variance += (doubt.spread * _received(room, lamp, chosen, np.zeros(3), *surface)) ** 2
+    for index, _, spread in doubted:
+        chosen = _sample(room, lamps[index], rng)
+        variance += (spread * _received(room, lamps[index], chosen, np.zeros(3), *surface)) ** 2
     return np.sqrt(variance)
 
 

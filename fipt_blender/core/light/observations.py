@@ -50,7 +50,7 @@ class Observations:
         footprint: median width of a pixel on the surfaces, metres.
         folder: for memory-mapped arrays.
         left_alone: (T,) bool triangles that are not estimated: their pixels are only used for the light that
-            they send; None for none.
+            they send.
     """
 
     pixels: PixelStore
@@ -61,7 +61,7 @@ class Observations:
     environment: Environment | None
     footprint: float
     folder: Path
-    left_alone: np.ndarray | None = None
+    left_alone: np.ndarray
 
     def hits(self) -> Iterator[np.ndarray]:
         """(n,) int64 pixels that see the mesh, view by view."""
@@ -152,8 +152,7 @@ class Observations:
             known = np.asarray(self.pixels.weight[hit]) >= MIN_WEIGHT
             alone = hit[known & (found[hit - rows.start] < 0)]
             found[alone - rows.start] = alone
-            if self.left_alone is not None:
-                found[hit[self.left_alone[self.pixels.triangle[hit]]] - rows.start] = -1
+            found[hit[self.left_alone[self.pixels.triangle[hit]]] - rows.start] = -1
             donors[rows] = found
         return donors
 
@@ -209,6 +208,7 @@ def observe(
         ),
         footprint=median_footprint(pixels),
         folder=folder,
+        left_alone=np.zeros(len(room.triangles), bool),
     )
 
 

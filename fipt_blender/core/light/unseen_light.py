@@ -5,15 +5,14 @@
 Rays from points of the surfaces land on surfaces that photographs show, on others, or on the hull of the
 mesh. Landing places of the last two kinds that are close together are one source; :mod:`.sources` finds its
 radiance. Sources that cast much of the light are divided, and solved for again. The light is kept only if
-points that were held back fit better with it. The light of presumed lamps (:mod:`.presumed`) is sampled
-towards them: few rays would hit a bulb, and the light of the others would be explained by sources beside it.
+points that were held back fit better with it. The light of presumed lamps is sampled towards them: few rays
+would hit a bulb, and the light of the others would be explained by sources beside it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -23,10 +22,10 @@ from ..optics.lights import AreaLights, EmitterTable
 from ..parts.components import graph_components
 from ..pixels.grouped import numbered
 from ..pixels.store import PixelStore
+from ..run.result_contents import MissingLamp
 from ..run.stage_settings import LightSettings
 from ..run.threads import cached_property
 from ..surface.room import Room
-from .albedos import MIN_GROUP
 from .cache import SIDES, SurfaceLookup, VoxelGrid
 from .clipped import MAX_POINTS, OUTSIDE
 from .environment import Environment, diffused
@@ -36,6 +35,7 @@ from .shadings import SampleCounts, ShadingPoints, bake
 from .source_cells import DARK_OUTSIDE, FINER, Cells, Landed, middles, traced
 from .sources import (
     DARKEST,
+    MIN_GROUP,
     Expectation,
     SourceLight,
     Transport,
@@ -53,10 +53,8 @@ LAMP_SAMPLES = SampleCounts(16, 0, 64)  # of the light of presumed lamps at each
 # Relative error of the inferred part of the light beside its covariance: root mean square of five rooms.
 MODEL_ERROR = 0.3
 GAIN = 3.0  # least logarithm of the likelihood of points held back
-CLOSE_RAYS, MAX_CLOSE = (
-    64,
-    20_000,
-)  # to unseen places closer than a source is wide, and pixels that send them
+# Rays to unseen places closer than a source is wide, and pixels that send them.
+CLOSE_RAYS, MAX_CLOSE = 64, 20_000
 # A source is a lamp or a window if it is brighter than the room's median light by this factor.
 LAMP = 4.0
 # Sources of one side are one lamp if they are closer than so many of their widths; others, of a whole one.
@@ -182,7 +180,7 @@ class Sources:
         result[members] = np.where(own, np.cumsum(own) - 1, -1)[lamp]
         return result
 
-    def lamps(self) -> Iterator[dict[str, Any]]:
+    def lamps(self) -> Iterator[MissingLamp]:
         """Discs and balls that cast the light of bright sources, as lamps that the mesh lacks.
 
         What shines to one side is a disc as wide as its sources are spread, or several; others are balls.
@@ -221,7 +219,7 @@ class Sources:
 
     def _fitted(
         self, own: np.ndarray, center: np.ndarray, radius: float, facing: np.ndarray | None
-    ) -> dict[str, Any]:
+    ) -> MissingLamp:
         """The lamp of a place and at most a radius, metres, that casts about the light of sources (n,)."""
         free = max(free_radius(center, facing, *self.looks), MIN_RADIUS * self.cells.size)
         radius = min(radius, free)
@@ -235,14 +233,9 @@ class Sources:
         if facing is not None:
             unit *= np.maximum(-toward @ facing, 0.0) * np.sqrt(squared) / (squared + radius**2)
         fitted = unit @ cast[lit] / max(float(unit @ unit), 1e-12)
-        return {
-            "position": center.tolist(),
-            "radius": radius,
-            "radiance": fitted.tolist(),
-            "inferred": True,
-            "share": float(self.shares[own].sum()),
-            "facing": None if facing is None else facing.tolist(),
-        }
+        toward = None if facing is None else facing.tolist()
+        share = float(self.shares[own].sum())
+        return MissingLamp(center.tolist(), radius, fitted.tolist(), True, toward, share)
 
 
 def find_sources(

@@ -15,7 +15,7 @@ from ..pixels.store import PixelStore
 from .closed_form import TrainingData
 from .confidence import FLOOR, UNIFORM_DEVIATION, linearise, standard_errors
 from .groups import Units
-from .inference import Fields
+from .networks import Fields
 from .projection import color_lines
 from .seen import RESOLUTION, Box, SeenCells, cell_keys
 
@@ -79,7 +79,7 @@ def cell_errors(
     of_group = np.append(data.materials.error, [[UNIFORM_DEVIATION] * 2], axis=0)
     of_pixel = np.sqrt(of_group[data.group[rows]] ** 2 + FLOOR**2).astype(np.float32)
     pixels = data.observations.pixels
-    lines = partial(color_lines, data.shadings, data.levels, rows)
+    lines = partial(color_lines, data.shadings, rows)
     linearised = linearise(pixels.own[rows], lines, values[:, :3], values[:, 3:], of_pixel)
     errors[sampled, 0] = standard_errors(linearised, cell, group_of_cell[sampled[cell]], pixels.view_of(rows))
     errors[sampled, 1:] = np.minimum(grouped_means(of_pixel, cell), UNIFORM_DEVIATION)

@@ -32,14 +32,13 @@ class TrainingData:
 
     Attributes:
         observations: N pixels, and the P of them to train on.
-        shadings: of all pixels at the roughness `levels` (K,).
+        shadings: of all pixels.
         group: (N,) int part of each pixel, or the group in its place (:mod:`.groups`), negative for none.
         materials: closed-form estimate of the groups, sigma' and m' of l_p.
     """
 
     observations: Observations
     shadings: ShadingStore
-    levels: np.ndarray
     group: np.ndarray
     materials: GroupMaterials
 
@@ -136,7 +135,7 @@ def _moments_of_view(data: TrainingData, view: int) -> tuple[np.ndarray, np.ndar
     rows = rows_with_donor(observations, view)
     donor = observations.donor[rows]
     radiance = np.asarray(pixels.own[donor], np.float64)
-    slope, offset = color_lines(data.shadings, data.levels, donor, data.materials.of_pixels[data.group[rows]])
+    slope, offset = color_lines(data.shadings, donor, data.materials.of_pixels[data.group[rows]])
     share = np.asarray(pixels.weight[donor], np.float64)
     weight, rest = share[:, None] * residual_weight(radiance), radiance - offset
     moments = (weight * slope * rest, weight * slope**2)
@@ -161,6 +160,6 @@ def followed_by_paths(cells: CellEstimate, errors: np.ndarray, limit: float) -> 
 
 def white_rows(data: TrainingData, rows: np.ndarray) -> np.ndarray:
     """(R, 3) float32 most that a surface reflects with the gloss of its group, in the pixels `rows` (R,)."""
-    slope, offset = color_lines(data.shadings, data.levels, rows, data.materials.of_pixels[data.group[rows]])
+    slope, offset = color_lines(data.shadings, rows, data.materials.of_pixels[data.group[rows]])
     diffuse = np.asarray(data.shadings.diffuse[rows], np.float32)
     return np.asarray(np.maximum(diffuse, slope) + offset, np.float32)

@@ -31,7 +31,7 @@ FLOOR = 0.02
 # scanned at 2 cm; checked on the living room.
 LOST_VARIANCE = 0.18
 # Pixels whose sum of weighted squared slopes (their Fisher information) is smaller determine nothing.
-LEAST_INFORMATION = 1e-9
+MIN_INFORMATION = 1e-9
 # Number of views to which the group's typical residual variance is equivalent, as a prior for its cells.
 PRIOR_VIEWS = 4.0
 
@@ -119,12 +119,12 @@ def standard_errors(
     cells = int(cell.max(initial=-1)) + 1
     weighted = pixels.weight * pixels.by_color
     information = grouped_sums(weighted * pixels.by_color, cell, cells)
-    information = np.maximum(information, LEAST_INFORMATION)
+    information = np.maximum(information, MIN_INFORMATION)
     group_of_cell = np.zeros(cells, np.int64)
     group_of_cell[cell] = group
     views, spread = _view_variance(pixels, cell, view, information, group_of_cell)
     variance = spread * (views * COMMON + 1.0 - COMMON)[:, None] / information
-    variance[information <= LEAST_INFORMATION] = np.inf
+    variance[information <= MIN_INFORMATION] = np.inf
     variance += FLOOR**2
     for change in (pixels.by_roughness, pixels.by_metallic):
         # Base colour compensates part of a wrong roughness or metallic.

@@ -15,9 +15,7 @@ from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
-from ..device.variant import torch_device
 from ..optics.brdf import set_masking
 from ..parts.labels import NO_PART
 from ..run.errors import FiptError
@@ -26,8 +24,7 @@ from ..run.runfolder import RunFolder
 from ..run.store import Gaps, read_arrays, write_arrays
 from .confidence import UNIFORM_DEVIATION, confidence, errors_with_place
 from .groups import Units
-from .inference import Fields
-from .networks import BrdfNetwork
+from .networks import Fields, brdf_network
 from .reliability import PartDetail
 from .seen import Box, SeenCells, fallback_values, seen_statistics
 
@@ -40,7 +37,6 @@ class FieldArrays:
     """results/fields.npz: the network's weights, and arguments of `RoomFields`, of C cells and U units."""
 
     network: Mapping[str, np.ndarray]
-    hash_levels: int
     box_low: np.ndarray  # (3,)
     box_extent: float
     seen_keys: np.ndarray  # (C,) int
@@ -159,11 +155,9 @@ class RoomFields:
         parts = read_arrays(run.parts_npz, PartArrays, again)
         units = Units(parts.triangle_part, parts.single, parts.fixed)
         arrays = read_arrays(run.fields_npz, FieldArrays, again)
-        typical, device = np.zeros((len(units.single) + 1, 5)), torch.device(torch_device())
-        network = BrdfNetwork(settings, int(arrays.hash_levels), typical, torch.Generator(), device)
         try:
-            network.load_state_dict({name: torch.from_numpy(each) for name, each in arrays.network.items()})
-        except RuntimeError as error:  # the settings have changed since
+            network = brdf_network(settings, arrays.network, len(units.single))
+        except (RuntimeError, KeyError) as error:  # the settings have changed since
             raise FiptError("file-damaged", f"{run.fields_npz} can't be read ({error}).", again) from None
         median, width = arrays.detail_median, arrays.detail_width
         keys, sums = arrays.detail_keys, arrays.detail_sums
@@ -179,7 +173,6 @@ class RoomFields:
         network, box, units, detail = self.fields.network, self.fields.box, self.units, self.detail
         arrays = FieldArrays(
             {name: value.cpu().numpy() for name, value in network.state_dict().items()},
-            len(network.grid.resolutions),
             box.low,
             box.extent,
             self.cells.keys,

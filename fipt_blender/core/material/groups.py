@@ -26,7 +26,7 @@ NO_GROUP = -1  # in place of a group
 # on bright ones.
 COLOR_LIFT = 0.05
 # Largest number of groups, so that arrays over pairs of groups do not grow with the capture.
-MOST_GROUPS = 2000
+MAX_GROUPS = 2000
 # Standard deviation of the base colours of regions of one material, in stops: errors of the light.
 SIMILAR_COLOR = 0.15
 # That of the base colour by a single pixel, in stops.

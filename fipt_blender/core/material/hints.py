@@ -141,8 +141,6 @@ def known_colors(
     surface: np.ndarray,
 ) -> np.ndarray:
     """(T, 3) base colour of each triangle that hints know, else NaN; arguments as of :func:`place_hints`."""
-    if not hints:
-        return np.full((len(triangles), 3), np.nan)
     placed = place_hints(hints, vertices, triangles, parts, surface)
     return np.append(placed.base_color, [[np.nan] * 3], axis=0)[placed.triangle]
 

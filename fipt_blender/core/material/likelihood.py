@@ -29,7 +29,7 @@ MEDIAN_OF_SQUARE = 0.4549
 # would gain as much in some rooms and lose in others.
 VIEW_SHARE = 0.5
 # Residuals of a view's mean, in standard deviations: outliers are no error of the view.
-MOST_DEVIATIONS = 3.0
+MAX_DEVIATIONS = 3.0
 
 
 @dataclass(frozen=True)
@@ -255,7 +255,7 @@ def _residual_variance(
 def _residuals(samples: PixelSamples, best: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """(N,) relative residuals, mean over the channels, with the best material (groups, 2) of each group.
 
-    They are limited to `MOST_DEVIATIONS` standard deviations (variance: (groups,)).
+    They are limited to `MAX_DEVIATIONS` standard deviations (variance: (groups,)).
     """
     place, metallic = best[samples.group].T
     s0, s1 = np.moveaxis(samples.specular[np.arange(len(place)), place.astype(np.int64)], 1, 0)
@@ -263,7 +263,7 @@ def _residuals(samples: PixelSamples, best: np.ndarray, variance: np.ndarray) ->
     color = fit_colors(samples.radiance, slope, offset, samples.square_weight, samples.cell)
     residual = samples.radiance - offset - color[samples.cell] * slope
     found = (residual * np.sqrt(residual_weight(samples.radiance))).mean(axis=1)
-    most = MOST_DEVIATIONS * np.sqrt(variance[samples.group])
+    most = MAX_DEVIATIONS * np.sqrt(variance[samples.group])
     return np.clip(found, -most, most)
 
 

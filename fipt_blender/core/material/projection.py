@@ -8,24 +8,29 @@ import numpy as np
 
 from ..light.baking import ShadingStore
 from ..optics.factorised import color_line, level_share
+from ..pixels.grouped import grouped_sums
+
+
+def lower_levels(levels: np.ndarray, roughness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(R,) int64 baked level (K,) below each roughness (R,), and the float32 share of the next one in it."""
+    lower = np.clip(np.searchsorted(levels, roughness) - 1, 0, len(levels) - 2)
+    low, high = levels[lower], levels[lower + 1]
+    return lower, level_share(np.clip(roughness, low, high), low, high).astype(np.float32)
 
 
 def color_lines(
-    shadings: ShadingStore, levels: np.ndarray, rows: np.ndarray, material: np.ndarray
+    shadings: ShadingStore, rows: np.ndarray, material: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(R, 3) slope and offset of the rendering, slope a + offset, of some pixels at a material of each.
 
     Args:
-        shadings: at the roughness `levels` (K,); may be memory-mapped.
+        shadings: may be memory-mapped.
         rows: (R,) pixels. material: (R, 2) roughness and metallic.
     """
-    roughness, metallic = material[:, 0], material[:, 1:]
-    upper = np.clip(np.searchsorted(levels, roughness), 1, len(levels) - 1)
-    low, high = levels[upper - 1], levels[upper]
-    share = level_share(np.clip(roughness, low, high), low, high).astype(np.float32)[:, None, None]
-    below, above = (np.asarray(shadings.specular[rows, level], np.float32) for level in (upper - 1, upper))
-    s0, s1 = np.moveaxis(below + share * (above - below), 1, 0)
-    return color_line(np.asarray(shadings.diffuse[rows], np.float32), s0, s1, metallic)
+    lower, share = lower_levels(shadings.levels, material[:, 0])
+    below, above = (np.asarray(shadings.specular[rows, level], np.float32) for level in (lower, lower + 1))
+    s0, s1 = np.moveaxis(below + share[:, None, None] * (above - below), 1, 0)
+    return color_line(np.asarray(shadings.diffuse[rows], np.float32), s0, s1, material[:, 1:])
 
 
 def fit_colors(
@@ -39,11 +44,6 @@ def fit_colors(
         weight: (N, 3) of the squared residuals.
         cell: (N,) int from 0.
     """
-    cells = int(cell.max(initial=-1)) + 1
-    color = np.empty((cells, 3))
-    for channel in range(3):
-        w, a = weight[:, channel], slope[:, channel]
-        top = np.bincount(cell, w * a * (radiance[:, channel] - offset[:, channel]), minlength=cells)
-        bottom = np.bincount(cell, w * a * a, minlength=cells)
-        color[:, channel] = top / np.maximum(bottom, 1e-12)
-    return np.clip(color, 0.0, 1.0)
+    weighted = weight * slope
+    top = grouped_sums(weighted * (radiance - offset), cell)
+    return np.clip(top / np.maximum(grouped_sums(weighted * slope, cell), 1e-12), 0.0, 1.0)

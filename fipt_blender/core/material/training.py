@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
-from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,8 +23,7 @@ from ..run.runfolder import atomic_path
 from ..run.stage_settings import TrainingSettings
 from . import losses
 from .closed_form import CellEstimate, TrainingData
-from .emission_mask import EmissionNetwork, emission_mask
-from .networks import BrdfNetwork
+from .networks import BrdfNetwork, EmissionNetwork, emission_mask
 from .seen import Box
 
 # Learning rates at the end of a training, as a share of the initial ones; the decay is exponential.
@@ -49,11 +47,7 @@ class Networks:
         return {"brdf": self.brdf.state_dict(), "emission": self.emission.state_dict()}
 
     def load(self, state: dict[str, Any]) -> None:
-        """Take weights of :meth:`state`.
-
-        Raises:
-            KeyError, RuntimeError, TypeError: where they are those of other networks.
-        """
+        """Take weights of :meth:`state`."""
         self.brdf.load_state_dict(state["brdf"])
         self.emission.load_state_dict(state["emission"])
 
@@ -125,7 +119,7 @@ def gather_batch(data: TrainingData, surfaces: Surfaces, rows: np.ndarray, devic
         grouped=torch.from_numpy(group >= 0).to(device),
         diffuse=tensor(data.shadings.diffuse),
         specular=tensor(data.shadings.specular),
-        levels=torch.tensor(data.levels).to(device),
+        levels=torch.tensor(data.shadings.levels).to(device),
         group_material=torch.from_numpy(material).to(device),
         semantic=observations.parts.kind == "semantic",
     )
@@ -229,41 +223,11 @@ class Resume:
 
     Attributes:
         checkpoint: file that is written now and then.
-        state: result of `read_checkpoint` if the training continues; None if it starts.
+        state: what the file holds if the training continues; None if it starts.
     """
 
     checkpoint: Path
     state: dict[str, Any] | None = None
-
-
-def read_checkpoint(path: Path, networks: Networks, steps: int) -> dict[str, Any]:
-    """The state of an unfinished training.
-
-    Args:
-        path: of the checkpoint that `train` wrote.
-        networks: which are to continue; they are not changed.
-        steps: of the training.
-
-    Raises:
-        FiptError: ``file-damaged``.
-    """
-    table, *dense = networks.trained()
-    state = load_tensors(path, table.device)
-    try:
-        deepcopy(networks).load(state)
-        _Adam([([table], 0.0), (dense, 0.0)], steps).optimiser.load_state_dict(state["optimiser"])
-        for index, parameter in enumerate((table, *dense)):
-            moments = state["optimiser"]["state"].get(index, {})
-            if any(moments[key].shape != parameter.shape for key in moments if key != "step"):
-                raise ValueError("its optimiser belongs to another network")
-        step = state["step"]
-        if not isinstance(step, int) or not 0 < step < steps:
-            raise ValueError(f"its step is {step} of {steps}")
-    except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-        raise FiptError(
-            "file-damaged", f"{path} can't be read ({error!r}).", "Start the estimation again."
-        ) from None
-    return state
 
 
 def train(

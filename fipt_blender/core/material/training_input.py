@@ -17,14 +17,14 @@ from ..pixels.store import CELL_PIXELS, open_array
 from ..run.stage_settings import MaterialSettings
 from .closed_form import TrainingData, fit_cells
 from .groups import (
-    MOST_GROUPS,
+    MAX_GROUPS,
     NO_GROUP,
     Units,
     group_units,
     join_cells,
     neighbours,
 )
-from .hints import NO_HINT, SurfaceHints, values_of_hints
+from .hints import SurfaceHints, values_of_hints
 from .mixture import GroupMaterials, infer_materials
 from .pixel_samples import PixelSamples, rows_with_donor, window_means
 
@@ -48,30 +48,27 @@ NORMAL_STEP = 0.2
 def training_input(
     observations: Observations,
     shadings: ShadingStore,
-    levels: np.ndarray,
     settings: MaterialSettings,
-    hints: SurfaceHints | None = None,
+    hints: SurfaceHints,
 ) -> TrainingData:
     """The pixels with their shadings, groups and the materials of these.
 
     Args:
         hints: what the artist knows; the parts of the observations are divided by them.
-        shadings: of all pixels at the roughness `levels` (K,).
+        shadings: of all pixels.
     """
     group, places = observations.part, None
     groups = int(observations.parts.triangle_part.max(initial=-1)) + 1
     if observations.parts.kind != "part":
-        group, places = _group_pixels(observations, shadings, levels, hints)
+        group, places = _group_pixels(observations, shadings, hints)
         groups = places.shape[1]
-    known = None
-    if hints is not None:
-        known = hints.known(groups_of_hints(hints, observations.parts, groups), groups)
+    known = hints.known(groups_of_hints(hints, observations.parts, groups), groups)
     start = np.random.default_rng([settings.seed, 5]).random()
     wide_rows, wide_cell = _wide_rows(observations, group, groups, start)
-    wide = _wide_samples(observations, shadings, levels, group, wide_rows, wide_cell)
+    wide = _wide_samples(observations, shadings, group, wide_rows, wide_cell)
     light = _light_cells(observations, wide.rows)
     materials = infer_materials(wide, groups, light, settings, places, known)
-    return TrainingData(observations, shadings, levels, group, materials)
+    return TrainingData(observations, shadings, group, materials)
 
 
 def groups_of_hints(hints: SurfaceHints, parts: Parts, groups: int) -> np.ndarray:
@@ -114,20 +111,16 @@ def material_units(data: TrainingData) -> Units:
 
 
 def _group_pixels(
-    observations: Observations,
-    shadings: ShadingStore,
-    levels: np.ndarray,
-    hints: SurfaceHints | None,
+    observations: Observations, shadings: ShadingStore, hints: SurfaceHints
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N,) int32 group of each pixel with a donor, NO_GROUP for the others; memory-mapped.
 
     And (2, groups) the places of :func:`.infer_materials`.
 
-    Base colours of cells are those of their pixels, taken as diffuse. Of more than `MOST_GROUPS` regions the
+    Base colours of cells are those of their pixels, taken as diffuse. Of more than `MAX_GROUPS` regions the
     smallest are no groups. The pixels of a hint are a group of their own, numbered after the others.
     """
     pixels, label = observations.pixels, observations.parts.triangle_part
-    hint = np.full(len(label), NO_HINT) if hints is None else hints.triangle
     # One more row, at -1, for pixels that miss the mesh.
     surface = np.append(observations.surface, np.int32(NO_GROUP))
     group = open_array(observations.folder / "group.npy", (len(pixels),), np.int32, create=True)
@@ -135,9 +128,7 @@ def _group_pixels(
     for rows in views:
         group[rows] = surface[np.maximum(pixels.triangle[rows], -1)]
     diffuse = np.tile(np.array([1.0, 0.0], np.float32), (int(surface.max()) + 1, 1))
-    data = TrainingData(
-        observations, shadings, levels, group, GroupMaterials(diffuse, np.zeros_like(diffuse))
-    )
+    data = TrainingData(observations, shadings, group, GroupMaterials(diffuse, np.zeros_like(diffuse)))
     cells, grid = fit_cells(data), observations.grid
     voxel = np.stack(np.unravel_index(grid.voxels[cells.entry // SIDES], (grid.resolution,) * 3), axis=1)
     cube = voxel // np.ceil(CELL_PIXELS * observations.footprint / grid.size).astype(np.int64)
@@ -147,24 +138,22 @@ def _group_pixels(
     first = np.unique(wide, return_index=True)[1]
     region = join_cells(color, count, neighbours(cells.group[first], cube[first]))
     size = np.bincount(region, count)
-    kept = np.argsort(-size, kind="stable")[:MOST_GROUPS]
+    kept = np.argsort(-size, kind="stable")[:MAX_GROUPS]
     number = np.full(len(size) + 1, NO_GROUP, np.int32)
     number[kept] = np.arange(len(kept), dtype=np.int32)
     of_cell = np.append(number[region[wide]], np.int32(NO_GROUP))
     for view, rows in enumerate(views):
         known = rows_with_donor(observations, view)
         found = of_cell[cells.of_pixels(data, known)]
-        hinted = hint[pixels.triangle[known]]
+        hinted = hints.triangle[pixels.triangle[known]]
         group[rows] = NO_GROUP
         group[known] = np.where(hinted >= 0, len(kept) + hinted, found)
     class_of_surface = np.zeros(len(diffuse), np.int64)
     class_of_surface[observations.surface] = label
     of_region = cells.group[first][np.unique(region, return_index=True)[1][kept]]
     places = np.stack([class_of_surface[of_region], of_region])
-    if hints is not None:  # each is a surface of its own
-        own = len(diffuse) + np.arange(len(hints.names))
-        places = np.append(places, [values_of_hints(hints, label), own], axis=1)
-    return group, places
+    own = len(diffuse) + np.arange(len(hints.names))  # each hint is a surface of its own
+    return group, np.append(places, [values_of_hints(hints, label), own], axis=1)
 
 
 def _wide_rows(
@@ -192,7 +181,7 @@ def _wide_rows(
             total += np.bincount(group[some], minlength=groups)
     few = count[1] < FEW_PIXELS
     usable = np.where(few, count[0], count[1])
-    share = most_of_each(usable) / np.maximum(usable, 1)
+    share = max_of_each(usable) / np.maximum(usable, 1)
     edge = WIDE_CELL * float(observations.grid.size.max())
     found = []
     for rows in map(known, views):
@@ -208,7 +197,6 @@ def _wide_rows(
 def _wide_samples(
     observations: Observations,
     shadings: ShadingStore,
-    levels: np.ndarray,
     group: np.ndarray,
     rows: np.ndarray,
     cell: np.ndarray,
@@ -220,10 +208,11 @@ def _wide_samples(
     pure = np.asarray(pixels.pure)
     radiance, diffuse, specular = window_means(arrays, rows, pure, group, pixels.ranges, widths)
     view, weight = pixels.view_of(rows), np.asarray(pixels.weight[rows])
-    return PixelSamples(rows, radiance, diffuse, specular, levels, cell, group[rows], view, weight)
+    columns = radiance, diffuse, specular, shadings.levels, cell, group[rows], view, weight
+    return PixelSamples(rows, *columns)
 
 
-def most_of_each(count: np.ndarray) -> float:
+def max_of_each(count: np.ndarray) -> float:
     """The number of pixels up to which each group is used, of which it has so many (G,).
 
     It is the largest up to `GROUP_PIXELS` with which all together use at most `PROJECTION_PIXELS`.

@@ -34,8 +34,8 @@ class Denoiser:
         self._device = pyoidn.Device()
         self._device.commit()
         guides = {
-            pyoidn.OIDN_IMAGE_ALBEDO: self._guide(pyoidn.OIDN_IMAGE_ALBEDO, albedo),
-            pyoidn.OIDN_IMAGE_NORMAL: self._guide(pyoidn.OIDN_IMAGE_NORMAL, normal),
+            pyoidn.OIDN_IMAGE_ALBEDO: self._mirror(albedo),
+            pyoidn.OIDN_IMAGE_NORMAL: self._mirror(normal),
         }
         self._filter = pyoidn.Filter(self._device, pyoidn.OIDN_FILTER_TYPE_RT)
         # The filter keeps pointers into these arrays.
@@ -49,10 +49,6 @@ class Denoiser:
         self._filter.set_bool("cleanAux", True)
         self._filter.set_int("quality", pyoidn.OIDN_QUALITY_FAST if fast else pyoidn.OIDN_QUALITY_HIGH)
         self._filter.commit()
-
-    def _guide(self, kind: int, image: np.ndarray) -> np.ndarray:
-        """A guide as the filter gets it."""
-        return self._mirror(image)
 
     def _mirror(self, image: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(np.pad(image, self._pad, mode="reflect"), np.float32)

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-
-from ..run.result_contents import EmitterFixture
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 
@@ -62,15 +61,15 @@ class EmitterTable:
         return cls(np.zeros(0, np.int32), np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
 
     @classmethod
-    def from_fixtures(cls, fixtures: Sequence[EmitterFixture]) -> EmitterTable:
-        """The table of the fixtures of emitters.json: each triangle has its fixture's radiance."""
+    def from_fixtures(cls, fixtures: Sequence[Any]) -> EmitterTable:
+        """The table of fixtures, also of emitters.json: each triangle has its fixture's radiance."""
         counts = [len(fixture.triangles) for fixture in fixtures]
         front, back = (
             np.array([getattr(fixture, side) for fixture in fixtures], np.float32).reshape(-1, 3)
             for side in ("radiance", "back_radiance")
         )
-        triangles = [triangle for fixture in fixtures for triangle in fixture.triangles]
-        return cls(np.array(triangles, np.int32), np.repeat(front, counts, 0), np.repeat(back, counts, 0))
+        triangles = [np.zeros(0, np.int32), *(np.asarray(each.triangles, np.int32) for each in fixtures)]
+        return cls(np.concatenate(triangles), np.repeat(front, counts, 0), np.repeat(back, counts, 0))
 
 
 @dataclass

@@ -16,6 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from ..capture.views import load_capture
 from ..device.variant import set_variant
@@ -27,7 +28,6 @@ from ..run.result_contents import AtlasImage, AtlasImages, TextureImage, Texture
 from ..run.run_files import AtlasArrays, CornerFields, read_outlined, read_room_files
 from ..run.runfolder import RunFolder, write_json
 from ..run.store import read_arrays, write_arrays
-from .padding import pad
 from .raster import nearest_triangle_map
 from .texels import FieldSource, Texels, sample_fields
 
@@ -237,13 +237,26 @@ def _write_image(folder: Path, entry: AtlasImage, texel: np.ndarray, texels: Tex
     filled[texel] = True
     image = np.zeros((width * height, 8), np.float32)
     image[texel] = np.column_stack([texels.base_color, texels.roughness, texels.metallic, texels.confidence])
-    # Row 0 is v = 0 here, but the top row in image files. Islands grow by 8 texels.
-    padded = pad(image.reshape(height, width, 8), filled.reshape(height, width), 8)[::-1]
+    # Row 0 is v = 0 here, but the top row in image files.
+    padded = pad(image.reshape(height, width, 8), filled.reshape(height, width))[::-1]
     planes = padded[..., :3], padded[..., 3], padded[..., 4], padded[..., 5:]
     files = {name: f"{entry.name}.{name}.exr" for name in MAPS}
     for file, plane in zip(files.values(), planes, strict=True):
         write_exr(folder / file, plane, half=True)
     return TextureImage(entry.name, **{name: f"textures/{file}" for name, file in files.items()})
+
+
+def pad(image: np.ndarray, filled: np.ndarray) -> np.ndarray:
+    """(H, W, C) an image whose texels between UV islands are as the nearest of one; zero without islands.
+
+    Filtering and mipmaps therefore never read an empty texel.
+
+    Args:
+        image: (H, W, C), zero where not `filled` (H, W) bool.
+    """
+    if not filled.any():
+        return image
+    return image[tuple(distance_transform_edt(~filled, return_distances=False, return_indices=True))]
 
 
 def _bake_corners(folder: Path, fields: FieldSource, corners: np.ndarray) -> str:

@@ -58,7 +58,6 @@ class DetailInput:
     Attributes:
         photographs: the training views at full size, in the order of `pixels`.
         pixels, shadings: at light resolution.
-        levels: (K,) roughness of the shadings.
         response: (256,) logarithm of the light of each code, for photographs that are not HDR; None without
             such.
     """
@@ -66,7 +65,6 @@ class DetailInput:
     photographs: list[View]
     pixels: PixelStore
     shadings: ShadingStore
-    levels: np.ndarray
     response: np.ndarray | None = None
 
     def larger(self) -> list[int]:
@@ -97,11 +95,10 @@ class _UsedViews:
 
 @dataclass(frozen=True)
 class SolvedLight:
-    """What an estimation has solved light with: pixels and the last shadings at roughness `levels` (K,)."""
+    """What an estimation has solved light with: pixels and the last shadings."""
 
     pixels: PixelStore
     shadings: ShadingStore
-    levels: np.ndarray
 
 
 def remember_light(run: RunFolder, light: SolvedLight) -> None:
@@ -161,7 +158,7 @@ def load_input(run: RunFolder, reporter: Reporter | None = None) -> DetailInput 
     light = solved_light(run, lights)
     photometry = run.statistics().get("photometry")
     response = np.array(photometry["log_curve"]) if photometry else None
-    return DetailInput(photographs, light.pixels, light.shadings, light.levels, response)
+    return DetailInput(photographs, light.pixels, light.shadings, response)
 
 
 def _is_kept(run: RunFolder, light: dict[str, Any]) -> bool:
@@ -232,7 +229,7 @@ def add_detail(
         light = light_pixels(given, index, part)
         if len(rows) and light is not None:
             radiance = photograph(given, index)
-            seen = see_texels(texels, rows, room, part, normals, light, view, radiance, given.levels)
+            seen = see_texels(texels, rows, room, part, normals, light, view, radiance, given.shadings.levels)
             total.add(seen, with_low_frequencies(seen, texels, cells), texels.base_color)
         progress(done / (len(larger) + 1))
     return total.result(texels, cells, part)

@@ -9,7 +9,7 @@ the same surface and part. So shadings go along surfaces, never across a border.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import drjit as dr
 import mitsuba as mi
@@ -17,7 +17,8 @@ import numpy as np
 
 from ..capture.views import View
 from ..light.emitters import CHUNK
-from ..optics.factorised import color_line, level_share
+from ..material.projection import lower_levels
+from ..optics.factorised import color_line
 from ..pixels.camera_rays import opaque_vector
 from ..surface.room import Room
 from .texels import Texels
@@ -100,16 +101,13 @@ def see_texels(
     for first in range(0, len(candidates), CHUNK):
         rows = candidates[first : first + CHUNK]
         triangle = texels.triangle[rows]
-        level = np.clip(np.searchsorted(levels, texels.roughness[rows]) - 1, 0, max(len(levels) - 2, 0))
-        low, high = levels[level], levels[np.minimum(level + 1, len(levels) - 1)]
-        sigma = np.clip(texels.roughness[rows], low, high)
-        share = np.where(high > low, level_share(sigma, low, np.maximum(high, low + 1e-6)), 0.0)
+        level, share = lower_levels(levels, texels.roughness[rows])
         points = _Points(
             mi.Point3f(np.ascontiguousarray(texels.position[rows].T)),
             mi.Vector3f(np.ascontiguousarray(normals[triangle].T.astype(np.float32))),
             mi.Int32(part[triangle].astype(np.int32)),
             mi.UInt32(level.astype(np.uint32)),
-            mi.Float(share.astype(np.float32)),
+            mi.Float(share),
             mi.Float(np.asarray(texels.metallic[rows], np.float32)),
             mi.Float(np.asarray(texels.size[rows], np.float32)),
         )
@@ -117,12 +115,7 @@ def see_texels(
         dr.eval(color, weight, error, seen)
         kept = np.flatnonzero(np.array(seen))
         found.append(Seen(rows[kept], np.array(color).T[kept], np.array(weight)[kept], np.array(error)[kept]))
-    return Seen(
-        *(
-            np.concatenate([getattr(one, name) for one in found])
-            for name in ("texel", "color", "weight", "error")
-        )
-    )
+    return Seen(*(np.concatenate(column) for column in zip(*map(astuple, found), strict=True)))
 
 
 @dataclass
@@ -216,13 +209,11 @@ def _see(
             matched += weight
             diffuse += weight * light_here
             shades.append((dr.mean(light_here), same))
-            if levels:
-                at = (pixel * levels + points.level) * 2
-                upper = at + (2 if levels > 1 else 0)
-                for number, step in ((0, at), (1, upper)):
-                    lobe = weight * (points.share if number else 1.0 - points.share)
-                    s0 += lobe * dr.gather(mi.Color3f, light.specular, step, same)
-                    s1 += lobe * dr.gather(mi.Color3f, light.specular, step + 1, same)
+            at = (pixel * levels + points.level) * 2
+            for number, step in ((0, at), (1, at + 2)):
+                lobe = weight * (points.share if number else 1.0 - points.share)
+                s0 += lobe * dr.gather(mi.Color3f, light.specular, step, same)
+                s1 += lobe * dr.gather(mi.Color3f, light.specular, step + 1, same)
     seen &= matched > MIN_MATCH * total
     scale = dr.select(seen, 1.0 / matched, 0.0)
     slope, offset = color_line(diffuse * scale, s0 * scale, s1 * scale, points.metallic)
