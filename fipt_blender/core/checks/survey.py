@@ -18,9 +18,9 @@ import numpy as np
 from ..capture.averaging import means
 from ..capture.checks import pixel_sample, pixel_statistics
 from ..capture.encoded import srgb_encoded
-from ..capture.images import read_radiance, threads_for, write_exr
+from ..capture.images import read_radiance, write_exr
 from ..capture.rig import PARTS_FOLDER, SEMANTICS_FOLDER
-from ..capture.views import View, load_capture
+from ..capture.views import View, decoded, load_capture
 from ..device.variant import set_variant
 from ..radiometry.inversion import MUCH_CLIPPED as MUCH_CLIPPED_ENCODED
 from ..radiometry.inversion import is_clipped
@@ -30,7 +30,6 @@ from ..run.messages import Reporter
 from ..run.run_files import SurveyArrays
 from ..run.runfolder import RunFolder, write_json
 from ..run.store import write_arrays
-from ..run.threads import in_threads
 
 if TYPE_CHECKING:
     from ..surface.room import Room
@@ -73,8 +72,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     seen = np.zeros((len(capture.views), len(room.triangles)), bool)
     in_sight = np.zeros(len(room.triangles), bool)
     # The next photographs are decoded while the mesh is compared with one.
-    most = threads_for(view.width * view.height for view in capture.views)
-    photographs = in_threads(partial(examined, folder=folder), capture.views, most)
+    photographs = decoded(partial(examined, folder=folder), capture.views)
     for index, (view, photograph) in enumerate(zip(capture.views, photographs, strict=True)):
         coverage = view_coverage(room, view, known=in_sight)
         seen[index] = coverage.seen

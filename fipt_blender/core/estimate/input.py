@@ -11,10 +11,8 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 
-from ..capture.light_views import light_views
-from ..capture.views import Capture, View, load_capture
+from ..capture.views import Capture, View, light_views, load_capture
 from ..checks.consensus import check_input
 from ..completion.panes import close_holes
 from ..parts.linked_masks import link_masks
@@ -33,8 +31,8 @@ from ..surface.room import Room, load_room
 from ..surface.stored import prepare_geometry
 from .pipeline import pipeline, round_numbers
 
-# Shares of an estimation's time that averaging the photographs and completing a scan take, for progress.
-PREPARATION = (0.01, 0.05)
+# Share of an estimation's time that completing a scan takes, for progress.
+PREPARATION = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +81,7 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
         raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
     plan = light_plan([(view.width, view.height) for view in photographs], settings)
     reporter.note(f"{plan.resolution}; {plan.cost}")
-    reporter.plan([*PREPARATION, 1.0 - sum(PREPARATION)], plan.seconds)
+    reporter.plan([PREPARATION, 1.0 - PREPARATION], plan.seconds)
     if not settings.force:
         refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
     views, room, far_off, holes = completed_room(folder, settings, capture, reporter)
@@ -140,9 +138,7 @@ def completed_room(
     """
     prepare_geometry(folder, settings.clean_scan, settings.close_holes_edges)
     holes = read_scan_holes(folder)
-    begin = partial(reporter.stage, "light", "Averaging the photographs to the resolution of light")
-    photographs = spread_views(capture.train, settings.view_share)
-    views = light_views(folder, photographs, settings.light_pixels, begin, reporter.progress)
+    views = light_views(spread_views(capture.train, settings.view_share), settings.light_pixels)
     room = load_room(folder, outlined=False)
     own_mesh = capture.mesh == folder.fused_ply  # made from the rig itself
     far_off = check_input(room, views, settings, own_mesh)
