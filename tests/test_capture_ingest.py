@@ -191,20 +191,6 @@ def test_large_photographs_are_rewritten_with_the_bits_that_they_have(tmp_path, 
     assert np.abs(error).max() < 0.51 / 255.0  # rounding
 
 
-def test_photographs_that_need_no_change_are_used_as_they_are(tmp_path, run, monkeypatch):
-    monkeypatch.setattr(photograph, "EXACT_PIXELS", 500)
-    samples = make_samples(1)
-    write_transforms(tmp_path / "in", samples)
-    with edited_json(tmp_path / "in" / "transforms.json") as data:
-        path = tmp_path / "in" / data["frames"][0]["file_path"]
-        data["frames"][0]["file_path"] = f"images/{path.stem}.jpg"
-    path.unlink()
-    Image.fromarray((255.0 * waves(samples[0])).astype(np.uint8)).save(path.with_suffix(".jpg"))
-    run_ingest(tmp_path / "in", run, hold_back=0)
-    assert load_capture(run).views[0].image == path.with_suffix(".jpg")
-    assert not run.images.exists()
-
-
 def test_photographs_without_distortion_that_the_disk_lacks_are_refused(tmp_path, run, monkeypatch):
     write_transforms(tmp_path / "in", make_samples(2, model="OPENCV"))
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))

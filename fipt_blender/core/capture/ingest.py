@@ -35,7 +35,7 @@ from .files import Folders
 from .images import read_size, threads_for
 from .options import CaptureOptions
 from .panorama import pinhole_views, placed_panorama, says_panorama
-from .photograph import Files, Photograph
+from .photograph import ID_IMAGES, Files, Photograph
 from .photograph_poses import with_photograph_poses
 from .places import MASK_FOLDER, MISSING_REMEDY
 from .rig import EQUIRECTANGULAR, RigView
@@ -253,12 +253,8 @@ def _check_files(views: list[RigView]) -> None:
                 "Map the network folder to a drive letter, or copy the capture to your own disk.",
             )
     for view in views:
-        for path, code in (
-            (view.image, "image-size"),
-            (view.parts, "mask-size"),
-            (view.semantics, "mask-size"),
-            (view.mask, "mask-size"),
-        ):
+        for kind in ("image", *ID_IMAGES):
+            path, code = getattr(view, kind), "image-size" if kind == "image" else "mask-size"
             if path is None:
                 continue
             width, height = read_size(path)
@@ -302,10 +298,8 @@ def _convert(
         written.append(files)
         reporter.progress(len(statistics) / len(photographs))
     pictures = [photograph.picture for photograph in photographs]
-    notes = checks.judge_pixels([view.name for view in first], statistics, clamp_negative)
-    notes += checks.judge_encoded(
-        [picture.is_encoded for picture in pictures], [picture.exposure for picture in pictures]
-    )
-    for note in notes:
+    encoded, exposures = zip(*((picture.is_encoded, picture.exposure) for picture in pictures), strict=True)
+    judged = checks.judge_pixels([view.name for view in first], statistics, clamp_negative)
+    for note in chain(judged, checks.judge_encoded(encoded, exposures)):
         reporter.warning(note.code, note.text, note.remedy)
     return written

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -32,6 +31,9 @@ from .rig import Pinhole
 
 # From this share of clipped pixels on, the mean of codes is only a bound, and clipped, too.
 CLIPPED_SHARE = 0.02
+# Bytes of averaged images that this process keeps: all of them with the budgets of the presets.
+MOST_KEPT = 500_000_000
+_KEPT: dict[tuple[Picture, str, tuple[int, int], bool], np.ndarray] = {}  # by the arguments of `_reduced`
 Result = TypeVar("Result")  # of a function of a view
 
 
@@ -104,6 +106,12 @@ class View:
         """
         return self._read(self.image, "image")
 
+    def keep(self, photograph: np.ndarray) -> None:
+        """Average the photograph, which has been decoded, for a later `radiance`."""
+        if self.full:
+            size = self.width, self.height
+            _reduced(open_picture(self.image), "image", size, self.encoded, photograph)
+
     def part_ids(self) -> np.ndarray | None:
         """Part ids (height, width) int32, or None where the view has none."""
         return None if self.parts is None else self._read(self.parts, "ids")
@@ -152,8 +160,9 @@ def _pixels(picture: Picture, kind: str) -> np.ndarray:
     return picture.ids() if kind == "ids" else picture.ids() == 0
 
 
-@lru_cache(maxsize=4096)  # of all views together they are no more than the budget of pixels of light
-def _reduced(picture: Picture, kind: str, size: tuple[int, int], encoded: bool) -> np.ndarray:
+def _reduced(
+    picture: Picture, kind: str, size: tuple[int, int], encoded: bool, pixels: np.ndarray | None = None
+) -> np.ndarray:
     """A view's image with fewer pixels: the mean radiance of those that each covers, ids by majority.
 
     Of what must not be used, any share spoils a mean. Of photographs that are not HDR, pixels of which a
@@ -162,8 +171,15 @@ def _reduced(picture: Picture, kind: str, size: tuple[int, int], encoded: bool) 
     Args:
         kind, encoded: see `View`.
         size: width and height.
+        pixels: of the picture, if they are decoded already.
+
+    Returns:
+        read-only; the last ones are kept, as many as `MOST_KEPT` allows.
     """
-    pixels = _pixels(picture, kind)
+    key = (picture, kind, size, encoded)
+    if (kept := _KEPT.get(key)) is not None:
+        return kept
+    pixels = _pixels(picture, kind) if pixels is None else pixels
     if kind == "ids":
         result = majority(pixels, *size)
     elif kind == "mask":
@@ -173,6 +189,10 @@ def _reduced(picture: Picture, kind: str, size: tuple[int, int], encoded: bool) 
         if encoded and (clipped := is_clipped(pixels)).any():
             result[means(clipped, *size) >= CLIPPED_SHARE] = 1.0
     result.flags.writeable = False
+    _KEPT[key] = result
+    for oldest in tuple(_KEPT):
+        if sum(array.nbytes for array in tuple(_KEPT.values())) > MOST_KEPT:
+            _KEPT.pop(oldest, None)
     return result
 
 

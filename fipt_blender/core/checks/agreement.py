@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import label as connected
 
-from ..capture.views import View, decoded
+from ..capture.views import View
 from ..light.cache import side_index
 from ..parts.masked_views import grid_points, seen_before
 from ..pixels.camera_rays import first_hits, rays_along
@@ -167,7 +167,7 @@ def compared_pixels(room: Room, views: Sequence[View], edge: float) -> ComparedP
     every = sum(view.width * view.height / lattice_spacing(view) ** 2 for view in views)
     coarser = int(np.ceil(np.sqrt(every / MOST_PIXELS)))
     smaller, means, used = zip(
-        *decoded(lambda view: on_lattice(view, coarser * lattice_spacing(view)), views), strict=True
+        *(on_lattice(view, coarser * lattice_spacing(view)) for view in views), strict=True
     )
     sizes = [view.width * view.height for view in smaller]
     number = np.repeat(np.arange(len(views), dtype=np.int32), sizes)

@@ -9,17 +9,14 @@ from __future__ import annotations
 import argparse
 import itertools
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..capture.averaging import means
 from ..capture.checks import pixel_sample, pixel_statistics
 from ..capture.encoded import srgb_encoded
-from ..capture.images import read_radiance, write_exr
-from ..capture.rig import PARTS_FOLDER, SEMANTICS_FOLDER
+from ..capture.images import read_radiance
 from ..capture.views import View, decoded, load_capture
 from ..device.variant import set_variant
 from ..radiometry.inversion import MUCH_CLIPPED as MUCH_CLIPPED_ENCODED
@@ -58,7 +55,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.stage("device", "Starting the engine")
     set_variant(arguments.device)
     # Mitsuba's types exist only after the variant is set.
-    from ..parts.coverage import fuse_inputs, view_coverage
+    from ..parts.coverage import coarse_view, fuse_inputs, view_coverage
     from ..parts.labels import automatic_source, label_parts, usable_sources
     from ..parts.linked_masks import link_masks
     from ..surface.room import load_room
@@ -72,12 +69,15 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     seen = np.zeros((len(capture.views), len(room.triangles)), bool)
     in_sight = np.zeros(len(room.triangles), bool)
     # The next photographs are decoded while the mesh is compared with one.
-    photographs = decoded(partial(examined, folder=folder), capture.views)
+    photographs = decoded(examined, capture.views)
+    readable: set[str] = set()  # names of views
     for index, (view, photograph) in enumerate(zip(capture.views, photographs, strict=True)):
         coverage = view_coverage(room, view, known=in_sight)
         seen[index] = coverage.seen
         in_sight |= coverage.in_sight
         facts = with_misfit(photograph, view, room)
+        if not (facts.image_missing or facts.image_problem):
+            readable.add(view.name)
         surveyed.append(
             SurveyedView(
                 name=view.name,
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         reporter.progress((index + 1) / len(capture.views))
 
     reporter.stage("parts", "Finding the parts")
-    train = [_coarse(folder, view) for view in capture.train if view.image.is_file()]
+    train = [coarse_view(view) for view in capture.train if view.image.is_file()]
     train = link_masks(folder, replace(room, parts="masks"), train)  # all sources are counted
     labels = {}
     usable = usable_sources(room, train)
@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         images, triangles = fuse_inputs(room, train, source)
         labels[source] = label_parts(room, source, images, triangles).triangle_part
         reporter.progress((index + 1) / (len(sources) + 1))
-    pixels = survey_pixels(room, [view for view in train if view.image.is_file()])
+    pixels = survey_pixels(room, [view for view in train if view.name in readable])
     missing: list[Box] = []
     if pixels is not None:
         boxes = pixels.boxes(room.bounds, AIR_POINTS)
@@ -117,39 +117,6 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     parts = SurveyedParts(automatic_source(room, usable), counts)
     write_json(folder.root / "survey.json", SurveyNote(tuple(surveyed), parts, tuple(missing)))
     reporter.done([str(folder.root / name) for name in ("survey.json", "survey.npz")])
-
-
-def _coarse(folder: RunFolder, view: View) -> View:
-    """The view on the coarse grid of its coverage, with resized images, because they are read several times.
-
-    Its photograph exists if `examined` could use it.
-
-    Raises:
-        FiptError: those of reading the id images, ``disk-full`` or ``run-unwritable``.
-    """
-    from ..parts.coverage import coarse_view, resampled
-
-    coarse = coarse_view(view)
-
-    def written(kind: str, ids: np.ndarray | None) -> Path | None:
-        if ids is None:
-            return None
-        path = folder.root / "coarse" / kind / f"{view.name}.exr"
-        write_exr(path, resampled(ids, (coarse.height, coarse.width)))
-        return path
-
-    masked = view.masked()
-    return replace(
-        coarse,
-        image=_coarse_image(folder, view),
-        parts=written(PARTS_FOLDER, view.part_ids()),
-        semantics=written(SEMANTICS_FOLDER, view.semantic_ids()),
-        mask=written("mask", None if masked is None else ~masked),
-    )
-
-
-def _coarse_image(folder: RunFolder, view: View) -> Path:
-    return folder.root / "coarse" / "image" / f"{view.name}.exr"
 
 
 @dataclass(frozen=True)
@@ -194,17 +161,14 @@ def with_misfit(
     return replace(facts, misfit=round(misfit * factor, 2), much_off=misfit > MUCH_OFF)
 
 
-def examined(view: View, folder: RunFolder | None = None) -> tuple[PhotographFacts, np.ndarray | None]:
+def examined(view: View) -> tuple[PhotographFacts, np.ndarray | None]:
     """The facts of a photograph, and the image that is compared with the mesh, None without any.
 
-    Args:
-        folder: gets the photograph on the coarse grid, if it can be used.
+    The photograph on the grid of its coverage is kept in memory.
     """
     from ..parts.coverage import coarse_view
     from .misfit import edge_image
 
-    if folder is not None:
-        _coarse_image(folder, view).unlink(missing_ok=True)  # of an earlier survey
     try:
         pixels = read_radiance(view.image)
         if pixels.shape[:2] != (view.height, view.width):
@@ -215,9 +179,7 @@ def examined(view: View, folder: RunFolder | None = None) -> tuple[PhotographFac
     except FiptError as error:
         missing = error.code == "image-missing"
         return PhotographFacts(missing, "" if missing else error.text), None
-    if folder is not None:
-        coarse = coarse_view(view)
-        write_exr(_coarse_image(folder, view), means(pixels, coarse.width, coarse.height))
+    coarse_view(view).keep(pixels)
     clipped, looks_ldr = statistics.clipped, statistics.looks_ldr
     if view.encoded:
         codes = srgb_encoded(pixel_sample(pixels)) * 255.0

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..capture.views import View, decoded
+from ..capture.views import View
 from ..checks.agreement import compared_pixels
 from ..optics.lights import LUMINANCE
 from ..parts.labels import choose_source, masks_digest
@@ -194,10 +194,9 @@ def _looks(room: Room, holes: Sequence[FlatHole], views: Sequence[View], progres
     """Whether the photographs show that each hole is a surface."""
     looks = [_Look(0, []) for _ in holes]
     medians = []
-    views = views if holes else ()
-    for number, (view, radiance) in enumerate(zip(views, decoded(View.radiance, views), strict=True)):
+    for number, view in enumerate(views if holes else ()):
         progress(number / len(views))
-        luminance = radiance.reshape(-1, 3) @ LUMINANCE
+        luminance = view.radiance().reshape(-1, 3) @ LUMINANCE
         medians.append(np.median(luminance))
         reached = first_hits(trace_pixels(room, view))[1]
         origin, directions = view.camera_to_world[:3, 3], view.rays()[1]

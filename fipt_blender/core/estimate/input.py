@@ -12,7 +12,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
-from ..capture.views import Capture, View, light_views, load_capture
+from ..capture.views import Capture, View, decoded, light_views, load_capture
 from ..checks.consensus import check_input
 from ..completion.panes import close_holes
 from ..parts.linked_masks import link_masks
@@ -31,8 +31,8 @@ from ..surface.room import Room, load_room
 from ..surface.stored import prepare_geometry
 from .pipeline import pipeline, round_numbers
 
-# Share of an estimation's time that completing a scan takes, for progress.
-PREPARATION = 0.05
+# Shares of an estimation's time that averaging the photographs and completing a scan take, for progress.
+PREPARATION = (0.01, 0.05)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
         raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
     plan = light_plan([(view.width, view.height) for view in photographs], settings)
     reporter.note(f"{plan.resolution}; {plan.cost}")
-    reporter.plan([PREPARATION, 1.0 - PREPARATION], plan.seconds)
+    reporter.plan([*PREPARATION, 1.0 - sum(PREPARATION)], plan.seconds)
     if not settings.force:
         refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
     views, room, far_off, holes = completed_room(folder, settings, capture, reporter)
@@ -139,6 +139,10 @@ def completed_room(
     prepare_geometry(folder, settings.clean_scan, settings.close_holes_edges)
     holes = read_scan_holes(folder)
     views = light_views(spread_views(capture.train, settings.view_share), settings.light_pixels)
+    if smaller := [view for view in views if view.full]:
+        reporter.stage("light", "Averaging the photographs to the resolution of light")
+        for done, _ in enumerate(decoded(View.radiance, smaller), 1):
+            reporter.progress(done / len(smaller))
     room = load_room(folder, outlined=False)
     own_mesh = capture.mesh == folder.fused_ply  # made from the rig itself
     far_off = check_input(room, views, settings, own_mesh)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..capture.views import View, decoded
+from ..capture.views import View
 from ..run.chain import START_AGAIN
 from ..run.errors import FiptError
 from ..run.per_view import LocalWorkers, Workers
@@ -236,23 +236,22 @@ def fill_pixels(
 
     Raises:
         FiptError: ``mesh-unseen`` where no view sees the mesh, ``images-black``, and those of
-            reading a view's photograph and mask.
+            the view's photograph and mask.
     """
-    luminances, masks = [], []
+    luminances = []
     view_luminances = max(1, min(VIEW_LUMINANCES, LUMINANCES // max(len(store.views), 1)))
-    for index, radiance in enumerate(decoded(View.radiance, store.views)):
-        image, masked = radiance.reshape(-1, 3), store.views[index].masked()
-        masks.append(masked)
-        store.radiance[store.rows(index)] = image
-        used = image if masked is None else image[~masked.reshape(-1)]
-        luminance = used[:: max(1, len(used) // view_luminances)].mean(axis=1)
-        luminances.append(luminance[luminance > 0])
-        progress(0.5 * (index + 1) / len(store.views))
     mesh_seen = False
     traced_views = (workers or LocalWorkers()).map(ViewFunction(trace_view, (room,)), store.views)
     for done, (index, traced) in enumerate(traced_views, 1):
-        rows, triangle = store.rows(index), traced.triangle
-        if (masked := masks[index]) is not None:
+        rows, view = store.rows(index), store.views[index]
+        image = view.radiance().reshape(-1, 3)
+        store.radiance[rows] = image
+        masked = view.masked()
+        used = image if masked is None else image[~masked.reshape(-1)]
+        luminance = used[:: max(1, len(used) // view_luminances)].mean(axis=1)
+        luminances.append(luminance[luminance > 0])
+        triangle = traced.triangle
+        if masked is not None:
             triangle = np.where(masked.reshape(-1), np.int32(LEFT_OUT), triangle)
         valid = triangle >= 0
         mesh_seen |= bool(valid.any())
@@ -260,7 +259,7 @@ def fill_pixels(
         store.position[rows] = np.where(valid[:, None], traced.position, np.float32(0.0))
         store.normal[rows] = np.where(valid[:, None], traced.normal, np.float32(0.0))
         store.front[rows] = traced.front
-        progress(0.5 + 0.5 * done / len(store.views))
+        progress(done / len(store.views))
     if not mesh_seen:
         raise FiptError(
             "mesh-unseen",
