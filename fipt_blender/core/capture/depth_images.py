@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from . import checks
 from .encoded import srgb_encoded
 from .files import stand_in
 from .images import open_picture, read_radiance, read_size
-from .options import FusionOptions
+from .options import CaptureOptions
 from .rig import DepthView, Pinhole, RigView
 
 # Beyond this, depth cameras of phones and consoles measure little but noise.
@@ -210,7 +210,7 @@ def _confirmed(views: Sequence[DepthView], scale: float) -> float:
 
 
 def fuse(
-    views: Sequence[DepthView], options: FusionOptions, scale: float, progress: Callable[[float], None]
+    views: Sequence[DepthView], options: CaptureOptions, scale: float, progress: Callable[[float], None]
 ) -> FusedMesh:
     """The mesh of a capture's depth images, in the capture's coordinates.
 
@@ -276,7 +276,7 @@ class Fusion:
 
     run: RunFolder
     views: Sequence[DepthView]
-    options: FusionOptions
+    options: CaptureOptions
     scale: float
 
     @property
@@ -313,7 +313,7 @@ class Fusion:
             if photograph is not None:
                 camera += [*photograph.lens.parameters, *photograph.camera_to_world.ravel().tolist()]
             entries.append([states, camera])
-        data = [PRODUCT_VERSION, astuple(self.options), self.scale, entries]
+        data = [PRODUCT_VERSION, (self.options.voxel, self.options.triangles), self.scale, entries]
         return hashlib.sha256(json.dumps(data).encode()).hexdigest()
 
 
@@ -342,15 +342,13 @@ def registered_depths(
     Raises:
         FiptError: ``depth-unreadable``.
     """
-    pairs = zip(views, paths, strict=True)
-    return tuple(_registered_depth(view, path, unit) for view, path in pairs if path is not None)
-
-
-def _registered_depth(view: RigView, path: Path, unit: float) -> DepthView:
-    width, height = depth_size(path)
-    x, y = width / view.width, height / view.height
-    fx, fy, cx, cy = view.lens.parameters
-    unit = 1.0 if path.suffix.lower() == ".exr" else unit
-    pose = view.camera_to_world
-    photograph = None if view.missing else view
-    return DepthView(path, width, height, fx * x, fy * y, cx * x, cy * y, unit, pose, photograph)
+    found = []
+    for view, path in zip(views, paths, strict=True):
+        if path is not None:
+            width, height = depth_size(path)
+            x, y = width / view.width, height / view.height
+            fx, fy, cx, cy = view.lens.parameters
+            own, photograph = 1.0 if path.suffix.lower() == ".exr" else unit, None if view.missing else view
+            camera = (fx * x, fy * y, cx * x, cy * y, own, view.camera_to_world)
+            found.append(DepthView(path, width, height, *camera, photograph))
+    return tuple(found)

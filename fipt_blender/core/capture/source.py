@@ -81,7 +81,7 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
 def mesh_fusion(run: RunFolder, source: Source, options: CaptureOptions) -> Fusion | None:
     """What fuses the mesh of depth images; None where there is another one, or no depths."""
     if source.mesh is None and source.rig.depths:
-        return Fusion(run, source.rig.depths, options.fusion, options.scale)
+        return Fusion(run, source.rig.depths, options, options.scale)
     return None
 
 
