@@ -191,8 +191,9 @@ def _reduced(
     result.flags.writeable = False
     _KEPT[key] = result
     for oldest in tuple(_KEPT):
-        if sum(array.nbytes for array in tuple(_KEPT.values())) > MOST_KEPT:
-            _KEPT.pop(oldest, None)
+        if sum(array.nbytes for array in tuple(_KEPT.values())) <= MOST_KEPT:
+            break
+        _KEPT.pop(oldest, None)
     return result
 
 
