@@ -124,13 +124,13 @@ def test_only_png_is_read_from_png_files(tmp_path: Path) -> None:
 
 
 def test_a_large_mask_is_read_and_a_huge_one_refused(tmp_path: Path, monkeypatch) -> None:
-    path = tmp_path / "ids.png"
     monkeypatch.setattr(PIL.Image, "MAX_IMAGE_PIXELS", 1000)
-    PIL.Image.new("L", (100, 90)).save(path)
-    assert images.read_ids(path).shape == (90, 100)
+    PIL.Image.new("L", (100, 90)).save(tmp_path / "large.png")
+    assert images.read_ids(tmp_path / "large.png").shape == (90, 100)
     monkeypatch.setattr(encoded, "MOST_PIXELS", 8000)
-    assert error_of(images.read_ids, path).code == "image-too-large"
-    assert error_of(images.read_size, path).code == "image-too-large"
+    PIL.Image.new("L", (100, 90)).save(tmp_path / "huge.png")
+    for read in (images.read_ids, images.read_size):
+        assert error_of(read, tmp_path / "huge.png").code == "image-too-large"
 
 
 def test_an_exr_of_few_bytes_does_not_take_gigabytes(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from fipt_blender.core.capture.encoded import srgb_encoded
-from fipt_blender.core.capture.images import file_exposure, read_ids, read_radiance, read_size, write_exr
+from fipt_blender.core.capture.images import open_picture, read_ids, read_radiance, read_size, write_exr
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.checks.survey import examined, view_warning
 from fipt_blender.core.run.runfolder import RunFolder
@@ -26,10 +26,10 @@ CODES = np.random.default_rng(3).integers(0, 256, (6, 8, 3)).astype(np.uint8)
 
 def test_exposures_of_files(tmp_path):
     path = write_jpeg(tmp_path / "a.jpg", CODES, exif(1.0 / 50.0, aperture=4.0, iso=400))
-    assert file_exposure(path) == pytest.approx(4.0 / 50.0 / 16.0, rel=1e-3)
-    assert file_exposure(write_jpeg(tmp_path / "b.jpg", CODES, exif(None))) is None
+    assert open_picture(path).exposure == pytest.approx(4.0 / 50.0 / 16.0, rel=1e-3)
+    assert open_picture(write_jpeg(tmp_path / "b.jpg", CODES, exif(None))).exposure is None
     write_exr(tmp_path / "d.exr", PIXELS)
-    assert file_exposure(tmp_path / "d.exr") is None
+    assert open_picture(tmp_path / "d.exr").exposure is None
 
 
 def test_captures_of_both_kinds(tmp_path):

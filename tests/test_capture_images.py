@@ -9,15 +9,7 @@ import pytest
 from PIL import Image
 
 from fipt_blender.core.capture.encoded import srgb_decoded, srgb_encoded
-from fipt_blender.core.capture.images import (
-    is_encoded,
-    is_plain,
-    read_codes,
-    read_ids,
-    read_radiance,
-    read_size,
-    write_exr,
-)
+from fipt_blender.core.capture.images import open_picture, read_codes, read_ids, read_radiance, read_size, write_exr
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.prepare.exif import describe
@@ -77,7 +69,7 @@ def test_the_picture_of_an_exr_is_found_by_its_name(tmp_path, seed):
     layers, (name,), parts = some_layers(seed, 1)
     path = write_exr_layers(tmp_path / "a.exr", layers, parts)
     np.testing.assert_array_equal(read_radiance(path), stacked(layers[name]))
-    assert not is_plain(path)
+    assert not open_picture(path).is_plain
     layers = {"other" if key == name else key: planes for key, planes in layers.items()}
     path = write_exr_layers(tmp_path / "b.exr", layers, parts)  # what is no known pass is left
     np.testing.assert_array_equal(read_radiance(path), stacked(layers["other"]))
@@ -129,7 +121,7 @@ def test_luminance_with_chroma(tmp_path, step, primaries):
     path = write_plain_exr(tmp_path / "a.exr", planes, PRIMARIES[primaries])
     found = in_primaries(read_radiance(path).astype(np.float64), primaries)
     np.testing.assert_allclose(found, pixels, rtol=1e-4)
-    assert not is_plain(path)
+    assert not open_picture(path).is_plain
 
 
 RADIANCE = np.array([[[0.6, 0.15, 0.08], [0.1, 0.4, 0.2], [0.3, 0.3, 0.3], [0.2, 0.25, 0.7]]] * 4)
@@ -152,7 +144,7 @@ def test_exr_files_of_cie_xyz(tmp_path, white):
     chromaticities = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, *white)
     path = write_exr_layers(tmp_path / "a.exr", {"": planes}, parts=False, chromaticities=chromaticities)
     np.testing.assert_allclose(read_radiance(path), RADIANCE, atol=1e-3)
-    assert not is_plain(path)
+    assert not open_picture(path).is_plain
 
 
 EXPOSURES = (b"", b"EXPOSURE=2\nEXPOSURE=.25\n", b"COLORCORR= 2 1 .5\n")
@@ -166,8 +158,8 @@ def test_radiance_files_with_primaries_and_exposures(tmp_path, primaries, exposu
         header += b"PRIMARIES=" + b" ".join(b"%.4f" % value for value in PRIMARIES[primaries]) + b"\n"
     factor = np.array([2.0, 1.0, 0.5]) if b"COLOR" in exposure else 0.5 if exposure else 1.0
     path = write_hdr(tmp_path / "a.hdr", pixels * factor, header)
-    assert not is_encoded(path) and read_size(path) == (4, 4)
-    assert is_plain(path) == (primaries == "Rec.709" and not exposure)
+    assert not open_picture(path).is_encoded and read_size(path) == (4, 4)
+    assert open_picture(path).is_plain == (primaries == "Rec.709" and not exposure)
     np.testing.assert_allclose(read_radiance(path), RADIANCE, atol=0.012)  # of 8 bits, before the matrix
     assert describe(path, "a.hdr").exposure == 1.0
     whole = path.read_bytes()
@@ -200,7 +192,9 @@ def test_icc_profiles_say_primaries_and_curve(tmp_path, suffix, primaries, curve
     path = write_codes(tmp_path / f"a{suffix}", encode(in_primaries(colors, primaries)), icc_profile(primaries, curve))
     tolerance = 2e-3 if suffix == ".tif" else 0.02
     np.testing.assert_allclose(read_radiance(path)[8::16, 8::16], colors[8::16, 8::16], atol=tolerance)
-    assert is_encoded(path) and is_plain(path) == (primaries == "Rec.709" and curve == "sRGB" and suffix != ".heic")
+    assert open_picture(path).is_encoded and open_picture(path).is_plain == (
+        primaries == "Rec.709" and curve == "sRGB" and suffix != ".heic"
+    )
     codes, matrix = read_codes(path)  # for `prepare`: by sRGB's curve, with the matrix to follow
     linear = srgb_decoded(codes / float(np.iinfo(codes.dtype).max))
     linear = linear if matrix is None else linear @ matrix.T
@@ -270,7 +264,7 @@ def test_the_content_of_a_file_decides_not_its_suffix(tmp_path, kind, suffix):
     WRITERS[kind](path)
     wanted = CODES[..., :1] if kind == "grey" else CODES
     assert np.abs(np.round(srgb_encoded(read_radiance(path)) * 255.0) - wanted).max() <= (9 if kind == "palette" else 0)
-    assert read_size(path) == (WIDTH, HEIGHT) and is_encoded(path) == (kind != "exr")
+    assert read_size(path) == (WIDTH, HEIGHT) and open_picture(path).is_encoded == (kind != "exr")
 
 
 @pytest.mark.parametrize(
@@ -282,7 +276,7 @@ def test_tiff_of_any_depth_planes_apart_or_not(tmp_path, planar, channels, kind)
     stored = (values * most).astype(kind)
     path = write_tiff(tmp_path / "a.tif", stored, planar)
     wanted = stored[..., :3] if channels > 2 else np.repeat(stored[..., :1], 3, axis=-1)
-    assert is_encoded(path) == (kind != "float32") == (describe(path, "a").kind == "ldr")
+    assert open_picture(path).is_encoded == (kind != "float32") == (describe(path, "a").kind == "ldr")
     found = read_radiance(path)
     if kind != "float32":
         assert np.array_equal(read_codes(path)[0], wanted)
@@ -372,4 +366,4 @@ def test_an_imported_photograph_is_what_other_programs_read(tmp_path):
     np.testing.assert_allclose(views[0].radiance(), colors, atol=0.02)
     np.testing.assert_array_equal(views[1].radiance(), np.float32(0.7))
     assert [view.encoded for view in views] == [True, False]
-    assert all(view.image.is_relative_to(run.root) and is_plain(view.image) for view in views)
+    assert all(view.image.is_relative_to(run.root) and open_picture(view.image).is_plain for view in views)

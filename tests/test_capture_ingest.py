@@ -7,6 +7,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
+from collections import Counter
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,9 +17,10 @@ from PIL import Image
 
 from fipt_blender.core import conventions
 from fipt_blender.core.__main__ import main
-from fipt_blender.core.capture import checks, ingest
+from fipt_blender.core.capture import checks, images, photograph
 from fipt_blender.core.capture.distortion import Undistortion, undistorted_pinhole
 from fipt_blender.core.capture.encoded import srgb_decoded, srgb_encoded
+from fipt_blender.core.capture.exr_file import ExrFile
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.run.run_files import read_capture
@@ -35,6 +37,7 @@ from samples.capture_files import (
     write_transforms,
 )
 from samples.ingesting import edited_json, put, run_ingest, set_pixels, warnings
+from samples.photographs import exif
 from samples.refusals import error_of
 
 
@@ -164,7 +167,7 @@ def test_distorted_images_and_masks_are_undistorted(tmp_path, run, write):
 @pytest.mark.parametrize("value", [0.4, 1e-7, 1e6], ids=["usual", "dark", "bright"])
 def test_large_photographs_are_rewritten_with_the_bits_that_they_have(tmp_path, run, monkeypatch, value):
     """Codes of 8 bits as such without a loss, HDR as half floats where these have its range."""
-    monkeypatch.setattr(ingest, "EXACT_PIXELS", 500)
+    monkeypatch.setattr(photograph, "EXACT_PIXELS", 500)
     samples = make_samples(2, model="OPENCV")
     write_transforms(tmp_path / "in", samples)
     with edited_json(tmp_path / "in" / "transforms.json") as data:
@@ -186,20 +189,6 @@ def test_large_photographs_are_rewritten_with_the_bits_that_they_have(tmp_path, 
     assert is_half == (value == 0.4)
     error = srgb_encoded(views[1].radiance()) - srgb_encoded(exact[1])
     assert np.abs(error).max() < 0.51 / 255.0  # rounding
-
-
-def test_photographs_that_need_no_change_are_used_as_they_are(tmp_path, run, monkeypatch):
-    monkeypatch.setattr(ingest, "EXACT_PIXELS", 500)
-    samples = make_samples(1)
-    write_transforms(tmp_path / "in", samples)
-    with edited_json(tmp_path / "in" / "transforms.json") as data:
-        path = tmp_path / "in" / data["frames"][0]["file_path"]
-        data["frames"][0]["file_path"] = f"images/{path.stem}.jpg"
-    path.unlink()
-    Image.fromarray((255.0 * waves(samples[0])).astype(np.uint8)).save(path.with_suffix(".jpg"))
-    run_ingest(tmp_path / "in", run, hold_back=0)
-    assert load_capture(run).views[0].image == path.with_suffix(".jpg")
-    assert not run.images.exists()
 
 
 def test_photographs_without_distortion_that_the_disk_lacks_are_refused(tmp_path, run, monkeypatch):
@@ -279,19 +268,38 @@ def test_clipped_highlights_are_noticed_and_a_lamp_of_even_radiance_is_none():
     assert clipped(cut) == 0.0
 
 
-def test_large_photographs_are_decoded_once_and_get_a_small_copy(tmp_path, run, monkeypatch):
-    samples = [make_samples(1, model="OPENCV")[0], make_samples(2)[1]]
+def test_the_header_of_each_file_is_read_once_and_its_pixels_are_decoded_once(tmp_path, run, monkeypatch):
+    """Of photographs with and without distortion, and masks; large ones get a small copy."""
+    samples = [make_samples(1, model="OPENCV")[0], *make_samples(3)[1:]]
     write_transforms(tmp_path / "in", samples)
-    decoded = []
-    monkeypatch.setattr(ingest, "PREVIEW_SIDE", 40)
-    monkeypatch.setattr(ingest, "read_radiance", lambda *of: decoded.append(of) or read_radiance(*of))
+    codes = np.random.default_rng(0).integers(9, 200, (32, 48, 3)).astype(np.uint8)
+    with edited_json(tmp_path / "in" / "transforms.json") as data:
+        data["frames"][2]["file_path"] = "images/002_0001.png"
+        data["frames"][0]["mask_path"] = "masks/a.png"
+    (tmp_path / "in" / "masks").mkdir()
+    Image.fromarray(codes[..., 0]).save(tmp_path / "in" / "masks" / "a.png")
+    (tmp_path / "in" / "images" / "002_0001.exr").unlink()
+    Image.fromarray(codes).save(tmp_path / "in" / "images" / "002_0001.png", exif=exif(1.0 / 50.0))
+    opened = Counter()
+    for name, of in (("_open", lambda file, *_, **__: file.path), ("_oiio_input", lambda path, _: path)):
+        owner = ExrFile if name == "_open" else images
+        real = getattr(owner, name)
+        counted = lambda *args, of=of, real=real, **kinds: opened.update([of(*args, **kinds)]) or real(*args, **kinds)  # noqa: E731
+        monkeypatch.setattr(owner, name, counted)
+    monkeypatch.setattr(photograph, "PREVIEW_SIDE", 40)
     run_ingest(tmp_path / "in", run)
-    assert len(decoded) == 2
-    for view, entry in zip(load_capture(run).views, read_capture(run.capture_json).views, strict=True):
+    files = [path for folder in ("images", "masks") for path in (tmp_path / "in" / folder).iterdir()]
+    assert opened == dict.fromkeys(files, 2) and len(files) == 4  # for the header, and for the pixels
+    views = load_capture(run).views
+    for view, entry in zip(views, read_capture(run.capture_json).views, strict=True):
         shown = read_radiance(run.resolve(entry.preview))
         assert max(shown.shape) == 40 < max(view.width, view.height)
         assert shown.mean() == pytest.approx(view.radiance().mean(), rel=0.02)  # compressed with losses
-    assert not load_capture(run).views[1].image.is_relative_to(run.root)  # needed no change
+    assert not views[1].image.is_relative_to(run.root)  # needed no change
+    opened.clear()
+    for view in (*views, *views):  # as several stages do at the resolution of light
+        assert view.resized(20, 20).radiance().shape == (20, 20, 3)
+    assert opened == {view.image: 1 for view in views}
 
 
 def test_a_room_of_an_impossible_size_asks_for_its_scale(tmp_path, run):

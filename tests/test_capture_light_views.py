@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -14,14 +13,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fipt_blender.core.capture import views as views_module
 from fipt_blender.core.capture.averaging import majority, means
 from fipt_blender.core.capture.encoded import CLIPPED_CODE, srgb_decoded, srgb_encoded
 from fipt_blender.core.capture.images import write_exr, write_ids
-from fipt_blender.core.capture.light_views import chosen_views, light_radiance, light_views
-from fipt_blender.core.capture.views import View
+from fipt_blender.core.capture.views import View, chosen_views, light_views
 from fipt_blender.core.run import light_size as light_size_module
 from fipt_blender.core.run.light_size import LEAST_PIXELS, SPARE_BYTES, light_size, light_views_count, refuse_full_disk
-from fipt_blender.core.run.runfolder import RunFolder
 from samples.refusals import error_of
 
 SIZES = [(5, 3), (7, 4), (10, 6), (31, 17)]
@@ -92,52 +90,32 @@ def test_rays_of_light_pixels_agree_with_those_of_the_photograph(tmp_path: Path)
     assert np.abs(corner / 4.0 - light.rays(z_depth=True)[1].reshape(17, 31, 3)).max() < 1e-6
 
 
-def test_views_within_the_budget_stay_the_same_objects(tmp_path: Path) -> None:
-    views = [make_view(tmp_path, "a"), make_view(tmp_path, "b")]
-    run = RunFolder(tmp_path / "run")
-    found = light_views(run, views, 1.0)
-    assert all(one is other for one, other in zip(found, views, strict=True))
-    assert not run.root.exists()
-
-
-def test_averaged_files_are_kept_until_their_source_or_size_changes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_images_are_averaged_when_they_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(light_size_module, "LEAST_PIXELS", 1)
-    run = RunFolder(tmp_path / "run")
-    write_ids(tmp_path / "parts.png", np.repeat(np.arange(40)[:, None] // 20 + 1, 60, axis=1))
     mask = np.ones((40, 60), np.int32)
     mask[0, 0] = 0
-    write_ids(tmp_path / "mask.png", mask)
-    semantics = tmp_path / "classes" / "s.png"
-    write_ids(semantics, np.ones((40, 60), np.int32))
-    (semantics.parent / "classes.json").write_text('{"1": "wall"}', encoding="utf-8")
-    changes = {"parts": tmp_path / "parts.png", "mask": tmp_path / "mask.png", "semantics": semantics}
+    changes = {kind: tmp_path / f"{kind}.png" for kind in ("parts", "mask", "semantics")}
+    write_ids(changes["parts"], np.repeat(np.arange(40)[:, None] // 20 + 1, 60, axis=1))
+    write_ids(changes["mask"], mask)
+    write_ids(changes["semantics"], np.ones((40, 60), np.int32))
     views = [make_view(tmp_path, "room/a", **changes), make_view(tmp_path, "small", size=(9, 6))]
-    started: list[int] = []
-    budget = (60 + 9 * 6) / 1e6
-
-    def lights(pixels: float = budget) -> list[View]:
-        return light_views(run, views, pixels, lambda: started.append(1))
-
-    first = lights()
-    assert (first[0].width, first[0].height) == (9, 6)
-    assert first[1] is views[1]
-    assert first[0].radiance() == pytest.approx(means(views[0].radiance(), first[0].width, first[0].height), rel=1e-6)
-    ids, masked, classes = first[0].part_ids(), first[0].masked(), first[0].semantic_ids()
+    assert all(one is other for one, other in zip(light_views(views, 1.0), views, strict=True))
+    light, small = light_views(views, (60 + 9 * 6) / 1e6)
+    assert (light.width, light.height) == (9, 6) and small is views[1]
+    found = light.radiance()
+    assert np.array_equal(found, means(views[0].radiance(), 9, 6)) and light.radiance() is found
+    monkeypatch.setattr(views_module, "MOST_KEPT", 0)
+    assert light.part_ids() is not light.part_ids()  # memory has a bound
+    ids, masked = light.part_ids(), light.masked()
     assert ids is not None and set(np.unique(ids)) == {1, 2}
     assert masked is not None and masked[0, 0] and masked.sum() == 1  # any share spoils the mean
-    assert classes is not None and (first[0].semantics.parent / "classes.json").is_file()  # type: ignore[union-attr]
-    times = {path: path.stat().st_mtime_ns for path in first[0].files}
-    assert lights()[0].files == first[0].files and len(started) == 1
-    assert {path: path.stat().st_mtime_ns for path in first[0].files} == times
-
-    os.utime(views[0].image, ns=(1, 1))
-    again = lights()[0]
-    assert again.image != first[0].image and again.parts == first[0].parts and len(started) == 2
-    assert not first[0].image.exists()  # nothing is left behind
-    lights(1.0)
-    assert not list(run.light.rglob("*.exr"))
+    assert np.array_equal(light.semantic_ids(), np.ones((6, 9)))  # type: ignore[arg-type]
+    write_exr(light.image, 2.0 * views[0].radiance())
+    assert light.radiance() == pytest.approx(2.0 * found)
+    write_exr(light.image, np.ones((6, 9, 3)))  # of its own size, as masks are that were linked
+    assert (light.radiance() == 1.0).all()
+    write_exr(light.image, np.ones((5, 9, 3)))
+    assert error_of(light.radiance).code == "image-size" and not (tmp_path / "run").exists()
 
 
 def test_light_pixels_with_clipped_ones_are_clipped(tmp_path: Path) -> None:
@@ -147,7 +125,7 @@ def test_light_pixels_with_clipped_ones_are_clipped(tmp_path: Path) -> None:
     codes[20, 20] = 255  # one hot pixel of 100
     Image.fromarray(codes).save(tmp_path / "a.png")
     view = View("a", "train", tmp_path / "a.png", 40, 40, 50.0, 50.0, 20.0, 20.0, np.eye(4), encoded=True)
-    found = srgb_encoded(light_radiance(view, 4, 4)) * 255.0
+    found = srgb_encoded(view.resized(4, 4).radiance()) * 255.0
     clipped = found >= CLIPPED_CODE
     assert clipped[0, 0].all() and clipped[1, 1].tolist() == [True, False, False]
     assert clipped.sum() == 4

@@ -105,7 +105,14 @@ def write_capture(kind: str, folder: Path, names: list[str], files: list[str]) -
         path = root_of(folder) / file
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.new("RGB", (shot.width, shot.height), (40 * index, 90, 90)).save(path, "JPEG")
+    add_companions(folder)
     return shots
+
+
+def add_companions(folder: Path) -> None:
+    """What Macs write as ``._NAME`` beside each file on disks of other systems; all readers ignore it."""
+    for file in [path for path in folder.rglob("[!.]*") if path.is_file()]:
+        (file.parent / f"._{file.name}").write_bytes(bytes.fromhex("0005160700020000") + bytes(200))
 
 
 def root_of(folder: Path) -> Path:
@@ -194,13 +201,15 @@ def test_what_is_not_found_is_told_alike(tmp_path: Path, kind: str) -> None:
         assert "1 of 2" in error.text
 
 
-def test_suffixes_of_fixed_layouts_in_upper_case(tmp_path: Path) -> None:
+def test_companions_and_suffixes_of_fixed_layouts_in_upper_case(tmp_path: Path) -> None:
     shots = write.make_shots(write.Style(off_centre=CENTRED), 3)
     write.write_polycam(tmp_path / "polycam", shots, np.eye(4), True)
     depth = tmp_path / "polycam" / "keyframes" / "depth"
     depth.mkdir()
     Image.fromarray(np.full((6, 8), 1000, np.uint16)).save(depth / "IMG_0000.png")
     write.write_record3d(tmp_path / "record3d", [replace(shots[i], name=f"{i // 2}.jpg") for i in (0, 2)], True)
+    scanner_shots = [replace(shot, name=f"frame_{index:05d}.jpg") for index, shot in enumerate(shots)]
+    write.write_scanner_app(tmp_path / "scanner", scanner_shots)
     write_realityscan_xmp(tmp_path / "xmp", shots)
     write_frames(tmp_path / "rgbd", 2, (60, 40), 50.0)
     write_exported_scan(tmp_path / "scannet", (60, 40), 50.0)
@@ -208,7 +217,8 @@ def test_suffixes_of_fixed_layouts_in_upper_case(tmp_path: Path) -> None:
     write_fipt_synthetic(tmp_path / "synthetic", {"train": [np.eye(4)], "val": [np.eye(4)]}, True)
     for folder in sorted(tmp_path.iterdir()):
         before = read(folder)
-        for file in [*folder.rglob("*")]:
+        add_companions(folder)
+        for file in [*folder.rglob("[!.]*")]:
             if file.name.endswith((".jpg", ".png", ".exr", ".pose.txt")):
                 file.rename(file.with_suffix(file.suffix.upper()))
         after = read(folder)
@@ -422,34 +432,6 @@ def test_existing_solves_find_groups_by_paths(tmp_path: Path) -> None:
     for wanted in ([WantedView("1", 480, 320, ("1",))],
                    [WantedView(name, 480, 320, ("day/1.CR2",)) for name in ("1", "2")]):  # fmt: skip
         assert error_of(model_from_rig, rig, wanted).code == "file-ambiguous"
-
-
-@pytest.mark.parametrize("kind", [*WRITERS, "polycam", "record3d", "3d-scanner-app", "rgbd", "realityscan-xmp"])
-def test_companions_of_files_are_ignored(tmp_path: Path, kind: str) -> None:
-    """Macs write ``._NAME`` beside each file on disks of other systems."""
-    folder, shots = tmp_path / "capture", write.make_shots(count=3)
-    if kind == "3d-scanner-app":
-        shots = [replace(shot, name=f"frame_{index:05d}.jpg") for index, shot in enumerate(shots)]
-    others: dict[str, Callable[[], object]] = {
-        "polycam": lambda: write.write_polycam(folder, shots, np.eye(4), True),
-        "record3d": lambda: write.write_record3d(folder, shots, True),
-        "3d-scanner-app": lambda: write.write_scanner_app(folder, shots),
-        "rgbd": lambda: write_frames(folder, 3, (12, 16), 9.0),
-        "realityscan-xmp": lambda: write_realityscan_xmp(folder, shots),
-    }
-    if kind in others:
-        folder.mkdir()
-        others[kind]()
-    else:
-        files = [f"{'resized_images/' * (kind == 'scannetpp')}{stem}.jpg" for stem in STEMS]
-        write_capture(kind, folder, files, files)
-    before = read_rig(folder, "auto", CaptureOptions())
-    for file in [path for path in folder.rglob("*") if path.is_file()]:
-        (file.parent / f"._{file.name}").write_bytes(bytes.fromhex("0005160700020000") + bytes(200))
-    after = read_rig(folder, "auto", CaptureOptions())
-    assert [view.image for view in after.views] == [view.image for view in before.views]
-    assert [depth.path for depth in after.depths] == [depth.path for depth in before.depths]
-    assert after.mesh == before.mesh and after.notes == before.notes
 
 
 @pytest.mark.parametrize("name", ["images/000_0001.exr", "mesh.ply", "transforms.json"])

@@ -128,7 +128,7 @@ def test_full_disk_while_writing(tmp_path, run, monkeypatch):
             raise FiptError("disk-full", f"The disk is full; {path}.", "Free some space.")
         write_exr(path, array, half)
 
-    monkeypatch.setattr("fipt_blender.core.capture.ingest.write_exr", full)
+    monkeypatch.setattr("fipt_blender.core.capture.photograph.write_exr", full)
     assert error_of(run_ingest, tmp_path / "in", run).code == "disk-full"
     assert not run.capture_json.exists() and not list(run.images.rglob("*.exr"))
 

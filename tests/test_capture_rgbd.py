@@ -17,7 +17,7 @@ from fipt_blender.core.capture.color_camera import find_color_camera, with_color
 from fipt_blender.core.capture.depth_images import fuse, pixel_spacing, read_depth
 from fipt_blender.core.capture.formats.registry import detect_format, read_rig
 from fipt_blender.core.capture.mesh_file import read_mesh
-from fipt_blender.core.capture.options import CaptureOptions, FusionOptions
+from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.photograph_poses import corrected_pose, find_motions, with_photograph_poses
 from fipt_blender.core.capture.rig import Rig, RigView
 from fipt_blender.core.run.runfolder import RunFolder
@@ -212,7 +212,7 @@ def test_poses_far_away_are_left_out_instead_of_wrapping_around(tmp_path: Path) 
 
 def test_captures_in_other_units_get_voxels_in_metres(tmp_path: Path) -> None:
     rig = read_rig(write_frames(tmp_path / "room"), "auto", CaptureOptions())
-    assert np.abs(fuse(rig.depths[:2], FusionOptions(), 0.1, lambda share: None).vertices[:, 2]).mean() == (
+    assert np.abs(fuse(rig.depths[:2], CaptureOptions(), 0.1, lambda share: None).vertices[:, 2]).mean() == (
         pytest.approx(10.0 * WALL, rel=1e-3)
     )
 

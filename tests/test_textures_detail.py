@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fipt_blender.core.capture import views as views_module
-from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.images import Picture, write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.light.baking import ShadingStore
 from fipt_blender.core.light.shadings import roughness_levels
@@ -167,9 +166,9 @@ def textured(tmp_path_factory):
     """(texels, base colour, photographs that were read) of the wall with its texture in smooth light."""
     given = scene(tmp_path_factory.mktemp("textured"), texture, smooth_light)
     read = []
-    true = views_module.read_radiance
+    true = Picture.shown
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(views_module, "read_radiance", lambda path: read.append(path.name) or true(path))
+        patch.setattr(Picture, "shown", lambda one: read.append(one.path.name) or true(one))
         return *improved(given), read
 
 

@@ -25,7 +25,7 @@ from ..core.capture.encoded import (
     shutter_aperture_iso,
 )
 from ..core.capture.files import stand_in
-from ..core.capture.images import image_tags, open_picture
+from ..core.capture.images import open_picture
 from ..core.capture.suffixes import RAW_SUFFIXES
 from ..core.run.errors import FiptError
 from .preparation import Photograph
@@ -57,8 +57,9 @@ def describe(path: Path, name: str) -> Photograph:
     if (error := stand_in(path)) is not None:
         raise error
     if path.suffix.lower() not in RAW_SUFFIXES:
-        picture, tags = open_picture(path), image_tags(path)
-        if picture.type != "float32":
+        picture = open_picture(path)
+        tags = picture.tags
+        if picture.is_encoded:
             return replace(_photograph(name, "ldr", picture.size, tags), corrected=_corrected(path))
         tags = {tag: tags[tag] for tag in tags if tag == "Image Orientation"}  # radiance has no exposure
         return _photograph(name, "linear", picture.size, tags)

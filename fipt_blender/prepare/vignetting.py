@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from ..core.capture.exr_file import exr_note
+from ..core.capture.exr_file import ExrFile
 from ..core.capture.images import read_radiance, write_exr
 from ..core.pixels.grouped import grouped_sums
 from ..core.radiometry.adjustment import falloff_terms
@@ -215,7 +215,7 @@ def _observations(image: pycolmap.Image, file: Path, view: int) -> np.ndarray:
 
 def _applied(file: Path) -> np.ndarray:
     """(TERMS,) coefficients by which an image is corrected; zeros for one that was merged again."""
-    note = exr_note(file)
+    note = ExrFile(file).note
     return np.array(json.loads(note)) if note else np.zeros(TERMS)
 
 

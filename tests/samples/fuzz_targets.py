@@ -131,7 +131,7 @@ def _image_files(sample: Path, out: Path) -> None:
 
     refused = None
     for path in sorted(sample.iterdir()):
-        for read in (images.read_ids, images.read_radiance, images.is_plain, lambda file: describe(file, "a")):
+        for read in (images.read_ids, images.read_radiance, images.read_codes, lambda file: describe(file, "a")):
             try:
                 read(path)
             except FiptError as error:

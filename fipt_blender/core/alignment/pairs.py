@@ -51,13 +51,11 @@ def fit_pairs(source: np.ndarray, target: np.ndarray) -> PairFit:
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:
         raise ValueError(f"pairs of shapes {source.shape} and {target.shape}")
     if len(source) < MIN_PAIRS:
-        raise _unusable(f"{len(source)} pairs of points are too few")
+        raise undecided(f"{len(source)} pairs of points are too few")
     for name, points in (("photographs", source), ("mesh", target)):
         if not np.isfinite(points).all():
-            raise _unusable(f"A point of the {name} is not finite")
-        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        if not spread[1] > FLAT * spread[0]:
-            raise _unusable(f"The points of the {name} lie on one line")
+            raise undecided(f"A point of the {name} is not finite")
+        refuse_line(points, name)
     fitted = fit_similarity(source, target)
     residuals = _distances(fitted, source, target)
     flat = np.linalg.svd(source - source.mean(axis=0), compute_uv=False)
@@ -88,7 +86,19 @@ def _distances(similarity: np.ndarray, source: np.ndarray, target: np.ndarray) -
     return np.asarray(np.linalg.norm(mapped - target, axis=1))
 
 
-def _unusable(text: str) -> FiptError:
-    return FiptError(
-        "alignment-pairs", f"{text}.", "Pick three or more pairs of points far apart from each other."
-    )
+def refuse_line(points: np.ndarray, name: str) -> None:
+    """Refuse points (N, 3) of what has a name that lie on one line.
+
+    Raises:
+        FiptError: ``alignment-pairs``.
+    """
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if not spread[1] > FLAT * spread[0]:
+        raise undecided(f"The points of the {name} lie on one line")
+
+
+def undecided(
+    text: str, remedy: str = "Pick three or more pairs of points far apart, not on one line."
+) -> FiptError:
+    """The error for picked points that do not decide a placement."""
+    return FiptError("alignment-pairs", f"{text}.", remedy)

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..run.errors import FiptError
-from .pairs import MIN_PAIRS, MIRRORED, PairFit, fit_pairs
+from .pairs import MIN_PAIRS, MIRRORED, PairFit, fit_pairs, refuse_line, undecided
 from .turns import cross_matrix, even_turns, moved_about
 
 _TURNS = 1000  # rotations that are tried, about 25 degrees apart
@@ -67,7 +66,7 @@ def fit_sights(sights: Sights, target: np.ndarray) -> PairFit:
     _check_count(sights, target)
     inverse, cost = _solve(sights, target)
     if not np.isfinite(cost):
-        raise _undecided("No placement puts all points in front of the cameras that see them")
+        raise undecided("No placement puts all points in front of the cameras that see them")
     mirrored = False
     flat = np.linalg.svd(target - target.mean(axis=0), compute_uv=False)
     # Points in one plane fit both ways, and too few points fit anything.
@@ -84,27 +83,13 @@ def _check_count(sights: Sights, target: np.ndarray) -> None:
     known = sights.is_point
     numbers = 3 * int(known.sum()) + 2 * int((~known).sum())
     if len(np.unique(sights.pair)) < MIN_PAIRS or numbers < _MIN_NUMBERS:
-        raise FiptError(
-            "alignment-pairs",
-            "There are too few picked points.",
-            "Pick three points through two views each, or four or more points through one view each.",
-        )
+        remedy = "Pick three points through two views each, or four or more points through one view each."
+        raise undecided("There are too few picked points", remedy)
     cameras = np.unique(np.round(sights.origin[~known], 9), axis=0)
     if len(cameras) < 2 and known.sum() < 2:
-        raise FiptError(
-            "alignment-pairs",
-            "All points were picked through one view, which leaves the scale open.",
-            "Pick some of them through a second view.",
-        )
-    spread = np.linalg.svd(target - target.mean(axis=0), compute_uv=False)
-    if not spread[1] > 1e-4 * spread[0]:
-        raise _undecided("The points of the mesh lie on one line")
-
-
-def _undecided(text: str) -> FiptError:
-    return FiptError(
-        "alignment-pairs", f"{text}.", "Pick points far apart from each other and from one line."
-    )
+        text = "All points were picked through one view, which leaves the scale open"
+        raise undecided(text, "Pick some of them through a second view.")
+    refuse_line(target, "mesh")
 
 
 def _solve(sights: Sights, target: np.ndarray) -> tuple[np.ndarray, float]:
@@ -124,7 +109,7 @@ def _solve(sights: Sights, target: np.ndarray) -> tuple[np.ndarray, float]:
     if np.isfinite(least):
         values = np.linalg.svd(derivatives / np.maximum(np.linalg.norm(derivatives, axis=0), 1e-12))[1]
         if len(values) < 7 or values[-1] < 1e-5 * values[0]:
-            raise _undecided("The picked points leave the placement open")
+            raise undecided("The picked points leave the placement open")
     back = np.eye(4)
     back[:3, :3] *= size
     back[:3, 3] = middle

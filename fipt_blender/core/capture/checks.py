@@ -7,7 +7,7 @@ Nothing here writes files; `ingest` runs all checks before it writes anything.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
@@ -177,7 +177,7 @@ def _clipped_share(sample: np.ndarray) -> float:
 
 def judge_pixels(
     names: Sequence[str], statistics: Sequence[PixelStatistics], clamp_negative: bool
-) -> list[Note]:
+) -> Iterator[Note]:
     """Warnings about the photographs of a whole capture.
 
     Args:
@@ -196,53 +196,32 @@ def judge_pixels(
         )
     limit = -1e-3 * float(np.median(medians))  # of the capture's median radiance
     pairs = list(zip(names, statistics, strict=True))
-    notes: list[Note] = []
-    negative = [(name, item) for name, item in pairs if item.minimum < 0.0]
-    if negative:
-        name, worst = min(negative, key=lambda pair: pair[1].minimum)
-        if worst.minimum < limit and not clamp_negative:
+    if negative := [(name, item.minimum) for name, item in pairs if item.minimum < 0.0]:
+        name, lowest = min(negative, key=lambda pair: pair[1])
+        text = f"{len(negative)} photographs contain negative values (the lowest is {lowest:.3g}, in {name})"
+        if lowest < limit and not clamp_negative:
             raise FiptError(
                 "image-negative",
-                f"{len(negative)} photographs contain negative values (the lowest is {worst.minimum:g}, in "
-                f"{name}), but radiance can't be negative.",
+                f"{text}, but radiance can't be negative.",
                 "Export them without sharpening or color grading, or set negative values to zero "
                 "(Clamp Negative in the import settings, --clamp-negative).",
             )
-        notes.append(
-            Note(
-                "image-negative",
-                f"{len(negative)} photographs contain negative values (the lowest is {worst.minimum:.3g}, in "
-                f"{name}), which are set to zero.",
-                "Resampling filters produce such values; nothing needs to be done.",
-            )
-        )
-    clear = [item.transparent for _, item in pairs if item.transparent > 0.0]
-    if clear:
+        remedy = "Resampling filters produce such values; nothing needs to be done."
+        yield Note("image-negative", f"{text}, which are set to zero.", remedy)
+    if clear := [item.transparent for item in statistics if item.transparent > 0.0]:
         text = f"{len(clear)} photographs have pixels with alpha 0 (up to {100.0 * max(clear):.0f} %)."
         remedy = "They are left out, as by a mask; remove the alpha channel to use them."
-        notes.append(Note("image-transparent", text, remedy))
-    ldr = [name for name, item in pairs if item.looks_ldr]
-    if ldr:
-        notes.append(
-            Note(
-                "image-maybe-ldr",
-                f"{len(ldr)} photographs (the first is {ldr[0]}) contain only 8-bit values between 0 and 1: "
-                "they look like LDR photographs saved as EXR.",
-                "Merge several exposures into HDR: the radiance of lamps and windows must not be clipped.",
-            )
-        )
-    clipped = [(name, item.clipped) for name, item in pairs if item.clipped > 0.0]
-    if clipped:
+        yield Note("image-transparent", text, remedy)
+    if ldr := [name for name, item in pairs if item.looks_ldr]:
+        text = f"{len(ldr)} photographs (the first is {ldr[0]}) contain only 8-bit values between 0 and 1"
+        remedy = "Merge several exposures into HDR: the radiance of lamps and windows must not be clipped."
+        yield Note("image-maybe-ldr", f"{text}: they look like LDR photographs saved as EXR.", remedy)
+    if clipped := [(name, item.clipped) for name, item in pairs if item.clipped > 0.0]:
         name, share = max(clipped, key=lambda pair: pair[1])
-        notes.append(
-            Note(
-                "image-clipped",
-                f"{len(clipped)} photographs look over-exposed, {name} most ({100.0 * share:.1f} % of its "
-                "pixels).",
-                "Add shorter exposures to the HDR merge: clipped lamps are estimated too dark.",
-            )
-        )
-    return notes
+        most = f"{name} most ({100.0 * share:.1f} % of its pixels)"
+        text = f"{len(clipped)} photographs look over-exposed, {most}."
+        remedy = "Add shorter exposures to the HDR merge: clipped lamps are estimated too dark."
+        yield Note("image-clipped", text, remedy)
 
 
 def judge_size(points: np.ndarray, slack: float = 1.0) -> Note | None:
@@ -270,25 +249,21 @@ def judge_size(points: np.ndarray, slack: float = 1.0) -> Note | None:
     )
 
 
-def judge_encoded(encoded: Sequence[bool], exposures: Sequence[float | None]) -> list[Note]:
+def judge_encoded(encoded: Sequence[bool], exposures: Sequence[float | None]) -> Iterator[Note]:
     """What is assumed of photographs that are not HDR.
 
     Args:
         encoded: whether each photograph is one of these.
         exposures: stored in each file, or None.
     """
-    count = sum(encoded)
-    if not count:
-        return []
-    told = sum(exposure is not None for exposure in exposures)
-    some = f"{count} of {len(encoded)}" if count < len(encoded) else f"The {count}"
-    known = f"{told} files tell their exposure" if told else "their files tell no exposures"
-    return [
-        Note(
+    if count := sum(encoded):
+        told = sum(exposure is not None for exposure in exposures)
+        some = f"{count} of {len(encoded)}" if count < len(encoded) else f"The {count}"
+        known = f"{told} files tell their exposure" if told else "their files tell no exposures"
+        yield Note(
             "images-not-hdr",
             f"{some} photographs are not HDR ({known}). The camera's response, the exposures and the white"
             " balances are estimated from what several photographs show. Lamps are clipped in them.",
             "Where you have brackets of exposures, merge them into HDR (section Photographs, Make Capture):"
             " that is more accurate.",
         )
-    ]

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -228,21 +229,13 @@ def gradients(image: np.ndarray) -> np.ndarray:
     return np.stack([image, np.gradient(image, axis=1), np.gradient(image, axis=0)]).astype(np.float32)
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """A step of Gauss-Newton from some parameters (log focal, shift x, y, offset x, y).
+class _Step(NamedTuple):
+    """A step of Gauss-Newton from some parameters (log focal, shift x, y, offset x, y)."""
 
-    Attributes:
-        better: (5,) the parameters after it.
-        error: (5,) standard errors of the parameters.
-        cost: disagreement of the photographs at the parameters before it.
-        unlikely: negative logarithm of the posterior of these, up to a constant.
-    """
-
-    better: np.ndarray
-    error: np.ndarray
-    cost: float
-    unlikely: float
+    better: np.ndarray  # (5,) the parameters after it
+    error: np.ndarray  # (5,) standard errors of the parameters
+    cost: float  # disagreement of the photographs at the parameters before it
+    unlikely: float  # negative logarithm of the posterior of these, up to a constant
 
 
 def _step(found: np.ndarray, images: np.ndarray, sightings: Sightings, camera: np.ndarray) -> _Step:

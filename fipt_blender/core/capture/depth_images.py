@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
 
@@ -24,10 +24,9 @@ from ..run.errors import FiptError
 from ..run.runfolder import PRODUCT_VERSION, RunFolder, write_json
 from . import checks
 from .encoded import srgb_encoded
-from .exr_file import read_exr_values
 from .files import stand_in
-from .images import is_encoded, open_picture, read_radiance, read_size, stored_values
-from .options import FusionOptions
+from .images import open_picture, read_radiance, read_size
+from .options import CaptureOptions
 from .rig import DepthView, Pinhole, RigView
 
 # Beyond this, depth cameras of phones and consoles measure little but noise.
@@ -96,7 +95,7 @@ def _confidence(path: Path, shape: tuple[int, ...]) -> np.ndarray | np.float32:
         file = file if file != path else path.with_name(path.name.replace("depth", word))
         if file == path or not file.is_file():
             continue
-        values = stored_values(file, open_picture(file))[..., 0].astype(np.float32)
+        values = open_picture(file).data()[..., 0].astype(np.float32)
         if values.shape == shape:  # apps write 0 to 2, or 0 to 255
             return np.clip(values / (2.0 if values.max() <= 2.0 else 255.0), DOUBTFUL, 1.0)
     return np.float32(1.0)
@@ -106,11 +105,11 @@ def _stored(path: Path) -> np.ndarray:
     """(H, W) float32 values, 0 where nothing was measured."""
     try:
         picture = open_picture(path)
-        if picture.kind == "exr":
-            return np.nan_to_num(read_exr_values(path)[..., 0], nan=0.0, posinf=0.0, neginf=0.0)
-        values = stored_values(path, picture)
+        values = picture.data()
     except FiptError as error:
         raise _unusable(path, error) from None
+    if picture.kind == "exr":
+        return np.nan_to_num(values[..., 0], nan=0.0, posinf=0.0, neginf=0.0)
     if picture.kind != "png" or values.shape[2] > 1 or values.dtype != np.uint16:
         raise _no_depth(path)
     return np.where(values == 65535, 0, values)[..., 0].astype(np.float32)  # both stand for no depth
@@ -132,7 +131,7 @@ def _no_depth(path: Path) -> FiptError:
 def _colors(view: DepthView, depth: np.ndarray, scale: float) -> np.ndarray | None:
     """The photograph's colors at the depth image's pixels, as sRGB codes from 0 to 1."""
     photograph = view.photograph
-    if photograph is None or not is_encoded(photograph.image):
+    if photograph is None or not open_picture(photograph.image).is_encoded:
         return None
     pixels = srgb_encoded(read_radiance(photograph.image))
     from_depth = np.linalg.inv(photograph.camera_to_world) @ view.camera_to_world
@@ -211,7 +210,7 @@ def _confirmed(views: Sequence[DepthView], scale: float) -> float:
 
 
 def fuse(
-    views: Sequence[DepthView], options: FusionOptions, scale: float, progress: Callable[[float], None]
+    views: Sequence[DepthView], options: CaptureOptions, scale: float, progress: Callable[[float], None]
 ) -> FusedMesh:
     """The mesh of a capture's depth images, in the capture's coordinates.
 
@@ -227,7 +226,8 @@ def fuse(
     check_unit(some)
     _check_other_units(views[:: max(1, len(views) // 8)], scale)
     voxel = options.voxel or max(FINEST, SPACINGS * pixel_spacing(some))
-    with_color = any(view.photograph is not None and is_encoded(view.photograph.image) for view in views)
+    photographs = [view.photograph.image for view in views if view.photograph is not None]
+    with_color = any(open_picture(path).is_encoded for path in photographs)
     volume, gaps = BlockVolume(voxel, with_color), BlockVolume(voxel, with_color)
     for index, view in enumerate(views):
         gaps.integrate(gap_image(read_depth(view, scale)))
@@ -276,7 +276,7 @@ class Fusion:
 
     run: RunFolder
     views: Sequence[DepthView]
-    options: FusionOptions
+    options: CaptureOptions
     scale: float
 
     @property
@@ -313,7 +313,7 @@ class Fusion:
             if photograph is not None:
                 camera += [*photograph.lens.parameters, *photograph.camera_to_world.ravel().tolist()]
             entries.append([states, camera])
-        data = [PRODUCT_VERSION, astuple(self.options), self.scale, entries]
+        data = [PRODUCT_VERSION, (self.options.voxel, self.options.triangles), self.scale, entries]
         return hashlib.sha256(json.dumps(data).encode()).hexdigest()
 
 
@@ -342,15 +342,13 @@ def registered_depths(
     Raises:
         FiptError: ``depth-unreadable``.
     """
-    pairs = zip(views, paths, strict=True)
-    return tuple(_registered_depth(view, path, unit) for view, path in pairs if path is not None)
-
-
-def _registered_depth(view: RigView, path: Path, unit: float) -> DepthView:
-    width, height = depth_size(path)
-    x, y = width / view.width, height / view.height
-    fx, fy, cx, cy = view.lens.parameters
-    unit = 1.0 if path.suffix.lower() == ".exr" else unit
-    pose = view.camera_to_world
-    photograph = None if view.missing else view
-    return DepthView(path, width, height, fx * x, fy * y, cx * x, cy * y, unit, pose, photograph)
+    found = []
+    for view, path in zip(views, paths, strict=True):
+        if path is not None:
+            width, height = depth_size(path)
+            x, y = width / view.width, height / view.height
+            fx, fy, cx, cy = view.lens.parameters
+            own, photograph = 1.0 if path.suffix.lower() == ".exr" else unit, None if view.missing else view
+            camera = (fx * x, fy * y, cx * x, cy * y, own, view.camera_to_world)
+            found.append(DepthView(path, width, height, *camera, photograph))
+    return tuple(found)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ _VIEWS = ("left", "right", "center", "main")  # of stereo files; the last part o
 _COLOR_NAMES = {"RED": "R", "GREEN": "G", "BLUE": "B"}
 _LUMA_CHROMA = ("Y", "RY", "BY")
 NOTE = "fiptNote"  # attribute of a header
+_WINDOWS = ("displayWindow", "dataWindow")  # attributes of a header
 
 
 @dataclass(frozen=True)
@@ -54,67 +56,109 @@ class Layer:
         return next((names for names in ("RGB", _LUMA_CHROMA) if set(names) <= self.channels.keys()), ())
 
 
-def exr_size(path: Path) -> tuple[int, int]:
-    """Width and height of the display window; raises as `read_exr`."""
-    return _window_size(_open(path, header_only=True).parts[0].header["displayWindow"])
+class ExrFile:
+    """An OpenEXR file by the headers of its parts.
 
+    Raises:
+        FiptError: ``image-unreadable`` or ``image-too-large``.
+    """
 
-def exr_note(path: Path) -> str:
-    """The text that `images.write_exr` has put into the header, "" without; raises as `read_exr`."""
-    return str(_open(path, header_only=True).parts[0].header.get(NOTE, ""))
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        file = self._open(header_only=True)
+        self._headers = [file.header(index) for index in range(len(file.parts))]
+        try:
+            sizes = [[_window_size(header[name]) for name in _WINDOWS] for header in self._headers]
+        except (RuntimeError, ValueError, TypeError) as error:
+            raise unreadable(path, error) from None
+        for (width, height), stored in sizes:
+            check_pixels(path, width, height)
+            check_pixels(path, *stored)
+            if width * height > 16_000_000 and stored[0] * stored[1] < width * height / 16:
+                reason = f"{width} x {height} pixels, of which {stored[0]} x {stored[1]} are stored"
+                raise unreadable(path, reason)
+        self.size = sizes[0][0]
 
+    @property
+    def note(self) -> str:
+        """The text that `images.write_exr` has put into the header, "" without."""
+        return str(self._headers[0].get(NOTE, ""))
 
-def exr_is_plain(path: Path, layer: str) -> bool:
-    """Whether programs that know nothing of layers and primaries read the same picture."""
-    file = _open(path, header_only=True)
-    found = chosen_layer(path, _layers(file), layer)
-    names = [found.channels[name] for name in found.color or "Y"]
-    if len(file.parts) > 1 or names not in (["R", "G", "B"], ["Y"]):
+    def is_plain(self, layer: str) -> bool:
+        """Whether programs that know nothing of layers and primaries read the same picture."""
+        with suppress(FiptError):  # of no or several pictures, or impossible primaries
+            found = chosen_layer(self.path, self._layers(), layer)
+            names = [found.channels[name] for name in found.color or "Y"]
+            if len(self._headers) == 1 and names in (["R", "G", "B"], ["Y"]):
+                return _primaries(self.path, self._headers[found.part])[0] is None
         return False
-    return _primaries(path, file.header(found.part))[0] is None
 
+    def picture(self, layer: str = "") -> tuple[np.ndarray, np.ndarray | None]:
+        """Linear Rec.709 of the picture, (height, width, 3) float32 on the display window, and its alpha
+        (height, width), None without.
 
-def read_exr(path: Path, layer: str = "") -> np.ndarray:
-    """Linear Rec.709 of the picture in a file, (height, width, 3) float32, on the display window.
+        Args:
+            layer: name of the part or layer; "" for the one that is named like a picture.
 
-    Args:
-        path: of the file.
-        layer: name of the part or layer; "" for the one that is named like a picture.
+        Raises:
+            FiptError: ``image-unreadable``; ``image-channels`` where no layer is a picture, ``image-layers``
+                where several may be it.
+        """
+        found = chosen_layer(self.path, self._layers(), layer)
+        file = self._open()
+        planes = [_plane(file, found, name) for name in found.color or "Y"]
+        alpha = _plane(file, found, "A") if "A" in found.channels else None
+        matrix, weights = _primaries(self.path, self._headers[found.part])
+        if found.color == _LUMA_CHROMA:  # Y, RY = (R - Y) / Y, BY = (B - Y) / Y
+            red, blue = ((plane + np.float32(1.0)) * planes[0] for plane in planes[1:])
+            green = (planes[0] - weights[0] * red - weights[2] * blue) / weights[1]
+            planes = [red, green.astype(np.float32), blue]
+        pixels = np.stack(planes * (3 // len(planes)), axis=-1)
+        if matrix is not None and len(planes) == 3:
+            pixels = pixels @ matrix.T.astype(np.float32)
+        return pixels, alpha
 
-    Raises:
-        FiptError: ``image-unreadable``, ``image-too-large``, ``image-channels`` where no layer is a picture,
-            ``image-layers`` where several may be it.
-    """
-    file = _open(path)
-    found = chosen_layer(path, _layers(file), layer)
-    header = file.header(found.part)
-    planes = [_plane(file, found, name) for name in found.color or "Y"]
-    if len(planes) == 1:
-        return np.repeat(planes[0][..., None], 3, axis=-1)
-    matrix, weights = _primaries(path, header)
-    if found.color == _LUMA_CHROMA:  # Y, RY = (R - Y) / Y, BY = (B - Y) / Y
-        red, blue = ((plane + np.float32(1.0)) * planes[0] for plane in planes[1:])
-        green = (planes[0] - weights[0] * red - weights[2] * blue) / weights[1]
-        planes = [red, green.astype(np.float32), blue]
-    pixels = np.stack(planes, axis=-1)
-    return pixels if matrix is None else pixels @ matrix.T.astype(np.float32)
+    def values(self) -> np.ndarray:
+        """Values (height, width, 1 or 3) of an image that is no picture, as stored: ids, depths.
 
+        They are the file's only channel, or R, G and B, Y or R of the layer that would be its picture.
 
-def read_exr_values(path: Path) -> np.ndarray:
-    """Values (height, width, 1 or 3) of an image that is no picture, as stored: ids, depths.
+        Raises:
+            FiptError: those of `picture`.
+        """
+        layers = self._layers()
+        layer = layers[0] if len(layers) == 1 else chosen_layer(self.path, layers, "", others=True)
+        file = self._open()
+        if set("RGB") <= layer.channels.keys():
+            return np.stack([_plane(file, layer, name) for name in "RGB"], axis=-1)
+        names = sorted(layer.channels, key=lambda name: (name != "R", name != "Y", name == "A", name))
+        return _plane(file, layer, names[0])[..., None]
 
-    They are the file's only channel, or R, G and B, Y or R of the layer that would be its picture.
+    def _open(self, header_only: bool = False) -> OpenEXR.File:
+        """The file with its pixels, or without; the sizes that its header announces are known before."""
+        try:
+            file = OpenEXR.File(str(self.path), separate_channels=True, header_only=header_only)
+        except (RuntimeError, ValueError, TypeError) as error:
+            raise unreadable(self.path, error) from None
+        # OpenEXR only prints a warning where pixels are missing.
+        if not file.parts or (not header_only and len(file.parts) != len(self._headers)):
+            raise unreadable(self.path, "the file is truncated or damaged")
+        return file
 
-    Raises:
-        FiptError: those of `read_exr`.
-    """
-    file = _open(path)
-    layers = _layers(file)
-    layer = layers[0] if len(layers) == 1 else chosen_layer(path, layers, "", others=True)
-    if set("RGB") <= layer.channels.keys():
-        return np.stack([_plane(file, layer, name) for name in "RGB"], axis=-1)
-    names = sorted(layer.channels, key=lambda name: (name != "R", name != "Y", name == "A", name))
-    return _plane(file, layer, names[0])[..., None]
+    def _layers(self) -> list[Layer]:
+        """The layers of all parts; those of several parts have the part's name first."""
+        found = []
+        for index, header in enumerate(self._headers):
+            part = str(header.get("name") or "")
+            if len(self._headers) == 1 and not _OTHERS.fullmatch(_last(part)):
+                part = ""
+            by_layer: dict[str, dict[str, str]] = {}
+            for channel in header["channels"]:
+                layer, _, name = channel.name.rpartition(".")
+                by_layer.setdefault(layer, {})[_COLOR_NAMES.get(name.upper(), name.upper())] = channel.name
+            for layer, channels in by_layer.items():
+                found.append(Layer(index, ".".join(word for word in (part, layer) if word), channels))
+        return found
 
 
 def chosen_layer(path: Path, layers: Sequence[Layer], wanted: str, others: bool = False) -> Layer:
@@ -161,48 +205,6 @@ def _last(name: str) -> str:
     """The last word of a layer's name, of stereo files the one before the view; plain small letters."""
     words = [re.sub(r"[\s_-]", "", word).lower() for word in name.split(".")]
     return words[-2] if len(words) > 1 and words[-1] in _VIEWS else words[-1]
-
-
-def _layers(file: OpenEXR.File) -> list[Layer]:
-    """The layers of all parts; those of several parts have the part's name first."""
-    found = []
-    for index in range(len(file.parts)):
-        header = file.header(index)
-        part = str(header.get("name") or "")
-        if len(file.parts) == 1 and not _OTHERS.fullmatch(_last(part)):
-            part = ""
-        by_layer: dict[str, dict[str, str]] = {}
-        for channel in header["channels"]:
-            layer, _, name = channel.name.rpartition(".")
-            by_layer.setdefault(layer, {})[_COLOR_NAMES.get(name.upper(), name.upper())] = channel.name
-        for layer, channels in by_layer.items():
-            found.append(Layer(index, ".".join(word for word in (part, layer) if word), channels))
-    return found
-
-
-def _open(path: Path, header_only: bool = False) -> OpenEXR.File:
-    """Open an EXR after a look at the sizes that its header announces.
-
-    Raises:
-        FiptError: ``image-unreadable`` or ``image-too-large``.
-    """
-    try:
-        file = OpenEXR.File(str(path), separate_channels=True, header_only=True)
-        for index in range(len(file.parts)):
-            header = file.header(index)
-            (width, height), stored = (_window_size(header[name]) for name in ("displayWindow", "dataWindow"))
-            check_pixels(path, width, height)
-            check_pixels(path, *stored)
-            if width * height > 16_000_000 and stored[0] * stored[1] < width * height / 16:
-                raise ValueError(f"{width} x {height} pixels, of which {stored[0]} x {stored[1]} are stored")
-        count = len(file.parts)
-        if not header_only:
-            file = OpenEXR.File(str(path), separate_channels=True)
-    except (RuntimeError, ValueError, TypeError) as error:
-        raise unreadable(path, error) from None
-    if not count or len(file.parts) != count:  # OpenEXR only prints a warning where pixels are missing
-        raise unreadable(path, "the file is truncated or damaged")
-    return file
 
 
 def _window_size(window: Any) -> tuple[int, int]:

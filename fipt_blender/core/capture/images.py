@@ -13,6 +13,7 @@ import io
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from ..run.errors import FiptError
 from ..run.extras import optional
 from ..run.runfolder import atomic_path
 from ..run.store import refuse_infinite
+from ..run.threads import cached_property
 from . import primaries
 from .encoded import (
     DAMAGE,
@@ -36,7 +38,7 @@ from .encoded import (
     srgb_encoded,
     unreadable,
 )
-from .exr_file import NOTE, exr_is_plain, exr_size, read_exr, read_exr_values
+from .exr_file import NOTE, ExrFile
 from .files import stand_in
 from .primaries import Colors
 from .suffixes import IMAGE_SUFFIXES, RAW_SUFFIXES
@@ -59,36 +61,127 @@ _TYPES = {"uint8": "uint8", "uint16": "uint16", **dict.fromkeys(("half", "float"
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What an image's header says.
+    """An image file: its header, which is read once, and its pixels, which are decoded when they are asked
+    for.
 
     Attributes:
+        path: of the file.
         kind: "exr", "heif" or OpenImageIO's name of the format.
-        size: width and height in pixels.
+        size: width and height in pixels, as stored.
         type: of the values: "uint8" or "uint16" are codes, "float32" is radiance.
         colors: what the values mean.
-        read: makes the pixels (height, width, channels), with or without alpha.
+        is_plain: whether programs that know nothing of layers, primaries and curves show the same.
+        decode: makes the pixels (height, width, channels), and alpha (height, width), None without.
         exif: where its EXIF is.
+        numbers: makes the values (height, width, channels) of an EXR that is no picture.
     """
 
+    path: Path
     kind: str
     size: tuple[int, int]
     type: str
     colors: Colors
-    read: Callable[[], Any]
-    exif: Path | bytes
+    is_plain: bool
+    decode: Callable[[], tuple[Any, np.ndarray | None]]
+    exif: Path | bytes = b""
+    numbers: Callable[[], np.ndarray] | None = None
+
+    @property
+    def is_encoded(self) -> bool:
+        """Whether it holds codes instead of radiance."""
+        return self.type != "float32"
+
+    @cached_property
+    def tags(self) -> dict[str, Any]:
+        """EXIF tags that are about the pixels as they are read; see `exif_tags`."""
+        tags = exif_tags(self.exif)
+        if self.kind in ("heif", "jpegxl"):  # turned by the decoder, as their containers say
+            tags.pop("Image Orientation", None)
+        return tags
+
+    @property
+    def exposure(self) -> float | None:
+        """The relative exposure by the EXIF of an image that is not HDR; None without."""
+        return relative_exposure(self.tags) if self.is_encoded else None
+
+    def stored(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Values (height, width, 1 or 3) as stored, and alpha (height, width), or None without.
+
+        Raises:
+            FiptError: ``image-unreadable``.
+        """
+        try:
+            decoded, alpha = self.decode()
+        except DAMAGE as error:
+            raise unreadable(self.path, error) from None
+        pixels = np.asarray(decoded)
+        pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+        return pixels[..., : 3 if pixels.shape[-1] > 2 else 1], alpha
+
+    def data(self) -> np.ndarray:
+        """Values (height, width, 1 or 3) as stored of an image that is no picture: ids, depths.
+
+        Raises:
+            FiptError: ``image-unreadable``.
+        """
+        return self.stored()[0] if self.numbers is None else self.numbers()
+
+    def shown(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Radiance as of `read_radiance`, and (height, width) bool, whose alpha is 0, so that they show
+        nothing; None where none or all are."""
+        values, alpha = self.stored()
+        pixels, matrix = _three(values), self.colors.matrix
+        if self.is_encoded:
+            # By a table, since powers of all pixels would take seconds.
+            table, curve = _curve_table(self).astype(np.float32), self.colors.curve
+            # No code is clipped; to check that would take longer.
+            pixels = np.take(table[:, 0], pixels, mode="clip") if curve is None else _mapped(table, pixels)
+        if matrix is not None:
+            pixels = pixels @ matrix.T.astype(np.float32)
+            pixels = np.clip(pixels, 0.0, 1.0) if self.is_encoded else pixels
+        clear = None if alpha is None else alpha <= 0.0
+        return pixels, clear if clear is not None and clear.any() and not clear.all() else None
+
+    def ids(self) -> np.ndarray:
+        """Its ids; see `read_ids`."""
+        if self.kind == "exr":
+            values = self.data()
+            if not np.isfinite(values).all() or np.abs(values - np.round(values)).max(initial=0.0) > 1e-3:
+                fault = "contains fractions"
+                raise _no_ids(self.path, fault, "without anti-aliasing, with one integer per part")
+            ids = _red(self.path, np.round(values).astype(np.int64))
+        elif self.kind == "png":
+            ids = _png_ids(self)
+        else:
+            raise _no_ids(self.path, "is not a PNG or EXR file (lossy formats change ids)", "as PNG or EXR")
+        if np.abs(ids).max(initial=0) > MAX_ID:
+            raise _no_ids(self.path, f"contains ids above {MAX_ID}", "with smaller ids")
+        return ids.astype(np.int32)
 
 
 def open_picture(path: Path, layer: str = "") -> Picture:
-    """What an image's header says; no pixel is read.
+    """An image file by its header; no pixel is decoded. The same object while the file does not change.
 
     Args:
         path: of the file.
-        layer: of an EXR; see `read_exr`.
+        layer: of an EXR; see `ExrFile.picture`.
 
     Raises:
         FiptError: ``image-missing``, ``image-unreadable``, ``image-too-large``, ``image-format`` for other
             formats, or ``package-optional``.
     """
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        raise missing(path) from None
+    except DAMAGE as error:
+        raise unreadable(path, error) from None
+    return _opened(path, layer, status.st_ino, status.st_size, status.st_mtime_ns)
+
+
+@lru_cache(maxsize=10_000)
+def _opened(path: Path, layer: str, *state: int) -> Picture:
+    """`open_picture` of a file in a state."""
     try:
         with path.open("rb") as file:
             found = _STARTS.match(file.read(16))
@@ -103,46 +196,16 @@ def open_picture(path: Path, layer: str = "") -> Picture:
                 f"{path} has a format that can't be read; {FORMATS} can.",
                 "Export one of these, or prepare the photographs (section Photographs), which reads RAW.",
             )
-        if kind == "exr":
-            return Picture(kind, exr_size(path), "float32", Colors(), lambda: read_exr(path, layer), b"")
-        picture = _open_heif(path) if kind == "heif" else _open_by_oiio(path, kind)
-    except FileNotFoundError:
-        raise missing(path) from None
+        picture = _OPEN.get(kind, _open_by_oiio)(path, kind, layer)
     except DAMAGE as error:
         raise unreadable(path, error) from None
     check_pixels(path, *picture.size)
     return picture
 
 
-def stored_values(path: Path, picture: Picture) -> np.ndarray:
-    """Values (height, width, channels) as stored, of which the fourth may be left out.
-
-    Raises:
-        FiptError: ``image-unreadable``.
-    """
-    try:
-        pixels = np.asarray(picture.read())
-    except DAMAGE as error:
-        raise unreadable(path, error) from None
-    return pixels[..., None] if pixels.ndim == 2 else pixels
-
-
 def read_size(path: Path) -> tuple[int, int]:
     """Width and height in pixels of an image as it is stored, from its header; raises as `open_picture`."""
     return open_picture(path).size
-
-
-def is_encoded(path: Path) -> bool:
-    """Whether a photograph's file holds codes instead of radiance; raises as `open_picture`."""
-    return open_picture(path).type != "float32"
-
-
-def is_plain(path: Path, layer: str = "") -> bool:
-    """Whether programs that know nothing of layers, primaries and curves read what `read_radiance` reads."""
-    picture = open_picture(path)
-    if picture.kind == "exr":
-        return exr_is_plain(path, layer)
-    return picture.kind != "heif" and picture.colors.curve is None and picture.colors.matrix is None
 
 
 def read_radiance(path: Path, layer: str = "") -> np.ndarray:
@@ -152,19 +215,9 @@ def read_radiance(path: Path, layer: str = "") -> np.ndarray:
         (height, width, 3) float32, units as stored; from 0 to 1 where the image is not HDR.
 
     Raises:
-        FiptError: those of `open_picture` and `read_exr`.
+        FiptError: those of `open_picture` and `ExrFile.picture`.
     """
-    picture = open_picture(path, layer)
-    pixels, matrix = _colors_of(path, picture), picture.colors.matrix
-    if picture.type != "float32":
-        # By a table, since powers of all pixels would take seconds.
-        table, curve = _curve_table(picture).astype(np.float32), picture.colors.curve
-        # No code is clipped; to check that would take longer.
-        pixels = np.take(table[:, 0], pixels, mode="clip") if curve is None else _mapped(table, pixels)
-    if matrix is None:
-        return pixels
-    pixels = pixels @ matrix.T.astype(np.float32)
-    return pixels if picture.type == "float32" else np.clip(pixels, 0.0, 1.0)
+    return open_picture(path, layer).shown()[0]
 
 
 def read_codes(path: Path, as_stored: bool = False) -> tuple[np.ndarray, np.ndarray | None]:
@@ -182,40 +235,10 @@ def read_codes(path: Path, as_stored: bool = False) -> tuple[np.ndarray, np.ndar
         FiptError: those of `open_picture`.
     """
     picture = open_picture(path)
-    codes = _colors_of(path, picture)
+    codes = _three(picture.stored()[0])
     if picture.colors.curve is not None and not as_stored:
         codes = _mapped(np.round(65535.0 * srgb_encoded(_curve_table(picture))).astype(np.uint16), codes)
     return codes, picture.colors.matrix
-
-
-def transparent(path: Path) -> np.ndarray | None:
-    """(height, width) bool: whose alpha is 0, so that they show nothing; None where none or all are."""
-    picture = open_picture(path)
-    if picture.kind == "heif":
-        return None
-    file = oiio.ImageInput.open(str(path))
-    alpha = -1 if file is None else file.spec().alpha_channel
-    if alpha < 0:
-        return None
-    values = file.read_image(0, 0, alpha, alpha + 1, "float")
-    if values is None or np.shape(values)[:2] != picture.size[::-1]:
-        return None
-    clear = np.asarray(values)[..., 0] <= 0.0
-    return clear if clear.any() and not clear.all() else None
-
-
-def image_tags(path: Path) -> dict[str, Any]:
-    """EXIF tags of an image that are about its pixels as they are read; see `exif_tags`."""
-    picture = open_picture(path)
-    tags = exif_tags(picture.exif)
-    if picture.kind in ("heif", "jpegxl"):  # turned by the decoder, as their containers say
-        tags.pop("Image Orientation", None)
-    return tags
-
-
-def file_exposure(path: Path) -> float | None:
-    """The relative exposure by the EXIF of an image that is not HDR; None without."""
-    return relative_exposure(image_tags(path)) if is_encoded(path) else None
 
 
 def read_ids(path: Path) -> np.ndarray:
@@ -231,19 +254,7 @@ def read_ids(path: Path) -> np.ndarray:
     Raises:
         FiptError: those of `open_picture`, ``mask-not-ids`` where values are not ids.
     """
-    kind = open_picture(path).kind
-    if kind == "exr":
-        values = read_exr_values(path)
-        if not np.isfinite(values).all() or np.abs(values - np.round(values)).max(initial=0.0) > 1e-3:
-            raise _no_ids(path, "contains fractions", "without anti-aliasing, with one integer per part")
-        ids = _red(path, np.round(values).astype(np.int64))
-    elif kind == "png":
-        ids = _png_ids(path)
-    else:
-        raise _no_ids(path, "is not a PNG or EXR file (lossy formats change ids)", "as PNG or EXR")
-    if np.abs(ids).max(initial=0) > MAX_ID:
-        raise _no_ids(path, f"contains ids above {MAX_ID}", "with smaller ids")
-    return ids.astype(np.int32)
+    return open_picture(path).ids()
 
 
 def write_exr(path: Path, array: np.ndarray, half: bool = False, lossy: bool = False, note: str = "") -> None:
@@ -254,7 +265,7 @@ def write_exr(path: Path, array: np.ndarray, half: bool = False, lossy: bool = F
         array: (height, width, 3) as R, G, B, or (height, width) as Y; converted to float.
         half: 16-bit values, clamped to ±65504, instead of 32-bit.
         lossy: compressed to a quarter, for pictures that are only looked at.
-        note: a text in the header, which `exr_note` reads.
+        note: a text in the header, as of `ExrFile`.
 
     Raises:
         FiptError: ``not-finite``, ``disk-full`` or ``run-unwritable``.
@@ -317,8 +328,15 @@ def write_ids(path: Path, ids: np.ndarray) -> None:
         temporary.write_bytes(buffer.getbuffer())
 
 
-def _open_heif(path: Path) -> Picture:
-    file = optional("heif", "A photograph in HEIC").open_heif(path, convert_hdr_to_8bit=False)
+def _open_exr(path: Path, kind: str, layer: str) -> Picture:
+    file = ExrFile(path)
+    decode, plain = partial(file.picture, layer), file.is_plain(layer)
+    return Picture(path, kind, file.size, "float32", Colors(), plain, decode, numbers=file.values)
+
+
+def _open_heif(path: Path, kind: str, _: str) -> Picture:
+    open_file = partial(optional(kind, "A photograph in HEIC").open_heif, path, convert_hdr_to_8bit=False)
+    file = open_file()
     icc, nclx = file.info.get("icc_profile"), file.info.get("nclx_profile")
     colors = Colors()
     if icc:
@@ -329,19 +347,15 @@ def _open_heif(path: Path) -> Picture:
         corners = [f"color_primary_{name}" for name in ("red", "green", "blue", "white")]
         values = [nclx[f"{corner}_{axis}"] for corner in corners for axis in "xy"]
         colors = Colors(None, primaries.to_rec709(np.array(values)))
-    kind = "uint16" if file.mode.endswith("16") else "uint8"
+    values_type = "uint16" if file.mode.endswith("16") else "uint8"
     exif = file.info.get("exif") or b""
-    return Picture("heif", tuple(file.size), kind, colors, lambda: np.asarray(file), exif)
+    size = tuple(file.size)
+    return Picture(path, kind, size, values_type, colors, False, lambda: (open_file(), None), exif)
 
 
-def _open_by_oiio(path: Path, kind: str) -> Picture:
+def _open_by_oiio(path: Path, kind: str, _: str) -> Picture:
     colors = _radiance_colors(path) if kind == "hdr" else Colors()
-    hints = oiio.ImageSpec()
-    hints.attribute("oiio:UnassociatedAlpha", 1)  # colours are not multiplied by alpha
-    file = oiio.ImageInput.open(str(path), hints)
-    if file is None or file.format_name() != kind:
-        raise ValueError(oiio.geterror() or f"it is no valid {kind}; {FORMATS} can be read")
-    spec = file.spec()
+    spec = _oiio_input(path, kind).spec()
     name = _TYPES.get(str(spec.format))
     if name is None:
         raise ValueError(f"its values are {spec.format}, not of 8 or 16 bits or floats")
@@ -361,14 +375,29 @@ def _open_by_oiio(path: Path, kind: str) -> Picture:
     if kind == "webp":  # where ExifRead finds none
         with WebPImagePlugin.WebPImageFile(path) as webp:
             exif = webp.info.get("exif") or b""
+    count, alpha = spec.nchannels, spec.alpha_channel
 
-    def read() -> Any:
-        pixels = file.read_image(0, 0, 0, min(spec.nchannels, 3), name)
+    def decode() -> tuple[Any, np.ndarray | None]:
+        file = _oiio_input(path, kind)
+        pixels = file.read_image(0, 0, 0, min(count, max(3, alpha + 1)), name)
         if pixels is None or file.has_error:
             raise ValueError(file.geterror() or "it is damaged")
-        return pixels
+        return (pixels, None) if alpha < 0 else (pixels[..., :3], np.asarray(pixels)[..., alpha])
 
-    return Picture(kind, (spec.width, spec.height), name, colors, read, exif)
+    is_plain = colors.curve is None and colors.matrix is None
+    return Picture(path, kind, (spec.width, spec.height), name, colors, is_plain, decode, exif)
+
+
+def _oiio_input(path: Path, kind: str) -> Any:
+    hints = oiio.ImageSpec()
+    hints.attribute("oiio:UnassociatedAlpha", 1)  # colours are not multiplied by alpha
+    file = oiio.ImageInput.open(str(path), hints)
+    if file is None or file.format_name() != kind:
+        raise ValueError(oiio.geterror() or f"it is no valid {kind}; {FORMATS} can be read")
+    return file
+
+
+_OPEN = {"exr": _open_exr, "heif": _open_heif}  # of other formats, OpenImageIO
 
 
 def _png_chunk(path: Path, name: bytes) -> bytes | None:
@@ -404,10 +433,9 @@ def _radiance_colors(path: Path) -> Colors:
     return Colors(None, None if plain else (np.eye(3) if matrix is None else matrix) * scale)
 
 
-def _colors_of(path: Path, picture: Picture) -> np.ndarray:
-    """Values (height, width, 3) as stored; grey ones are repeated."""
-    pixels = stored_values(path, picture)
-    return np.repeat(pixels[..., :1], 3, axis=-1) if pixels.shape[-1] < 3 else pixels[..., :3]
+def _three(values: np.ndarray) -> np.ndarray:
+    """Values (height, width, 3) of 1 or 3 channels; grey ones are repeated."""
+    return np.repeat(values, 3, axis=-1) if values.shape[-1] < 3 else values
 
 
 def _curve_table(picture: Picture) -> np.ndarray:
@@ -423,8 +451,9 @@ def _mapped(table: np.ndarray, codes: np.ndarray) -> np.ndarray:
     return np.stack([table[codes[..., channel], channel] for channel in range(3)], axis=-1)
 
 
-def _png_ids(path: Path) -> np.ndarray:
+def _png_ids(picture: Picture) -> np.ndarray:
     """Ids (height, width) int64 of an id image in PNG."""
+    path = picture.path
     try:
         with PngImagePlugin.PngImageFile(path) as image:  # of palettes, OpenImageIO gives only the colours
             if image.mode == "P":
@@ -432,8 +461,7 @@ def _png_ids(path: Path) -> np.ndarray:
             bits = {"1": 1, "L;2": 2, "L;4": 4}.get(str(image.tile[0].args), 8)
     except DAMAGE as error:
         raise unreadable(path, error) from None
-    picture = open_picture(path)
-    colors = stored_values(path, picture).astype(np.int64)
+    colors = picture.stored()[0].astype(np.int64)
     if colors.shape[-1] < 3:
         return colors[..., 0] // (255 // (2**bits - 1))  # fewer bits than 8 are scaled
     if picture.type == "uint16":

@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from .. import conventions
-from ..run.contents import CapturedView, CapturedViews, UpAxis
+from ..run.contents import CapturedViews, UpAxis
 from ..run.declared import add_options, converted, options_of
 from ..run.errors import FiptError
 from ..run.kinds import as_matrix
@@ -31,44 +31,16 @@ from ..run.runfolder import RunFolder, write_json
 from ..run.settings import make_settings
 from ..run.threads import in_threads
 from . import checks
-from .averaging import means
-from .distortion import Undistortion, is_distorted, lens_pinhole, undistorted_pinhole, undistortion
-from .encoded import srgb_encoded
 from .files import Folders
-from .images import (
-    EXR_SUFFIX,
-    HALF_MAX,
-    MAX_PNG_ID,
-    file_exposure,
-    is_encoded,
-    is_plain,
-    open_picture,
-    read_ids,
-    read_radiance,
-    read_size,
-    threads_for,
-    transparent,
-    write_codes,
-    write_exr,
-    write_ids,
-)
+from .images import read_size, threads_for
 from .options import CaptureOptions
 from .panorama import pinhole_views, placed_panorama, says_panorama
+from .photograph import ID_IMAGES, Files, Photograph
 from .photograph_poses import with_photograph_poses
 from .places import MASK_FOLDER, MISSING_REMEDY
-from .rig import EQUIRECTANGULAR, Pinhole, RigView
+from .rig import EQUIRECTANGULAR, RigView
 from .source import mesh_fusion, read_source, size_note, write_mesh
 from .upright import Upright, doubts, find_upright
-
-# Photographs with more pixels than these are rewritten with the bits that they have, 8 (PNG) or 16 (EXR),
-# instead of 32: of 12 megapixels 144 MB would be written. Smaller ones keep all bits.
-EXACT_PIXELS = 1_000_000
-# The smallest value with all digits of a half float; a photograph's median must be so many times that.
-LEAST_HALF, DARKER = 2.0**-14, 100.0
-# Longer side of the copies that Blender's windows show of larger photographs, and their usual size: what a
-# screen can show, and what the pictures beside them are rendered at.
-PREVIEW_SIDE = 1920
-ID_IMAGES = ("parts", "semantics", "mask")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -121,13 +93,11 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     # What the user has placed is last, and has the world's coordinates whatever is up in the source.
     solved = len(views) - (options.panorama is not None)
     poses = np.array([view.camera_to_world for view in views[:solved]])
-    photographs = [pinhole_views(view) for view in views]
-    exposures = [file_exposure(view.image) for view in views]
-    number = [index for index, several in enumerate(photographs) for _ in several]
-    views = [view for several in photographs for view in several]
-    pinholes = [_checked_pinhole(view) for view in views]
-    for view, pinhole in zip(views, pinholes, strict=True):
-        checks.check_view(view.name, pinhole, conventions.transform_poses(in_metres, view.camera_to_world))
+    photographs = [Photograph(tuple(pinhole_views(view))) for view in views]
+    for photograph in photographs:
+        for view, pinhole in zip(photograph.views, photograph.pinholes, strict=True):
+            pose = conventions.transform_poses(in_metres, view.camera_to_world)
+            checks.check_view(view.name, pinhole, pose)
     upright = None
     if options.up_axis != "auto":
         upright = Upright(options.up_axis, "option")
@@ -140,7 +110,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     if fusion is not None:
         reporter.plan([0.35, 0.6, 0.05])
     remedy = "use photographs whose distortion is undone already, or smaller ones"
-    rewritten = sum(_rewritten_bytes(*each) for each in zip(views, pinholes, strict=True))
+    rewritten = sum(photograph.rewritten_bytes for photograph in photographs)
     refuse_full_disk(run_folder.images, rewritten, remedy)
     is_new = not run_folder.run_json.exists()
     if is_new:
@@ -148,7 +118,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     try:
         with atomic_folder(run_folder.images) as images:
             reporter.stage("images", "Reading the photographs")
-            written = _read_photographs(images, photographs, exposures, options.clamp_negative, reporter)
+            written = _convert(images, photographs, options.clamp_negative, reporter)
             fused = None
             if fusion is not None:
                 reporter.stage("fuse", "Fusing the depth images")
@@ -162,30 +132,24 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         raise
     with suppress(OSError):
         run_folder.images.rmdir()  # if nothing had to be converted
-    files = [
-        {kind: run_folder.images / path.relative_to(images) for kind, path in one.items()} for one in written
-    ]
     world_from_source = upright.world_from_source(options.scale)
     if (note := size_note(capture, source, mesh, world_from_source)) is not None:
         reporter.warning(note.code, note.text, note.remedy)
-    worlds = [world_from_source if index < solved else in_metres for index in number]
+    worlds = [world_from_source] * solved + [in_metres] * (len(views) - solved)
+    items = zip(photographs, written, worlds, strict=True)
+    entries = (photograph.captured(run_folder, files, world) for photograph, files, world in items)
     captured = CapturedViews(
         source=rig.source,
         world_from_source=as_matrix(world_from_source),
         mesh=None if mesh is None else str(mesh),
         offset=tuple(source.offset.tolist()),
-        views=tuple(
-            _captured(run_folder, *one)
-            for one in zip(
-                views, pinholes, files, (exposures[index] for index in number), worlds, strict=True
-            )
-        ),
+        views=tuple(chain.from_iterable(entries)),
     )
     up = UpAxis(upright.axis, upright.source, upright.angle)
     # The add-on rewrites capture.json with the views that the artist selects; ingest.json keeps all of them.
     write_json(run_folder.ingest_json, replace(captured, up=up))
     write_json(run_folder.capture_json, captured)
-    counts = Counter(view.split for view in views)
+    counts = Counter(view.split for view in captured.views)
     reporter.done(
         [str(run_folder.capture_json)],
         {
@@ -194,7 +158,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             "held_back": counts["held_back"],
             "up_axis": upright.axis,
             "mesh": None if mesh is None else str(mesh),
-            "undistorted": sum(is_distorted(view.lens, view.width, view.height) for view in views),
+            "undistorted": sum(sum(photograph.distorted) for photograph in photographs),
         },
     )
 
@@ -289,12 +253,8 @@ def _check_files(views: list[RigView]) -> None:
                 "Map the network folder to a drive letter, or copy the capture to your own disk.",
             )
     for view in views:
-        for path, code in (
-            (view.image, "image-size"),
-            (view.parts, "mask-size"),
-            (view.semantics, "mask-size"),
-            (view.mask, "mask-size"),
-        ):
+        for kind in ("image", *ID_IMAGES):
+            path, code = getattr(view, kind), "image-size" if kind == "image" else "mask-size"
             if path is None:
                 continue
             width, height = read_size(path)
@@ -314,201 +274,32 @@ def _check_files(views: list[RigView]) -> None:
             )
 
 
-def _checked_pinhole(view: RigView) -> Pinhole:
-    """The pinhole of the view's image, undistorted where necessary.
-
-    Raises:
-        FiptError: ``intrinsics-invalid`` or ``camera-model``.
-    """
-    pinhole = lens_pinhole(view.lens, view.width, view.height)
-    checks.check_intrinsics(view.name, pinhole)
-    if not is_distorted(view.lens, view.width, view.height):
-        return pinhole
-    return undistorted_pinhole(view.lens, view.width, view.height)
-
-
-def _read_photographs(
-    folder: Path,
-    photographs: Sequence[Sequence[RigView]],
-    exposures: list[float | None],
-    clamp_negative: bool,
-    reporter: Reporter,
-) -> list[dict[str, Path]]:
+def _convert(
+    folder: Path, photographs: Sequence[Photograph], clamp_negative: bool, reporter: Reporter
+) -> list[list[Files]]:
     """Read all photographs, write what must be converted, and warn about them.
 
     Args:
         folder: for the images that are written.
-        photographs: the views of each.
-        exposures: from the files' EXIF, see `file_exposure`.
 
     Returns:
-        the images written of each view, by kind.
+        what was written of each view of each photograph.
 
     Raises:
-        FiptError: those of `read_ids`, `pixel_statistics` and `judge_pixels`.
+        FiptError: those of `Photograph.convert` and `judge_pixels`.
     """
     statistics, written = [], []
-    first = [several[0] for several in photographs]
     # Resamplings are made here, so that the threads share them.
-    work = ((folder, several, [_resampling(view) for view in several]) for several in photographs)
+    work = ((photograph, photograph.resamplings()) for photograph in photographs)
+    first = [photograph.views[0] for photograph in photographs]
     most = threads_for(view.width * view.height for view in first)
-    for found, files in in_threads(lambda item: _read_photograph(*item), work, most):
+    for found, files in in_threads(lambda item: item[0].convert(folder, item[1]), work, most):
         statistics.append(found)
-        written += files
+        written.append(files)
         reporter.progress(len(statistics) / len(photographs))
-    notes = checks.judge_pixels([view.name for view in first], statistics, clamp_negative)
-    encoded = [is_encoded(view.image) for view in first]
-    for note in [*notes, *checks.judge_encoded(encoded, exposures)]:
+    pictures = [photograph.picture for photograph in photographs]
+    encoded, exposures = zip(*((picture.is_encoded, picture.exposure) for picture in pictures), strict=True)
+    judged = checks.judge_pixels([view.name for view in first], statistics, clamp_negative)
+    for note in chain(judged, checks.judge_encoded(encoded, exposures)):
         reporter.warning(note.code, note.text, note.remedy)
     return written
-
-
-def _resampling(view: RigView) -> Undistortion | None:
-    """What undoes a view's distortion, or cuts it out of a panorama; None where it has none."""
-    if not is_distorted(view.lens, view.width, view.height):
-        return None
-    return undistortion(view.lens, view.width, view.height)
-
-
-def _read_photograph(
-    folder: Path, views: Sequence[RigView], resamplings: Sequence[Undistortion | None]
-) -> tuple[checks.PixelStatistics, list[dict[str, Path]]]:
-    """Statistics of a photograph's values, and the images written of its views, by kind.
-
-    Bilinear weights are positive, so that no value is negative if clamping precedes the resampling. Id images
-    are read, for their errors, also where they stay as they are.
-
-    Args:
-        folder: for the images that are written.
-        resamplings: what makes each view of the photograph, or None.
-    """
-    image, layer = views[0].image, views[0].layer
-    pixels = read_radiance(image, layer)
-    found = checks.pixel_statistics(image, pixels)
-    negative = found.minimum < 0.0
-    if is_encoded(image):  # clipped and of 8 bits, as is said of all of them at once
-        found = replace(found, looks_ldr=False, clipped=0.0)
-    if negative:
-        pixels = np.maximum(pixels, 0.0)
-    plain = not negative and is_plain(image, layer)
-    ids = {kind: read_ids(path) for kind in ID_IMAGES if (path := getattr(views[0], kind)) is not None}
-    clear = transparent(image)
-    if clear is not None:
-        ids["mask"] = np.where(clear, 0, ids.get("mask", 1)).astype(np.int32)
-        found = replace(found, transparent=float(clear.mean()))
-    return found, [
-        _write_view(folder, view, resampling, pixels, plain, ids, clear is not None)
-        for view, resampling in zip(views, resamplings, strict=True)
-    ]
-
-
-def _write_view(
-    folder: Path,
-    view: RigView,
-    resampling: Undistortion | None,
-    pixels: np.ndarray,
-    plain: bool,
-    ids: dict[str, np.ndarray],
-    hides: bool,
-) -> dict[str, Path]:
-    """Write the images of a view that must be converted.
-
-    Args:
-        pixels: (height, width, 3) of its photograph, without negative values.
-        plain: whether these are what the file shows to any program.
-        ids: id images of its photograph.
-        hides: whether its transparent pixels are in the mask, which its file has not.
-    """
-    written: dict[str, Path] = {}
-
-    def target(kind: str, suffix: str = EXR_SUFFIX) -> Path:
-        written[kind] = folder / kind / f"{view.name}{suffix}"
-        return written[kind]
-
-    if resampling is not None:
-        pixels = resampling.image(pixels)
-    if resampling is not None or not plain:
-        if pixels[..., 0].size > EXACT_PIXELS and open_picture(view.image).type == "uint8":
-            write_codes(target("image", ".png"), srgb_encoded(pixels))
-        else:
-            write_exr(target("image"), pixels, half=_fits_half(pixels))
-    for kind, values in ids.items():
-        if resampling is not None or (kind == "mask" and hides):
-            cut = values if resampling is None else resampling.ids(values)
-            if cut.min() >= 0 and cut.max() <= MAX_PNG_ID:  # faster to read, and smaller
-                write_ids(target(kind, ".png"), cut)
-            else:
-                write_exr(target(kind), cut)
-    if max(pixels.shape) > PREVIEW_SIDE:
-        _write_preview(view, target, pixels)
-    return written
-
-
-def _write_preview(view: RigView, target: Callable[[str, str], Path], pixels: np.ndarray) -> None:
-    """Write a smaller copy of a photograph, with which Blender's windows show it."""
-    shrink = PREVIEW_SIDE / max(pixels.shape)
-    height, width = (max(1, round(shrink * side)) for side in pixels.shape[:2])
-    smaller = means(pixels, width, height)
-    if is_encoded(view.image):
-        write_codes(target("preview", ".jpg"), srgb_encoded(smaller))
-    else:
-        write_exr(target("preview", EXR_SUFFIX), smaller, half=True, lossy=True)
-
-
-def _rewritten_bytes(view: RigView, pinhole: Pinhole) -> int:
-    """Expected size of a view's rewritten photograph, 0 where it stays as it is, and of its copy."""
-    pixels = pinhole.width * pinhole.height
-    preview = 2_000_000 if max(pinhole.width, pinhole.height) > PREVIEW_SIDE else 0
-    if not is_distorted(view.lens, view.width, view.height) and is_plain(view.image, view.layer):
-        return preview
-    if pixels <= EXACT_PIXELS:
-        return 12 * pixels
-    return preview + (2 if open_picture(view.image).type == "uint8" else 6) * pixels
-
-
-def _fits_half(pixels: np.ndarray) -> bool:
-    """Whether a large image's values may be stored with 16 bits, whose relative error is at most 0.05 %."""
-    if pixels[..., 0].size <= EXACT_PIXELS or pixels.max() > HALF_MAX:
-        return False
-    sample = checks.pixel_sample(pixels)
-    positive = sample[sample > 0.0]
-    # Smaller values than LEAST_HALF have larger errors.
-    return positive.size > 0 and float(np.median(positive)) > DARKER * LEAST_HALF
-
-
-def _captured(
-    run_folder: RunFolder,
-    view: RigView,
-    pinhole: Pinhole,
-    written: dict[str, Path],
-    exposure: float | None,
-    world_from_source: np.ndarray,
-) -> CapturedView:
-    """The view's entry in capture.json.
-
-    Args:
-        pinhole: of its image, undistorted where necessary.
-        written: images that were written of it, by kind.
-        exposure: from its file's EXIF.
-    """
-    files = {"image": view.image, **{kind: getattr(view, kind) for kind in ID_IMAGES}, **written}
-    names: dict[str, Any] = {kind: _stored_path(run_folder, path) for kind, path in files.items()}
-    encoded = is_encoded(view.image)
-    return CapturedView(
-        name=view.name,
-        split=view.split or "train",
-        **asdict(pinhole),
-        camera_to_world=as_matrix(conventions.transform_poses(world_from_source, view.camera_to_world)),
-        **names,
-        encoded=encoded,
-        exposure=exposure if encoded else None,
-        panorama=view.name.removesuffix(f"@{view.lens.face}") if view.lens.face else None,
-    )
-
-
-def _stored_path(run_folder: RunFolder, path: Path | None) -> str | None:
-    """A path as capture.json stores it: relative to the run folder if inside it, else absolute."""
-    if path is None:
-        return None
-    path = path.absolute()
-    return path.relative_to(run_folder.root).as_posix() if path.is_relative_to(run_folder.root) else str(path)

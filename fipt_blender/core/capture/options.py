@@ -99,14 +99,6 @@ PART_SOURCES = (
 LEAST_TRIANGLES = 100  # of a budget; fewer are no room
 
 
-@dataclass(frozen=True)
-class FusionOptions:
-    """How depth images are fused; see `CaptureOptions`."""
-
-    voxel: float = 0.0
-    triangles: int = 0
-
-
 @dataclass(frozen=True, kw_only=True)
 class CaptureOptions:
     """How a capture is read. Lengths are in metres."""
@@ -216,11 +208,6 @@ class CaptureOptions:
             panel=False,
         ),
     ] = False
-
-    @property
-    def fusion(self) -> FusionOptions:
-        """Those of depth images."""
-        return FusionOptions(self.voxel, self.triangles)
 
     def refuse_missing(self) -> None:
         """Look whether what is named exists.

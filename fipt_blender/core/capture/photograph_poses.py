@@ -10,7 +10,7 @@ measured points (Gauss-Newton on robust residuals, from coarse to fine). Depth i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -39,19 +39,6 @@ MOST = 4.0
 BETTER = 0.95
 
 
-@dataclass(frozen=True, eq=False)
-class Motions:
-    """How the cameras of V photographs moved.
-
-    Attributes:
-        motion: (V, 6) turn in radians and shift in metres of the points before each camera.
-        agreement: robust disagreement of the photographs, relative to that with the given poses.
-    """
-
-    motion: np.ndarray
-    agreement: float
-
-
 def with_photograph_poses(
     rig: Rig, views: Sequence[RigView], scale: float
 ) -> tuple[list[RigView], Note | None]:
@@ -72,10 +59,10 @@ def with_photograph_poses(
     result, gains, sizes = list(views), [], []
     for first in range(batches):
         found = find_motions(frames[first::batches], scale)
-        if found is None or found.agreement > BETTER:
+        if found is None or found[1] > BETTER:
             continue
-        gains.append(found.agreement)
-        for index, motion in zip(known[first::batches], found.motion, strict=True):
+        gains.append(found[1])
+        for index, motion in zip(known[first::batches], found[0], strict=True):
             moved = np.concatenate([motion[:3], motion[3:] / scale])
             result[index] = replace(
                 views[index], camera_to_world=corrected_pose(views[index].camera_to_world, moved)
@@ -93,14 +80,18 @@ def with_photograph_poses(
     )
 
 
-def find_motions(frames: Sequence[DepthView], scale: float) -> Motions | None:
-    """The motions of the photographs of some frames, or None where too few points are seen by several.
+def find_motions(frames: Sequence[DepthView], scale: float) -> tuple[np.ndarray, float] | None:
+    """How the cameras of the photographs of V frames moved; None where too few points are seen by several.
 
     The mean motion is zero.
 
     Args:
         frames: with photographs of one size and pinhole lenses.
         scale: metres per unit of the capture's coordinates.
+
+    Returns:
+        (V, 6) turn in radians and shift in metres of the points before each camera, and the robust
+        disagreement of the photographs, relative to that with the given poses.
     """
     shown = shown_points(frames, scale)
     if shown is None:
@@ -116,7 +107,7 @@ def find_motions(frames: Sequence[DepthView], scale: float) -> Motions | None:
             motion, _ = _step(motion, images, sightings, place, lens)
     motion[(np.abs(motion / EXPECTED) > MOST).any(axis=1)] = 0.0
     after = _step(motion, finest, sightings, place, lens)[1]
-    return Motions(motion, after / max(before, 1e-12))
+    return motion, after / max(before, 1e-12)
 
 
 def corrected_pose(camera_to_world: np.ndarray, motion: np.ndarray) -> np.ndarray:

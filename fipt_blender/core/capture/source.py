@@ -25,7 +25,7 @@ from .files import stand_in
 from .formats.registry import read_points, read_rig
 from .mesh_file import read_mesh
 from .options import CaptureOptions
-from .relation import relate
+from .relation import Related, relate
 from .rig import Note, Rig
 
 # Depth images are measured in metres, and often show a part of a room: only their unit can be wrong, which is
@@ -33,25 +33,17 @@ from .rig import Note, Rig
 MEASURED = 3.0
 
 
-@dataclass(frozen=True)
-class Source:
+@dataclass(frozen=True, eq=False)
+class Source(Related):
     """A capture as it was read, and where its mesh comes from.
 
     Attributes:
-        rig: cameras and images.
         mesh: the mesh file; None without one.
         made: what is used instead of the file: fewer triangles or other coordinates; None for the file.
-        offset: (3,) what must be added for the coordinates of the camera file.
-        vertices: (V, 3) of the mesh, None without one that can be read here.
-        fits: see `relation.Related`.
     """
 
-    rig: Rig
     mesh: Path | None
     made: FusedMesh | None
-    offset: np.ndarray
-    vertices: np.ndarray | None
-    fits: bool
 
 
 def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> Source:
@@ -83,13 +75,13 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
         notes.append(Note("mesh-simplified", text, remedy))
     for note in notes:
         reporter.warning(note.code, note.text, note.remedy)
-    return Source(related.rig, mesh, made, related.offset, vertices, related.fits)
+    return Source(**vars(related), mesh=mesh, made=made)
 
 
 def mesh_fusion(run: RunFolder, source: Source, options: CaptureOptions) -> Fusion | None:
     """What fuses the mesh of depth images; None where there is another one, or no depths."""
     if source.mesh is None and source.rig.depths:
-        return Fusion(run, source.rig.depths, options.fusion, options.scale)
+        return Fusion(run, source.rig.depths, options, options.scale)
     return None
 
 

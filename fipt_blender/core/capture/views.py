@@ -2,25 +2,39 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The views of a run as the engine uses them: pinhole cameras in Blender's world, with linear images.
 
-They are read from capture.json, which `ingest` writes after all its checks.
+They are read from capture.json, which `ingest` writes after all its checks. A budget decides the resolution
+at which light is solved: where a view has fewer pixels than its photograph, its images are averaged to these
+when they are read.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from .. import conventions
 from ..run.contents import CapturedView
 from ..run.errors import FiptError
+from ..run.light_size import light_size, light_views_count
 from ..run.run_files import read_capture
 from ..run.runfolder import RunFolder
+from ..run.threads import in_threads
+from .averaging import majority, means
 from .checks import check_view
-from .images import read_ids, read_radiance
+from .encoded import is_clipped
+from .images import Picture, open_picture, threads_for
 from .rig import Pinhole
+
+# From this share of clipped pixels on, the mean of codes is only a bound, and clipped, too.
+CLIPPED_SHARE = 0.02
+# Bytes of averaged images that this process keeps: all of them with the budgets of the presets.
+MOST_KEPT = 500_000_000
+_KEPT: dict[tuple[Picture, str, tuple[int, int], bool], np.ndarray] = {}  # by the arguments of `_reduced`
+Result = TypeVar("Result")  # of a function of a view
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +53,7 @@ class View:
         encoded: whether the photograph is not HDR: the image holds a camera's codes by sRGB's curve.
         exposure: of such a photograph, the relative exposure stored in its file, or None.
         panorama: name of the panorama that the view is a face of, or None.
+        full: width and height of the photograph, where the view has fewer pixels; None where it has its size.
     """
 
     name: str
@@ -57,6 +72,7 @@ class View:
     encoded: bool = False
     exposure: float | None = None
     panorama: str | None = None
+    full: tuple[int, int] | None = None
 
     @property
     def files(self) -> list[Path]:
@@ -69,64 +85,157 @@ class View:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def resized(self, width: int, height: int) -> View:
-        """The same camera with other numbers of pixels."""
+        """The same camera with other numbers of pixels; the view itself where it has these."""
+        if (width, height) == (self.width, self.height):
+            return self
         x, y = width / self.width, height / self.height
-        return replace(
-            self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y
-        )
+        fx, fy, cx, cy = self.fx * x, self.fy * y, self.cx * x, self.cy * y
+        full = self.full or (self.width, self.height)
+        return replace(self, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, full=full)
 
     def rays(self, z_depth: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Origins and directions of the rays through all pixel centres; see `conventions.pixel_rays`."""
         return conventions.pixel_rays(self, z_depth)
 
     def radiance(self) -> np.ndarray:
-        """The photograph, (height, width, 3) float32 scene-linear radiance.
+        """The photograph, (height, width, 3) float32 scene-linear radiance; read-only where it is averaged.
 
         Raises:
             FiptError: ``image-size`` where the file has been replaced by one of another size, and those of
                 `read_radiance`.
         """
-        pixels = read_radiance(self.image)
-        if pixels.shape[:2] != (self.height, self.width):
-            raise FiptError(
-                "image-size",
-                f"{self.image} has {pixels.shape[1]} x {pixels.shape[0]} pixels; it had {self.width} x"
-                f" {self.height} when the capture was imported.",
-                "Import the capture again, or restore the photograph.",
-            )
-        return pixels
+        return self._read(self.image, "image")
+
+    def keep(self, photograph: np.ndarray) -> None:
+        """Average the photograph, which has been decoded, for a later `radiance`."""
+        if self.full:
+            size = self.width, self.height
+            _reduced(open_picture(self.image), "image", size, self.encoded, photograph)
 
     def part_ids(self) -> np.ndarray | None:
         """Part ids (height, width) int32, or None where the view has none."""
-        return self._ids(self.parts)
+        return None if self.parts is None else self._read(self.parts, "ids")
 
     def semantic_ids(self) -> np.ndarray | None:
         """Semantic ids (height, width) int32, or None where the view has none."""
-        return self._ids(self.semantics)
+        return None if self.semantics is None else self._read(self.semantics, "ids")
 
     def masked(self) -> np.ndarray | None:
         """(height, width) bool, pixels that are left out, or None where all are used."""
-        ids = self._ids(self.mask)
-        return None if ids is None else ids == 0
+        return None if self.mask is None else self._read(self.mask, "mask")
 
-    def _ids(self, path: Path | None) -> np.ndarray | None:
-        """An id image, which must have the photograph's size.
+    def _read(self, path: Path, kind: str) -> np.ndarray:
+        """An image of the view's size, or of that of its photograph, which is reduced.
+
+        Args:
+            kind: "image", "ids" or "mask".
 
         Raises:
-            FiptError: ``mask-size`` and those of `read_ids`.
+            FiptError: ``image-size`` or ``mask-size``, and those of `read_radiance` and `read_ids`.
         """
-        if path is None:
-            return None
-        ids = read_ids(path)
-        if ids.shape != (self.height, self.width):
-            raise FiptError(
-                "mask-size",
-                f"{path} is {ids.shape[1]} x {ids.shape[0]} pixels; the photograph of {self.name} has "
-                f"{self.width} x {self.height}.",
-                "Use masks of the photographs' size. If lens distortion was undone, put the original masks "
-                "into the folder 'parts' beside the photographs and import the capture again.",
+        picture, size = open_picture(path), (self.width, self.height)
+        if picture.size == size:
+            return _pixels(picture, kind)
+        if picture.size == self.full:
+            return _reduced(picture, kind, size, self.encoded)
+        wanted = self.full or size
+        remedy = "Import the capture again, or restore the photograph."
+        if kind != "image":
+            remedy = (
+                "Use masks of the photographs' size. If lens distortion was undone, put the original masks"
+                " into the folder 'parts' beside the photographs and import the capture again."
             )
-        return ids
+        raise FiptError(
+            "image-size" if kind == "image" else "mask-size",
+            f"{path} has {picture.size[0]} x {picture.size[1]} pixels; the photograph of {self.name} had"
+            f" {wanted[0]} x {wanted[1]} when the capture was imported.",
+            remedy,
+        )
+
+
+def _pixels(picture: Picture, kind: str) -> np.ndarray:
+    """A view's image as it is stored; of a mask the pixels that are left out."""
+    if kind == "image":
+        return picture.shown()[0]
+    return picture.ids() if kind == "ids" else picture.ids() == 0
+
+
+def _reduced(
+    picture: Picture, kind: str, size: tuple[int, int], encoded: bool, pixels: np.ndarray | None = None
+) -> np.ndarray:
+    """A view's image with fewer pixels: the mean radiance of those that each covers, ids by majority.
+
+    Of what must not be used, any share spoils a mean. Of photographs that are not HDR, pixels of which a
+    relevant share is clipped in a channel are so, too.
+
+    Args:
+        kind, encoded: see `View`.
+        size: width and height.
+        pixels: of the picture, if they are decoded already.
+
+    Returns:
+        read-only; the last ones are kept, as many as `MOST_KEPT` allows.
+    """
+    key = (picture, kind, size, encoded)
+    if (kept := _KEPT.get(key)) is not None:
+        return kept
+    pixels = _pixels(picture, kind) if pixels is None else pixels
+    if kind == "ids":
+        result = majority(pixels, *size)
+    elif kind == "mask":
+        result = means(pixels[..., None], *size)[..., 0] > 0.0
+    else:
+        result = means(pixels, *size)
+        if encoded and (clipped := is_clipped(pixels)).any():
+            result[means(clipped, *size) >= CLIPPED_SHARE] = 1.0
+    result.flags.writeable = False
+    _KEPT[key] = result
+    for oldest in tuple(_KEPT):
+        if sum(array.nbytes for array in tuple(_KEPT.values())) <= MOST_KEPT:
+            break
+        _KEPT.pop(oldest, None)
+    return result
+
+
+def decoded(function: Callable[[View], Result], views: Sequence[View]) -> Iterator[Result]:
+    """What a function that reads a view's photograph returns of each: the next ones are decoded meanwhile."""
+    full = [view.full or (view.width, view.height) for view in views]
+    return in_threads(function, views, threads_for(width * height for width, height in full))
+
+
+def chosen_views(views: Sequence[View], light_pixels: float) -> list[View]:
+    """All views, or those whose cameras differ most, where the budget can't serve all of them.
+
+    Args:
+        views: at full size.
+        light_pixels: millions of pixels of all views together.
+    """
+    count = light_views_count([(view.width, view.height) for view in views], light_pixels)
+    if count >= len(views):
+        return list(views)
+    poses = np.array([view.camera_to_world for view in views])
+    places = poses[:, :3, 3] - np.median(poses[:, :3, 3], axis=0)
+    extent = max(float(np.median(np.linalg.norm(places, axis=1))), 1e-9)
+    # A turn by 60 degrees differs as much as a move by that extent.
+    features = np.concatenate([places / extent, poses[:, :3, 2]], axis=1)
+    chosen = [0]
+    distance = np.full(len(views), np.inf)
+    while len(chosen) < count:
+        distance = np.minimum(distance, np.linalg.norm(features - features[chosen[-1]], axis=1))
+        chosen.append(int(distance.argmax()))
+    return [views[index] for index in sorted(set(chosen))]
+
+
+def light_views(views: Sequence[View], light_pixels: float) -> list[View]:
+    """The views of an estimation at the resolution of light: the same objects where the budget suffices.
+
+    Args:
+        views: at full size.
+        light_pixels: the budget, millions of pixels of all views together.
+    """
+    views = chosen_views(views, light_pixels)
+    sizes = light_size([(view.width, view.height) for view in views], light_pixels)
+    return [view.resized(*size) for view, size in zip(views, sizes, strict=True)]
 
 
 def photographs_of(views: Sequence[View]) -> np.ndarray:
@@ -185,6 +294,6 @@ def load_capture(run: RunFolder) -> Capture:
 
 def _view(run: RunFolder, view: CapturedView) -> View:
     files = {name: getattr(view, name) for name in ("image", "parts", "semantics", "mask")}
-    values = {item.name: getattr(view, item.name) for item in fields(View)}
+    values = {item.name: getattr(view, item.name) for item in fields(View) if item.name != "full"}
     paths = {name: None if path is None else run.resolve(path) for name, path in files.items()}
     return View(**values | paths | {"camera_to_world": np.array(view.camera_to_world)})

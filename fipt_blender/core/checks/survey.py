@@ -9,17 +9,14 @@ from __future__ import annotations
 import argparse
 import itertools
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from ..capture.averaging import means
 from ..capture.checks import pixel_sample, pixel_statistics
 from ..capture.encoded import srgb_encoded
-from ..capture.images import read_radiance, threads_for, write_exr
-from ..capture.rig import PARTS_FOLDER, SEMANTICS_FOLDER
-from ..capture.views import View, load_capture
+from ..capture.images import read_radiance
+from ..capture.views import View, decoded, load_capture
 from ..device.variant import set_variant
 from ..radiometry.inversion import MUCH_CLIPPED as MUCH_CLIPPED_ENCODED
 from ..radiometry.inversion import is_clipped
@@ -29,7 +26,6 @@ from ..run.messages import Reporter
 from ..run.run_files import SurveyArrays
 from ..run.runfolder import RunFolder, write_json
 from ..run.store import write_arrays
-from ..run.threads import in_threads
 
 LITTLE_SEEN = 0.5  # share of a photograph's pixels that see the room
 MUCH_CLIPPED = 0.002  # share of a photograph's pixels
@@ -55,7 +51,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.stage("device", "Starting the engine")
     set_variant(arguments.device)
     # Mitsuba's types exist only after the variant is set.
-    from ..parts.coverage import coarse_triangles, view_coverage
+    from ..parts.coverage import coarse_triangles, coarse_view, view_coverage
     from ..parts.labels import IMAGE_SOURCES, automatic_source, source_parts, usable_sources
     from ..parts.linked_masks import link_masks
     from ..surface.room import load_room
@@ -70,11 +66,13 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     seen = np.zeros((len(capture.views), len(room.triangles)), bool)
     in_sight = np.zeros(len(room.triangles), bool)
     # The next photographs are decoded while the mesh is compared with one.
-    most = threads_for(view.width * view.height for view in capture.views)
-    photographs = in_threads(partial(examined, folder=folder), capture.views, most)
+    photographs = decoded(examined, capture.views)
+    readable: set[str] = set()  # names of views
     for index, (view, photograph) in enumerate(zip(capture.views, photographs, strict=True)):
         seen[index], visible, room_share = view_coverage(room, view, known=in_sight)
         in_sight |= visible
+        if not photograph.unusable:
+            readable.add(view.name)
         misfit, reduced = image_misfit(room, view, photograph.image) or (None, 1)
         found = None if misfit is None else round(misfit * reduced, 2)
         much_off = misfit is not None and misfit > MUCH_OFF
@@ -84,7 +82,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         reporter.progress((index + 1) / len(capture.views))
 
     reporter.stage("parts", "Finding the parts")
-    train = [_coarse(folder, view) for view in capture.train if view.image.is_file()]
+    train = [coarse_view(view) for view in capture.train if view.image.is_file()]
     train = link_masks(folder, replace(room, parts="masks"), train)  # all sources are counted
     labels = {}
     usable = usable_sources(room, train)
@@ -94,7 +92,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     for index, source in enumerate(sources):
         labels[source] = source_parts(room, source, train, triangles).triangle_part
         reporter.progress((index + 1) / (len(sources) + 1))
-    pixels = survey_pixels(room, [view for view in train if view.image.is_file()])
+    pixels = survey_pixels(room, [view for view in train if view.name in readable])
     missing: list[Box] = []
     if pixels is not None:
         boxes = pixels.boxes(room.bounds, AIR_POINTS)
@@ -111,39 +109,6 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     parts = SurveyedParts(automatic_source(room, usable), counts)
     write_json(folder.root / "survey.json", SurveyNote(tuple(surveyed), parts, tuple(missing)))
     reporter.done([str(folder.root / name) for name in ("survey.json", "survey.npz")])
-
-
-def _coarse(folder: RunFolder, view: View) -> View:
-    """The view on the coarse grid of its coverage, with resized images, because they are read several times.
-
-    Its photograph exists if `examined` could use it.
-
-    Raises:
-        FiptError: those of reading the id images, ``disk-full`` or ``run-unwritable``.
-    """
-    from ..parts.coverage import coarse_view, resampled
-
-    coarse = coarse_view(view)
-
-    def written(kind: str, ids: np.ndarray | None) -> Path | None:
-        if ids is None:
-            return None
-        path = folder.root / "coarse" / kind / f"{view.name}.exr"
-        write_exr(path, resampled(ids, (coarse.height, coarse.width)))
-        return path
-
-    masked = view.masked()
-    return replace(
-        coarse,
-        image=_coarse_image(folder, view),
-        parts=written(PARTS_FOLDER, view.part_ids()),
-        semantics=written(SEMANTICS_FOLDER, view.semantic_ids()),
-        mask=written("mask", None if masked is None else ~masked),
-    )
-
-
-def _coarse_image(folder: RunFolder, view: View) -> Path:
-    return folder.root / "coarse" / "image" / f"{view.name}.exr"
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,17 +130,11 @@ class PhotographFacts:
     image: np.ndarray | None = None
 
 
-def examined(view: View, folder: RunFolder | None = None) -> PhotographFacts:
-    """The facts of a photograph.
-
-    Args:
-        folder: gets the photograph on the coarse grid, if it can be used.
-    """
+def examined(view: View) -> PhotographFacts:
+    """The facts of a photograph, which is kept in memory on the grid of its coverage."""
     from ..parts.coverage import coarse_view
     from .misfit import edge_image
 
-    if folder is not None:
-        _coarse_image(folder, view).unlink(missing_ok=True)  # of an earlier survey
     problem = "the photograph can't be used: {}".format
     try:
         pixels = read_radiance(view.image)
@@ -186,9 +145,7 @@ def examined(view: View, folder: RunFolder | None = None) -> PhotographFacts:
     except FiptError as error:
         missing = error.code == "image-missing"
         return PhotographFacts(missing, "the photograph is missing" if missing else problem(error.text))
-    if folder is not None:
-        coarse = coarse_view(view)
-        write_exr(_coarse_image(folder, view), means(pixels, coarse.width, coarse.height))
+    coarse_view(view).keep(pixels)
     clipped, flaw = statistics.clipped, ""
     if view.encoded:
         codes = srgb_encoded(pixel_sample(pixels)) * 255.0

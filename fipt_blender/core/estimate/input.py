@@ -11,10 +11,8 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 
-from ..capture.light_views import light_views
-from ..capture.views import Capture, View, load_capture
+from ..capture.views import Capture, View, decoded, light_views, load_capture
 from ..checks.consensus import check_input
 from ..completion.panes import close_holes
 from ..parts.linked_masks import link_masks
@@ -140,9 +138,11 @@ def completed_room(
     """
     prepare_geometry(folder, settings.clean_scan, settings.close_holes_edges)
     holes = read_closing(folder)
-    begin = partial(reporter.stage, "light", "Averaging the photographs to the resolution of light")
-    photographs = spread_views(capture.train, settings.view_share)
-    views = light_views(folder, photographs, settings.light_pixels, begin, reporter.progress)
+    views = light_views(spread_views(capture.train, settings.view_share), settings.light_pixels)
+    if smaller := [view for view in views if view.full]:
+        reporter.stage("light", "Averaging the photographs to the resolution of light")
+        for done, _ in enumerate(decoded(View.radiance, smaller), 1):
+            reporter.progress(done / len(smaller))
     room = load_room(folder, outlined=False)
     own_mesh = capture.mesh == folder.fused_ply  # made from the rig itself
     far_off = check_input(room, views, settings, own_mesh)

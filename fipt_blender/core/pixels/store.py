@@ -18,7 +18,6 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from ..capture.images import read_radiance
 from ..capture.views import View
 from ..run.chain import START_AGAIN
 from ..run.errors import FiptError
@@ -237,7 +236,7 @@ def fill_pixels(
 
     Raises:
         FiptError: ``mesh-unseen`` where no view sees the mesh, ``images-black``, and those of
-            `read_radiance` and of the view's mask.
+            the view's photograph and mask.
     """
     luminances = []
     view_luminances = max(1, min(VIEW_LUMINANCES, LUMINANCES // max(len(store.views), 1)))
@@ -245,7 +244,7 @@ def fill_pixels(
     traced_views = (workers or LocalWorkers()).map(ViewFunction(trace_view, (room,)), store.views)
     for done, (index, traced) in enumerate(traced_views, 1):
         rows, view = store.rows(index), store.views[index]
-        image = read_radiance(view.image).reshape(-1, 3)
+        image = view.radiance().reshape(-1, 3)
         store.radiance[rows] = image
         masked = view.masked()
         used = image if masked is None else image[~masked.reshape(-1)]

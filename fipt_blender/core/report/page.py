@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..capture.averaging import means, narrowed
-from ..capture.images import is_encoded, read_radiance
+from ..capture.images import open_picture, read_radiance
 from ..capture.views import View, load_capture
 from ..run.contents import Steps
 from ..run.declared import declared
@@ -200,7 +200,7 @@ def _shot(run: RunFolder, render: Render, pictures: _Pictures) -> Shot:
     kind, name, capture, exposure = render.kind, render.view, pictures.capture, pictures.exposure
     path = run.resolve(render.image)
     image = narrowed(read_radiance(path), PICTURE_WIDTH)
-    shown = to_display(image, 1.0 if is_encoded(path) else exposure)
+    shown = to_display(image, 1.0 if open_picture(path).is_encoded else exposure)
     shot = Shot(_TITLES.get(kind, kind), name, pictures.add("render", shown))
     view = next((view for view in capture.views if view.name == name), None) if capture else None
     if view is None:

@@ -141,10 +141,10 @@ def light_plan(sizes: Sequence[tuple[int, int]], settings: Settings) -> LightPla
     # The run folder: the radiance cache, networks and results (of the example room); for each pixel of light
     # what is seen and photographed, and shadings of each level.
     disk = 270_000_000 + int(light * 1e6 * (125 + 12 * levels))
-    # Packages, networks and Mitsuba; what is mapped from the run folder; a pixel of light that is worked on;
-    # a photograph's pixel while it is decoded.
+    # Packages, networks and Mitsuba; what is mapped from the run folder; a pixel of light that is worked on,
+    # and its averaged photograph and masks; a photograph's pixel while it is decoded.
     largest = max(width * height for width, height in sizes)
-    memory = 1_700_000_000 + disk + int(36 * light * 1e6) + 45 * largest
+    memory = 1_700_000_000 + disk + int(57 * light * 1e6) + 45 * largest
     return LightPlan(
         photographs=len(sizes),
         used=used,

@@ -51,7 +51,6 @@ class RunFolder:
         self.panes_npz = self.root / "panes.npz"
         self.outlines_npz = self.root / "outlines.npz"
         self.linked = self.root / "linked"  # part masks with the ids of other views
-        self.light = self.root / "light"  # views at the resolution of light
         self.hints_json = self.root / "hints.json"
         self.hints_again_json = self.root / "hints_again.json"
         self.stage = self.root / "stage"
@@ -96,7 +95,7 @@ class RunFolder:
         replaced = [self.images, self.results, self.textures]
         own = [self.linked, self.stage, self.renders, *replaced]
         own += [side for path in replaced for side in beside(path)]
-        own += [self.light, self.report, self.survey, self.align, self.scene_cameras]
+        own += [self.report, self.survey, self.align, self.scene_cameras]
         own += [self.root / "messages", self.log]
         prepared = ("sparse", "clipped", "parts", "semantics")  # folders of a prepared capture
         own += [self.engine_lock, *(self.root / name for name in prepared)]

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import mmap
 import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import pycolmap
@@ -19,88 +18,83 @@ import pycolmap
 from ...run.documents import check_size
 
 MOST_BYTES = 2_000_000_000  # of a file; 1,000 photographs with 8,000 points each have 0.5 GB as text
-_COUNT = struct.Struct("<Q")
-_CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then float64 parameters
-_RIG = struct.Struct("<II")  # id, number of sensors; then the sensors, the first without a pose
-_SENSOR_BYTES = 4 + 4  # type, id
+# Those of a model; the last two from COLMAP 3.12 on.
+FILES = ("cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin")
+_COUNT_BYTES = 8  # of the number of records, with which each file begins
 _POSE_BYTES = 7 * 8  # quaternion and translation
-_FRAME_BYTES = 4 + 4 + _POSE_BYTES  # id, rig id, pose; then a 32-bit count and data ids
-_DATA_BYTES = _SENSOR_BYTES + 8
-
-
-class _Cursor:
-    """A position in a file's bytes that never moves past their end."""
-
-    def __init__(self, data: bytes | mmap.mmap) -> None:
-        self._data = data
-        self._size = len(data)
-        self.position = 0
-
-    def skip(self, count: int) -> None:
-        """Move on by `count` bytes."""
-        if count > self._size - self.position:
-            raise EOFError
-        self.position += count
-
-    def read(self, layout: struct.Struct) -> tuple[int, ...]:
-        """The values at the position, which moves behind them."""
-        start = self.position
-        self.skip(layout.size)
-        return layout.unpack_from(self._data, start)
-
-    def count(self) -> int:
-        """A 64-bit count."""
-        return self.read(_COUNT)[0]
-
-    def skip_name(self) -> None:
-        """Move behind a text that ends with a zero byte."""
-        end = self._data.find(b"\0", self.position)
-        if end < 0:
-            raise EOFError
-        self.position = end + 1
+_SENSOR_BYTES = 4 + 4  # type, id
 
 
 def check_model(folder: Path) -> None:
     """Check that each binary file of a COLMAP model is as long as its counts say.
 
     Args:
-        folder: of cameras.bin, images.bin, points3D.bin and, from COLMAP 3.12 on, rigs.bin and frames.bin.
+        folder: of `FILES`, or of text files of these names.
 
     Raises:
         ValueError: names the file that is cut off, longer than its counts say, or larger than any model.
         OSError: where a file can't be read.
     """
-    for name, skip_record in _FILES.items():
+    for name in FILES:
         path = folder / name
         for either in (path, path.with_suffix(".txt")):
             if either.is_file():
                 check_size(either, MOST_BYTES)
         if path.is_file():
-            _check_file(path, skip_record)
+            _check_file(path)
 
 
-def _check_file(path: Path, skip_record: Callable[[_Cursor], None]) -> None:
+def _check_file(path: Path) -> None:
     with path.open("rb") as file:
-        size = path.stat().st_size
-        if size < _COUNT.size:  # an empty file can't be mapped
+        size, position = path.stat().st_size, _COUNT_BYTES
+        if size < _COUNT_BYTES:  # an empty file can't be mapped
             raise ValueError(f"{path.name} is cut off: it has {size} bytes")
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            cursor = _Cursor(data)
-            records = cursor.count()
+            records = _number(data, 0, "<Q")
             try:
                 for _ in range(records):
-                    skip_record(cursor)
-            except EOFError:
+                    position = _record_end(path.name, data, position)
+                    if position > size:
+                        raise EOFError
+            except (EOFError, struct.error):
                 raise ValueError(
                     f"{path.name} is cut off: it says {records} entries and ends inside one of them"
                 ) from None
-    if cursor.position != size:
-        raise ValueError(f"{path.name} has {size - cursor.position} bytes more than its {records} entries")
+    if position != size:
+        raise ValueError(f"{path.name} has {size - position} bytes more than its {records} entries")
 
 
-def _skip_camera(cursor: _Cursor) -> None:
-    _, model, _, _ = cursor.read(_CAMERA)
-    cursor.skip(8 * _parameter_count(model))
+def _record_end(name: str, data: mmap.mmap, start: int) -> int:
+    """Where a record of a file ends that begins at `start`.
+
+    Raises:
+        EOFError: where the file ends before (or `struct.error`, or the result is behind its end).
+        ValueError: for a camera model that COLMAP does not know.
+    """
+    if name == "cameras.bin":  # id, model, width, height; parameters
+        return start + 4 + 4 + 8 + 8 + 8 * _parameter_count(_number(data, start + 4, "<i"))
+    if name == "images.bin":  # id, pose, camera id, name; count of points: position, id of the 3D point
+        end = data.find(b"\0", start + 4 + _POSE_BYTES + 4)
+        if end < 0:
+            raise EOFError
+        return end + 1 + 8 + (2 * 8 + 8) * _number(data, end + 1, "<Q")
+    if name == "points3D.bin":  # id, position, colour, error; count of image ids and numbers of 2D points
+        count = start + 8 + 3 * 8 + 3 + 8
+        return count + 8 + (4 + 4) * _number(data, count, "<Q")
+    if name == "frames.bin":  # id, rig id, pose; count of data ids
+        count = start + 4 + 4 + _POSE_BYTES
+        return count + 4 + (_SENSOR_BYTES + 8) * _number(data, count, "<I")
+    position = start + 4 + 4  # of a rig: id, count of sensors, of which all but the first may have a pose
+    for index in range(_number(data, start + 4, "<I")):
+        position += _SENSOR_BYTES
+        if index:
+            position += 1 + _POSE_BYTES * bool(_number(data, position, "<B"))
+    return position
+
+
+def _number(data: mmap.mmap, position: int, layout: str) -> int:
+    value: int = struct.unpack_from(layout, data, position)[0]
+    return value
 
 
 def _parameter_count(model: int) -> int:
@@ -114,38 +108,3 @@ def _parameter_count(model: int) -> int:
         return len(pycolmap.Camera.create_from_model_id(0, kind, 1.0, 1, 1).params)
     except (ValueError, RuntimeError, TypeError):
         raise ValueError(f"cameras.bin names the unknown camera model {model}") from None
-
-
-def _skip_image(cursor: _Cursor) -> None:
-    cursor.skip(4 + 7 * 8 + 4)  # id, quaternion and translation, camera id
-    cursor.skip_name()
-    cursor.skip((2 * 8 + 8) * cursor.count())  # position, id of the 3D point
-
-
-def _skip_point(cursor: _Cursor) -> None:
-    cursor.skip(8 + 3 * 8 + 3 + 8)  # id, position, colour, error
-    cursor.skip((4 + 4) * cursor.count())  # image id, index of the 2D point
-
-
-def _skip_rig(cursor: _Cursor) -> None:
-    _, sensors = cursor.read(_RIG)
-    for index in range(sensors):
-        cursor.skip(_SENSOR_BYTES)
-        if index > 0 and cursor.read(_HAS_POSE)[0]:
-            cursor.skip(_POSE_BYTES)
-
-
-def _skip_frame(cursor: _Cursor) -> None:
-    cursor.skip(_FRAME_BYTES)
-    cursor.skip(_DATA_BYTES * cursor.read(_SHORT_COUNT)[0])
-
-
-_HAS_POSE = struct.Struct("<B")
-_SHORT_COUNT = struct.Struct("<I")
-_FILES: dict[str, Callable[[_Cursor], None]] = {
-    "cameras.bin": _skip_camera,
-    "images.bin": _skip_image,
-    "points3D.bin": _skip_point,
-    "rigs.bin": _skip_rig,
-    "frames.bin": _skip_frame,
-}

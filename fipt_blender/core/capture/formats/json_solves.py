@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from ...alignment.turns import turn_by
 from ...run.errors import FiptError
 from ...run.kinds import Vector
 from ..options import CaptureOptions
 from ..places import MESH_STEMS, Places
 from ..rig import EQUIRECTANGULAR, Lens, RigView, WellFormed, damaged, read_json_rig
-from .radial import distorting_lens
-from .rig_files import Models, Program, camera_pose, head, number, numbers, pixel_size
+from .radial import Intrinsics, distorting_lens
+from .rig_files import Models, Program, camera_pose, head, number, numbers, pixel_size, unsupported
 
 # Meshroom writes meshes with Y and Z negated, which the poses follow here.
 _MESH_FROM_SFM = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -81,7 +81,7 @@ def _meshroom(file: Path, places: Places) -> Models:
         for entry in data.get("rigs", [])
     }
     views = [view for entry in data["views"] for view in _meshroom_view(entry, lenses, poses, rigs, places)]
-    return [sorted(views, key=lambda view: view.name)], ()
+    return [views], ()
 
 
 def _meshroom_points(file: Path) -> np.ndarray:
@@ -133,24 +133,23 @@ def _meshroom_lens(file: Path, entry: dict, version: tuple[int, ...]) -> tuple[t
         kind, distortion = ("pinhole", _OLD_TYPES[kind]) if kind in _OLD_TYPES else (kind, distortion)
     undone = str(entry.get("undistortionType", "none"))
     if kind != "pinhole" or distortion not in _MESHROOM_COUNTS or undone != "none":
-        raise FiptError(
-            "camera-model",
-            f"{file} has the camera model {kind[:40]!r} with the distortion {distortion[:40]!r} "
-            f"and the undistortion {undone[:40]!r}, which is not supported.",
+        raise unsupported(
+            file,
+            f"the camera model {kind[:40]!r} with the distortion {distortion[:40]!r} and the undistortion"
+            f" {undone[:40]!r}",
             "Use the camera models pinhole, radial, brown or fisheye in Meshroom (node CameraInit).",
         )
-    stored = entry.get("distortionParams") or [0.0] * _MESHROOM_COUNTS[distortion]
-    values = (
-        tuple(float(value) for value in numbers(stored, _MESHROOM_COUNTS[distortion]))
-        if _MESHROOM_COUNTS[distortion]
-        else ()
-    )
-    if distortion == "fisheye":
-        return size, Lens("OPENCV_FISHEYE", (*intrinsics, *values))
-    if distortion == "fisheye1":
-        return size, Lens("FOV", (*intrinsics, *values))
-    tangential = (values[3], values[4]) if distortion == "brown" else (0.0, 0.0)
-    return size, distorting_lens(intrinsics, size, values[:3], tangential)
+    count = _MESHROOM_COUNTS[distortion]
+    stored = entry.get("distortionParams") if count else []
+    return size, _lens(distortion, intrinsics, size, numbers(stored or [0.0] * count, count))
+
+
+def _lens(kind: str, intrinsics: Intrinsics, size: tuple[int, int], values: np.ndarray) -> Lens:
+    """The lens of a fisheye's coefficients, or of up to three radial ones and two tangential ones."""
+    stored = tuple(values.tolist())
+    if kind.startswith("fisheye"):
+        return Lens("FOV" if kind == "fisheye1" else "OPENCV_FISHEYE", (*intrinsics, *stored))
+    return distorting_lens(intrinsics, size, stored[:3], (*stored[3:], 0.0, 0.0)[:2])
 
 
 def _focal_lengths(entry: dict, version: tuple[int, ...], size: tuple[int, int]) -> tuple[float, float]:
@@ -257,7 +256,7 @@ def _opensfm_views(file: Path, model: _Model, places: Places) -> list[RigView]:
         camera = model.cameras[shot.camera]
         with WellFormed(file):
             size = pixel_size(camera.width, camera.height)
-        world_to_camera = Rotation.from_rotvec(shot.rotation).as_matrix()
+        world_to_camera = turn_by(np.array(shot.rotation))
         centre = -world_to_camera.T @ np.array(shot.translation)
         views.append(
             places.view(name, size, _opensfm_lens(file, camera, size), camera_pose(world_to_camera, centre))
@@ -284,11 +283,8 @@ def _opensfm_lens(file: Path, camera: _Camera, size: tuple[int, int]) -> Lens:
         return distorting_lens(intrinsics, size, (k1, k2, k3), tangential)
     if kind in ("fisheye", "fisheye_opencv"):
         return Lens("OPENCV_FISHEYE", (*intrinsics, k1, k2, k3, camera.k4))
-    raise FiptError(
-        "camera-model",
-        f"{file} has the projection type {kind[:40]!r}, which has no pinhole camera or is not supported.",
-        "Use the types perspective, brown, fisheye, fisheye_opencv or spherical in OpenSfM.",
-    )
+    remedy = "Use the types perspective, brown, fisheye, fisheye_opencv or spherical in OpenSfM."
+    raise unsupported(file, f"the projection type {kind[:40]!r}", remedy)
 
 
 # -------------------------------------------------------------------------------------------------- OpenMVG
@@ -316,7 +312,7 @@ def _openmvg(file: Path, places: Places) -> Models:
             parts = (data.get("root_path"), view.get("local_path"), view["filename"])
             name = "/".join(str(part) for part in parts if part)
             views.append(places.view(name, *lenses[view["id_intrinsic"]], matrix))
-    return [sorted(views, key=lambda view: view.name)], ()
+    return [views], ()
 
 
 def _openmvg_points(file: Path) -> np.ndarray:
@@ -350,19 +346,13 @@ def _openmvg_lens(file: Path, kind: str, data: dict) -> tuple[tuple[int, int], L
     name = next((key for key in _OPENMVG_COUNTS if key in data), None)
     known = kind in ("pinhole", "pinhole_radial_k1", "pinhole_radial_k3", "pinhole_brown_t2", "fisheye")
     if not known or (name is None and kind != "pinhole"):
-        raise FiptError(
-            "camera-model",
-            f"{file} has the camera model {kind[:40]!r}, which is not supported.",
-            "Solve the cameras with a pinhole or fisheye model; split panoramas into views.",
-        )
+        remedy = "Solve the cameras with a pinhole or fisheye model; split panoramas into views."
+        raise unsupported(file, f"the camera model {kind[:40]!r}", remedy)
     centre = numbers(data["principal_point"], 2)
     focal = float(numbers([data["focal_length"]], 1)[0])
     intrinsics = (focal, focal, float(centre[0]), float(centre[1]))
-    values = tuple(float(value) for value in numbers(data[name], _OPENMVG_COUNTS[name])) if name else ()
-    if name == "fisheye":
-        return size, Lens("OPENCV_FISHEYE", (*intrinsics, *values))
-    tangential = (values[3], values[4]) if name == "disto_t2" else (0.0, 0.0)
-    return size, distorting_lens(intrinsics, size, values[:3], tangential)
+    values = numbers(data[name], _OPENMVG_COUNTS[name]) if name else np.zeros(0)
+    return size, _lens(name or kind, intrinsics, size, values)
 
 
 PROGRAMS = (

@@ -16,10 +16,11 @@ from ..rig import Lens
 
 MOST_ERROR = 0.01  # pixels; far below what calibrations are accurate to
 _SAMPLES = 400  # radii to which a lens is fitted
+Intrinsics = tuple[float, float, float, float]  # fx, fy, cx, cy in pixels
 
 
 def distorting_lens(
-    intrinsics: tuple[float, float, float, float],
+    intrinsics: Intrinsics,
     size: tuple[int, int],
     coefficients: tuple[float, ...],
     tangential: tuple[float, float] = (0.0, 0.0),
@@ -57,7 +58,7 @@ def distorting_lens(
 
 
 def undistorting_lens(
-    intrinsics: tuple[float, float, float, float],
+    intrinsics: Intrinsics,
     size: tuple[int, int],
     undistort: Callable[[np.ndarray], np.ndarray],
 ) -> Lens:
@@ -76,7 +77,7 @@ def undistorting_lens(
     return _fitted(intrinsics, radii, distorted, (0.0, 0.0))
 
 
-def _corner(intrinsics: tuple[float, float, float, float], size: tuple[int, int]) -> float:
+def _corner(intrinsics: Intrinsics, size: tuple[int, int]) -> float:
     """Distance of the farthest corner from the principal point over the focal length."""
     fx, fy, cx, cy = intrinsics
     if not (fx > 0.0 and fy > 0.0):
@@ -85,10 +86,7 @@ def _corner(intrinsics: tuple[float, float, float, float], size: tuple[int, int]
 
 
 def _fitted(
-    intrinsics: tuple[float, float, float, float],
-    radii: np.ndarray,
-    distorted: np.ndarray,
-    tangential: tuple[float, float],
+    intrinsics: Intrinsics, radii: np.ndarray, distorted: np.ndarray, tangential: tuple[float, float]
 ) -> Lens:
     """FULL_OPENCV: r'/r = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3) with s = r^2, by least
     squares in the form that is linear in the coefficients."""

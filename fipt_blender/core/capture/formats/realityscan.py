@@ -10,13 +10,12 @@ OpenCV's with t1 = p2 and t2 = p1.
 from __future__ import annotations
 
 import csv
-import math
 from pathlib import Path
 
 import numpy as np
 
+from ...alignment.turns import turn_by
 from ...conventions import opengl_to_opencv_camera
-from ...run.errors import FiptError
 from ..files import Folders
 from ..options import CaptureOptions
 from ..places import IMAGE_FOLDERS, Places
@@ -32,6 +31,7 @@ from .rig_files import (
     numbers,
     read_text_rig,
     read_xml_rig,
+    unsupported,
 )
 
 NAME = "realityscan"
@@ -113,11 +113,8 @@ def _csv_views(file: Path, places: Places) -> list[RigView]:
 
 def _world_to_camera(heading: float, pitch: float, roll: float) -> np.ndarray:
     """Rotation (3, 3) to OpenGL camera axes of angles in degrees; at zero the camera looks straight down."""
-    z, x, y = (math.radians(angle) for angle in (-heading, pitch, roll))
-    about_z = np.array([[math.cos(z), -math.sin(z), 0], [math.sin(z), math.cos(z), 0], [0, 0, 1]])
-    about_x = np.array([[1, 0, 0], [0, math.cos(x), -math.sin(x)], [0, math.sin(x), math.cos(x)]])
-    about_y = np.array([[math.cos(y), 0, math.sin(y)], [0, 1, 0], [-math.sin(y), 0, math.cos(y)]])
-    return (about_z @ about_x @ about_y).T
+    x, y, z = np.diag(np.radians([pitch, roll, -heading]))
+    return (turn_by(z) @ turn_by(x) @ turn_by(y)).T
 
 
 def _xmp_views(folder: Path, files: list[Path], places: Places) -> tuple[list[RigView], tuple[Note, ...]]:
@@ -174,11 +171,9 @@ def _xmp_view(file: Path, name: str, values: dict[str, str], places: Places) -> 
     model = values.get(f"{_XCR}DistortionModel", "brown3")
     known = model.startswith("brown") or model == "perspective" or not coefficients.any()
     if skew != 0.0 or aspect != 1.0 or not known:
-        raise FiptError(
-            "camera-model",
-            f"{file} has the distortion model {model[:40]!r}, skew {skew:g} and aspect ratio {aspect:g}.",
-            "Align again with a Brown distortion model without K + (Alignment Settings > Advanced).",
-        )
+        what = f"the distortion model {model[:40]!r}, skew {skew:g} and aspect ratio {aspect:g}"
+        remedy = "Align again with a Brown distortion model without K + (Alignment Settings > Advanced)."
+        raise unsupported(file, what, remedy)
     size = places.size(name)
     lens = _lens(size, film, tuple(float(value) for value in coefficients))
     return places.view(name, size, lens, camera_pose(rotation, centre))

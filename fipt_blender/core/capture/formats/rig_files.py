@@ -18,6 +18,7 @@ import numpy as np
 
 from ...alignment.turns import quaternion_rotation
 from ...run.documents import decoded, read_limited
+from ...run.errors import FiptError
 from ...run.shapes import MOST_SIDE
 from ..files import visible
 from ..options import CaptureOptions
@@ -168,6 +169,11 @@ def similarity(scale: float, rotation: np.ndarray, translation: np.ndarray) -> n
     return matrix
 
 
+def unsupported(file: Path, what: str, remedy: str) -> FiptError:
+    """The error for a camera that no pinhole or no model of COLMAP's describes."""
+    return FiptError("camera-model", f"{file} has {what}, which is not supported.", remedy)
+
+
 def cameras_off(file: Path, names: Sequence[str]) -> tuple[Note, ...]:
     """A warning of cameras that are switched off in the program that wrote a file; none without any."""
     if not names:
@@ -213,7 +219,7 @@ class Program:
         NAME, LOOKS_FOR: see `registry`.
         suffixes: of the camera file.
         known: whether a file is one by the text of its beginning.
-        models: reads it, given where its photographs are.
+        models: reads it, given where its photographs are; the views may be in any order.
         points: reads its sparse points (N, 3); None where it has none.
         folders: of a capture, in which the program writes it.
         up: the axis that points up; None where the program does not define it.
@@ -239,7 +245,7 @@ class Program:
         return Places.around(file, options, folders=self.folders)
 
     def read(self, file: Path, options: CaptureOptions) -> Rig:
-        """Read the views with a pose of the largest model.
+        """Read the views with a pose of the largest model, by name.
 
         Raises:
             FiptError: ``rig-damaged`` or one of the reader's.
@@ -248,4 +254,5 @@ class Program:
         with WellFormed(file):
             models, notes = self.models(file, places)
         views, several = largest_model(models, str(file))
+        views = tuple(sorted(views, key=lambda view: view.name))
         return places.rig(self.NAME, views, self.up, places.mesh(*self.meshes), (*several, *notes))

@@ -48,7 +48,7 @@ def _bundler(file: Path, places: Places) -> Models:
         intrinsics = (focal, focal, 0.5 * size[0], 0.5 * size[1])
         pose = opengl_to_opencv_camera(camera_pose(rows[1:4], -rows[1:4].T @ rows[4]))
         views.append(places.view(name, size, distorting_lens(intrinsics, size, (k1, k2)), pose))
-    return [sorted(views, key=lambda view: view.name)], ()
+    return [views], ()
 
 
 def _bundler_points(file: Path) -> np.ndarray:

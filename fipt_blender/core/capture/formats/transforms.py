@@ -32,7 +32,8 @@ from ..rig import (
     read_json_rig,
     read_pose,
 )
-from .rig_files import head
+from .radial import distorting_lens
+from .rig_files import head, unsupported
 
 NAME = "transforms"
 LOOKS_FOR = "transforms.json or transforms_train.json"
@@ -239,21 +240,14 @@ def _lens(json_path: Path, frame: Frame, width: int, height: int) -> Lens:
     fisheye = model in FISHEYES or (frame.is_fisheye and model in PINHOLES)
     # COLMAP's FULL_OPENCV divides by a polynomial with k4; nerfstudio's k4 multiplies, as no model here does.
     if not fisheye and (model not in PINHOLES or k4 != 0.0):
-        raise FiptError(
-            "camera-model",
-            f"{json_path} has the camera model {model or 'pinhole'}" + (" with k4." if k4 != 0.0 else "."),
-            "Export perspective, OpenCV fisheye or equirectangular images.",
-        )
+        what = f"the camera model {model or 'pinhole'}{' with k4' if k4 != 0.0 else ''}"
+        raise unsupported(json_path, what, "Export perspective, OpenCV fisheye or equirectangular images.")
     fx, fy = _focal_lengths(json_path, frame, width, height)
     cx, cy = frame.cx, frame.cy
-    centre = (0.5 * width if cx is None else cx, 0.5 * height if cy is None else cy)
+    intrinsics = (fx, fy, 0.5 * width if cx is None else cx, 0.5 * height if cy is None else cy)
     if fisheye:
-        return Lens("OPENCV_FISHEYE", (fx, fy, *centre, k1, k2, k3, k4))
-    if k3 != 0.0:
-        return Lens("FULL_OPENCV", (fx, fy, *centre, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0))
-    if any((k1, k2, p1, p2)):
-        return Lens("OPENCV", (fx, fy, *centre, k1, k2, p1, p2))
-    return Lens("PINHOLE", (fx, fy, *centre))
+        return Lens("OPENCV_FISHEYE", (*intrinsics, k1, k2, k3, k4))
+    return distorting_lens(intrinsics, (width, height), (k1, k2, k3), (p1, p2))
 
 
 def _model(frame: Frame) -> str:

@@ -9,7 +9,6 @@ Both have OpenCV's p2 and p1 as P1 and P2, and no up axis.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -31,6 +30,7 @@ from .rig_files import (
     pixel_size,
     read_xml_rig,
     similarity,
+    unsupported,
 )
 
 # Parameters of Metashape's lenses.
@@ -64,13 +64,8 @@ def _metashape(file: Path, places: Places) -> Models:
     return models, cameras_off(file, [camera.get("label", "") for camera in off])
 
 
-@dataclass(frozen=True, eq=False)
-class _Sensor:
-    """A calibrated camera: image size, lens, and its pose (4, 4) in the camera that leads its rig."""
-
-    size: tuple[int, int]
-    lens: Lens
-    offset: np.ndarray
+# A calibrated camera: image size, lens, and its pose (4, 4) in the camera that leads its rig.
+_Sensor = tuple[tuple[int, int], Lens, np.ndarray]
 
 
 def _components(file: Path, chunk: Element, places: Places) -> list[list[RigView]]:
@@ -85,7 +80,7 @@ def _components(file: Path, chunk: Element, places: Places) -> list[list[RigView
     whole = _transform(chunk)
     calibrated: dict[str | None, _Sensor] = {}
     models: dict[str | None, list[RigView]] = {}
-    for camera in sorted(cameras.values(), key=lambda camera: camera.get("label", "")):
+    for camera in cameras.values():
         master = cameras.get(camera.get("master_id"))
         pose = (
             _chunk_pose(camera)
@@ -99,14 +94,13 @@ def _components(file: Path, chunk: Element, places: Places) -> list[list[RigView
             raise ValueError(f"the camera {camera.get('label')!r} has no sensor")
         if key not in calibrated:
             calibrated[key] = _sensor(file, sensors[key])
-        sensor = calibrated[key]
+        size, lens, offset = calibrated[key]
         if master is not None and camera.find("transform") is None:
-            pose = pose @ sensor.offset
+            pose = pose @ offset
         component = camera.get("component_id") or (master.get("component_id") if master is not None else None)
         pose = transform_poses(transforms.get(component, whole), pose)
-        models.setdefault(component, []).append(
-            places.view(camera.get("label") or "unnamed", sensor.size, sensor.lens, pose)
-        )
+        view = places.view(camera.get("label") or "unnamed", size, lens, pose)
+        models.setdefault(component, []).append(view)
     return list(models.values())
 
 
@@ -130,11 +124,8 @@ def _transform(element: Element) -> np.ndarray:
     transform = element.find("transform")
     if transform is None:
         return np.eye(4)
-    return similarity(
-        number(transform.findtext("scale", "1")),
-        numbers(transform.findtext("rotation", "1 0 0 0 1 0 0 0 1"), 9).reshape(3, 3),
-        numbers(transform.findtext("translation", "0 0 0"), 3),
-    )
+    scale = number(transform.findtext("scale", "1"))
+    return _placed(transform, scale, transform.findtext("translation", "0 0 0"))
 
 
 def _sensor(file: Path, sensor: Element) -> _Sensor:
@@ -161,16 +152,14 @@ def _sensor(file: Path, sensor: Element) -> _Sensor:
         raise ValueError("a sensor has no resolution")
     size = pixel_size(resolution.get("width"), resolution.get("height"))
     values = {entry.tag: number(entry.text) for entry in calibration if entry.tag in _PARAMETERS}
-    return _Sensor(size, _metashape_lens(file, kind, values, size), _sensor_pose(sensor))
+    place = sensor.findtext("translation", sensor.findtext("location", "0 0 0"))
+    return size, _metashape_lens(file, kind, values, size), _placed(sensor, 1.0, place)
 
 
-def _sensor_pose(sensor: Element) -> np.ndarray:
-    """Pose (4, 4) of a sensor in the camera that leads its rig; the identity for that camera itself."""
-    return similarity(
-        1.0,
-        numbers(sensor.findtext("rotation", "1 0 0 0 1 0 0 0 1"), 9).reshape(3, 3),
-        numbers(sensor.findtext("translation", sensor.findtext("location", "0 0 0")), 3),
-    )
+def _placed(element: Element, scale: float, place: str) -> np.ndarray:
+    """Similarity (4, 4) of an element's rotation, a scale and a place as text."""
+    rotation = numbers(element.findtext("rotation", "1 0 0 0 1 0 0 0 1"), 9).reshape(3, 3)
+    return similarity(scale, rotation, numbers(place, 3))
 
 
 def _metashape_lens(file: Path, kind: str, values: dict[str, float], size: tuple[int, int]) -> Lens:
@@ -178,9 +167,10 @@ def _metashape_lens(file: Path, kind: str, values: dict[str, float], size: tuple
     if kind == "spherical" and not any(value for name, value in values.items() if name != "f"):
         return Lens(EQUIRECTANGULAR, (float(size[0]), float(size[1])))
     if kind not in ("frame", "fisheye") or any(values.get(key) for key in _UNSUPPORTED):
-        raise FiptError(
-            "camera-model",
-            f"{file} has a camera of the type {kind[:40]!r}{_nonzero(values)}, which is not supported.",
+        names = ", ".join(key.upper() for key in _UNSUPPORTED if values.get(key))
+        raise unsupported(
+            file,
+            f"a camera of the type {kind[:40]!r}{' with ' * bool(names)}{names}",
             "Use the types Frame or Fisheye without B2, P3 and P4, or Spherical without parameters (Tools >"
             " Camera Calibration), align again.",
         )
@@ -196,11 +186,6 @@ def _metashape_lens(file: Path, kind: str, values: dict[str, float], size: tuple
     if kind == "frame":
         return distorting_lens(intrinsics, size, (k1, k2, k3, k4), tangential)
     return Lens("THIN_PRISM_FISHEYE", (*intrinsics, k1, k2, *tangential, k3, k4, 0.0, 0.0))
-
-
-def _nonzero(values: dict[str, float]) -> str:
-    names = ", ".join(key.upper() for key in _UNSUPPORTED if values.get(key))
-    return f" with {names}" if names else ""
 
 
 # ------------------------------------------------------------------------------------------- BlocksExchange
@@ -235,7 +220,7 @@ def _blocksexchange(file: Path, places: Places) -> Models:
     if not models:
         raise FiptError("no-views", text, _ALIGN)
     note = Note("pose-lost", text, "Align these photographs, too, or leave them out there.")
-    return [sorted(views, key=lambda view: view.name) for views in models.values()], (note,) * bool(lost)
+    return list(models.values()), (note,) * bool(lost)
 
 
 def _photo_view(file: Path, system: str, group: Element, photo: Element, places: Places) -> RigView:
@@ -279,8 +264,8 @@ def _block_lens(file: Path, group: Element, size: tuple[int, int]) -> Lens:
     model = group.findtext("CameraModelType", "Perspective").strip()
     skew = number(group.findtext("Skew", "0"))
     if model != "Perspective" or skew != 0.0 or group.find("PrincipalPoint/xmm") is not None:
-        text = f"{file} has a camera of the type {model[:40]!r}, a skew or a principal point in millimetres."
-        raise FiptError("camera-model", text, "Export undistorted photographs with their cameras in pixels.")
+        what = f"a camera of the type {model[:40]!r}, a skew or a principal point in millimetres"
+        raise unsupported(file, what, "Export undistorted photographs with their cameras in pixels.")
     focal = group.findtext("FocalLengthPixels")
     if focal is None and (group.find("FocalLength") is None or group.find("SensorSize") is None):
         text = f"{file} has a photogroup without FocalLengthPixels, or FocalLength and SensorSize."
