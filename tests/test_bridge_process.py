@@ -19,8 +19,8 @@ import pytest
 
 from fipt_blender.bridge import process as engine_process
 from fipt_blender.bridge.death import explain_death
+from fipt_blender.bridge.job import Job
 from fipt_blender.bridge.process import EngineProcess
-from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.lock import hold, holder
 from fipt_blender.core.run.messages import parse_message

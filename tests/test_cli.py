@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from fipt_blender import cli
+from fipt_blender.bridge.job import Job
 from fipt_blender.bridge.process import EngineProcess
-from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step
 from samples.child_processes import PATIENCE_SECONDS, SLEEPER, is_alive, posix, wait_for
 
@@ -130,7 +130,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
-from fipt_blender.bridge.sequence import Job
+from fipt_blender.bridge.job import Job
 from fipt_blender.bridge.step import Step
 def make(options):
     options.output.mkdir()

@@ -19,7 +19,7 @@ from .action import REGISTER, action
 from .polls import has_results, has_run, in_object_mode, needs, no_job
 
 if TYPE_CHECKING:
-    from ..bridge.sequence import Job
+    from ..bridge.job import Job
 
 
 @action("Write Report", needs=(no_job, has_run), options=REGISTER)

@@ -22,8 +22,8 @@ from pathlib import Path
 import bpy
 
 from ...bridge.interpreter import PACKAGE_FOLDER
+from ...bridge.job import Job
 from ...bridge.process import EngineProcess, Message
-from ...bridge.sequence import Job
 from ...bridge.step import Step
 from ...core.run.errors import FiptError
 from ...core.run.messages import Reporter, claim_stdout

@@ -73,7 +73,7 @@ class RunFolder:
         self.atlas_json = self.root / "atlas.json"
         self.textures = self.root / "textures"
         self.textures_json = self.textures / "textures.json"
-        self.apply_json = self.root / "apply.json"
+        self.job_json = self.root / "job.json"
         self.renders = self.root / "renders"
         self.renders_json = self.renders / "renders.json"
         self.report = self.root / "report"
@@ -97,7 +97,7 @@ class RunFolder:
         own = [self.linked, self.stage, self.renders, *replaced]
         own += [side for path in replaced for side in beside(path)]
         own += [self.light, self.report, self.survey, self.align, self.scene_cameras]
-        own += [self.root / "messages", self.log]
+        own += [self.root / "messages", self.root / "made", self.log]
         prepared = ("sparse", "clipped", "parts", "semantics")  # folders of a prepared capture
         own += [self.engine_lock, *(self.root / name for name in prepared)]
         root = os.path.realpath(self.root)
@@ -124,6 +124,10 @@ class RunFolder:
     def messages(self, command: str) -> Path:
         """The file with the messages of the last start of an engine command."""
         return self.root / "messages" / f"{command}.jsonl"
+
+    def made(self, name: str) -> Path:
+        """The file with the key of what some files were made from; see `made.Made`."""
+        return self.root / "made" / f"{name}.json"
 
     def create(self, settings: Settings) -> None:
         """Make the folder and write run.json; an existing run of this version gets the new settings.
