@@ -13,7 +13,6 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from unittest.mock import Mock
 
 import pytest
 
@@ -51,7 +50,7 @@ def child(tmp_path: Path, script: str) -> EngineProcess:
 
 def collect(process: EngineProcess) -> list[dict]:
     messages: list[dict] = []
-    process.run_blocking(messages.append)
+    wait_for(lambda: messages.extend(process.poll()) or not process.running)
     return messages
 
 
@@ -122,8 +121,9 @@ def test_cancel_ends_a_stubborn_child_and_its_children_by_force(tmp_path):
 @posix
 def test_an_exception_in_the_receiver_leaves_no_orphan(tmp_path):
     process = child(tmp_path, said(HALF) + SLEEPER)
+    job = Job([Step("a", "A", 1.0, process=lambda: process)], tmp_path / "log.txt")
     with pytest.raises(KeyboardInterrupt):
-        process.run_blocking(Mock(side_effect=KeyboardInterrupt))
+        job.run(lambda message: message.get("stage_fraction") and signal.raise_signal(signal.SIGINT))
     wait_for(lambda: not is_alive(process.pid))
 
 
@@ -234,9 +234,9 @@ def test_a_request_to_cancel_never_waits(run_folder, monkeypatch):
     monkeypatch.setattr(engine_process, "time", frozen_clock())
     job.request_cancel()
     for _ in range(10):  # the child does not listen, and is given time to
-        assert job.advance() == [] and not job.finished and is_alive(engine.pid)
+        assert job.advance() == [] and not job.ended and is_alive(engine.pid)
     monkeypatch.setattr(engine_process, "time", frozen_clock(2.0))
-    wait_for(lambda: job.advance() == [] and job.finished)
+    wait_for(lambda: job.advance() == [] and job.ended)
     assert job.cancelled and job.error is None and not is_alive(engine.pid)
 
 

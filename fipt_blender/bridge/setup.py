@@ -9,9 +9,10 @@ too. Standard library only.
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ..core.device.cuda import cuda_devices, cuda_driver_version
@@ -20,8 +21,8 @@ from ..core.run.lock import hold
 from ..core.run.messages import Reporter, claim_stdout
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from . import pins
-from .environment import set_up
-from .pip_bootstrap import other_pythons, python_version
+from .environment import VERSION, set_up
+from .interpreter import answer
 from .places import environment_python
 from .plan import Plan, plan_key
 from .torch_build import choose_torch_build
@@ -99,6 +100,20 @@ def make_plans(data: Path, device: str, wheels: Path | None) -> list[Plan]:
             f"Install Python {listed} from your system or from the Python project, and set up again.",
         )
     return list(plans.values())
+
+
+def other_pythons() -> Iterator[Path]:
+    """Pythons on the search path in which the engine can run, the newest first."""
+    for version in sorted(pins.ENGINE_PYTHONS, reverse=True):
+        names = [f"python{version[0]}.{version[1]}", "python3", "python"]
+        found = dict.fromkeys(filter(None, map(shutil.which, names)))
+        yield from [path for path in map(Path, found) if python_version(path) == version][:1]
+
+
+def python_version(python: Path) -> pins.Version | None:
+    """The version of a Python; None if it does not start."""
+    major, _, minor = (answer(python, VERSION) or "").partition(" ")
+    return (int(major), int(minor)) if major.isdigit() and minor.isdigit() else None
 
 
 def run(arguments: argparse.Namespace, reporter: SetupReporter) -> None:
