@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import json
 import os
 import signal
@@ -21,8 +23,10 @@ from fipt_blender.bridge.death import explain_death
 from fipt_blender.bridge.job import Job
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.step import Step
+from fipt_blender.core import __main__ as commands
+from fipt_blender.core.report import page
 from fipt_blender.core.run.lock import hold, holder
-from fipt_blender.core.run.messages import parse_message
+from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.process_identity import PARENT_VARIABLE
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import run_job
@@ -263,6 +267,16 @@ def test_an_engine_whose_last_words_do_not_fit_on_the_disk_is_understood(run_fol
     with open("/dev/full", "w") as full:
         result = subprocess.run(command, cwd=ROOT, stdout=full, stderr=subprocess.DEVNULL, check=False)
     assert explain_death(result.returncode)["code"] == "disk-full"
+
+
+def test_a_disk_that_fills_at_work_is_one_error(run_folder, monkeypatch):
+    def fail(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(page, "run", fail)
+    stream = io.StringIO()
+    assert commands.run_command(["report", str(run_folder.root)], Reporter(stream)) == 1
+    assert [parse_message(line)["code"] for line in stream.getvalue().splitlines()] == ["disk-full"]
 
 
 def test_running_out_of_memory_is_told_from_a_crash():

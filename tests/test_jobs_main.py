@@ -213,11 +213,10 @@ def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
         assert ran(dataclasses.replace(other, resume=resume))[-1] == failing
         assert messages[-1]["code"] == "engine-crashed"
         assert {path: path.read_bytes() for path in before} == before
-        # Of a resumed run the engine knows itself which checkpoints still hold.
-        assert checkpoint.exists() or (resume, failing) == (False, "estimate")
-    assert not checkpoint.exists()
+    assert checkpoint.exists(), "of a resumed run the engine knows itself which still hold"
     engine.failing = ""
-    assert ran(other) == COMMANDS and messages[-1]["type"] == "done"
+    assert ran(dataclasses.replace(other, resume=False)) == COMMANDS and messages[-1]["type"] == "done"
+    assert not checkpoint.exists()
 
 
 def code_of(options: MainJobOptions) -> str:

@@ -88,6 +88,10 @@ def run_command(argv: list[str], reporter: Reporter) -> int:
                 "Use a smaller preset or fewer or smaller views, or close other programs; then resume.",
             )
             return 1
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            text = f"The disk is full ({error})."
+            reporter.error("disk-full", text, "Free some space and resume the run; finished stages are kept.")
+            return 1
         reporter.error(
             "engine-failed",
             f"The engine failed: {type(error).__name__}: {error}",
