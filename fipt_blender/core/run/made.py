@@ -91,12 +91,13 @@ def folder_states(path: Path | None, exclude: Path) -> list[str]:
     for parent, folders, names in os.walk(os.path.realpath(path if path.is_dir() else path.parent)):
         folders[:] = [name for name in folders if os.path.join(parent, name) != excluded]
         states += [file_state(Path(parent, name)) for name in names]
-    return sorted(states)
+    return sorted(filter(None, states))
 
 
 def file_state(file: Path | None) -> str:
     """Name, size and time of change of a file; None or missing: "", for a link's target may come and go."""
-    if file is None or not file.exists():
-        return ""
-    status = file.stat()
-    return f"{file}|{status.st_size}|{status.st_mtime_ns}"
+    try:
+        status = None if file is None else file.stat()
+    except (OSError, ValueError):  # also names that no file can have
+        status = None
+    return "" if status is None else f"{file}|{status.st_size}|{status.st_mtime_ns}"
