@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
@@ -127,7 +128,7 @@ def test_an_exception_in_the_receiver_leaves_no_orphan(tmp_path):
     process = child(tmp_path, said(HALF) + SLEEPER)
     job = Job([Step("a", "A", 1.0, process=lambda: process)], tmp_path / "log.txt")
     with pytest.raises(KeyboardInterrupt):
-        job.run(lambda message: message.get("stage_fraction") and signal.raise_signal(signal.SIGINT))
+        job.run(Mock(side_effect=[None, None, KeyboardInterrupt]))  # told of stage, start and half
     wait_for(lambda: not is_alive(process.pid))
 
 

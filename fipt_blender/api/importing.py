@@ -33,7 +33,7 @@ def _import_capture(scene: bpy.types.Scene) -> Job:
     from ..core.capture.options import CaptureOptions
     from ..core.run.declared import converted
     from ..jobs.options import capture_source
-    from ..jobs.run_job import open_job
+    from ..jobs.run_job import find_launch, open_job
     from ..jobs.scene_steps import import_steps
     from ..properties.declared import values_of
 
@@ -54,9 +54,9 @@ def _import_capture(scene: bpy.types.Scene) -> Job:
     path = capture_source(path)
     options = CaptureOptions(**converted(CaptureOptions, values_of(settings, CaptureOptions)))
     options.refuse_missing()
-    machine.engine_python()  # raises before anything is created
+    launch = find_launch()  # raises before anything is created
     run = open_run(scene, str(path), path.stem if path.is_file() else path.name)
-    return open_job(run, import_steps(run, path, options, partial(import_capture, run, str(path))))
+    return open_job(run, import_steps(run, path, options, partial(import_capture, run, str(path))), launch)
 
 
 def scene_cameras_import() -> Task:
@@ -67,11 +67,11 @@ def scene_cameras_import() -> Task:
 def _use_scene_cameras(scene: bpy.types.Scene) -> Job:
     from ..blend.capture.scene_cameras import SCENE_SOURCE, adopt_cameras, write_scene_cameras
     from ..core.capture.options import CaptureOptions
-    from ..jobs.run_job import open_job
+    from ..jobs.run_job import find_launch, open_job
     from ..jobs.scene_steps import import_steps
 
     settings = scene.fipt.capture
-    machine.engine_python()  # raises before anything is created
+    launch = find_launch()  # raises before anything is created
     name = bpy.path.display_name_from_filepath(bpy.data.filepath) or scene.name
     run = open_run(scene, SCENE_SOURCE, name)
     try:
@@ -96,7 +96,7 @@ def _use_scene_cameras(scene: bpy.types.Scene) -> Job:
         remedy = "To use them as well, give each its photograph as background image."
         return [{"type": "warning", "code": "cameras-left-out", "text": text, "remedy": remedy}]
 
-    return open_job(run, import_steps(run, path, options, adopt, "Listing the cameras"))
+    return open_job(run, import_steps(run, path, options, adopt, "Listing the cameras"), launch)
 
 
 def open_run(scene: bpy.types.Scene, source: str, name: str) -> RunFolder:
