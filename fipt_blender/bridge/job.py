@@ -17,7 +17,7 @@ from typing import Any
 
 from ..core.run.contents import JobNote, Problem
 from ..core.run.errors import FiptError
-from ..core.run.runfolder import write_json
+from ..core.run.runfolder import full_disk, write_json
 from .process import EngineProcess, Message, error_message
 from .step import JobProgress, Step, StepSlices
 
@@ -267,6 +267,8 @@ class Job:
         except FiptError:
             raise
         except Exception as error:  # every failure must reach the user
+            if full := full_disk(error):
+                raise full from error
             with suppress(OSError), open(self.log, "a", encoding="utf-8") as log:
                 log.write(traceback.format_exc())
             raise FiptError(

@@ -20,7 +20,7 @@ from .run.errors import FiptError
 from .run.lock import hold
 from .run.messages import Reporter, claim_stdout, says_out_of_memory
 from .run.process_identity import end_with_parent
-from .run.runfolder import RunFolder
+from .run.runfolder import RunFolder, full_disk
 
 # Name: (module, help). Each module has add_arguments(parser) and run(arguments, reporter).
 COMMANDS = {
@@ -88,9 +88,8 @@ def run_command(argv: list[str], reporter: Reporter) -> int:
                 "Use a smaller preset or fewer or smaller views, or close other programs; then resume.",
             )
             return 1
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            text = f"The disk is full ({error})."
-            reporter.error("disk-full", text, "Free some space and resume the run; finished stages are kept.")
+        if full := full_disk(error):
+            reporter.error(full.code, full.text, full.remedy)
             return 1
         reporter.error(
             "engine-failed",

@@ -248,6 +248,17 @@ class RunFolder:
         return Path(os.path.normpath(self.root / path))
 
 
+def full_disk(error: Exception, path: object = "") -> FiptError | None:
+    """The error ``disk-full`` where one of the system means that of writing `path`; else None."""
+    if not isinstance(error, OSError) or error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        return None
+    return FiptError(
+        "disk-full",
+        f"The disk is full; {path or error.filename or 'a file'} could not be written.",
+        "Free some space and resume the run; finished stages are kept.",
+    )
+
+
 @contextmanager
 def explained_write_errors(path: Path) -> Iterator[None]:
     """Turn the system's errors of writing `path` into FiptErrors.
@@ -258,12 +269,8 @@ def explained_write_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise FiptError(
-                "disk-full",
-                f"The disk is full; {path} could not be written.",
-                "Free some space and resume the run; finished stages are kept.",
-            ) from error
+        if full := full_disk(error, path):
+            raise full from error
         raise FiptError(
             "run-unwritable",
             f"{path} could not be written ({error.strerror}).",
