@@ -140,7 +140,7 @@ def run_main_job(options: MainJobOptions) -> list[dict]:
 def options(capture, tmp_path) -> MainJobOptions:
     settings = make_settings("draft", {"texture_size": 64})
     return MainJobOptions(
-        capture=capture, output=tmp_path / "run", settings=settings, up_axis="z", hold_back=4, renders=()
+        capture=capture, output=tmp_path / "run", settings=settings, up_axis="z", hold_back=4, renders=False
     )
 
 
@@ -229,7 +229,6 @@ def test_wrong_paths_are_found_before_anything_is_written(options, engine, tmp_p
     assert code_of(change(options, mesh=tmp_path / "nowhere.obj")) == "mesh-missing"
     assert code_of(change(options, output=options.capture)) == "output-inside-capture"
     assert code_of(change(options, output=options.capture / "0.exr")) == "run-foreign"
-    assert code_of(change(options, renders=("selfie",))) == "render-unknown"
     assert not options.output.exists()
     foreign = tmp_path / "holiday"
     foreign.mkdir()

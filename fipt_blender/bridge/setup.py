@@ -127,32 +127,19 @@ def run(arguments: argparse.Namespace, reporter: SetupReporter) -> None:
     with explained_write_errors(arguments.data):
         arguments.data.mkdir(parents=True, exist_ok=True)
     with hold(RunFolder(arguments.data), ["set-up"]):
-        plans = make_plans(arguments.data, arguments.device, arguments.wheels)
-        make_first(plans, reporter)
-
-
-def make_first(plans: Sequence[Plan], reporter: SetupReporter) -> None:
-    """Make the first of these environments whose Python is suitable.
-
-    Args:
-        plans: of the environments, best first.
-        reporter: gets the messages.
-
-    Raises:
-        FiptError: what is wrong and what to do.
-    """
-    for last, plan in enumerate(plans, 1 - len(plans)):
-        reporter.plan(_WEIGHTS)
-        try:
-            set_up(plan, reporter)
-        except FiptError as error:
-            if error.code != "python-unfit" or last == 0:
-                raise
-            reporter.warning(error.code, error.text, "Another Python will be tried.")
-            continue
-        data = {"folder": str(plan.folder), "python": str(plan.python), "torch": plan.torch}
-        reporter.done([str(environment_python(plan.folder))], data)
-        return
+        *others, last = make_plans(arguments.data, arguments.device, arguments.wheels)
+        for plan in (*others, last):
+            reporter.plan(_WEIGHTS)
+            try:
+                set_up(plan, reporter)
+            except FiptError as error:
+                if error.code != "python-unfit" or plan is last:
+                    raise
+                reporter.warning(error.code, error.text, "Another Python will be tried.")
+                continue
+            data = {"folder": str(plan.folder), "python": str(plan.python), "torch": plan.torch}
+            reporter.done([str(plan.python)], data)
+            return
 
 
 def main() -> int:

@@ -17,16 +17,9 @@ from ..core.run.errors import FiptError
 from ..core.run.hints import Hint, read_hints, write_hints
 from ..core.run.runfolder import RunFolder
 from .expected import PICTURE, render_seconds
-from .options import BLEND_NAME, MOST_RERENDERED, MainJobOptions, check_options
+from .options import BLEND_NAME, RENDERS, MainJobOptions, check_options
 from .run_job import find_launch, open_job, refuse_busy
 from .scene_steps import apply_steps, estimation_steps, import_steps
-
-_RENDER_TEXTS = {
-    "rerender": "Rendering held-back views with the estimated room",
-    "relight": "Rendering the view with the estimated lights off and a new area light",
-    "insert": "Rendering the view with an inserted object",
-}
-_PICTURES = {"rerender": MOST_RERENDERED}
 
 
 def make_main_job(options: MainJobOptions) -> Job:
@@ -99,12 +92,12 @@ def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
         *(
             Step(
                 f"render-{kind}",
-                _RENDER_TEXTS[kind],
-                PICTURE * _PICTURES.get(kind, 1),
+                text,
+                PICTURE * count,
                 function=partial(room.render, kind),
-                expected=partial(render_seconds, run, _PICTURES.get(kind, 1), options.render_spp),
+                expected=partial(render_seconds, run, count, options.render_spp),
             )
-            for kind in options.renders
+            for kind, (text, count) in (RENDERS if options.renders else {}).items()
         ),
         Step("report", "Writing the report", 3.0, command=["report", str(run.root)]),
     ]

@@ -44,7 +44,7 @@ from ..core.run.runfolder import RunFolder, atomic_path
 from ..core.run.settings import make_settings
 from ..core.run.stage_settings import TextureSettings
 from ..properties.declared import fill
-from .options import BLEND_NAME, MOST_RERENDERED, RENDER_KINDS, MainJobOptions, capture_source
+from .options import BLEND_NAME, MOST_RERENDERED, RENDERS, MainJobOptions, capture_source
 from .scene_steps import applied
 
 NEW_LIGHT = "FIPT New Light"
@@ -91,7 +91,7 @@ class RoomSteps:
         """Save room.blend with the applied results; an earlier one is kept as room_before.blend."""
         scene = bpy.context.scene
         applied(scene, self._run)
-        if all(self._renders_made(kind).kept() is None for kind in RENDER_KINDS):
+        if all(self._renders_made(kind).kept() is None for kind in RENDERS):
             shutil.rmtree(self._run.renders, ignore_errors=True)  # of another estimate
         cameras.use_view(scene, cameras.find_camera(self._view()[0], scene))
         enter_camera_on_opening()
