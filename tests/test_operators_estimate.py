@@ -122,6 +122,9 @@ def test_estimate_works_on_the_scene_as_it_is_and_starts_anew_unless_stages_are_
         quick["training_steps"] = 12
         outcome = api.estimate(keep_stages=True)
         assert outcome.run == run.root and worked(run) == ["training"]
+        bpy.data.objects["wall 0"].location.x += 0.01
+        api.estimate(keep_stages=True)
+        assert worked(run) == STAGES, "settings alone do not tell whether something has changed"
         assert run.read().training_steps == 12 and done(run) == STAGES
         before = run.emitters_json.read_bytes()
         run.ingest_json.write_bytes(run.capture_json.read_bytes())

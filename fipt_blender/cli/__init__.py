@@ -11,11 +11,11 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
-from ..bridge.interpreter import engine_command
 from ..bridge.job import Job
-from ..bridge.process import EngineProcess, Message, error_message
+from ..bridge.process import Message, error_message
 from ..bridge.step import Step
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import explained_write_errors
@@ -95,11 +95,7 @@ def _check(arguments: argparse.Namespace) -> int:
         engine = find_launch(arguments.engine_python)
     except FiptError as error:
         return _report_error(arguments, error)
-    command = engine_command(engine.python, "check")
-
-    def start() -> EngineProcess:
-        return EngineProcess(command, log, engine.environment)
-
+    start = partial(engine.start, ["check"], log)
     job = Job([Step("check", "Checking the engine", 20.0, process=start)], log)
     job.result = lambda: ([], job.data)
     status = _run(job, Display(sys.stdout, arguments.json, arguments.quiet), "give the same command")

@@ -43,16 +43,13 @@ def open_job(
     """
     engine = launch or find_launch()
     refuse_busy(run)
-
-    def start(arguments: Sequence[str]) -> EngineProcess:
-        command = engine_command(engine.python, *arguments)
-        return EngineProcess(command, run.log, engine.environment, run.messages(arguments[0]))
-
-    return Job(
-        [replace(step, process=partial(start, step.command)) if step.command else step for step in steps],
-        run.log,
-        note=run.job_json if note else None,
-    )
+    started = [
+        replace(step, process=partial(engine.start, step.command, run.log, run.messages(step.command[0])))
+        if step.command
+        else step
+        for step in steps
+    ]
+    return Job(started, run.log, note=run.job_json if note else None)
 
 
 def prepare_job(photographs: Path, folder: Path, options: Iterable[str], launch: Launch | None = None) -> Job:
@@ -86,6 +83,10 @@ class Launch:
 
     python: Path
     environment: Mapping[str, str]
+
+    def start(self, arguments: Sequence[str], log: Path, messages: Path | None = None) -> EngineProcess:
+        """Start an engine command; see `EngineProcess`."""
+        return EngineProcess(engine_command(self.python, *arguments), log, self.environment, messages)
 
 
 def find_launch(explicit: str | None = None) -> Launch:
