@@ -94,16 +94,10 @@ def make_environment(plan: Plan) -> None:
         return
     shutil.rmtree(folder, ignore_errors=True)
     result = run_quietly([str(plan.base), "-I", "-m", "venv", "--without-pip", str(folder)])
-    if result.returncode == 0:
-        try:
-            if _install_pip(plan):
-                return
-        except FiptError:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
+    if result.returncode == 0 and not _install_pip(plan):
         result = run_quietly([str(python), "-I", "-m", "ensurepip"])
-        if result.returncode == 0:
-            return
+    if result.returncode == 0:
+        return
     shutil.rmtree(folder, ignore_errors=True)
     raise FiptError(
         "python-unfit",
