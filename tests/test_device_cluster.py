@@ -84,7 +84,7 @@ class Killer(Reporter):
 
 def estimated(root: Path, capture: SmallCapture, address: str | None, reporter: Reporter) -> RunFolder:
     run = write_run(root, capture, **LITTLE)
-    command.run(argparse.Namespace(run=run.root, cluster=address), reporter)
+    command.run(argparse.Namespace(run=run.root, cluster=address, anew=False), reporter)
     return run
 
 
