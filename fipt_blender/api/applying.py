@@ -41,7 +41,7 @@ def application() -> Task:
         run = run_of(scene)
         settings = chosen_settings(scene, run)
         run.create(settings)
-        return _apply_job(scene, run, settings)
+        return _apply_job(run, settings)
 
     return Task("Apply Results", "materials", make, finished=applied, undo=True)
 
@@ -58,7 +58,7 @@ def version_change(version: str) -> Task:
         settings = chosen_settings(scene, run)
         run.create(settings)
         scene.fipt.run_folder = str(run.root)
-        return _apply_job(scene, run, settings)
+        return _apply_job(run, settings)
 
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
         applied(scene, run)
@@ -88,11 +88,11 @@ def delete_version(scene: bpy.types.Scene, version: str) -> None:
     runstate.forget(run_of(scene).root)
 
 
-def _apply_job(scene: bpy.types.Scene, run: RunFolder, settings: Settings) -> Job:
+def _apply_job(run: RunFolder, settings: Settings) -> Job:
     from ..jobs.run_job import open_job
-    from ..jobs.scene_steps import apply_steps, scene_named
+    from ..jobs.scene_steps import apply_steps
 
-    return open_job(run, apply_steps(scene_named(scene.name), run, settings))
+    return open_job(run, apply_steps(run, settings))
 
 
 def applied(scene: bpy.types.Scene, run: RunFolder) -> None:

@@ -106,7 +106,7 @@ def reestimation() -> Task:
     def make(scene: bpy.types.Scene) -> Job:
         from ..blend.hints.exchange import write_hints_rerun
         from ..jobs.run_job import find_launch, open_job, refuse_busy
-        from ..jobs.scene_steps import apply_steps, estimate_step, scene_named
+        from ..jobs.scene_steps import apply_steps, estimate_step
 
         run = run_of(scene)
         launch = find_launch()
@@ -118,7 +118,7 @@ def reestimation() -> Task:
         write_hints_rerun(scene, run)
         steps = [
             estimate_step(run, settings, resume=True),
-            *apply_steps(scene_named(scene.name), run, settings),
+            *apply_steps(run, settings),
         ]
         return open_job(run, steps, launch, note=True)
 

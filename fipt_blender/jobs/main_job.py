@@ -79,15 +79,13 @@ def _take_hints(
 
 
 def _steps(options: MainJobOptions, run: RunFolder) -> list[Step]:
-    import bpy
-
     from .room_steps import RoomSteps
 
     room, settings = RoomSteps(options, run), options.settings
     return [
         *import_steps(run, options.capture.absolute(), options, room.import_room),
         *estimation_steps(run, settings, options.resume, options.cluster),
-        *apply_steps(lambda: bpy.context.scene, run, settings),
+        *apply_steps(run, settings),
         Step("save", "Saving the .blend file", 1.0, function=room.save),
         *(
             Step(

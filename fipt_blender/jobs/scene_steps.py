@@ -7,7 +7,6 @@ The buttons, the Python API and the command line (`main_job`) do the same ones. 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -126,19 +125,19 @@ def export_scene_room(run: RunFolder) -> Slices[list[Message]]:
     return warnings
 
 
-def apply_steps(scene: Callable[[], bpy.types.Scene], run: RunFolder, settings: Settings) -> list[Step]:
+def apply_steps(run: RunFolder, settings: Settings) -> list[Step]:
     """Texture coordinates, baking, assignment; the first two are kept while their inputs are the same.
 
     After the job comes `applied`.
 
     Args:
-        scene: finds the scene, whose name may change and which undo replaces.
-        run: its run folder.
+        run: the scene's run folder.
         settings: of the textures.
     """
+    import bpy
 
-    def objects() -> list[bpy.types.Object]:
-        return scene().fipt.capture.room_objects(scene())
+    def objects() -> list[bpy.types.Object]:  # undo may replace them and the scene
+        return bpy.context.scene.fipt.capture.room_objects(bpy.context.scene)
 
     def lay_out() -> Slices[None]:
         from ..blend.room.atlas import atlas_slices
@@ -159,10 +158,10 @@ def apply_steps(scene: Callable[[], bpy.types.Scene], run: RunFolder, settings: 
         from ..blend.results.applying import apply_slices
         from ..blend.texture_files import texture_files
 
-        files = texture_files(scene(), run)
-        applied = yield from apply_slices(run, objects(), scene(), files)
+        files = texture_files(bpy.context.scene, run)
+        applied = yield from apply_slices(run, objects(), bpy.context.scene, files)
         warnings = applied.warnings
-        if apply_environment(run, scene(), files) is None:
+        if apply_environment(run, bpy.context.scene, files) is None:
             text = "The scene keeps the world that you have chosen since results were applied."
             remedy = "To get the estimated one back, use Revert and apply the results again."
             warnings.append({"type": "warning", "code": "world-kept", "text": text, "remedy": remedy})
@@ -185,13 +184,6 @@ def apply_steps(scene: Callable[[], bpy.types.Scene], run: RunFolder, settings: 
         ),
         Step("apply-build", "Building materials and lights", 1.0, function=build),
     ]
-
-
-def scene_named(name: str) -> Callable[[], bpy.types.Scene]:
-    """Finds a scene again."""
-    import bpy
-
-    return lambda: bpy.data.scenes[name]
 
 
 def applied(scene: bpy.types.Scene, run: RunFolder) -> None:

@@ -272,7 +272,7 @@ def try_example(context: bpy.types.Context) -> Task:
             *scene_steps.import_steps(run, path, CaptureOptions(), partial(import_capture, run, str(path))),
             scene_steps.camera_step(run),
             *scene_steps.estimation_steps(run, settings, resume=False),
-            *scene_steps.apply_steps(scene_steps.scene_named(scene.name), run, settings),
+            *scene_steps.apply_steps(run, settings),
         ]
         return open_job(run, steps, launch, note=True)
 
