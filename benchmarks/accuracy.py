@@ -198,9 +198,8 @@ def run_main_job(capture: Path, output: Path, preset: str, options: Sequence[str
 def recorded_costs(run: RunFolder) -> dict[str, Any]:
     """Seconds by step, and what the engine counted, from a run's own records."""
     costs: dict[str, Any] = {"seconds": None, "peak_memory_gb": None}
-    steps = run.root / "steps.json"
-    if steps.exists():
-        seconds = {name: step["seconds"] for name, step in read_document(steps, dict)["steps"].items()}
+    if run.job_json.exists():
+        seconds = read_document(run.job_json, dict)["seconds"]
         costs |= {"seconds": round(sum(seconds.values()), 1), "step_seconds": seconds}
     if run.statistics_json.exists():
         costs["statistics"] = read_document(run.statistics_json, dict)

@@ -12,7 +12,7 @@ import functools
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypedDict, cast
+from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import bpy
 
@@ -38,20 +38,9 @@ class Status(TypedDict, total=False):
     cancelled: bool  # whether a later set-up was cancelled
 
 
-class Preferences(Protocol):
-    """The values that the add-on's preferences and `Defaults` have in common."""
-
-    engine_python: str
-    wheel_folder: str
-    device: str
-    gpu_uuid: str
-    data_folder: str
-    status: str
-
-
 @dataclass
-class Defaults:
-    """The default values of the preferences."""
+class Preferences:
+    """The values of the add-on's preferences, by default."""
 
     engine_python: str = ""
     wheel_folder: str = ""
@@ -61,13 +50,13 @@ class Defaults:
     status: str = ""
 
 
-DEFAULTS = Defaults()
+DEFAULTS = Preferences()
 
 
 def get_preferences() -> Preferences:
     """The preferences, or `DEFAULTS` where the package is not enabled as an add-on."""
     addon = bpy.context.preferences.addons.get(ADDON)
-    return DEFAULTS if addon is None or addon.preferences is None else addon.preferences
+    return DEFAULTS if addon is None or addon.preferences is None else cast(Preferences, addon.preferences)
 
 
 def data_folder() -> Path:

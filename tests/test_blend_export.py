@@ -110,6 +110,8 @@ def test_an_export_that_fails_leaves_what_was_there(scene, tmp_path, monkeypatch
     scene.fipt.materials.parts["Cube"].value = 0.5
     assert error_of(export_room, scene, tmp_path / "out" / "room.gltf").code == "disk-full"
     assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("*")} == before
+    assert error_of(export_room, scene, tmp_path / "new" / "room.glb").code == "disk-full"
+    assert not (tmp_path / "new").exists()
 
 
 def first_middle(mesh):

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import json
 import os
 import signal
@@ -19,11 +21,13 @@ import pytest
 
 from fipt_blender.bridge import process as engine_process
 from fipt_blender.bridge.death import explain_death
+from fipt_blender.bridge.job import Job
 from fipt_blender.bridge.process import EngineProcess
-from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step
+from fipt_blender.core import __main__ as commands
+from fipt_blender.core.report import page
 from fipt_blender.core.run.lock import hold, holder
-from fipt_blender.core.run.messages import parse_message
+from fipt_blender.core.run.messages import Reporter, parse_message
 from fipt_blender.core.run.process_identity import PARENT_VARIABLE
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import run_job
@@ -51,7 +55,7 @@ def child(tmp_path: Path, script: str) -> EngineProcess:
 
 def collect(process: EngineProcess) -> list[dict]:
     messages: list[dict] = []
-    process.run_blocking(messages.append)
+    wait_for(lambda: messages.extend(process.poll()) or not process.running)
     return messages
 
 
@@ -122,8 +126,9 @@ def test_cancel_ends_a_stubborn_child_and_its_children_by_force(tmp_path):
 @posix
 def test_an_exception_in_the_receiver_leaves_no_orphan(tmp_path):
     process = child(tmp_path, said(HALF) + SLEEPER)
+    job = Job([Step("a", "A", 1.0, process=lambda: process)], tmp_path / "log.txt")
     with pytest.raises(KeyboardInterrupt):
-        process.run_blocking(Mock(side_effect=KeyboardInterrupt))
+        job.run(Mock(side_effect=[None, None, KeyboardInterrupt]))  # told of stage, start and half
     wait_for(lambda: not is_alive(process.pid))
 
 
@@ -225,9 +230,9 @@ def test_a_request_to_cancel_never_waits(run_folder, monkeypatch):
     monkeypatch.setattr(engine_process, "time", frozen_clock())
     job.request_cancel()
     for _ in range(10):  # the child does not listen, and is given time to
-        assert job.advance() == [] and not job.finished and is_alive(engine.pid)
+        assert job.advance() == [] and not job.ended and is_alive(engine.pid)
     monkeypatch.setattr(engine_process, "time", frozen_clock(2.0))
-    wait_for(lambda: job.advance() == [] and job.finished)
+    wait_for(lambda: job.advance() == [] and job.ended)
     assert job.cancelled and job.error is None and not is_alive(engine.pid)
 
 
@@ -254,6 +259,16 @@ def test_an_engine_whose_last_words_do_not_fit_on_the_disk_is_understood(run_fol
     with open("/dev/full", "w") as full:
         result = subprocess.run(command, cwd=ROOT, stdout=full, stderr=subprocess.DEVNULL, check=False)
     assert explain_death(result.returncode)["code"] == "disk-full"
+
+
+def test_a_disk_that_fills_at_work_is_one_error(run_folder, monkeypatch):
+    def fail(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(page, "run", fail)
+    stream = io.StringIO()
+    assert commands.run_command(["report", str(run_folder.root)], Reporter(stream)) == 1
+    assert [parse_message(line)["code"] for line in stream.getvalue().splitlines()] == ["disk-full"]
 
 
 def test_running_out_of_memory_is_told_from_a_crash():

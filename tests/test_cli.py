@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from fipt_blender import cli
+from fipt_blender.bridge.job import Job
 from fipt_blender.bridge.process import EngineProcess
-from fipt_blender.bridge.sequence import Job
 from fipt_blender.bridge.step import Step
 from samples.child_processes import PATIENCE_SECONDS, SLEEPER, is_alive, posix, wait_for
 
@@ -90,7 +90,7 @@ def test_options_reach_the_job(capture, monkeypatch, capsys):
     options = seen[0]
     settings = options.settings
     assert (settings.preset, settings.seed, settings.device, settings.rounds) == ("draft", 7, "llvm", 0)
-    assert settings.texel_density == 64.0 and options.renders == () and options.resume
+    assert settings.texel_density == 64.0 and not options.renders and options.resume
     assert (options.up_axis, options.scale, options.hold_back) == ("-y", 0.01, 5)
     assert (options.parts, options.mesh) == ("none", Path("m.obj"))
     assert options.output == capture.parent / "room-fipt"
@@ -130,7 +130,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from fipt_blender import cli
 from fipt_blender.bridge.process import EngineProcess
-from fipt_blender.bridge.sequence import Job
+from fipt_blender.bridge.job import Job
 from fipt_blender.bridge.step import Step
 def make(options):
     options.output.mkdir()

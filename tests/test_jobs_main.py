@@ -28,6 +28,7 @@ from fipt_blender.core.run.settings import make_settings
 from fipt_blender.jobs import main_job, run_job
 from fipt_blender.jobs.main_job import make_main_job
 from fipt_blender.jobs.options import MainJobOptions
+from fipt_blender.jobs.room_steps import panel_state
 from samples.camera_poses import look_at
 from samples.engine_here import engine_here
 from samples.refusals import error_of
@@ -45,6 +46,9 @@ from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 command, run = sys.argv[1], RunFolder(sys.argv[2])
 if command == "estimate":
+    if "--anew" in sys.argv:
+        for path in run.stage.iterdir():
+            path.unlink()
     np.savez(run.fields_npz, base_color=np.zeros(3))
     fixture = {"name": "Fixture.001", "triangles": [0, 1], "radiance": [3.0, 3.0, 3.0]}
     fixture |= {"back_radiance": [0.0] * 3, "area": 20.0, "centroid": [0.0, 0.0, 2.5], "power": [9.0] * 3}
@@ -63,6 +67,7 @@ print(json.dumps({"type": "done", "files": [], "data": {}}))
 """
 
 
+COMMANDS = ["ingest", "estimate", "textures", "report"]
 # Of a box; the first is the top.
 FACES = [(4, 5, 7, 6), (0, 2, 3, 1), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
 
@@ -125,7 +130,9 @@ def engine(monkeypatch) -> Iterator[Ran]:
 
 def run_main_job(options: MainJobOptions) -> list[dict]:
     messages: list[dict] = []
-    make_main_job(options).run(messages.append)
+    job = make_main_job(options)
+    with panel_state():
+        job.run(messages.append)
     return messages
 
 
@@ -133,7 +140,7 @@ def run_main_job(options: MainJobOptions) -> list[dict]:
 def options(capture, tmp_path) -> MainJobOptions:
     settings = make_settings("draft", {"texture_size": 64})
     return MainJobOptions(
-        capture=capture, output=tmp_path / "run", settings=settings, up_axis="z", hold_back=4, renders=()
+        capture=capture, output=tmp_path / "run", settings=settings, up_axis="z", hold_back=4, renders=False
     )
 
 
@@ -163,7 +170,7 @@ def panel_is_ready(options: MainJobOptions, blend: Path) -> None:
 def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
     messages = run_main_job(options)
     assert messages[-1]["type"] == "done", messages[-1]
-    assert engine == ["ingest", "estimate", "textures", "report"]
+    assert engine == COMMANDS
     files = [Path(name) for name in messages[-1]["data"] and messages[-1]["files"]]
     assert [path.name for path in files[:2]] == ["room.blend", "index.html"]
     assert all(path.is_file() for path in files)
@@ -176,18 +183,23 @@ def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
         if image.source == "FILE" and image.packed_file is None:
             assert image.filepath.startswith("//") and Path(bpy.path.abspath(image.filepath)).exists()
 
+    run = RunFolder(options.output)
+
     def ran(again: MainJobOptions) -> list[str]:
         engine.clear()
         messages[:] = run_main_job(again)
         return engine
 
-    again = dataclasses.replace(options, resume=True)
-    assert ran(again) == [] and messages[-1]["type"] == "done"
+    def times() -> list[int]:
+        return [path.stat().st_mtime_ns for path in (run.ingest_json, run.atlas_npz)]
+
+    again, before = dataclasses.replace(options, resume=True), times()
+    assert ran(again) == COMMANDS and messages[-1]["type"] == "done" and times() == before
+    assert (run.root / "room_before.blend").is_file()
     finer = dataclasses.replace(again, settings=dataclasses.replace(options.settings, texel_density=64.0))
-    assert ran(finer) == ["textures", "report"] and messages[-1]["type"] == "done"
+    assert ran(finer) == COMMANDS and times()[0] == before[0] and times()[1] > before[1]
 
     # An estimate that fails, resumed or begun anew, leaves the one before complete.
-    run = RunFolder(options.output)
     checkpoint = run.stage / "checkpoint"
     checkpoint.touch()
     folders = run.results, run.textures, run.renders, run.report, run.root / "room.blend"
@@ -201,11 +213,10 @@ def test_the_job_makes_a_blend_and_a_report_and_resumes(options, engine):
         assert ran(dataclasses.replace(other, resume=resume))[-1] == failing
         assert messages[-1]["code"] == "engine-crashed"
         assert {path: path.read_bytes() for path in before} == before
-        # Of a resumed run the engine knows itself which checkpoints still hold.
-        assert checkpoint.exists() or (resume, failing) == (False, "estimate")
-    assert not checkpoint.exists()
+    assert checkpoint.exists(), "of a resumed run the engine knows itself which still hold"
     engine.failing = ""
-    assert ran(other) == ["estimate", "textures", "report"] and messages[-1]["type"] == "done"
+    assert ran(dataclasses.replace(other, resume=False)) == COMMANDS and messages[-1]["type"] == "done"
+    assert not checkpoint.exists()
 
 
 def code_of(options: MainJobOptions) -> str:
@@ -218,7 +229,6 @@ def test_wrong_paths_are_found_before_anything_is_written(options, engine, tmp_p
     assert code_of(change(options, mesh=tmp_path / "nowhere.obj")) == "mesh-missing"
     assert code_of(change(options, output=options.capture)) == "output-inside-capture"
     assert code_of(change(options, output=options.capture / "0.exr")) == "run-foreign"
-    assert code_of(change(options, renders=("selfie",))) == "render-unknown"
     assert not options.output.exists()
     foreign = tmp_path / "holiday"
     foreign.mkdir()

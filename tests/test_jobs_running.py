@@ -15,6 +15,7 @@ import pytest
 
 import fipt_blender
 from fipt_blender import machine
+from fipt_blender.bridge.job import Job
 from fipt_blender.bridge.process import EngineProcess
 from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.errors import FiptError
@@ -26,7 +27,7 @@ from fipt_blender.jobs.tasks import Task
 from fipt_blender.operators.action import action
 from samples.child_processes import wait_for
 from samples.refusals import error_of
-from samples.stand_in_jobs import at_work, finish, make_job, start, tick_until
+from samples.stand_in_jobs import at_work, finish, make_job, tick_until
 
 
 @pytest.fixture(autouse=True)
@@ -49,9 +50,9 @@ def run(tmp_path) -> RunFolder:
 
 def test_what_the_panel_shows_follows_the_engine(run):
     ended = []
-    info = start(make_job(run), run, on_end=ended.append)
+    info = running.start(make_job(run), ended.append)
     assert running.current() is info and info.state == "running" and running.last("test") is None
-    caught = error_of(start, make_job(run), run)
+    caught = error_of(running.start, make_job(run))
     assert caught.code == "job-running" and "Test" in caught.text
     assert running.current() is info and not bpy.ops.fipt.estimate.poll()
     tick_until(lambda: at_work(info))
@@ -68,7 +69,7 @@ def test_a_function_gets_its_scene_whichever_is_shown(run):
     seen = []
     scene = bpy.context.scene
     bpy.data.scenes.new("Another")
-    info = start(make_job(run, lambda: seen.append(bpy.context.scene.name), engine=False), run)
+    info = running.start(make_job(run, lambda: seen.append(bpy.context.scene.name), engine=False))
     scene.name = "Renamed"
     tick_until(lambda: info.state != "running")
     assert info.state == "finished" and seen == ["Renamed"]
@@ -79,7 +80,7 @@ def test_a_reload_that_forgets_the_run_folder_is_told_it_again(run, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
     bpy.context.scene.fipt.run_folder = str(run.root)
     names = []
-    info = start(make_job(run, lambda: names.append(bpy.context.scene.fipt.run_folder)), run)
+    info = running.start(make_job(run, lambda: names.append(bpy.context.scene.fipt.run_folder)))
     tick_until(lambda: at_work(info))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
     assert not bpy.context.scene.fipt.run_folder
@@ -101,7 +102,7 @@ def test_undo_during_a_job_takes_nothing_away_that_it_goes_on_with(run, monkeypa
     scene.fipt.capture.views.add().name = "view"
     scene.fipt.run_folder = str(run.root)
     bpy.ops.ed.undo_push(message="job")
-    info = start(make_job(run), run)
+    info = running.start(make_job(run))
     tick_until(lambda: at_work(info))
     bpy.data.objects["wall"].location.x = 1.0
     bpy.ops.ed.undo_push(message="moved")
@@ -127,7 +128,7 @@ def test_while_a_job_runs_the_file_has_unsaved_changes_so_that_blender_asks_befo
     pushed, saved = [], [True]
     monkeypatch.setattr(running, "push_undo", lambda text: (pushed.append(text), saved.clear()))
     monkeypatch.setattr(running, "is_saved", lambda: bool(saved))
-    info = start(make_job(run), run)
+    info = running.start(make_job(run))
     tick_until(lambda: at_work(info))
     assert pushed == ["Test"]
     saved.append(True)
@@ -140,7 +141,7 @@ def test_while_a_job_runs_the_file_has_unsaved_changes_so_that_blender_asks_befo
 def test_in_another_file_the_engine_goes_on_but_functions_touch_nothing(run, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
     touched = []
-    info = start(make_job(run, lambda: touched.append(1)), run)
+    info = running.start(make_job(run, lambda: touched.append(1)))
     tick_until(lambda: at_work(info))
     bpy.ops.wm.read_factory_settings(use_empty=True)
     running.tick()
@@ -154,7 +155,7 @@ def test_in_another_file_the_engine_goes_on_but_functions_touch_nothing(run, tmp
 
 
 def test_disabling_stops_the_engine(run):
-    info = start(make_job(run), run)
+    info = running.start(make_job(run))
     tick_until(lambda: at_work(info))
     fipt_blender.unregister()  # the engine would never end by itself
     assert info.state == "cancelled" and running.current() is None
@@ -163,7 +164,7 @@ def test_disabling_stops_the_engine(run):
 
 
 def test_a_bug_in_a_timer_ends_the_job_with_words(run, monkeypatch, capsys):
-    info = start(make_job(run), run)
+    info = running.start(make_job(run))
     tick_until(lambda: at_work(info))
     poll = EngineProcess.poll
 
@@ -182,7 +183,7 @@ def test_a_failure_at_the_end_is_the_jobs(run, raised, code, capsys):
     def end(info):
         raise raised
 
-    info = start(make_job(run, lambda: None, engine=False), run, on_end=end)
+    info = running.start(make_job(run, lambda: None, engine=False), end)
     tick_until(lambda: info.state != "running")
     assert info.state == "failed" and info.error["code"] == (code or "blender-step-failed")
 
@@ -254,12 +255,12 @@ def test_a_job_that_starts_at_the_end_of_another_is_advanced_by_the_same_timer(r
     """Blender removes a timer whose function returns None, even if it was registered again meanwhile."""
     following = []
 
-    def follow(info: running.RunningJob) -> None:
+    def follow(info: Job) -> None:
         if not following:
-            following.append(start(make_job(run, lambda: None, engine=False), run))
+            following.append(running.start(make_job(run, lambda: None, engine=False)))
 
     running.register(follow)
-    info, delays = start(make_job(run, lambda: None, engine=False), run), []
+    info, delays = running.start(make_job(run, lambda: None, engine=False)), []
     while not following:
         delays.append(running.tick())
     assert info.state == "finished" and running.current() is following[0] and None not in delays

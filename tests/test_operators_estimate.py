@@ -17,6 +17,7 @@ from fipt_blender import api, machine
 from fipt_blender.api import estimating
 from fipt_blender.api.estimating import scene_settings
 from fipt_blender.bridge import interpreter
+from fipt_blender.bridge.job import Job
 from fipt_blender.core.run import settings as settings_module
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.lock import holder
@@ -83,15 +84,16 @@ def quick(monkeypatch) -> dict:
     return changes
 
 
-def start(resume: bool) -> running.RunningJob:
+def start(resume: bool) -> Job:
     """What the button does in a window, where a timer would call `running.tick`."""
     scene = bpy.context.scene
     settings = estimating.scene_settings(scene)
     run = estimating.run_for(scene, resume)
     run.create(settings)
     steps = [camera_step(run), *estimation_steps(run, settings, resume)]
-    job = run_job.open_job(run, steps, record=run_job.STEPS_NAME, resume=resume)
-    return running.start(job, running.RunningJob("Estimate", "estimate", scene.name, run.root))
+    job = run_job.open_job(run, steps)
+    job.title, job.kind, job.scene_name = "Estimate", "estimate", scene.name
+    return running.start(job)
 
 
 def worked(run: RunFolder) -> list[str]:
@@ -120,6 +122,9 @@ def test_estimate_works_on_the_scene_as_it_is_and_starts_anew_unless_stages_are_
         quick["training_steps"] = 12
         outcome = api.estimate(keep_stages=True)
         assert outcome.run == run.root and worked(run) == ["training"]
+        bpy.data.objects["wall 0"].location.x += 0.01
+        api.estimate(keep_stages=True)
+        assert worked(run) == STAGES, "settings alone do not tell whether something has changed"
         assert run.read().training_steps == 12 and done(run) == STAGES
         before = run.emitters_json.read_bytes()
         run.ingest_json.write_bytes(run.capture_json.read_bytes())

@@ -13,7 +13,7 @@ from pathlib import Path
 import bpy
 import pytest
 
-from fipt_blender.jobs import prepare_job, run_job, running
+from fipt_blender.jobs import run_job, running
 from fipt_blender.prepare.preparation import Group, PreparationFolder, read_preparation, write_preparation
 from samples.operator_calls import refused
 from samples.prepared_captures import make_preparation, write_prepared
@@ -45,11 +45,13 @@ def commands(monkeypatch, tmp_path) -> list[list[str]]:
         else:
             write_prepared(folder, read_preparation(folder))
 
+    real = run_job.open_job
+
     def open_job(run, steps, **options):
         faked = [replace(step, command=None, function=partial(work, list(step.command))) for step in steps]
-        return run_job.open_job(run, faked, launch=run_job.Launch(Path(sys.executable), {}), **options)
+        return real(run, faked, run_job.Launch(Path(sys.executable), {}))
 
-    monkeypatch.setattr(prepare_job, "open_job", open_job)
+    monkeypatch.setattr(run_job, "open_job", open_job)
     return started
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 import pytest
 
-from fipt_blender.bridge.sequence import Job
+from fipt_blender.bridge.job import Job
 from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
@@ -22,9 +22,13 @@ pytestmark = pytest.mark.usefixtures("registered")
 WARNINGS = [{"code": code, "text": f"The {code} is odd.", "remedy": f"Mend the {code}."} for code in ("lamp", "wall")]
 
 
-def set_running(monkeypatch, kind: str, title: str, folder: Path) -> running.RunningJob:
+def new_job(title: str, kind: str, folder: Path, **more) -> Job:
+    return Job([], folder / "log.txt", title=title, kind=kind, scene_name=bpy.context.scene.name, **more)
+
+
+def set_running(monkeypatch, kind: str, title: str, folder: Path) -> Job:
     """Let a job of a kind run."""
-    job = running.RunningJob(title, kind, bpy.context.scene.name, folder, fraction=0.42)
+    job = new_job(title, kind, folder, fraction=0.42)
     monkeypatch.setattr(running, "current", lambda: job)
     return job
 
@@ -33,7 +37,7 @@ def set_running(monkeypatch, kind: str, title: str, folder: Path) -> running.Run
 def finished(monkeypatch, tmp_path) -> None:
     """An estimation with two warnings has ended in the scene's run folder."""
     bpy.context.scene.fipt.run_folder = str(tmp_path)
-    job = running.RunningJob("Estimate", "estimate", bpy.context.scene.name, tmp_path, state="finished")
+    job = new_job("Estimate", "estimate", tmp_path, ended=True)
     job.warnings += WARNINGS
     monkeypatch.setattr(running, "last", lambda kind: job if kind == "estimate" else None)
     monkeypatch.setattr(runstate, "known", lambda folder: runstate.RunState(stages=5, results=True, finished=True))
@@ -80,9 +84,8 @@ def notices(monkeypatch) -> list[tuple[str, str]]:
     return shown
 
 
-def do_job(tmp_path: Path, function) -> running.RunningJob:
-    job = Job([Step("one", "One", 1.0, function=function)], tmp_path / "log.txt")
-    return running.run(job, running.RunningJob("Check Views", "views", "", tmp_path))
+def do_job(tmp_path: Path, function) -> Job:
+    return running.run(Job([Step("one", "One", 1.0, function=function)], tmp_path / "log.txt", title="Check Views"))
 
 
 def test_a_failure_is_told_with_its_reason(tmp_path, notices):
@@ -95,7 +98,7 @@ def test_a_failure_is_told_with_its_reason(tmp_path, notices):
 
 
 def test_a_warning_goes_once_its_remedy_was_followed(tmp_path):
-    info = running.RunningJob("Import Capture", "capture", bpy.context.scene.name, tmp_path)
+    info = new_job("Import Capture", "capture", tmp_path)
     info.warnings += [{"code": "mesh-missing"}, {"code": "images-not-hdr"}]
     running.refuse(info, FiptError("odd", "The file is odd.", "Export it again."))
     bpy.ops.mesh.primitive_cube_add()

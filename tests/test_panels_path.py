@@ -10,6 +10,7 @@ import bpy
 import pytest
 
 from fipt_blender import machine
+from fipt_blender.bridge.job import Job
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.jobs import running, session
 from fipt_blender.panels import estimate, start
@@ -88,7 +89,7 @@ def test_online_access_is_explained_and_asked_for_where_it_is_needed(monkeypatch
 
 def test_without_an_engine_an_error_leads_to_its_set_up(tmp_path):
     scene = bpy.context.scene
-    info = running.RunningJob("Example", "estimate", scene.name, tmp_path)
+    info = Job([], tmp_path / "log.txt", title="Example", kind="estimate", scene_name=scene.name)
     running.refuse(info, FiptError("engine-missing", "There is no engine.", "Set it up."))
     assert "fipt.set_up_engine" in drawn_by(estimate.FIPT_PT_estimate)[0]
 
@@ -97,7 +98,7 @@ def test_without_an_engine_an_error_leads_to_its_set_up(tmp_path):
 def test_photographs_without_cameras_lead_to_make_capture(tmp_path):
     scene = bpy.context.scene
     scene.fipt.capture.path, scene.fipt.run_folder = str(tmp_path / "photos"), str(tmp_path / "run")
-    info = running.RunningJob("Import Capture", "capture", scene.name, tmp_path / "run")
+    info = Job([], tmp_path / "run" / "log.txt", title="Import Capture", kind="capture", scene_name=scene.name)
     error = FiptError("cameras-missing", "Photographs without cameras.", "Make a capture.")
     running.refuse(info, error)
     assert "fipt.photographs_of_capture" in drawn_by(start.FIPT_PT_start)[0]
@@ -142,6 +143,8 @@ def test_results_of_an_estimation_are_applied_unless_the_artist_minds(scene, sta
     bpy.context.view_layer.objects.active = bpy.data.objects["cube"]
     bpy.ops.object.mode_set(mode=mode)
     folder = Path(scene.fipt.run_folder)
-    session.after_job(running.RunningJob("Estimate", "estimate", scene.name, folder, state=state))
+    job = Job([], folder / "log.txt", title="Estimate", kind="estimate", scene_name=scene.name, ended=True)
+    job.cancelled = state == "cancelled"
+    session.after_job(job)
     assert bool(scene.fipt.materials.object_count) is applied
     bpy.ops.object.mode_set(mode="OBJECT")

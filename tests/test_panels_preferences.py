@@ -248,7 +248,7 @@ def test_drawing_asks_no_disk_and_starts_nothing(values: Any, monkeypatch: pytes
     machine.store_status(check_result())
     values_draw = panel.FIPT_Preferences.draw
     stand_in = type("Self", (), {"layout": Layout([]), "status": values.status})()
-    for name in machine.Defaults.__dataclass_fields__:
+    for name in machine.Preferences.__dataclass_fields__:
         setattr(stand_in, name, getattr(values, name))
     for name in ("builtins.open", "os.open", "os.stat", "os.listdir", "os.scandir", "subprocess.Popen"):
         monkeypatch.setattr(name, lambda *_, name=name, **options: pytest.fail(f"draw calls {name}"))

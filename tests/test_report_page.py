@@ -62,9 +62,8 @@ def run(tmp_path) -> RunFolder:
     write_exr(run.environment_exr, image(9))
     stages = [{"name": "bake", "seconds": 2.0, "rays": 3_000_000}, {"name": NASTY, "seconds": 1.0}]
     write_json(run.statistics_json, {"stages": stages, "peak_memory_gb": 1.5, "device": "llvm"})
-    warning = {"type": "warning", "code": "c", "text": NASTY, "remedy": "Mind it."}
-    step = {"key": "k", "finished": True, "seconds": 61.0, "warnings": [warning]}
-    write_json(run.root / "steps.json", {"version": 1, "steps": {"ingest": step}})
+    warning = {"code": "c", "text": NASTY, "remedy": "Mind it."}
+    write_json(run.job_json, {"seconds": {"ingest": 61.0}, "warnings": [warning]})
     return run
 
 

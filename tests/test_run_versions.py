@@ -13,10 +13,10 @@ from fipt_blender.core.run.settings import make_settings
 from samples.refusals import error_of
 
 
-def estimate(run: RunFolder, text: str, hints: int = 0, key: str = "", **changes: int) -> None:
+def estimate(run: RunFolder, text: str, hints: int = 0, **changes: int) -> None:
     """Results of an estimation as the engine writes them, with this content."""
     run.create(make_settings("draft", changes))
-    keys = {"training": key or text, **({"hinted-training": text} if hints else {})}
+    keys = {"training": text, **({"hinted-training": text} if hints else {})}
     write_json(run.stages_json, {"keys": keys, "stages": {k: {} for k in keys}, "warnings": {}, "values": {}})
     run.fields_npz.write_text(text)
     run.emitters_json.write_text("{}")
@@ -55,10 +55,3 @@ def test_a_new_run_has_the_capture_and_nothing_of_the_estimate(run_folder: RunFo
     versions.copy_capture(run_folder, new)
     assert (new.images / "preview" / "0.jpg").read_text() == "photograph"
     assert {path.name for path in new.root.iterdir()} == {"images", "ingest.json", "capture.json"}
-
-
-def test_results_of_other_stages_are_told_apart(run_folder: RunFolder) -> None:
-    estimate(run_folder, "first", key="light")
-    first = versions.results_id(run_folder)
-    estimate(run_folder, "hinted", hints=1, key="light")
-    assert versions.results_id(run_folder) != first

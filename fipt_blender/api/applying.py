@@ -17,7 +17,7 @@ from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
 
 if TYPE_CHECKING:
-    from ..bridge.sequence import Job
+    from ..bridge.job import Job
     from ..core.run.settings import Settings
 
 
@@ -41,9 +41,9 @@ def application() -> Task:
         run = run_of(scene)
         settings = chosen_settings(scene, run)
         run.create(settings)
-        return _apply_job(scene, run, settings)
+        return _apply_job(run, settings)
 
-    return Task("Apply Results", "materials", make, finished=_applied, undo=True)
+    return Task("Apply Results", "materials", make, finished=applied, undo=True)
 
 
 def version_change(version: str) -> Task:
@@ -58,10 +58,10 @@ def version_change(version: str) -> Task:
         settings = chosen_settings(scene, run)
         run.create(settings)
         scene.fipt.run_folder = str(run.root)
-        return _apply_job(scene, run, settings)
+        return _apply_job(run, settings)
 
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        _applied(scene, run)
+        applied(scene, run)
         show_doubts(scene, run)
 
     return Task("Apply Version", "materials", make, finished=finished, undo=True)
@@ -88,30 +88,18 @@ def delete_version(scene: bpy.types.Scene, version: str) -> None:
     runstate.forget(run_of(scene).root)
 
 
-def _apply_job(scene: bpy.types.Scene, run: RunFolder, settings: Settings) -> Job:
+def _apply_job(run: RunFolder, settings: Settings) -> Job:
     from ..jobs.run_job import open_job
-    from ..jobs.scene_steps import apply_steps, scene_named
+    from ..jobs.scene_steps import apply_steps
 
-    return open_job(
-        run,
-        apply_steps(scene_named(scene.name), run, settings),
-        record=run.apply_json.name,
-        resume=True,
-        result=lambda: [str(path) for path in sorted(run.textures.glob("*.*"))],
-    )
+    return open_job(run, apply_steps(run, settings))
 
 
-def _applied(scene: bpy.types.Scene, run: RunFolder) -> None:
-    from ..jobs.scene_steps import applied
-
-    applied(scene, run)
-
-
-def note_applied(scene: bpy.types.Scene, run: RunFolder) -> None:
-    """See `scene_steps.note_applied`."""
+def applied(scene: bpy.types.Scene, run: RunFolder) -> None:
+    """See `scene_steps.applied`."""
     from ..jobs import scene_steps
 
-    scene_steps.note_applied(scene, run)
+    scene_steps.applied(scene, run)
 
 
 def show_doubts(scene: bpy.types.Scene, run: RunFolder) -> None:

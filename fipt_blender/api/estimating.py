@@ -17,10 +17,10 @@ from .. import machine
 from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
 from ..jobs.window import push_undo
-from .applying import chosen_settings, note_applied, run_of, show_doubts
+from .applying import applied, chosen_settings, run_of, show_doubts
 
 if TYPE_CHECKING:
-    from ..bridge.sequence import Job
+    from ..bridge.job import Job
     from ..core.run.settings import Settings, Value
 
 
@@ -48,14 +48,8 @@ def estimation(
             from ..blend.hints.exchange import write_for_run
 
             write_for_run(scene, run)
-        return run_job.open_job(
-            run,
-            [camera_step(run), *estimation_steps(run, settings, keep_stages)],
-            record=run_job.STEPS_NAME,
-            resume=keep_stages,
-            result=lambda: result_files(run),
-            launch=launch,
-        )
+        steps = [camera_step(run), *estimation_steps(run, settings, keep_stages)]
+        return run_job.open_job(run, steps, launch, note=True)
 
     return Task("Estimate", "estimate", make, finished=show_doubts)
 
@@ -106,19 +100,13 @@ def scene_settings(scene: bpy.types.Scene, changes: Mapping[str, Value] | None =
     return make_settings(state.preset, {**values, **(changes or {})})
 
 
-def result_files(run: RunFolder) -> list[str]:
-    """Paths of the files that an estimation writes for the other sections."""
-    paths = [run.fields_npz, run.emitters_json, run.environment_exr, run.statistics_json]
-    return [str(path) for path in paths if path.exists()]
-
-
 def reestimation() -> Task:
     """Estimate materials again with the scene's hints, from the stages of the results, and apply that."""
 
     def make(scene: bpy.types.Scene) -> Job:
         from ..blend.hints.exchange import write_hints_rerun
-        from ..jobs.run_job import STEPS_NAME, find_launch, open_job, refuse_busy
-        from ..jobs.scene_steps import apply_steps, estimate_step, scene_named
+        from ..jobs.run_job import find_launch, open_job, refuse_busy
+        from ..jobs.scene_steps import apply_steps, estimate_step
 
         run = run_of(scene)
         launch = find_launch()
@@ -130,12 +118,12 @@ def reestimation() -> Task:
         write_hints_rerun(scene, run)
         steps = [
             estimate_step(run, settings, resume=True),
-            *apply_steps(scene_named(scene.name), run, settings, estimated=True),
+            *apply_steps(run, settings),
         ]
-        return open_job(run, steps, record=STEPS_NAME, launch=launch)
+        return open_job(run, steps, launch, note=True)
 
     def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        note_applied(scene, run)
+        applied(scene, run)
         show_doubts(scene, run)
 
     return Task("Re-estimate with Hints", "estimate", make, finished=finished, undo=True)

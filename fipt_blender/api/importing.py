@@ -19,10 +19,8 @@ from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
 
 if TYPE_CHECKING:
+    from ..bridge.job import Job
     from ..bridge.process import Message
-    from ..bridge.sequence import Job
-    from ..bridge.step import Step, StepFunction
-    from ..core.capture.options import CaptureOptions
 
 
 def capture_import() -> Task:
@@ -31,10 +29,12 @@ def capture_import() -> Task:
 
 
 def _import_capture(scene: bpy.types.Scene) -> Job:
+    from ..blend.capture.importing import import_capture
     from ..core.capture.options import CaptureOptions
     from ..core.run.declared import converted
     from ..jobs.options import capture_source
-    from ..jobs.run_job import open_job
+    from ..jobs.run_job import find_launch, open_job
+    from ..jobs.scene_steps import import_steps
     from ..properties.declared import values_of
 
     settings = scene.fipt.capture
@@ -54,10 +54,9 @@ def _import_capture(scene: bpy.types.Scene) -> Job:
     path = capture_source(path)
     options = CaptureOptions(**converted(CaptureOptions, values_of(settings, CaptureOptions)))
     options.refuse_missing()
-    machine.engine_python()  # raises before anything is created
+    launch = find_launch()  # raises before anything is created
     run = open_run(scene, str(path), path.stem if path.is_file() else path.name)
-
-    return open_job(run, import_steps(run, path, options))
+    return open_job(run, import_steps(run, path, options, partial(import_capture, run, str(path))), launch)
 
 
 def scene_cameras_import() -> Task:
@@ -68,10 +67,11 @@ def scene_cameras_import() -> Task:
 def _use_scene_cameras(scene: bpy.types.Scene) -> Job:
     from ..blend.capture.scene_cameras import SCENE_SOURCE, adopt_cameras, write_scene_cameras
     from ..core.capture.options import CaptureOptions
-    from ..jobs.run_job import open_job
+    from ..jobs.run_job import find_launch, open_job
+    from ..jobs.scene_steps import import_steps
 
     settings = scene.fipt.capture
-    machine.engine_python()  # raises before anything is created
+    launch = find_launch()  # raises before anything is created
     name = bpy.path.display_name_from_filepath(bpy.data.filepath) or scene.name
     run = open_run(scene, SCENE_SOURCE, name)
     try:
@@ -96,8 +96,7 @@ def _use_scene_cameras(scene: bpy.types.Scene) -> Job:
         remedy = "To use them as well, give each its photograph as background image."
         return [{"type": "warning", "code": "cameras-left-out", "text": text, "remedy": remedy}]
 
-    steps = import_steps(run, path, options, "Listing the cameras", adopt)
-    return open_job(run, steps)
+    return open_job(run, import_steps(run, path, options, adopt, "Listing the cameras"), launch)
 
 
 def open_run(scene: bpy.types.Scene, source: str, name: str) -> RunFolder:
@@ -117,6 +116,7 @@ def open_run(scene: bpy.types.Scene, source: str, name: str) -> RunFolder:
         run = RunFolder(machine.new_run_folder(name))
     if not run.run_json.exists():
         run.create(make_settings())
+    run.made("capture").unlink(missing_ok=True)  # the artist wants it read
     scene.fipt.run_folder = str(run.root)
     return run
 
@@ -129,22 +129,3 @@ def give_back(scene: bpy.types.Scene, run: RunFolder) -> None:
     if previous and previous != scene.fipt.run_folder:
         scene.fipt.run_folder = previous
         shutil.rmtree(run.root, ignore_errors=True)
-
-
-def import_steps(
-    run: RunFolder,
-    path: Path,
-    options: CaptureOptions,
-    text: str = "Adding cameras and mesh",
-    add_to_scene: StepFunction | None = None,
-) -> list[Step]:
-    """The engine reads and checks a capture, which then is added to the scene; by default as imported."""
-    from ..blend.capture.importing import import_capture
-    from ..bridge.step import Step
-    from ..jobs.run_job import ingest_step
-
-    add = add_to_scene or partial(import_capture, run, str(path))
-    return [
-        ingest_step(run, path, options, "Reading and checking the photographs", 20.0),
-        Step("import", text, 5.0, function=add, repeat=True),
-    ]

@@ -7,21 +7,27 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
+import tempfile
+import urllib.request
+from pathlib import Path
 
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import explained_write_errors, write_json
 from . import pins
-from .child import answer, output_end, run_quietly
+from .interpreter import answer, output_end, run_quietly
 from .native import provide_llvm, provide_system_libraries
-from .pip import PipProgress, Teller, pip_error, progress_bar, run_locked, run_pip, source
-from .pip_bootstrap import PIP_INSIDE, VERSION, bootstrap_pip
+from .pip import Pip, Teller
 from .plan import Plan
 from .torch_build import LOCKED_GB, SIZES, torch_index, torch_requirement
 
 # Shares of the time of all installations that PyTorch alone, and PyTorch and the locked packages take.
 _TORCH_SHARE, _LOCKED_SHARE = 0.35, 0.9
-_PIP_VERSION = "import pip; print(pip.__version__)"
+VERSION = "import sys; print(*sys.version_info[:2])"
+_PIP_INSIDE = "import pip, sys; print(*sys.version_info[:2])"
+# Where the Python Package Index has the wheels of pip, which are of pure Python, by their names.
+PIP_WHEELS = "https://files.pythonhosted.org/packages/py3/p/pip"
 
 
 def set_up(plan: Plan, tell: Teller) -> None:
@@ -72,122 +78,116 @@ def check_space(plan: Plan, build: str, tell: Teller) -> None:
 
 
 def make_environment(plan: Plan) -> None:
-    """Make the virtual environment, even if Python lacks ensurepip (Debian without python3-venv).
+    """Make the virtual environment with the pinned pip; where that can't be had, with Python's own.
 
     One of an earlier set-up that did not finish is made anew, since its state is unknown; its downloads are
     in pip's cache.
 
     Raises:
-        FiptError: ``python-unfit``; ``package-hash`` (`bootstrap_pip`).
+        FiptError: ``python-unfit``; ``package-hash`` (`_install_pip`).
     """
     folder, python = plan.folder, plan.python
     wanted = answer(plan.base, VERSION)
     if wanted is None:
         raise FiptError("python-unfit", f"{plan.base} does not start.", "Choose another Python.")
-    if folder.exists():
-        fits = answer(python, PIP_INSIDE) == wanted
-        if fits and pins.read_stamp(folder).installed:
-            return
-        shutil.rmtree(folder, ignore_errors=True)
-    if run_quietly([str(plan.base), "-I", "-m", "venv", str(folder)]).returncode == 0:
+    if answer(python, _PIP_INSIDE) == wanted and pins.read_stamp(folder).installed:
         return
     shutil.rmtree(folder, ignore_errors=True)
     result = run_quietly([str(plan.base), "-I", "-m", "venv", "--without-pip", str(folder)])
-    if result.returncode != 0:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise FiptError(
-            "python-unfit",
-            f"{plan.base} can't make a virtual environment: {output_end(result)}",
-            "Install Python's module venv (Debian, Ubuntu: apt-get install python3-venv) or another Python.",
-        )
-    if bootstrap_pip(plan):
+    if result.returncode == 0 and not _install_pip(plan):
+        result = run_quietly([str(python), "-I", "-m", "ensurepip"])
+    if result.returncode == 0:
         return
     shutil.rmtree(folder, ignore_errors=True)
     raise FiptError(
         "python-unfit",
-        f"The Python {plan.base} can't install packages: it has neither pip nor ensurepip.",
-        "Install them (Debian, Ubuntu: apt-get install python3-venv) or another Python, and set up again.",
+        f"{plan.base} can't make an environment that installs packages: {output_end(result)}",
+        "Install its modules venv and ensurepip (Debian, Ubuntu: apt-get install python3-venv) or another"
+        " Python, and set up again.",
     )
+
+
+def _install_pip(plan: Plan) -> bool:
+    """Let the wheel of the pinned pip install itself, of the folder of wheels or downloaded.
+
+    What runs is a copy whose hash is the pinned one, so that nobody can exchange the file in between.
+
+    Returns:
+        Whether that worked.
+
+    Raises:
+        FiptError: ``package-hash`` where there is such a wheel, but not the file that is pinned.
+    """
+    if not plan.pip:
+        return False
+    (pin,) = plan.pip
+    name = f"{pins.without_hashes(pin).replace('==', '-')}-py3-none-any.whl"
+    try:
+        source = f"{PIP_WHEELS}/{name}" if plan.wheels is None else (plan.wheels / name).as_uri()
+        with urllib.request.urlopen(source, timeout=30.0) as answered:
+            content = answered.read()
+    except OSError:
+        return False
+    if f"--hash=sha256:{hashlib.sha256(content).hexdigest()}" not in pin.split():
+        raise FiptError(
+            "package-hash",
+            f"{name} is not the file that this version was made with.",
+            "Do not use the folder of wheels or the network that it came from, or ask their owner why it"
+            " was changed.",
+        )
+    with tempfile.TemporaryDirectory() as temporary:
+        wheel = Path(temporary, name)
+        wheel.write_bytes(content)
+        command = [str(plan.python), f"{wheel}/pip", "install", "--no-index", "--no-deps", str(wheel)]
+        return run_quietly(command).returncode == 0
 
 
 def install(plan: Plan, tell: Teller) -> None:
     """Install the pinned packages, wheels only.
 
-    pip itself comes first, in the pinned version. PyTorch follows, alone, since its build depends on the
-    machine; its builds come from its own site. Then come the locked packages, each checked against its
-    hashes, then whatever is still missing: CUDA's libraries, which PyTorch pins, and the packages of a
-    checkout.
+    PyTorch comes first, alone, since its build depends on the machine; its builds come from its own site.
+    Then come the locked packages, each checked against its hashes, then whatever is still missing: CUDA's
+    libraries, which PyTorch pins, and the packages of a checkout.
 
     Raises:
-        FiptError: ``package-hash`` and those of `pip_error`.
+        FiptError: those of `pip_error`.
     """
-    if (pins.read_stamp(plan.folder).torch or plan.torch) != plan.torch:
-        run_pip(plan.python, ["uninstall", "--yes", "torch"], PipProgress(0.01, tell))
-    _update_pip(plan, tell)
-    bar = progress_bar(answer(plan.python, _PIP_VERSION) or "")
-    size = 0.0 if plan.wheels else SIZES[plan.torch].download_gb
-    tell.detail(f"Looking up the packages (about {size:.1f} GB)" if size else "Looking up the packages")
-    build = plan.torch
+    pip, build = Pip(plan.python, plan.wheels, tell), plan.torch
+    if plan.wheels is None:
+        tell.detail(f"Looking up the packages (about {SIZES[build].download_gb:.1f} GB)")
     if plan.lock:
-        build = _install_torch(plan, tell, bar)
-        size = 0.0 if plan.wheels else SIZES[build].download_gb
-        _install_locked(plan, tell, bar, (_TORCH_SHARE, _LOCKED_SHARE))
-    progress = PipProgress(size, tell, (_LOCKED_SHARE if plan.lock else 0.0, 1.0))
-    if run_pip(plan.python, ["install", *source(plan.wheels), *plan.requirements], progress, bar):
-        raise pip_error(progress, plan.wheels)
+        build = _install_torch(plan, pip, tell)
+        span = _TORCH_SHARE, _LOCKED_SHARE
+        pip.run_locked(plan.lock, "install", expected_gb=LOCKED_GB, span=span)
+    span = _LOCKED_SHARE if plan.lock else 0.0, 1.0
+    pip.run("install", *plan.requirements, expected_gb=SIZES[build].download_gb, span=span)
 
 
-def _update_pip(plan: Plan, tell: Teller) -> None:
-    """Install the pinned pip; if it can't be had, the older version may be sufficient.
-
-    Raises:
-        FiptError: ``package-hash``.
-    """
-    if not plan.pip or f"pip=={answer(plan.python, _PIP_VERSION)}" in map(pins.without_hashes, plan.pip):
-        return
-    tell.detail("Updating pip")
-    progress = PipProgress(0.01, tell)
-    run_locked(plan.python, ["install", *source(plan.wheels)], plan.pip, progress)
-    if progress.mismatch:
-        raise pip_error(progress, plan.wheels)
-
-
-def _install_torch(plan: Plan, tell: Teller, bar: str) -> str:
+def _install_torch(plan: Plan, pip: Pip, tell: Teller) -> str:
     """Install PyTorch without what it needs; returns its build, a key of `SIZES`.
 
     Raises:
         FiptError: ``disk-full`` and those of `pip_error`.
     """
-    build = plan.torch
+    build, span = plan.torch, (0.0, _TORCH_SHARE)
+    install = ["install", "--no-deps"]
+    if (pins.read_stamp(plan.folder).torch or build) != build:
+        install.append("--force-reinstall")  # another build of the same version would do for pip
     requirement, index = torch_requirement(plan.requirements, build), torch_index(build)
     if requirement and index and not plan.wheels:
         patience = ["--retries", "1", "--timeout", "20", "--extra-index-url", index]
-        progress = PipProgress(SIZES[build].torch_gb, tell, (0.0, _TORCH_SHARE))
-        arguments = ["install", "--no-deps", *source(plan.wheels), *patience, requirement]
-        if run_pip(plan.python, arguments, progress, bar) == 0:
+        try:
+            pip.run(*install, *patience, requirement, expected_gb=SIZES[build].torch_gb, span=span)
             return build
-        tell.warning(
-            "torch-index",
-            f"PyTorch's download site offers no usable build ({(progress.errors or ['?'])[-1]}).",
-            "The package index's build is installed instead; it works too, but may be larger.",
-        )
+        except FiptError as error:
+            tell.warning(
+                "torch-index",
+                f"PyTorch's download site offers no usable build: {error.text}",
+                "The package index's build is installed instead; it works too, but may be larger.",
+            )
         build = ""
         check_space(plan, build, tell)
-    pin = next((each for each in plan.requirements if each.startswith("torch==")), "")
-    if pin:
-        size = 0.0 if plan.wheels else SIZES[build].torch_gb
-        progress = PipProgress(size, tell, (0.0, _TORCH_SHARE))
-        if run_pip(plan.python, ["install", "--no-deps", *source(plan.wheels), pin], progress, bar):
-            raise pip_error(progress, plan.wheels)
+    for pin in plan.requirements:
+        if pin.startswith("torch=="):
+            pip.run(*install, pin, expected_gb=SIZES[build].torch_gb, span=span)
     return build
-
-
-def _install_locked(plan: Plan, tell: Teller, bar: str, span: tuple[float, float]) -> None:
-    """Install the locked packages.
-
-    Raises:
-        FiptError: those of `pip_error`.
-    """
-    progress = PipProgress(0.0 if plan.wheels else LOCKED_GB, tell, span)
-    if run_locked(plan.python, ["install", *source(plan.wheels)], plan.lock, progress, bar):
-        raise pip_error(progress, plan.wheels)

@@ -72,22 +72,48 @@ def _why_not(python: Path) -> str | None:
     """Why an interpreter can't run the engine; None if it can. The packages are looked up, not imported."""
     if not python.is_file():
         return "there is no such file"
+    result = run_quietly([str(python), "-I", "-c", _HAS_PACKAGES], python, timeout=60.0)
+    return None if result.returncode == 0 else (result.stdout.strip() or output_end(result))[-200:]
+
+
+def run_quietly(
+    command: list[str], python: Path | None = None, timeout: float | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a command and keep its output; one that can't be started or takes too long has status 127.
+
+    Args:
+        command: to run.
+        python: the engine's interpreter if the command needs the libraries of its environment.
+        timeout: seconds.
+    """
     try:
-        result = subprocess.run(
-            [str(python), "-I", "-c", _HAS_PACKAGES],
+        return subprocess.run(
+            command,
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
+            errors="replace",
             env=engine_environment(python),
-            timeout=60,
+            timeout=timeout,
             check=False,
             creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),  # else Windows opens a console
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        return f"it does not start ({error})"
-    if result.returncode == 0:
+        return subprocess.CompletedProcess(command, 127, "", f"It does not start ({error}).")
+
+
+def output_end(result: subprocess.CompletedProcess[str]) -> str:
+    """The end of the output of a failed child process."""
+    text = (result.stderr.strip() or result.stdout.strip())[-600:]
+    return text or f"{' '.join(result.args)} ended with status {result.returncode}"
+
+
+def answer(python: Path, code: str) -> str | None:
+    """The output of a line of code in a Python, stripped; None if the Python or the code fails."""
+    if not python.is_file():
         return None
-    return (result.stdout or result.stderr).strip()[-200:] or f"it ended with status {result.returncode}"
+    result = run_quietly([str(python), "-I", "-c", code])
+    return result.stdout.strip() if result.returncode == 0 else None
 
 
 def engine_command(python: Path, *args: str) -> list[str]:

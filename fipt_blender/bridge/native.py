@@ -13,9 +13,8 @@ from typing import Any
 from ..core.run.errors import FiptError
 from ..core.run.messages import parse_message
 from . import provision
-from .child import output_end, run_quietly
-from .interpreter import engine_command, system_folder
-from .pip import PipProgress, Teller, pip_error, run_locked, source
+from .interpreter import engine_command, output_end, run_quietly, system_folder
+from .pip import Pip, Teller
 from .plan import Plan
 
 LLVM_LIBRARIES = ("libLLVM", "libc++", "libunwind")  # how the names of the files that are kept begin
@@ -92,10 +91,14 @@ def _fetch_llvm_package(plan: Plan, folder: Path, tell: Teller) -> bool:
     Raises:
         FiptError: ``package-hash``.
     """
+    if not plan.llvm:
+        return False
     with tempfile.TemporaryDirectory() as temporary:
-        arguments = ["download", "--dest", temporary, *source(plan.wheels)]
-        progress = PipProgress(0.1, tell)
-        if plan.llvm and run_locked(plan.python, arguments, plan.llvm, progress) and progress.mismatch:
-            raise pip_error(progress, plan.wheels)
+        try:
+            pip = Pip(plan.python, plan.wheels, tell)
+            pip.run_locked(plan.llvm, "download", "--dest", temporary, expected_gb=0.1)
+        except FiptError as error:
+            if error.code == "package-hash":
+                raise
         wheels = Path(temporary).glob("*.whl")
         return any([provision.wheel_libraries(wheel, folder, LLVM_LIBRARIES) for wheel in wheels])

@@ -12,10 +12,10 @@ import subprocess
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from ..core.run.errors import FiptError
-from .interpreter import engine_environment
+from .interpreter import answer, engine_environment
 
 _OPTIONS = ("--no-input", "--disable-pip-version-check", "--progress-bar")
 _RAW_SINCE = (24, 1)  # the first version of pip that prints its progress for programs
@@ -109,58 +109,61 @@ class PipProgress:
         self.tell.progress(low + (high - low) * fraction)
 
 
-def progress_bar(version: str) -> str:
-    """The value of pip's option --progress-bar for a version of pip."""
-    numbers = tuple(int(part) for part in re.findall(r"\d+", version)[:2])
-    return "raw" if numbers >= _RAW_SINCE else "off"
-
-
-def run_pip(python: Path, arguments: Sequence[str], progress: PipProgress, bar: str = "off") -> int:
-    """Run pip to its end and return its exit status.
+class Pip:
+    """pip of an environment, which installs wheels only.
 
     Args:
         python: the environment's interpreter.
-        arguments: of pip, e.g. ``["install", "numpy"]``.
-        progress: processes pip's output.
-        bar: see `progress_bar`.
+        wheels: folder from which packages are installed; None: from the network.
+        tell: gets the progress.
     """
-    pip = [str(python), "-I", "-X", "utf8", "-m", "pip"]
-    command = [*pip, arguments[0], *(() if arguments[0] == "uninstall" else (*_OPTIONS, bar)), *arguments[1:]]
-    progress.tell.log(f"--- pip {' '.join(arguments)}")
-    with subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        env=engine_environment(python),
-        encoding="utf-8",
-        errors="replace",
-    ) as child:
-        for line in child.stdout or ():
-            progress.line(line)
-    return child.returncode
 
+    def __init__(self, python: Path, wheels: Path | None, tell: Teller) -> None:
+        self._python, self._wheels, self._tell = python, wheels, tell
+        version = re.findall(r"\d+", answer(python, "import pip; print(pip.__version__)") or "")
+        self._bar = "raw" if tuple(map(int, version[:2])) >= _RAW_SINCE else "off"
 
-def run_locked(
-    python: Path, arguments: Sequence[str], locked: Sequence[str], progress: PipProgress, bar: str = "off"
-) -> int:
-    """As `run_pip`, for locked requirements, without what they need; pip refuses files with other hashes.
+    def run(self, *arguments: str, expected_gb: float = 0.0, span: tuple[float, float] = (0.0, 1.0)) -> None:
+        """Run pip to its end.
 
-    Args:
-        python, arguments, progress, bar: see `run_pip`.
-        locked: lines of name, version, marker and hashes (`pins.read_pins`).
-    """
-    with tempfile.TemporaryDirectory() as temporary:
-        file = Path(temporary) / "engine.lock"
-        file.write_text("\n".join(locked) + "\n", encoding="utf-8")
-        more = ["--require-hashes", "--no-deps", "--requirement", str(file)]
-        return run_pip(python, [*arguments, *more], progress, bar)
+        Args:
+            arguments: e.g. ``"install", "numpy"``.
+            expected_gb: expected size of the downloads from the network.
+            span: share of the stage before and after it.
 
+        Raises:
+            FiptError: those of `pip_error`.
+        """
+        folder = ["--no-index", "--find-links", str(self._wheels)] if self._wheels else []
+        command = [str(self._python), "-I", "-X", "utf8", "-m", "pip", arguments[0], *_OPTIONS, self._bar]
+        command += ["--only-binary", ":all:", *folder, *arguments[1:]]
+        progress = PipProgress(0.0 if self._wheels else expected_gb, self._tell, span)
+        self._tell.log(f"--- pip {' '.join(arguments)}")
+        with subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=engine_environment(self._python),
+            encoding="utf-8",
+            errors="replace",
+        ) as child:
+            for line in child.stdout or ():
+                progress.line(line)
+        if child.returncode:
+            raise pip_error(progress, self._wheels)
 
-def source(wheels: Path | None) -> list[str]:
-    """Options of pip that say where packages come from: from a folder, or None for the network."""
-    folder = ["--no-index", "--find-links", str(wheels)] if wheels else []
-    return ["--only-binary", ":all:", *folder]
+    def run_locked(self, locked: Sequence[str], *arguments: str, **more: Any) -> None:
+        """As `run`, for locked requirements, without what they need; pip refuses files with other hashes.
+
+        Args:
+            locked: lines of name, version, marker and hashes (`pins.read_pins`).
+            arguments, more: see `run`.
+        """
+        with tempfile.TemporaryDirectory() as temporary:
+            file = Path(temporary) / "engine.lock"
+            file.write_text("\n".join(locked) + "\n", encoding="utf-8")
+            self.run(*arguments, "--require-hashes", "--no-deps", "--requirement", str(file), **more)
 
 
 def pip_error(progress: PipProgress, wheels: Path | None) -> FiptError:

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,12 @@ from .death import explain_death, last_lines
 
 Message = dict[str, Any]
 
-_POLL_SECONDS = 0.05
 _TASKKILL_SECONDS = 1.0  # it takes a tenth of that; then the process alone is ended
+
+
+def error_message(error: FiptError) -> Message:
+    """The message `error` for an exception."""
+    return {"type": "error", "code": error.code, "text": error.text, "remedy": error.remedy}
 
 
 def end_windows_tree(pid: int) -> None:
@@ -151,22 +155,6 @@ class EngineProcess:
         elif self.cancelled and time.monotonic() > self._deadline:
             self._signal(terminate=False)
         return [] if self.cancelled else messages
-
-    def run_blocking(self, on_message: Callable[[Message], None]) -> bool:
-        """Wait for the end and pass on each message; returns whether the command succeeded.
-
-        Any exception, also one by Ctrl-C, first cancels the engine.
-        """
-        try:
-            while self.running:
-                for message in self.poll():
-                    on_message(message)
-                if self.running:
-                    time.sleep(_POLL_SECONDS)
-        except BaseException:
-            self.cancel()
-            raise
-        return self.error is None and not self.cancelled
 
     def request_cancel(self) -> None:
         """Ask the engine and all that it started to end; `poll` makes sure of it within two seconds."""

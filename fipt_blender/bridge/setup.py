@@ -9,9 +9,10 @@ too. Standard library only.
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ..core.device.cuda import cuda_devices, cuda_driver_version
@@ -20,8 +21,8 @@ from ..core.run.lock import hold
 from ..core.run.messages import Reporter, claim_stdout
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from . import pins
-from .environment import set_up
-from .pip_bootstrap import other_pythons, python_version
+from .environment import VERSION, set_up
+from .interpreter import answer
 from .places import environment_python
 from .plan import Plan, plan_key
 from .torch_build import choose_torch_build
@@ -101,6 +102,20 @@ def make_plans(data: Path, device: str, wheels: Path | None) -> list[Plan]:
     return list(plans.values())
 
 
+def other_pythons() -> Iterator[Path]:
+    """Pythons on the search path in which the engine can run, the newest first."""
+    for version in sorted(pins.ENGINE_PYTHONS, reverse=True):
+        names = [f"python{version[0]}.{version[1]}", "python3", "python"]
+        found = dict.fromkeys(filter(None, map(shutil.which, names)))
+        yield from [path for path in map(Path, found) if python_version(path) == version][:1]
+
+
+def python_version(python: Path) -> pins.Version | None:
+    """The version of a Python; None if it does not start."""
+    major, _, minor = (answer(python, VERSION) or "").partition(" ")
+    return (int(major), int(minor)) if major.isdigit() and minor.isdigit() else None
+
+
 def run(arguments: argparse.Namespace, reporter: SetupReporter) -> None:
     """Make the best environment that can be made, unless there is one already.
 
@@ -112,32 +127,19 @@ def run(arguments: argparse.Namespace, reporter: SetupReporter) -> None:
     with explained_write_errors(arguments.data):
         arguments.data.mkdir(parents=True, exist_ok=True)
     with hold(RunFolder(arguments.data), ["set-up"]):
-        plans = make_plans(arguments.data, arguments.device, arguments.wheels)
-        make_first(plans, reporter)
-
-
-def make_first(plans: Sequence[Plan], reporter: SetupReporter) -> None:
-    """Make the first of these environments whose Python is suitable.
-
-    Args:
-        plans: of the environments, best first.
-        reporter: gets the messages.
-
-    Raises:
-        FiptError: what is wrong and what to do.
-    """
-    for last, plan in enumerate(plans, 1 - len(plans)):
-        reporter.plan(_WEIGHTS)
-        try:
-            set_up(plan, reporter)
-        except FiptError as error:
-            if error.code != "python-unfit" or last == 0:
-                raise
-            reporter.warning(error.code, error.text, "Another Python will be tried.")
-            continue
-        data = {"folder": str(plan.folder), "python": str(plan.python), "torch": plan.torch}
-        reporter.done([str(environment_python(plan.folder))], data)
-        return
+        *others, last = make_plans(arguments.data, arguments.device, arguments.wheels)
+        for plan in (*others, last):
+            reporter.plan(_WEIGHTS)
+            try:
+                set_up(plan, reporter)
+            except FiptError as error:
+                if error.code != "python-unfit" or plan is last:
+                    raise
+                reporter.warning(error.code, error.text, "Another Python will be tried.")
+                continue
+            data = {"folder": str(plan.folder), "python": str(plan.python), "torch": plan.torch}
+            reporter.done([str(plan.python)], data)
+            return
 
 
 def main() -> int:

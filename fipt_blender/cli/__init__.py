@@ -10,15 +10,17 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
-from ..bridge.interpreter import engine_command
-from ..bridge.process import EngineProcess, Message
+from ..bridge.job import Job
+from ..bridge.process import Message, error_message
+from ..bridge.step import Step
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import explained_write_errors
 from ..jobs.main_job import make_main_job
-from ..jobs.run_job import find_launch
+from ..jobs.run_job import find_launch, prepare_job
 from .arguments import make_options, make_parser
 from .output import Display, interrupts, private_stdout
 
@@ -43,22 +45,10 @@ def _estimate(arguments: argparse.Namespace) -> int:
         job = make_main_job(options)
     except FiptError as error:
         return _report_error(arguments, error)
-    run_log = options.output / "log.txt"
-    with private_stdout(run_log) as stream, interrupts() as switch:
-        display = Display(stream, arguments.json, arguments.quiet)
+    from ..jobs.room_steps import panel_state  # bpy
 
-        def show(message: Message) -> None:
-            if message["type"] == "stage":
-                switch(not message["name"].startswith("render-"))
-            display.show(message)
-
-        try:
-            succeeded = job.run(show)
-        except KeyboardInterrupt:
-            display.end_line()
-            print("stopped; to continue, add --resume to the same command.", file=sys.stderr)
-            return 130
-    return 0 if succeeded else 1
+    with private_stdout(job.log) as stream, panel_state():
+        return _run(job, Display(stream, arguments.json, arguments.quiet), "add --resume to the same command")
 
 
 def _prepare(arguments: argparse.Namespace) -> int:
@@ -68,11 +58,10 @@ def _prepare(arguments: argparse.Namespace) -> int:
     try:
         with explained_write_errors(capture):
             capture.mkdir(parents=True, exist_ok=True)
+        job = prepare_job(photographs, capture, options, find_launch(arguments.engine_python))
     except FiptError as error:
         return _report_error(arguments, error)
-    display = Display(sys.stdout, arguments.json, arguments.quiet)
-    command = ["prepare", *options, "--", str(photographs), str(capture)]
-    return _run_engine(arguments, command, capture / "log.txt", display.show)[0]
+    return _run(job, Display(sys.stdout, arguments.json, arguments.quiet), "give the same command")
 
 
 def _export(arguments: argparse.Namespace) -> int:
@@ -101,36 +90,40 @@ def _export(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    display = Display(sys.stdout, arguments.json, arguments.quiet)
-
-    def show(message: Message) -> None:
-        display.show(message)
-        if message["type"] == "done" and not arguments.json and not arguments.quiet:
-            for name, value in message.get("data", {}).items():
-                if isinstance(value, dict):
-                    value = ", ".join(f"{key} {item or 'missing'}" for key, item in value.items())
-                print(f"{name.replace('_', ' ')}: {'none' if value is None else value}")
-
-    status, done = _run_engine(arguments, ["check"], Path(os.devnull), show)
-    return status if status or (done and done["data"].get("ready", True)) else 1
-
-
-def _run_engine(
-    arguments: argparse.Namespace, command: list[str], log: Path, show: Callable[[Message], None]
-) -> tuple[int, Message | None]:
-    """Run one engine command; returns the exit status and its message `done`."""
+    log = Path(os.devnull)
     try:
         engine = find_launch(arguments.engine_python)
-        process = EngineProcess(engine_command(engine.python, *command), log, engine.environment)
     except FiptError as error:
-        return _report_error(arguments, error), None
-    try:
-        return (0 if process.run_blocking(show) else 1), process.done
-    except KeyboardInterrupt:
-        return 130, None
+        return _report_error(arguments, error)
+    start = partial(engine.start, ["check"], log)
+    job = Job([Step("check", "Checking the engine", 20.0, process=start)], log)
+    job.result = lambda: ([], job.data)
+    status = _run(job, Display(sys.stdout, arguments.json, arguments.quiet), "give the same command")
+    if not arguments.json and not arguments.quiet:
+        for name, value in job.data.items():
+            if isinstance(value, dict):
+                value = ", ".join(f"{key} {item or 'missing'}" for key, item in value.items())
+            print(f"{name.replace('_', ' ')}: {'none' if value is None else value}")
+    return status or (0 if job.data.get("ready", True) else 1)
+
+
+def _run(job: Job, display: Display, again: str) -> int:
+    """Run a job and show its messages; `again`: what the user does to continue one that was stopped."""
+    with interrupts() as switch:
+
+        def show(message: Message) -> None:
+            if message["type"] == "stage":
+                switch(not message["name"].startswith("render-"))
+            display.show(message)
+
+        try:
+            return 0 if job.run(show) else 1
+        except KeyboardInterrupt:
+            display.end_line()
+            print(f"stopped; to continue, {again}.", file=sys.stderr)
+            return 130
 
 
 def _report_error(arguments: argparse.Namespace, error: FiptError) -> int:
-    message = {"type": "error", "code": error.code, "text": error.text, "remedy": error.remedy}
-    Display(sys.stdout, arguments.json, arguments.quiet).show(message)
+    Display(sys.stdout, arguments.json, arguments.quiet).show(error_message(error))
     return 1

@@ -12,7 +12,7 @@ from ..core.run.declared import add_options, declared, options_of
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import PRODUCT_VERSION
 from ..core.run.settings import Settings, make_settings
-from ..jobs.options import RENDER_KINDS, MainJobOptions
+from ..jobs.options import MainJobOptions
 
 _Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
@@ -117,5 +117,5 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
         capture=capture,
         output=arguments.output or Path.cwd() / f"{folder.absolute().name}-fipt",
         settings=make_settings(arguments.preset or "medium", changes),
-        renders=() if arguments.no_renders else RENDER_KINDS,
+        renders=not arguments.no_renders,
     )

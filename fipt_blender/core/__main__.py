@@ -20,7 +20,7 @@ from .run.errors import FiptError
 from .run.lock import hold
 from .run.messages import Reporter, claim_stdout, says_out_of_memory
 from .run.process_identity import end_with_parent
-from .run.runfolder import RunFolder
+from .run.runfolder import RunFolder, full_disk
 
 # Name: (module, help). Each module has add_arguments(parser) and run(arguments, reporter).
 COMMANDS = {
@@ -87,6 +87,9 @@ def run_command(argv: list[str], reporter: Reporter) -> int:
                 "The engine ran out of memory.",
                 "Use a smaller preset or fewer or smaller views, or close other programs; then resume.",
             )
+            return 1
+        if full := full_disk(error):
+            reporter.error(full.code, full.text, full.remedy)
             return 1
         reporter.error(
             "engine-failed",

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from .. import machine
 from ..bridge.interpreter import engine_command, engine_environment, setup_command
+from ..bridge.job import Job
 from ..bridge.pins import other_versions, read_pins
 from ..bridge.process import EngineProcess
-from ..bridge.sequence import Job
 from ..bridge.step import Step
 from ..core.run.runfolder import PRODUCT_VERSION, explained_write_errors
 from . import running
@@ -22,7 +22,7 @@ from .tasks import Task
 def data_task(
     title: str,
     make: Callable[[], list[Step]],
-    ended: Callable[[running.RunningJob], None] | None = None,
+    ended: Callable[[Job], None] | None = None,
 ) -> Task:
     """Work on the data folder, of steps that are functions or start their own processes; see `Task`."""
     data = machine.data_folder()
@@ -47,54 +47,46 @@ def set_up_step(python: Path, data: Path, device: str, wheels: Path | None) -> S
     )
 
 
-class EngineStatus:
-    """Collects the results of set-up and check, and stores them in the preferences at the end.
+def check_step() -> Step:
+    """The step that checks the engine."""
 
-    Args:
-        set_up: whether the job sets up the engine before it checks it.
-    """
-
-    def __init__(self, set_up: bool = False) -> None:
-        self._set_up = set_up
-        self._check: EngineProcess | None = None
-
-    def check_step(self) -> Step:
-        """The step that checks the engine."""
-        return Step("check", "Checking the engine", 20.0, process=self._start_check)
-
-    def _start_check(self) -> EngineProcess:
+    def start() -> EngineProcess:
         python = machine.engine_python()
         arguments = ["check", f"--device={machine.device_setting()}"]
         gpu = machine.chosen_gpu()
         if gpu:
             arguments.append(f"--gpu={gpu}")
         command = engine_command(python, *arguments)
-        self._check = EngineProcess(command, machine.set_up_log(), engine_environment(python))
-        return self._check
+        return EngineProcess(command, machine.set_up_log(), engine_environment(python))
 
-    def store(self, info: running.RunningJob) -> None:
-        """Store the outcome; of a cancelled set-up only that, of a cancelled check nothing."""
-        if info.state == "cancelled":
-            if self._set_up:
-                machine.store_status({**machine.status(), "cancelled": True})
-            return
-        done = self._check.done if self._check is not None else None
-        engine = {} if done is None else done["data"]
-        if engine and (others := other_versions(read_pins(), engine["packages"])):
-            info.warnings.append(
-                {
-                    "type": "warning",
-                    "code": "package-version",
-                    "text": f"Some packages have untested versions: {', '.join(others)}.",
-                    "remedy": "If the engine fails, install the tested versions (in parentheses).",
-                }
-            )
-        machine.store_status(
+    return Step("check", "Checking the engine", 20.0, process=start)
+
+
+def store_status(job: Job, set_up: bool = False) -> None:
+    """Store how a check has ended, after set-up or alone, in the preferences.
+
+    Of a cancelled set-up only that is stored, of a cancelled check nothing.
+    """
+    if job.state == "cancelled":
+        if set_up:
+            machine.store_status({**machine.status(), "cancelled": True})
+        return
+    engine = {} if job.error else job.data
+    if engine and (others := other_versions(read_pins(), engine["packages"])):
+        job.warnings.append(
             {
-                "time": time.time(),
-                "product_version": PRODUCT_VERSION,
-                "engine": engine,
-                "warnings": info.warnings,
-                "error": info.error,
+                "type": "warning",
+                "code": "package-version",
+                "text": f"Some packages have untested versions: {', '.join(others)}.",
+                "remedy": "If the engine fails, install the tested versions (in parentheses).",
             }
         )
+    machine.store_status(
+        {
+            "time": time.time(),
+            "product_version": PRODUCT_VERSION,
+            "engine": engine,
+            "warnings": job.warnings,
+            "error": job.error,
+        }
+    )

@@ -14,8 +14,13 @@ from ..core.run.errors import FiptError
 from ..core.run.settings import Settings
 
 BLEND_NAME = "room.blend"
-RENDER_KINDS = ("rerender", "relight", "insert")
 MOST_RERENDERED = 3  # held-back views that are rendered
+# Kinds of renders: what is told meanwhile, and the number of pictures.
+RENDERS = {
+    "rerender": ("Rendering held-back views with the estimated room", MOST_RERENDERED),
+    "relight": ("Rendering the view with the estimated lights off and a new area light", 1),
+    "insert": ("Rendering the view with an inserted object", 1),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,13 +31,13 @@ class MainJobOptions(CaptureOptions):
         capture: folder or camera file of the capture.
         output: the run folder, created if it does not exist.
         settings: constants of the method.
-        renders: Cycles renders to make; of RENDER_KINDS.
+        renders: whether RENDERS are made in Cycles.
     """
 
     capture: Path
     output: Path
     settings: Settings = field(default_factory=Settings)
-    renders: tuple[str, ...] = RENDER_KINDS
+    renders: bool = True
     parts: Annotated[
         str,
         Option(
@@ -87,10 +92,4 @@ def check_options(options: MainJobOptions) -> None:
             "output-inside-capture",
             f"The output folder {options.output} is the capture itself.",
             "Choose a new or empty folder for the output (--output).",
-        )
-    if not set(options.renders) <= set(RENDER_KINDS):
-        raise FiptError(
-            "render-unknown",
-            f"There is no render of kind {', '.join(sorted(set(options.renders) - set(RENDER_KINDS)))}.",
-            f"Choose from: {', '.join(RENDER_KINDS)}.",
         )

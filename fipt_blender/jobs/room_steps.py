@@ -7,8 +7,10 @@ Objects are kept by name, since undo and loading a file invalidate every pointer
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 
 import bpy
 import numpy as np
@@ -36,13 +38,14 @@ from ..bridge.step import Slices
 from ..core.capture.options import CaptureOptions
 from ..core.run.contents import CapturedView, CapturedViews
 from ..core.run.errors import FiptError
+from ..core.run.made import Made, content_digest
 from ..core.run.run_files import read_capture
-from ..core.run.runfolder import RunFolder
+from ..core.run.runfolder import RunFolder, atomic_path
 from ..core.run.settings import make_settings
 from ..core.run.stage_settings import TextureSettings
 from ..properties.declared import fill
-from .options import BLEND_NAME, MOST_RERENDERED, MainJobOptions, capture_source
-from .scene_steps import note_applied
+from .options import BLEND_NAME, MOST_RERENDERED, RENDERS, MainJobOptions, capture_source
+from .scene_steps import applied
 
 NEW_LIGHT = "FIPT New Light"
 # A chrome ball shows a shadow, reflections and the light of the room at once.
@@ -85,20 +88,38 @@ class RoomSteps:
         return (yield from import_capture(self._run, source))
 
     def save(self) -> None:
-        """Save room.blend with the applied results."""
+        """Save room.blend with the applied results; an earlier one is kept as room_before.blend."""
         scene = bpy.context.scene
-        note_applied(scene, self._run)
+        applied(scene, self._run)
+        if all(self._renders_made(kind).kept() is None for kind in RENDERS):
+            shutil.rmtree(self._run.renders, ignore_errors=True)  # of another estimate
         cameras.use_view(scene, cameras.find_camera(self._view()[0], scene))
         enter_camera_on_opening()
         path = self._run.root / BLEND_NAME
+        if path.exists():
+            with atomic_path(path.with_stem(f"{path.stem}_before")) as before:
+                shutil.copyfile(path, before)
         save_blend(path)
         path.with_suffix(".blend1").unlink(missing_ok=True)
 
-    def open_blend(self) -> None:
-        """Restore the state after `apply_and_save`."""
-        bpy.ops.wm.open_mainfile(filepath=str(self._run.root / BLEND_NAME), load_ui=False, use_scripts=False)
+    def _renders_made(self, kind: str) -> Made:
+        """Whether renders of a kind show the room as it is applied now."""
+        options, settings = self._options, self._options.settings
+        how = options.render_spp, options.render_view, settings.seed, settings.clean_mesh, settings.write_back
+        applied = content_digest(self._run.made("textures"))
+        return Made(self._run, f"render-{kind}", applied, how, outputs=[self._run.renders_json])
 
-    def rerender(self) -> Slices[None]:
+    def render(self, kind: str) -> Slices[list[Message]]:
+        """Make the renders of a kind, unless there are those of this room; returns warnings."""
+        made = self._renders_made(kind)
+        if (kept := made.kept()) is not None:
+            return [{"type": "warning", **asdict(each)} for each in kept]
+        work = {"rerender": self.rerender, "relight": self.relight, "insert": self.insert}[kind]
+        warnings = yield from work()
+        made.note(warnings)
+        return warnings
+
+    def rerender(self) -> Slices[list[Message]]:
         """Render the chosen view and further held-back views, as photographed."""
         chosen, _ = self._view()
         views = preferred_views(read_capture(self._run.capture_json), self._options.render_view)
@@ -107,8 +128,9 @@ class RoomSteps:
         for done, name in enumerate(names, 1):
             self._render("rerender", name)
             yield done / len(names)
+        return []
 
-    def relight(self) -> list[Message]:
+    def relight(self) -> Slices[list[Message]]:
         """Render the view with the estimated lights off and a new area light below the ceiling.
 
         Returns:
@@ -130,9 +152,10 @@ class RoomSteps:
         finally:
             bpy.data.objects.remove(light)
             switch_all(True)
+        yield 1.0
         return warnings
 
-    def insert(self) -> list[Message]:
+    def insert(self) -> Slices[list[Message]]:
         """Render the view with an inserted object; a warning if there is no place for one."""
         view, support = self._view()
         if support is None:
@@ -150,6 +173,7 @@ class RoomSteps:
             self._render("insert", view)
         finally:
             bpy.data.objects.remove(inserted)
+        yield 1.0
         return []
 
     def _render(self, kind: str, view: str) -> None:

@@ -9,76 +9,61 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from ..bridge.interpreter import engine_command, engine_environment, find_engine_python
+from ..bridge.job import Job
 from ..bridge.process import EngineProcess
-from ..bridge.sequence import Job
-from ..bridge.step import Step, StepRecord
-from ..core.capture.options import CaptureOptions
+from ..bridge.step import Step
 from ..core.run.lock import busy, holder
 from ..core.run.process_identity import PARENT_VARIABLE
 from ..core.run.runfolder import RunFolder
-
-STEPS_NAME = "steps.json"
-
-
-def ingest_step(run: RunFolder, capture: Path, options: CaptureOptions, text: str, seconds: float) -> Step:
-    """The engine reads and checks a capture.
-
-    Args:
-        run: the run folder into which it is read.
-        capture: folder or file.
-        options: how it is read.
-        text: shown to the user while the step runs.
-        seconds: expected time, on a small machine.
-    """
-    command = ["ingest", str(capture), str(run.root), *options.arguments()]
-    return Step("ingest", text, seconds, command=command, outputs=[run.ingest_json])
+from ..prepare.preparation import PreparationFolder, refuse_foreign
 
 
 def open_job(
     run: RunFolder,
     steps: Sequence[Step],
-    record: str = "",
-    resume: bool = False,
-    result: Callable[[], list[str]] | None = None,
     launch: Launch | None = None,
+    note: bool = False,
 ) -> Job:
     """A job of any steps on an existing run folder.
 
     Args:
-        run: the run folder, which also holds the log and the steps file.
+        run: the run folder, which also holds the log.
         steps: engine commands and functions on Blender's data.
-        record: name of the steps file, which records finished steps, of a job that can be resumed; jobs that
-            share one need different step names.
-        resume: whether finished steps with the same inputs are skipped.
-        result: called at the end; returns the paths of the results.
         launch: the engine, if the caller has found it already; None finds it by the preferences.
+        note: whether job.json is written.
 
     Raises:
         FiptError: ``engine-missing``, ``run-busy`` or ``run-linked``.
     """
     engine = launch or find_launch()
     refuse_busy(run)
-    step_record = StepRecord(run.root / record if record else None)
-    if not resume:
-        step_record.forget(step.name for step in steps)  # so that each of them runs
+    started = [
+        replace(step, process=partial(engine.start, step.command, run.log, run.messages(step.command[0])))
+        if step.command
+        else step
+        for step in steps
+    ]
+    return Job(started, run.log, note=run.job_json if note else None)
 
-    def start(arguments: Sequence[str]) -> EngineProcess:
-        command = engine_command(engine.python, *arguments)
-        return EngineProcess(command, run.log, engine.environment, run.messages(arguments[0]))
 
-    return Job(
-        [replace(step, process=partial(start, step.command)) if step.command else step for step in steps],
-        run.log,
-        step_record,
-        lambda: (result() if result else [], {"run": str(run.root)}),
-        resume,
-    )
+def prepare_job(photographs: Path, folder: Path, options: Iterable[str], launch: Launch | None = None) -> Job:
+    """A job that makes a capture from photographs in a folder, by the engine's command `prepare`.
+
+    The engine keeps the steps that are finished, so that a stopped job goes on when it is started again.
+
+    Raises:
+        FiptError: ``capture-foreign`` and those of `open_job`.
+    """
+    refuse_foreign(PreparationFolder(folder), photographs)
+    command = ["prepare", *options, "--", str(photographs), str(folder)]
+    step = Step("prepare", "Preparing the photographs", 60.0, command=command)
+    return open_job(RunFolder(folder), [step], launch=launch)
 
 
 def refuse_busy(run: RunFolder) -> None:
@@ -98,6 +83,10 @@ class Launch:
 
     python: Path
     environment: Mapping[str, str]
+
+    def start(self, arguments: Sequence[str], log: Path, messages: Path | None = None) -> EngineProcess:
+        """Start an engine command; see `EngineProcess`."""
+        return EngineProcess(engine_command(self.python, *arguments), log, self.environment, messages)
 
 
 def find_launch(explicit: str | None = None) -> Launch:

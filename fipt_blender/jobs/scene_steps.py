@@ -1,41 +1,58 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The steps from a scene with a capture and a room to its estimated materials and lights.
+"""The steps from a capture to a scene with its estimated materials and lights.
 
-The buttons, the Python API and the command line (`main_job`) do the same ones.
+The buttons, the Python API and the command line (`main_job`) do the same ones. Each does what is missing.
 """
 
 from __future__ import annotations
 
-import shutil
-import uuid
-from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..bridge.process import Message
-from ..bridge.step import Slices, Step, StepRecord, chain_keys
+from ..bridge.step import Slices, Step, StepFunction
+from ..core.capture.options import CaptureOptions
 from ..core.run.errors import FiptError
-from ..core.run.hints import hints_digest, read_hints
-from ..core.run.method import method_digest
+from ..core.run.made import Made, content_digest
 from ..core.run.runfolder import RunFolder
-from ..core.run.settings import TEXTURE_SETTINGS, Settings
+from ..core.run.settings import Settings
 from .expected import atlas_seconds, estimate_seconds, texture_seconds
 
 if TYPE_CHECKING:
     import bpy
 
-_ATLAS_SETTINGS = ("atlas_mode", "atlas_images", "texture_size", "texel_density")
+# Settings of the atlas; the preset decides how large its images are.
+_ATLAS_SETTINGS = ("atlas_mode", "atlas_images", "texture_size", "texel_density", "detail", "preset")
 # Expected times until the capture is read: seconds for the example room on two idle cores.
 _ESTIMATE_SECONDS = {"draft": 85.0, "medium": 150.0, "high": 2400.0}
 
 
+def import_steps(
+    run: RunFolder,
+    capture: Path,
+    options: CaptureOptions,
+    add_to_scene: StepFunction,
+    text: str = "Adding cameras and mesh",
+) -> list[Step]:
+    """The engine reads and checks a capture, which then is added to the scene.
+
+    Args:
+        run: the run folder into which it is read.
+        capture: folder or file.
+        options: how it is read.
+        add_to_scene: what is done then; `text` is shown meanwhile.
+    """
+    command = ["ingest", str(capture), str(run.root), *options.arguments()]
+    return [
+        Step("ingest", "Reading and checking the photographs", 20.0, command=command),
+        Step("import", text, 5.0, function=add_to_scene),
+    ]
+
+
 def camera_step(run: RunFolder) -> Step:
     """What the artist has made of the cameras."""
-    return Step(
-        "cameras", "Reading the cameras", 1.0, function=lambda: export_scene_cameras(run), repeat=True
-    )
+    return Step("cameras", "Reading the cameras", 1.0, function=lambda: export_scene_cameras(run))
 
 
 def estimation_steps(
@@ -44,51 +61,26 @@ def estimation_steps(
     """The steps from the current scene to the results; see `estimate_step`."""
     text = "Preparing the room for the engine"
     return [
-        Step("room", text, 2.0, function=lambda: export_scene_room(run), repeat=True),
+        Step("room", text, 2.0, function=lambda: export_scene_room(run)),
         estimate_step(run, settings, resume, cluster),
     ]
 
 
-def room_steps(
-    scene: Callable[[], bpy.types.Scene],
-    run: RunFolder,
-    settings: Settings,
-    resume: bool,
-    cluster: str | None = None,
-) -> list[Step]:
-    """The steps from a scene with a capture to its room with the results; at the end comes `note_applied`."""
-    return [
-        *estimation_steps(run, settings, resume, cluster),
-        *apply_steps(scene, run, settings, estimated=True),
-    ]
-
-
-def estimate_step(
-    run: RunFolder, settings: Settings, resume: bool = False, cluster: str | None = None
-) -> Step:
+def estimate_step(run: RunFolder, settings: Settings, resume: bool, cluster: str | None = None) -> Step:
     """The engine's estimation from the capture.json and room.npz of a run folder.
 
     Args:
-        resume: whether the engine may keep stages that do not depend on changed settings.
-        cluster: see `MainJobOptions`; not among the step's inputs, since the results do not depend on it.
+        resume: whether the engine may keep stages that do not depend on what has changed.
+        cluster: see `MainJobOptions`.
     """
-    values = {name: value for name, value in asdict(settings).items() if name not in TEXTURE_SETTINGS}
+    options = [*([] if resume else ["--anew"]), *([] if cluster is None else [f"--cluster={cluster}"])]
     return Step(
         "estimate",
         "Estimating materials and lights",
         _ESTIMATE_SECONDS.get(settings.preset, 360.0),
-        inputs={**values, "method": method_digest(), "hints": _hints_digests(run)},
-        command=["estimate", str(run.root), *([] if cluster is None else [f"--cluster={cluster}"])],
-        outputs=[run.fields_npz, run.emitters_json],
-        reset=None if resume else lambda: _empty(run.stage),
+        command=["estimate", str(run.root), *options],
         expected=lambda: estimate_seconds(run, settings),
     )
-
-
-def _hints_digests(run: RunFolder) -> list[str | None]:
-    """What the run's files of hints hold, None for a file that is not there."""
-    paths = (run.hints_json, run.hints_again_json)
-    return [hints_digest(read_hints(path)) if path.exists() else None for path in paths]
 
 
 def export_scene_cameras(run: RunFolder) -> None:
@@ -133,38 +125,43 @@ def export_scene_room(run: RunFolder) -> Slices[list[Message]]:
     return warnings
 
 
-def apply_steps(
-    scene: Callable[[], bpy.types.Scene], run: RunFolder, settings: Settings, estimated: bool = False
-) -> list[Step]:
-    """Texture coordinates, baking, assignment; the first two are skipped while their inputs are the same.
+def apply_steps(run: RunFolder, settings: Settings) -> list[Step]:
+    """Texture coordinates, baking, assignment; the first two are kept while their inputs are the same.
+
+    After the job comes `applied`.
 
     Args:
-        scene: finds the scene, whose name may change and which undo replaces.
-        run: its run folder.
+        run: the scene's run folder.
         settings: of the textures.
-        estimated: whether they follow an estimation in the same job, which decides what is done again. At
-            the end of that job comes `note_applied`.
     """
-    atlas_values = {name: getattr(settings, name) for name in _ATLAS_SETTINGS}
+    import bpy
 
-    def objects() -> list[bpy.types.Object]:
-        return scene().fipt.capture.room_objects(scene())
+    def objects() -> list[bpy.types.Object]:  # undo may replace them and the scene
+        return bpy.context.scene.fipt.capture.room_objects(bpy.context.scene)
 
     def lay_out() -> Slices[None]:
         from ..blend.room.atlas import atlas_slices
 
-        yield from atlas_slices(objects(), run, settings)
-        return None
+        read = [getattr(settings, name) for name in _ATLAS_SETTINGS]
+        paths = [
+            run.room_npz,
+            run.resolution_npz,
+            *([run.parts_npz] if settings.atlas_images == "part" else []),
+        ]
+        made = Made(run, "atlas", read, content_digest(*paths), outputs=[run.atlas_npz, run.atlas_json])
+        if made.kept() is None:
+            yield from atlas_slices(objects(), run, settings)
+            made.note()
 
     def build() -> Slices[list[Message]]:
         from ..blend.lights.world import apply_environment
         from ..blend.results.applying import apply_slices
         from ..blend.texture_files import texture_files
 
-        files = texture_files(scene(), run)
-        applied = yield from apply_slices(run, objects(), scene(), files)
+        files = texture_files(bpy.context.scene, run)
+        applied = yield from apply_slices(run, objects(), bpy.context.scene, files)
         warnings = applied.warnings
-        if apply_environment(run, scene(), files) is None:
+        if apply_environment(run, bpy.context.scene, files) is None:
             text = "The scene keeps the world that you have chosen since results were applied."
             remedy = "To get the estimated one back, use Revert and apply the results again."
             warnings.append({"type": "warning", "code": "world-kept", "text": text, "remedy": remedy})
@@ -175,37 +172,18 @@ def apply_steps(
             "apply-atlas",
             "Creating texture coordinates",
             2.0,
-            inputs={**atlas_values, **({} if estimated else _stamps(run, settings))},
             function=lay_out,
-            outputs=[run.atlas_npz, run.atlas_json],
             expected=lambda: atlas_seconds(run),
         ),
         Step(
             "apply-textures",
             "Baking textures",
             25.0,
-            inputs={} if estimated else {"fields": _stamp(run.fields_npz)},
             command=["textures", str(run.root)],
-            outputs=[run.textures],
             expected=lambda: texture_seconds(run, settings),
         ),
-        Step(
-            "apply-build",
-            "Building materials and lights",
-            1.0,
-            # Its result is in Blender's data: it is never skipped where nothing comes after it.
-            inputs={} if estimated else {"time": uuid.uuid4().hex},
-            function=build,
-            repeat=estimated,
-        ),
+        Step("apply-build", "Building materials and lights", 1.0, function=build),
     ]
-
-
-def scene_named(name: str) -> Callable[[], bpy.types.Scene]:
-    """Finds a scene again."""
-    import bpy
-
-    return lambda: bpy.data.scenes[name]
 
 
 def applied(scene: bpy.types.Scene, run: RunFolder) -> None:
@@ -218,29 +196,3 @@ def applied(scene: bpy.types.Scene, run: RunFolder) -> None:
     # What the artist deletes of it stays away in the next estimation. Closed holes alone say nothing of the
     # search, which may find more with other masks.
     settings.completed |= any(item.get(ADDED) == FOUND for item in settings.room_objects(scene))
-
-
-def note_applied(scene: bpy.types.Scene, run: RunFolder) -> None:
-    """After `apply_steps` in a job that has estimated: the same, and record what was baked."""
-    applied(scene, run)
-    steps, record = apply_steps(scene_named(scene.name), run, run.read()), StepRecord(run.apply_json)
-    for step, key in zip(steps, chain_keys(steps), strict=True):
-        record.store(step.name, key, finished=True)
-
-
-def _empty(folder: Path) -> None:
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-
-
-def _stamps(run: RunFolder, settings: Settings) -> dict[str, list[int]]:
-    parts = _stamp(run.parts_npz) if settings.atlas_images == "part" else []
-    return {"room": _stamp(run.room_npz), "parts": parts}
-
-
-def _stamp(path: Path) -> list[int]:
-    try:
-        status = path.stat()
-    except OSError:
-        return []
-    return [status.st_size, status.st_mtime_ns]

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import time
+from typing import TYPE_CHECKING
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
@@ -13,6 +14,9 @@ from ..blend import previews
 from . import running, runstate, saving
 from .job_scene import find_scene, scene_context
 from .window import redraw, show_notice
+
+if TYPE_CHECKING:
+    from ..bridge.job import Job
 
 # Esc that stops playback is passed on to the other key maps, and arrives when nothing plays any more.
 _SAME_KEY_SECONDS = 0.5
@@ -63,7 +67,7 @@ def stops_playback(screen: bpy.types.Screen | None) -> bool:
     return playing or time.monotonic() - _playback_ended < _SAME_KEY_SECONDS
 
 
-def after_job(info: running.RunningJob) -> None:
+def after_job(info: Job) -> None:
     """What follows a job: photographs without cameras become a capture; results of an estimation are applied,
     unless the artist does not want that or is in Edit Mode.
     """

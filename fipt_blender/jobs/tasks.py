@@ -19,7 +19,7 @@ from .job_scene import find_scene
 from .window import push_undo
 
 if TYPE_CHECKING:
-    from ..bridge.sequence import Job
+    from ..bridge.job import Job
 
 Follow = Callable[[bpy.types.Scene, RunFolder], None]
 
@@ -46,41 +46,39 @@ class Task:
     failed: Follow | None = None
     undo: bool = False
     folder: Path | None = None
-    ended: Callable[[running.RunningJob], None] | None = None
+    ended: Callable[[Job], None] | None = None
 
 
-def begin(task: Task, scene: bpy.types.Scene, wait: bool) -> running.RunningJob:
+def begin(task: Task, scene: bpy.types.Scene, wait: bool) -> Job:
     """Start a task on the context's scene; with `wait`, run it to its end.
 
     Raises:
         FiptError: it can't start. How it ended is in the result.
     """
-    start = running.run if wait else running.start
+    from ..bridge.job import Job
+
     undo = task.title if task.undo and not wait else ""
     # Without `make`: the operator that it may hold is gone by then.
     end = task.ended if task.folder is not None else partial(_end, task.finished, task.failed, undo)
+    names = task.title, task.kind, "" if task.folder else scene.name
     try:
         job = task.make(scene)
-        return start(job, _info(task, scene), end)
+        job.title, job.kind, job.scene_name = names
+        return running.run(job, end) if wait else running.start(job, end)
     except FiptError as error:
-        running.refuse(_info(task, scene), error)
+        folder = task.folder or Path(bpy.path.abspath(scene.fipt.run_folder))
+        job = Job([], folder / "log.txt")
+        job.title, job.kind, job.scene_name = names
+        running.refuse(job, error)
         raise
 
 
-def _info(task: Task, scene: bpy.types.Scene) -> running.RunningJob:
-    if task.folder is not None:
-        return running.RunningJob(task.title, task.kind, "", task.folder)
-    return running.RunningJob(
-        task.title, task.kind, scene.name, Path(bpy.path.abspath(scene.fipt.run_folder))
-    )
-
-
-def _end(finished: Follow | None, failed: Follow | None, undo: str, info: running.RunningJob) -> None:
-    scene = find_scene(info.scene_name, info.run_folder)
+def _end(finished: Follow | None, failed: Follow | None, undo: str, job: Job) -> None:
+    scene = find_scene(job.scene_name, job.run_folder)
     if scene is None:
         return
-    follow = finished if info.state == "finished" else failed
+    follow = finished if job.state == "finished" else failed
     if follow is not None:
-        follow(scene, RunFolder(info.run_folder))
-    if info.state == "finished" and undo:
+        follow(scene, RunFolder(job.run_folder))
+    if job.state == "finished" and undo:
         push_undo(undo)

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from mathutils import Vector
 
     from ..blend.capture.pairs import PickedSight
+    from ..bridge.job import Job
     from ..bridge.process import Message
-    from ..bridge.sequence import Job
     from ..bridge.step import Slices
 
 _MESH_TEXT = "Click: Point of the mesh   Ctrl: Do not snap to corners   Esc, Right Click: Cancel"
@@ -228,8 +228,8 @@ def refine_alignment(scene: bpy.types.Scene) -> Task:
         command = ["align", str(target.root), settings.imported_path, f"--format={settings.format}"]
         text = "Aligning the cameras to the mesh"
         steps = [
-            Step("align-input", "Preparing the room", 3.0, function=write_input, repeat=True),
-            Step("align", text, 5.0, command=command, outputs=[target.root / "align.json"]),
+            Step("align-input", "Preparing the room", 3.0, function=write_input),
+            Step("align", text, 5.0, command=command),
         ]
         return open_job(run, steps)
 

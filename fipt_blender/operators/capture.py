@@ -24,8 +24,8 @@ from .polls import has_meshes, has_views, in_object_mode, needs, no_job, views_c
 from .reporting import Messages
 
 if TYPE_CHECKING:
+    from ..bridge.job import Job
     from ..bridge.process import Message
-    from ..bridge.sequence import Job
     from ..bridge.step import Slices, Step
 
 _MESH_FILES = "*.obj;*.ply;*.stl;*.gltf;*.glb;*.fbx;*.usd;*.usdc;*.usda;*.usdz"
@@ -212,13 +212,12 @@ def survey_steps(run: RunFolder, search: bool = False) -> tuple[Step, Step]:
         return write_survey_input(run, search)
 
     return (
-        Step("survey-input", "Preparing the room", 3.0, function=write_input, repeat=True),
+        Step("survey-input", "Preparing the room", 3.0, function=write_input),
         Step(
             "survey",
             "Finding what each camera sees",
             10.0,
             command=["survey", str(run.survey), f"--device={machine.device_setting()}"],
-            outputs=[run.survey_json, run.survey_npz],
         ),
     )
 

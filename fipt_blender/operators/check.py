@@ -21,7 +21,7 @@ from .polls import has_results, has_run, in_object_mode, needs, no_job
 from .reporting import Messages
 
 if TYPE_CHECKING:
-    from ..bridge.sequence import Job
+    from ..bridge.job import Job
 
 
 @action("Write Report", needs=(no_job, has_run), options=REGISTER)

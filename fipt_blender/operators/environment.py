@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -68,9 +69,7 @@ def set_up_engine(
     """Create a Python environment for the engine and install its packages there. Blender's own Python is not
     changed. If you cancel, the finished downloads are kept.
     """
-    from ..jobs.data_job import EngineStatus, data_task, set_up_step
-
-    status = EngineStatus(set_up=True)
+    from ..jobs.data_job import check_step, data_task, set_up_step, store_status
 
     def steps() -> list[Step]:
         values, data = machine.get_preferences(), machine.data_folder()
@@ -81,18 +80,17 @@ def set_up_engine(
                 f"The folder {wheels} does not exist.",
                 "Select another folder as Folder of Wheels.",
             )
-        return [set_up_step(Path(sys.executable), data, values.device, wheels), status.check_step()]
+        return [set_up_step(Path(sys.executable), data, values.device, wheels), check_step()]
 
-    return data_task("Set Up Engine", steps, status.store)
+    return data_task("Set Up Engine", steps, partial(store_status, set_up=True))
 
 
 @action("Check", needs=(no_job,), options=REGISTER)
 def check_engine(scene: bpy.types.Scene) -> Task:
     """Test the engine on this machine, and show what is missing and how to fix it."""
-    from ..jobs.data_job import EngineStatus, data_task
+    from ..jobs.data_job import check_step, data_task, store_status
 
-    status = EngineStatus()
-    return data_task("Check Engine", lambda: [status.check_step()], status.store)
+    return data_task("Check Engine", lambda: [check_step()], store_status)
 
 
 @action("Copy Download Command", options=REGISTER)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
-from ..api import applying, estimating, importing
+from ..api import applying, estimating
 from ..core.run.declared import Option
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..core.run.settings import PRESETS
@@ -21,7 +22,7 @@ from .action import REGISTER, UNDO, action
 from .polls import has_no_capture, has_run, in_object_mode, needs, no_job
 
 if TYPE_CHECKING:
-    from ..bridge.sequence import Job
+    from ..bridge.job import Job
 
 _can_start = (
     no_job,
@@ -255,9 +256,10 @@ def try_example(context: bpy.types.Context) -> Task:
         context.window.scene = bpy.data.scenes.new(NAME)
 
     def make(scene: bpy.types.Scene) -> Job:
+        from ..blend.capture.importing import import_capture
         from ..core.capture.options import CaptureOptions
+        from ..jobs import scene_steps
         from ..jobs.run_job import open_job
-        from ..jobs.scene_steps import camera_step, room_steps, scene_named
 
         path = copy_example(machine.data_folder())
         scene.fipt.capture.path = str(path)
@@ -267,13 +269,14 @@ def try_example(context: bpy.types.Context) -> Task:
         run.create(settings)
         scene.fipt.run_folder = str(run.root)
         steps = [
-            *importing.import_steps(run, path, CaptureOptions()),
-            camera_step(run),
-            *room_steps(scene_named(scene.name), run, settings, resume=False),
+            *scene_steps.import_steps(run, path, CaptureOptions(), partial(import_capture, run, str(path))),
+            scene_steps.camera_step(run),
+            *scene_steps.estimation_steps(run, settings, resume=False),
+            *scene_steps.apply_steps(run, settings),
         ]
-        return open_job(run, steps, launch=launch)
+        return open_job(run, steps, launch, note=True)
 
-    return Task("Example", "estimate", make, finished=applying.note_applied, undo=True)
+    return Task("Example", "estimate", make, finished=applying.applied, undo=True)
 
 
 def copy_example(data: Path) -> Path:

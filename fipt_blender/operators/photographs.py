@@ -23,7 +23,7 @@ from .polls import all_of, needs, no_job, over_sidebar
 from .reporting import reports_errors
 
 if TYPE_CHECKING:
-    from ..bridge.sequence import Job
+    from ..bridge.job import Job
     from ..prepare.preparation import Group, PreparationFolder
     from ..properties.photographs import FIPT_PhotographsSettings
 
@@ -131,15 +131,16 @@ def _task(
     folder = PreparationFolder(scene.fipt.photographs.capture_folder() or Path())
 
     def make(scene: bpy.types.Scene) -> Job:
-        from ..jobs.prepare_job import make_prepare_job
+        from ..jobs.run_job import prepare_job
 
         settings = scene.fipt.photographs
         photographs = _photographs(settings)
         if before is not None:
             before(settings, folder)
-        return make_prepare_job(photographs, folder, settings.engine_settings(), steps)
+        values = (f"--set={name}={value}" for name, value in settings.engine_settings().items())
+        return prepare_job(photographs, folder.root, [f"--steps={steps}", *values])
 
-    def ended(info: running.RunningJob) -> None:
+    def ended(info: Job) -> None:
         if info.state == "finished":
             for scene in bpy.data.scenes:
                 if scene.fipt.photographs.capture_folder() == folder.root:

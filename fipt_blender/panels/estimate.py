@@ -23,6 +23,7 @@ from .progress import draw_progress, status_text
 from .sidebar import Section, SubSection, draw_text
 
 if TYPE_CHECKING:
+    from ..bridge.job import Job
     from ..core.run.light_size import LightPlan
     from ..core.run.versions import Version
 
@@ -176,7 +177,7 @@ def _draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context, state:
     draw_text(layout, context, text, icon="IMAGE_REFERENCE")
 
 
-def _draw_waiting(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:
+def _draw_waiting(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
     """The other job, for whose end Estimate has to wait, with a button that stops it."""
     column = layout.column(align=True)
     draw_text(column, context, iface_("Estimate can start when this job has ended:"), icon="SORTTIME")

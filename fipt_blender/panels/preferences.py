@@ -128,7 +128,7 @@ class Facts:
     """What is drawn besides the preferences' values; looked up before, never while drawing.
 
     Attributes:
-        status: last result of set-up or check, see `data_job.EngineStatus`; empty before the first.
+        status: last result of set-up or check, see `data_job.store_status`; empty before the first.
         data_folder: the default data folder, used where the preference is empty.
     """
 

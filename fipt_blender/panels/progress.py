@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
@@ -11,8 +13,11 @@ from ..jobs import running
 from ..jobs.job_scene import uses_run_folder
 from .sidebar import draw_text
 
+if TYPE_CHECKING:
+    from ..bridge.job import Job
 
-def draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, job: running.RunningJob) -> None:
+
+def draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
     """A progress bar with a cancel button, the stage, the remaining time and the largest memory."""
     column = layout.column(align=True)
     row = column.row(align=True)  # above all text that may wrap, so that the button stays under the pointer
@@ -52,7 +57,7 @@ def unregister() -> None:
     bpy.types.STATUSBAR_HT_header.remove(_draw)
 
 
-def status_text(job: running.RunningJob) -> str:
+def status_text(job: Job) -> str:
     """The job in a few words, e.g. "Estimate: 42%, 3 min left"."""
     title = iface_(job.title)
     if job.stopping:

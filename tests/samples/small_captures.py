@@ -176,7 +176,7 @@ def run_here(run: RunFolder, train: bool = True) -> list[dict]:
     with ExitStack() as patches:
         for module in (training, training_stages):
             patches.enter_context(patch.object(module, "PRETRAINING_STEPS", steps))
-        command.run(argparse.Namespace(run=run.root, cluster=None), Reporter(stream))
+        command.run(argparse.Namespace(run=run.root, cluster=None, anew=False), Reporter(stream))
     return [message for line in stream.getvalue().splitlines() if (message := parse_message(line))]
 
 

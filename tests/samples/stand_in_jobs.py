@@ -10,9 +10,9 @@ from pathlib import Path
 import bpy
 
 import fipt_blender
+from fipt_blender.bridge.job import Job
 from fipt_blender.bridge.process import EngineProcess
-from fipt_blender.bridge.sequence import Job
-from fipt_blender.bridge.step import Step, StepRecord
+from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
 from samples.child_processes import ENGINE, wait_for
@@ -29,22 +29,17 @@ def make_job(run: RunFolder, *functions, engine: bool = True, script: str = ENGI
 
     steps = [Step("estimate", "Estimating", 10.0, process=start)] if engine else []
     steps += [Step(f"f{i}", f"Function {i}", 1.0, function=each) for i, each in enumerate(functions)]
-    return Job(steps, run.log, StepRecord(run.root / "steps.json"))
-
-
-def start(job: Job, run: RunFolder, **more) -> running.RunningJob:
-    info = running.RunningJob("Test", "test", bpy.context.scene.name, run.root)
-    return running.start(job, info, **more)
+    return Job(steps, run.log, title="Test", kind="test", scene_name=bpy.context.scene.name)
 
 
 def tick_until(true) -> None:
     wait_for(lambda: true() or (running.tick(), true())[1], pause=0.01)
 
 
-def at_work(info: running.RunningJob) -> bool:
+def at_work(info: Job) -> bool:
     return bool(info.warnings)
 
 
-def finish(run: RunFolder, info: running.RunningJob) -> None:
+def finish(run: RunFolder, info: Job) -> None:
     (run.root / "stop").touch()
     tick_until(lambda: info.state != "running")

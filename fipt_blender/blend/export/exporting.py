@@ -7,6 +7,7 @@ The file is left as it was. What the formats can't hold is said in warnings.
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -40,7 +41,7 @@ from ..room.mesh_arrays import corner_uvs, polygon_slots, polygon_starts
 from ..room.originals import shows_original
 from ..room.tiles import image_uvs, polygon_images
 from ..room.uv_layer import UV_LAYER, write_layer
-from ..save import check_space
+from ..save import check_space, write_error
 from .color import colors_in_rec709
 from .environment import is_dark, plain_world
 from .lights import area_spot, has_default_nodes, lamp_light, turned, warning, without_nodes
@@ -140,8 +141,21 @@ def export_room(scene: bpy.types.Scene, path: Path, options: ExportOptions = Exp
         stage.hide_others()
         exported.objects = len(stage.scene.objects)
         with colors_in_rec709(stage.scene, suffix in USD):
-            _write(written)
+            _write(written, path)
     return exported
+
+
+@contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    """A folder is made for what is written in the block; a new one goes if that fails."""
+    is_new = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        if is_new:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 @contextmanager
@@ -151,8 +165,7 @@ def _written_whole(path: Path) -> Iterator[Path]:
     Raises:
         FiptError: ``disk-full`` or ``run-unwritable``; nothing is left then.
     """
-    with explained_write_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with explained_write_errors(path), _made(path.parent):
         with tempfile.TemporaryDirectory(prefix=".fipt_export_", dir=path.parent) as folder:
             yield Path(folder, path.name)
             check_space(path)  # on a full disk Blender writes a part and reports nothing
@@ -335,8 +348,8 @@ def _plain_world(
         stage.add(plain[1], path.stem)
 
 
-def _write(path: Path) -> None:
-    """Call Blender's exporter on the window's scene."""
+def _write(path: Path, target: Path) -> None:
+    """Call Blender's exporter on the window's scene; `target` is where the file gets to."""
     is_gltf = path.suffix.lower() in GLTF
     operator = bpy.ops.export_scene.gltf if is_gltf else bpy.ops.wm.usd_export
     try:
@@ -353,9 +366,9 @@ def _write(path: Path) -> None:
     try:
         operator(filepath=str(path), **arguments)
     except RuntimeError as error:
-        reason = str(error).strip().splitlines()[-1]  # of a traceback, the error
-        text = f"Blender's exporter has failed ({reason})."
-        raise FiptError("export-failed", text, "Choose another folder or format.") from None
+        lines = [line for line in str(error).strip().splitlines() if not line.startswith("Location:")]
+        reason = RuntimeError(lines[-1] if lines else "")  # of a traceback, the error
+        raise write_error(target, reason, "export-failed") from None
     if not path.is_file():
         raise FiptError("export-failed", f"{path} was not written.", "Choose another folder or format.")
 

@@ -24,6 +24,7 @@ from ..run.declared import add_options, converted, options_of
 from ..run.errors import FiptError
 from ..run.kinds import as_matrix
 from ..run.light_size import refuse_full_disk
+from ..run.made import Made, file_state, folder_states
 from ..run.messages import Reporter
 from ..run.paths import is_network
 from ..run.replacing import atomic_folder
@@ -51,9 +52,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Run `ingest` with the command's arguments."""
+    """Run `ingest` with the command's arguments, unless the same capture has been read already."""
     options = CaptureOptions(**options_of(arguments, CaptureOptions))
-    ingest(arguments.capture, RunFolder(arguments.run), options, reporter)
+    folder, capture = RunFolder(arguments.run), arguments.capture.absolute()
+    states = [
+        *(folder_states(path, folder.root) for path in (capture, options.images, options.panorama)),
+        file_state(options.mesh),
+    ]
+    made = Made(folder, "capture", states, vars(options), outputs=[folder.capture_json, folder.ingest_json])
+    if made.told_again(reporter):
+        reporter.done([str(folder.capture_json)])
+        return
+    ingest(capture, folder, options, reporter)
+    made.note(reporter.warnings)
 
 
 def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, reporter: Reporter) -> None:

@@ -5,12 +5,13 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 from pathlib import Path
 
 from ..device.cluster import unprotected, workers_at
 from ..device.variant import set_variant
 from ..run.messages import Reporter
-from ..run.runfolder import RunFolder
+from ..run.runfolder import RunFolder, explained_write_errors
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,6 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--cluster", metavar="ADDRESS", help="Dask scheduler whose workers share the work on the views"
     )
+    parser.add_argument("--anew", action="store_true", help="forget the stages of an earlier run")
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
@@ -30,6 +32,10 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     """
     folder = RunFolder(arguments.run)
     settings = folder.read()
+    if arguments.anew:
+        with explained_write_errors(folder.stage):
+            shutil.rmtree(folder.stage, ignore_errors=True)
+            folder.stage.mkdir()
     set_variant(settings.device)
     # Imported here because these modules need Mitsuba's variant when they are loaded.
     from ..optics.brdf import set_masking

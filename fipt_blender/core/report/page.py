@@ -20,7 +20,7 @@ import numpy as np
 from ..capture.averaging import means, narrowed
 from ..capture.images import open_picture, read_radiance
 from ..capture.views import View, load_capture
-from ..run.contents import Steps
+from ..run.contents import JobNote
 from ..run.declared import declared
 from ..run.documents import read_document
 from ..run.kinds import T
@@ -105,8 +105,7 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
     environment = emitters.environment if run.environment_exr.exists() else None
     statistics = run.statistics()
     quality = _optional(run.quality_json, dict)
-    record = _optional(run.root / "steps.json", Steps)
-    steps = record.steps if record else {}
+    job = _optional(run.job_json, JobNote) or JobNote({})
     context = {
         "title": run.root.name,
         "version": PRODUCT_VERSION,
@@ -128,11 +127,11 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
         if environment
         else None,
         "stages": statistics.get("stages", []),
-        "steps": [(name, step.seconds) for name, step in steps.items() if step.finished],
+        "steps": list(job.seconds.items()),
         "hints": statistics.get("hints", []),
         "numbers": _numbers(statistics),
         "peak_memory_gb": statistics.get("peak_memory_gb"),
-        "warnings": [warning for step in steps.values() for warning in step.warnings],
+        "warnings": job.warnings,
         "settings": [
             (name, getattr(settings, name), item.option.text) for name, item in declared(Settings).items()
         ],

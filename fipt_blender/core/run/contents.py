@@ -126,21 +126,11 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class StepNote:
-    """What steps.json keeps of a step of a sequence: its key, whether it has finished, time, warnings."""
+class JobNote:
+    """job.json: of the last job that estimates, seconds by the names of its finished steps, and warnings."""
 
-    key: str
-    finished: bool
-    seconds: NotNegative = 0.0
+    seconds: Mapping[str, NotNegative]
     warnings: tuple[Problem, ...] = ()
-
-
-@dataclass(frozen=True)
-class Steps:
-    """steps.json, or apply.json: the steps by their names."""
-
-    version: int
-    steps: Mapping[str, StepNote]
 
 
 @dataclass(frozen=True)

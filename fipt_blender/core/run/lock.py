@@ -78,28 +78,9 @@ def hold(run: RunFolder, command: Sequence[str]) -> Iterator[None]:
         yield
 
 
-@contextmanager
-def briefly_locked(path: Path) -> Iterator[None]:
-    """Keep others who call this out while the block runs, which takes milliseconds.
-
-    After half a minute the block runs all the same: whoever holds the lock so long has stopped working.
-
-    Args:
-        path: file for the lock, created with its folder if it does not exist; it stays.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
-    with explained_write_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    with open_lockable(path) as file:
-        _wait_for(file, seconds=30.0)
-        yield
-
-
-def _wait_for(file: IO[bytes], seconds: float = 1.0) -> bool:
+def _wait_for(file: IO[bytes]) -> bool:
     """Lock an open file, if need be after others; False if they hold the lock for long."""
-    deadline = time.monotonic() + seconds  # `holder` itself takes the lock for a moment
+    deadline = time.monotonic() + 1.0  # `holder` itself takes the lock for a moment
     while not try_lock(file):
         if time.monotonic() > deadline:
             return False

@@ -72,7 +72,7 @@ class RunFolder:
         self.atlas_json = self.root / "atlas.json"
         self.textures = self.root / "textures"
         self.textures_json = self.textures / "textures.json"
-        self.apply_json = self.root / "apply.json"
+        self.job_json = self.root / "job.json"
         self.renders = self.root / "renders"
         self.renders_json = self.renders / "renders.json"
         self.report = self.root / "report"
@@ -96,7 +96,7 @@ class RunFolder:
         own = [self.linked, self.stage, self.renders, *replaced]
         own += [side for path in replaced for side in beside(path)]
         own += [self.report, self.survey, self.align, self.scene_cameras]
-        own += [self.root / "messages", self.log]
+        own += [self.root / "messages", self.root / "made", self.log]
         prepared = ("sparse", "clipped", "parts", "semantics")  # folders of a prepared capture
         own += [self.engine_lock, *(self.root / name for name in prepared)]
         root = os.path.realpath(self.root)
@@ -123,6 +123,10 @@ class RunFolder:
     def messages(self, command: str) -> Path:
         """The file with the messages of the last start of an engine command."""
         return self.root / "messages" / f"{command}.jsonl"
+
+    def made(self, name: str) -> Path:
+        """The file with the key of what some files were made from; see `made.Made`."""
+        return self.root / "made" / f"{name}.json"
 
     def create(self, settings: Settings) -> None:
         """Make the folder and write run.json; an existing run of this version gets the new settings.
@@ -246,6 +250,17 @@ class RunFolder:
         return Path(os.path.normpath(self.root / path))
 
 
+def full_disk(error: Exception, path: object = "") -> FiptError | None:
+    """The error ``disk-full`` where one of the system means that of writing `path`; else None."""
+    if not isinstance(error, OSError) or error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        return None
+    return FiptError(
+        "disk-full",
+        f"The disk is full; {path or error.filename or 'a file'} could not be written.",
+        "Free some space and resume the run; finished stages are kept.",
+    )
+
+
 @contextmanager
 def explained_write_errors(path: Path) -> Iterator[None]:
     """Turn the system's errors of writing `path` into FiptErrors.
@@ -256,12 +271,8 @@ def explained_write_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise FiptError(
-                "disk-full",
-                f"The disk is full; {path} could not be written.",
-                "Free some space and resume the run; finished stages are kept.",
-            ) from error
+        if full := full_disk(error, path):
+            raise full from error
         raise FiptError(
             "run-unwritable",
             f"{path} could not be written ({error.strerror}).",

@@ -21,6 +21,7 @@ from scipy.ndimage import distance_transform_edt
 from ..capture.views import load_capture
 from ..device.variant import set_variant
 from ..run.documents import read_document
+from ..run.made import Made, content_digest
 from ..run.messages import Reporter
 from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
@@ -28,6 +29,7 @@ from ..run.result_contents import AtlasImage, AtlasImages, TextureImage, Texture
 from ..run.run_files import AtlasArrays, CornerFields, read_outlined, read_room_files
 from ..run.runfolder import RunFolder, write_json
 from ..run.store import read_arrays, write_arrays
+from ..run.versions import results_id
 from .raster import nearest_triangle_map
 from .texels import FieldSource, Texels, sample_fields
 
@@ -63,13 +65,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Bake the textures of a run, and maps of a few of its views.
+    """Bake the textures of a run, and maps of a few of its views, unless they are those of the estimate.
 
     Raises:
         FiptError: ``file-missing`` or ``file-damaged`` if an earlier step has not finished; ``disk-full`` or
             ``run-unwritable``.
     """
     folder = RunFolder(arguments.run)
+    made = textures_made(folder)
+    if made.told_again(reporter):
+        reporter.done([])
+        return
     set_variant(folder.read().device)
     # Imported here because these modules import Mitsuba, for which the variant must be chosen first.
     from ..material.fields import RoomFields
@@ -87,7 +93,20 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     parts = read_parts(folder, room["triangle_object"], names.objects)
     files = bake(folder, fields, reporter.progress, parts, detail)
     files += write_view_maps(folder, fields, load_capture(folder).views)
+    made.note(reporter.warnings)
     reporter.done([str(path) for path in files])
+
+
+def textures_made(folder: RunFolder) -> Made:
+    """Whether the textures of a run are those of its estimate and its atlas.
+
+    Raises:
+        FiptError: those of `RunFolder.read`.
+    """
+    atlas = content_digest(folder.atlas_json, folder.atlas_npz)
+    return Made(
+        folder, "textures", results_id(folder), atlas, folder.read().detail, outputs=[folder.textures]
+    )
 
 
 def bake(

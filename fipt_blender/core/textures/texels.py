@@ -10,6 +10,8 @@ from typing import Protocol
 
 import numpy as np
 
+from ..pixels.store import open_array
+
 QUERY_POINTS = 1 << 18  # points per query
 
 
@@ -56,7 +58,7 @@ class Texels:
             arrays[item.name] = (
                 np.zeros(shape, kind)
                 if folder is None
-                else np.lib.format.open_memmap(folder / f"{item.name}.npy", "w+", kind, shape)
+                else open_array(folder / f"{item.name}.npy", shape, kind, create=True)
             )
         return cls(**arrays)
 

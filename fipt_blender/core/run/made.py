@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Files that are made once: a run folder's made/NAME.json has the key of what they were made from.
+
+The stages of an estimation have keys of their own (:mod:`.chain`). Standard library only.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from .contents import Problem
+from .documents import optional_document
+from .messages import Reporter
+from .method import method_digest
+from .runfolder import RunFolder, write_json
+
+
+@dataclass(frozen=True)
+class MadeNote:
+    """made/NAME.json."""
+
+    key: str
+    warnings: tuple[Problem, ...] = ()
+
+
+class Made:
+    """Whether files of a run are still those that would be made now.
+
+    Args:
+        run: the run folder.
+        name: of the files, e.g. "textures".
+        facts: what they are made from besides the engine's code; JSON-serialisable, or by its text.
+        outputs: files or folders that must exist.
+    """
+
+    def __init__(self, run: RunFolder, name: str, *facts: Any, outputs: Sequence[Path]) -> None:
+        text = json.dumps([method_digest(), *facts], sort_keys=True, default=str)
+        self._key = hashlib.sha256(text.encode()).hexdigest()
+        self._path = run.made(name)
+        self._outputs = outputs
+
+    def kept(self) -> tuple[Problem, ...] | None:
+        """What their making has warned of, if they are; else None."""
+        note = optional_document(self._path, MadeNote)
+        if note is None or note.key != self._key or not all(path.exists() for path in self._outputs):
+            return None
+        return note.warnings
+
+    def note(self, warnings: Iterable[Mapping[str, str]] = ()) -> None:
+        """Note that they are made, and the code, text and remedy of warnings.
+
+        Raises:
+            FiptError: ``disk-full`` or ``run-unwritable``.
+        """
+        problems = (Problem(each["code"], each["text"], each["remedy"]) for each in warnings)
+        write_json(self._path, MadeNote(self._key, tuple(problems)))
+
+    def told_again(self, reporter: Reporter) -> bool:
+        """Whether they are; the reporter then gets the warnings of their making again."""
+        warnings = self.kept()
+        for warning in warnings or ():
+            reporter.warning(**asdict(warning))
+        return warnings is not None
+
+
+def content_digest(*paths: Path) -> str:
+    """Digest of the content of files, which may be missing."""
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.read_bytes() if path.exists() else b"missing")
+    return digest.hexdigest()
+
+
+def folder_states(path: Path | None, exclude: Path) -> list[str]:
+    """Name, size and time of change of all files below a folder: reading them takes too long.
+
+    Args:
+        path: folder, or a file in it (a camera file names images there); None or missing: no files.
+        exclude: folder that is left out, because the files are made there.
+    """
+    if path is None or not path.exists():
+        return []
+    excluded, states = os.path.realpath(exclude), [str(path)]
+    for parent, folders, names in os.walk(os.path.realpath(path if path.is_dir() else path.parent)):
+        folders[:] = [name for name in folders if os.path.join(parent, name) != excluded]
+        states += [file_state(Path(parent, name)) for name in names]
+    return sorted(filter(None, states))
+
+
+def file_state(file: Path | None) -> str:
+    """Name, size and time of change of a file; None or missing: "", for a link's target may come and go."""
+    try:
+        status = None if file is None else file.stat()
+    except (OSError, ValueError):  # also names that no file can have
+        status = None
+    return "" if status is None else f"{file}|{status.st_size}|{status.st_mtime_ns}"
