@@ -19,9 +19,8 @@ from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
 from ..jobs.tasks import Task
-from .action import REGISTER, action, file_dialog, note
+from .action import REGISTER, Messages, action, file_dialog, note
 from .polls import has_meshes, has_views, in_object_mode, needs, no_job, views_checked
-from .reporting import Messages
 
 if TYPE_CHECKING:
     from ..bridge.process import Message

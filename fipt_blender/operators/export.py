@@ -12,9 +12,8 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.declared import Option
 from ..core.run.errors import FiptError
-from .action import REGISTER, action, file_dialog, note
+from .action import REGISTER, Messages, action, file_dialog, note
 from .polls import has_results, in_object_mode, needs
-from .reporting import Messages
 
 KEPT: dict[str, Any] = {"options": set()}  # what was chosen last is offered again
 

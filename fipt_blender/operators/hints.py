@@ -19,7 +19,7 @@ from ..jobs.tasks import Task
 from ..properties.hints import ANSWERS, EMISSION
 from .action import RowIndex, action, row_index
 from .lights import LightName, find_light, own_lights
-from .pointer import DOWN, Direction, Origin, PicksAlongRay, PointerRay, SkipBacks
+from .pointer import DOWN, ORIGIN, Direction, Origin, PicksAlongRay, PointerRay, SkipBacks
 from .polls import has_run, in_object_mode, needs, no_job
 
 
@@ -62,7 +62,7 @@ def _clicked(context: bpy.types.Context, ray: PointerRay) -> tuple[bpy.types.Obj
 def add_hint(
     context: bpy.types.Context,
     what: Annotated[str, Option("What the hint is about", "About", choices=ABOUT)] = "PART",
-    origin: Origin = (0.0, 0.0, 0.0),
+    origin: Origin = ORIGIN,
     direction: Direction = DOWN,
     skip_backs: SkipBacks = False,
 ) -> None:
@@ -85,7 +85,7 @@ def add_hint(
 )
 def pick_same_material(
     context: bpy.types.Context,
-    origin: Origin = (0.0, 0.0, 0.0),
+    origin: Origin = ORIGIN,
     direction: Direction = DOWN,
     skip_backs: SkipBacks = False,
 ) -> None:

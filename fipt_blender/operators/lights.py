@@ -14,9 +14,8 @@ from ..blend.marks import BAKED, FIXTURE, NEW_LIGHT, fixture_lights, has_light_g
 from ..core.run.declared import Option
 from ..core.run.errors import FiptError
 from ..properties.lights import FIPT_Light
-from .action import REGISTER, action, dialog, file_dialog, note, warning
+from .action import REGISTER, Messages, action, dialog, file_dialog, note, warning
 from .polls import has_results, in_object_mode, is_own_room, needs
-from .reporting import Messages
 
 LightName = Annotated[str, "Name of the light. If empty, the active light of the list is used"]
 

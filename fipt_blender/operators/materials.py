@@ -16,10 +16,9 @@ from ..core.run.declared import Option
 from ..core.run.errors import FiptError
 from ..jobs.tasks import Task
 from ..properties.materials import SHOWN
-from .action import action, dialog, file_dialog, note, warning
-from .pointer import DOWN, Direction, Origin, PicksAlongRay, PointerRay, SkipBacks
+from .action import Messages, action, dialog, file_dialog, note, warning
+from .pointer import DOWN, ORIGIN, Direction, Origin, PicksAlongRay, PointerRay, SkipBacks
 from .polls import has_results, in_object_mode, is_own_room, needs, no_job
-from .reporting import Messages
 
 
 @action(
@@ -118,7 +117,7 @@ AllParts = Annotated[bool, "All parts instead of the active one"]
 )
 def pick_part(
     context: bpy.types.Context,
-    origin: Origin = (0.0, 0.0, 0.0),
+    origin: Origin = ORIGIN,
     direction: Direction = DOWN,
     skip_backs: SkipBacks = False,
 ) -> None:

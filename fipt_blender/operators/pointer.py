@@ -11,6 +11,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Vector
 
 from ..core.run.declared import Option
+from .action import Mixin
 
 # Events that move the view or zoom; modal operators pass them on. The mouse wheel zooms as well.
 NAVIGATION = ("MIDDLEMOUSE", "TRACKPADPAN", "TRACKPADZOOM", "MOUSEROTATE", "MOUSESMARTZOOM", "NDOF_MOTION")
@@ -89,7 +90,7 @@ def is_cancel(event: bpy.types.Event) -> bool:
     return event.type in ("ESC", "RIGHTMOUSE") and event.value == "PRESS"
 
 
-class WaitsForClicks:
+class WaitsForClicks(Mixin):
     """Mix-in of a modal operator that waits for clicks; a subclass implements `modal`.
 
     Attributes:
@@ -106,6 +107,13 @@ class WaitsForClicks:
         self.say(context, text)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
+
+    def is_in_viewport(self, context: bpy.types.Context) -> bool:
+        """Whether the operator runs in a 3D viewport; reported if not."""
+        found = context.area is not None and context.area.type == "VIEW_3D"
+        if not found:
+            self.report({"ERROR"}, "Run this operator in a 3D Viewport.")
+        return found
 
     def say(self, context: bpy.types.Context, text: str) -> None:
         """Show what to click next."""
@@ -138,7 +146,7 @@ class PicksInViewport(WaitsForClicks):
             return {"PASS_THROUGH"}
         if not self.take_click(context, event):
             return {"RUNNING_MODAL"}
-        result: set[str] = self.execute(context)  # type: ignore[attr-defined]
+        result: set[str] = self.execute(context)
         if result == {"CANCELLED"}:  # the report says why; another click may do
             return {"RUNNING_MODAL"}
         self.cancel(context)
@@ -149,13 +157,11 @@ class PicksInViewport(WaitsForClicks):
         raise NotImplementedError
 
 
-Origin = Annotated[
-    tuple[float, float, float],
-    Option("Start of the ray, for scripts", shown={"subtype": "XYZ", "unit": "LENGTH"}),
-]
-Direction = Annotated[tuple[float, float, float], "Direction of the ray, for scripts"]
+Point = tuple[float, float, float]
+Origin = Annotated[Point, Option("Start of the ray, for scripts", shown={"subtype": "XYZ", "unit": "LENGTH"})]
+Direction = Annotated[Point, "Direction of the ray, for scripts"]
 SkipBacks = Annotated[bool, "Look through surfaces that are seen from behind"]
-DOWN = (0.0, 0.0, -1.0)  # the default direction
+ORIGIN, DOWN = (0.0, 0.0, 0.0), (0.0, 0.0, -1.0)  # the default point and direction
 
 
 class PicksAlongRay(PicksInViewport):
