@@ -183,7 +183,7 @@ def look_through(
     settings.active_view = index
 
 
-@action("Tick Views", needs=(has_views,))
+@action("Tick Views", needs=(has_views,), listed=False)
 def tick_views(
     scene: bpy.types.Scene, action: Annotated[str, Option("Views to tick", choices=TICKS)] = "ALL"
 ) -> None:

@@ -100,6 +100,7 @@ def _has_room(context: bpy.types.Context) -> bool:
     description=classmethod(
         lambda cls, context, properties: next(row[2] for row in BACKDROPS if row[0] == properties.mode)
     ),
+    listed=False,
 )
 def set_backdrop(
     scene: bpy.types.Scene,

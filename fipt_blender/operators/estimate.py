@@ -151,6 +151,7 @@ def cancel(
         ),
         *_can_start,
     ),
+    listed=False,
 )
 def smaller_preset(scene: bpy.types.Scene) -> Task:
     """Select the next smaller preset, reset changed settings, and estimate again. Stages that are the same in
@@ -198,7 +199,7 @@ def show_parts(scene: bpy.types.Scene, show: Annotated[bool, "Show or hide the c
 Version = Annotated[str, Option("Name of its run folder", shown=HIDDEN)]
 
 
-@action("Apply Version", needs=(no_job, has_run, in_object_mode))
+@action("Apply Version", needs=(no_job, has_run, in_object_mode), listed=False)
 def use_version(scene: bpy.types.Scene, version: Version = "") -> Task:
     """Apply this estimate to the room; the scene goes on with its run folder."""
     return applying.version_change(version)
@@ -219,6 +220,7 @@ def _confirm(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> s
     needs=(needs(lambda context: running.current() is None, "Wait for the end of the running job"), has_run),
     options=REGISTER,
     invoke=_confirm,
+    listed=False,
 )
 def delete_version(scene: bpy.types.Scene, version: Version = "") -> None:
     """Delete the run folder of this estimate from the disk. This can't be undone."""

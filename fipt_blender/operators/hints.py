@@ -112,7 +112,7 @@ def add_area_hint(context: bpy.types.Context) -> None:
     set_area(hint, item, chosen)
 
 
-@action("Remove Hint", needs=(_has_hint,))
+@action("Remove Hint", needs=(_has_hint,), listed=False)
 def remove_hint(
     scene: bpy.types.Scene,
     index: RowIndex = -1,
@@ -139,6 +139,7 @@ def read_doubts(scene: bpy.types.Scene) -> str:
     needs=(
         needs(lambda context: context.scene.fipt.hints.doubt() is not None, "Use Find Doubtful Parts first"),
     ),
+    listed=False,
 )
 def answer_doubt(
     scene: bpy.types.Scene,
@@ -152,7 +153,7 @@ def answer_doubt(
     exchange.answer_doubt(scene, row_index(settings.doubts, index, settings.active_doubt), answer)
 
 
-@action("Hint on Lamp", needs=own_lights)
+@action("Hint on Lamp", needs=own_lights, listed=False)
 def hint_on_lamp(
     scene: bpy.types.Scene,
     light: LightName = "",

@@ -37,7 +37,7 @@ def apply_results(scene: bpy.types.Scene) -> Task:
     return applying.application()
 
 
-@action("Show Map", needs=(has_results, in_object_mode), bl_property="shown")
+@action("Show Map", needs=(has_results, in_object_mode), bl_property="shown", listed=False)
 def show_map(
     scene: bpy.types.Scene,
     shown: Annotated[str, Option("What the room shows", "Show", choices=SHOWN)] = "ESTIMATED",

@@ -32,10 +32,10 @@ class _PicksTarget(PicksInViewport):
     def execute(self, context: bpy.types.Context) -> set[str]:
         from ..blend.lights.new_lights import suggest
 
-        suggestion = suggest(context.scene)
-        if not self.properties.is_property_set("location"):
-            self.location = context.scene.cursor.location
-        self.size, self.power = self.size or suggestion.size, self.power or suggestion.watts
+        suggestion, values = suggest(context.scene), self.properties
+        if not values.is_property_set("location"):
+            values.location = context.scene.cursor.location
+        values.size, values.power = values.size or suggestion.size, values.power or suggestion.watts
         return self.run(context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

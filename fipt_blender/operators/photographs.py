@@ -82,6 +82,7 @@ def _then_find_brackets(result: set[str]) -> set[str]:
     "Make Capture of Photographs",
     needs=(needs(lambda context: context.scene.fipt.capture.path, "Choose a folder first"),),
     invoke=lambda self, context, event: _then_find_brackets(self.run(context)),
+    listed=False,
 )
 def photographs_of_capture(scene: bpy.types.Scene) -> None:
     """Take the folder as photographs without cameras, and find which of them are exposures of one view."""
@@ -92,7 +93,7 @@ def photographs_of_capture(scene: bpy.types.Scene) -> None:
     running.settle("capture", "cameras-missing")
 
 
-@action("Leave Photographs")
+@action("Leave Photographs", listed=False)
 def leave_photographs(scene: bpy.types.Scene) -> None:
     """Go back to the example and other folders. The files that were made of the photographs are kept."""
     for name in ("path", "chosen", "groups", "listed", "registered_count"):

@@ -55,6 +55,7 @@ class FIPT_FH_capture(bpy.types.FileHandler):
         ),
     ),
     options=REGISTER,
+    listed=False,
 )
 def help(
     scene: bpy.types.Scene, chapter: Annotated[str, "The chapter; the guide's first page if empty"] = ""

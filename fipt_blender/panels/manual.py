@@ -48,7 +48,7 @@ def manual_map(operators: Mapping[str, Sequence[str]]) -> tuple[str, tuple[tuple
     Without any pages, nothing is found.
 
     Args:
-        operators: names of operators by the chapter that explains them; the site has a page of all.
+        operators: `bl_idname`s by the chapter that explains them; the site has a page of all operators.
     """
     if not address():
         return "", ()
@@ -62,7 +62,7 @@ def manual_map(operators: Mapping[str, Sequence[str]]) -> tuple[str, tuple[tuple
         others.append(("bpy.ops.fipt.*", "operators.html"))
     else:
         others += [
-            (f"bpy.ops.fipt.{name}", chapter_page(chapter))
+            (f"bpy.ops.{name}", chapter_page(chapter))
             for chapter, names in operators.items()
             for name in names
         ]

@@ -12,36 +12,36 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import Context, UILayout
 
 from .. import machine
 from ..bridge import places
 from ..core.run.runfolder import PRODUCT_VERSION
 from ..core.run.settings import DEVICES
 from ..jobs import running
-from .menus import draw_shortcut
 from .progress import draw_progress
 from .sidebar import draw_text
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
 
+PIE = "FIPT_MT_pie"  # the pie menu
+PIE_KEY = {"type": "F", "value": "PRESS", "shift": True, "alt": True}
 _PACKAGES = (("mitsuba", "Mitsuba"), ("drjit", "Dr.Jit"), ("torch", "PyTorch"), ("numpy", "NumPy"))
 
 # Blender holds no reference to the strings that a callback returns, so they are kept here.
 _gpu_items: list[tuple[str, str, str]] = []
 
 
-def _changed(preferences: machine.Preferences, context: bpy.types.Context) -> None:
+def _changed(preferences: machine.Preferences, context: Context) -> None:
     machine.keep()
 
 
-def _engine_changed(preferences: machine.Preferences, context: bpy.types.Context) -> None:
+def _engine_changed(preferences: machine.Preferences, context: Context) -> None:
     preferences.status = ""  # of the previous engine; its update also stores the new value
 
 
-def _list_gpus(
-    preferences: machine.Preferences, context: bpy.types.Context | None
-) -> list[tuple[str, str, str]]:
+def _list_gpus(preferences: machine.Preferences, context: Context | None) -> list[tuple[str, str, str]]:
     known = (machine.status().get("engine") or {}).get("gpus") or []
     gpus = [(gpu["uuid"], gpu["name"], f"{gpu['memory_gb']:.0f} GB") for gpu in known]
     if preferences.gpu_uuid and preferences.gpu_uuid not in [uuid for uuid, _, _ in gpus]:
@@ -103,7 +103,7 @@ class FIPT_Preferences(bpy.types.AddonPreferences):
         description="Last result of Set Up Engine or Check, as JSON", options={"HIDDEN"}, update=_changed
     )
 
-    def draw(self, context: bpy.types.Context) -> None:
+    def draw(self, context: Context) -> None:
         draw(
             self.layout,
             context,
@@ -112,15 +112,13 @@ class FIPT_Preferences(bpy.types.AddonPreferences):
         )
 
 
-def draw(
-    layout: bpy.types.UILayout, context: bpy.types.Context, preferences: machine.Preferences, facts: Facts
-) -> None:
+def draw(layout: UILayout, context: Context, preferences: machine.Preferences, facts: Facts) -> None:
     """Draw all of the preferences."""
     layout.use_property_decorate = False
     _draw_engine(layout.box(), context, preferences, facts)
     _draw_device(layout.box(), preferences, facts)
     _draw_data(layout.box(), context, preferences, facts)
-    draw_shortcut(layout.box(), context)
+    _draw_shortcut(layout.box(), context)
 
 
 @dataclass(frozen=True)
@@ -141,9 +139,7 @@ class Facts:
         return self.status.get("engine") or {}
 
 
-def _draw_engine(
-    layout: bpy.types.UILayout, context: bpy.types.Context, preferences: machine.Preferences, facts: Facts
-) -> None:
+def _draw_engine(layout: UILayout, context: Context, preferences: machine.Preferences, facts: Facts) -> None:
     job = running.current()
     if job is not None and job.kind == running.DATA_KIND:
         draw_progress(layout, context, job)
@@ -165,7 +161,6 @@ def _draw_engine(
     if not (bpy.app.online_access or preferences.wheel_folder or preferences.engine_python):
         draw_text(
             layout,
-            context,
             iface_(
                 "Online access is disabled. To set up the engine, enable Allow Online Access in System >"
                 " Network, or select a Folder of Wheels. The button beside it copies a command that downloads"
@@ -225,7 +220,7 @@ def _llvm_text(path: str | None) -> str:
     return f"LLVM {version.group(1)}" if version else f"LLVM ({path})"
 
 
-def _draw_facts(layout: bpy.types.UILayout, facts: Facts) -> None:
+def _draw_facts(layout: UILayout, facts: Facts) -> None:
     if not facts.engine:
         return
     lines = fact_lines(facts.engine)
@@ -233,7 +228,7 @@ def _draw_facts(layout: bpy.types.UILayout, facts: Facts) -> None:
     _draw_table(layout, [*lines, (iface_("Checked"), checked)])
 
 
-def _draw_table(layout: bpy.types.UILayout, lines: Sequence[tuple[str, str]]) -> None:
+def _draw_table(layout: UILayout, lines: Sequence[tuple[str, str]]) -> None:
     split = layout.split(factor=0.2)
     names, values = split.column(align=True), split.column(align=True)
     for column in (names, values):
@@ -244,7 +239,7 @@ def _draw_table(layout: bpy.types.UILayout, lines: Sequence[tuple[str, str]]) ->
         values.label(text=value, translate=False)
 
 
-def _draw_problems(layout: bpy.types.UILayout, context: bpy.types.Context, facts: Facts) -> None:
+def _draw_problems(layout: UILayout, context: Context, facts: Facts) -> None:
     if _set_up_cancelled(facts.status):
         return
     error = facts.status.get("error")
@@ -254,14 +249,12 @@ def _draw_problems(layout: bpy.types.UILayout, context: bpy.types.Context, facts
         _draw_problem(layout, context, warning, "INFO")
 
 
-def _draw_problem(
-    layout: bpy.types.UILayout, context: bpy.types.Context, message: Message, icon: str
-) -> None:
+def _draw_problem(layout: UILayout, context: Context, message: Message, icon: str) -> None:
     text = f"{iface_(message['text'])} {iface_(message['remedy'])}"
-    draw_text(layout, context, text, icon=icon, alert=icon == "ERROR")
+    draw_text(layout, text, icon=icon, alert=icon == "ERROR")
 
 
-def _draw_device(layout: bpy.types.UILayout, preferences: machine.Preferences, facts: Facts) -> None:
+def _draw_device(layout: UILayout, preferences: machine.Preferences, facts: Facts) -> None:
     layout.use_property_split = True
     layout.row().prop(preferences, "device", expand=True)
     column = layout.column()
@@ -269,9 +262,20 @@ def _draw_device(layout: bpy.types.UILayout, preferences: machine.Preferences, f
     column.prop(preferences, "gpu")
 
 
-def _draw_data(
-    layout: bpy.types.UILayout, context: bpy.types.Context, preferences: machine.Preferences, facts: Facts
-) -> None:
+def _draw_data(layout: UILayout, context: Context, preferences: machine.Preferences, facts: Facts) -> None:
     layout.use_property_split = True
     layout.prop(preferences, "data_folder", placeholder=facts.data_folder)
     layout.operator("fipt.clear_data", text="Clear...", icon="TRASH")
+
+
+def _draw_shortcut(layout: UILayout, context: Context) -> None:
+    """The pie menu's key, to be changed in the preferences."""
+    configuration = context.window_manager.keyconfigs.user
+    keymap = None if configuration is None else configuration.keymaps.get("3D View")
+    items = [] if keymap is None else keymap.keymap_items
+    for item in items:
+        if item.idname == "wm.call_menu_pie" and item.properties.name == PIE:
+            row = layout.row(align=True)
+            row.label(text="Pie Menu in 3D Viewports", icon="EVENT_OS")
+            row.prop(item, "active", text="")
+            row.prop(item, "type", text="", full_event=True)

@@ -23,6 +23,7 @@ class Layout:
     Attributes:
         labels: the options of labels.
         buttons: the operators' settings, with `name` and `text`.
+        more: other buttons: items of enumerations, and what opens menus.
     """
 
     def __init__(
@@ -32,7 +33,7 @@ class Layout:
         properties: list[str] | None = None,
         of: Layout | None = None,
     ) -> None:
-        lists = {"drawn": drawn, "properties": properties, "labels": None, "buttons": None}
+        lists = {"drawn": drawn, "properties": properties, "labels": None, "buttons": None, "more": None}
         made = {name: [] if value is None else value for name, value in lists.items()}
         vars(self).update(vars(of) if of else {"is_open": is_open, **made})
 
@@ -45,8 +46,10 @@ class Layout:
             if name in ("label", "progress"):
                 self.drawn.append(options["text"])
                 self.labels.append(options)
-            elif name in ("prop", "prop_enum"):
+            elif name == "prop":
                 self.properties.append(arguments[1])
+            elif name in ("prop_enum", "popover", "menu", "operator_menu_enum"):
+                self.more.append(name)
             elif name == "operator":
                 self.drawn.append(arguments[0])
                 self.buttons.append(SimpleNamespace(name=arguments[0], text=options.get("text", "")))
@@ -64,50 +67,64 @@ def drawn_by(panel: type, is_open: bool = False) -> tuple[list[str], list[str]]:
     Args:
         is_open: whether what folds inside the panel is open.
     """
-    context = SimpleNamespace(
-        scene=bpy.context.scene, space_data=None, mode="OBJECT", region=None, preferences=bpy.context.preferences
+    layout = Layout(is_open=is_open)
+    panel.draw(SimpleNamespace(layout=layout), _context())
+    return layout.drawn, layout.properties
+
+
+def _context(shading: SimpleNamespace | None = None) -> SimpleNamespace:
+    """The open scene in a 3D view of a shading, or in none."""
+    space = None if shading is None else SimpleNamespace(shading=shading, as_pointer=lambda: 1)
+    return SimpleNamespace(
+        scene=bpy.context.scene, space_data=space, mode="OBJECT", region=None, preferences=bpy.context.preferences
     )
-    drawn, properties = [], []
-    layout = Layout(drawn, is_open, properties)
-    panel.draw(SimpleNamespace(fields=lambda: layout, layout=layout), context)
-    return drawn, properties
 
 
 @dataclass(frozen=True)
 class TabCount:
-    """What the tab shows at once: sections, which of them are open, operators' and properties' names."""
+    """What the tab shows at once: sections, which of them are open; buttons, properties and texts."""
 
     sections: tuple[str, ...]
     opened: tuple[str, ...]
     buttons: tuple[str, ...]
     settings: tuple[str, ...]
+    texts: tuple[str, ...]
 
 
-def tab_count() -> TabCount:
-    """Count what the tab FIPT shows of the open scene where the artist has opened and closed nothing."""
+def tab_count(shading: str = "SOLID") -> TabCount:
+    """Count what the tab FIPT shows of the open scene where the artist has opened and closed nothing, in headers, too.
+
+    Args:
+        shading: type of the 3D view's.
+    """
     panels = [
         panel
         for panel in panel_package.CLASSES
         if issubclass(panel, bpy.types.Panel) and (panel.bl_space_type, panel.bl_region_type) == ("VIEW_3D", "UI")
     ]
-    shown = {panel.__name__ for panel in panels if not hasattr(panel, "poll") or panel.poll(bpy.context)}
-    closed = {panel.__name__ for panel in panels if "DEFAULT_CLOSED" in getattr(panel, "bl_options", ())}
-    parent = {panel.__name__: getattr(panel, "bl_parent_id", "") for panel in panels}
-    by_name = {panel.__name__: panel for panel in panels}
+    shown = {panel.__name__: panel for panel in panels if panel.poll(bpy.context)}
 
     def is_open(name: str) -> bool:
-        return name in shown and name not in closed and (not parent[name] or is_open(parent[name]))
+        panel = shown.get(name)
+        parent = getattr(panel, "bl_parent_id", "")
+        return panel is not None and "DEFAULT_CLOSED" not in panel.bl_options and (not parent or is_open(parent))
 
-    buttons, settings = [], []
-    for name in filter(is_open, by_name):
-        drawn, properties = drawn_by(by_name[name])
-        buttons += [text for text in drawn if text.startswith(("fipt.", "preferences.", "wm."))]
-        settings += properties
-    sections = [name for name in shown if not parent[name]]
-    sections.sort(key=lambda name: by_name[name].bl_order)
+    layout = Layout()
+    for name, panel in shown.items():
+        drawing = (SimpleNamespace(layout=layout), _context(SimpleNamespace(type=shading)))
+        parent = getattr(panel, "bl_parent_id", "")
+        if not parent or is_open(parent):
+            panel.draw_header_preset(*drawing)
+        if is_open(name):
+            panel.draw(*drawing)
+    sections = sorted(
+        (panel for panel in shown.values() if not getattr(panel, "bl_parent_id", "")), key=lambda panel: panel.bl_order
+    )
+    buttons = [button.name for button in layout.buttons]
     return TabCount(
-        tuple(by_name[name].bl_label for name in sections),
-        tuple(by_name[name].bl_label for name in sections if is_open(name)),
-        tuple(buttons),
-        tuple(settings),
+        tuple(panel.bl_label for panel in sections),
+        tuple(panel.bl_label for panel in sections if is_open(panel.__name__)),
+        (*buttons, *layout.more),
+        tuple(layout.properties),
+        tuple(text for text in layout.drawn if text not in buttons),
     )
