@@ -77,6 +77,7 @@ def test_after_results_the_tab_shows_a_dozen_buttons(applied, monkeypatch, shadi
     state = runstate.RunState(stages=5, results=True, finished=True, quality=(27.1, 29.4))
     monkeypatch.setattr(runstate, "known", lambda folder: state)
     applied.fipt.photographs.path = "/card"
+    applied.fipt.capture.views.add().name = "a view"
     lamp = applied.fipt.lights.lights[0].object
     lamp[marks.PROBABILITY] = 0.6
     assert bpy.ops.fipt.hint_on_lamp(light=lamp.name, emission="EMITS") == {"FINISHED"}
