@@ -42,9 +42,8 @@ def test_without_a_site_help_opens_the_pages_of_the_extension(monkeypatch, tmp_p
     monkeypatch.setattr(manual, "PAGES", pages)
     opened = []
     monkeypatch.setattr(webbrowser, "open", opened.append)
-    assert bpy.ops.fipt.help(chapter="lights") == {"FINISHED"}
     assert bpy.ops.fipt.help() == {"FINISHED"}
-    assert opened == [f"{pages.as_uri()}/lights.html", f"{pages.as_uri()}/index.html"]
+    assert opened == [f"{pages.as_uri()}/index.html"]
     assert opened[0].startswith("file:///") and " " not in opened[0]
     assert _found("bpy.ops.fipt.add_light") == f"{pages.as_uri()}/lights.html"
     assert _found("bpy.ops.fipt.cancel_setup") == f"{pages.as_uri()}/index.html"

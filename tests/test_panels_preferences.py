@@ -188,7 +188,7 @@ def test_set_up_runs_beside_the_users_work_and_is_cancelled(
     tick_until(lambda: running.current() is None)
     assert machine.status() == {"error": failure, "cancelled": True}
     texts: list[str] = []
-    panel.draw(Layout(texts), bpy.context, values, panel.Facts(machine.status(), "/data"))
+    panel.draw(Layout(texts), bpy.context, values)
     assert "set-up cancelled, press Set Up Engine" in " ".join(texts)
     assert "ensurepip" not in " ".join(texts)
     assert not bpy.ops.fipt.cancel.poll()

@@ -12,9 +12,9 @@ from __future__ import annotations
 import bpy
 
 from ..properties import classes_of
-from . import menus, presets
+from . import menus
 
-MODULES = (*(module for modules in menus.CHAPTERS.values() for module in modules), presets)
+MODULES = tuple(module for modules in menus.CHAPTERS.values() for module in modules)
 CLASSES = [*menus.MENUS, *classes_of([*MODULES, menus])]
 _register, _unregister = bpy.utils.register_classes_factory(CLASSES)
 

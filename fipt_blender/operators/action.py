@@ -24,7 +24,8 @@ from ..properties.declared import property_of, values_of
 from .polls import Condition, all_of
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-Mixin: Any = object  # base of mix-ins of operators; a type checker knows nothing of what these use of them
+Operator: Any = object  # a mix-in's view of `bpy.types.Operator`, from which only finished classes may derive
+Glob = Annotated[str, Option("Files to show", shown={"options": {"HIDDEN"}})]
 Messages = list[dict[str, Any]]  # see `bridge.process.Message`
 UNDO = frozenset({"REGISTER", "UNDO"})  # `options` of what changes Blender's data
 REGISTER = frozenset({"REGISTER"})
@@ -65,14 +66,14 @@ def action(
             **({"poll": all_of(*needs)} if needs else {}),
             **members,
         }
-        function.operator = type(f"FIPT_OT_{name}", (*bases, _Action, bpy.types.Operator), made)  # type: ignore[attr-defined]
+        function.operator = type(f"FIPT_OT_{name}", (*bases, Action, bpy.types.Operator), made)  # type: ignore[attr-defined]
         return function
 
     return declare
 
 
-class _Action:
-    """Mix-in of the classes that `action` makes."""
+class Action(Operator):
+    """Base of the classes that `action` makes, and of mix-ins, which gather arguments for its function."""
 
     function: Callable[..., Any]
     takes_context: bool
@@ -94,7 +95,7 @@ class _Action:
         return values_of(self, self.function)
 
 
-class ChoosesFiles(_Action):
+class ChoosesFiles(Action):
     """Base of an action on `folder` and `names`: the file browser asks for the files, or they are dropped."""
 
     directory: bpy.props.StringProperty(subtype="DIR_PATH", **HIDDEN)

@@ -18,7 +18,7 @@ from ..core.run.errors import FiptError
 from ..jobs import running
 from ..jobs.tasks import Task
 from ..panels.sidebar import size_text
-from .action import HIDDEN, REGISTER, Mixin, action, warning
+from .action import HIDDEN, REGISTER, Action, action, warning
 from .polls import needs, no_job
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ class FIPT_PG_data_item(bpy.types.PropertyGroup):
     kept: bpy.props.StringProperty(description="Why the folder can't be deleted; empty if it can")
 
 
-class _TicksFolders(Mixin):
+class _TicksFolders(Action):
     """Base of an action on the names of folders, which a dialog lists to be ticked."""
 
     items: bpy.props.CollectionProperty(type=FIPT_PG_data_item, **HIDDEN)

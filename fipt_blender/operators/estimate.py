@@ -17,7 +17,7 @@ from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..core.run.settings import PRESETS
 from ..jobs import running, runstate
 from ..jobs.tasks import Task
-from .action import HIDDEN, REGISTER, UNDO, Messages, Mixin, action, note, warning
+from .action import HIDDEN, REGISTER, UNDO, Action, Messages, action, note, warning
 from .polls import has_no_capture, has_run, in_object_mode, needs, no_job
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def resume(scene: bpy.types.Scene) -> Task:
     return estimating.estimation(keep_stages=True, keep_hints=True)
 
 
-class _FromWindow(Mixin):
+class _FromWindow(Action):
     """Base of an action that reports from a window's event: Blender only prints what others report."""
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

@@ -19,7 +19,7 @@ from ..jobs.tasks import Task
 from ..properties.hints import ANSWERS, EMISSION
 from .action import RowIndex, action, row_index
 from .lights import LightName, find_light, own_lights
-from .pointer import DOWN, ORIGIN, Direction, Origin, PicksAlongRay, PointerRay, SkipBacks
+from .pointer import PicksAlongRay, PointerRay
 from .polls import has_run, in_object_mode, needs, no_job
 
 
@@ -61,16 +61,14 @@ def _clicked(context: bpy.types.Context, ray: PointerRay) -> tuple[bpy.types.Obj
 )
 def add_hint(
     context: bpy.types.Context,
+    ray: PointerRay,
     what: Annotated[str, Option("What the hint is about", "About", choices=ABOUT)] = "PART",
-    origin: Origin = ORIGIN,
-    direction: Direction = DOWN,
-    skip_backs: SkipBacks = False,
 ) -> None:
     """Click on a part of the room, or on a face set, to say what it is made of."""
     from ..blend.hints import exchange
     from ..blend.hints.anchors import face_set_at, set_area
 
-    item, face, point = _clicked(context, PointerRay(Vector(origin), Vector(direction), skip_backs))
+    item, face, point = _clicked(context, ray)
     chosen = face_set_at(item, face) if what == "FACE_SET" else None
     hint = exchange.add_hint(context.scene, item.name, item, point)
     if chosen is not None:
@@ -83,14 +81,9 @@ def add_hint(
     bases=(PicksAlongRay,),
     pick_text="Click: Choose the Part of the Same Material   Esc, Right Click: Cancel",
 )
-def pick_same_material(
-    context: bpy.types.Context,
-    origin: Origin = ORIGIN,
-    direction: Direction = DOWN,
-    skip_backs: SkipBacks = False,
-) -> None:
+def pick_same_material(context: bpy.types.Context, ray: PointerRay) -> None:
     """Click on a part that is of the same material as the active hint's."""
-    item, _, point = _clicked(context, PointerRay(Vector(origin), Vector(direction), skip_backs))
+    item, _, point = _clicked(context, ray)
     hint = context.scene.fipt.hints.hint()
     hint.same_object, hint.same_point = item, item.matrix_world.inverted_safe() @ point
 

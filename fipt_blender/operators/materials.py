@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
-from mathutils import Vector
 
 from ..api import applying
 from ..core.run.declared import Option
@@ -17,7 +16,7 @@ from ..core.run.errors import FiptError
 from ..jobs.tasks import Task
 from ..properties.materials import SHOWN
 from .action import Messages, action, dialog, file_dialog, note, warning
-from .pointer import DOWN, ORIGIN, Direction, Origin, PicksAlongRay, PointerRay, SkipBacks
+from .pointer import PicksAlongRay, PointerRay
 from .polls import has_results, in_object_mode, is_own_room, needs, no_job
 
 
@@ -115,16 +114,10 @@ AllParts = Annotated[bool, "All parts instead of the active one"]
     bases=(PicksAlongRay,),
     pick_text="Click: Choose the Part   Esc, Right Click: Cancel",
 )
-def pick_part(
-    context: bpy.types.Context,
-    origin: Origin = ORIGIN,
-    direction: Direction = DOWN,
-    skip_backs: SkipBacks = False,
-) -> None:
+def pick_part(context: bpy.types.Context, ray: PointerRay) -> None:
     """Click on the room to choose the part under the mouse pointer."""
     from ..blend.results.part_list import part_under
 
-    ray = PointerRay(Vector(origin), Vector(direction), skip_backs)
     key = part_under(context.scene, context.evaluated_depsgraph_get(), *ray)
     rows = context.scene.fipt.materials.parts
     index = next((i for i, row in enumerate(rows) if key and row.key == key), None)

@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import bpy
 
 from ..core.capture.suffixes import SUFFIXES
-from ..core.run.declared import Option
 from ..core.run.errors import FiptError
 from ..jobs import running
 from ..jobs.tasks import Task
 from ..prepare.preparation import Group, PreparationFolder
-from .action import REGISTER, ChoosesFiles, action, file_dialog
+from .action import REGISTER, ChoosesFiles, Glob, action, file_dialog
 from .pointer import NAVIGATION, WHEEL, WaitsForClicks, is_cancel, is_click
 from .polls import needs, no_job, over_sidebar
 
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from ..bridge.sequence import Job
     from ..properties.photographs import FIPT_PhotographsSettings
 
+_FILES = ";".join(f"*{suffix}" for suffix in SUFFIXES)  # that the file browser shows
 # The groups that this session has written to prepare.json: folder and digest. After an undo the scene's list
 # is an older one, which is no reason to think that somebody else has changed the file.
 _written: set[tuple[str, str]] = set()
@@ -47,9 +47,7 @@ def choose_photographs(
     scene: bpy.types.Scene,
     folder: str,
     names: Sequence[str],
-    filter_glob: Annotated[str, Option("Files to show", shown={"options": {"HIDDEN"}})] = ";".join(
-        f"*{suffix}" for suffix in SUFFIXES
-    ),
+    filter_glob: Glob = _FILES,
 ) -> None:
     """Choose the folder with the photographs, or some photographs in it."""
     settings, path = scene.fipt.photographs, Path(bpy.path.abspath(folder))

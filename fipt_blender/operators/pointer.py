@@ -4,17 +4,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+from typing import Any, NamedTuple
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Vector
 
-from ..core.run.declared import Option
-from .action import Mixin
+from .action import Action
 
 # Events that move the view or zoom; modal operators pass them on. The mouse wheel zooms as well.
 NAVIGATION = ("MIDDLEMOUSE", "TRACKPADPAN", "TRACKPADZOOM", "MOUSEROTATE", "MOUSESMARTZOOM", "NDOF_MOTION")
+Point = tuple[float, float, float]
+ORIGIN, DOWN = (0.0, 0.0, 0.0), (0.0, 0.0, -1.0)  # the default point and direction
 WHEEL = ("WHEELUPMOUSE", "WHEELDOWNMOUSE", "WHEELINMOUSE", "WHEELOUTMOUSE")
 
 
@@ -90,7 +91,7 @@ def is_cancel(event: bpy.types.Event) -> bool:
     return event.type in ("ESC", "RIGHTMOUSE") and event.value == "PRESS"
 
 
-class WaitsForClicks(Mixin):
+class WaitsForClicks(Action):
     """Mix-in of a modal operator that waits for clicks; a subclass implements `modal`.
 
     Attributes:
@@ -157,21 +158,25 @@ class PicksInViewport(WaitsForClicks):
         raise NotImplementedError
 
 
-Point = tuple[float, float, float]
-Origin = Annotated[Point, Option("Start of the ray, for scripts", shown={"subtype": "XYZ", "unit": "LENGTH"})]
-Direction = Annotated[Point, "Direction of the ray, for scripts"]
-SkipBacks = Annotated[bool, "Look through surfaces that are seen from behind"]
-ORIGIN, DOWN = (0.0, 0.0, 0.0), (0.0, 0.0, -1.0)  # the default point and direction
-
-
 class PicksAlongRay(PicksInViewport):
-    """The same for an action on the ray through the pointer, with `origin`, `direction` and `skip_backs`.
+    """The same for an action on `ray`, the one through the pointer; scripts give it by its parts.
 
     Attributes:
         pick_text: what the click does.
     """
 
     pick_text = ""
+    origin: bpy.props.FloatVectorProperty(
+        name="Origin", description="Start of the ray", subtype="XYZ", unit="LENGTH", options={"SKIP_SAVE"}
+    )
+    direction: bpy.props.FloatVectorProperty(
+        name="Direction", description="Direction of the ray", default=DOWN, options={"SKIP_SAVE"}
+    )
+    skip_backs: bpy.props.BoolProperty(
+        name="Skip Backs",
+        description="Look through surfaces that are seen from behind",
+        options={"SKIP_SAVE"},
+    )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return self.wait_for_clicks(context, self.pick_text)
@@ -181,3 +186,7 @@ class PicksAlongRay(PicksInViewport):
         assert ray is not None  # `modal` has asked whether a viewport is there
         self.origin, self.direction, self.skip_backs = ray
         return True
+
+    def arguments(self) -> dict[str, Any]:
+        ray = PointerRay(Vector(self.origin), Vector(self.direction), self.skip_backs)
+        return {**super().arguments(), "ray": ray}

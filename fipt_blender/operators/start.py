@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
 import bpy
 
@@ -57,8 +56,6 @@ class FIPT_FH_capture(bpy.types.FileHandler):
     options=REGISTER,
     listed=False,
 )
-def help(
-    scene: bpy.types.Scene, chapter: Annotated[str, "The chapter; the guide's first page if empty"] = ""
-) -> None:
-    """Open the guide's chapter on this section in the web browser."""
-    bpy.ops.wm.url_open(url=manual.address() + manual.chapter_page(chapter))
+def help(scene: bpy.types.Scene) -> None:
+    """Open the guide in the web browser."""
+    bpy.ops.wm.url_open(url=manual.address() + manual.chapter_page(""))

@@ -33,7 +33,7 @@ def draw_set_up(layout: UILayout) -> None:
             text = iface_("Downloads about {:.1f} GB and needs {:.1f} GB on the disk.")
             draw_text(layout, text.format(size.download_gb, size.disk_gb))
     if not local and not bpy.app.online_access:
-        _draw_online_access(layout)
+        draw_online_access(layout)
     column = layout.column()
     column.scale_y = 1.4
     column.operator("fipt.set_up_engine", icon="IMPORT").confirmed = True
@@ -55,12 +55,12 @@ def _draw_problem(layout: UILayout) -> None:
         draw_text(layout, text, icon="ERROR", alert=True)
 
 
-def _draw_online_access(layout: UILayout) -> None:
+def draw_online_access(layout: UILayout) -> None:
     """Blender's own switch, which only the user may set, and what it is needed for."""
     if getattr(bpy.app, "online_access_override", False):
         text = iface_(
             "Blender was started offline. Start it without --offline-mode, or select a Folder of Wheels in"
-            " the preferences (Other Ways)."
+            " the preferences: the button beside it copies a command that downloads the wheels elsewhere."
         )
         draw_text(layout, text, icon="INTERNET_OFFLINE")
         return
