@@ -16,12 +16,8 @@ _OF_CAPTURES = ("mesh", "images", "panorama", "panorama_place", "panorama_headin
 
 
 def _presets(name: str, group: str, values: list[str]) -> tuple[type, type]:
-    """The menu of the presets NAME, of values of `scene.fipt.GROUP`, and the operator that adds and removes them."""
-    menu, operator, folder = (
-        f"FIPT_PT_{name}_presets",
-        f"fipt.add_{name}_preset",
-        {"preset_subdir": f"fipt/{name}"},
-    )
+    """The menu of presets of values of `scene.fipt.GROUP`, and the operator that adds and removes them."""
+    menu, operator = f"FIPT_PT_{name}_presets", f"fipt.add_{name}_preset"
     shown = {
         "bl_label": f"{name.capitalize()} Presets",
         "preset_operator": "script.execute_preset",
