@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from types import ModuleType
+from typing import Any
 
 import bpy
 
@@ -61,7 +62,7 @@ class FIPT_MT_main(bpy.types.Menu):
 
 def operators_of(modules: Iterable[ModuleType]) -> list[str]:
     """Names of the operators of modules that need nothing else than a call, in the order of their source."""
-    found = [each for each in classes_of(modules) if issubclass(each, bpy.types.Operator)]
+    found: list[Any] = [each for each in classes_of(modules) if issubclass(each, bpy.types.Operator)]
     return [each.bl_idname for each in found if getattr(each, "listed", "INTERNAL" not in each.bl_options)]
 
 

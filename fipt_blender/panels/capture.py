@@ -86,8 +86,8 @@ def _draw_up(layout: UILayout, settings: PropertyGroup) -> None:
 
 def import_settings(order: int, parent: str, shown: Callable[[Context], object]) -> type[bpy.types.Panel]:
     """The panel of the options for reading a capture, which two sections have."""
-    options = {"closed": True, "shown": shown, "after": draw_import_presets}
-    made = panel("Import Settings", order, parent, name=f"{parent}_import", **options)
+    name, after = f"{parent}_import", draw_import_presets
+    made = panel("Import Settings", order, parent, closed=True, name=name, shown=shown, after=after)
     return made(_draw_import_settings)
 
 

@@ -9,10 +9,8 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
 from ..blend.marks import (
-    ANIMATED,
     FIXTURE,
     INFERRED,
-    MERGED,
     NAMED,
     PROBABILITY,
     VISIBILITY,
@@ -23,11 +21,6 @@ from . import path
 from .hints import ANSWER_NAMES, draw_again
 from .sidebar import Rows, draw_text, panel
 
-# What lights of earlier releases have, by the mark that says so.
-_OLD = {
-    ANIMATED: "Keyframes of an earlier release, until results are applied",
-    MERGED: "Merged by an earlier release, until results are applied",
-}
 CERTAIN = 0.98  # probability from which a fixture is not called in question
 
 
@@ -165,9 +158,6 @@ def FIPT_PT_light(layout: UILayout, context: Context) -> None:
         column.prop(light, "color")
     if is_temperature:
         column.prop(light, "kelvin")
-    for mark, note in _OLD.items():
-        if mark in light.object:
-            layout.label(text=note, icon="INFO")
     column = layout.column(align=True)
     column.operator("fipt.reset_light", icon="LOOP_BACK")
     if FIXTURE in light.object and VISIBILITY not in light.object:
