@@ -4,25 +4,23 @@
 
 from __future__ import annotations
 
-import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
 from .job import draw_job, draw_warnings, job_warnings
-from .sidebar import Rows, draw_text, panel
+from .sidebar import draw_text, panel, rows
 
 
-class FIPT_UL_pairs(Rows, bpy.types.UIList):
+@rows()
+def FIPT_UL_pairs(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
     """The pairs of points, each with its error"""
-
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        row = layout.row(align=True)
-        views = ", ".join(sight.name for sight in item.sights)
-        row.label(text=f"{index + 1}: {views}", translate=False)
-        missing = item.name not in context.scene.objects
-        text = f"{1000.0 * item.error:.3g} mm" if item.error >= 0.0 else ""
-        row.label(text=text, icon="CANCEL" if missing else "NONE", translate=False)
-        row.operator("fipt.remove_pair", text="", icon="X", emboss=False).index = index
+    row = layout.row(align=True)
+    views = ", ".join(sight.name for sight in item.sights)
+    row.label(text=f"{index + 1}: {views}", translate=False)
+    missing = item.name not in context.scene.objects
+    text = f"{1000.0 * item.error:.3g} mm" if item.error >= 0.0 else ""
+    row.label(text=text, icon="CANCEL" if missing else "NONE", translate=False)
+    row.operator("fipt.remove_pair", text="", icon="X", emboss=False).index = index
 
 
 @panel(

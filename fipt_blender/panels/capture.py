@@ -16,25 +16,24 @@ from ..jobs import running
 from . import path, swatches
 from .job import draw_error, draw_job, draw_warnings, job_warnings
 from .presets import draw_import_presets
-from .sidebar import Rows, draw_help, draw_text, panel
+from .sidebar import draw_help, draw_text, panel, rows
 
 
-class FIPT_UL_views(Rows, bpy.types.UIList):
+@rows()
+def FIPT_UL_views(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
     """The views: whether and for what they are used, and the outcome of their check"""
-
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        row = layout.row(align=True)
-        row.prop(item, "enabled", text="")
-        name = row.row(align=True)
-        name.active = item.enabled
-        name.label(text=shown_name(item.name, context.scene.fipt.capture.name_prefix), translate=False)
-        if item.camera not in bpy.data.objects:
-            row.label(text="", icon="CANCEL")
-        elif item.warning:
-            row.label(text="", icon="ERROR")
-        elif item.checked:
-            row.label(text="", icon="CHECKMARK")
-        row.prop(item, "split", text="", icon_only=True, emboss=False)
+    row = layout.row(align=True)
+    row.prop(item, "enabled", text="")
+    name = row.row(align=True)
+    name.active = item.enabled
+    name.label(text=shown_name(item.name, context.scene.fipt.capture.name_prefix), translate=False)
+    if item.camera not in bpy.data.objects:
+        row.label(text="", icon="CANCEL")
+    elif item.warning:
+        row.label(text="", icon="ERROR")
+    elif item.checked:
+        row.label(text="", icon="CHECKMARK")
+    row.prop(item, "split", text="", icon_only=True, emboss=False)
 
 
 def shown_name(name: str, prefix: str) -> str:
@@ -45,15 +44,6 @@ def shown_name(name: str, prefix: str) -> str:
     """
     folder = name.rpartition("/")[0] + "/"
     return name.removeprefix(folder) if prefix.startswith(folder) else name
-
-
-class FIPT_MT_tick_views(bpy.types.Menu):
-    """Tick several views at once"""
-
-    bl_label = "Tick Views"
-
-    def draw(self, context: Context) -> None:
-        self.layout.operator_enum("fipt.tick_views", "action")
 
 
 @panel("Capture", 2, closed=True, shown=path.has_views, state=path.capture_state, after=draw_help)
@@ -178,7 +168,7 @@ def FIPT_PT_capture_views(layout: UILayout, context: Context) -> None:
     column.operator("fipt.look_through", text="", icon="TRIA_UP").step = -1
     column.operator("fipt.look_through", text="", icon="TRIA_DOWN").step = 1
     column.separator()
-    column.menu("FIPT_MT_tick_views", text="", icon="DOWNARROW_HLT")
+    column.operator_menu_enum("fipt.tick_views", "action", text="", icon="DOWNARROW_HLT")
     draw_photograph(layout, settings)
     _draw_active(layout, settings)
     counts = iface_("{} for estimation, {} held back").format(settings.train_count, settings.held_back_count)

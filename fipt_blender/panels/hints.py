@@ -6,38 +6,35 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
 from ..blend.previews import doubt_pictures
 from ..jobs import running
 from ..properties.hints import ANSWERS
-from .sidebar import Rows, draw_text, panel
+from .sidebar import draw_text, panel, rows
 
 ANSWER_NAMES = {identifier: name for identifier, name, _ in ANSWERS}
 _CHOICES = {"METAL": ("METAL", "DIELECTRIC"), "GLOSS": ("GLOSSY", "MATT"), "LAMP": ("EMITS", "NOT")}
 
 
-class FIPT_UL_doubts(Rows, bpy.types.UIList):
+@rows()
+def FIPT_UL_doubts(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
     """The engine's questions, the most useful one first"""
-
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        row = layout.row(align=True)
-        row.label(text=item.name, icon="CHECKMARK" if item.answered else "QUESTION", translate=False)
-        row.label(text=item.text)
+    row = layout.row(align=True)
+    row.label(text=item.name, icon="CHECKMARK" if item.answered else "QUESTION", translate=False)
+    row.label(text=item.text)
 
 
-class FIPT_UL_hints(Rows, bpy.types.UIList):
+@rows()
+def FIPT_UL_hints(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
     """What the artist knows of parts and areas"""
-
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        row = layout.row(align=True)
-        missing = item.object is None or item.object.name not in context.scene.objects
-        kind = "FACE_MAPS" if item.area else "MATERIAL"
-        row.prop(item, "name", text="", emboss=False, icon="CANCEL" if missing else kind)
-        row.label(text=hint_text(item), translate=False)
-        row.operator("fipt.remove_hint", text="", icon="X", emboss=False).index = index
+    row = layout.row(align=True)
+    missing = item.object is None or item.object.name not in context.scene.objects
+    kind = "FACE_MAPS" if item.area else "MATERIAL"
+    row.prop(item, "name", text="", emboss=False, icon="CANCEL" if missing else kind)
+    row.label(text=hint_text(item), translate=False)
+    row.operator("fipt.remove_hint", text="", icon="X", emboss=False).index = index
 
 
 @panel("Hints", 1, parent="FIPT_PT_estimate", closed=True)

@@ -19,37 +19,37 @@ from ..blend.marks import (
 )
 from . import path
 from .hints import ANSWER_NAMES, draw_again
-from .sidebar import Rows, draw_text, panel
+from .sidebar import draw_text, panel, rows
 
 CERTAIN = 0.98  # probability from which a fixture is not called in question
 
 
-class FIPT_UL_lights(Rows, bpy.types.UIList):
+def _filter(
+    self: bpy.types.UIList, context: Context, data: PropertyGroup, propname: str
+) -> tuple[list[int], list[int]]:
+    """Lights that there still are, and whose names have the text that is searched for."""
+    search = self.filter_name.lower()
+    matches = (item.is_alive() and search in item.object.name.lower() for item in getattr(data, propname))
+    return [self.bitflag_filter_item if match else 0 for match in matches], []
+
+
+@rows(filter_items=_filter)
+def FIPT_UL_lights(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
     """Fixtures and added lights: on/off, solo, whole name, whether it may be no lamp, color"""
-
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        light = item.object
-        layout.use_property_split = False
-        halves = layout.split(factor=0.88, align=True)
-        row = halves.row(align=True)
-        row.prop(item, "on", text="", icon="LIGHT" if item.on else "OUTLINER_DATA_LIGHT", emboss=False)
-        row.prop(item, "solo", text="", icon="SOLO_ON" if item.solo else "SOLO_OFF", emboss=False)
-        name = row.row(align=True)
-        name.active = item.on
-        name.prop(light, "name", text="", emboss=False)
-        if _probability(light) < CERTAIN:
-            row.label(text="", icon="QUESTION")
-        color = halves.row(align=True)
-        color.active = item.on
-        color.prop(item, "color", text="")
-
-    def filter_items(
-        self, context: Context, data: PropertyGroup, propname: str
-    ) -> tuple[list[int], list[int]]:
-        items = getattr(data, propname)
-        search = self.filter_name.lower()
-        matches = (item.is_alive() and search in item.object.name.lower() for item in items)
-        return [self.bitflag_filter_item if match else 0 for match in matches], []
+    light = item.object
+    layout.use_property_split = False
+    halves = layout.split(factor=0.88, align=True)
+    row = halves.row(align=True)
+    row.prop(item, "on", text="", icon="LIGHT" if item.on else "OUTLINER_DATA_LIGHT", emboss=False)
+    row.prop(item, "solo", text="", icon="SOLO_ON" if item.solo else "SOLO_OFF", emboss=False)
+    name = row.row(align=True)
+    name.active = item.on
+    name.prop(light, "name", text="", emboss=False)
+    if _probability(light) < CERTAIN:
+        row.label(text="", icon="QUESTION")
+    color = halves.row(align=True)
+    color.active = item.on
+    color.prop(item, "color", text="")
 
 
 @panel("Lights", 5, shown=path.has_lights, state=path.lights_state)
@@ -168,13 +168,12 @@ def FIPT_PT_light(layout: UILayout, context: Context) -> None:
     column.operator("fipt.set_ies_profile", icon="LIGHT_POINT")
 
 
-class FIPT_UL_light_states(Rows, bpy.types.UIList):
+@rows()
+def FIPT_UL_light_states(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
     """Saved states of all lights"""
-
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        row = layout.row(align=True)
-        row.prop(item, "name", text="", emboss=False, icon="LIGHT")
-        row.operator("fipt.recall_light_state", text="", icon="PLAY", emboss=False).state = item.name
+    row = layout.row(align=True)
+    row.prop(item, "name", text="", emboss=False, icon="LIGHT")
+    row.operator("fipt.recall_light_state", text="", icon="PLAY", emboss=False).state = item.name
 
 
 @panel("Light States", 1, parent="FIPT_PT_lights", closed=True)

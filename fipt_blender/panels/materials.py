@@ -14,7 +14,7 @@ from ..jobs import running, runstate
 from ..jobs.window import redraw
 from . import path, swatches
 from .job import draw_job, draw_warnings, job_warnings
-from .sidebar import Rows, draw_text, panel
+from .sidebar import draw_text, panel, rows
 
 _GRAY_SECONDS = 60.0  # that Cycles may need before a viewport's first picture: it compiles and loads textures
 # When each 3D view was first drawn in Rendered shading, in seconds of `time.monotonic`, by its address.
@@ -57,15 +57,14 @@ def _draw_loading(layout: UILayout, view: int) -> None:
         draw_text(layout, iface_(text), icon="SORTTIME")
 
 
-class FIPT_UL_part_materials(Rows, bpy.types.UIList):
+@rows()
+def FIPT_UL_part_materials(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
     """The parts of the room: mean base color, name, and whether its material is adjusted"""
-
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        layout.use_property_split = False
-        # An icon: a color field can't be disabled without a tint.
-        color = item.base_color.copy()  # of a property itself, Blender 4.3 converts zeros
-        red, green, blue = (round(value, 2) for value in color.from_scene_linear_to_srgb())
-        layout.label(text=item.name, icon_value=swatches.icon((red, green, blue)), translate=False)
+    layout.use_property_split = False
+    # An icon: a color field can't be disabled without a tint.
+    color = item.base_color.copy()  # of a property itself, Blender 4.3 converts zeros
+    red, green, blue = (round(value, 2) for value in color.from_scene_linear_to_srgb())
+    layout.label(text=item.name, icon_value=swatches.icon((red, green, blue)), translate=False)
 
 
 @panel("Materials of Parts", 0, parent="FIPT_PT_materials")

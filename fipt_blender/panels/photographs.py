@@ -15,37 +15,35 @@ from ..jobs import running
 from . import path
 from .job import draw_error, draw_warnings
 from .progress import draw_progress
-from .sidebar import Rows, draw_help, draw_text, panel
+from .sidebar import draw_help, draw_text, panel, rows
 
 _KIND = "photographs"
 
 
-class FIPT_UL_photograph_groups(Rows, bpy.types.UIList):
+@rows()
+def FIPT_UL_photograph_groups(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
     """The groups: whether they are used, the number of photographs, and the outcome"""
-
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        row = layout.row(align=True)
-        row.prop(item, "used", text="")
-        name = row.row(align=True)
-        name.active = item.used
-        name.label(text=item.name, translate=False)
-        count = row.row(align=True)
-        count.alignment = "RIGHT"
-        count.active = item.used
-        count.label(text=str(len(item.photographs)), translate=False)
-        if item.state == "REGISTERED":
-            row.label(text="", icon="CHECKMARK")
-        elif item.state == "LEFT_OUT":
-            row.label(text="", icon="ERROR")
+    row = layout.row(align=True)
+    row.prop(item, "used", text="")
+    name = row.row(align=True)
+    name.active = item.used
+    name.label(text=item.name, translate=False)
+    count = row.row(align=True)
+    count.alignment = "RIGHT"
+    count.active = item.used
+    count.label(text=str(len(item.photographs)), translate=False)
+    if item.state == "REGISTERED":
+        row.label(text="", icon="CHECKMARK")
+    elif item.state == "LEFT_OUT":
+        row.label(text="", icon="ERROR")
 
 
-class FIPT_UL_photographs(Rows, bpy.types.UIList):
+@rows()
+def FIPT_UL_photographs(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
     """The photographs of a group with their exposures"""
-
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        split = layout.split(factor=0.45)
-        split.label(text=item.name.rpartition("/")[2], translate=False)
-        split.label(text=item.exposure or iface_("exposure unknown"), translate=False)
+    split = layout.split(factor=0.45)
+    split.label(text=item.name.rpartition("/")[2], translate=False)
+    split.label(text=item.exposure or iface_("exposure unknown"), translate=False)
 
 
 def _draw_photographs(layout: UILayout, context: Context) -> None:

@@ -94,19 +94,24 @@ def draw_help(layout: UILayout, context: Context) -> None:
         layout.operator("fipt.help", text="", icon="QUESTION", emboss=False)
 
 
-class Rows:
-    """Mix-in of a list, before `bpy.types.UIList`; a subclass draws the row of one item."""
+def rows(**members: Callable[..., Any]) -> Callable[[Callable[..., None]], type[bpy.types.UIList]]:
+    """Declare the list whose rows a function draws, as `function(layout, context, item, index)`.
 
-    def draw_item(
-        self, context: Context, layout: UILayout, data: PropertyGroup, item: PropertyGroup, icon: int,
-        active_data: PropertyGroup, active_property: str, index: int = 0, flt_flag: int = 0,
-    ) -> None:  # fmt: skip
-        """Called by Blender; most lists need no more than the item."""
-        self.draw_row(context, layout, item, index)
+    Args:
+        members: further methods of the class, such as `filter_items`.
+    """
 
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        """Draw an item, the `index`-th of the list."""
-        raise NotImplementedError
+    def declare(function: Callable[..., None]) -> type[bpy.types.UIList]:
+        def draw_item(
+            self: Any, context: Context, layout: UILayout, data: PropertyGroup, item: PropertyGroup,
+            icon: int, active_data: PropertyGroup, active: str, index: int = 0, flag: int = 0,
+        ) -> None:  # fmt: skip
+            function(layout, context, item, index)
+
+        made = {"__module__": function.__module__, "__doc__": function.__doc__, "draw_item": draw_item}
+        return type(function.__name__, (bpy.types.UIList,), {**made, **members})
+
+    return declare
 
 
 def size_text(size: float) -> str:
