@@ -13,61 +13,41 @@ from fipt_blender import panels as panel_package
 
 
 class Layout:
-    """Stands in for Blender's: notes what is drawn, in this order.
-
-    Args:
-        drawn: gets the texts of labels and the names of operators.
-        is_open: whether what folds is open.
-        properties: gets the names of properties.
+    """Stands in for Blender's, where nothing that folds is open: notes what is drawn, in this order.
 
     Attributes:
-        labels: the options of labels.
-        buttons: the operators' settings, with `name` and `text`.
-        more: other buttons: items of enumerations, and what opens menus.
+        drawn: texts of labels, and names of operators.
+        properties: their names.
+        buttons: names of operators, and kinds of other buttons: items of enumerations, and what opens menus.
     """
 
-    def __init__(
-        self,
-        drawn: list[str] | None = None,
-        is_open: bool = False,
-        properties: list[str] | None = None,
-        of: Layout | None = None,
-    ) -> None:
-        lists = {"drawn": drawn, "properties": properties, "labels": None, "buttons": None, "more": None}
-        made = {name: [] if value is None else value for name, value in lists.items()}
-        vars(self).update(vars(of) if of else {"is_open": is_open, **made})
+    def __init__(self, of: Layout | None = None) -> None:
+        vars(self).update(vars(of) if of else {"drawn": [], "properties": [], "buttons": []})
 
     def __setattr__(self, name: str, value: object) -> None:
         """Settings of a layout do not matter here."""
 
     def __getattr__(self, name: str):
         def call(*arguments, **options):
-            part = Layout(of=self)
             if name in ("label", "progress"):
                 self.drawn.append(options["text"])
-                self.labels.append(options)
             elif name == "prop":
                 self.properties.append(arguments[1])
             elif name in ("prop_enum", "popover", "menu", "operator_menu_enum"):
-                self.more.append(name)
+                self.buttons.append(name)
             elif name == "operator":
                 self.drawn.append(arguments[0])
-                self.buttons.append(SimpleNamespace(name=arguments[0], text=options.get("text", "")))
-                return self.buttons[-1]
-            elif name == "panel":
-                return part, part if self.is_open else None
-            return part
+                self.buttons.append(arguments[0])
+                return SimpleNamespace()
+            part = Layout(of=self)
+            return (part, None) if name == "panel" else part
 
         return call
 
 
-def drawn_by(panel: type, is_open: bool = False) -> tuple[list[str], list[str]]:
-    """What a panel draws of the open scene: labels and operators; names of properties.
-
-    Args:
-        is_open: whether what folds inside the panel is open.
-    """
-    layout = Layout(is_open=is_open)
+def drawn_by(panel: type) -> tuple[list[str], list[str]]:
+    """What a panel draws of the open scene: labels and operators; names of properties."""
+    layout = Layout()
     panel.draw(SimpleNamespace(layout=layout), _context())
     return layout.drawn, layout.properties
 
@@ -120,11 +100,10 @@ def tab_count(shading: str = "SOLID") -> TabCount:
     sections = sorted(
         (panel for panel in shown.values() if not getattr(panel, "bl_parent_id", "")), key=lambda panel: panel.bl_order
     )
-    buttons = [button.name for button in layout.buttons]
     return TabCount(
         tuple(panel.bl_label for panel in sections),
         tuple(panel.bl_label for panel in sections if is_open(panel.__name__)),
-        (*buttons, *layout.more),
+        tuple(layout.buttons),
         tuple(layout.properties),
-        tuple(text for text in layout.drawn if text not in buttons),
+        tuple(text for text in layout.drawn if text not in layout.buttons),
     )
