@@ -15,10 +15,10 @@ from ..api import applying, estimating, importing
 from ..core.run.declared import Option
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..core.run.settings import PRESETS
-from ..jobs import running, runstate
+from ..jobs import running
 from ..jobs.tasks import Task
 from .action import HIDDEN, REGISTER, UNDO, Action, Messages, action, note, warning
-from .polls import has_no_capture, has_run, in_object_mode, needs, no_job
+from .polls import has_no_capture, has_run, in_object_mode, needs, no_job, run_state
 
 if TYPE_CHECKING:
     from ..bridge.sequence import Job
@@ -50,20 +50,16 @@ def estimate(
     return estimating.estimation(keep_stages=keep)
 
 
-def _state(context: bpy.types.Context) -> runstate.RunState:
-    return runstate.known(context.scene.fipt.run_folder)
-
-
 @action(
     "Resume",
     needs=(
         *_can_start,
         needs(
-            lambda context: _state(context).stages,
+            lambda context: run_state(context).stages,
             "There is no stopped run to resume",
         ),
         needs(
-            lambda context: not _state(context).finished,
+            lambda context: not run_state(context).finished,
             "The last run is finished. Use Estimate to start a new one",
         ),
     ),

@@ -14,18 +14,12 @@ from ..api import applying, estimating
 from ..blend.marks import is_fixture
 from ..core.run.declared import Option
 from ..core.run.errors import FiptError
-from ..jobs import runstate
 from ..jobs.tasks import Task
 from ..properties.hints import ANSWERS, EMISSION
 from .action import RowIndex, action, row_index
 from .lights import LightName, find_light, own_lights
 from .pointer import PicksAlongRay, PointerRay
-from .polls import has_run, in_object_mode, needs, no_job
-
-
-def _state(context: bpy.types.Context) -> runstate.RunState:
-    return runstate.known(context.scene.fipt.run_folder)
-
+from .polls import has_run, in_object_mode, needs, no_job, run_state
 
 _in_room_mode = needs(lambda context: context.mode in ("OBJECT", "SCULPT"), "Switch to Object Mode first")
 _has_hint = needs(lambda context: context.scene.fipt.hints.hint() is not None, "Add a hint first")
@@ -169,7 +163,7 @@ def hint_on_lamp(
     needs=(
         no_job,
         has_run,
-        needs(lambda context: _state(context).results, "Finish an estimate first"),
+        needs(lambda context: run_state(context).results, "Finish an estimate first"),
         in_object_mode,
     ),
 )

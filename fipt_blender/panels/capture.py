@@ -13,10 +13,13 @@ from bpy.types import Context, PropertyGroup, UILayout
 
 from ..blend.marks import ADDED
 from ..jobs import running
+from ..properties.capture import IMPORT_OPTIONS
 from . import path, swatches
 from .job import draw_error, draw_job, draw_warnings, job_warnings
 from .presets import draw_import_presets
 from .sidebar import draw_help, draw_text, panel, rows
+
+_BASIC_OPTIONS = ("mesh", "up_axis", "scale", "triangles")  # that are not under Advanced
 
 
 @rows()
@@ -85,34 +88,20 @@ def _draw_import_settings(layout: UILayout, context: Context) -> None:
     """Options for reading the capture"""
     settings = context.scene.fipt.capture
     column = layout.column(align=True)
-    column.prop(settings, "mesh")
-    column = layout.column(align=True)
-    column.prop(settings, "up_axis")
-    column.prop(settings, "scale")
-    row = layout.row(align=True)
-    row.prop(settings, "triangles")
+    for name in _BASIC_OPTIONS:
+        column.prop(settings, name)
     if settings.views:
-        row.operator("fipt.simplify_room", text="", icon="MOD_DECIM")
+        layout.operator("fipt.simplify_room", icon="MOD_DECIM")
     header, body = layout.panel("fipt_import_advanced", default_closed=True)
     header.label(text="Advanced")
     if body is None:
         return
     column = body.column(align=True)
-    column.prop(settings, "format")
-    column.prop(settings, "images")
-    column.prop(settings, "layer")
-    column.prop(settings, "hold_back")
-    column = body.column(align=True)
-    column.prop(settings, "panorama")
+    for name in IMPORT_OPTIONS:
+        if name not in _BASIC_OPTIONS and (settings.panorama or not name.startswith("panorama_")):
+            column.prop(settings, name)
     if settings.panorama:
-        column.prop(settings, "panorama_place")
-        column.operator("fipt.place_panorama", icon="PIVOT_CURSOR")
-        column.prop(settings, "panorama_heading")
-    column = body.column(align=True)
-    column.prop(settings, "clamp_negative")
-    row = column.row()
-    row.active = settings.format in ("auto", "transforms")
-    row.prop(settings, "undo_applied_transform")
+        body.operator("fipt.place_panorama", icon="PIVOT_CURSOR")
     if settings.views:
         body.operator("fipt.use_scene_cameras", icon="CAMERA_DATA")
 

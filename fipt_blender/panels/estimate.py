@@ -16,6 +16,7 @@ from ..core.capture.options import PART_SOURCES
 from ..core.run.runfolder import RunFolder
 from ..jobs import running, runstate
 from ..jobs.job_scene import uses_run_folder
+from ..properties.estimate import CHOICES
 from . import path
 from .capture import draw_thumbnail, shown_colors
 from .job import draw_error, draw_job, draw_warnings, job_warnings
@@ -26,16 +27,6 @@ from .sidebar import draw_text, panel
 if TYPE_CHECKING:
     from ..core.run.light_size import LightPlan
     from ..core.run.versions import Version
-
-# Settings in one column belong together.
-_ADVANCED = (
-    ("rounds",),
-    ("diffuse_samples", "specular_samples", "light_samples", "denoise"),
-    ("light_pixels", "training_steps"),
-    ("voxel_resolution", "roughness_levels"),
-    ("reject_views", "correct_exposure", "force"),
-    ("seed",),
-)
 
 
 @panel("Estimate", 3, shown=path.has_run, state=path.estimate_state)
@@ -67,10 +58,12 @@ def FIPT_PT_estimate_advanced(layout: UILayout, context: Context) -> None:
     layout.enabled = running.current() is None
     settings = context.scene.fipt.estimate
     layout.prop(settings, "apply_when_finished")
-    for names in _ADVANCED:
-        column = layout.column(align=True)
-        for name in names:
-            draw_setting(column, settings, name)
+    column = layout.column(align=True)
+    for name in CHOICES:
+        row = column.row(align=True)
+        row.prop(settings, name)
+        if settings.is_changed(name):  # back to the preset
+            row.operator("fipt.reset_setting", text="", icon="LOOP_BACK", emboss=False).setting = name
 
 
 def _draw_start(layout: UILayout, context: Context, state: runstate.RunState) -> None:
@@ -129,14 +122,6 @@ def _plan(count: int, megapixels: float, settings: PropertyGroup) -> LightPlan:
 
     size = (round(1000.0 * megapixels), 1000)  # only the number of pixels counts
     return light_plan([size] * count, make_settings(settings.preset, settings.values()))
-
-
-def draw_setting(layout: UILayout, settings: PropertyGroup, name: str) -> None:
-    """A setting, with a button that resets it to the preset where it was changed."""
-    row = layout.row(align=True)
-    row.prop(settings, name)
-    if settings.is_changed(name):
-        row.operator("fipt.reset_setting", text="", icon="LOOP_BACK", emboss=False).setting = name
 
 
 def _draw_state(layout: UILayout, context: Context, state: runstate.RunState) -> None:

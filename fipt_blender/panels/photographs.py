@@ -12,6 +12,7 @@ from bpy.types import Context, PropertyGroup, UILayout
 
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
+from ..properties.photographs import OPTIONS
 from . import path
 from .job import draw_error, draw_warnings
 from .progress import draw_progress
@@ -80,21 +81,12 @@ def _draw_settings(layout: UILayout, context: Context) -> None:
     """How the photographs become a capture"""
     settings = context.scene.fipt.photographs
     layout.prop(settings, "output")
-    layout.prop(settings, "grouping")
     column = layout.column(align=True)
-    column.prop(settings, "working_width")
-    column.prop(settings, "response")
-    column.prop(settings, "layer")
-    column.prop(settings, "white_balance")
-    column.prop(settings, "align")
-    column.prop(settings, "vignetting")
-    layout.prop(settings, "cameras")
-    column = layout.column(align=True)
-    column.prop(settings, "scale")
-    if settings.scale != "none":
-        column.prop(settings, "scale_length")
+    hidden = {"none": ("scale_length", "scale_picks"), "points": ()}.get(settings.scale, ("scale_picks",))
+    for name in OPTIONS:
+        if name not in hidden:
+            column.prop(settings, name)
     if settings.scale == "points":
-        column.prop(settings, "scale_picks")
         column.operator("fipt.show_merged", icon="IMAGE_DATA")
 
 
