@@ -78,7 +78,7 @@ def FIPT_PT_lights(layout: UILayout, context: Context) -> None:
             draw_text(layout, text.format(100.0 * light.object[INFERRED]), icon="QUESTION")
         if _probability(light.object) < CERTAIN:
             _draw_doubt(layout, context.scene.fipt.hints, light.object)
-    elif not len(settings.lights):
+    elif context.scene.fipt.materials.object_count and not len(settings.lights):
         draw_text(layout, "No lamps were found. Windows alone light the room.", icon="INFO")
     if settings.needs_cycles():
         _draw_engine_choice(layout)

@@ -22,6 +22,7 @@ from .progress import draw_progress
 from .sidebar import draw_text
 
 PIE = "FIPT_MT_pie"  # the pie menu
+# Its key until it is changed in the preferences.
 PIE_KEY = {"type": "F", "value": "PRESS", "shift": True, "alt": True}
 _PACKAGES = (("mitsuba", "Mitsuba"), ("drjit", "Dr.Jit"), ("torch", "PyTorch"), ("numpy", "NumPy"))
 

@@ -11,8 +11,7 @@ import bpy
 from ..prepare.preparation import PrepareSettings
 from .declared import properties_of, values_of
 
-OPTIONS = properties_of(PrepareSettings)
-
+OPTIONS = properties_of(PrepareSettings)  # of `prepare`, as properties by their names
 STATES = (
     ("NONE", "", "", "NONE", 0),
     ("REGISTERED", "Registered", "Its camera has been found", "CHECKMARK", 1),
