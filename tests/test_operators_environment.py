@@ -13,9 +13,11 @@ from mathutils import Matrix, Vector
 
 from fipt_blender.blend import marks
 from fipt_blender.blend.marks import has_light_groups
+from fipt_blender.blend.pictures.image_files import LAYERED_IMAGE
 from fipt_blender.jobs import running
 from samples.applied_rooms import RADIANCE, front, world_strength
 from samples.operator_calls import refused
+from samples.rendered_rooms import exr_layers
 from samples.spots import spot
 
 ops = bpy.ops.fipt
@@ -38,24 +40,13 @@ def test_light_groups_sum_to_the_image(scene, tmp_path):
     scene.cycles.samples, scene.cycles.use_denoising = 16, False
     scene.cycles.sample_clamp_indirect = 0.0
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 24, 16, 100
-    settings = scene.render.image_settings
-    if "media_type" in settings.bl_rna.properties:
-        settings.media_type = "MULTI_LAYER_IMAGE"
-    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    for name, value in LAYERED_IMAGE.items():
+        setattr(scene.render.image_settings, name, value)
     scene.render.filepath = str(tmp_path / "groups.exr")
     bpy.ops.render.render(write_still=True, scene=scene.name)
-    import OpenEXR
-
-    with OpenEXR.File(str(tmp_path / "groups.exr"), separate_channels=True) as file:
-        channels = {}
-        for part in file.parts:
-            channels.update({name: np.asarray(each.pixels) for name, each in part.channels.items()})
-
-    def passed(name):
-        return np.stack([next(v for k, v in channels.items() if k.endswith(f"{name}.{c}")) for c in "RGB"], axis=-1)
-
-    whole = passed("ViewLayer.Combined")
-    parts = [passed(f"Combined_{name}") for name in names]
+    layers = exr_layers(tmp_path / "groups.exr")
+    whole = layers["ViewLayer.Combined"][..., :3]
+    parts = [next(layers[key] for key in layers if key.endswith(f"Combined_{name}"))[..., :3] for name in names]
     assert all(part.max() > 0.0 for part in parts)
     assert np.allclose(sum(parts), whole, rtol=1e-3, atol=1e-4)
     assert ops.make_light_groups() == {"FINISHED"} and len(layer.lightgroups) == 4

@@ -10,10 +10,11 @@ import bpy
 import pytest
 
 from fipt_blender import machine
+from fipt_blender.blend import marks
 from fipt_blender.bridge.job import Job
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.jobs import running, session
-from fipt_blender.panels import estimate, start
+from fipt_blender.jobs import running, runstate, session
+from fipt_blender.panels import estimate, manual, start
 from samples.layouts import drawn_by, tab_count
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -66,16 +67,28 @@ def test_each_stage_shows_what_can_be_used_then():
     bpy.context.scene.fipt.materials.object_count = 1
     count = tab_count()
     assert count.sections[-3:] == ("Materials", "Lights", "Render")
-    assert {"Render", "Capture"}.isdisjoint(count.opened)
+    assert "Capture" not in count.opened
 
 
 @pytest.mark.usefixtures("ready")
-def test_after_results_the_tab_shows_a_dozen_buttons(applied):
-    applied.fipt.run_folder = ""
-    applied.fipt.photographs.path = "/card"  # the section Start is over
-    count = tab_count()
-    assert "Lights" in count.opened and len(count.buttons) <= 12 and len(count.settings) <= 12, count
-    assert {"fipt.pick_part", "fipt.switch_lights", "fipt.add_light"} <= set(count.buttons)
+@pytest.mark.parametrize("shading", ["SOLID", "RENDERED"])
+def test_after_results_the_tab_shows_a_dozen_buttons(applied, monkeypatch, shading):
+    """Also with guide, photographs, and a lamp in doubt that was answered; none comes or goes with the shading."""
+    monkeypatch.setattr(manual, "SITE", "https://docs.example/")
+    state = runstate.RunState(stages=5, results=True, finished=True, quality=(27.1, 29.4))
+    monkeypatch.setattr(runstate, "known", lambda folder: state)
+    applied.fipt.photographs.path = "/card"
+    applied.fipt.capture.views.add().name = "a view"
+    lamp = applied.fipt.lights.lights[0].object
+    lamp[marks.PROBABILITY] = 0.6
+    assert bpy.ops.fipt.hint_on_lamp(light=lamp.name, emission="EMITS") == {"FINISHED"}
+    count = tab_count(shading)
+    assert count.opened == ("Estimate", "Materials", "Lights", "Render")
+    assert len(count.buttons) <= 12 and len(count.settings) <= 8 and len(count.texts) <= 15, count
+    shown = {"fipt.pick_part", "fipt.switch_lights", "fipt.add_light", "fipt.final_picture", "fipt.hint_on_lamp"}
+    assert shown <= set(count.buttons)
+    assert "Held back: 27.1 dB (projection: 29.4 dB)" in " ".join(count.texts)
+    assert ("gray while Cycles loads" in " ".join(count.texts)) is (shading == "RENDERED")
 
 
 def test_online_access_is_explained_and_asked_for_where_it_is_needed(monkeypatch):

@@ -187,10 +187,9 @@ def test_set_up_runs_beside_the_users_work_and_is_cancelled(
     bpy.ops.fipt.cancel()
     tick_until(lambda: running.current() is None)
     assert machine.status() == {"error": failure, "cancelled": True}
-    texts: list[str] = []
-    panel.draw(Layout(texts), bpy.context, values, panel.Facts(machine.status(), "/data"))
-    assert "set-up cancelled, press Set Up Engine" in " ".join(texts)
-    assert "ensurepip" not in " ".join(texts)
+    panel.draw(layout := Layout(), bpy.context, values)
+    assert "set-up cancelled, press Set Up Engine" in " ".join(layout.drawn)
+    assert "ensurepip" not in " ".join(layout.drawn)
     assert not bpy.ops.fipt.cancel.poll()
 
 
@@ -247,7 +246,7 @@ def test_images_of_the_open_file_keep_their_run(values: Any, data: Path) -> None
 def test_drawing_asks_no_disk_and_starts_nothing(values: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     machine.store_status(check_result())
     values_draw = panel.FIPT_Preferences.draw
-    stand_in = type("Self", (), {"layout": Layout([]), "status": values.status})()
+    stand_in = type("Self", (), {"layout": Layout(), "status": values.status})()
     for name in machine.Preferences.__dataclass_fields__:
         setattr(stand_in, name, getattr(values, name))
     for name in ("builtins.open", "os.open", "os.stat", "os.listdir", "os.scandir", "subprocess.Popen"):

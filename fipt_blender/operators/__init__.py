@@ -12,40 +12,20 @@ from __future__ import annotations
 import bpy
 
 from ..properties import classes_of
-from . import (
-    alignment,
-    capture,
-    check,
-    emptying,
-    environment,
-    estimate,
-    export,
-    hints,
-    lights,
-    materials,
-    new_light,
-    photographs,
-    presets,
-    start,
-)
+from . import menus
 
-MODULES = (
-    environment,
-    photographs,
-    start,
-    capture,
-    alignment,
-    estimate,
-    hints,
-    materials,
-    emptying,
-    export,
-    lights,
-    new_light,
-    check,
-    presets,
-)
+MODULES = tuple(module for modules in menus.CHAPTERS.values() for module in modules)
+CLASSES = [*menus.MENUS, *classes_of([*MODULES, menus])]
+_register, _unregister = bpy.utils.register_classes_factory(CLASSES)
 
 
-CLASSES = classes_of(MODULES)
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+def register() -> None:
+    """Register the operators, menus and keys."""
+    _register()
+    menus.register()
+
+
+def unregister() -> None:
+    """Unregister them."""
+    menus.unregister()
+    _unregister()

@@ -12,7 +12,7 @@ start.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Annotated, Any, TypeVar
 
 import bpy
@@ -22,11 +22,14 @@ from ..core.run.errors import FiptError
 from ..jobs.tasks import Task, begin
 from ..properties.declared import property_of, values_of
 from .polls import Condition, all_of
-from .reporting import report_messages
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Operator: Any = object  # a mix-in's view of `bpy.types.Operator`, from which only finished classes may derive
+Glob = Annotated[str, Option("Files to show", shown={"options": {"HIDDEN"}})]
+Messages = list[dict[str, Any]]  # see `bridge.process.Message`
 UNDO = frozenset({"REGISTER", "UNDO"})  # `options` of what changes Blender's data
 REGISTER = frozenset({"REGISTER"})
+HIDDEN: dict[str, Any] = {"options": {"HIDDEN", "SKIP_SAVE"}}  # `shown` of what only scripts and buttons set
 RowIndex = Annotated[int, Option("Number in the list, from 0; the active one if negative", "Index", low=-1)]
 
 
@@ -44,7 +47,8 @@ def action(
         needs: conditions for which the button is enabled.
         options: `bl_options`.
         bases: mix-ins, such as `pointer.PicksAlongRay`.
-        members: further members of the class, such as `invoke`, which may return `self.run(context)`.
+        members: further members of the class, such as `invoke`, which may return `self.run(context)`;
+            `listed=False` keeps it out of the menu View > FIPT.
     """
 
     def declare(function: Function) -> Function:
@@ -62,14 +66,14 @@ def action(
             **({"poll": all_of(*needs)} if needs else {}),
             **members,
         }
-        function.operator = type(f"FIPT_OT_{name}", (*bases, _Action, bpy.types.Operator), made)  # type: ignore[attr-defined]
+        function.operator = type(f"FIPT_OT_{name}", (*bases, Action, bpy.types.Operator), made)  # type: ignore[attr-defined]
         return function
 
     return declare
 
 
-class _Action:
-    """Mix-in of the classes that `action` makes."""
+class Action(Operator):
+    """Base of the classes that `action` makes, and of mix-ins, which gather arguments for its function."""
 
     function: Callable[..., Any]
     takes_context: bool
@@ -82,9 +86,30 @@ class _Action:
 
     def run(self, context: bpy.types.Context, wait: bool = True) -> set[str]:
         """Call the function with the operator's properties; `wait` for the end of a job that it starts."""
-        values = values_of(self, self.function)
+        values = self.arguments()
         on = context if self.takes_context else context.scene
         return reported(self, context, wait, lambda: self.function(on, **values))
+
+    def arguments(self) -> dict[str, Any]:
+        """What the function gets besides scene or context: the operator's properties."""
+        return values_of(self, self.function)
+
+
+class ChoosesFiles(Action):
+    """Base of an action on `folder` and `names`: the file browser asks for the files, or they are dropped."""
+
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", **HIDDEN)
+    files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, **HIDDEN)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.run(context, wait=bpy.app.background)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return self.execute(context) if self.directory else file_dialog(self, context, event)
+
+    def arguments(self) -> dict[str, Any]:
+        names = [file.name for file in self.files if file.name]
+        return {**super().arguments(), "folder": self.directory, "names": names}
 
 
 def _property(item: Declared) -> object:
@@ -119,6 +144,15 @@ def _started(operator: Any, info: Any, wait: bool) -> set[str]:
     if info.error is not None:
         operator.report({"ERROR"}, f"{info.error['text']} {info.error['remedy']}")
     return {"FINISHED"} if info.state == "finished" else {"CANCELLED"}
+
+
+def report_messages(operator: Any, messages: Iterable[Mapping[str, Any]]) -> None:
+    """Report warnings with their remedies, and notes."""
+    for message in messages:
+        if message["type"] == "warning":
+            operator.report({"WARNING"}, f"{message['text']} {message['remedy']}".strip())
+        else:
+            operator.report({"INFO"}, message["text"])
 
 
 def row_index(rows: Any, index: int, active: int) -> int:

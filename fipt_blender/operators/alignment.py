@@ -4,17 +4,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..core.run.declared import Option
+from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
 from .action import RowIndex, action, row_index
-from .pointer import NAVIGATION, WHEEL, WaitsForClicks, is_cancel, is_click, view_under_pointer
-from .polls import all_of, has_views, in_object_mode, needs, no_job
-from .reporting import reports_errors
+from .pointer import NAVIGATION, ORIGIN, WHEEL, Point, WaitsForClicks, is_cancel, is_click, view_under_pointer
+from .polls import has_views, in_object_mode, needs, no_job
 
 if TYPE_CHECKING:
     from mathutils import Vector
@@ -38,54 +39,15 @@ _STEPS = {"PAGE_UP": -1, "PAGE_DOWN": 1}
 _has_pairs = needs(lambda context: context.scene.fipt.alignment.pairs, "Pick points first")
 
 
-class FIPT_OT_pick_pair(WaitsForClicks, bpy.types.Operator):
-    """Pick a point on the mesh, then the same point in one or two photographs"""
+class _PicksPair(WaitsForClicks):
+    """Base of an action on a point of the mesh and the same point in photographs, which the artist clicks."""
 
-    bl_idname = "fipt.pick_pair"
-    bl_label = "Pick Points"
-    bl_options = {"REGISTER", "UNDO"}
     text_in_header = True
-
-    object: bpy.props.StringProperty(name="Object", description="Mesh object", options={"SKIP_SAVE"})
-    location: bpy.props.FloatVectorProperty(
-        name="Location", description="Point on the mesh in world space", subtype="XYZ", options={"SKIP_SAVE"}
-    )
-    view: bpy.props.StringProperty(
-        name="View", description="Name of the view with the photograph", options={"SKIP_SAVE"}
-    )
-    pixel: bpy.props.FloatVectorProperty(
-        name="Pixel", description="The point in its photograph", size=2, options={"SKIP_SAVE"}
-    )
-    second_view: bpy.props.StringProperty(
-        name="Second View", description="Name of another view, or empty", options={"SKIP_SAVE"}
-    )
-    second_pixel: bpy.props.FloatVectorProperty(
-        name="Second Pixel", description="The point in its photograph", size=2, options={"SKIP_SAVE"}
-    )
-
-    poll = all_of(has_views, in_object_mode)
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from mathutils import Vector
-
-        from ..blend.capture.pairs import PickedSight, add_pair
-
-        item = context.scene.objects.get(self.object)
-        if item is None or item.type != "MESH":
-            self.report({"ERROR"}, f"There is no mesh object '{self.object}'. Use the name of one.")
-            return {"CANCELLED"}
-        sights = [PickedSight(self.view, *self.pixel)]
-        if self.second_view:
-            sights.append(PickedSight(self.second_view, *self.second_pixel))
-        add_pair(context.scene, item, Vector(self.location), sights)
-        return {"FINISHED"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.properties.is_property_set("location"):
             return self.execute(context)
-        if context.area is None or context.area.type != "VIEW_3D":
-            self.report({"ERROR"}, "Run this operator in a 3D Viewport.")
+        if not self.is_in_viewport(context):
             return {"CANCELLED"}
         self._picked: tuple[str, Vector] | None = None
         self._sights: list[PickedSight] = []
@@ -184,7 +146,29 @@ class FIPT_OT_pick_pair(WaitsForClicks, bpy.types.Operator):
             context.space_data.region_3d.view_perspective = "PERSP"
 
 
-@action("Remove Pair", needs=(_has_pairs,))
+@action("Pick Points", needs=(has_views, in_object_mode), bases=(_PicksPair,))
+def pick_pair(
+    scene: bpy.types.Scene,
+    object: Annotated[str, "Mesh object"] = "",
+    location: Annotated[Point, Option("Point on the mesh in world space", shown={"subtype": "XYZ"})] = ORIGIN,
+    view: Annotated[str, "Name of the view with the photograph"] = "",
+    pixel: Annotated[tuple[float, float], "The point in its photograph"] = (0.0, 0.0),
+    second_view: Annotated[str, "Name of another view, or empty"] = "",
+    second_pixel: Annotated[tuple[float, float], "The point in its photograph"] = (0.0, 0.0),
+) -> None:
+    """Pick a point on the mesh, then the same point in one or two photographs."""
+    from mathutils import Vector
+
+    from ..blend.capture.pairs import PickedSight, add_pair
+
+    item = scene.objects.get(object)
+    if item is None or item.type != "MESH":
+        raise FiptError("room-missing", f"There is no mesh object '{object}'.", "Use the name of one.")
+    picked = [(view, *pixel), *([(second_view, *second_pixel)] if second_view else ())]
+    add_pair(scene, item, Vector(location), [PickedSight(*sight) for sight in picked])
+
+
+@action("Remove Pair", needs=(_has_pairs,), listed=False)
 def remove_pair(scene: bpy.types.Scene, index: RowIndex = -1) -> None:
     """Remove this pair of points."""
     from ..blend.capture import pairs

@@ -19,9 +19,8 @@ from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
 from ..jobs.tasks import Task
-from .action import REGISTER, action, file_dialog, note
+from .action import REGISTER, Glob, Messages, action, file_dialog, note
 from .polls import has_meshes, has_views, in_object_mode, needs, no_job, views_checked
-from .reporting import Messages
 
 if TYPE_CHECKING:
     from ..bridge.job import Job
@@ -80,7 +79,7 @@ def import_mesh(
     filepath: Annotated[
         str, Option("OBJ, PLY, STL, glTF, FBX or USD", "Mesh", shown={"subtype": "FILE_PATH"})
     ] = "",
-    filter_glob: Annotated[str, Option("Files to show", shown={"options": {"HIDDEN"}})] = _MESH_FILES,
+    filter_glob: Glob = _MESH_FILES,
 ) -> str:
     """Import a mesh file as the room, in the coordinates of the capture. The previous room is set aside."""
     from ..blend.capture import importing
@@ -184,7 +183,7 @@ def look_through(
     settings.active_view = index
 
 
-@action("Tick Views", needs=(has_views,))
+@action("Tick Views", needs=(has_views,), listed=False)
 def tick_views(
     scene: bpy.types.Scene, action: Annotated[str, Option("Views to tick", choices=TICKS)] = "ALL"
 ) -> None:

@@ -16,9 +16,8 @@ from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
 from ..jobs.window import show_notice
 from ..properties.check import BACKDROPS
-from .action import REGISTER, action, warning
+from .action import REGISTER, Messages, action, warning
 from .polls import has_results, has_run, in_object_mode, needs, no_job
-from .reporting import Messages
 
 if TYPE_CHECKING:
     from ..bridge.job import Job
@@ -102,6 +101,7 @@ def _has_room(context: bpy.types.Context) -> bool:
     description=classmethod(
         lambda cls, context, properties: next(row[2] for row in BACKDROPS if row[0] == properties.mode)
     ),
+    listed=False,
 )
 def set_backdrop(
     scene: bpy.types.Scene,

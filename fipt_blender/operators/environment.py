@@ -19,8 +19,8 @@ from ..core.run.errors import FiptError
 from ..jobs import running
 from ..jobs.tasks import Task
 from ..panels.sidebar import size_text
-from .action import REGISTER, action, reported
-from .polls import all_of, needs, no_job
+from .action import HIDDEN, REGISTER, Action, action, warning
+from .polls import needs, no_job
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -62,9 +62,7 @@ def _ask(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[s
 )
 def set_up_engine(
     scene: bpy.types.Scene,
-    confirmed: Annotated[
-        bool, Option("Whether the size of the download was told", shown={"options": {"HIDDEN", "SKIP_SAVE"}})
-    ] = False,
+    confirmed: Annotated[bool, Option("Whether the size of the download was told", shown=HIDDEN)] = False,
 ) -> Task:
     """Create a Python environment for the engine and install its packages there. Blender's own Python is not
     changed. If you cancel, the finished downloads are kept.
@@ -125,22 +123,10 @@ class FIPT_PG_data_item(bpy.types.PropertyGroup):
     kept: bpy.props.StringProperty(description="Why the folder can't be deleted; empty if it can")
 
 
-class FIPT_OT_clear_data(bpy.types.Operator):
-    """Select cached runs and engine environments to delete. Runs that the open file uses are kept"""
+class _TicksFolders(Action):
+    """Base of an action on the names of folders, which a dialog lists to be ticked."""
 
-    bl_idname = "fipt.clear_data"
-    bl_label = "Clear Cached Data"
-    bl_options = {"REGISTER"}
-
-    poll = all_of(no_job)
-
-    names: bpy.props.StringProperty(
-        name="Names",
-        description="Names of the folders to delete, separated by semicolons, for scripts. If empty, all runs"
-        " that are not in use are deleted",
-        options={"SKIP_SAVE"},
-    )
-    items: bpy.props.CollectionProperty(type=FIPT_PG_data_item, options={"SKIP_SAVE", "HIDDEN"})
+    items: bpy.props.CollectionProperty(type=FIPT_PG_data_item, **HIDDEN)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         from ..bridge import storage
@@ -172,61 +158,67 @@ class FIPT_OT_clear_data(bpy.types.Operator):
             row.prop(item, "ticked", text=item.name, translate=False)
             row.label(text=iface_(item.kept) if item.kept else item.note, translate=False)
         if any("engine-" not in item.name for item in self.items):
-            column = layout.column(align=True)
-            column.scale_y = 0.8
-            column.label(
-                text="Other .blend files lose the textures that they use from these runs,", icon="ERROR"
-            )
-            column.label(text="unless the textures are packed into the files", icon="BLANK1")
+            text = "Other .blend files lose the textures of these runs, unless the files have packed them"
+            layout.label(text=text, icon="ERROR")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from_dialog = bool(self.items) and not bpy.app.background and context.window is not None
-        return reported(self, context, not from_dialog, self._task)
+        if from_dialog:
+            self.names = ";".join(item.name for item in self.items if item.ticked and not item.kept)
+            if not self.names:
+                return {"CANCELLED"}
+        return self.run(context, wait=not from_dialog)
 
-    def _task(self) -> Task:
-        from ..jobs.data_job import data_task
 
-        return data_task("Clear Cached Data", self._steps)
+@action("Clear Cached Data", needs=(no_job,), options=REGISTER, bases=(_TicksFolders,), listed=False)
+def clear_data(
+    scene: bpy.types.Scene,
+    names: Annotated[
+        str,
+        "Names of the folders to delete, separated by semicolons. If empty, all runs that are not in use",
+    ] = "",
+) -> Task:
+    """Select cached runs and engine environments to delete. Runs that the open file uses are kept."""
+    from ..jobs.data_job import data_task
 
-    def _steps(self) -> list[Step]:
-        from ..bridge import storage
-        from ..bridge.step import Step
+    return data_task("Clear Cached Data", lambda: [_clearing(names)])
 
-        data, used = machine.data_folder(), used_paths()
-        stored = {item.folder.name: item for item in storage.list_items(data)}
-        if self.names:
-            names = [name.strip() for name in self.names.split(";") if name.strip()]
-        elif self.items:
-            names = [item.name for item in self.items if item.ticked and not item.kept]
-        else:
-            names = [
-                name
-                for name, item in stored.items()
-                if item.kind == storage.RUN and not storage.why_in_use(item, used)
-            ]
-        unknown = [name for name in names if name not in stored]
-        if unknown:
-            raise FiptError(
-                "run-foreign",
-                f"There is no run and no environment named {', '.join(unknown)} in {data}.",
-                "Use names that the dialog Clear Cached Data lists.",
-            )
-        chosen = [stored[name] for name in names]
-        if any(item.current for item in chosen):
-            machine.store_status({})
 
-        def clear() -> Slices[list[Message]]:
-            warnings: list[Message] = []
-            for index, item in enumerate(chosen):
-                try:
-                    for _ in storage.delete(item, data, used):
-                        yield index / len(chosen)
-                except FiptError as error:
-                    message = {"code": error.code, "text": error.text, "remedy": error.remedy}
-                    warnings.append({"type": "warning", **message})
-            return warnings
+def _clearing(names: str) -> Step:
+    """The step of Clear Cached Data.
 
-        return [Step("clear", "Deleting cached data", 5.0, function=clear)]
+    Raises:
+        FiptError: ``run-foreign``.
+    """
+    from ..bridge import storage
+    from ..bridge.step import Step
+
+    data, used = machine.data_folder(), used_paths()
+    stored = {item.folder.name: item for item in storage.list_items(data)}
+    runs = [name for name, item in stored.items() if item.kind == storage.RUN]
+    unused = [name for name in runs if not storage.why_in_use(stored[name], used)]
+    chosen = [name.strip() for name in names.split(";") if name.strip()] if names else unused
+    unknown = [name for name in chosen if name not in stored]
+    if unknown:
+        raise FiptError(
+            "run-foreign",
+            f"There is no run and no environment named {', '.join(unknown)} in {data}.",
+            "Use names that the dialog Clear Cached Data lists.",
+        )
+    if any(stored[name].current for name in chosen):
+        machine.store_status({})
+
+    def clear() -> Slices[list[Message]]:
+        warnings: list[Message] = []
+        for index, name in enumerate(chosen):
+            try:
+                for _ in storage.delete(stored[name], data, used):
+                    yield index / len(chosen)
+            except FiptError as error:
+                warnings.append(warning(error.code, error.text, error.remedy))
+        return warnings
+
+    return Step("clear", "Deleting cached data", 5.0, function=clear)
 
 
 def _describe(item: Item) -> str:

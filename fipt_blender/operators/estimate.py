@@ -16,10 +16,10 @@ from ..api import applying, estimating
 from ..core.run.declared import Option
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..core.run.settings import PRESETS
-from ..jobs import running, runstate
+from ..jobs import running
 from ..jobs.tasks import Task
-from .action import REGISTER, UNDO, action
-from .polls import has_no_capture, has_run, in_object_mode, needs, no_job
+from .action import HIDDEN, REGISTER, UNDO, Action, Messages, action, note, warning
+from .polls import has_no_capture, has_run, in_object_mode, needs, no_job, run_state
 
 if TYPE_CHECKING:
     from ..bridge.job import Job
@@ -51,20 +51,16 @@ def estimate(
     return estimating.estimation(keep_stages=keep)
 
 
-def _state(context: bpy.types.Context) -> runstate.RunState:
-    return runstate.known(context.scene.fipt.run_folder)
-
-
 @action(
     "Resume",
     needs=(
         *_can_start,
         needs(
-            lambda context: _state(context).stages,
+            lambda context: run_state(context).stages,
             "There is no stopped run to resume",
         ),
         needs(
-            lambda context: not _state(context).finished,
+            lambda context: not run_state(context).finished,
             "The last run is finished. Use Estimate to start a new one",
         ),
     ),
@@ -77,26 +73,10 @@ def resume(scene: bpy.types.Scene) -> Task:
     return estimating.estimation(keep_stages=True, keep_hints=True)
 
 
-class FIPT_OT_notice(bpy.types.Operator):
-    """Show a text in the status bar and the Info editor"""
-
-    bl_idname = "fipt.notice"
-    bl_label = "Show Notice"
-    bl_options = {"INTERNAL"}
-
-    text: bpy.props.StringProperty(name="Text", options={"HIDDEN", "SKIP_SAVE"})
-    level: bpy.props.EnumProperty(
-        name="Level",
-        items=(("INFO", "Info", ""), ("WARNING", "Warning", ""), ("ERROR", "Error", "")),
-        options={"HIDDEN", "SKIP_SAVE"},
-    )
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        self.report({self.level}, self.text)
-        return {"FINISHED"}
+class _FromWindow(Action):
+    """Base of an action that reports from a window's event: Blender only prints what others report."""
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Report from a window's event: Blender only prints what an operator reports to a script."""
         self._timer = context.window_manager.event_timer_add(0.05, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
@@ -108,53 +88,55 @@ class FIPT_OT_notice(bpy.types.Operator):
         return self.execute(context)
 
 
-class FIPT_OT_cancel(bpy.types.Operator):
-    """Stop the running job within two seconds. Finished stages are kept, and Resume continues from there"""
+@action("Show Notice", options={"INTERNAL"}, bases=(_FromWindow,))
+def notice(
+    scene: bpy.types.Scene,
+    text: Annotated[str, Option("What is shown", shown=HIDDEN)] = "",
+    level: Annotated[str, Option('"INFO" or "WARNING"', shown=HIDDEN)] = "INFO",
+) -> Messages:
+    """Show a text in the status bar and the Info editor."""
+    return [warning("notice", text) if level == "WARNING" else note(text)]
 
-    bl_idname = "fipt.cancel"
-    bl_label = "Cancel"
-    bl_options = {"INTERNAL"}
 
-    by_key: bpy.props.BoolProperty(
-        name="By Key",
-        description="Pressed as a shortcut, which may have been meant for something else",
-        options={"HIDDEN", "SKIP_SAVE"},
+def _stop_or_ask(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    """Cancel at once, but ask first where the Esc key would end a long run."""
+    from ..jobs import session
+    from ..panels.progress import time_text
+
+    job = running.current()
+    if not self.by_key or job is None:
+        return self.execute(context)
+    if session.stops_playback(context.screen):
+        return {"PASS_THROUGH"}
+    if job.worked_seconds < 60.0:  # after so much work, Esc asks before it cancels
+        return self.execute(context)
+    message = iface_("It has been running for {}. Finished stages are kept for Resume.")
+    return context.window_manager.invoke_confirm(
+        self,
+        event,
+        title=iface_("Stop '{}'?").format(iface_(job.title)),
+        message=message.format(time_text(job.worked_seconds)),
+        confirm_text=iface_("Stop"),
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        job = running.current()
-        if job is None or job.stopping:
-            cls.poll_message_set("No job is running" if job is None else "The job is stopping already")
-            return False
-        return True
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Cancel at once, but ask first where the Esc key would end a long run."""
-        from ..jobs import session
-        from ..panels.progress import time_text
-
-        job = running.current()
-        if not self.by_key or job is None:
-            return self.execute(context)
-        if session.stops_playback(context.screen):
-            return {"PASS_THROUGH"}
-        if job.worked_seconds < 60.0:  # after so much work, Esc asks before it cancels
-            return self.execute(context)
-        message = iface_("It has been running for {}. Finished stages are kept for Resume.").format(
-            time_text(job.worked_seconds)
-        )
-        return context.window_manager.invoke_confirm(
-            self,
-            event,
-            title=iface_("Stop '{}'?").format(iface_(job.title)),
-            message=message,
-            confirm_text=iface_("Stop"),
-        )
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        running.cancel()
-        return {"FINISHED"}
+@action(
+    "Cancel Job",
+    needs=(
+        needs(lambda _: running.current(), "No job is running"),
+        needs(lambda _: not getattr(running.current(), "stopping", False), "The job is stopping already"),
+    ),
+    options=(),
+    invoke=_stop_or_ask,
+)
+def cancel(
+    scene: bpy.types.Scene,
+    by_key: Annotated[
+        bool, Option("Pressed as a shortcut, which may have been meant for something else", shown=HIDDEN)
+    ] = False,
+) -> None:
+    """Stop the running job within two seconds. Finished stages are kept, and Resume continues from there."""
+    running.cancel()
 
 
 @action(
@@ -166,6 +148,7 @@ class FIPT_OT_cancel(bpy.types.Operator):
         ),
         *_can_start,
     ),
+    listed=False,
 )
 def smaller_preset(scene: bpy.types.Scene) -> Task:
     """Select the next smaller preset, reset changed settings, and estimate again. Stages that are the same in
@@ -210,10 +193,10 @@ def show_parts(scene: bpy.types.Scene, show: Annotated[bool, "Show or hide the c
     survey.show_parts(scene) if show else overlay.hide()
 
 
-Version = Annotated[str, Option("Name of its run folder", shown={"options": {"SKIP_SAVE", "HIDDEN"}})]
+Version = Annotated[str, Option("Name of its run folder", shown=HIDDEN)]
 
 
-@action("Apply Version", needs=(no_job, has_run, in_object_mode))
+@action("Apply Version", needs=(no_job, has_run, in_object_mode), listed=False)
 def use_version(scene: bpy.types.Scene, version: Version = "") -> Task:
     """Apply this estimate to the room; the scene goes on with its run folder."""
     return applying.version_change(version)
@@ -234,6 +217,7 @@ def _confirm(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> s
     needs=(needs(lambda context: running.current() is None, "Wait for the end of the running job"), has_run),
     options=REGISTER,
     invoke=_confirm,
+    listed=False,
 )
 def delete_version(scene: bpy.types.Scene, version: Version = "") -> None:
     """Delete the run folder of this estimate from the disk. This can't be undone."""

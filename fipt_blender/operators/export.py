@@ -12,9 +12,8 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.declared import Option
 from ..core.run.errors import FiptError
-from .action import REGISTER, action, file_dialog, note
+from .action import REGISTER, Glob, Messages, action, file_dialog, note
 from .polls import has_results, in_object_mode, needs
-from .reporting import Messages
 
 KEPT: dict[str, Any] = {"options": set()}  # what was chosen last is offered again
 
@@ -53,9 +52,7 @@ def _ask(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[s
 def export_room(
     scene: bpy.types.Scene,
     filepath: Annotated[str, Option("The file to write", "File", shown=KEPT | {"subtype": "FILE_PATH"})] = "",
-    filter_glob: Annotated[
-        str, Option("Files to show", shown={"options": {"HIDDEN"}})
-    ] = "*.glb;*.gltf;*.usd;*.usda;*.usdc;*.usdz",
+    filter_glob: Glob = "*.glb;*.gltf;*.usd;*.usda;*.usdc;*.usdz",
     file_format: Annotated[
         str, Option("Format of a file whose name has none", "Format", choices=FORMATS, shown=KEPT)
     ] = ".glb",

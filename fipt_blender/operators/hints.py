@@ -14,18 +14,12 @@ from ..api import applying, estimating
 from ..blend.marks import is_fixture
 from ..core.run.declared import Option
 from ..core.run.errors import FiptError
-from ..jobs import runstate
 from ..jobs.tasks import Task
 from ..properties.hints import ANSWERS, EMISSION
 from .action import RowIndex, action, row_index
 from .lights import LightName, find_light, own_lights
-from .pointer import DOWN, Direction, Origin, PicksAlongRay, PointerRay, SkipBacks
-from .polls import has_run, in_object_mode, needs, no_job
-
-
-def _state(context: bpy.types.Context) -> runstate.RunState:
-    return runstate.known(context.scene.fipt.run_folder)
-
+from .pointer import PicksAlongRay, PointerRay
+from .polls import has_run, in_object_mode, needs, no_job, run_state
 
 _in_room_mode = needs(lambda context: context.mode in ("OBJECT", "SCULPT"), "Switch to Object Mode first")
 _has_hint = needs(lambda context: context.scene.fipt.hints.hint() is not None, "Add a hint first")
@@ -61,16 +55,14 @@ def _clicked(context: bpy.types.Context, ray: PointerRay) -> tuple[bpy.types.Obj
 )
 def add_hint(
     context: bpy.types.Context,
+    ray: PointerRay,
     what: Annotated[str, Option("What the hint is about", "About", choices=ABOUT)] = "PART",
-    origin: Origin = (0.0, 0.0, 0.0),
-    direction: Direction = DOWN,
-    skip_backs: SkipBacks = False,
 ) -> None:
     """Click on a part of the room, or on a face set, to say what it is made of."""
     from ..blend.hints import exchange
     from ..blend.hints.anchors import face_set_at, set_area
 
-    item, face, point = _clicked(context, PointerRay(Vector(origin), Vector(direction), skip_backs))
+    item, face, point = _clicked(context, ray)
     chosen = face_set_at(item, face) if what == "FACE_SET" else None
     hint = exchange.add_hint(context.scene, item.name, item, point)
     if chosen is not None:
@@ -83,14 +75,9 @@ def add_hint(
     bases=(PicksAlongRay,),
     pick_text="Click: Choose the Part of the Same Material   Esc, Right Click: Cancel",
 )
-def pick_same_material(
-    context: bpy.types.Context,
-    origin: Origin = (0.0, 0.0, 0.0),
-    direction: Direction = DOWN,
-    skip_backs: SkipBacks = False,
-) -> None:
+def pick_same_material(context: bpy.types.Context, ray: PointerRay) -> None:
     """Click on a part that is of the same material as the active hint's."""
-    item, _, point = _clicked(context, PointerRay(Vector(origin), Vector(direction), skip_backs))
+    item, _, point = _clicked(context, ray)
     hint = context.scene.fipt.hints.hint()
     hint.same_object, hint.same_point = item, item.matrix_world.inverted_safe() @ point
 
@@ -112,7 +99,7 @@ def add_area_hint(context: bpy.types.Context) -> None:
     set_area(hint, item, chosen)
 
 
-@action("Remove Hint", needs=(_has_hint,))
+@action("Remove Hint", needs=(_has_hint,), listed=False)
 def remove_hint(
     scene: bpy.types.Scene,
     index: RowIndex = -1,
@@ -139,6 +126,7 @@ def read_doubts(scene: bpy.types.Scene) -> str:
     needs=(
         needs(lambda context: context.scene.fipt.hints.doubt() is not None, "Use Find Doubtful Parts first"),
     ),
+    listed=False,
 )
 def answer_doubt(
     scene: bpy.types.Scene,
@@ -152,7 +140,7 @@ def answer_doubt(
     exchange.answer_doubt(scene, row_index(settings.doubts, index, settings.active_doubt), answer)
 
 
-@action("Hint on Lamp", needs=own_lights)
+@action("Hint on Lamp", needs=own_lights, listed=False)
 def hint_on_lamp(
     scene: bpy.types.Scene,
     light: LightName = "",
@@ -175,7 +163,7 @@ def hint_on_lamp(
     needs=(
         no_job,
         has_run,
-        needs(lambda context: _state(context).results, "Finish an estimate first"),
+        needs(lambda context: run_state(context).results, "Finish an estimate first"),
         in_object_mode,
     ),
 )

@@ -14,9 +14,8 @@ from ..blend.marks import BAKED, FIXTURE, NEW_LIGHT, fixture_lights, has_light_g
 from ..core.run.declared import Option
 from ..core.run.errors import FiptError
 from ..properties.lights import FIPT_Light
-from .action import REGISTER, action, dialog, file_dialog, note, warning
+from .action import REGISTER, Glob, Messages, action, dialog, file_dialog, note, warning
 from .polls import has_results, in_object_mode, is_own_room, needs
-from .reporting import Messages
 
 LightName = Annotated[str, "Name of the light. If empty, the active light of the list is used"]
 
@@ -233,7 +232,7 @@ def remove_light_state(scene: bpy.types.Scene, state: State = "") -> None:
 def set_ies_profile(
     scene: bpy.types.Scene,
     filepath: Annotated[str, Option("The file of the profile", "File", shown={"subtype": "FILE_PATH"})] = "",
-    filter_glob: Annotated[str, Option("Files to show", shown={"options": {"HIDDEN"}})] = "*.ies",
+    filter_glob: Glob = "*.ies",
     light: LightName = "",
 ) -> None:
     """Put the file of a lamp's IES profile into an IES Texture node of the light, which becomes a point and

@@ -9,17 +9,15 @@ from typing import Annotated, Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
-from mathutils import Vector
 
 from ..api import applying
 from ..core.run.declared import Option
 from ..core.run.errors import FiptError
 from ..jobs.tasks import Task
 from ..properties.materials import SHOWN
-from .action import action, dialog, file_dialog, note, warning
-from .pointer import DOWN, Direction, Origin, PicksAlongRay, PointerRay, SkipBacks
+from .action import Messages, action, dialog, file_dialog, note, warning
+from .pointer import PicksAlongRay, PointerRay
 from .polls import has_results, in_object_mode, is_own_room, needs, no_job
-from .reporting import Messages
 
 
 @action(
@@ -38,7 +36,7 @@ def apply_results(scene: bpy.types.Scene) -> Task:
     return applying.application()
 
 
-@action("Show Map", needs=(has_results, in_object_mode), bl_property="shown")
+@action("Show Map", needs=(has_results, in_object_mode), bl_property="shown", listed=False)
 def show_map(
     scene: bpy.types.Scene,
     shown: Annotated[str, Option("What the room shows", "Show", choices=SHOWN)] = "ESTIMATED",
@@ -116,16 +114,10 @@ AllParts = Annotated[bool, "All parts instead of the active one"]
     bases=(PicksAlongRay,),
     pick_text="Click: Choose the Part   Esc, Right Click: Cancel",
 )
-def pick_part(
-    context: bpy.types.Context,
-    origin: Origin = (0.0, 0.0, 0.0),
-    direction: Direction = DOWN,
-    skip_backs: SkipBacks = False,
-) -> None:
+def pick_part(context: bpy.types.Context, ray: PointerRay) -> None:
     """Click on the room to choose the part under the mouse pointer."""
     from ..blend.results.part_list import part_under
 
-    ray = PointerRay(Vector(origin), Vector(direction), skip_backs)
     key = part_under(context.scene, context.evaluated_depsgraph_get(), *ray)
     rows = context.scene.fipt.materials.parts
     index = next((i for i, row in enumerate(rows) if key and row.key == key), None)

@@ -12,81 +12,36 @@ from mathutils import Matrix, Vector
 from ..blend.marks import NEW_LIGHT
 from ..core.run.declared import Option
 from .action import action
-from .pointer import PicksInViewport, surface_under_pointer
-from .polls import all_of, in_object_mode, needs
-from .reporting import reports_errors
+from .pointer import DOWN, ORIGIN, PicksInViewport, Point, surface_under_pointer
+from .polls import in_object_mode, needs
 
 _PICK_TEXT = "Click: Point the new light at this surface   Esc, Right Click: Cancel"
 
 
-class FIPT_OT_add_light(PicksInViewport, bpy.types.Operator):
-    bl_idname = "fipt.add_light"
-    bl_label = "Add Light"
-    bl_description = (
-        "Add an area light with a size and power that suit the room: at the 3D cursor shining down, or"
-        " pointing at the surface that you click. On a ceiling, it hangs there and shines down"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+PLACES = (
+    ("CURSOR", "At 3D Cursor", "At the 3D cursor, shining down", "CURSOR"),
+    ("PICK", "Pointing at Click", "Pointing at the surface that you click", "RESTRICT_SELECT_OFF"),
+)
+
+
+class _PicksTarget(PicksInViewport):
+    """Base of an action on a place, a direction, a size and a power, which the click or the room tell."""
+
     text_in_header = True
 
-    place: bpy.props.EnumProperty(
-        name="Place",
-        description="Where the light goes",
-        items=[
-            ("CURSOR", "At 3D Cursor", "At the 3D cursor, shining down", "CURSOR", 0),
-            ("PICK", "Pointing at Click", "Pointing at the surface that you click", "RESTRICT_SELECT_OFF", 1),
-        ],
-        options={"SKIP_SAVE"},
-    )
-    location: bpy.props.FloatVectorProperty(
-        name="Location",
-        description="Center of the light, in world space. If not set, the 3D cursor is used",
-        subtype="TRANSLATION",
-        options={"SKIP_SAVE"},
-    )
-    direction: bpy.props.FloatVectorProperty(
-        name="Direction",
-        description="Direction in which the light shines, in world space",
-        subtype="XYZ",
-        default=(0.0, 0.0, -1.0),
-        options={"SKIP_SAVE"},
-    )
-    size: bpy.props.FloatProperty(
-        name="Size",
-        description="Side of the square light. If 0, it is chosen to suit the room",
-        subtype="DISTANCE",
-        min=0.0,
-        options={"SKIP_SAVE"},
-    )
-    power: bpy.props.FloatProperty(
-        name="Power",
-        description="Power in watts. If 0, the room becomes about as bright as in its photographs",
-        subtype="POWER",
-        min=0.0,
-        options={"SKIP_SAVE"},
-    )
-
-    poll = all_of(in_object_mode)
-
-    @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.lights.new_lights import add_light, suggest
-        from ..blend.outliner import select_only
+        from ..blend.lights.new_lights import suggest
 
-        scene = context.scene
-        suggestion = suggest(scene)
-        if not self.properties.is_property_set("location"):
-            self.location = scene.cursor.location
-        self.size, self.power = self.size or suggestion.size, self.power or suggestion.watts
-        light = add_light(scene, Vector(self.location), Vector(self.direction), self.size, self.power)
-        select_only(context.view_layer, light)
-        return {"FINISHED"}
+        suggestion, values = suggest(context.scene), self.properties
+        if not values.is_property_set("location"):
+            values.location = context.scene.cursor.location
+        values.size, values.power = values.size or suggestion.size, values.power or suggestion.watts
+        return self.run(context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.place == "CURSOR" or self.properties.is_property_set("location"):
             return self.execute(context)
-        if context.area is None or context.area.type != "VIEW_3D":
-            self.report({"ERROR"}, "Run this operator in a 3D Viewport.")
+        if not self.is_in_viewport(context):
             return {"CANCELLED"}
         return self.wait_for_clicks(context, _PICK_TEXT)
 
@@ -107,6 +62,47 @@ class FIPT_OT_add_light(PicksInViewport, bpy.types.Operator):
         return True
 
 
+@action("Add Light", needs=(in_object_mode,), bases=(_PicksTarget,))
+def add_light(
+    context: bpy.types.Context,
+    place: Annotated[str, Option("Where the light goes", choices=PLACES)] = "CURSOR",
+    location: Annotated[
+        Point,
+        Option(
+            "Center of the light, in world space. If not set, the 3D cursor is used",
+            shown={"subtype": "TRANSLATION"},
+        ),
+    ] = ORIGIN,
+    direction: Annotated[
+        Point, Option("Direction in which the light shines, in world space", shown={"subtype": "XYZ"})
+    ] = DOWN,
+    size: Annotated[
+        float,
+        Option(
+            "Side of the square light. If 0, it is chosen to suit the room",
+            zero=True,
+            shown={"subtype": "DISTANCE"},
+        ),
+    ] = 0.0,
+    power: Annotated[
+        float,
+        Option(
+            "Power in watts. If 0, the room becomes about as bright as in its photographs",
+            zero=True,
+            shown={"subtype": "POWER"},
+        ),
+    ] = 0.0,
+) -> None:
+    """Add an area light with a size and power that suit the room: at the 3D cursor shining down, or pointing
+    at the surface that you click. On a ceiling, it hangs there and shines down.
+    """
+    from ..blend.lights.new_lights import add_light
+    from ..blend.outliner import select_only
+
+    light = add_light(context.scene, Vector(location), Vector(direction), size, power)
+    select_only(context.view_layer, light)
+
+
 def _can_aim(item: bpy.types.Object | None) -> bool:
     return item is not None and item.type == "LIGHT" and item.data.type in ("AREA", "SPOT")
 
@@ -118,9 +114,8 @@ def _can_aim(item: bpy.types.Object | None) -> bool:
 def aim_light(
     context: bpy.types.Context,
     target: Annotated[
-        tuple[float, ...],
-        Option("Point in world space that the light shines at", shown={"subtype": "TRANSLATION"}),
-    ] = (0.0, 0.0, 0.0),
+        Point, Option("Point in world space that the light shines at", shown={"subtype": "TRANSLATION"})
+    ] = ORIGIN,
 ) -> None:
     """Turn the active light towards a point."""
     from ..blend.lights.new_lights import turn_to

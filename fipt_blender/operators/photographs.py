@@ -6,9 +6,9 @@ a capture of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
 import bpy
 
@@ -17,16 +17,16 @@ from ..core.run.errors import FiptError
 from ..jobs import running
 from ..jobs.tasks import Task
 from ..prepare.preparation import Group, PreparationFolder
-from .action import REGISTER, action
+from .action import REGISTER, ChoosesFiles, Glob, action, file_dialog
 from .pointer import NAVIGATION, WHEEL, WaitsForClicks, is_cancel, is_click
-from .polls import all_of, needs, no_job, over_sidebar
-from .reporting import reports_errors
+from .polls import needs, no_job, over_sidebar
 
 if TYPE_CHECKING:
     from ..bridge.job import Job
     from ..prepare.preparation import Group, PreparationFolder
     from ..properties.photographs import FIPT_PhotographsSettings
 
+_FILES = ";".join(f"*{suffix}" for suffix in SUFFIXES)  # that the file browser shows
 # The groups that this session has written to prepare.json: folder and digest. After an undo the scene's list
 # is an older one, which is no reason to think that somebody else has changed the file.
 _written: set[tuple[str, str]] = set()
@@ -37,37 +37,25 @@ _has_folder = needs(
 )
 
 
-class FIPT_OT_choose_photographs(bpy.types.Operator):
-    """Choose the folder with the photographs, or some photographs in it"""
+def _choose(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    if self.directory:  # dropped files
+        return _then_find_brackets(self.execute(context))
+    return file_dialog(self, context, event)
 
-    bl_idname = "fipt.choose_photographs"
-    bl_label = "Choose Photographs"
-    bl_options = {"REGISTER", "UNDO"}
 
-    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
-    files: bpy.props.CollectionProperty(
-        type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE", "HIDDEN"}
-    )
-    filter_glob: bpy.props.StringProperty(
-        default=";".join(f"*{suffix}" for suffix in SUFFIXES), options={"HIDDEN"}
-    )
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if self.directory:  # dropped files
-            return _then_find_brackets(self.execute(context))
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        settings = context.scene.fipt.photographs
-        folder = Path(bpy.path.abspath(self.directory))
-        if not self.directory or not folder.is_dir():
-            raise FiptError("photographs-missing", "No folder is chosen.", "Choose an existing folder.")
-        settings.path = str(folder)
-        settings.chosen = "\n".join(file.name for file in self.files if file.name)
-        settings.groups.clear()
-        return {"FINISHED"}
+@action("Choose Photographs", bases=(ChoosesFiles,), listed=False, invoke=_choose)
+def choose_photographs(
+    scene: bpy.types.Scene,
+    folder: str,
+    names: Sequence[str],
+    filter_glob: Glob = _FILES,
+) -> None:
+    """Choose the folder with the photographs, or some photographs in it."""
+    settings, path = scene.fipt.photographs, Path(bpy.path.abspath(folder))
+    if not folder or not path.is_dir():
+        raise FiptError("photographs-missing", "No folder is chosen.", "Choose an existing folder.")
+    settings.path, settings.chosen = str(path), "\n".join(names)
+    settings.groups.clear()
 
 
 class FIPT_FH_photographs(bpy.types.FileHandler):
@@ -93,6 +81,7 @@ def _then_find_brackets(result: set[str]) -> set[str]:
     "Make Capture of Photographs",
     needs=(needs(lambda context: context.scene.fipt.capture.path, "Choose a folder first"),),
     invoke=lambda self, context, event: _then_find_brackets(self.run(context)),
+    listed=False,
 )
 def photographs_of_capture(scene: bpy.types.Scene) -> None:
     """Take the folder as photographs without cameras, and find which of them are exposures of one view."""
@@ -103,7 +92,7 @@ def photographs_of_capture(scene: bpy.types.Scene) -> None:
     running.settle("capture", "cameras-missing")
 
 
-@action("Leave Photographs")
+@action("Leave Photographs", listed=False)
 def leave_photographs(scene: bpy.types.Scene) -> None:
     """Go back to the example and other folders. The files that were made of the photographs are kept."""
     for name in ("path", "chosen", "groups", "listed", "registered_count"):
@@ -187,6 +176,9 @@ def prepare(scene: bpy.types.Scene) -> Task:
 
 
 _has_groups = needs(lambda context: context.scene.fipt.photographs.groups, "Use Find Brackets first")
+_has_merged = needs(
+    lambda context: context.scene.fipt.photographs.groups, "Use Find Brackets and Make Capture first"
+)
 
 
 def _edit(settings: FIPT_PhotographsSettings, change: Callable[[list[Group]], list[Group]]) -> None:
@@ -271,11 +263,6 @@ def _write_groups(settings: FIPT_PhotographsSettings, folder: PreparationFolder)
 _TEXTS = ("Click: First point   Esc, Right Click: Cancel", "Click: Second point   Esc, Right Click: Cancel")
 
 
-_has_merged = needs(
-    lambda context: context.scene.fipt.photographs.groups, "Use Find Brackets and Make Capture first"
-)
-
-
 @action("Show Merged Image", needs=(_has_merged,), options=REGISTER)
 def show_merged(context: bpy.types.Context) -> None:
     """Show the merged image of the active group in an Image Editor, to pick points in it."""
@@ -287,54 +274,20 @@ def show_merged(context: bpy.types.Context) -> None:
         area.spaces.active.show_region_ui = True
 
 
-class FIPT_OT_pick_scale_points(WaitsForClicks, bpy.types.Operator):
-    """Click two points whose distance you know in the merged image that is shown"""
+class _PicksTwice(WaitsForClicks):
+    """Base of an action on a view and two points of its image, which the artist clicks."""
 
-    bl_idname = "fipt.pick_scale_points"
-    bl_label = "Pick Two Points"
-    bl_options = {"REGISTER", "UNDO"}
     text_in_header = True
-
-    view: bpy.props.StringProperty(name="View", description="Name of the group", options={"SKIP_SAVE"})
-    points: bpy.props.FloatVectorProperty(
-        name="Points",
-        description="Both points in pixels from the top left corner of the image: x, y, x, y",
-        size=4,
-        options={"SKIP_SAVE"},
-    )
-    extend: bpy.props.BoolProperty(
-        name="Extend",
-        description="Add another view of the same points, which makes their distance more exact",
-        options={"SKIP_SAVE"},
-    )
-
-    poll = all_of(_has_merged)
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        from ..blend.capture.scale_picks import with_picks
-
-        settings = context.scene.fipt.photographs
-        if self.view not in settings.groups:
-            raise FiptError("scale-view", f"There is no group '{self.view}'.", "Name one of the list.")
-        first, second = tuple(self.points)[:2], tuple(self.points)[2:]
-        if first == second:
-            raise FiptError("scale-point", "The two picked points are the same.", "Pick two points.")
-        before = settings.scale_picks if self.extend else ""
-        settings.scale_picks = with_picks(before, self.view, first, second)
-        settings.scale = "points"
-        return {"FINISHED"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.properties.is_property_set("points"):
             return self.execute(context)
         from ..blend.capture.scale_picks import shown_group
 
-        name = shown_group(context.space_data, context.scene.fipt.photographs)
-        if not name:
+        self.view = shown_group(context.space_data, context.scene.fipt.photographs)
+        if not self.view:
             self.report({"ERROR"}, "Use Show Merged Image, and pick in the Image Editor.")
             return {"CANCELLED"}
-        self.view = name
         self._clicks: list[tuple[float, float]] = []
         return self.wait_for_clicks(context, _TEXTS[0])
 
@@ -357,6 +310,30 @@ class FIPT_OT_pick_scale_points(WaitsForClicks, bpy.types.Operator):
         self.points = (*self._clicks[0], *self._clicks[1])
         self.cancel(context)
         return self.execute(context)
+
+
+@action("Pick Two Points", needs=(_has_merged,), bases=(_PicksTwice,), listed=False)
+def pick_scale_points(
+    scene: bpy.types.Scene,
+    view: Annotated[str, "Name of the group"] = "",
+    points: Annotated[
+        tuple[float, ...], "Both points in pixels from the top left corner of the image: x, y, x, y"
+    ] = (0.0,) * 4,
+    extend: Annotated[
+        bool, "Add another view of the same points, which makes their distance more exact"
+    ] = False,
+) -> None:
+    """Click two points whose distance you know in the merged image that is shown."""
+    from ..blend.capture.scale_picks import with_picks
+
+    settings = scene.fipt.photographs
+    if view not in settings.groups:
+        raise FiptError("scale-view", f"There is no group '{view}'.", "Name one of the list.")
+    if points[:2] == points[2:]:
+        raise FiptError("scale-point", "The two picked points are the same.", "Pick two points.")
+    before = settings.scale_picks if extend else ""
+    settings.scale_picks = with_picks(before, view, points[:2], points[2:])
+    settings.scale = "points"
 
 
 def _merged(settings: FIPT_PhotographsSettings) -> str:

@@ -4,16 +4,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+from typing import Any, NamedTuple
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Vector
 
-from ..core.run.declared import Option
+from .action import Action
 
 # Events that move the view or zoom; modal operators pass them on. The mouse wheel zooms as well.
 NAVIGATION = ("MIDDLEMOUSE", "TRACKPADPAN", "TRACKPADZOOM", "MOUSEROTATE", "MOUSESMARTZOOM", "NDOF_MOTION")
+Point = tuple[float, float, float]
+ORIGIN, DOWN = (0.0, 0.0, 0.0), (0.0, 0.0, -1.0)  # the default point and direction
 WHEEL = ("WHEELUPMOUSE", "WHEELDOWNMOUSE", "WHEELINMOUSE", "WHEELOUTMOUSE")
 
 
@@ -89,7 +91,7 @@ def is_cancel(event: bpy.types.Event) -> bool:
     return event.type in ("ESC", "RIGHTMOUSE") and event.value == "PRESS"
 
 
-class WaitsForClicks:
+class WaitsForClicks(Action):
     """Mix-in of a modal operator that waits for clicks; a subclass implements `modal`.
 
     Attributes:
@@ -106,6 +108,13 @@ class WaitsForClicks:
         self.say(context, text)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
+
+    def is_in_viewport(self, context: bpy.types.Context) -> bool:
+        """Whether the operator runs in a 3D viewport; reported if not."""
+        found = context.area is not None and context.area.type == "VIEW_3D"
+        if not found:
+            self.report({"ERROR"}, "Run this operator in a 3D Viewport.")
+        return found
 
     def say(self, context: bpy.types.Context, text: str) -> None:
         """Show what to click next."""
@@ -138,7 +147,7 @@ class PicksInViewport(WaitsForClicks):
             return {"PASS_THROUGH"}
         if not self.take_click(context, event):
             return {"RUNNING_MODAL"}
-        result: set[str] = self.execute(context)  # type: ignore[attr-defined]
+        result: set[str] = self.execute(context)
         if result == {"CANCELLED"}:  # the report says why; another click may do
             return {"RUNNING_MODAL"}
         self.cancel(context)
@@ -149,23 +158,25 @@ class PicksInViewport(WaitsForClicks):
         raise NotImplementedError
 
 
-Origin = Annotated[
-    tuple[float, float, float],
-    Option("Start of the ray, for scripts", shown={"subtype": "XYZ", "unit": "LENGTH"}),
-]
-Direction = Annotated[tuple[float, float, float], "Direction of the ray, for scripts"]
-SkipBacks = Annotated[bool, "Look through surfaces that are seen from behind"]
-DOWN = (0.0, 0.0, -1.0)  # the default direction
-
-
 class PicksAlongRay(PicksInViewport):
-    """The same for an action on the ray through the pointer, with `origin`, `direction` and `skip_backs`.
+    """The same for an action on `ray`, the one through the pointer; scripts give it by its parts.
 
     Attributes:
         pick_text: what the click does.
     """
 
     pick_text = ""
+    origin: bpy.props.FloatVectorProperty(
+        name="Origin", description="Start of the ray", subtype="XYZ", unit="LENGTH", options={"SKIP_SAVE"}
+    )
+    direction: bpy.props.FloatVectorProperty(
+        name="Direction", description="Direction of the ray", default=DOWN, options={"SKIP_SAVE"}
+    )
+    skip_backs: bpy.props.BoolProperty(
+        name="Skip Backs",
+        description="Look through surfaces that are seen from behind",
+        options={"SKIP_SAVE"},
+    )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return self.wait_for_clicks(context, self.pick_text)
@@ -175,3 +186,7 @@ class PicksAlongRay(PicksInViewport):
         assert ray is not None  # `modal` has asked whether a viewport is there
         self.origin, self.direction, self.skip_backs = ray
         return True
+
+    def arguments(self) -> dict[str, Any]:
+        ray = PointerRay(Vector(self.origin), Vector(self.direction), self.skip_backs)
+        return {**super().arguments(), "ray": ray}

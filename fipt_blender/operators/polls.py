@@ -11,7 +11,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..blend.marks import is_room_linked
-from ..jobs import running
+from ..jobs import running, runstate
 
 Condition = Callable[[Any, bpy.types.Context], bool]
 
@@ -42,6 +42,11 @@ def no_job(cls: Any, context: bpy.types.Context) -> bool:
     job = running.current()
     text = "{} is running. Wait for its end, or stop it with Esc"
     return job is None or needs(lambda _: False, iface_(text).format(iface_(job.title)))(cls, context)
+
+
+def run_state(context: bpy.types.Context) -> runstate.RunState:
+    """What the scene's run folder holds."""
+    return runstate.known(context.scene.fipt.run_folder)
 
 
 in_object_mode = needs(lambda context: context.mode == "OBJECT", "Switch to Object Mode first")

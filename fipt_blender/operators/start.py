@@ -4,46 +4,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
 import bpy
 
+from ..jobs.tasks import Task
 from ..panels import manual
-from .action import REGISTER, action
-from .polls import needs, over_sidebar
+from .action import REGISTER, ChoosesFiles, action
+from .capture import import_capture
+from .polls import in_object_mode, needs, no_job, over_sidebar
 
 CAMERA_FILES = (".json", ".xml", ".sfm", ".out", ".nvm", ".csv", ".bin")
 
 
-class FIPT_OT_choose_capture(bpy.types.Operator):
-    """Choose a folder: photographs, a capture with cameras, or the data of a scan. It is read at once"""
-
-    bl_idname = "fipt.choose_capture"
-    bl_label = "Choose Folder"
-    bl_options = {"REGISTER", "INTERNAL"}
-
-    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
-    files: bpy.props.CollectionProperty(
-        type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE", "HIDDEN"}
-    )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return bool(bpy.ops.fipt.import_capture.poll())
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if self.directory:  # dropped files
-            return self.execute(context)
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        folder = Path(bpy.path.abspath(self.directory))
-        cameras = [file.name for file in self.files if file.name.lower().endswith(CAMERA_FILES)]
-        # Of a photograph, or of any other file in it, the folder is meant.
-        path = folder / cameras[0] if len(cameras) == 1 else folder
-        return set(bpy.ops.fipt.import_capture("INVOKE_DEFAULT", filepath=str(path)))
+@action(
+    "Choose Folder",
+    needs=(in_object_mode, no_job),
+    options=REGISTER,
+    bases=(ChoosesFiles,),
+)
+def choose_capture(scene: bpy.types.Scene, folder: str, names: Sequence[str]) -> Task:
+    """Choose a folder: photographs, a capture with cameras, or the data of a scan. It is read at once."""
+    cameras = [name for name in names if name.lower().endswith(CAMERA_FILES)]
+    # Of a photograph, or of any other file in it, the folder is meant.
+    path = Path(bpy.path.abspath(folder)) / (cameras[0] if len(cameras) == 1 else "")
+    return import_capture(scene, filepath=str(path))
 
 
 class FIPT_FH_capture(bpy.types.FileHandler):
@@ -68,9 +54,8 @@ class FIPT_FH_capture(bpy.types.FileHandler):
         ),
     ),
     options=REGISTER,
+    listed=False,
 )
-def help(
-    scene: bpy.types.Scene, chapter: Annotated[str, "The chapter; the guide's first page if empty"] = ""
-) -> None:
-    """Open the guide's chapter on this section in the web browser."""
-    bpy.ops.wm.url_open(url=manual.address() + manual.chapter_page(chapter))
+def help(scene: bpy.types.Scene) -> None:
+    """Open the guide in the web browser."""
+    bpy.ops.wm.url_open(url=manual.address() + manual.chapter_page(""))

@@ -15,7 +15,6 @@ from . import (
     hints,
     lights,
     materials,
-    menus,
     photographs,
     presets,
     progress,
@@ -34,23 +33,20 @@ MODULES = (
     lights,
     check,
     presets,
-    menus,
 )
 
-CLASSES = [*menus.MENUS, *classes_of(MODULES)]
+CLASSES = classes_of(MODULES)
 _register, _unregister = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register() -> None:
-    """Register the panels, the job's place in the status bar, menus and keys."""
+    """Register the panels, and the job's place in the status bar."""
     _register()
     progress.register()
-    menus.register()
 
 
 def unregister() -> None:
     """Unregister the panels and free their icons."""
-    menus.unregister()
     progress.unregister()
     _unregister()
     swatches.clear()

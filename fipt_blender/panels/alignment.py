@@ -4,79 +4,67 @@
 
 from __future__ import annotations
 
-import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
 from .job import draw_job, draw_warnings, job_warnings
-from .sidebar import Rows, SubSection, draw_text
+from .sidebar import draw_text, panel, rows
 
 
-class FIPT_UL_pairs(Rows, bpy.types.UIList):
+@rows()
+def FIPT_UL_pairs(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
     """The pairs of points, each with its error"""
-
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        row = layout.row(align=True)
-        views = ", ".join(sight.name for sight in item.sights)
-        row.label(text=f"{index + 1}: {views}", translate=False)
-        missing = item.name not in context.scene.objects
-        text = f"{1000.0 * item.error:.3g} mm" if item.error >= 0.0 else ""
-        row.label(text=text, icon="CANCEL" if missing else "NONE", translate=False)
-        row.operator("fipt.remove_pair", text="", icon="X", emboss=False).index = index
+    row = layout.row(align=True)
+    views = ", ".join(sight.name for sight in item.sights)
+    row.label(text=f"{index + 1}: {views}", translate=False)
+    missing = item.name not in context.scene.objects
+    text = f"{1000.0 * item.error:.3g} mm" if item.error >= 0.0 else ""
+    row.label(text=text, icon="CANCEL" if missing else "NONE", translate=False)
+    row.operator("fipt.remove_pair", text="", icon="X", emboss=False).index = index
 
 
-class FIPT_PT_capture_alignment(SubSection, bpy.types.Panel):
+@panel(
+    "Alignment",
+    2,
+    parent="FIPT_PT_capture",
+    closed=True,
+    shown=lambda context: context.scene.fipt.capture.alignment is not None,
+)
+def FIPT_PT_capture_alignment(layout: UILayout, context: Context) -> None:
     """Move the cameras and the imported mesh together, or the cameras to the mesh"""
-
-    bl_label = "Alignment"
-    bl_parent_id = "FIPT_PT_capture"
-    bl_order = 2
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return context.scene.fipt.capture.alignment is not None
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.fields()
-        settings = context.scene.fipt.capture
-        column = layout.column(align=True)
-        column.prop(settings.alignment, "location", text="Location")
-        column = layout.column(align=True)
-        column.prop(settings.alignment, "rotation_euler", text="Rotation")
-        layout.prop(settings, "alignment_scale")
+    settings = context.scene.fipt.capture
+    column = layout.column(align=True)
+    column.prop(settings.alignment, "location", text="Location")
+    column = layout.column(align=True)
+    column.prop(settings.alignment, "rotation_euler", text="Rotation")
+    layout.prop(settings, "alignment_scale")
 
 
-class FIPT_PT_capture_pairs(SubSection, bpy.types.Panel):
+@panel("Cameras to Mesh", 0, parent="FIPT_PT_capture_alignment", closed=True)
+def FIPT_PT_capture_pairs(layout: UILayout, context: Context) -> None:
     """Move the cameras to a mesh from another program, by points that you pick"""
+    layout.use_property_split = False
+    settings = context.scene.fipt.alignment
+    _draw_pairs(layout, settings)
+    layout.operator("fipt.refine_alignment", icon="POINTCLOUD_DATA")
+    draw_job(layout, context, "align")
+    if settings.summary:
+        draw_text(layout, iface_(settings.summary), icon="INFO")
+    draw_warnings(layout, "align", job_warnings(context, "align"))
 
-    bl_label = "Cameras to Mesh"
-    bl_parent_id = "FIPT_PT_capture_alignment"
 
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
-        settings = context.scene.fipt.alignment
-        self._draw_pairs(context)
-        layout.operator("fipt.refine_alignment", icon="POINTCLOUD_DATA")
-        draw_job(layout, context, "align")
-        if settings.summary:
-            draw_text(layout, context, iface_(settings.summary), icon="INFO")
-        draw_warnings(layout, context, "align", job_warnings(context, "align"))
-
-    def _draw_pairs(self, context: bpy.types.Context) -> None:
-        """Picking, the list of pairs, and aligning by them."""
-        layout = self.layout
-        settings = context.scene.fipt.alignment
-        layout.operator("fipt.pick_pair", icon="EYEDROPPER")
-        if not settings.pairs:
-            text = "Pick three or more points of the mesh, each in two photographs."
-            draw_text(layout, context, text, icon="INFO")
-            return
-        layout.template_list("FIPT_UL_pairs", "", settings, "pairs", settings, "active_pair", rows=4)
-        if settings.error >= 0.0:
-            text = iface_("The pairs are off by {:.3g} mm").format(1000.0 * settings.error)
-            layout.label(text=text, icon="CHECKMARK", translate=False)
-        if settings.problem:
-            draw_text(layout, context, settings.problem, icon="ERROR")
-        row = layout.row(align=True)
-        row.operator("fipt.align_by_pairs", icon="CON_CAMERASOLVER")
-        row.prop(settings, "show_marks", text="", icon="HIDE_OFF")
+def _draw_pairs(layout: UILayout, settings: PropertyGroup) -> None:
+    """Picking, the list of pairs, and aligning by them."""
+    layout.operator("fipt.pick_pair", icon="EYEDROPPER")
+    if not settings.pairs:
+        draw_text(layout, "Pick three or more points of the mesh, each in two photographs.", icon="INFO")
+        return
+    layout.template_list("FIPT_UL_pairs", "", settings, "pairs", settings, "active_pair", rows=4)
+    if settings.error >= 0.0:
+        text = iface_("The pairs are off by {:.3g} mm").format(1000.0 * settings.error)
+        layout.label(text=text, icon="CHECKMARK", translate=False)
+    if settings.problem:
+        draw_text(layout, settings.problem, icon="ERROR")
+    row = layout.row(align=True)
+    row.operator("fipt.align_by_pairs", icon="CON_CAMERASOLVER")
+    row.prop(settings, "show_marks", text="", icon="HIDE_OFF")

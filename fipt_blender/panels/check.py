@@ -6,69 +6,60 @@ from __future__ import annotations
 
 import os
 
-import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import Context, UILayout
 
 from ..blend.marks import RESOLUTION
+from . import path
 from .capture import draw_photograph
 from .job import draw_job, draw_warnings, job_warnings
-from .sidebar import Section, draw_text
+from .sidebar import draw_text, panel
 
 
-class FIPT_PT_check(Section, bpy.types.Panel):
-    """Render pictures of the room, and write the report"""
-
-    bl_label = "Render"
-    bl_order = 6
-    bl_options = {"DEFAULT_CLOSED"}
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.fields()
-        settings = context.scene.fipt.check
-        _draw_picture(layout, context, settings)
-        layout.separator()
-        row = layout.row(align=True)
-        row.operator("fipt.write_report", icon="FILE_TEXT")
-        row.operator("fipt.open_report", text="", icon="URL")
-        draw_job(layout, context, "report")
-        draw_warnings(layout, context, "check", job_warnings(context, "report"))
-
-
-def _draw_picture(
-    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
-) -> None:
-    """The picture of the current view: with the rendered room, or over the photograph."""
+@panel("Render", 6, shown=path.has_results)
+def FIPT_PT_check(layout: UILayout, context: Context) -> None:
+    """Render pictures of the room"""
     insert = context.scene.fipt.insert
-    row = layout.row(align=True)
-    row.operator("fipt.add_ball", text="Gray Ball", icon="SPHERE").kind = "GRAY_BALL"
-    row.operator("fipt.add_ball", text="Mirror Ball", icon="SHADING_RENDERED").kind = "MIRROR_BALL"
+    row = layout.row()
+    row.scale_y = 1.3
+    text = "Picture over Photograph" if insert.backdrop == "PHOTOGRAPH" else "Final Picture"
+    row.operator("fipt.final_picture", text=text, icon="RENDER_STILL")
+    if insert.picture:
+        layout.label(text=os.path.basename(insert.picture), icon="CHECKMARK", translate=False)
+    draw_warnings(layout, "check", job_warnings(context, "report"))
+
+
+@panel("Picture", 0, parent="FIPT_PT_check", closed=True)
+def FIPT_PT_check_picture(layout: UILayout, context: Context) -> None:
+    """What the picture shows, and its size: of the rendered room, or over the photograph"""
+    insert = context.scene.fipt.insert
+    plate = insert.backdrop == "PHOTOGRAPH"
     row = layout.row(align=True)
     for mode, text, icon in (("ROOM", "Rendered Room", "HOME"), ("PHOTOGRAPH", "Photograph", "IMAGE_DATA")):
         row.operator("fipt.set_backdrop", text=text, icon=icon, depress=insert.backdrop == mode).mode = mode
-    if insert.backdrop == "PHOTOGRAPH":
-        shading = getattr(context.space_data, "shading", None)
-        if shading is not None and shading.type != "RENDERED":
-            row = layout.row()
-            row.use_property_split = False
-            row.prop_enum(shading, "type", "RENDERED", text="Preview Shadows")
+    row = layout.row(align=True)
+    row.operator("fipt.add_ball", text="Gray Ball", icon="SPHERE").kind = "GRAY_BALL"
+    row.operator("fipt.add_ball", text="Mirror Ball", icon="SHADING_RENDERED").kind = "MIRROR_BALL"
+    _draw_settings(layout, context, plate)
+    if plate:
         text = "The picture has the lights as they were photographed, and those that you added."
-        draw_text(layout, context, text, icon="INFO")
+        draw_text(layout, text, icon="INFO")
+        layout.operator("fipt.plate_nodes", icon="NODE_COMPOSITING")
     else:
         draw_photograph(layout, context.scene.fipt.capture)
-    _draw_settings(layout, context, settings, insert.backdrop == "PHOTOGRAPH")
+    layout.operator("fipt.open_picture", icon="WINDOW")
+
+
+@panel("Report", 1, parent="FIPT_PT_check", closed=True)
+def FIPT_PT_check_report(layout: UILayout, context: Context) -> None:
+    """A page with the results, pictures and how good they are"""
     row = layout.row(align=True)
-    row.scale_y = 1.3
-    row.operator("fipt.final_picture", icon="RENDER_STILL")
-    row.operator("fipt.open_picture", text="", icon="WINDOW")
-    if insert.backdrop == "PHOTOGRAPH":
-        row.operator("fipt.plate_nodes", text="", icon="NODE_COMPOSITING")
-    if insert.picture:
-        layout.label(text=os.path.basename(insert.picture), icon="CHECKMARK", translate=False)
+    row.operator("fipt.write_report", icon="FILE_TEXT")
+    row.operator("fipt.open_report", text="", icon="URL")
+    draw_job(layout, context, "report")
 
 
-def _draw_settings(
-    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup, plate: bool
-) -> None:
+def _draw_settings(layout: UILayout, context: Context, plate: bool) -> None:
     """Blender's own render settings on which pictures depend most; a plate keeps its proportions."""
     from ..blend.pictures.renders import output_size, plate_size
     from ..blend.render_settings import changed_by_artist
@@ -76,7 +67,7 @@ def _draw_settings(
     scene = context.scene
     plate = plate and scene.camera is not None and RESOLUTION in scene.camera
     column = layout.column(align=True)
-    column.prop(settings, "size")
+    column.prop(scene.fipt.check, "size")
     column.prop(scene.render, "resolution_percentage", text="Scale")
     size = plate_size(scene, scene.camera) if plate else output_size(scene)
     text = "{} x {} pixels over the photograph" if plate else "{} x {} pixels, also with F12"

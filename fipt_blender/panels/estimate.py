@@ -9,95 +9,79 @@ from typing import TYPE_CHECKING
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import Context, PropertyGroup, UILayout
 
 from ..blend.previews import estimate_pictures
 from ..core.capture.options import PART_SOURCES
 from ..core.run.runfolder import RunFolder
 from ..jobs import running, runstate
 from ..jobs.job_scene import uses_run_folder
+from ..properties.estimate import CHOICES
 from . import path
 from .capture import draw_thumbnail, shown_colors
 from .job import draw_error, draw_job, draw_warnings, job_warnings
-from .presets import FIPT_PT_estimate_presets
+from .presets import draw_estimate_presets
 from .progress import draw_progress, status_text
-from .sidebar import Section, SubSection, draw_text
+from .sidebar import draw_text, panel
 
 if TYPE_CHECKING:
     from ..bridge.job import Job
     from ..core.run.light_size import LightPlan
     from ..core.run.versions import Version
 
-# Settings in one column belong together.
-_ADVANCED = (
-    ("rounds",),
-    ("diffuse_samples", "specular_samples", "light_samples", "denoise"),
-    ("light_pixels", "training_steps"),
-    ("voxel_resolution", "roughness_levels"),
-    ("reject_views", "correct_exposure", "force"),
-    ("seed",),
-)
 
-
-class FIPT_PT_estimate(Section, bpy.types.Panel):
+@panel("Estimate", 3, shown=path.has_run, state=path.estimate_state)
+def FIPT_PT_estimate(layout: UILayout, context: Context) -> None:
     """Estimate the materials and lights of the room"""
-
-    bl_label = "Estimate"
-    bl_order = 3
-    presets = FIPT_PT_estimate_presets
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.fields()
-        state = runstate.known(context.scene.fipt.run_folder)
-        job = running.current()
-        if path.has_views(context) and not path.has_results(context):  # the section Capture is closed
-            draw_thumbnail(layout, context.scene.fipt.capture)
-        is_running = draw_job(layout, context, "estimate")
-        if is_running:
-            assert job is not None
-            _draw_pictures(layout, tuple(job.pictures))
-        elif job is not None and job.kind == "materials" and uses_run_folder(context.scene, job.run_folder):
-            draw_progress(layout, context, job)
-        elif state.finished and path.has_results(context):
-            _draw_done(layout, context, state)
-        else:
-            _draw_start(layout, context, state)
-            if job is None or not uses_run_folder(context.scene, job.run_folder):
-                _draw_state(layout, context, state)
-        elsewhere = () if is_running else state.warnings  # by another Blender
-        draw_warnings(layout, context, "estimate", job_warnings(context, "estimate") or elsewhere)
+    state = runstate.known(context.scene.fipt.run_folder)
+    job = running.current()
+    if path.has_views(context) and not path.has_results(context):  # the section Capture is closed
+        draw_thumbnail(layout, context.scene.fipt.capture)
+    is_running = draw_job(layout, context, "estimate")
+    if is_running:
+        assert job is not None
+        _draw_pictures(layout, tuple(job.pictures))
+    elif job is not None and job.kind == "materials" and uses_run_folder(context.scene, job.run_folder):
+        draw_progress(layout, context, job)
+    elif state.finished and path.has_results(context):
+        _draw_done(layout, context, state)
+    else:
+        _draw_start(layout, context, state)
+        if job is None or not uses_run_folder(context.scene, job.run_folder):
+            _draw_state(layout, context, state)
+    elsewhere = () if is_running else state.warnings  # by another Blender
+    draw_warnings(layout, "estimate", job_warnings(context, "estimate") or elsewhere)
 
 
-class FIPT_PT_estimate_advanced(SubSection, bpy.types.Panel):
+@panel("Advanced", 2, parent="FIPT_PT_estimate", closed=True)
+def FIPT_PT_estimate_advanced(layout: UILayout, context: Context) -> None:
     """Change single settings of the preset"""
-
-    bl_label = "Advanced"
-    bl_parent_id = "FIPT_PT_estimate"
-    bl_order = 2
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.fields()
-        layout.enabled = running.current() is None
-        settings = context.scene.fipt.estimate
-        layout.prop(settings, "apply_when_finished")
-        for names in _ADVANCED:
-            column = layout.column(align=True)
-            for name in names:
-                draw_setting(column, settings, name)
+    layout.enabled = running.current() is None
+    settings = context.scene.fipt.estimate
+    layout.prop(settings, "apply_when_finished")
+    column = layout.column(align=True)
+    for name in CHOICES:
+        row = column.row(align=True)
+        row.prop(settings, name)
+        if settings.is_changed(name):  # back to the preset
+            row.operator("fipt.reset_setting", text="", icon="LOOP_BACK", emboss=False).setting = name
 
 
-def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
+def _draw_start(layout: UILayout, context: Context, state: runstate.RunState) -> None:
     """The preset, what it costs, and the buttons that start; without a mesh, the way to one."""
     settings, job = context.scene.fipt.estimate, running.current()
     if path.has_views(context) and not context.scene.fipt.capture.room_objects(context.scene):
         text = "The room has no mesh. Import one, or select the objects that form the room."
-        draw_text(layout, context, iface_(text), icon="INFO")
+        draw_text(layout, iface_(text), icon="INFO")
         column = layout.column(align=True)
         column.operator("fipt.import_mesh", icon="MESH_DATA")
         column.operator("fipt.set_room", text="Room from Selection", icon="RESTRICT_SELECT_OFF")
         return
     column = layout.column()
     column.enabled = job is None
-    column.prop(settings, "preset")
+    row = column.row(align=True)
+    row.prop(settings, "preset")
+    draw_estimate_presets(row.row(), context)
     if settings.device != "preferences":  # of a script or the command line
         column.prop(settings, "device")
     _draw_plan(layout, context)
@@ -108,12 +92,12 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
         column.operator("fipt.resume", icon="FILE_REFRESH")
     column.operator("fipt.estimate", text="Start Again" if stopped else "Estimate", icon="PLAY")
     if job is not None:
-        _draw_waiting(layout, context, job)
+        _draw_waiting(layout, job)
 
 
-def _draw_done(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
+def _draw_done(layout: UILayout, context: Context, state: runstate.RunState) -> None:
     """How good a finished estimate is; opened, its pictures and how to estimate again."""
-    _draw_quality(layout, context, state)
+    _draw_quality(layout, state)
     header, body = layout.panel("fipt_estimate_again", default_closed=True)
     header.label(text="Estimate Again", icon="CHECKMARK")
     if body is not None:
@@ -121,18 +105,18 @@ def _draw_done(layout: bpy.types.UILayout, context: bpy.types.Context, state: ru
         _draw_pictures(body, state.pictures)
 
 
-def _draw_plan(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+def _draw_plan(layout: UILayout, context: Context) -> None:
     """At which resolution light is solved, and what the estimation is expected to cost."""
     capture = context.scene.fipt.capture
     if not capture.train_count or not capture.megapixels:
         return
     plan = _plan(capture.train_count, capture.megapixels, context.scene.fipt.estimate)
-    draw_text(layout.column(align=True), context, plan.resolution, icon="IMAGE_DATA")
+    draw_text(layout.column(align=True), plan.resolution, icon="IMAGE_DATA")
     text = plan.cost[0].upper() + plan.cost[1:]
-    draw_text(layout.column(align=True), context, text, icon="TIME")
+    draw_text(layout.column(align=True), text, icon="TIME")
 
 
-def _plan(count: int, megapixels: float, settings: bpy.types.PropertyGroup) -> LightPlan:
+def _plan(count: int, megapixels: float, settings: PropertyGroup) -> LightPlan:
     """The plan of `count` photographs of this mean size."""
     from ..core.run.light_size import light_plan
     from ..core.run.settings import make_settings
@@ -141,26 +125,18 @@ def _plan(count: int, megapixels: float, settings: bpy.types.PropertyGroup) -> L
     return light_plan([size] * count, make_settings(settings.preset, settings.values()))
 
 
-def draw_setting(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup, name: str) -> None:
-    """A setting, with a button that resets it to the preset where it was changed."""
-    row = layout.row(align=True)
-    row.prop(settings, name)
-    if settings.is_changed(name):
-        row.operator("fipt.reset_setting", text="", icon="LOOP_BACK", emboss=False).setting = name
-
-
-def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
+def _draw_state(layout: UILayout, context: Context, state: runstate.RunState) -> None:
     """The state of the run folder, the way on, and its error where this Blender has run no estimation."""
     if state.error is not None and running.last("estimate") is None:
         folder = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
-        draw_error(layout, context, state.error, folder)
+        draw_error(layout, state.error, folder)
     if state.finished:
         layout.label(text="Finished", icon="CHECKMARK")
     elif state.stages:
         text = iface_("Stopped. {} stages are finished").format(state.stages)
         layout.label(text=text, icon="PAUSE", translate=False)
     if state.results:
-        _draw_quality(layout, context, state)
+        _draw_quality(layout, state)
     _draw_pictures(layout, state.pictures)
     if state.results:
         if not state.finished:
@@ -169,24 +145,24 @@ def _draw_state(layout: bpy.types.UILayout, context: bpy.types.Context, state: r
         draw_job(layout, context, "materials")
 
 
-def _draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context, state: runstate.RunState) -> None:
+def _draw_quality(layout: UILayout, state: runstate.RunState) -> None:
     """How well the results show photographs that were held back."""
     if state.quality is None:
         return
     text = iface_("Held back: {:.1f} dB (projection: {:.1f} dB)").format(*state.quality)
-    draw_text(layout, context, text, icon="IMAGE_REFERENCE")
+    draw_text(layout, text, icon="IMAGE_REFERENCE")
 
 
-def _draw_waiting(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
+def _draw_waiting(layout: UILayout, job: Job) -> None:
     """The other job, for whose end Estimate has to wait, with a button that stops it."""
     column = layout.column(align=True)
-    draw_text(column, context, iface_("Estimate can start when this job has ended:"), icon="SORTTIME")
+    draw_text(column, iface_("Estimate can start when this job has ended:"), icon="SORTTIME")
     row = column.row(align=True)
     row.progress(factor=job.fraction, text=status_text(job))
     row.operator("fipt.cancel", text="", icon="X")
 
 
-def _draw_pictures(layout: bpy.types.UILayout, paths: tuple[Path, ...]) -> None:
+def _draw_pictures(layout: UILayout, paths: tuple[Path, ...]) -> None:
     """The current estimate of base colour and emission."""
     shown = [picture for picture in paths if estimate_pictures.icon(picture)]
     if not shown:
@@ -202,59 +178,45 @@ _NAMES = {identifier: name for identifier, name, _, _ in PART_SOURCES}
 _TEXTS = {identifier: text for identifier, _, text, _ in PART_SOURCES}
 
 
-class FIPT_PT_parts(SubSection, bpy.types.Panel):
+@panel("Parts", 0, parent="FIPT_PT_estimate", closed=True)
+def FIPT_PT_parts(layout: UILayout, context: Context) -> None:
     """Select which surfaces are made of the same material"""
+    import json
 
-    bl_label = "Parts"
-    bl_parent_id = "FIPT_PT_estimate"
-    bl_order = 0
-
-    def draw(self, context: bpy.types.Context) -> None:
-        import json
-
-        layout = self.fields()
-        parts = context.scene.fipt.parts
-        layout.prop(parts, "source")
-        if parts.source == "folder":
-            layout.prop(parts, "folder")
-        draw_text(layout, context, iface_(_TEXTS[parts.source]))
-        source = parts.engine_source
-        if parts.source == "auto" and parts.auto_source:
-            source = parts.auto_source
-            text = iface_("Automatic uses: {}").format(iface_(_NAMES.get(source, source)))
-            draw_text(layout, context, text, icon="SHADERFX")
-        if parts.counts:
-            count = json.loads(parts.counts).get(source)
-            if count is not None:
-                layout.label(text=iface_("{} parts").format(count), icon="MOD_EXPLODE", translate=False)
-        shown = shown_colors(context.scene) == "parts"
-        layout.operator(
-            "fipt.show_parts", text="Hide Parts" if shown else "Show Parts", icon="OVERLAY", depress=shown
-        ).show = not shown
+    parts = context.scene.fipt.parts
+    layout.prop(parts, "source")
+    if parts.source == "folder":
+        layout.prop(parts, "folder")
+    draw_text(layout, iface_(_TEXTS[parts.source]))
+    source = parts.engine_source
+    if parts.source == "auto" and parts.auto_source:
+        source = parts.auto_source
+        text = iface_("Automatic uses: {}").format(iface_(_NAMES.get(source, source)))
+        draw_text(layout, text, icon="SHADERFX")
+    if parts.counts:
+        count = json.loads(parts.counts).get(source)
+        if count is not None:
+            layout.label(text=iface_("{} parts").format(count), icon="MOD_EXPLODE", translate=False)
+    shown = shown_colors(context.scene) == "parts"
+    layout.operator(
+        "fipt.show_parts", text="Hide Parts" if shown else "Show Parts", icon="OVERLAY", depress=shown
+    ).show = not shown
 
 
-class FIPT_PT_estimate_versions(SubSection, bpy.types.Panel):
+def _versions(context: Context) -> tuple[Version, ...]:
+    return runstate.known(context.scene.fipt.run_folder).versions
+
+
+@panel("Versions", 2, parent="FIPT_PT_estimate", closed=True, shown=_versions)
+def FIPT_PT_estimate_versions(layout: UILayout, context: Context) -> None:
     """Other estimates of this capture: apply and delete them"""
-
-    bl_label = "Versions"
-    bl_parent_id = "FIPT_PT_estimate"
-    bl_order = 2
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        state = runstate.known(context.scene.fipt.run_folder)
-        return bool(state.versions)
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.fields()
-        state = runstate.known(context.scene.fipt.run_folder)
-        column = layout.column()
-        column.enabled = running.current() is None
-        for version in state.versions:
-            _draw_version(column, version)
+    column = layout.column()
+    column.enabled = running.current() is None
+    for version in _versions(context):
+        _draw_version(column, version)
 
 
-def _draw_version(layout: bpy.types.UILayout, version: Version) -> None:
+def _draw_version(layout: UILayout, version: Version) -> None:
     """One version, and what can be done with it."""
     icon = "RADIOBUT_ON" if version.current else "RADIOBUT_OFF"
     row = layout.row()

@@ -6,74 +6,66 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
 from ..blend.previews import doubt_pictures
 from ..jobs import running
 from ..properties.hints import ANSWERS
-from .sidebar import Rows, SubSection, draw_text
+from .sidebar import draw_text, panel, rows
 
 ANSWER_NAMES = {identifier: name for identifier, name, _ in ANSWERS}
 _CHOICES = {"METAL": ("METAL", "DIELECTRIC"), "GLOSS": ("GLOSSY", "MATT"), "LAMP": ("EMITS", "NOT")}
 
 
-class FIPT_UL_doubts(Rows, bpy.types.UIList):
+@rows()
+def FIPT_UL_doubts(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
     """The engine's questions, the most useful one first"""
-
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        row = layout.row(align=True)
-        row.label(text=item.name, icon="CHECKMARK" if item.answered else "QUESTION", translate=False)
-        row.label(text=item.text)
+    row = layout.row(align=True)
+    row.label(text=item.name, icon="CHECKMARK" if item.answered else "QUESTION", translate=False)
+    row.label(text=item.text)
 
 
-class FIPT_UL_hints(Rows, bpy.types.UIList):
+@rows()
+def FIPT_UL_hints(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
     """What the artist knows of parts and areas"""
-
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        row = layout.row(align=True)
-        missing = item.object is None or item.object.name not in context.scene.objects
-        kind = "FACE_MAPS" if item.area else "MATERIAL"
-        row.prop(item, "name", text="", emboss=False, icon="CANCEL" if missing else kind)
-        row.label(text=hint_text(item), translate=False)
-        row.operator("fipt.remove_hint", text="", icon="X", emboss=False).index = index
+    row = layout.row(align=True)
+    missing = item.object is None or item.object.name not in context.scene.objects
+    kind = "FACE_MAPS" if item.area else "MATERIAL"
+    row.prop(item, "name", text="", emboss=False, icon="CANCEL" if missing else kind)
+    row.label(text=hint_text(item), translate=False)
+    row.operator("fipt.remove_hint", text="", icon="X", emboss=False).index = index
 
 
-class FIPT_PT_estimate_hints(SubSection, bpy.types.Panel):
+@panel("Hints", 1, parent="FIPT_PT_estimate", closed=True)
+def FIPT_PT_estimate_hints(layout: UILayout, context: Context) -> None:
     """Say what you know of materials and lamps, and estimate again with it"""
-
-    bl_label = "Hints"
-    bl_parent_id = "FIPT_PT_estimate"
-    bl_order = 1
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
-        settings = context.scene.fipt.hints
-        column = layout.column()
-        column.enabled = running.current() is None
-        column.operator("fipt.read_doubts", icon="QUESTION")
-        if len(settings.doubts):
-            column.template_list("FIPT_UL_doubts", "", settings, "doubts", settings, "active_doubt", rows=4)
-            doubt = settings.doubt()
-            if doubt is not None:
-                _draw_doubt(column, doubt)
-        column.separator()
-        row = column.row(align=True)
-        if context.mode == "EDIT_MESH":
-            row.operator("fipt.add_area_hint", icon="FACESEL")
-        else:
-            row.operator("fipt.add_hint", text="Hint on Part", icon="EYEDROPPER").what = "PART"
-            row.operator("fipt.add_hint", text="Hint on Face Set", icon="FACE_MAPS").what = "FACE_SET"
-        if len(settings.hints):
-            column.template_list("FIPT_UL_hints", "", settings, "hints", settings, "active_hint", rows=3)
-            hint = settings.hint()
-            if hint is not None:
-                _draw_hint(column, context, hint)
-        draw_again(layout, settings)
+    layout.use_property_split = False
+    settings = context.scene.fipt.hints
+    column = layout.column()
+    column.enabled = running.current() is None
+    column.operator("fipt.read_doubts", icon="QUESTION")
+    if len(settings.doubts):
+        column.template_list("FIPT_UL_doubts", "", settings, "doubts", settings, "active_doubt", rows=4)
+        doubt = settings.doubt()
+        if doubt is not None:
+            _draw_doubt(column, doubt)
+    column.separator()
+    row = column.row(align=True)
+    if context.mode == "EDIT_MESH":
+        row.operator("fipt.add_area_hint", icon="FACESEL")
+    else:
+        row.operator("fipt.add_hint", text="Hint on Part", icon="EYEDROPPER").what = "PART"
+        row.operator("fipt.add_hint", text="Hint on Face Set", icon="FACE_MAPS").what = "FACE_SET"
+    if len(settings.hints):
+        column.template_list("FIPT_UL_hints", "", settings, "hints", settings, "active_hint", rows=3)
+        hint = settings.hint()
+        if hint is not None:
+            _draw_hint(column, context, hint)
+    draw_again(layout, settings)
 
 
-def draw_again(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
+def draw_again(layout: UILayout, settings: PropertyGroup) -> None:
     """How to estimate again with the hints."""
     layout.prop(settings, "light")
     column = layout.column()
@@ -81,7 +73,7 @@ def draw_again(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) ->
     column.operator("fipt.reestimate", icon="FILE_REFRESH")
 
 
-def _draw_doubt(layout: bpy.types.UILayout, doubt: bpy.types.PropertyGroup) -> None:
+def _draw_doubt(layout: UILayout, doubt: PropertyGroup) -> None:
     """The picture of a part, the question, and a button for each answer."""
     box = layout.box()
     icon = doubt_pictures.icon(Path(doubt.picture))
@@ -95,7 +87,7 @@ def _draw_doubt(layout: bpy.types.UILayout, doubt: bpy.types.PropertyGroup) -> N
         row.operator("fipt.answer_doubt", text=ANSWER_NAMES[answer]).answer = answer
 
 
-def _draw_hint(layout: bpy.types.UILayout, context: bpy.types.Context, hint: bpy.types.PropertyGroup) -> None:
+def _draw_hint(layout: UILayout, context: Context, hint: PropertyGroup) -> None:
     """What is known of a part."""
     column = layout.column()
     column.use_property_split = True
@@ -117,10 +109,10 @@ def _draw_hint(layout: bpy.types.UILayout, context: bpy.types.Context, hint: bpy
     row.prop(hint, "same_object", text="Same As")
     row.operator("fipt.pick_same_material", text="", icon="EYEDROPPER")
     if hint.object is None or hint.object.name not in context.scene.objects:
-        draw_text(layout, context, "Its object has been removed: this hint has no effect.", icon="ERROR")
+        draw_text(layout, "Its object has been removed: this hint has no effect.", icon="ERROR")
 
 
-def hint_text(hint: bpy.types.PropertyGroup) -> str:
+def hint_text(hint: PropertyGroup) -> str:
     """What a hint says, in a few words."""
     if hint.leave_alone:
         return iface_("Leave Alone")

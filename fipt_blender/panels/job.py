@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import bpy
+from bpy.types import Context, UILayout
 
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..bridge.process import Message
 
 
-def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, kind: str) -> bool:
+def draw_job(layout: UILayout, context: Context, kind: str) -> bool:
     """Draw the running job of a kind, or the error of the last one; returns whether one is running."""
     job = running.current()
     if job is not None and job.kind == kind:
@@ -31,11 +31,11 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, kind: str) 
     job = running.last(kind)
     if job is not None and job.error is not None and running.belongs_to(job, context.scene):
         run = RunFolder(job.run_folder) if context.scene.fipt.run_folder else None
-        draw_error(layout, context, job.error, run)
+        draw_error(layout, job.error, run)
     return False
 
 
-def job_warnings(context: bpy.types.Context, *kinds: str) -> list[Message]:
+def job_warnings(context: Context, *kinds: str) -> list[Message]:
     """Warnings of the scene's jobs of these kinds: of each the one that is running, or the last one."""
     current, found = running.current(), []
     for kind in kinds:
@@ -46,9 +46,7 @@ def job_warnings(context: bpy.types.Context, *kinds: str) -> list[Message]:
     return found
 
 
-def draw_warnings(
-    layout: bpy.types.UILayout, context: bpy.types.Context, name: str, messages: Sequence[Message]
-) -> None:
+def draw_warnings(layout: UILayout, name: str, messages: Sequence[Message]) -> None:
     """One line that counts warnings; a click opens it and shows them with their remedies.
 
     Args:
@@ -62,22 +60,20 @@ def draw_warnings(
     header.label(text=running.count_text(len(messages)), icon="ERROR", translate=False)
     if body is not None:
         for message in messages:
-            _draw_message(body, context, message)
+            _draw_message(body, message)
 
 
-def draw_error(
-    layout: bpy.types.UILayout, context: bpy.types.Context, error: Message, run: RunFolder | None
-) -> None:
+def draw_error(layout: UILayout, error: Message, run: RunFolder | None) -> None:
     """An error with its remedy, and a button for the remedy where there is one.
 
     Args:
         run: the run folder with the log, if there is one.
     """
     box = layout.box()
-    _draw_message(box, context, error, alert=True)
+    _draw_message(box, error, alert=True)
     column = box.column(align=True)
     if error["code"] in ("engine-missing", "package-missing"):
-        draw_set_up(column, context)
+        draw_set_up(column)
     elif error["code"] == "cameras-missing":
         column.operator("fipt.photographs_of_capture", icon="RENDERLAYERS")
     elif error["code"] == "out-of-memory":
@@ -86,10 +82,8 @@ def draw_error(
         column.operator("wm.path_open", text="Show Log", icon="TEXT").filepath = str(run.log)
 
 
-def _draw_message(
-    layout: bpy.types.UILayout, context: bpy.types.Context, message: Message, alert: bool = False
-) -> None:
+def _draw_message(layout: UILayout, message: Message, alert: bool = False) -> None:
     """What is wrong, and what helps."""
     column = layout.column(align=True)
-    draw_text(column, context, message["text"], icon="ERROR", alert=alert)
-    draw_text(column, context, message["remedy"], icon="INFO")
+    draw_text(column, message["text"], icon="ERROR", alert=alert)
+    draw_text(column, message["remedy"], icon="INFO")

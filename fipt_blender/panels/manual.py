@@ -14,14 +14,8 @@ SITE = ""
 # The pages in the zip (docs/hooks/offline.py); a checkout has none.
 PAGES = Path(__file__).resolve().parents[1] / "guide"
 
-# Chapters of the guide, by the word after "FIPT_PT_" in the names of panels.
+# Chapters of the guide, by the beginning of the names of groups of settings.
 _CHAPTERS = ("photographs", "capture", "parts", "estimate", "materials", "lights", "check")
-
-
-def chapter_of(panel: str) -> str:
-    """The guide's chapter on a section, by its panel: "FIPT_PT_capture_alignment" is "capture"."""
-    words = panel.split("_")
-    return words[2] if len(words) > 2 and words[2] in _CHAPTERS else ""
 
 
 @functools.cache
@@ -48,7 +42,7 @@ def manual_map(operators: Mapping[str, Sequence[str]]) -> tuple[str, tuple[tuple
     Without any pages, nothing is found.
 
     Args:
-        operators: names of operators by the chapter that explains them; the site has a page of all.
+        operators: `bl_idname`s by the chapter that explains them; the site has a page of all operators.
     """
     if not address():
         return "", ()
@@ -62,7 +56,7 @@ def manual_map(operators: Mapping[str, Sequence[str]]) -> tuple[str, tuple[tuple
         others.append(("bpy.ops.fipt.*", "operators.html"))
     else:
         others += [
-            (f"bpy.ops.fipt.{name}", chapter_page(chapter))
+            (f"bpy.ops.{name}", chapter_page(chapter))
             for chapter, names in operators.items()
             for name in names
         ]

@@ -4,126 +4,107 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
 from ..core.run.runfolder import RunFolder
 from ..jobs import running
+from ..properties.photographs import OPTIONS
+from . import path
 from .job import draw_error, draw_warnings
 from .progress import draw_progress
-from .sidebar import Rows, Section, SubSection, draw_text
+from .sidebar import draw_help, draw_text, panel, rows
 
 _KIND = "photographs"
 
 
-class FIPT_UL_photograph_groups(Rows, bpy.types.UIList):
+@rows()
+def FIPT_UL_photograph_groups(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
     """The groups: whether they are used, the number of photographs, and the outcome"""
-
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        row = layout.row(align=True)
-        row.prop(item, "used", text="")
-        name = row.row(align=True)
-        name.active = item.used
-        name.label(text=item.name, translate=False)
-        count = row.row(align=True)
-        count.alignment = "RIGHT"
-        count.active = item.used
-        count.label(text=str(len(item.photographs)), translate=False)
-        if item.state == "REGISTERED":
-            row.label(text="", icon="CHECKMARK")
-        elif item.state == "LEFT_OUT":
-            row.label(text="", icon="ERROR")
+    row = layout.row(align=True)
+    row.prop(item, "used", text="")
+    name = row.row(align=True)
+    name.active = item.used
+    name.label(text=item.name, translate=False)
+    count = row.row(align=True)
+    count.alignment = "RIGHT"
+    count.active = item.used
+    count.label(text=str(len(item.photographs)), translate=False)
+    if item.state == "REGISTERED":
+        row.label(text="", icon="CHECKMARK")
+    elif item.state == "LEFT_OUT":
+        row.label(text="", icon="ERROR")
 
 
-class FIPT_UL_photographs(Rows, bpy.types.UIList):
+@rows()
+def FIPT_UL_photographs(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
     """The photographs of a group with their exposures"""
-
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        split = layout.split(factor=0.45)
-        split.label(text=item.name.rpartition("/")[2], translate=False)
-        split.label(text=item.exposure or iface_("exposure unknown"), translate=False)
+    split = layout.split(factor=0.45)
+    split.label(text=item.name.rpartition("/")[2], translate=False)
+    split.label(text=item.exposure or iface_("exposure unknown"), translate=False)
 
 
-class FIPT_PT_photographs(Section, bpy.types.Panel):
+def _draw_photographs(layout: UILayout, context: Context) -> None:
     """From the photographs of a camera to a capture"""
-
-    bl_label = "Photographs"
-    bl_order = 1
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.fields()
-        settings = context.scene.fipt.photographs
-        column = layout.column(align=True)
-        row = column.row(align=True)
-        row.prop(settings, "path")
-        row.operator("fipt.leave_photographs", text="", icon="X")
-        column.operator("fipt.choose_photographs", text="Choose Files...", icon="FILEBROWSER")
-        if settings.chosen:
-            text = iface_("{} chosen files").format(len(settings.chosen.splitlines()))
-            layout.label(text=text, icon="FILE_IMAGE", translate=False)
-        layout.operator("fipt.find_brackets", icon="VIEWZOOM")
-        if settings.groups:
-            _draw_groups(layout, context, settings)
-            column = layout.column()
-            column.scale_y = 1.4
-            if _was_stopped(settings):
-                column.operator("fipt.prepare", text="Resume", icon="FILE_REFRESH")
-            else:
-                column.operator("fipt.prepare", icon="RENDERLAYERS")
-        job = running.current()
-        if job is not None and job.kind == _KIND:
-            draw_progress(layout, context, job)
-            draw_warnings(layout, context, _KIND, job.warnings)
+    settings = context.scene.fipt.photographs
+    column = layout.column(align=True)
+    row = column.row(align=True)
+    row.prop(settings, "path")
+    row.operator("fipt.leave_photographs", text="", icon="X")
+    column.operator("fipt.choose_photographs", text="Choose Files...", icon="FILEBROWSER")
+    if settings.chosen:
+        text = iface_("{} chosen files").format(len(settings.chosen.splitlines()))
+        layout.label(text=text, icon="FILE_IMAGE", translate=False)
+    layout.operator("fipt.find_brackets", icon="VIEWZOOM")
+    if settings.groups:
+        _draw_groups(layout, context, settings)
+        column = layout.column()
+        column.scale_y = 1.4
+        if _was_stopped(settings):
+            column.operator("fipt.prepare", text="Resume", icon="FILE_REFRESH")
         else:
-            if settings.registered_count >= 0 and job is None:
-                _draw_outcome(layout, settings)
-            _draw_last_job(layout, context, settings)
+            column.operator("fipt.prepare", icon="RENDERLAYERS")
+    job = running.current()
+    if job is not None and job.kind == _KIND:
+        draw_progress(layout, context, job)
+        draw_warnings(layout, _KIND, job.warnings)
+    else:
+        if settings.registered_count >= 0 and job is None:
+            _draw_outcome(layout, settings)
+        _draw_last_job(layout, context, settings)
 
 
-class FIPT_PT_photographs_done(Section, bpy.types.Panel):
-    """From the photographs of a camera to the capture that was imported"""
-
-    bl_label = "Photographs"
-    bl_order = 1
-    bl_options = {"DEFAULT_CLOSED"}
-    draw = FIPT_PT_photographs.draw
-
-
-class FIPT_PT_photographs_settings(SubSection, bpy.types.Panel):
+def _draw_settings(layout: UILayout, context: Context) -> None:
     """How the photographs become a capture"""
-
-    bl_label = "Settings"
-    bl_parent_id = "FIPT_PT_photographs"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.fields()
-        settings = context.scene.fipt.photographs
-        layout.prop(settings, "output")
-        layout.prop(settings, "grouping")
-        column = layout.column(align=True)
-        column.prop(settings, "working_width")
-        column.prop(settings, "response")
-        column.prop(settings, "layer")
-        column.prop(settings, "white_balance")
-        column.prop(settings, "align")
-        column.prop(settings, "vignetting")
-        layout.prop(settings, "cameras")
-        column = layout.column(align=True)
-        column.prop(settings, "scale")
-        if settings.scale != "none":
-            column.prop(settings, "scale_length")
-        if settings.scale == "points":
-            column.prop(settings, "scale_picks")
-            column.operator("fipt.show_merged", icon="IMAGE_DATA")
+    settings = context.scene.fipt.photographs
+    layout.prop(settings, "output")
+    column = layout.column(align=True)
+    hidden = {"none": ("scale_length", "scale_picks"), "points": ()}.get(settings.scale, ("scale_picks",))
+    for name in OPTIONS:
+        if name not in hidden:
+            column.prop(settings, name)
+    if settings.scale == "points":
+        column.operator("fipt.show_merged", icon="IMAGE_DATA")
 
 
-class FIPT_PT_photographs_done_settings(SubSection, bpy.types.Panel):
-    """How the photographs become a capture"""
+def _panels(name: str, imported: bool, **options: Any) -> tuple[type[bpy.types.Panel], ...]:
+    """The section and its settings, as they are before and after the import of the capture."""
 
-    bl_label = "Settings"
-    bl_parent_id = "FIPT_PT_photographs_done"
-    draw = FIPT_PT_photographs_settings.draw
+    def is_shown(context: Context) -> bool:
+        return path.has_photographs(context) and path.has_views(context) is imported
+
+    section = panel("Photographs", 1, closed=imported, name=name, shown=is_shown, **options)
+    settings = panel("Settings", 0, name, closed=True, name=f"{name}_settings")
+    return section(_draw_photographs), settings(_draw_settings)
+
+
+FIPT_PT_photographs, FIPT_PT_photographs_settings = _panels("FIPT_PT_photographs", False, after=draw_help)
+FIPT_PT_photographs_done, FIPT_PT_photographs_done_settings = _panels(
+    "FIPT_PT_photographs_done", True, state=path.photographs_state
+)
 
 
 class FIPT_PT_scale_points(bpy.types.Panel):
@@ -135,12 +116,12 @@ class FIPT_PT_scale_points(bpy.types.Panel):
     bl_category = "FIPT"
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
+    def poll(cls, context: Context) -> bool:
         from ..blend.capture.scale_picks import shown_group
 
         return bool(shown_group(context.space_data, context.scene.fipt.photographs))
 
-    def draw(self, context: bpy.types.Context) -> None:
+    def draw(self, context: Context) -> None:
         layout = self.layout
         settings = context.scene.fipt.photographs
         layout.operator("fipt.pick_scale_points", icon="EYEDROPPER")
@@ -150,9 +131,7 @@ class FIPT_PT_scale_points(bpy.types.Panel):
         layout.prop(settings, "scale_length")
 
 
-def _draw_groups(
-    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
-) -> None:
+def _draw_groups(layout: UILayout, context: Context, settings: PropertyGroup) -> None:
     """The groups, and the photographs of the active one."""
     layout = layout.column()
     layout.use_property_split = False
@@ -171,33 +150,31 @@ def _draw_groups(
         "FIPT_UL_photographs", "", group, "photographs", settings, "active_photograph", rows=count
     )
     if group.problem:
-        draw_text(layout, context, f"{group.name}: {group.problem}", icon="ERROR")
+        draw_text(layout, f"{group.name}: {group.problem}", icon="ERROR")
     if group.clipped_share > 0.0:
         text = iface_("{}: {:.2f}% of the pixels are clipped in every photograph")
-        draw_text(layout, context, text.format(group.name, 100.0 * group.clipped_share), icon="INFO")
+        draw_text(layout, text.format(group.name, 100.0 * group.clipped_share), icon="INFO")
 
 
-def _draw_last_job(
-    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup
-) -> None:
+def _draw_last_job(layout: UILayout, context: Context, settings: PropertyGroup) -> None:
     """The error and the warnings of the last job on these photographs."""
     job = running.last(_KIND)
     if job is None or job.run_folder != settings.capture_folder():
         return
     if job.error is not None:
-        draw_error(layout, context, job.error, RunFolder(job.run_folder))
+        draw_error(layout, job.error, RunFolder(job.run_folder))
         if settings.groups:
             layout.operator("fipt.open_photographs_report", icon="URL")
-    draw_warnings(layout, context, _KIND, job.warnings)
+    draw_warnings(layout, _KIND, job.warnings)
 
 
-def _was_stopped(settings: bpy.types.PropertyGroup) -> bool:
+def _was_stopped(settings: PropertyGroup) -> bool:
     """Whether the last job on these photographs was cancelled, so that the next one continues it."""
     job = running.last(_KIND)
     return job is not None and job.state == "cancelled" and job.run_folder == settings.capture_folder()
 
 
-def _draw_outcome(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
+def _draw_outcome(layout: UILayout, settings: PropertyGroup) -> None:
     """How many views have a camera, and the way on."""
     all_found = settings.registered_count == settings.used_count
     text = iface_("{} of {} views have a camera").format(settings.registered_count, settings.used_count)

@@ -6,42 +6,39 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import Context, UILayout
 
 from .. import machine
 from ..bridge import places
 from ..core.run.runfolder import PRODUCT_VERSION
 from ..core.run.settings import DEVICES
 from ..jobs import running
-from .menus import draw_shortcut
+from .engine import draw_online_access
 from .progress import draw_progress
 from .sidebar import draw_text
 
-if TYPE_CHECKING:
-    from ..bridge.process import Message
-
+PIE = "FIPT_MT_pie"  # the pie menu
+# Its key until it is changed in the preferences.
+PIE_KEY = {"type": "F", "value": "PRESS", "shift": True, "alt": True}
 _PACKAGES = (("mitsuba", "Mitsuba"), ("drjit", "Dr.Jit"), ("torch", "PyTorch"), ("numpy", "NumPy"))
 
 # Blender holds no reference to the strings that a callback returns, so they are kept here.
 _gpu_items: list[tuple[str, str, str]] = []
 
 
-def _changed(preferences: machine.Preferences, context: bpy.types.Context) -> None:
+def _changed(preferences: machine.Preferences, context: Context) -> None:
     machine.keep()
 
 
-def _engine_changed(preferences: machine.Preferences, context: bpy.types.Context) -> None:
+def _engine_changed(preferences: machine.Preferences, context: Context) -> None:
     preferences.status = ""  # of the previous engine; its update also stores the new value
 
 
-def _list_gpus(
-    preferences: machine.Preferences, context: bpy.types.Context | None
-) -> list[tuple[str, str, str]]:
+def _list_gpus(preferences: machine.Preferences, context: Context | None) -> list[tuple[str, str, str]]:
     known = (machine.status().get("engine") or {}).get("gpus") or []
     gpus = [(gpu["uuid"], gpu["name"], f"{gpu['memory_gb']:.0f} GB") for gpu in known]
     if preferences.gpu_uuid and preferences.gpu_uuid not in [uuid for uuid, _, _ in gpus]:
@@ -103,55 +100,33 @@ class FIPT_Preferences(bpy.types.AddonPreferences):
         description="Last result of Set Up Engine or Check, as JSON", options={"HIDDEN"}, update=_changed
     )
 
-    def draw(self, context: bpy.types.Context) -> None:
-        draw(
-            self.layout,
-            context,
-            self,
-            Facts(machine.status(), str(places.default_data_folder())),
-        )
+    def draw(self, context: Context) -> None:
+        draw(self.layout, context, self)
 
 
-def draw(
-    layout: bpy.types.UILayout, context: bpy.types.Context, preferences: machine.Preferences, facts: Facts
-) -> None:
-    """Draw all of the preferences."""
+def draw(layout: UILayout, context: Context, preferences: machine.Preferences) -> None:
+    """Draw all of the preferences, without a look at the disk."""
     layout.use_property_decorate = False
-    _draw_engine(layout.box(), context, preferences, facts)
-    _draw_device(layout.box(), preferences, facts)
-    _draw_data(layout.box(), context, preferences, facts)
-    draw_shortcut(layout.box(), context)
+    _draw_engine(layout.box(), context, preferences)
+    box = layout.box()
+    box.use_property_split = True
+    box.row().prop(preferences, "device", expand=True)
+    column = box.column()
+    column.enabled = preferences.device != "llvm" and bool((machine.status().get("engine") or {}).get("gpus"))
+    column.prop(preferences, "gpu")
+    box = layout.box()
+    box.use_property_split = True
+    box.prop(preferences, "data_folder", placeholder=str(places.default_data_folder()))
+    box.operator("fipt.clear_data", text="Clear...", icon="TRASH")
+    _draw_shortcut(layout.box(), context)
 
 
-@dataclass(frozen=True)
-class Facts:
-    """What is drawn besides the preferences' values; looked up before, never while drawing.
-
-    Attributes:
-        status: last result of set-up or check, see `data_job.store_status`; empty before the first.
-        data_folder: the default data folder, used where the preference is empty.
-    """
-
-    status: machine.Status
-    data_folder: str
-
-    @property
-    def engine(self) -> dict[str, Any]:
-        """What the check found on the engine; empty where it found none."""
-        return self.status.get("engine") or {}
-
-
-def _draw_engine(
-    layout: bpy.types.UILayout, context: bpy.types.Context, preferences: machine.Preferences, facts: Facts
-) -> None:
+def _draw_engine(layout: UILayout, context: Context, preferences: machine.Preferences) -> None:
     job = running.current()
     if job is not None and job.kind == running.DATA_KIND:
         draw_progress(layout, context, job)
     else:
-        text, icon = headline(facts.status)
-        layout.label(text=text, icon=icon)
-        _draw_facts(layout, facts)
-        _draw_problems(layout, context, facts)
+        _draw_status(layout, machine.status())
     row = layout.row(align=True)
     row.operator("fipt.set_up_engine", icon="IMPORT")
     row.operator("fipt.check_engine", icon="VIEWZOOM")
@@ -163,16 +138,28 @@ def _draw_engine(
     row.prop(preferences, "wheel_folder")
     row.operator("fipt.copy_wheel_command", text="", icon="COPYDOWN")
     if not (bpy.app.online_access or preferences.wheel_folder or preferences.engine_python):
-        draw_text(
-            layout,
-            context,
-            iface_(
-                "Online access is disabled. To set up the engine, enable Allow Online Access in System >"
-                " Network, or select a Folder of Wheels. The button beside it copies a command that downloads"
-                " the wheels on another machine."
-            ),
-            icon="INTERNET_OFFLINE",
-        )
+        draw_online_access(layout)
+
+
+def _draw_status(layout: UILayout, status: machine.Status) -> None:
+    """What set-up or check has found, see `data_job.EngineStatus`, and what helps."""
+    text, icon = headline(status)
+    layout.label(text=text, icon=icon)
+    if engine := status.get("engine"):
+        checked = time.strftime("%Y-%m-%d %H:%M", time.localtime(status["time"]))
+        split = layout.split(factor=0.2)
+        names, values = split.column(align=True), split.column(align=True)
+        names.scale_y = values.scale_y = 0.8
+        names.alignment = "RIGHT"
+        for name, value in (*fact_lines(engine), (iface_("Checked"), checked)):
+            names.label(text=name, translate=False)
+            values.label(text=value, translate=False)
+    if _set_up_cancelled(status):
+        return
+    if error := status.get("error"):
+        draw_text(layout, f"{iface_(error['text'])} {iface_(error['remedy'])}", icon="ERROR", alert=True)
+    for warning in status.get("warnings", ()):
+        draw_text(layout, f"{iface_(warning['text'])} {iface_(warning['remedy'])}", icon="INFO")
 
 
 def headline(status: machine.Status) -> tuple[str, str]:
@@ -225,53 +212,14 @@ def _llvm_text(path: str | None) -> str:
     return f"LLVM {version.group(1)}" if version else f"LLVM ({path})"
 
 
-def _draw_facts(layout: bpy.types.UILayout, facts: Facts) -> None:
-    if not facts.engine:
-        return
-    lines = fact_lines(facts.engine)
-    checked = time.strftime("%Y-%m-%d %H:%M", time.localtime(facts.status["time"]))
-    _draw_table(layout, [*lines, (iface_("Checked"), checked)])
-
-
-def _draw_table(layout: bpy.types.UILayout, lines: Sequence[tuple[str, str]]) -> None:
-    split = layout.split(factor=0.2)
-    names, values = split.column(align=True), split.column(align=True)
-    for column in (names, values):
-        column.scale_y = 0.8
-    names.alignment = "RIGHT"
-    for name, value in lines:
-        names.label(text=name, translate=False)
-        values.label(text=value, translate=False)
-
-
-def _draw_problems(layout: bpy.types.UILayout, context: bpy.types.Context, facts: Facts) -> None:
-    if _set_up_cancelled(facts.status):
-        return
-    error = facts.status.get("error")
-    if error:
-        _draw_problem(layout, context, error, "ERROR")
-    for warning in facts.status.get("warnings", ()):
-        _draw_problem(layout, context, warning, "INFO")
-
-
-def _draw_problem(
-    layout: bpy.types.UILayout, context: bpy.types.Context, message: Message, icon: str
-) -> None:
-    text = f"{iface_(message['text'])} {iface_(message['remedy'])}"
-    draw_text(layout, context, text, icon=icon, alert=icon == "ERROR")
-
-
-def _draw_device(layout: bpy.types.UILayout, preferences: machine.Preferences, facts: Facts) -> None:
-    layout.use_property_split = True
-    layout.row().prop(preferences, "device", expand=True)
-    column = layout.column()
-    column.enabled = preferences.device != "llvm" and bool(facts.engine.get("gpus"))
-    column.prop(preferences, "gpu")
-
-
-def _draw_data(
-    layout: bpy.types.UILayout, context: bpy.types.Context, preferences: machine.Preferences, facts: Facts
-) -> None:
-    layout.use_property_split = True
-    layout.prop(preferences, "data_folder", placeholder=facts.data_folder)
-    layout.operator("fipt.clear_data", text="Clear...", icon="TRASH")
+def _draw_shortcut(layout: UILayout, context: Context) -> None:
+    """The pie menu's key, to be changed in the preferences."""
+    configuration = context.window_manager.keyconfigs.user
+    keymap = None if configuration is None else configuration.keymaps.get("3D View")
+    items = [] if keymap is None else keymap.keymap_items
+    for item in items:
+        if item.idname == "wm.call_menu_pie" and item.properties.name == PIE:
+            row = layout.row(align=True)
+            row.label(text="Pie Menu in 3D Viewports", icon="EVENT_OS")
+            row.prop(item, "active", text="")
+            row.prop(item, "type", text="", full_event=True)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import Context, UILayout
 
 from ..jobs import running
 from ..jobs.job_scene import uses_run_folder
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from ..bridge.job import Job
 
 
-def draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
+def draw_progress(layout: UILayout, context: Context, job: Job) -> None:
     """A progress bar with a cancel button, the stage, the remaining time and the largest memory."""
     column = layout.column(align=True)
     row = column.row(align=True)  # above all text that may wrap, so that the button stays under the pointer
@@ -25,10 +26,10 @@ def draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, job: J
     text = iface_("{}: {:.0f}%").format(iface_(job.title), 100.0 * job.fraction)
     row.progress(factor=job.fraction, text=text)
     row.operator("fipt.cancel", text="", icon="X")
-    draw_text(column, context, iface_("Stopping...") if job.stopping else iface_(job.stage_text))
+    draw_text(column, iface_("Stopping...") if job.stopping else iface_(job.stage_text))
     if job.scene_name and not uses_run_folder(context.scene, job.run_folder):
         text = iface_("Running for the scene '{}', in {}").format(job.scene_name, job.run_folder.name)
-        draw_text(column, context, text, icon="SCENE_DATA")
+        draw_text(column, text, icon="SCENE_DATA")
     facts = []
     if job.remaining_seconds is not None and job.fraction > 0.0:
         facts.append(iface_("{} left").format(time_text(job.remaining_seconds)))
@@ -68,7 +69,7 @@ def status_text(job: Job) -> str:
     return iface_("{}, {} left").format(text, time_text(job.remaining_seconds))
 
 
-def _draw(header: bpy.types.Header, context: bpy.types.Context) -> None:
+def _draw(header: bpy.types.Header, context: Context) -> None:
     job = running.current()
     if job is None:
         return

@@ -1,77 +1,117 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Base of all sections of the side panel: their place, lists of rows, and text that wraps."""
+"""The panels of the side panel, made of functions; lists of rows, and text that wraps."""
 
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
-from . import manual, path
+from . import manual
 
-CATEGORY = "FIPT"
 _CHARACTER_PIXELS = 7.0  # mean width of the default font at scale 1
+_HEADER_PIXELS = 74.0  # of a header's triangle, margins and button at scale 1
+Draw = Callable[[UILayout, Context], None]
 
 
-class Section:
-    """Mix-in of a section's panel: the tab "FIPT" in the sidebar of the 3D Viewport."""
+def panel(
+    label: str,
+    order: int,
+    parent: str = "",
+    closed: bool = False,
+    name: str = "",
+    shown: Callable[[Context], object] = lambda context: True,
+    state: Callable[[Context], Sequence[str]] | None = None,
+    **headers: Draw,
+) -> Callable[[Draw], type[bpy.types.Panel]]:
+    """Declare the panel that a function draws, in the tab "FIPT" of the 3D Viewport's sidebar.
 
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = CATEGORY
-    presets: type[bpy.types.Panel] | None = None  # the menu of presets in the header
+    The class has the function's name. Properties have their names on the left, and no animation buttons.
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Called by Blender: a section is shown when the artist can use it; see `path`."""
-        return path.is_shown(cls.__name__, context)
+    Args:
+        label: its title.
+        order: its place among the others of its parent.
+        parent: name of the panel of which it is a part; "" for a section.
+        closed: whether it is closed at first.
+        name: of its class, if not the function's.
+        shown: whether the artist can use it.
+        state: texts of its state in its header, the longest one first.
+        headers: what is drawn besides in its header: `before` the label, and `after` it on the right.
+    """
 
-    def draw_header_preset(self, context: bpy.types.Context) -> None:
-        """Called by Blender: the state of a section, presets, and the button of the guide's chapter."""
-        layout = self.layout  # type: ignore[attr-defined]
-        name = type(self).__name__
-        helps = bool(manual.address()) and not getattr(self, "bl_parent_id", "")  # RNA gives panels one
-        buttons = helps + (self.presets is not None)
-        text = path.state_text(name, self.bl_label, buttons, context)  # type: ignore[attr-defined]
-        if text:
-            row = layout.row()
-            row.active = False
-            row.label(text=text, translate=False)
-        if self.presets is not None:
-            self.presets.draw_panel_header(layout)
-        if helps:
-            chapter = manual.chapter_of(name)
-            layout.operator("fipt.help", text="", icon="QUESTION", emboss=False).chapter = chapter
+    def declare(function: Draw) -> type[bpy.types.Panel]:
+        def draw(self: Any, context: Context) -> None:
+            self.layout.use_property_split = True
+            self.layout.use_property_decorate = False
+            function(self.layout, context)
 
-    def fields(self) -> bpy.types.UILayout:
-        """The panel's layout for properties: names on the left, values on the right, no animation buttons."""
-        layout = self.layout  # type: ignore[attr-defined]
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        return layout
+        def draw_header_preset(self: Any, context: Context) -> None:
+            if text := _fitting(state(context) if state else (), label, context):
+                row = self.layout.row()
+                row.active = False
+                row.label(text=text, translate=False)
+            if "after" in headers:
+                headers["after"](self.layout, context)
+
+        members: dict[str, Any] = {
+            "__module__": function.__module__,
+            "__doc__": function.__doc__,
+            "bl_label": label,
+            "bl_order": order,
+            "bl_space_type": "VIEW_3D",
+            "bl_region_type": "UI",
+            "bl_category": "FIPT",
+            "bl_options": {"DEFAULT_CLOSED"} if closed else set(),
+            "poll": classmethod(lambda cls, context: bool(shown(context))),
+            "draw": draw,
+            "draw_header_preset": draw_header_preset,
+        }
+        if parent:
+            members["bl_parent_id"] = parent
+        if "before" in headers:
+            members["draw_header"] = lambda self, context: headers["before"](self.layout, context)
+        return type(name or function.__name__, (bpy.types.Panel,), members)
+
+    return declare
 
 
-class SubSection(Section):
-    """Mix-in of a closed subpanel of a section; a subclass names the section in `bl_parent_id`."""
+def _fitting(texts: Sequence[str], label: str, context: Context) -> str:
+    """The first text for which a header has room beside its label; "" if none."""
+    if context.region is None:
+        return next(iter(texts), "")
+    room = (_width(context) - _HEADER_PIXELS) / _CHARACTER_PIXELS - len(iface_(label))
+    return next((text for text in texts if len(text) <= room), "")
 
-    bl_options = {"DEFAULT_CLOSED"}
+
+def draw_help(layout: UILayout, context: Context) -> None:
+    """The button of the guide, where there is one."""
+    if manual.address():
+        layout.operator("fipt.help", text="", icon="QUESTION", emboss=False)
 
 
-class Rows:
-    """Mix-in of a list, before `bpy.types.UIList`; a subclass draws the row of one item."""
+def rows(**members: Callable[..., Any]) -> Callable[[Callable[..., None]], type[bpy.types.UIList]]:
+    """Declare the list whose rows a function draws, as `function(layout, context, item, index)`.
 
-    def draw_item(
-        self, context: Context, layout: UILayout, data: PropertyGroup, item: PropertyGroup, icon: int,
-        active_data: PropertyGroup, active_property: str, index: int = 0, flt_flag: int = 0,
-    ) -> None:  # fmt: skip
-        """Called by Blender; most lists need no more than the item."""
-        self.draw_row(context, layout, item, index)
+    Args:
+        members: further methods of the class, such as `filter_items`.
+    """
 
-    def draw_row(self, context: Context, layout: UILayout, item: PropertyGroup, index: int) -> None:
-        """Draw an item, the `index`-th of the list."""
-        raise NotImplementedError
+    def declare(function: Callable[..., None]) -> type[bpy.types.UIList]:
+        def draw_item(
+            self: Any, context: Context, layout: UILayout, data: PropertyGroup, item: PropertyGroup,
+            icon: int, active_data: PropertyGroup, active: str, index: int = 0, flag: int = 0,
+        ) -> None:  # fmt: skip
+            function(layout, context, item, index)
+
+        made = {"__module__": function.__module__, "__doc__": function.__doc__, "draw_item": draw_item}
+        return type(function.__name__, (bpy.types.UIList,), {**made, **members})
+
+    return declare
 
 
 def size_text(size: float) -> str:
@@ -79,14 +119,16 @@ def size_text(size: float) -> str:
     return f"{size / 1e9:.1f} GB" if size >= 1e8 else f"{size / 1e6:.1f} MB"
 
 
-def draw_text(
-    layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE", alert: bool = False
-) -> None:
+def _width(context: Context) -> float:
+    """Of the region that is drawn, in pixels at scale 1."""
+    return context.region.width / context.preferences.system.ui_scale if context.region else 240.0
+
+
+def draw_text(layout: UILayout, text: str, icon: str = "NONE", alert: bool = False) -> None:
     """Draw a text of any length, wrapped to the region's width; Blender would truncate a label."""
-    width = context.region.width / context.preferences.system.ui_scale if context.region else 240.0
     column = layout.column(align=True)
     column.alert = alert
     column.scale_y = 0.8
-    lines = textwrap.wrap(text, max(int((width - 50.0) / _CHARACTER_PIXELS), 8)) or [""]
-    for index, line in enumerate(lines):
+    room = (_width(bpy.context) - 50.0) / _CHARACTER_PIXELS
+    for index, line in enumerate(textwrap.wrap(text, max(int(room), 8)) or [""]):
         column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE")

@@ -15,7 +15,7 @@ from ..core.capture.options import UP, CaptureOptions
 from ..core.run.shapes import UP_AXES
 from .declared import enum_items, properties_of
 
-IMPORT_OPTIONS = properties_of(CaptureOptions)
+IMPORT_OPTIONS = properties_of(CaptureOptions)  # as properties by their names
 
 _counting = True  # False while several views change at once
 

@@ -11,6 +11,7 @@ import bpy
 from ..prepare.preparation import PrepareSettings
 from .declared import properties_of, values_of
 
+OPTIONS = properties_of(PrepareSettings)  # of `prepare`, as properties by their names
 STATES = (
     ("NONE", "", "", "NONE", 0),
     ("REGISTERED", "Registered", "Its camera has been found", "CHECKMARK", 1),
@@ -50,7 +51,7 @@ class FIPT_PhotographsSettings(bpy.types.PropertyGroup):
     chosen: bpy.props.StringProperty(
         description="Names of the files that were chosen, one per line; empty for all in the folder"
     )
-    __annotations__.update(properties_of(PrepareSettings))
+    __annotations__.update(OPTIONS)
     groups: bpy.props.CollectionProperty(type=FIPT_PhotographGroup)
     active_group: bpy.props.IntProperty(name="Group", options=set())
     active_photograph: bpy.props.IntProperty(name="Photograph", options=set())

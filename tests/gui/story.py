@@ -242,7 +242,7 @@ def materials(window: Window, options: Options) -> None:
 
 def check(window: Window, options: Options) -> None:
     """A picture of the current view before anything is changed, and the report."""
-    window.open_section("Render")
+    window.open_section("Render", "Picture")
     window.choose("check.size", "PHOTOGRAPH")  # as the picture that it is compared with
     window.click("fipt.final_picture")
     window.wait(inside.picture, seconds=600)
@@ -250,6 +250,7 @@ def check(window: Window, options: Options) -> None:
     window.settle()
     window.shot("14_check_render")
     window.ask(agent.close_window, PICTURE[0])
+    window.open_section("Render", "Report")
     window.click("fipt.write_report")
     finish(window, "report")
     assert Path(window.ask(lambda: bpy.context.scene.fipt.check.report)).is_file()
@@ -281,7 +282,7 @@ def lights(window: Window, options: Options) -> None:
 
 def insert(window: Window, options: Options) -> None:
     """Add a ball at the 3D cursor, and render the relit room with it."""
-    window.open_section("Render")
+    window.open_section("Render", "Picture")
     before = set(window.ask(inside.objects))
     window.point_in_view(0.45, 0.35)
     window.key("shift+RIGHTMOUSE")  # the 3D cursor

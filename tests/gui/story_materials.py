@@ -29,8 +29,9 @@ def part_materials(window: Window, options: Options) -> None:
     window.settle()
     window.shot("21_part_picked")
     active = f"materials.parts[{picked['names'].index(picked['active'])}]"
-    window.set_text(f"{active}.hue", "0.3")
     window.set_text(f"{active}.roughness_value", "0.3")
+    window.open_section(*_LIST, "More")
+    window.set_text(f"{active}.hue", "0.3")
     adjusted = window.wait(inside.part_rows, until=lambda now: abs(now["roughness_value"] - 0.3) < 1e-4)
     assert abs(adjusted["hue"] - 0.3) < 1e-4, adjusted
     window.shot("22_part_adjusted")

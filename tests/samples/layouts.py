@@ -13,101 +13,97 @@ from fipt_blender import panels as panel_package
 
 
 class Layout:
-    """Stands in for Blender's: notes what is drawn, in this order.
-
-    Args:
-        drawn: gets the texts of labels and the names of operators.
-        is_open: whether what folds is open.
-        properties: gets the names of properties.
+    """Stands in for Blender's, where nothing that folds is open: notes what is drawn, in this order.
 
     Attributes:
-        labels: the options of labels.
-        buttons: the operators' settings, with `name` and `text`.
+        drawn: texts of labels, and names of operators.
+        properties: their names.
+        buttons: names of operators, and kinds of other buttons: items of enumerations, and what opens menus.
     """
 
-    def __init__(
-        self,
-        drawn: list[str] | None = None,
-        is_open: bool = False,
-        properties: list[str] | None = None,
-        of: Layout | None = None,
-    ) -> None:
-        lists = {"drawn": drawn, "properties": properties, "labels": None, "buttons": None}
-        made = {name: [] if value is None else value for name, value in lists.items()}
-        vars(self).update(vars(of) if of else {"is_open": is_open, **made})
+    def __init__(self, of: Layout | None = None) -> None:
+        vars(self).update(vars(of) if of else {"drawn": [], "properties": [], "buttons": []})
 
     def __setattr__(self, name: str, value: object) -> None:
         """Settings of a layout do not matter here."""
 
     def __getattr__(self, name: str):
         def call(*arguments, **options):
-            part = Layout(of=self)
             if name in ("label", "progress"):
                 self.drawn.append(options["text"])
-                self.labels.append(options)
-            elif name in ("prop", "prop_enum"):
+            elif name == "prop":
                 self.properties.append(arguments[1])
+            elif name in ("prop_enum", "popover", "menu", "operator_menu_enum"):
+                self.buttons.append(name)
             elif name == "operator":
                 self.drawn.append(arguments[0])
-                self.buttons.append(SimpleNamespace(name=arguments[0], text=options.get("text", "")))
-                return self.buttons[-1]
-            elif name == "panel":
-                return part, part if self.is_open else None
-            return part
+                self.buttons.append(arguments[0])
+                return SimpleNamespace()
+            part = Layout(of=self)
+            return (part, None) if name == "panel" else part
 
         return call
 
 
-def drawn_by(panel: type, is_open: bool = False) -> tuple[list[str], list[str]]:
-    """What a panel draws of the open scene: labels and operators; names of properties.
+def drawn_by(panel: type) -> tuple[list[str], list[str]]:
+    """What a panel draws of the open scene: labels and operators; names of properties."""
+    layout = Layout()
+    panel.draw(SimpleNamespace(layout=layout), _context())
+    return layout.drawn, layout.properties
 
-    Args:
-        is_open: whether what folds inside the panel is open.
-    """
-    context = SimpleNamespace(
-        scene=bpy.context.scene, space_data=None, mode="OBJECT", region=None, preferences=bpy.context.preferences
+
+def _context(shading: SimpleNamespace | None = None) -> SimpleNamespace:
+    """The open scene in a 3D view of a shading, or in none."""
+    space = None if shading is None else SimpleNamespace(shading=shading, as_pointer=lambda: 1)
+    return SimpleNamespace(
+        scene=bpy.context.scene, space_data=space, mode="OBJECT", region=None, preferences=bpy.context.preferences
     )
-    drawn, properties = [], []
-    layout = Layout(drawn, is_open, properties)
-    panel.draw(SimpleNamespace(fields=lambda: layout, layout=layout), context)
-    return drawn, properties
 
 
 @dataclass(frozen=True)
 class TabCount:
-    """What the tab shows at once: sections, which of them are open, operators' and properties' names."""
+    """What the tab shows at once: sections, which of them are open; buttons, properties and texts."""
 
     sections: tuple[str, ...]
     opened: tuple[str, ...]
     buttons: tuple[str, ...]
     settings: tuple[str, ...]
+    texts: tuple[str, ...]
 
 
-def tab_count() -> TabCount:
-    """Count what the tab FIPT shows of the open scene where the artist has opened and closed nothing."""
+def tab_count(shading: str = "SOLID") -> TabCount:
+    """Count what the tab FIPT shows of the open scene where the artist has opened and closed nothing, in headers, too.
+
+    Args:
+        shading: type of the 3D view's.
+    """
     panels = [
         panel
         for panel in panel_package.CLASSES
         if issubclass(panel, bpy.types.Panel) and (panel.bl_space_type, panel.bl_region_type) == ("VIEW_3D", "UI")
     ]
-    shown = {panel.__name__ for panel in panels if not hasattr(panel, "poll") or panel.poll(bpy.context)}
-    closed = {panel.__name__ for panel in panels if "DEFAULT_CLOSED" in getattr(panel, "bl_options", ())}
-    parent = {panel.__name__: getattr(panel, "bl_parent_id", "") for panel in panels}
-    by_name = {panel.__name__: panel for panel in panels}
+    shown = {panel.__name__: panel for panel in panels if panel.poll(bpy.context)}
 
     def is_open(name: str) -> bool:
-        return name in shown and name not in closed and (not parent[name] or is_open(parent[name]))
+        panel = shown.get(name)
+        parent = getattr(panel, "bl_parent_id", "")
+        return panel is not None and "DEFAULT_CLOSED" not in panel.bl_options and (not parent or is_open(parent))
 
-    buttons, settings = [], []
-    for name in filter(is_open, by_name):
-        drawn, properties = drawn_by(by_name[name])
-        buttons += [text for text in drawn if text.startswith(("fipt.", "preferences.", "wm."))]
-        settings += properties
-    sections = [name for name in shown if not parent[name]]
-    sections.sort(key=lambda name: by_name[name].bl_order)
+    layout = Layout()
+    for name, panel in shown.items():
+        drawing = (SimpleNamespace(layout=layout), _context(SimpleNamespace(type=shading)))
+        parent = getattr(panel, "bl_parent_id", "")
+        if not parent or is_open(parent):
+            panel.draw_header_preset(*drawing)
+        if is_open(name):
+            panel.draw(*drawing)
+    sections = sorted(
+        (panel for panel in shown.values() if not getattr(panel, "bl_parent_id", "")), key=lambda panel: panel.bl_order
+    )
     return TabCount(
-        tuple(by_name[name].bl_label for name in sections),
-        tuple(by_name[name].bl_label for name in sections if is_open(name)),
-        tuple(buttons),
-        tuple(settings),
+        tuple(panel.bl_label for panel in sections),
+        tuple(panel.bl_label for panel in sections if is_open(panel.__name__)),
+        tuple(layout.buttons),
+        tuple(layout.properties),
+        tuple(text for text in layout.drawn if text not in layout.buttons),
     )
