@@ -12,7 +12,6 @@ from __future__ import annotations
 import hashlib
 import re
 import shutil
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +19,7 @@ import bpy
 
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder, atomic_path
-from .image_datablocks import load_texture, load_tiles, read_texture
+from .image_datablocks import load_texture, read_texture
 from .marks import TEXTURE
 from .png16 import encode_png, encode_srgb
 
@@ -77,15 +76,7 @@ class TextureFiles:
 
     def load(self, path: Path, is_data: bool | None) -> bpy.types.Image:
         """The image of a file of the run folder; `copy` comes first, with the same arguments."""
-        path = self._kept(path, is_data)
-        return self._placed(load_texture(path, bool(is_data)))
-
-    def load_tiles(self, paths: Mapping[int, Path], is_data: bool) -> bpy.types.Image:
-        """Files of the run folder, by their UDIM numbers, as one image; `copy` comes first."""
-        kept = {number: self._kept(path, is_data) for number, path in paths.items()}
-        return self._placed(load_tiles(kept, is_data))
-
-    def _placed(self, image: bpy.types.Image) -> bpy.types.Image:
+        image = load_texture(self._kept(path, is_data), bool(is_data))
         path = bpy.path.relpath(image.filepath) if self.relative else image.filepath
         if image.filepath != path:  # setting it reads the file anew, without what the artist has painted
             image.filepath = path

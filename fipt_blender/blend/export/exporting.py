@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 from ...bridge.process import Message
 from ...core.run.errors import FiptError
@@ -36,10 +35,8 @@ from ..marks import (
 from ..results.adjust import NO_ADJUSTMENT, Adjustment
 from ..results.materials import is_uniform
 from ..room.atlas import file_names
-from ..room.mesh_arrays import corner_uvs, polygon_slots, polygon_starts
 from ..room.originals import shows_original
-from ..room.tiles import image_uvs, polygon_images
-from ..room.uv_layer import UV_LAYER, write_layer
+from ..room.uv_layer import UV_LAYER
 from ..save import check_space
 from .color import colors_in_rec709
 from .environment import is_dark, plain_world
@@ -49,7 +46,6 @@ from .materials import (
     PlainTextures,
     artists_name,
     has_maps,
-    is_tiled,
     plain_lamp,
     plain_material,
     plain_textures,
@@ -196,7 +192,7 @@ def _materials(stage: Stage) -> list[bpy.types.Material]:
 
 
 class _Plain:
-    """The plain materials of parts, made when they are asked for: one for each image on which a part lies.
+    """The plain materials of parts, made when they are asked for.
 
     Args:
         pictures: path that the files of textures begin with.
@@ -205,26 +201,26 @@ class _Plain:
 
     def __init__(self, stage: Stage, pictures: str, texture_size: int) -> None:
         self._stage, self._pictures, self._size = stage, pictures, texture_size
-        self._made: dict[tuple[bpy.types.Material, int], bpy.types.Material] = {}
-        self._textures: dict[tuple[bpy.types.Image, Adjustment, int], PlainTextures] = {}
+        self._made: dict[bpy.types.Material, bpy.types.Material] = {}
+        self._textures: dict[tuple[bpy.types.Image, Adjustment], PlainTextures] = {}
         self._files: list[str] = []
         self.names: set[str] = set()
 
-    def material(self, material: bpy.types.Material, tile: int) -> bpy.types.Material:
-        """What stands for an estimated material on an image of the atlas."""
-        if (material, tile) not in self._made:
+    def material(self, material: bpy.types.Material) -> bpy.types.Material:
+        """What stands for an estimated material."""
+        if material not in self._made:
             name = artists_name(material, self._stage.name(material))
-            textures = None if is_uniform(material) else self._textures_of(material, tile, name)
-            self._made[material, tile] = self._stage.add(plain_material(material, textures), name)
+            textures = None if is_uniform(material) else self._textures_of(material, name)
+            self._made[material] = self._stage.add(plain_material(material, textures), name)
             self.names.add(name)
-        return self._made[material, tile]
+        return self._made[material]
 
-    def _textures_of(self, material: bpy.types.Material, tile: int, name: str) -> PlainTextures:
-        key = texture_key(material, tile)
+    def _textures_of(self, material: bpy.types.Material, name: str) -> PlainTextures:
+        key = texture_key(material)
         if key not in self._textures:
             self._files.append(name if key[1] != NO_ADJUSTMENT else material[MATERIAL])
             stem = self._pictures + file_names(self._files)[-1]
-            self._textures[key] = found = plain_textures(material, tile, stem, self._size)
+            self._textures[key] = found = plain_textures(material, stem, self._size)
             for image in (found.base_color, found.orm):
                 self._stage.add(image, Path(image.filepath).stem)
         return self._textures[key]
@@ -234,21 +230,9 @@ def _plain_room(stage: Stage, pictures: str, texture_size: int) -> set[str]:
     """Give the room's meshes on the stage plain materials, whose names are returned."""
     plain = _Plain(stage, pictures, texture_size)
     for mesh in {item.data: None for item in stage.scene.objects if has_estimates(item)}:
-        materials = [each if has_maps(each) else None for each in mesh.materials]
-        slots, tiles = polygon_slots(mesh), np.zeros(len(mesh.polygons), np.int64)
-        if any(each is not None and is_tiled(each) for each in materials):  # few readers know tiles
-            tiles, uv = polygon_images(mesh), corner_uvs(mesh, mesh.uv_layers[UV_LAYER])
-            size = np.diff(polygon_starts(mesh), append=len(uv))
-            write_layer(mesh, image_uvs(uv, np.repeat(tiles, size)))
-        for index, material in enumerate(materials):
-            if material is None:
-                continue
-            first, *others = np.unique(tiles[slots == index]).tolist() if is_tiled(material) else [0]
-            mesh.materials[index] = plain.material(material, first)
-            for tile in others:
-                mesh.materials.append(plain.material(material, tile))
-                slots[(slots == index) & (tiles == tile)] = len(mesh.materials) - 1
-        mesh.polygons.foreach_set("material_index", slots.astype(np.int32))
+        for index, material in enumerate(mesh.materials):
+            if has_maps(material):
+                mesh.materials[index] = plain.material(material)
     return plain.names
 
 

@@ -55,7 +55,7 @@ from .reading import Results, cleaned_scan, read_results
 from .targets import Target, TargetBuilder, find_mesh
 from .write_back_nodes import agree_with_model
 
-SEVERAL = "Room"  # in place of an atlas image's name, for several or for colour attributes
+ATTRIBUTES = "Room"  # in place of an image's name
 
 
 @dataclass(frozen=True)
@@ -214,12 +214,11 @@ def _swap_in(
     replaced = {*before, *(mesh for _, _, mesh in pairs)}
     stale = {material for target, _, mesh in pairs for material in _kept_materials(target, mesh, results)}
     entries = results.entries
-    atlases = [[entry] for entry in entries] if results.apart else [entries]
     materials = PartMaterials(
         results.faces,
-        [load_maps(run, images, files) if images else None for images in atlases],
-        [images[0].name if len(images) == 1 else SEVERAL for images in atlases],
-        results.triangle_atlas,
+        [load_maps(run, entry, files) for entry in entries] or [None],
+        [entry.name for entry in entries] or [ATTRIBUTES],
+        results.triangle_image,
         results.uniform,
         earlier,
         [material for material in used_alone(earlier, replaced) if material not in stale],

@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The estimated materials: a Principled material for each part, its maps in nodes with fixed names.
 
-Parts share the atlas images. Of several, each map is one image with tiles (UDIM), so that a part has one
-material wherever it lies. The artist's materials stay in the original meshes, which `room.originals` sets
-aside.
+Parts share the atlas images; a part on several images has a material for each. The artist's materials stay in
+the original meshes, which `room.originals` sets aside.
 """
 
 from __future__ import annotations
@@ -20,10 +19,9 @@ from ...core.run.errors import FiptError
 from ...core.run.result_contents import TextureImage, Textures
 from ...core.run.runfolder import RunFolder
 from ..color_spaces import to_scene_linear
-from ..image_datablocks import remove_unused_images, tile_pattern
+from ..image_datablocks import remove_unused_images
 from ..marks import ESTIMATE, MAP, MATERIAL, OUTPUT, PART, PART_NAME, PRINCIPLED, TABLE
 from ..node_trees import node_tree
-from ..room.tiles import tile_number
 from ..room.uv_layer import UV_LAYER
 from ..texture_files import TextureFiles
 from . import adjust
@@ -45,7 +43,7 @@ class Surface:
     """What a material shows: a part's texels of the atlas.
 
     Attributes:
-        image: name of the atlas, the same for all parts that share it.
+        image: name of the atlas image.
         key, name: of the part, see `core.run.parts`.
         values: base colour, roughness and metallic (5,) of a part of one value, which needs no textures.
     """
@@ -141,25 +139,11 @@ def read_textures(run: RunFolder) -> tuple[Sequence[TextureImage], dict[str, tup
     return textures.images, uniform
 
 
-def load_maps(
-    run: RunFolder, entries: Sequence[TextureImage], files: TextureFiles
-) -> dict[str, bpy.types.Image]:
-    """The images of the entries of textures.json, by the labels of their maps; of several, their tiles.
-
-    Raises:
-        FiptError: ``file-damaged`` for textures of an earlier version, which are not tiles.
-    """
-    maps = {}
-    for key, (label, is_data) in MAPS.items():
-        paths = {tile_number(index): run.resolve(getattr(entry, key)) for index, entry in enumerate(entries)}
-        if len(paths) == 1:
-            maps[label] = files.load(next(iter(paths.values())), is_data)
-            continue
-        if len({tile_pattern(path.name, number) for number, path in paths.items()}) > 1:
-            text = f"The names in {run.textures_json} are not those of tiles."
-            raise FiptError("file-damaged", text, "Apply the results again.")
-        maps[label] = files.load_tiles(paths, is_data)
-    return maps
+def load_maps(run: RunFolder, entry: TextureImage, files: TextureFiles) -> dict[str, bpy.types.Image]:
+    """The images of an entry of textures.json, by the labels of their maps."""
+    return {
+        label: files.load(run.resolve(getattr(entry, key)), is_data) for key, (label, is_data) in MAPS.items()
+    }
 
 
 def part_material(

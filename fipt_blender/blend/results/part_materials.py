@@ -20,7 +20,7 @@ from ..marks import MATERIAL, PART, PART_NAME, REPLACEMENT
 from ..room.mesh_arrays import polygon_slots
 from ..room.result_meshes import list_names
 from . import adjust
-from .materials import Surface, images_of, part_material
+from .materials import Surface, images_of, materials_by_part, part_material
 from .replacing import fill_slots
 
 
@@ -43,19 +43,19 @@ class PartMaterials:
 
     Attributes:
         faces: what the triangles show.
-        images: of each atlas by the labels of their maps; of colour attributes, the one is None.
-        names: of the atlases.
-        triangle_atlas: (T,) int, the atlas of each triangle.
+        images: the maps of each atlas image by their labels; of colour attributes, the one is None.
+        names: of the atlas images.
+        triangle_image: (T,) int, the image of each triangle.
         uniform: base colour, roughness and metallic of parts of one value, by their keys.
         earlier: materials of earlier results, whose adjustments and replacements are kept.
         reused: those of them that are built anew instead of making new ones.
-        made: those made so far, by the indices of part and atlas.
+        made: those made so far, by the indices of part and image.
     """
 
     faces: PartFaces
     images: Sequence[Mapping[str, bpy.types.Image] | None]
     names: Sequence[str]
-    triangle_atlas: np.ndarray
+    triangle_image: np.ndarray
     uniform: Mapping[str, tuple[float, ...]]
     earlier: Sequence[bpy.types.Material]
     reused: Sequence[bpy.types.Material]
@@ -67,7 +67,7 @@ class PartMaterials:
         self._adjustments: dict[str, adjust.Adjustment] = {}
         self._replacements: dict[str, bpy.types.Material] = {}
         self._lost: list[str] = []
-        self._reused = {material.get(PART, ""): material for material in reversed(self.reused)}
+        self._reused = {key: iter(found) for key, found in materials_by_part(self.reused).items()}
         for material in self.earlier:
             values, replacement = adjust.read(material), material.get(REPLACEMENT)
             if values == adjust.NO_ADJUSTMENT and replacement is None:
@@ -102,7 +102,7 @@ class PartMaterials:
         own = np.minimum(polygon_slots(mesh), max(len(mesh.materials) - 1, 0))
         # The last ones stand for -1.
         part = np.append(
-            self.faces.parts.triangle.astype(np.int64) * len(self.names) + self.triangle_atlas, -1
+            self.faces.parts.triangle.astype(np.int64) * len(self.names) + self.triangle_image, -1
         )
         kept = np.append(self.faces.left_alone, True)[triangle]
         number = part[triangle]
@@ -122,24 +122,24 @@ class PartMaterials:
         mesh.update()
 
     def _number(self, material: bpy.types.Material | None) -> int:
-        """Index of part and atlas of an earlier material, -1 where there is no such part."""
+        """Index of part and image of an earlier material, -1 where there is no such part."""
         keys = [part.key for part in self.faces.parts.parts]
         if material is None or material[MATERIAL] not in self.names or material.get(PART) not in keys:
             return -1
         return keys.index(material[PART]) * len(self.names) + self.names.index(material[MATERIAL])
 
-    def _material(self, part: int, atlas: int) -> bpy.types.Material:
-        found = self.made.get((part, atlas))
+    def _material(self, part: int, image: int) -> bpy.types.Material:
+        found = self.made.get((part, image))
         if found is None:
             described = self.faces.parts.parts[part]
             values = self.uniform.get(described.key)
             found = part_material(
-                Surface(self.names[atlas], described.key, described.name, values),
-                self.images[atlas],
+                Surface(self.names[image], described.key, described.name, values),
+                self.images[image],
                 self._adjustments.get(described.key, adjust.NO_ADJUSTMENT),
-                self._reused.pop(described.key, None),
+                next(self._reused.get(described.key, iter(())), None),
             )
-            self.made[part, atlas] = found
+            self.made[part, image] = found
             if described.key in self._replacements:
                 found[REPLACEMENT] = self._replacements[described.key]
         return found

@@ -29,7 +29,6 @@ from ..lights.fixtures import triangle_fixtures
 from ..marks import MAP
 from ..room.arrays import Room, read_room
 from ..room.islands import uv_islands
-from ..room.tiles import tiled_uvs
 from ..room.uv_layer import UV_LAYER
 from .materials import MAPS, read_textures
 from .part_materials import PartFaces
@@ -45,10 +44,9 @@ class Results:
     Attributes:
         room: the exported room.
         faces: part of each triangle.
-        corner_uv: (T,3,2) of the atlas, in its tiles.
-        triangle_atlas: (T,) int, which of several atlases a triangle lies on; 0 where parts share one.
+        corner_uv: (T,3,2) of the atlas.
+        triangle_image: (T,) int, on which of its images a triangle lies; 0 for colour attributes.
         entries: the images of textures.json; empty for colour attributes.
-        apart: whether each image is an atlas of its own.
         uniform: base colour, roughness and metallic of parts of one value, by their keys.
         corner_fields: values of colour attributes by map; empty for UVs.
         emitters: the fixtures of emitters.json.
@@ -57,9 +55,8 @@ class Results:
     room: Room
     faces: PartFaces
     corner_uv: np.ndarray
-    triangle_atlas: np.ndarray
+    triangle_image: np.ndarray
     entries: Sequence[TextureImage]
-    apart: bool
     uniform: dict[str, tuple[float, ...]]
     corner_fields: dict[str, np.ndarray]
     emitters: Sequence[EmitterFixture]
@@ -67,7 +64,7 @@ class Results:
     @cached_property
     def laid_out(self) -> str:
         """A digest of the atlas."""
-        digest = hashlib.blake2b(self.corner_uv.tobytes(), digest_size=16)
+        digest = hashlib.blake2b(self.corner_uv.tobytes() + self.triangle_image.tobytes(), digest_size=16)
         digest.update(repr((sorted(self.corner_fields), [each.name for each in self.entries])).encode())
         return digest.hexdigest()
 
@@ -94,7 +91,8 @@ class Results:
         """(T,) number of the surface on which each triangle's values are continuous."""
         if self.corner_fields:
             return self.faces.parts.triangle + 1
-        return uv_islands(self.room.triangles, self.corner_uv)
+        apart = 2.0 * self.triangle_image[:, None, None]  # on different images
+        return uv_islands(self.room.triangles, self.corner_uv + apart)
 
 
 def read_results(run: RunFolder) -> Results:
@@ -116,15 +114,12 @@ def read_results(run: RunFolder) -> Results:
     if run.left_alone_npz.is_file():
         found = read_arrays(run.left_alone_npz, LeftAlone, _ESTIMATE_AGAIN, sizes={"triangles": count})
         left_alone = of_whole_polygons(room, found.left_alone)
-    image, apart = arrays.triangle_image, atlas.apart and bool(entries)
-    shared = np.zeros_like(image)
     return Results(
         room=room,
         faces=PartFaces(parts, left_alone),
-        corner_uv=tiled_uvs(arrays.corner_uv, shared if apart else image),
-        triangle_atlas=own_images(image, parts.triangle, room.triangle_object) if apart else shared,
+        corner_uv=arrays.corner_uv,
+        triangle_image=own_images(arrays.triangle_image, parts.triangle, room.triangle_object),
         entries=entries,
-        apart=apart,
         uniform=uniform,
         corner_fields=corner_fields,
         emitters=read_emitters(run, count).fixtures,

@@ -28,7 +28,6 @@ from .arrays import Room, read_room
 from .islands import island_bounds, rotate_islands, split_islands, triangle_areas, uv_islands
 from .packing import PAD, Packing, pack_apart, pack_islands, place
 from .result_meshes import match_objects
-from .tiles import tile_number
 from .unwrapping import (
     UnwrapSource,
     exported_source,
@@ -114,7 +113,7 @@ def atlas_slices(
     room = read_room(run)
     count = len(room.triangles)
     if settings.atlas_mode == "color_attribute":
-        _write(run, np.zeros((count, 3, 2)), np.full(count, -1), "color_attribute", [], None)
+        _write(run, np.zeros((count, 3, 2)), np.full(count, -1), "color_attribute", [], [])
         return Atlas([], [], [], 0.0)
     matches = match_objects(room, objects)
     yield None
@@ -165,25 +164,26 @@ def atlas_slices(
 
 @dataclass(frozen=True)
 class _Owners:
-    """What has images of its own.
+    """What lies on as few images as possible, or on an image of its own.
 
     Attributes:
         triangle: (T,) int, the owner of each triangle.
         names: of the owners.
+        apart: whether each has an image of its own.
     """
 
     triangle: np.ndarray
     names: list[str]
+    apart: bool
 
 
-def _image_owners(room: Room, run: RunFolder, settings: Settings) -> _Owners | None:
-    """The parts or objects that have images of their own; None where all share them."""
+def _image_owners(room: Room, run: RunFolder, settings: Settings) -> _Owners:
+    """The objects where each has an image of its own, else the parts."""
     if settings.atlas_images == "object":
-        return _Owners(room.triangle_object.astype(np.int64), list(room.objects))
-    if settings.atlas_images == "part":
-        parts = read_parts(run, room.triangle_object, room.objects)
-        return _Owners(parts.triangle.astype(np.int64), [part.name for part in parts.parts])
-    return None
+        return _Owners(room.triangle_object.astype(np.int64), list(room.objects), True)
+    parts = read_parts(run, room.triangle_object, room.objects)
+    names = [part.name for part in parts.parts]
+    return _Owners(parts.triangle.astype(np.int64), names, settings.atlas_images == "part")
 
 
 def _batches(tasks: list[_UnwrapTask]) -> Iterator[list[_UnwrapTask]]:
@@ -208,13 +208,13 @@ def _pack_room(
     settings: Settings,
     max_images: int,
     resolved: np.ndarray | None,
-    owners: _Owners | None,
+    owners: _Owners,
 ) -> Slices[tuple[Packing, float]]:
     """Scale all islands to one density, or to that of the photographs, pack them and write the atlas.
 
     Args:
         resolved: (T,) texels a metre that photographs resolve, NaN where unseen; None for one density.
-        owners: each gets an image of its own; None: all share images.
+        owners: of the images.
 
     Returns:
         the packing, and the lowest density of an island.
@@ -222,7 +222,7 @@ def _pack_room(
     # Number the islands over the whole room.
     stride = int(islands.island.max(initial=0)) + 1
     number = room.triangle_object.astype(np.int64) * stride + islands.island
-    if owners is not None:  # an island may extend over several parts
+    if owners.apart:  # an island may extend over several parts
         number = number * len(owners.names) + owners.triangle
     _, island = np.unique(number, return_inverse=True)
     island_count = int(island.max(initial=-1)) + 1
@@ -252,11 +252,11 @@ def _pack_room(
         yield None
     low, extent = island_bounds(texels, packed_island)
     group = np.zeros(len(low), np.int64)
-    group[packed_island] = owner if owners is None else owners.triangle[packed]
-    if owners is None:
-        packing = pack_islands(extent, group, settings.texture_size, max_images=max_images)
-    else:
+    group[packed_island] = owners.triangle[packed]
+    if owners.apart:
         packing = pack_apart(extent, group, settings.texture_size)
+    else:
+        packing = pack_islands(extent, group, settings.texture_size, max_images=max_images)
     placed = place(texels, packed_island, low, packing)
 
     image = np.full(len(room.triangles), -1, np.int64)
@@ -265,7 +265,9 @@ def _pack_room(
     corner_uv = np.zeros_like(islands.uv)
     corner_uv[packed] = placed / sizes[image[packed]][:, None]
     corner_uv[islands.is_scan] = np.round(corner_uv[islands.is_scan] / UV_STEP) * UV_STEP
-    names = None if owners is None else [owners.names[index] for index in np.unique(group).tolist()]
+    names = [f"Room.{index + 1:03d}" for index in range(len(packing.sizes))]
+    if owners.apart:
+        names = file_names([owners.names[index] for index in np.unique(group).tolist()])
     _write(run, corner_uv, image, "uv", packing.sizes, names)
     if not len(packing.scale):
         raise FiptError(
@@ -308,16 +310,12 @@ def _write(
     image: np.ndarray,
     mode: str,
     sizes: list[tuple[int, int]],
-    owners: list[str] | None,
+    names: list[str],
 ) -> None:
-    """Write atlas.npz and atlas.json; `owners`: names of those whose images these are, None if shared."""
+    """Write atlas.npz and atlas.json with the names and sizes of the images."""
     write_arrays(run.atlas_npz, AtlasArrays(corner_uv.astype(np.float32), image.astype(np.int32)))
-    # Several images are tiles of one, which Blender finds by the numbers in their names.
-    names = [f"Room.{tile_number(index)}" for index in range(len(sizes))] if len(sizes) > 1 else ["Room.001"]
-    if owners is not None:
-        names = file_names(owners)
-    images = tuple(AtlasImage(name, *size) for name, size in zip(names, sizes, strict=False))
-    write_json(run.atlas_json, AtlasImages(mode, images, apart=owners is not None))
+    images = tuple(AtlasImage(name, *size) for name, size in zip(names, sizes, strict=True))
+    write_json(run.atlas_json, AtlasImages(mode, images))
 
 
 def file_names(owners: list[str]) -> list[str]:
