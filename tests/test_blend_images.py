@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from fipt_blender.blend.export.exporting import ExportOptions, export_room
+from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.marks import MAP
 from fipt_blender.blend.results import adjust
 from fipt_blender.blend.results.materials import is_uniform
@@ -101,7 +101,7 @@ def test_a_part_on_several_images_is_one_also_after_saving(large, tmp_path):
 def test_other_programs_get_all_images_of_the_chosen_size(large, tmp_path):
     sizes = {"a.glb": 256, "b.usdc": 4096}
     for name, size in sizes.items():
-        export_room(large, tmp_path / name, ExportOptions(size))
+        export_room(large, tmp_path / name, size)
     for name, size in sizes.items():
         item = opened(tmp_path / name)[0]["cube"]
         mesh = item.data
@@ -148,7 +148,7 @@ def test_each_owner_has_an_image_and_shows_its_place(scene, owner, tmp_path):
     kept = material("cube")
     kept.name = "My cube"
     assert ops.apply_results() == {"FINISHED"} and material("cube") == kept
-    assert export_room(scene, tmp_path / "room.glb", ExportOptions(lamp_lights=False)).objects == 3
+    assert export_room(scene, tmp_path / "room.glb", lamp_lights=False).objects == 3
     scene.fipt.materials.atlas_images = "room"
     assert ops.apply_results() == {"FINISHED"}
     assert scene.fipt.materials.image_count == 1 and material("cube") == kept

@@ -15,8 +15,7 @@ from mathutils import Matrix, Vector
 from fipt_blender.blend import marks
 from fipt_blender.blend.collecting import missing_pictures
 from fipt_blender.blend.image_datablocks import image_values, linear_values
-from fipt_blender.core.run.documents import read_document
-from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
 from samples import artist
 from samples.applied_rooms import ConstantFields, fingerprint, picture
@@ -145,21 +144,6 @@ def test_the_first_save_brings_the_textures_beside_the_file(scene, tmp_path, rel
     assert len(missing_pictures()) == len(before)
 
 
-def test_a_file_of_an_earlier_release_with_textures_in_its_run_gets_them_at_the_next_save(applied, tmp_path):
-    before = {image.name: image.filepath for image in textures(applied)}
-    blend = tmp_path / "kitchen.blend"
-    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
-    shutil.rmtree(tmp_path / "kitchen_textures")
-    for image in textures(applied):
-        image.filepath = before[image.name]
-    bpy.ops.wm.save_mainfile()
-    assert all(path.startswith("//kitchen_textures/") for path in paths(applied)) and not missing_pictures()
-    elsewhere = tmp_path / "elsewhere" / "shot.blend"
-    elsewhere.parent.mkdir()
-    bpy.ops.wm.save_as_mainfile(filepath=str(elsewhere))
-    assert not missing_pictures() and not elsewhere.with_name("shot_textures").exists()
-
-
 def test_a_file_whose_textures_can_not_be_copied_is_saved_all_the_same(applied, tmp_path, capfd):
     before = paths(applied)
     (tmp_path / "kitchen_textures").write_text("a file of that name")
@@ -244,16 +228,3 @@ def test_objects_are_found_by_their_ids_not_by_the_names_of_others(applied):
     bpy.data.collections["Parts"].objects.link(copy)
     assert ops.apply_results() == {"FINISHED"} and not warned()
     assert len(cube.data.polygons) > 6 and len(panel.data.polygons) == 2
-
-
-def test_runs_without_ids_match_by_name(scene):
-    run = RunFolder(scene.fipt.run_folder)
-    names = read_document(run.room_json, dict)
-    assert names.pop("object_ids") == ["panel", "cube"]
-    write_json(run.room_json, names)
-    for item in scene.objects:
-        marks.remove_marks(item, marks.OBJECT_ID)
-    assert ops.apply_results() == {"FINISHED"} and not warned()
-    bpy.data.objects["panel"].name = "wall"  # applying gave it an id
-    assert ops.apply_results() == {"FINISHED"} and not warned()
-    assert len(bpy.data.objects["wall"].data.polygons) == 2

@@ -113,12 +113,12 @@ def export_scene_room(run: RunFolder) -> Slices[list[Message]]:
         Warnings about objects in the room's collection that are not meshes.
 
     Raises:
-        FiptError: ``room-missing``; see `export_slices`.
+        FiptError: ``room-missing``; see `export_room`.
     """
     import bpy
 
     from ..blend.capture.importing import not_in_room
-    from ..blend.room.exporting import export_slices
+    from ..blend.room.exporting import export_room
 
     scene = bpy.context.scene
     objects = scene.fipt.capture.room_objects(scene)
@@ -129,7 +129,7 @@ def export_scene_room(run: RunFolder) -> Slices[list[Message]]:
             "Import the room's mesh or select its collection in the section Capture.",
         )
     warnings = not_in_room(scene.fipt.capture.room_members(scene))
-    yield from export_slices(objects, run, scene.fipt.parts.engine_source, scene.fipt.capture.completed)
+    yield from export_room(objects, run, scene.fipt.parts.engine_source, scene.fipt.capture.completed)
     return warnings
 
 
@@ -151,19 +151,18 @@ def apply_steps(
         return scene().fipt.capture.room_objects(scene())
 
     def lay_out() -> Slices[None]:
-        from ..blend.room.atlas import atlas_slices
+        from ..blend.room.atlas import make_atlas
 
-        yield from atlas_slices(objects(), run, settings)
+        yield from make_atlas(objects(), run, settings)
         return None
 
     def build() -> Slices[list[Message]]:
         from ..blend.lights.world import apply_environment
-        from ..blend.results.applying import apply_slices
+        from ..blend.results.applying import apply_results
         from ..blend.texture_files import texture_files
 
         files = texture_files(scene(), run)
-        applied = yield from apply_slices(run, objects(), scene(), files)
-        warnings = applied.warnings
+        warnings = yield from apply_results(run, objects(), scene(), files)
         if apply_environment(run, scene(), files) is None:
             text = "The scene keeps the world that you have chosen since results were applied."
             remedy = "To get the estimated one back, use Revert and apply the results again."

@@ -16,8 +16,8 @@ from ..blend.marks import (
     NAMED,
     PROBABILITY,
     VISIBILITY,
-    is_room_linked,
     light_probe,
+    linked_lamps,
 )
 from .hints import ANSWER_NAMES, draw_again
 from .sidebar import Rows, Section, SubSection, draw_text
@@ -67,6 +67,11 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.fields()
         settings = context.scene.fipt.lights
+        for path, names in linked_lamps(context.scene).items():
+            text = iface_("The room of {} is linked. Open that file to change its lights:")
+            draw_text(layout, context, text.format(bpy.path.basename(path)), icon="LINKED")
+            for name in names:
+                layout.label(text=name, icon="LIGHT", translate=False)
         if len(settings.lights):
             row = layout.row()
             row.template_list("FIPT_UL_lights", "", settings, "lights", settings, "active", rows=4)
@@ -76,11 +81,7 @@ class FIPT_PT_lights(Section, bpy.types.Panel):
             row = layout.row(align=True)
             row.operator("fipt.switch_lights", text="All Off", icon="OUTLINER_DATA_LIGHT").on = False
             row.operator("fipt.switch_lights", text="All On", icon="LIGHT").on = True
-            if is_room_linked(context.scene):
-                text = "The room is linked from another file, which has to be opened to change its lights."
-                draw_text(layout, context, iface_(text), icon="LINKED")
-            else:
-                _draw_light(layout, context.scene, settings.active_light())
+            _draw_light(layout, context.scene, settings.active_light())
         elif context.scene.fipt.materials.object_count:
             text = "No lamps were found. The room is lit by the environment (windows) alone."
             draw_text(layout, context, text, icon="INFO")

@@ -14,6 +14,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
+from ..blend.marks import linked_lamps
 from ..jobs import running, runstate
 
 _CHARACTER_PIXELS = 6.5  # mean width of the default font at scale 1
@@ -132,7 +133,10 @@ PLACES = {
     "FIPT_PT_estimate": Place(has_run, _estimate_state),
     "FIPT_PT_materials": Place(has_results, _materials_state),
     "FIPT_PT_lights": Place(
-        lambda context: has_results(context) or bool(context.scene.fipt.lights.lights), _lights_state
+        lambda context: (
+            has_results(context) or bool(context.scene.fipt.lights.lights or linked_lamps(context.scene))
+        ),
+        _lights_state,
     ),
     "FIPT_PT_check": Place(has_results),
 }

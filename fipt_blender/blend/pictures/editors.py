@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bpy
 
-from ..color_spaces import set_encoded, set_linear
+from ..color_spaces import encoded_space, linear_space
 from ..marks import PICTURE
 
 
@@ -19,7 +19,7 @@ def load_picture(path: Path) -> bpy.types.Image | None:
     image = bpy.data.images.load(str(path), check_existing=True)
     image.reload()
     is_radiance = path.suffix == ".exr"
-    (set_linear if is_radiance else set_encoded)(image)
+    image.colorspace_settings.name = linear_space() if is_radiance else encoded_space()
     image.use_view_as_render = is_radiance  # the scene's view transform and exposure
     image[PICTURE] = True
     return image

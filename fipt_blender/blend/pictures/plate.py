@@ -19,7 +19,7 @@ from ...core.run.contents import CapturedView
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ..changed import all_changed
-from ..color_spaces import set_encoded
+from ..color_spaces import encoded_space
 from ..image_datablocks import load_radiance
 from ..marks import estimated_objects
 from ..render_settings import can_denoise, fitted
@@ -77,7 +77,7 @@ def plate_scene(
         )
     gain = 1.0
     if view.encoded:
-        set_encoded(image)
+        image.colorspace_settings.name = encoded_space()
         gain = _gain(scene, run, view, camera, room)
     made = scene.copy()
     made.name, made.camera = SCENE, camera

@@ -24,9 +24,8 @@ from ..room.mesh_arrays import (
     corner_vertices,
     is_mirrored,
     polygon_slots,
-    transform_points,
     triangle_loops,
-    vertex_positions,
+    world_positions,
 )
 from ..room.uv_layer import UV_LAYER
 from .completion import grown
@@ -62,12 +61,11 @@ class Room:
         for item in items:
             mesh = item.data
             loops, polygons = triangle_loops(mesh, is_mirrored(item))
-            points = transform_points(vertex_positions(mesh), np.array(item.matrix_world, np.float64))
             layer = mesh.uv_layers.get(UV_LAYER)
             uv = np.zeros((len(mesh.loops), 2)) if layer is None else corner_uvs(mesh, layer)
             slot = np.minimum(polygon_slots(mesh)[polygons], max(len(mesh.materials) - 1, 0))
             filled = np.full(len(loops), FILLED in item)
-            corners = points[corner_vertices(mesh)[loops]]
+            corners = world_positions(item)[corner_vertices(mesh)[loops]]
             found.append((corners, uv[loops], slot + len(self.materials), filled))
             self.materials += slot_estimates(mesh) or [None]
         self.corners, self._uvs, self.slot, self.filled = map(np.concatenate, zip(*found, strict=True))

@@ -9,7 +9,6 @@ the original meshes, which `room.originals` sets aside.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -36,22 +35,6 @@ MAPS = {
     "metallic": ("Metallic", True),
     "confidence": ("Confidence", True),
 }
-
-
-@dataclass(frozen=True)
-class Surface:
-    """What a material shows: a part's texels of the atlas.
-
-    Attributes:
-        image: name of the atlas image.
-        key, name: of the part, see `core.run.parts`.
-        values: base colour, roughness and metallic (5,) of a part of one value, which needs no textures.
-    """
-
-    image: str
-    key: str
-    name: str
-    values: tuple[float, ...] | None = None
 
 
 def result_materials(meshes: Iterable[bpy.types.Mesh]) -> list[bpy.types.Material]:
@@ -120,7 +103,7 @@ def _images(tree: bpy.types.NodeTree) -> set[bpy.types.Image]:
 
 
 def read_textures(run: RunFolder) -> tuple[Sequence[TextureImage], dict[str, tuple[float, ...]]]:
-    """The images of textures.json, and what parts of one value have, by their keys: `Surface.values`.
+    """The images of textures.json, and what parts of one value have, by their keys: those of `part_material`.
 
     Raises:
         FiptError: ``file-missing`` for textures.json or a texture, or ``file-damaged``.
@@ -147,21 +130,26 @@ def load_maps(run: RunFolder, entry: TextureImage, files: TextureFiles) -> dict[
 
 
 def part_material(
-    surface: Surface,
-    images: Mapping[str, bpy.types.Image] | None,
-    adjustment: adjust.Adjustment,
+    image: str,
+    key: str,
+    name: str,
+    images: Mapping[str, bpy.types.Image] | None = None,
+    adjustment: adjust.Adjustment = adjust.NO_ADJUSTMENT,
+    values: Sequence[float] | None = None,
     reuse: bpy.types.Material | None = None,
 ) -> bpy.types.Material:
     """The Principled material of a part, with the artist's adjustment between its maps and the shader.
 
     Args:
-        surface: what it shows.
-        images: of the atlas by the labels of their maps (`load_maps`); None for colour attributes.
+        image: name of the atlas image.
+        key, name: of the part, see `core.run.parts`.
+        images: the maps of the atlas image by their labels (`load_maps`); None for colour attributes.
         adjustment: of the part.
+        values: base colour, roughness and metallic (5,) of a part of one value, which needs no textures.
         reuse: an estimated material to rebuild instead of making a new one.
     """
-    material = reuse or bpy.data.materials.new(f"{surface.name} FIPT")
-    material[MATERIAL], material[PART], material[PART_NAME] = surface.image, surface.key, surface.name
+    material = reuse or bpy.data.materials.new(f"{name} FIPT")
+    material[MATERIAL], material[PART], material[PART_NAME] = image, key, name
     nodes, links = node_tree(material).nodes, node_tree(material).links
     nodes.clear()
     _add_shader(material)
@@ -171,8 +159,8 @@ def part_material(
         _add_attributes(material, frame)
     else:
         _add_textures(material, frame, images)
-    if surface.values is not None:
-        _add_values(material, frame, surface.values)
+    if values is not None:
+        _add_values(material, frame, values)
     node = adjust.add_adjustment(material, adjustment)
     node.location = (-220, 300)
     for label in adjust.MAPS:

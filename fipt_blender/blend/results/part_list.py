@@ -22,7 +22,7 @@ from ..marks import PART, has_results, room_with_results
 from ..own_materials import own_materials
 from ..ray_hits import hits
 from ..room.arrays import read_room
-from ..room.mesh_arrays import corner_vertices, polygon_slots, polygon_starts
+from ..room.mesh_arrays import corner_vertices, polygon_sizes, polygon_slots
 from ..room.originals import estimated_meshes, result_meshes
 from . import adjust
 from .materials import materials_by_part, result_materials, slot_estimates
@@ -142,8 +142,7 @@ def select_faces(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, key: str) -
 
 def select_polygons(mesh: bpy.types.Mesh, chosen: np.ndarray) -> None:
     """Select these polygons ((P,) bool) with their edges and vertices, and nothing else."""
-    sizes = np.diff(polygon_starts(mesh), append=len(mesh.loops))
-    corners = np.repeat(chosen, sizes)  # the corners of polygons follow each other
+    corners = np.repeat(chosen, polygon_sizes(mesh))
     edges = np.empty(len(mesh.loops), np.int32)
     if len(edges):
         mesh.attributes[".corner_edge"].data.foreach_get("value", edges)

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ...core.run.errors import FiptError
-from ...core.run.parts import read_parts
+from ...core.run.parts import RoomParts, read_parts
 from ...core.run.result_contents import EmitterFixture, TextureImage
 from ...core.run.run_files import (
     CornerFields,
@@ -31,7 +31,6 @@ from ..room.arrays import Room, read_room
 from ..room.islands import uv_islands
 from ..room.uv_layer import UV_LAYER
 from .materials import MAPS, read_textures
-from .part_materials import PartFaces
 
 _AGAIN = "Apply the results again."
 _ESTIMATE_AGAIN = "Run the estimation again."
@@ -43,7 +42,8 @@ class Results:
 
     Attributes:
         room: the exported room.
-        faces: part of each triangle.
+        parts: of the room.
+        left_alone: (T,) bool, triangles that keep the artist's material.
         corner_uv: (T,3,2) of the atlas.
         triangle_image: (T,) int, on which of its images a triangle lies; 0 for colour attributes.
         entries: the images of textures.json; empty for colour attributes.
@@ -53,7 +53,8 @@ class Results:
     """
 
     room: Room
-    faces: PartFaces
+    parts: RoomParts
+    left_alone: np.ndarray
     corner_uv: np.ndarray
     triangle_image: np.ndarray
     entries: Sequence[TextureImage]
@@ -90,7 +91,7 @@ class Results:
     def charts(self) -> np.ndarray:
         """(T,) number of the surface on which each triangle's values are continuous."""
         if self.corner_fields:
-            return self.faces.parts.triangle + 1
+            return self.parts.triangle + 1
         apart = 2.0 * self.triangle_image[:, None, None]  # on different images
         return uv_islands(self.room.triangles, self.corner_uv + apart)
 
@@ -116,7 +117,8 @@ def read_results(run: RunFolder) -> Results:
         left_alone = of_whole_polygons(room, found.left_alone)
     return Results(
         room=room,
-        faces=PartFaces(parts, left_alone),
+        parts=parts,
+        left_alone=left_alone,
         corner_uv=arrays.corner_uv,
         triangle_image=own_images(arrays.triangle_image, parts.triangle, room.triangle_object),
         entries=entries,
