@@ -96,6 +96,30 @@ def image_values(image: bpy.types.Image) -> np.ndarray:
     return values.reshape(height, width, image.channels)
 
 
+def save_values(values: np.ndarray, path: Path, most: int | None = None) -> None:
+    """Save values (H, W, 3), bottom row first, as they are: as an EXR of floats or a PNG of 8 bits.
+
+    Args:
+        path: whose suffix is .exr or .png.
+        most: width and height that a larger image is scaled down to, texels.
+    """
+    height, width, _ = values.shape
+    is_exr = path.suffix == ".exr"
+    # As data, since Blender 4.5 saves other new images of floats with sRGB's transfer function.
+    image = bpy.data.images.new(path.stem, width, height, alpha=False, float_buffer=is_exr, is_data=True)
+    try:
+        pixels = np.ones((height, width, 4), np.float32)
+        pixels[..., :3] = values
+        image.pixels.foreach_set(pixels.ravel())
+        shrink = min(1.0, (most or max(width, height)) / max(width, height))
+        if shrink < 1.0:
+            image.scale(max(1, round(width * shrink)), max(1, round(height * shrink)))
+        image.filepath_raw, image.file_format = str(path), "OPEN_EXR" if is_exr else "PNG"
+        image.save()
+    finally:
+        bpy.data.images.remove(image)
+
+
 def remove_unused_images(images: Iterable[bpy.types.Image]) -> None:
     """Remove those images that nothing uses any more."""
     bpy.data.batch_remove([image for image in images if image.users == 0])

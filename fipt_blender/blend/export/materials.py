@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 
 from ..color_spaces import from_scene_linear
-from ..image_datablocks import image_values, load_texture
+from ..image_datablocks import image_values, load_texture, save_values
 from ..lights.fixture_nodes import side_radiance
 from ..marks import MAP, MATERIAL, PART_NAME
 from ..node_trees import node_tree
@@ -61,23 +61,8 @@ def plain_textures(material: bpy.types.Material, stem: str, size: int) -> PlainT
         base_color[:], orm[:, 1:] = encode_srgb(from_scene_linear(values[:, :3])), values[:, 3:]
     paths = [Path(f"{stem}_base_color.png"), Path(f"{stem}_orm.png")]
     for path, pixels in zip(paths, codes, strict=True):
-        _write_png(pixels, path, size)
+        save_values(pixels, path, size)
     return PlainTextures(load_texture(paths[0], False), load_texture(paths[1], True))
-
-
-def _write_png(values: np.ndarray, path: Path, size: int) -> None:
-    """Save codes (H, W, 3) from 0 to 1, bottom row first, as a PNG of 8 bits with at most so many texels."""
-    height, width, _ = values.shape
-    image = bpy.data.images.new(path.stem, width, height, alpha=False, is_data=True)
-    pixels = np.ones((height, width, 4), np.float32)
-    pixels[..., :3] = values
-    image.pixels.foreach_set(pixels.ravel())
-    shrink = min(1.0, size / max(width, height))
-    if shrink < 1.0:
-        image.scale(max(1, round(width * shrink)), max(1, round(height * shrink)))
-    image.filepath_raw, image.file_format = str(path), "PNG"
-    image.save()
-    bpy.data.images.remove(image)
 
 
 def _image(material: bpy.types.Material, label: str) -> bpy.types.Image:

@@ -20,6 +20,7 @@ from mathutils import Matrix
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ..color_spaces import from_scene_linear
+from ..image_datablocks import save_values
 from ..marks import (
     FILLED,
     MAP,
@@ -260,14 +261,6 @@ def _written(scene: bpy.types.Scene, run: RunFolder, values: np.ndarray) -> Text
     maps["confidence"] = np.zeros((1, 1, 3))
     files = texture_files(scene, run, hashlib.blake2b(values.tobytes(), digest_size=6).hexdigest())
     for key, pixels in maps.items():
-        height, width = pixels.shape[:2]
-        image = bpy.data.images.new("FIPT Emptied", width, height, float_buffer=True, is_data=True)
-        rgba = np.concatenate([pixels, np.ones((height, width, 1))], axis=2)
-        image.pixels.foreach_set(rgba.astype(np.float32).ravel())
-        try:
-            with written_picture(files.folder / _path(key)) as temporary:
-                image.filepath_raw, image.file_format = str(temporary), "OPEN_EXR"
-                image.save()
-        finally:
-            bpy.data.images.remove(image)
+        with written_picture(files.folder / _path(key)) as temporary:
+            save_values(pixels, temporary)
     return files

@@ -32,8 +32,8 @@ def pack_islands(
 ) -> Packing:
     """Pack rectangles into as few images as their area needs.
 
-    A group (part) that fills more than half an image gets images of its own; others share, each as few as
-    possible. An island larger than an image is scaled down; if more than `max_images` were needed, all are.
+    A group (part) lies on as few images as possible, unless more than `max_images` were needed. Where they
+    are all the same, all islands are scaled down, and so is an island that is larger than an image.
 
     Args:
         extent: (N,2) wanted width and height in texels.
@@ -53,7 +53,9 @@ def pack_islands(
             packing.offset += pad
             packing.scale = scale
             return packing
-        if pad > 1 and (2 * pad) ** 2 * len(boxes) > 0.25 * max_images * size * size:
+        if group.any():  # groups that are kept together leave more of the images empty
+            group = np.zeros_like(group)
+        elif pad > 1 and (2 * pad) ** 2 * len(boxes) > 0.25 * max_images * size * size:
             pad -= 1  # very many small islands, whose padding alone fills the images
         else:
             shrink *= 0.98 * math.sqrt(max_images / len(packing.sizes))
@@ -80,12 +82,13 @@ def pack_apart(extent: np.ndarray, group: np.ndarray, size: int) -> Packing:
 def _pack_boxes(boxes: np.ndarray, group: np.ndarray, size: int) -> Packing:
     area = np.bincount(group, (boxes[:, 0] * boxes[:, 1]).astype(np.float64))
     sharing: list[list[int]] = []  # groups that share an image
-    left: list[float] = []  # its free area, texels
+    left: list[float] = []  # its free area, texels; of a group that needs several, that of all
+    room = _FILL * size * size
     for index in np.argsort(-area, kind="stable")[: np.count_nonzero(area)].tolist():
         place = next((place for place, free in enumerate(left) if area[index] <= free), len(left))
         if place == len(left):
             sharing.append([])
-            left.append(0.0 if area[index] > 0.5 * size * size else _FILL * size * size)
+            left.append(room * max(math.ceil(area[index] / room), 1))
         sharing[place].append(index)
         left[place] -= area[index]
     image = np.zeros(len(boxes), np.int32)
