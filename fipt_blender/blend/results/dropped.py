@@ -21,7 +21,7 @@ from ..marks import MATERIAL, REPLACEMENT, remove_marks, room_with_results
 _State = dict[tuple[str, int], str]
 _SELF = -1  # in place of an index: the replacement of an estimated material
 _made: list[_State] = []
-_INTERVAL = 0.3  # seconds
+_INTERVAL = 0.5  # seconds between looks for copied scenes
 _scenes = 1  # number of the file's scenes whose materials are their own
 
 
@@ -36,7 +36,8 @@ def unregister() -> None:
     """Stop watching."""
     for handlers, function in _HANDLERS:
         handlers.remove(function)
-    bpy.app.timers.unregister(own_copies)
+    if bpy.app.timers.is_registered(own_copies):
+        bpy.app.timers.unregister(own_copies)
     _made.clear()
 
 
