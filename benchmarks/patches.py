@@ -20,7 +20,6 @@ from benchmarks.cycles_pixels import render_pixels
 from fipt_blender.blend.marks import MAP
 from fipt_blender.blend.pictures.cycles import RenderOptions
 from fipt_blender.blend.results import materials
-from fipt_blender.blend.results.adjust import NO_ADJUSTMENT
 
 
 @dataclass(frozen=True)
@@ -75,8 +74,7 @@ def render(
     columns = int(np.ceil(np.sqrt(count)))
     rows = -(-count // columns)
     item = bpy.data.objects.new("Patches", _mesh(patches, columns))
-    surface = materials.Surface("patches", "patches", "Patches")
-    material = materials.part_material(surface, None, NO_ADJUSTMENT)
+    material = materials.part_material("patches", "patches", "Patches")
     finish(material)
     item.data.materials.append(material)
     item.visible_diffuse = item.visible_glossy = item.visible_shadow = False

@@ -13,12 +13,12 @@ from mathutils import Euler, Matrix
 
 from fipt_blender.blend.capture import cameras, importing
 from fipt_blender.blend.capture.exporting import export_capture
-from fipt_blender.blend.slices import run_through
 from fipt_blender.core import conventions
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.run_files import read_capture
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
+from samples.at_once import at_once
 from samples.camera_views import points_before, projections, random_views
 from samples.refusals import error_of
 
@@ -49,7 +49,7 @@ def ingested(tmp_path, scene):
 
 
 def bring_in(run: RunFolder, path: str = "somewhere") -> list:
-    return run_through(importing.import_capture(run, path))
+    return at_once(importing.import_capture)(run, path)
 
 
 @pytest.fixture

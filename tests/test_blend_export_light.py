@@ -13,12 +13,10 @@ import pytest
 from mathutils import Euler, Matrix
 
 from fipt_blender import api
-from fipt_blender.blend.export.exporting import ExportOptions, export_room
+from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.lights.color import LUMENS_PER_WATT
 from fipt_blender.blend.lights.convert import fixture_to_lights
 from fipt_blender.blend.node_trees import node_tree
-from fipt_blender.blend.room.mesh_arrays import corner_uvs
-from fipt_blender.blend.room.uv_layer import write_layer
 from samples.exported_files import gltf_json, opened, principled
 from samples.refusals import error_of
 from samples.whole_file import differences, file_state
@@ -51,7 +49,7 @@ def test_lights_are_in_the_file(scene, tmp_path, suffix):
     power = softbox.data.energy * np.array(softbox.data.color)
     if hasattr(softbox.data, "normalize"):
         power *= softbox.data.area(matrix_world=softbox.matrix_world) * np.array(softbox.data.temperature_color)
-    exported = export_room(scene, tmp_path / f"room{suffix}", ExportOptions(lamp_lights=False))
+    exported = export_room(scene, tmp_path / f"room{suffix}", lamp_lights=False)
     said = {each["code"]: each["text"] for each in exported.warnings}
     objects, _ = opened(exported.path)
     kinds = {item.name: item.data.type for item in objects if item.type == "LIGHT"}
@@ -125,7 +123,7 @@ def test_converted_lamps_follow_their_lights_once_these_are_edited(scene, tmp_pa
     if edited:
         light.data.energy *= 4.0
     bpy.context.view_layer.update()
-    exported = export_room(scene, tmp_path / "room.glb", ExportOptions(lamp_lights=False))
+    exported = export_room(scene, tmp_path / "room.glb", lamp_lights=False)
     objects, _ = opened(exported.path)
     codes = {each["code"] for each in exported.warnings}
     assert (name in objects) == edited == ("export-lamps-dark" in codes)
@@ -181,8 +179,6 @@ def test_a_dark_environment_is_not_written(scene, tmp_path):
 
 def test_the_open_file_is_the_same_after_exports_and_renders(scene, tmp_path):
     add_light(scene, "Softbox", "AREA", {"shape": "ELLIPSE"}, UNEVEN)
-    mesh = bpy.data.objects["cube"].data  # onto the second image of an atlas
-    write_layer(mesh, corner_uvs(mesh, mesh.uv_layers["FIPT"]) + (1.0, 0.0))
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     scene.collection.objects.link(camera)
     scene.camera = camera

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Atlases of several images: tiles of one material, images of objects or parts, and parts that need none."""
+"""Atlases of several images: shared, one an object or part, and parts that need none."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from fipt_blender.blend.export.exporting import ExportOptions, export_room
-from fipt_blender.blend.image_datablocks import tile_values
+from fipt_blender.blend.export.exporting import export_room
 from fipt_blender.blend.marks import MAP
+from fipt_blender.blend.results import adjust
 from fipt_blender.blend.results.materials import is_uniform
 from fipt_blender.blend.room.atlas import file_names
 from fipt_blender.blend.room.mesh_arrays import corner_uvs
-from fipt_blender.blend.room.tiles import tile_number
 from fipt_blender.core.run.parts import read_parts
 from fipt_blender.core.run.run_files import read_room_files
 from fipt_blender.core.textures import bake
@@ -58,7 +57,7 @@ def scene(scene, monkeypatch):
 
 
 @pytest.fixture
-def tiled(scene):
+def large(scene):
     """The cube is larger than one image of 512 texels."""
     cube = bpy.data.objects["cube"].data
     cube.uv_layers.remove(cube.uv_layers[0])  # one island would be one image
@@ -83,14 +82,15 @@ def material(name):
     return slot.material
 
 
-def test_a_part_on_several_images_has_one_material_also_after_saving(tiled, tmp_path):
-    mesh, count = bpy.data.objects["cube"].data, tiled.fipt.materials.image_count
-    images = np.unique(np.floor(corner_uvs(mesh, mesh.uv_layers["FIPT"]) - 1e-6) @ (1, 10)).astype(int)
-    assert len(images) > 1 and count >= len(images)
-    assert material("cube").name == "Cube FIPT"
-    texture = material("cube").node_tree.nodes[MAP.format("Base Color")].image
-    assert [tile.number for tile in texture.tiles] == [tile_number(index) for index in range(count)]
-    assert tile_values(texture, tile_number(int(images[-1]))).shape[0] <= 512
+def test_a_part_on_several_images_is_one_also_after_saving(large, tmp_path):
+    materials = {slot.material for slot in bpy.data.objects["cube"].material_slots}
+    images = {material.node_tree.nodes[MAP.format("Base Color")].image for material in materials}
+    assert 1 < len(materials) == len(images) <= large.fipt.materials.image_count
+    assert all(max(image.size) <= 512 for image in images)
+    large.fipt.materials.parts["Cube"].roughness_offset = 0.2
+    assert ops.apply_results() == {"FINISHED"}
+    assert {slot.material for slot in bpy.data.objects["cube"].material_slots} == materials
+    assert all(adjust.read(material).roughness == pytest.approx(0.2) for material in materials)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     for path in (tmp_path / "run" / "textures").glob("*.exr"):
         path.unlink()  # they are packed
@@ -98,11 +98,10 @@ def test_a_part_on_several_images_has_one_material_also_after_saving(tiled, tmp_
     assert_each_side_shows_its_place(bpy.context.scene)
 
 
-def test_other_programs_get_all_images_of_the_chosen_size(tiled, tmp_path):
+def test_other_programs_get_all_images_of_the_chosen_size(large, tmp_path):
     sizes = {"a.glb": 256, "b.usdc": 4096}
     for name, size in sizes.items():
-        export_room(tiled, tmp_path / name, ExportOptions(size))
-    assert material("cube")  # the original stays
+        export_room(large, tmp_path / name, size)
     for name, size in sizes.items():
         item = opened(tmp_path / name)[0]["cube"]
         mesh = item.data
@@ -142,14 +141,14 @@ def test_each_owner_has_an_image_and_shows_its_place(scene, owner, tmp_path):
     assert ops.apply_results() == {"FINISHED"}
     assert scene.fipt.materials.image_count == 2
     images = {material(name).node_tree.nodes[MAP.format("Confidence")].image for name in ("panel", "cube")}
-    assert len(images) == 2 and all(image.source == "FILE" for image in images)
+    assert len(images) == 2
     uv = np.array([entry.vector for entry in bpy.data.objects["cube"].data.uv_layers["FIPT"].uv])
     assert 0.0 <= uv.min() and uv.max() <= 1.0
     assert_each_side_shows_its_place(scene)
     kept = material("cube")
     kept.name = "My cube"
     assert ops.apply_results() == {"FINISHED"} and material("cube") == kept
-    assert export_room(scene, tmp_path / "room.glb", ExportOptions(lamp_lights=False)).objects == 3
+    assert export_room(scene, tmp_path / "room.glb", lamp_lights=False).objects == 3
     scene.fipt.materials.atlas_images = "room"
     assert ops.apply_results() == {"FINISHED"}
     assert scene.fipt.materials.image_count == 1 and material("cube") == kept

@@ -10,14 +10,12 @@ import pytest
 from mathutils import Matrix
 
 from fipt_blender.blend.marks import FIXTURE, fixtures_of
-from fipt_blender.blend.results import applying
 from fipt_blender.blend.room.arrays import read_room
-from fipt_blender.blend.room.atlas import make_atlas
-from fipt_blender.blend.room.exporting import export_room
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake
 from samples.applied_rooms import ConstantFields, emitter
+from samples.at_once import apply_results, export_room, make_atlas
 from samples.combinations import pairs
 
 
@@ -68,11 +66,11 @@ def test_no_lamp_of_an_estimate_is_dropped(tmp_path, corners, seed, mirrored):
     make_atlas([item], run, make_settings(changes={"texel_density": 16.0}))
     bake.bake(run, ConstantFields())
     for _ in range(2):
-        assert not applying.apply_results(run, [item]).warnings
+        assert not apply_results(run, [item])
         found = {each[FIXTURE]: area(each) for each in fixtures_of(bpy.context.scene)}
         assert found == pytest.approx({name: areas[rows].sum() for name, rows in wanted.items()}, rel=1e-5)
         assert area(item) == pytest.approx(areas[lamp < 0].sum(), rel=1e-5)
     estimate({})
-    assert not applying.apply_results(run, [item]).warnings
+    assert not apply_results(run, [item])
     assert not fixtures_of(bpy.context.scene)
     assert area(item) == pytest.approx(areas.sum(), rel=1e-5) and len(item.data.polygons) == 3

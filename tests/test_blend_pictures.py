@@ -14,13 +14,13 @@ import pytest
 from fipt_blender.blend.capture.cameras import find_camera
 from fipt_blender.blend.pictures import cycles, image_files
 from fipt_blender.blend.pictures.cycles import RenderOptions
-from fipt_blender.blend.room.exporting import export_room
 from fipt_blender.blend.save import save_blend
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs.options import MainJobOptions
 from fipt_blender.jobs.room_steps import RoomSteps
+from samples.at_once import export_room
 from samples.rendered_rooms import VIEW, make_scene, photograph
 
 pytestmark = pytest.mark.usefixtures("registered")

@@ -15,10 +15,8 @@ from fipt_blender.blend.lights import light_state, world
 from fipt_blender.blend.lights.area_lights import add_area_light
 from fipt_blender.blend.marks import ADDED, DRAWN, ON
 from fipt_blender.blend.results import applying
-from fipt_blender.blend.room import exporting, originals
+from fipt_blender.blend.room import originals
 from fipt_blender.blend.room.arrays import Room, read_room
-from fipt_blender.blend.room.atlas import make_atlas
-from fipt_blender.blend.room.exporting import collect_room, export_room
 from fipt_blender.blend.room.mesh_arrays import vertex_positions
 from fipt_blender.blend.room.result_meshes import clean_result_mesh, make_mesh
 from fipt_blender.core import conventions
@@ -31,6 +29,7 @@ from fipt_blender.core.surface.clean import CleanMesh
 from fipt_blender.core.surface.stored import prepare_geometry, store_geometry
 from fipt_blender.core.textures import bake
 from samples.applied_rooms import ConstantFields, emitter, fingerprint, panel_and_cube
+from samples.at_once import apply_results, collect_room, export_room, make_atlas
 from samples.rendered_rooms import diffuse_floor
 from samples.scans import scanned_box
 from samples.spots import spot, white_world
@@ -51,7 +50,7 @@ def run(objects, run_folder):
 
 
 def prepare(run, objects, **changes):
-    arrays = exporting.export_room(objects, run)
+    arrays = export_room(objects, run)
     lamp = np.flatnonzero((arrays.triangle_object == 0) & (arrays.triangle_polygon == 2))
     fixture = emitter("Fixture.001", lamp, back=(0.0, 1.0, 0.0))
     write_json(run.emitters_json, {"fixtures": [fixture], "environment": None})
@@ -72,14 +71,13 @@ def shown(objects):
 
 def test_restoring_undoes_applying(run, objects):
     before = shown(objects)
-    applied = applying.apply_results(run, objects)
-    assert applied.fixtures == ["Panel"] and applied.materials == ["Panel FIPT", "Cube FIPT"]
-    assert [slot.material.name for slot in objects[1].material_slots] == applied.materials[1:]
+    assert apply_results(run, objects) == []
+    assert [[slot.material.name for slot in item.material_slots] for item in objects] == [["Panel FIPT"], ["Cube FIPT"]]
     assert len(objects[0].data.polygons) == 2  # the third is the fixture
     # Blender would draw edges without faces, black where a lamp on a scan had thousands.
     assert (len(objects[0].data.vertices), len(objects[0].data.edges)) == (6, 7)
-    again = applying.apply_results(run, objects)
-    assert again == applied and len(objects[0].data.polygons) == 2
+    applied = shown(objects)
+    assert apply_results(run, objects) == [] and shown(objects) == applied
     assert originals.restore_original(bpy.context.scene, objects) == [item.name for item in objects]
     assert shown(objects) == before
     assert "Panel" not in bpy.data.objects
@@ -88,7 +86,7 @@ def test_restoring_undoes_applying(run, objects):
 
 def test_colour_attributes(run, objects):
     prepare(run, objects, atlas_mode="color_attribute")
-    applying.apply_results(run, objects)
+    apply_results(run, objects)
     mesh = objects[1].data
     attribute = mesh.attributes["FIPT Base Color"]
     assert (attribute.data_type, attribute.domain) == ("FLOAT_COLOR", "CORNER")
@@ -100,7 +98,7 @@ def test_colour_attributes(run, objects):
 
 
 def test_fixture_emits_its_radiance_on_each_side(run, objects):
-    applying.apply_results(run, objects)
+    apply_results(run, objects)
     world.apply_environment(run)
     fixture = bpy.data.objects["Panel"]
     assert [each.name for each in fixture.users_collection] == ["Lamps"]
@@ -165,8 +163,7 @@ def test_panes_become_an_object_of_the_room(run, objects):
     bpy.context.view_layer.update()
     objects[0].parent, objects[0].matrix_parent_inverse = frame, frame.matrix_world.inverted()
     settle(run, objects)
-    applied = applying.apply_results(run, objects)
-    assert not applied.warnings
+    assert not apply_results(run, objects)
     panes = bpy.data.objects[PANES]
     bpy.context.view_layer.update()
     corners = np.array([panes.matrix_world @ vertex.co for vertex in panes.data.vertices])
@@ -174,7 +171,7 @@ def test_panes_become_an_object_of_the_room(run, objects):
     assert panes.parent == frame and panes.data.materials[0].name == "FIPT Panes FIPT"
     assert panes.name in bpy.context.scene.collection.objects
     count = len(bpy.data.objects)
-    assert applying.apply_results(run, [*objects, panes]) == applied
+    assert apply_results(run, [*objects, panes]) == []
     assert len(bpy.data.objects) == count
 
 
@@ -201,19 +198,18 @@ def test_closed_holes_become_an_object_with_the_cleaned_vertices(run, objects):
     higher, region = found["vertices"] + np.float32([0, 0, 1]), np.full(len(found["triangles"]), -1, np.int32)
     store_geometry(run, found, CleanMesh(higher, found["corner_normals"], region, 0.01))
     settle(run, objects)
-    applied = applying.apply_results(run, objects)
-    assert not applied.warnings
+    assert not apply_results(run, objects)
     closing, panes = bpy.data.objects[CLOSING], bpy.data.objects[PANES]
     corners = np.array([closing.matrix_world @ vertex.co for vertex in closing.data.vertices])
     cleaned = rim + [0.0, 0.0, 1.0]
     assert np.abs(corners[:, None] - cleaned).max(axis=2).min(axis=1).max() < 1e-6
-    assert applying.apply_results(run, [*objects, closing, panes]) == applied
+    assert apply_results(run, [*objects, closing, panes]) == []
 
 
 def test_an_interrupted_application_adds_no_panes(run, objects):
     with_panes(run)
     settle(run, objects)
-    slices = applying.apply_slices(run, objects, bpy.context.scene)
+    slices = applying.apply_results(run, objects, bpy.context.scene)
     next(slices)
     slices.close()
     assert PANES not in bpy.data.objects and PANES not in bpy.data.meshes

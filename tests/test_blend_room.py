@@ -13,6 +13,7 @@ from mathutils import Euler, Matrix
 from fipt_blender.blend.capture import mesh_import
 from fipt_blender.blend.room import arrays, exporting
 from fipt_blender.core import conventions
+from samples.at_once import export_room
 from samples.refusals import error_of
 from samples.spots import spot, white_world
 
@@ -46,7 +47,7 @@ def test_import_applies_world_from_source_and_nothing_else(tmp_path, run_folder,
     item = bpy.data.objects[names[0]]
     assert item.matrix_world == Matrix.Identity(4)
     assert [each.name for each in item.users_collection] == ["Parts"]
-    room = exporting.export_room([item], run_folder)
+    room = export_room([item], run_folder)
     expected = conventions.transform_points(matrix, POINTS)
     outwards = [face[::-1] for face in FACES] if mirrored else FACES
     assert canonical(room.vertices, room.triangles) == canonical(expected, outwards)
@@ -65,7 +66,7 @@ def test_degenerate_and_inverted_faces_are_kept(tmp_path, run_folder):
     mesh.from_pydata([(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0)], [], [(0, 1, 2), (0, 3, 1)])
     item = bpy.data.objects.new("m", mesh)
     bpy.context.scene.collection.objects.link(item)
-    room = exporting.export_room([item], run_folder)
+    room = export_room([item], run_folder)
     assert len(room.triangles) == 2
     assert np.isfinite(room.corner_normals).all()
     assert np.allclose(np.linalg.norm(room.corner_normals, axis=2), 1.0, atol=1e-5)
@@ -81,7 +82,7 @@ def test_export_of_modifiers_mirrored_scale_and_materials(run_folder):
         item.data.materials.append(bpy.data.materials.new(name))
     item.data.polygons[2].material_index = 1
     bpy.context.view_layer.update()
-    room = exporting.export_room([item], run_folder, parts="materials")
+    room = export_room([item], run_folder, parts="materials")
     assert len(room.triangles) > 12
     corners = room.vertices[room.triangles].astype(np.float64)
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -104,7 +105,7 @@ def test_custom_normals_reach_the_export(run_folder):
     item.data.normals_split_custom_set([tilted.tolist()] * 4)
     item.rotation_euler = (0.0, 0.0, math.pi / 2)
     bpy.context.view_layer.update()
-    room = exporting.export_room([item], run_folder)
+    room = export_room([item], run_folder)
     assert np.allclose(room.corner_normals, [0.0, math.sin(0.3), math.cos(0.3)], atol=1e-3)
 
 

@@ -25,7 +25,8 @@ from fipt_blender.core.capture.files import Folders
 from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.runfolder import RunFolder
-from fipt_blender.prepare.solve_step import WantedView, model_from_rig
+from fipt_blender.prepare.solve_step import model_from_rig
+from fipt_blender.prepare.solving import SolveView
 from samples import rig_writers as write
 from samples.capture_files import make_samples, write_fipt_real, write_fipt_synthetic
 from samples.capture_files import write_transforms as write_sample_transforms
@@ -424,13 +425,16 @@ def test_no_name_leads_out_of_the_folders(tmp_path: Path) -> None:
 def test_existing_solves_find_groups_by_paths(tmp_path: Path) -> None:
     write_capture("colmap", tmp_path / "in", ["day/1.jpg", "night/1.jpg"], ["day/1.jpg", "night/1.jpg"])
     rig = read_rig(tmp_path / "in", "auto", CaptureOptions())
-    wanted = [WantedView("1", 480, 320, ("1", "Day/1.CR2")), WantedView("1_2", 320, 480, ("1_2", "night/1.CR2"))]
+    wanted = [
+        SolveView("1", 480, 320, files=("1", "Day/1.CR2")),
+        SolveView("1_2", 320, 480, files=("1_2", "night/1.CR2")),
+    ]
     model = model_from_rig(rig, wanted)
     for number, view in enumerate(rig.views, start=1):
         found = np.linalg.inv(np.vstack([model.images[number].cam_from_world().matrix(), [0, 0, 0, 1]]))
         np.testing.assert_allclose(found, view.camera_to_world, atol=1e-6)
-    for wanted in ([WantedView("1", 480, 320, ("1",))],
-                   [WantedView(name, 480, 320, ("day/1.CR2",)) for name in ("1", "2")]):  # fmt: skip
+    for wanted in ([SolveView("1", 480, 320, files=("1",))],
+                   [SolveView(name, 480, 320, files=("day/1.CR2",)) for name in ("1", "2")]):  # fmt: skip
         assert error_of(model_from_rig, rig, wanted).code == "file-ambiguous"
 
 

@@ -16,7 +16,6 @@ import pytest
 from fipt_blender.blend import outliner
 from fipt_blender.blend.capture.cameras import add_camera, find_camera
 from fipt_blender.blend.pictures.cycles import RenderOptions, render_exr
-from fipt_blender.blend.room.exporting import export_room
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.capture.views import View, load_capture
 from fipt_blender.core.checks.quality import Display, judge
@@ -34,6 +33,7 @@ from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.surface.room import load_room
 from samples.applied_rooms import use_fake_engine
+from samples.at_once import export_room
 from samples.camera_poses import look_at
 from samples.small_captures import CAMERAS, COLORS, PANEL, PANEL_RADIANCE, PANEL_TRIANGLES, pinhole
 from samples.small_rooms import BOX

@@ -14,10 +14,10 @@ from fipt_blender import api
 from fipt_blender.blend import outliner
 from fipt_blender.blend.marks import PART, REMOVED, filled_surfaces, is_fixture
 from fipt_blender.blend.results.completion import complete
-from fipt_blender.blend.room import exporting
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from samples.applied_rooms import use_fake_engine
+from samples.at_once import export_room
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
@@ -76,7 +76,7 @@ def make_room(folder, monkeypatch, with_holes=False):
     bpy.context.view_layer.update()
     run = RunFolder(folder)
     run.create(make_settings())
-    exporting.export_room(items, run)
+    export_room(items, run)
     write_json(run.emitters_json, {"fixtures": [], "environment": None})
     write_json(run.statistics_json, {"radiance_scale": 0.36})
     run.fields_npz.write_bytes(b"estimated")
@@ -205,5 +205,5 @@ def test_removed_objects_with_modifiers_and_lamps_stay_as_they_are_when_applied_
         assert hidden_names(applied) == sorted(["cube", name])
         assert len(cube.data.polygons) == faces
         assert [slot.material for slot in cube.material_slots] == materials
-    exporting.export_room([cube], RunFolder(bpy.path.abspath(applied.fipt.run_folder)))
+    export_room([cube], RunFolder(bpy.path.abspath(applied.fipt.run_folder)))
     assert ops.bring_back() == {"FINISHED"} and hidden_names(applied) == []

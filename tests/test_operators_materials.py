@@ -179,12 +179,12 @@ def test_a_missing_texture_changes_nothing(applied):
 
 
 def test_stopping_halfway_changes_nothing(applied):
-    from fipt_blender.blend.results.applying import apply_slices
+    from fipt_blender.blend.results.applying import apply_results
 
     before = fingerprint(applied)
     run = RunFolder(applied.fipt.run_folder)
     for count in (1, 2):
-        slices = apply_slices(run, applied.fipt.capture.room_objects(applied), applied)
+        slices = apply_results(run, applied.fipt.capture.room_objects(applied), applied)
         for _ in range(count):
             next(slices)
         slices.close()

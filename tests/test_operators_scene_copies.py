@@ -12,9 +12,11 @@ import pytest
 from fipt_blender.blend import marks
 from fipt_blender.blend.lights import light_state
 from fipt_blender.blend.lights.fixture_nodes import is_emission_material, side_radiance
-from fipt_blender.blend.results import adjust
+from fipt_blender.blend.results import adjust, dropped
+from fipt_blender.panels import lights, path
 from samples import artist
-from samples.applied_rooms import front
+from samples.applied_rooms import RADIANCE, front
+from samples.layouts import drawn_by
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
@@ -114,8 +116,8 @@ def test_what_is_done_in_one_scene_changes_nothing_in_its_copy(applied, action, 
 
 def test_a_material_that_the_artist_edits_herself_changes_in_one_scene(applied):
     copy = full_copy(applied)
-    copy.objects[0].update_tag()  # as selecting an object does: Blender reports no scene as new
-    bpy.context.view_layer.update()
+    assert bpy.app.timers.is_registered(dropped.own_copies)
+    dropped.own_copies()
     for acted, other in ((copy, applied), (applied, copy)):
         before = look(other)
         bpy.context.window.scene = acted
@@ -141,9 +143,9 @@ def test_a_copied_lamp_has_a_switch_of_its_own(applied):
     assert side_radiance(other.data.materials[0])[0] == (0.0, 0.0, 0.0)
 
 
-@pytest.fixture(params=[False, True])
+@pytest.fixture(params=["link", "override", "instance"])
 def shot(applied, request, tmp_path):
-    """A shot file with the room's collections, linked or overridden."""
+    """A shot file with the room's collections, linked, overridden, or shown by an empty, as Link does first."""
     run, room = applied.fipt.run_folder, str(tmp_path / "room.blend")
     bpy.ops.wm.save_as_mainfile(filepath=room)
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -153,25 +155,31 @@ def shot(applied, request, tmp_path):
     inner = {child for each in target.collections for child in each.children_recursive}
     rooms = [each for each in target.collections if each not in inner]
     for each in rooms:
-        scene.collection.children.link(each)
-    if request.param:
+        if request.param == "instance":
+            empty = bpy.data.objects.new(each.name, None)
+            empty.instance_type, empty.instance_collection = "COLLECTION", each
+            scene.collection.objects.link(empty)
+        else:
+            scene.collection.children.link(each)
+    if request.param == "override":
         layer = bpy.context.view_layer
         for each in rooms:
             each.override_hierarchy_create(scene, layer, do_fully_editable=True)
             scene.collection.children.unlink(each)
-    scene.fipt.run_folder, scene.fipt.materials.object_count = run, 2
+    scene.fipt.run_folder = run
     light_state.list_lights(scene)
     return scene
 
 
-def test_a_linked_room_is_said_and_not_changed(shot):
-    (row,) = [row for row in shot.fipt.lights.lights if marks.is_fixture(row.object)]
-    lamp = row.object
-    assert lamp.library is not None or lamp.override_library is not None
-    before = front(lamp).tolist(), dict(lamp.items()).keys()
-    for operator in (ops.apply_results, ops.revert, ops.show_map, ops.switch_lights, ops.export_room):
-        assert not operator.poll()
-        assert "linked" in refused(operator)
-    row.on = False
-    row.stops = 2.0
-    assert (front(lamp).tolist(), dict(lamp.items()).keys()) == before
+def test_a_linked_room_says_what_it_is_lists_its_lamps_and_is_not_changed(shot):
+    assert [set(names) for names in marks.linked_lamps(shot).values()] == [{"Panel"}]
+    assert not shot.fipt.lights.lights and path.is_shown("FIPT_PT_lights", bpy.context)
+    texts, _ = drawn_by(lights.FIPT_PT_lights)
+    assert "Panel" in texts and "room.blend" in " ".join(texts)
+    light_state.switch_all(False)
+    assert front(bpy.data.objects["Panel"]).tolist() == RADIANCE
+    if marks.room_with_results(shot):  # Blender does not tell of objects in an instance
+        shot.fipt.materials.object_count = 2
+        for operator in (ops.apply_results, ops.revert, ops.show_map, ops.export_room):
+            assert not operator.poll()
+            assert "linked" in refused(operator)

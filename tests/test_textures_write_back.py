@@ -10,7 +10,6 @@ import pytest
 
 from benchmarks import fit_write_back, patches
 from fipt_blender.blend.results import materials, write_back_nodes
-from fipt_blender.blend.results.adjust import NO_ADJUSTMENT
 from fipt_blender.blend.results.write_back_nodes import agree_with_model
 from fipt_blender.core.textures import write_back
 
@@ -61,7 +60,7 @@ def test_cycles_agrees_under_the_sun_with_the_authors_masking(sweep):
 
 
 def attribute_material():
-    return materials.part_material(materials.Surface("patch", "patch", "Patch"), None, NO_ADJUSTMENT)
+    return materials.part_material("patch", "patch", "Patch")
 
 
 def agreement_groups():

@@ -202,10 +202,10 @@ def export(
     Raises:
         FiptError: ``export-format``, ``export-nothing``, ``export-failed``, or the errors of writing.
     """
-    from ..blend.export.exporting import ExportOptions, export_room
+    from ..blend.export.exporting import export_room
 
-    options = ExportOptions(texture_size, lamp_lights)
-    exported = export_room(scene or bpy.context.scene, Path(bpy.path.abspath(str(path))).absolute(), options)
+    path = Path(bpy.path.abspath(str(path))).absolute()
+    exported = export_room(scene or bpy.context.scene, path, texture_size, lamp_lights)
     return [f"{warning['text']} {warning['remedy']}" for warning in exported.warnings]
 
 

@@ -7,19 +7,16 @@ open file with all that it needs, for another machine.
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Iterable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 
 from ..core.run.errors import FiptError
-from ..core.run.runfolder import atomic_path
 from .marks import TEXTURE
 from .save import write_error
-from .texture_files import IN_RUN, SET_NAME
+from .texture_files import IN_RUN, SET_NAME, copy_picture
 
 UNSAVED = "room.blend"  # the copy's name where the open file has none
 
@@ -76,45 +73,16 @@ def image_files(image: bpy.types.Image) -> list[Path]:
     return [path.with_name(path.name.replace("<UDIM>", str(tile.number))) for tile in image.tiles]
 
 
-def copy_picture(path: Path, target: Path) -> None:
-    """Copy a file; one that is there already stays.
-
-    Raises:
-        FiptError: ``textures-unwritable``.
-    """
-    if target.is_file():
-        return
-    try:
-        with atomic_path(target) as temporary:
-            shutil.copyfile(path, temporary)
-    except FiptError as error:
-        raise FiptError(
-            "textures-unwritable",
-            f"The pictures could not be copied beside the .blend file. {error.text}",
-            "Free some space, or save the file in a folder in which you may write.",
-        ) from error
-
-
-@dataclass(frozen=True)
-class Collected:
-    """A copy of the open file that another machine can open.
-
-    Attributes:
-        path: of the copy.
-        left: other files that it needs, which stay where they are.
-    """
-
-    path: Path
-    left: tuple[Path, ...]
-
-
-def collect_room(folder: Path) -> Collected:
+def collect_room(folder: Path) -> tuple[Path, list[Path]]:
     """Save a copy of the open file into a folder, with the files of its images.
 
     The open file stays as it is, except that what was painted on images is packed into it.
 
     Args:
         folder: of the copy; where it has something in it, a new folder NAME_collected there.
+
+    Returns:
+        The copy, and other files that it needs, which stay where they are.
 
     Raises:
         FiptError: ``file-missing``, ``file-exists``, ``textures-unwritable``, or what
@@ -147,4 +115,4 @@ def collect_room(folder: Path) -> Collected:
         except RuntimeError as error:
             raise write_error(target, error, "blend-unwritable") from None
         named = {Path(os.path.normpath(path)) for path in bpy.utils.blend_paths(absolute=True, packed=False)}
-    return Collected(target, tuple(sorted(path for path in named if not path.is_relative_to(folder))))
+    return target, sorted(path for path in named if not path.is_relative_to(folder))

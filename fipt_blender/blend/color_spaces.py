@@ -44,15 +44,6 @@ def _times(matrix: np.ndarray, rgb: ArrayLike) -> np.ndarray:
     return values if np.array_equal(matrix, np.eye(3)) else (values @ matrix.T).astype(values.dtype)
 
 
-def set_encoded(image: bpy.types.Image) -> None:
-    """Tell Blender that an image file has sRGB's codes.
-
-    Raises:
-        FiptError: ``color-space-missing``.
-    """
-    image.colorspace_settings.name = encoded_space()
-
-
 def linear_space() -> str:
     """The configuration's name of linear Rec.709.
 

@@ -5,8 +5,7 @@
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 
 import bpy
@@ -57,25 +56,6 @@ def load_texture(path: Path, is_data: bool) -> bpy.types.Image:
     return image
 
 
-def load_tiles(paths: Mapping[int, Path], is_data: bool) -> bpy.types.Image:
-    """Textures of a run as the tiles of a new image.
-
-    Args:
-        paths: by UDIM number, the first one included; their names differ by the number alone.
-        is_data: whether the values are not colours.
-    """
-    first = min(paths)
-    path = paths[first]
-    image = bpy.data.images.load(str(path))
-    image.source = "TILED"
-    image.filepath = str(path.with_name(tile_pattern(path.name, first)))
-    for number in sorted(set(paths) - {first}):
-        image.tiles.new(number)
-    image.reload()
-    _set_color_space(image, path, is_data)
-    return image
-
-
 def _set_color_space(image: bpy.types.Image, path: Path, is_data: bool) -> None:
     """Set the colour space; reading a file sets it in some versions."""
     settings = image.colorspace_settings
@@ -84,36 +64,6 @@ def _set_color_space(image: bpy.types.Image, path: Path, is_data: bool) -> None:
         settings.is_data = True
     elif not is_data and settings.name != name:
         settings.name = name
-
-
-def tile_pattern(name: str, number: int) -> str:
-    """The name of a tile's file with Blender's token in place of its number."""
-    return name.replace(f".{number}.", ".<UDIM>.", 1)
-
-
-def tile_values(image: bpy.types.Image, number: int) -> np.ndarray:
-    """(H, W, channels) f32 values of a tile, or of an image without tiles, bottom row first.
-
-    Raises:
-        FiptError: ``file-missing``.
-    """
-    if image.source != "TILED":
-        return image_values(image)
-    name = f".{number}."
-    packed = next((each for each in image.packed_files if name in Path(each.filepath).name), None)
-    with tempfile.TemporaryDirectory(prefix="fipt_tile_") as folder:
-        path = Path(bpy.path.abspath(image.filepath).replace("<UDIM>", str(number)))
-        if packed is not None:
-            path = Path(folder) / path.name
-            path.write_bytes(packed.packed_file.data)
-        if not path.is_file():
-            raise FiptError("file-missing", f"The texture {path} does not exist.", "Apply the results again.")
-        tile = bpy.data.images.load(str(path))
-        try:
-            tile.colorspace_settings.name = image.colorspace_settings.name
-            return image_values(tile)
-        finally:
-            bpy.data.images.remove(tile)
 
 
 def read_texture(path: Path) -> np.ndarray:
@@ -144,6 +94,30 @@ def image_values(image: bpy.types.Image) -> np.ndarray:
     values = np.empty(width * height * image.channels, np.float32)
     image.pixels.foreach_get(values)
     return values.reshape(height, width, image.channels)
+
+
+def save_values(values: np.ndarray, path: Path, most: int | None = None) -> None:
+    """Save values (H, W, 3), bottom row first, as they are: as an EXR of floats or a PNG of 8 bits.
+
+    Args:
+        path: whose suffix is .exr or .png.
+        most: width and height that a larger image is scaled down to, texels.
+    """
+    height, width, _ = values.shape
+    is_exr = path.suffix == ".exr"
+    # As data, since Blender 4.5 saves other new images of floats with sRGB's transfer function.
+    image = bpy.data.images.new(path.stem, width, height, alpha=False, float_buffer=is_exr, is_data=True)
+    try:
+        pixels = np.ones((height, width, 4), np.float32)
+        pixels[..., :3] = values
+        image.pixels.foreach_set(pixels.ravel())
+        shrink = min(1.0, (most or max(width, height)) / max(width, height))
+        if shrink < 1.0:
+            image.scale(max(1, round(width * shrink)), max(1, round(height * shrink)))
+        image.filepath_raw, image.file_format = str(path), "OPEN_EXR" if is_exr else "PNG"
+        image.save()
+    finally:
+        bpy.data.images.remove(image)
 
 
 def remove_unused_images(images: Iterable[bpy.types.Image]) -> None:

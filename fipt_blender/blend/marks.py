@@ -83,7 +83,7 @@ PART = "fipt_part"  # on our materials: key of the part, see `core.run.parts`
 PART_NAME = "fipt_part_name"  # on our materials: the part's name, for parts whose key has changed
 ESTIMATE = "fipt_estimate_{}"  # on a result mesh: the estimated material of each slot, which may hold another
 REPLACEMENT = "fipt_replacement"  # on an estimated material: the one that the artist gave its part
-ADJUSTMENT = "fipt_adjustment"  # on the node group of the artist's adjustments: its version
+ADJUSTMENT = "fipt_adjustment"  # marks the node group of the artist's adjustments
 SURFACE = "fipt_surface"  # what fed the output before a map was shown: node and socket, a line each
 TABLE = "fipt_table"  # on the node group that corrects Principled: digest of its table
 TEXTURE = "fipt_texture"  # marks an image of applied results, or their environment
@@ -207,8 +207,20 @@ def added_lights(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def lights_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The scene's fixtures by name, then the lights that were added."""
-    return [*fixtures_of(scene), *added_lights(scene)]
+    """The scene's own fixtures by name, then the lights that were added."""
+    return [item for item in (*fixtures_of(scene), *added_lights(scene)) if not is_linked(item)]
+
+
+def linked_lamps(scene: bpy.types.Scene) -> dict[str, list[str]]:
+    """Lamps of rooms of other files, by the paths of these; also those in instances of collections."""
+    found: dict[str, list[str]] = {}
+    if len(bpy.data.libraries):
+        shown = [item.instance_collection for item in scene.objects if item.instance_collection is not None]
+        for item in (*scene.objects, *(item for each in shown for item in each.all_objects)):
+            if is_linked(item) and (is_fixture(item) or NEW_LIGHT in item):
+                source = item.library or item.override_library.reference.library
+                found.setdefault(source.filepath, []).append(item.name)
+    return found
 
 
 def other_lights(scene: bpy.types.Scene) -> list[bpy.types.Object]:

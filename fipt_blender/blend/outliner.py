@@ -8,7 +8,7 @@ import bpy
 
 from .marks import COLLECTION
 
-# Marks of the collections, and their names in new scenes. Earlier versions named them as their marks.
+# Marks of the collections, and their names in new scenes.
 TREE = "FIPT"
 ROOM = "FIPT Room"
 CAMERAS = "FIPT Cameras"
@@ -30,27 +30,9 @@ NAMES = {
 
 
 def find_collection(scene: bpy.types.Scene, name: str) -> bpy.types.Collection | None:
-    """The scene's collection with that mark.
-
-    Those of files of earlier versions are found by name: where the file has several ("name.001"), the one in
-    the scene.
-    """
+    """The scene's collection with that mark."""
     children = scene.collection.children_recursive
-    for child in children:
-        if child.get(COLLECTION) == name:
-            return child
-    for child in children:
-        if child.name == name or (child.name[:-4] == name and child.name[-4:-3] == "."):
-            return child
-    return None
-
-
-def mark_collections(scene: bpy.types.Scene) -> None:
-    """Mark the scene's collections that are found by name, so that they may be renamed."""
-    for name in NAMES:
-        found = find_collection(scene, name)
-        if found is not None and found.library is None and COLLECTION not in found:
-            found[COLLECTION] = name
+    return next((child for child in children if child.get(COLLECTION) == name), None)
 
 
 def collection(scene: bpy.types.Scene, name: str) -> bpy.types.Collection:

@@ -58,3 +58,21 @@ def hits(
         if not (behind and skip_backs):
             yield Hit(position, normal, behind, face, item, matrix)
         origin = position + nudge * direction
+
+
+def surface_on_ray(
+    scene: bpy.types.Scene,
+    depsgraph: bpy.types.Depsgraph,
+    origin: Vector,
+    direction: Vector,
+    skip_backs: bool = False,
+) -> tuple[bpy.types.Object, int, Vector] | None:
+    """Object, polygon and point in the world of the first mesh that a ray hits; None without one.
+
+    Args:
+        scene, depsgraph, origin, direction, skip_backs: as for `hits`.
+    """
+    for hit in hits(scene, depsgraph, origin, direction, skip_backs):
+        if hit.object.type == "MESH" and hit.face >= 0:
+            return hit.object.original, hit.face, hit.position
+    return None

@@ -9,17 +9,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..bridge.step import Result, Slices
 from ..core.run.errors import FiptError
-
-
-def run_through(slices: Slices[Result]) -> Result:
-    """Run all slices at once and return the generator's result."""
-    while True:
-        try:
-            next(slices)
-        except StopIteration as end:
-            return end.value
 
 
 def find_object(name: str) -> bpy.types.Object:

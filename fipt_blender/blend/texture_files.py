@@ -12,7 +12,8 @@ from __future__ import annotations
 import hashlib
 import re
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,13 +21,40 @@ import bpy
 
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import RunFolder, atomic_path
-from .image_datablocks import load_texture, load_tiles, read_texture
+from .image_datablocks import load_texture, read_texture
 from .marks import TEXTURE
 from .png16 import encode_png, encode_srgb
 
 _DIGITS = 12  # of a set's digest: two of a thousand sets have the same one with a probability below 1e-8
 IN_RUN = "applied"  # a run's folder of sets
 SET_NAME = re.compile(rf"[0-9a-f]{{{_DIGITS}}}")
+
+
+@contextmanager
+def written_picture(target: Path) -> Iterator[Path]:
+    """Where a picture of results is written; it gets to its place whole.
+
+    Raises:
+        FiptError: ``textures-unwritable``.
+    """
+    try:
+        with atomic_path(target) as temporary:
+            yield temporary
+    except (RuntimeError, FiptError) as error:
+        text = f"The pictures of results could not be copied to {target.parent}. {error}"
+        remedy = "Free some space, or save the file in a folder in which you may write."
+        raise FiptError("textures-unwritable", text, remedy) from error
+
+
+def copy_picture(path: Path, target: Path) -> None:
+    """Copy a file; one that is there already stays.
+
+    Raises:
+        FiptError: ``textures-unwritable``.
+    """
+    if not target.is_file():
+        with written_picture(target) as temporary:
+            shutil.copyfile(path, temporary)
 
 
 @dataclass(frozen=True)
@@ -54,21 +82,12 @@ class TextureFiles:
             FiptError: ``textures-unwritable``.
         """
         target = self._kept(path, is_data)
-        if target.is_file():
-            return
-        try:
-            with atomic_path(target) as temporary:
-                if target.suffix != path.suffix:
-                    values = read_texture(path)
-                    temporary.write_bytes(encode_png(values if is_data else encode_srgb(values)))
-                else:
-                    shutil.copyfile(path, temporary)
-        except FiptError as error:
-            raise FiptError(
-                "textures-unwritable",
-                f"The textures could not be copied beside the .blend file. {error.text}",
-                "Free some space, or save the file in a folder in which you may write.",
-            ) from error
+        if target.suffix == path.suffix:
+            copy_picture(path, target)
+        elif not target.is_file():
+            with written_picture(target) as temporary:
+                values = read_texture(path)
+                temporary.write_bytes(encode_png(values if is_data else encode_srgb(values)))
 
     def _kept(self, path: Path, is_data: bool | None) -> Path:
         """Where a file of the run folder is kept."""
@@ -77,15 +96,7 @@ class TextureFiles:
 
     def load(self, path: Path, is_data: bool | None) -> bpy.types.Image:
         """The image of a file of the run folder; `copy` comes first, with the same arguments."""
-        path = self._kept(path, is_data)
-        return self._placed(load_texture(path, bool(is_data)))
-
-    def load_tiles(self, paths: Mapping[int, Path], is_data: bool) -> bpy.types.Image:
-        """Files of the run folder, by their UDIM numbers, as one image; `copy` comes first."""
-        kept = {number: self._kept(path, is_data) for number, path in paths.items()}
-        return self._placed(load_tiles(kept, is_data))
-
-    def _placed(self, image: bpy.types.Image) -> bpy.types.Image:
+        image = load_texture(self._kept(path, is_data), bool(is_data))
         path = bpy.path.relpath(image.filepath) if self.relative else image.filepath
         if image.filepath != path:  # setting it reads the file anew, without what the artist has painted
             image.filepath = path

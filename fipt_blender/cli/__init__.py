@@ -67,7 +67,7 @@ def _prepare(arguments: argparse.Namespace) -> int:
 def _export(arguments: argparse.Namespace) -> int:
     import bpy
 
-    from ..blend.export.exporting import ExportOptions, export_room
+    from ..blend.export.exporting import export_room
 
     display = Display(sys.stdout, arguments.json, arguments.quiet)
     blend = arguments.blend.absolute()
@@ -79,8 +79,8 @@ def _export(arguments: argparse.Namespace) -> int:
         except RuntimeError as error:
             text = f"{blend} can't be opened ({str(error).strip()})."
             raise FiptError("file-damaged", text, "Give a .blend file with results.") from None
-        options = ExportOptions(arguments.texture_size, arguments.lamp_lights)
-        exported = export_room(bpy.context.scene, arguments.file.absolute(), options)
+        path, options = arguments.file.absolute(), (arguments.texture_size, arguments.lamp_lights)
+        exported = export_room(bpy.context.scene, path, *options)
     except FiptError as error:
         return _report_error(arguments, error)
     for warning in exported.warnings:

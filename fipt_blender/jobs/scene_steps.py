@@ -105,12 +105,12 @@ def export_scene_room(run: RunFolder) -> Slices[list[Message]]:
         Warnings about objects in the room's collection that are not meshes.
 
     Raises:
-        FiptError: ``room-missing``; see `export_slices`.
+        FiptError: ``room-missing``; see `export_room`.
     """
     import bpy
 
     from ..blend.capture.importing import not_in_room
-    from ..blend.room.exporting import export_slices
+    from ..blend.room.exporting import export_room
 
     scene = bpy.context.scene
     objects = scene.fipt.capture.room_objects(scene)
@@ -121,7 +121,7 @@ def export_scene_room(run: RunFolder) -> Slices[list[Message]]:
             "Import the room's mesh or select its collection in the section Capture.",
         )
     warnings = not_in_room(scene.fipt.capture.room_members(scene))
-    yield from export_slices(objects, run, scene.fipt.parts.engine_source, scene.fipt.capture.completed)
+    yield from export_room(objects, run, scene.fipt.parts.engine_source, scene.fipt.capture.completed)
     return warnings
 
 
@@ -140,7 +140,7 @@ def apply_steps(run: RunFolder, settings: Settings) -> list[Step]:
         return bpy.context.scene.fipt.capture.room_objects(bpy.context.scene)
 
     def lay_out() -> Slices[None]:
-        from ..blend.room.atlas import atlas_slices
+        from ..blend.room.atlas import make_atlas
 
         read = [getattr(settings, name) for name in _ATLAS_SETTINGS]
         paths = [
@@ -150,17 +150,16 @@ def apply_steps(run: RunFolder, settings: Settings) -> list[Step]:
         ]
         made = Made(run, "atlas", read, content_digest(*paths), outputs=[run.atlas_npz, run.atlas_json])
         if made.kept() is None:
-            yield from atlas_slices(objects(), run, settings)
+            yield from make_atlas(objects(), run, settings)
             made.note()
 
     def build() -> Slices[list[Message]]:
         from ..blend.lights.world import apply_environment
-        from ..blend.results.applying import apply_slices
+        from ..blend.results.applying import apply_results
         from ..blend.texture_files import texture_files
 
         files = texture_files(bpy.context.scene, run)
-        applied = yield from apply_slices(run, objects(), bpy.context.scene, files)
-        warnings = applied.warnings
+        warnings = yield from apply_results(run, objects(), bpy.context.scene, files)
         if apply_environment(run, bpy.context.scene, files) is None:
             text = "The scene keeps the world that you have chosen since results were applied."
             remedy = "To get the estimated one back, use Revert and apply the results again."

@@ -80,7 +80,6 @@ def export_room(
     path = Path(bpy.path.abspath(filepath))
     if path.suffix.lower() not in exporting.SUFFIXES:
         path = path.with_name(path.name + file_format)
-    options = exporting.ExportOptions(int(texture_size), lamp_lights)
-    exported = exporting.export_room(scene, path, options)
+    exported = exporting.export_room(scene, path, int(texture_size), lamp_lights)
     text = iface_("{} objects written to {}").format(exported.objects, path.name)
     return [*exported.warnings, note(text)]

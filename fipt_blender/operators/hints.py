@@ -37,7 +37,7 @@ def _clicked(context: bpy.types.Context, ray: PointerRay) -> tuple[bpy.types.Obj
     Raises:
         FiptError: ``surface-missing``.
     """
-    from ..blend.hints.anchors import surface_on_ray
+    from ..blend.ray_hits import surface_on_ray
 
     found = surface_on_ray(context.scene, context.evaluated_depsgraph_get(), *ray)
     if found is None:

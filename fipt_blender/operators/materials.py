@@ -80,11 +80,11 @@ def collect_room(
 
     if not directory:
         raise FiptError("export-file", "No folder is chosen.", "Choose a folder.")
-    done = collecting.collect_room(Path(bpy.path.abspath(directory)))
-    messages = [note(iface_("{} written").format(done.path))]
-    if done.left:
+    path, left = collecting.collect_room(Path(bpy.path.abspath(directory)))
+    messages = [note(iface_("{} written").format(path))]
+    if left:
         text = iface_("{} other files stay where they are, the first is {}")
-        messages.insert(0, warning("files-left", text.format(len(done.left), done.left[0])))
+        messages.insert(0, warning("files-left", text.format(len(left), left[0])))
     return messages
 
 

@@ -14,8 +14,8 @@ from ..blend.marks import (
     NAMED,
     PROBABILITY,
     VISIBILITY,
-    is_room_linked,
     light_probe,
+    linked_lamps,
 )
 from . import path
 from .hints import ANSWER_NAMES, draw_again
@@ -56,6 +56,11 @@ def FIPT_UL_lights(layout: UILayout, context: Context, item: PropertyGroup, inde
 def FIPT_PT_lights(layout: UILayout, context: Context) -> None:
     """Switch and dim the estimated lights, and add lights"""
     settings = context.scene.fipt.lights
+    for file, names in linked_lamps(context.scene).items():
+        text = iface_("The room of {} is linked. Open that file to change its lights:")
+        draw_text(layout, text.format(bpy.path.basename(file)), icon="LINKED")
+        for name in names:
+            layout.label(text=name, icon="LIGHT", translate=False)
     if len(settings.lights):
         row = layout.row()
         row.template_list("FIPT_UL_lights", "", settings, "lights", settings, "active", rows=4)
@@ -68,10 +73,7 @@ def FIPT_PT_lights(layout: UILayout, context: Context) -> None:
     row = layout.row(align=True)  # above all that depends on the chosen light, so that it stays in its place
     row.operator("fipt.add_light", text="Add Light by Pointing", icon="EYEDROPPER").place = "PICK"
     row.operator("fipt.add_light", text="", icon="PIVOT_CURSOR").place = "CURSOR"
-    if is_room_linked(context.scene):
-        text = "The room is linked from another file, which has to be opened to change its lights."
-        draw_text(layout, iface_(text), icon="LINKED")
-    elif (light := settings.active_light()) is not None:
+    if (light := settings.active_light()) is not None:
         layout.prop(light, "stops")
         if INFERRED in light.object:
             text = iface_("Inferred, in no photograph: {:.0f} % of the light")

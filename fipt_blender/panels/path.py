@@ -14,7 +14,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context
 
 from .. import machine
-from ..blend.marks import is_room_linked
+from ..blend.marks import is_room_linked, linked_lamps
 from ..jobs import running, runstate
 
 
@@ -41,8 +41,9 @@ def has_photographs(context: Context) -> bool:
 
 
 def has_lights(context: Context) -> bool:
-    """Whether the scene has results, or lights of the list."""
-    return has_results(context) or bool(context.scene.fipt.lights.lights)
+    """Whether the scene has results, lights of the list, or lamps of a linked room."""
+    scene = context.scene
+    return has_results(context) or bool(scene.fipt.lights.lights or linked_lamps(scene))
 
 
 def has_own_light(context: Context) -> bool:

@@ -26,8 +26,8 @@ _OPENED = """
 import bpy, os, sys
 scene = bpy.context.scene
 assert not hasattr(scene, "fipt")
-files = [image for image in bpy.data.images if image.source in ("FILE", "TILED") and not image.packed_files]
-places = [bpy.path.abspath(image.filepath).replace("<UDIM>", "1001") for image in files]
+files = [image for image in bpy.data.images if image.source == "FILE" and not image.packed_files]
+places = [bpy.path.abspath(image.filepath) for image in files]
 missing = [place for place in places if not os.path.isfile(place)]
 scene.cycles.samples, scene.render.resolution_percentage = 16, 20
 scene.render.filepath = sys.argv[-1]

@@ -14,12 +14,12 @@ from mathutils import Matrix
 
 from fipt_blender.blend import outliner
 from fipt_blender.blend.pictures.image_files import read_pixels
-from fipt_blender.blend.room import exporting
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake
 from fipt_blender.jobs import run_job
+from samples.at_once import export_room
 from samples.spots import spot_camera
 
 MEDIAN = 0.36
@@ -106,7 +106,7 @@ def make_scene(folder: Path, environment: bool = True) -> bpy.types.Scene:
 
     run = RunFolder(folder)
     run.create(make_settings())
-    arrays = exporting.export_room([panel, cube], run)
+    arrays = export_room([panel, cube], run)
     lit = np.flatnonzero((arrays.triangle_object == 0) & (arrays.triangle_polygon == 2))
     sky = {"image": "environment.exr", "observed_share": 1.0} if environment else None
     if environment:

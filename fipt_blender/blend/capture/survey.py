@@ -22,7 +22,7 @@ from ...core.run.runfolder import RunFolder, write_json
 from ...core.run.store import read_arrays
 from ..marks import was_found
 from ..room.arrays import read_room
-from ..room.exporting import export_slices
+from ..room.exporting import export_room
 from . import overlay
 from .exporting import read_source, selected_views, world_matrix
 from .importing import not_in_room, room_missing
@@ -131,7 +131,7 @@ def write_views_and_room(run: RunFolder, target: RunFolder, search: bool = False
     warnings = not_in_room(scene.fipt.capture.room_members(scene))
     matrices = {item.name: as_matrix(world_matrix(item)) for item in objects}
     completed = scene.fipt.capture.completed and not search
-    yield from export_slices(objects, target, scene.fipt.parts.engine_source, completed)
+    yield from export_room(objects, target, scene.fipt.parts.engine_source, completed)
     write_json(target.root / "matrices.json", matrices)
     return warnings
 

@@ -11,11 +11,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
-import numpy as np
 from mathutils import Euler
 
 from ..color_spaces import from_scene_linear
-from ..image_datablocks import linear_values
+from ..image_datablocks import linear_values, save_values
 from ..lights.world import ENVIRONMENT
 from ..marks import BACKGROUND, MAPPING, WORLD
 from ..node_trees import node_tree
@@ -48,20 +47,9 @@ def plain_world(world: bpy.types.World, path: Path) -> tuple[bpy.types.World, bp
         turn = Euler(mapping.inputs["Rotation"].default_value, "XYZ").to_matrix().transposed()
         mapping.vector_type = "POINT"
         mapping.inputs["Rotation"].default_value = turn.to_euler("XYZ")
-    texture.image = _picture(texture.image, background.inputs["Strength"].default_value, path)
+    # Radiance, which readers take for linear Rec.709.
+    radiance = background.inputs["Strength"].default_value * linear_values(texture.image)[..., :3]
+    save_values(from_scene_linear(radiance), path)
+    texture.image = bpy.data.images.load(str(path))
     background.inputs["Strength"].default_value = 1.0
     return made, texture.image
-
-
-def _picture(source: bpy.types.Image, strength: float, path: Path) -> bpy.types.Image:
-    """The radiance of an environment as a new EXR image, which readers take for linear Rec.709."""
-    width, height = source.size
-    pixels = np.ones((height, width, 4), np.float32)
-    pixels[..., :3] = from_scene_linear(strength * linear_values(source)[..., :3])
-    # As data, since Blender 4.5 saves other new images of floats with sRGB's transfer function.
-    image = bpy.data.images.new(path.stem, width, height, float_buffer=True, is_data=True)
-    image.pixels.foreach_set(pixels.ravel())
-    image.filepath_raw, image.file_format = str(path), "OPEN_EXR"
-    image.save()
-    bpy.data.images.remove(image)
-    return bpy.data.images.load(str(path))

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 from ...bridge.process import Message
 from ...core.run.errors import FiptError
@@ -37,10 +36,8 @@ from ..marks import (
 from ..results.adjust import NO_ADJUSTMENT, Adjustment
 from ..results.materials import is_uniform
 from ..room.atlas import file_names
-from ..room.mesh_arrays import corner_uvs, polygon_slots, polygon_starts
 from ..room.originals import shows_original
-from ..room.tiles import image_uvs, polygon_images
-from ..room.uv_layer import UV_LAYER, write_layer
+from ..room.uv_layer import UV_LAYER
 from ..save import check_space, write_error
 from .color import colors_in_rec709
 from .environment import is_dark, plain_world
@@ -50,7 +47,6 @@ from .materials import (
     PlainTextures,
     artists_name,
     has_maps,
-    is_tiled,
     plain_lamp,
     plain_material,
     plain_textures,
@@ -79,27 +75,17 @@ class Exported:
     warnings: list[Message] = field(default_factory=list)
 
 
-@dataclass(frozen=True)
-class ExportOptions:
-    """What can be chosen.
-
-    Attributes:
-        texture_size: the most texels of a texture's side.
-        lamp_lights: in glTF, give lamps a light besides the surface that glows. Game engines
-            and browsers light by lights alone; path tracers would light the room twice.
-    """
-
-    texture_size: int = TEXTURE_SIZE
-    lamp_lights: bool = True
-
-
-def export_room(scene: bpy.types.Scene, path: Path, options: ExportOptions = ExportOptions()) -> Exported:
+def export_room(
+    scene: bpy.types.Scene, path: Path, texture_size: int = TEXTURE_SIZE, lamp_lights: bool = True
+) -> Exported:
     """Write the estimated room with its lights to a file.
 
     Args:
         scene: with applied results, which are shown; in Object Mode.
         path: the suffix chooses the format, one of SUFFIXES.
-        options: what can be chosen.
+        texture_size: the most texels of a texture's side.
+        lamp_lights: in glTF, give lamps a light besides the surface that glows. Game engines
+            and browsers light by lights alone; path tracers would light the room twice.
 
     Raises:
         FiptError: ``export-format``, ``export-nothing``, ``export-attributes``, ``export-failed``,
@@ -132,16 +118,16 @@ def export_room(scene: bpy.types.Scene, path: Path, options: ExportOptions = Exp
     ):
         pictures = f"{folder}/" + ("" if suffix in _ONE_FILE else f"{path.name.replace('.', '_')}_")
         _show_surfaces(stage, shown, exported.warnings)
-        with_lights = suffix in GLTF and options.lamp_lights
+        with_lights = suffix in GLTF and lamp_lights
         unit = LUMENS_PER_WATT if suffix in GLTF else 1.0  # glTF has nits and candelas
-        parts = _plain_room(stage, pictures, options.texture_size)
+        parts = _plain_room(stage, pictures, texture_size)
         _plain_lamps(stage, scene, shown, parts, unit, with_lights, exported.warnings)
         _plain_lights(stage, scene, shown, suffix in GLTF, exported.warnings)
         _plain_world(stage, scene, pictures, suffix in GLTF, exported.warnings)
         stage.hide_others()
         exported.objects = len(stage.scene.objects)
-        with colors_in_rec709(stage.scene, suffix in USD):
-            _write(written, path)
+        colors_in_rec709(stage, suffix in USD)
+        _write(written, path)
     return exported
 
 
@@ -208,61 +194,27 @@ def _materials(stage: Stage) -> list[bpy.types.Material]:
     return list(dict.fromkeys(slot.material for slot in slots if slot.material is not None))
 
 
-class _Plain:
-    """The plain materials of parts, made when they are asked for: one for each image on which a part lies.
+def _plain_room(stage: Stage, pictures: str, texture_size: int) -> set[str]:
+    """Let plain materials stand for the estimated ones on the stage; returns their names.
 
     Args:
         pictures: path that the files of textures begin with.
         texture_size: the most texels of their sides.
     """
-
-    def __init__(self, stage: Stage, pictures: str, texture_size: int) -> None:
-        self._stage, self._pictures, self._size = stage, pictures, texture_size
-        self._made: dict[tuple[bpy.types.Material, int], bpy.types.Material] = {}
-        self._textures: dict[tuple[bpy.types.Image, Adjustment, int], PlainTextures] = {}
-        self._files: list[str] = []
-        self.names: set[str] = set()
-
-    def material(self, material: bpy.types.Material, tile: int) -> bpy.types.Material:
-        """What stands for an estimated material on an image of the atlas."""
-        if (material, tile) not in self._made:
-            name = artists_name(material, self._stage.name(material))
-            textures = None if is_uniform(material) else self._textures_of(material, tile, name)
-            self._made[material, tile] = self._stage.add(plain_material(material, textures), name)
-            self.names.add(name)
-        return self._made[material, tile]
-
-    def _textures_of(self, material: bpy.types.Material, tile: int, name: str) -> PlainTextures:
-        key = texture_key(material, tile)
-        if key not in self._textures:
-            self._files.append(name if key[1] != NO_ADJUSTMENT else material[MATERIAL])
-            stem = self._pictures + file_names(self._files)[-1]
-            self._textures[key] = found = plain_textures(material, tile, stem, self._size)
-            for image in (found.base_color, found.orm):
-                self._stage.add(image, Path(image.filepath).stem)
-        return self._textures[key]
-
-
-def _plain_room(stage: Stage, pictures: str, texture_size: int) -> set[str]:
-    """Give the room's meshes on the stage plain materials, whose names are returned."""
-    plain = _Plain(stage, pictures, texture_size)
-    for mesh in {item.data: None for item in stage.scene.objects if has_estimates(item)}:
-        materials = [each if has_maps(each) else None for each in mesh.materials]
-        slots, tiles = polygon_slots(mesh), np.zeros(len(mesh.polygons), np.int64)
-        if any(each is not None and is_tiled(each) for each in materials):  # few readers know tiles
-            tiles, uv = polygon_images(mesh), corner_uvs(mesh, mesh.uv_layers[UV_LAYER])
-            size = np.diff(polygon_starts(mesh), append=len(uv))
-            write_layer(mesh, image_uvs(uv, np.repeat(tiles, size)))
-        for index, material in enumerate(materials):
-            if material is None:
-                continue
-            first, *others = np.unique(tiles[slots == index]).tolist() if is_tiled(material) else [0]
-            mesh.materials[index] = plain.material(material, first)
-            for tile in others:
-                mesh.materials.append(plain.material(material, tile))
-                slots[(slots == index) & (tiles == tile)] = len(mesh.materials) - 1
-        mesh.polygons.foreach_set("material_index", slots.astype(np.int32))
-    return plain.names
+    names: set[str] = set()
+    files: list[str] = []
+    made: dict[tuple[bpy.types.Image, Adjustment], PlainTextures] = {}
+    for material in filter(has_maps, _materials(stage)):
+        name = artists_name(material, stage.name(material))
+        names.add(name)
+        key = None if is_uniform(material) else texture_key(material)
+        if key is not None and key not in made:
+            files.append(name if key[1] != NO_ADJUSTMENT else material[MATERIAL])
+            made[key] = plain_textures(material, pictures + file_names(files)[-1], texture_size)
+            for image in (made[key].base_color, made[key].orm):
+                stage.add(image, Path(image.filepath).stem)
+        stage.replace(material, plain_material(material, None if key is None else made[key]), name)
+    return names
 
 
 def _plain_lamps(

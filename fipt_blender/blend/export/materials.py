@@ -12,14 +12,13 @@ import bpy
 import numpy as np
 
 from ..color_spaces import from_scene_linear
-from ..image_datablocks import load_texture, tile_values
+from ..image_datablocks import image_values, load_texture, save_values
 from ..lights.fixture_nodes import side_radiance
 from ..marks import MAP, MATERIAL, PART_NAME
 from ..node_trees import node_tree
 from ..png16 import encode_srgb
 from ..results import adjust
 from ..results.materials import is_uniform, uniform_values
-from ..room.tiles import tile_number
 from ..room.uv_layer import UV_LAYER
 
 # Relative difference of a lamp's sides, below which they are alike.
@@ -41,29 +40,20 @@ class PlainTextures:
     orm: bpy.types.Image
 
 
-def is_tiled(material: bpy.types.Material) -> bool:
-    """Whether an estimated material's images have tiles."""
-    return not is_uniform(material) and _image(material, "Base Color").source == "TILED"
-
-
-def texture_key(material: bpy.types.Material, tile: int) -> tuple[bpy.types.Image, adjust.Adjustment, int]:
+def texture_key(material: bpy.types.Material) -> tuple[bpy.types.Image, adjust.Adjustment]:
     """What an estimated material's exported textures depend on; those of one key are shared."""
-    return _image(material, "Base Color"), adjust.read(material), tile
+    return _image(material, "Base Color"), adjust.read(material)
 
 
-def plain_textures(material: bpy.types.Material, tile: int, stem: str, size: int) -> PlainTextures:
+def plain_textures(material: bpy.types.Material, stem: str, size: int) -> PlainTextures:
     """Write the textures of an estimated material with the artist's adjustment in them.
 
     Args:
         material: with images.
-        tile: number of the atlas image.
         stem: path that the files' names begin with.
         size: the most texels of a texture's side; larger ones are scaled down.
-
-    Raises:
-        FiptError: ``file-missing``.
     """
-    maps = [tile_values(_image(material, label), tile_number(tile)) for label in adjust.MAPS]
+    maps = [image_values(_image(material, label)) for label in adjust.MAPS]
     codes = np.ones((2, *maps[0].shape[:2], 3), np.float32)
     for base_color, orm, *row in zip(*codes, *maps, strict=True):  # all at once take much memory
         values = np.column_stack([row[0][:, :3], row[1][:, 0], row[2][:, 0]])
@@ -71,23 +61,8 @@ def plain_textures(material: bpy.types.Material, tile: int, stem: str, size: int
         base_color[:], orm[:, 1:] = encode_srgb(from_scene_linear(values[:, :3])), values[:, 3:]
     paths = [Path(f"{stem}_base_color.png"), Path(f"{stem}_orm.png")]
     for path, pixels in zip(paths, codes, strict=True):
-        _write_png(pixels, path, size)
+        save_values(pixels, path, size)
     return PlainTextures(load_texture(paths[0], False), load_texture(paths[1], True))
-
-
-def _write_png(values: np.ndarray, path: Path, size: int) -> None:
-    """Save codes (H, W, 3) from 0 to 1, bottom row first, as a PNG of 8 bits with at most so many texels."""
-    height, width, _ = values.shape
-    image = bpy.data.images.new(path.stem, width, height, alpha=False, is_data=True)
-    pixels = np.ones((height, width, 4), np.float32)
-    pixels[..., :3] = values
-    image.pixels.foreach_set(pixels.ravel())
-    shrink = min(1.0, size / max(width, height))
-    if shrink < 1.0:
-        image.scale(max(1, round(width * shrink)), max(1, round(height * shrink)))
-    image.filepath_raw, image.file_format = str(path), "PNG"
-    image.save()
-    bpy.data.images.remove(image)
 
 
 def _image(material: bpy.types.Material, label: str) -> bpy.types.Image:

@@ -40,13 +40,13 @@ class Stage:
         self._made: list[bpy.types.ID] = []
         self._kept: set[bpy.types.ID] = set()
         self.renamed: dict[bpy.types.ID, str] = {}
-        self._undo = ExitStack()
+        self.undo = ExitStack()
         self.scene = bpy.data.scenes.new("FIPT Export")
         self.set(bpy.context.window, "scene", self.scene)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._undo.close()
+        self.undo.close()
         bpy.data.scenes.remove(self.scene)
         bpy.data.batch_remove(self._made)
         for block, name in self.renamed.items():
@@ -55,8 +55,9 @@ class Stage:
     def set(self, owner: bpy.types.bpy_struct, name: str, value: Any) -> None:
         """Set a property until the end."""
         before = getattr(owner, name)
+        before = tuple(before) if isinstance(value, tuple) else before
         if before != value:
-            self._undo.callback(setattr, owner, name, before)
+            self.undo.callback(setattr, owner, name, before)
             setattr(owner, name, value)
 
     def show(self, item: bpy.types.Object) -> None:
@@ -87,7 +88,7 @@ class Stage:
         """Let a new material stand for another one wherever that is used."""
         self.add(other, name)
         material.user_remap(other)
-        self._undo.callback(other.user_remap, material)
+        self.undo.callback(other.user_remap, material)
 
     def add_light(self, name: str, light: bpy.types.Light, matrix: Any) -> None:
         """A new light of a name on the stage."""

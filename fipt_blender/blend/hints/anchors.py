@@ -19,28 +19,9 @@ from mathutils import Vector
 from ...core.run.errors import FiptError
 from ...core.run.hints import MOST_POINTS
 from ..marks import AREA, FIXTURE_SOURCES, is_split_off, object_id
-from ..ray_hits import hits
 from ..room.mesh_arrays import corner_vertices, transform_points, triangle_loops, vertex_positions
 
 FACE_SETS = ".sculpt_face_set"
-
-
-def surface_on_ray(
-    scene: bpy.types.Scene,
-    depsgraph: bpy.types.Depsgraph,
-    origin: Vector,
-    direction: Vector,
-    skip_backs: bool = False,
-) -> tuple[bpy.types.Object, int, Vector] | None:
-    """Object, polygon and point in the world of the first mesh that a ray hits; None without one.
-
-    Args:
-        scene, depsgraph, origin, direction, skip_backs: as for `hits`.
-    """
-    for hit in hits(scene, depsgraph, origin, direction, skip_backs):
-        if hit.object.type == "MESH" and hit.face >= 0:
-            return hit.object.original, hit.face, hit.position
-    return None
 
 
 def surface_at_point(scene: bpy.types.Scene, point: Vector) -> tuple[bpy.types.Object, Vector] | None:

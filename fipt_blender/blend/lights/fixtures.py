@@ -35,7 +35,7 @@ from ..marks import (
 )
 from ..outliner import FIXTURES, collection
 from ..room.arrays import Room
-from ..room.mesh_arrays import is_mirrored, triangle_loops
+from ..room.mesh_arrays import is_mirrored, remove_polygons, triangle_loops
 from ..room.mesh_digest import sign
 from .calibration import scene_unit
 from .fixture_nodes import emission_material
@@ -124,9 +124,9 @@ def split_off(
         _make(entry, name, parts) for entry, name, parts in zip(entries, names, pieces, strict=True) if parts
     ]
     for source in sources:
-        lit = np.flatnonzero(of_triangle[source.triangle] >= 0)
-        if len(lit):
-            _remove_polygons(source.mesh, lit)
+        lit = of_triangle[source.triangle] >= 0
+        if lit.any():  # edges without faces would be drawn as lines
+            remove_polygons(source.mesh, lit)
     return made
 
 
@@ -219,14 +219,3 @@ def divide(mesh: bpy.types.Mesh, label: np.ndarray, first: np.ndarray) -> np.nda
     mesh.attributes.remove(mesh.attributes["fipt_triangle"])
     mesh.update()
     return divided
-
-
-def _remove_polygons(mesh: bpy.types.Mesh, polygons: np.ndarray) -> None:
-    """Remove polygons with the edges and vertices that only they have, which Blender would draw as lines."""
-    bm = bmesh.new()
-    bm.from_mesh(mesh)
-    bm.faces.ensure_lookup_table()
-    bmesh.ops.delete(bm, geom=[bm.faces[int(index)] for index in polygons], context="FACES")
-    bm.to_mesh(mesh)
-    bm.free()
-    mesh.update()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bpy
 
-from ..color_spaces import set_encoded
+from ..color_spaces import encoded_space
 from ..marks import PICTURE
 
 
@@ -18,7 +18,7 @@ def load_picture(path: Path) -> bpy.types.Image | None:
         return None
     image = bpy.data.images.load(str(path), check_existing=True)
     image.reload()
-    set_encoded(image)
+    image.colorspace_settings.name = encoded_space()
     image[PICTURE] = True
     return image
 

@@ -14,7 +14,7 @@ from ...core.run.contents import CapturedView
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ..capture.backdrop import set_backdrop
-from ..color_spaces import set_encoded
+from ..color_spaces import encoded_space
 from ..export.stage import rendered_objects
 from ..image_datablocks import load_radiance
 from ..lights.convert import RAYS
@@ -67,7 +67,7 @@ def plate_scene(scene: bpy.types.Scene, run: RunFolder, view: CapturedView) -> b
             "Put the file back where it was, or import the capture again from where it is now.",
         )
     if view.encoded:
-        set_encoded(image)
+        image.colorspace_settings.name = encoded_space()
     set_backdrop(scene, "PHOTOGRAPH", scene.fipt.capture.room_objects(scene))  # also objects that came since
     size, rendered = plate_size(scene, scene.camera), rendered_objects(scene)
     made = scene.copy()

@@ -8,17 +8,16 @@ for arrays.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
 from ..marks import ADJUSTMENT, MAP
-from ..node_trees import node_tree
+from ..node_trees import TreeBuilder, node_tree
 
 GROUP = "FIPT Adjust"
 MAPS = ("Base Color", "Roughness", "Metallic")
-_VERSION = 2  # of the node group; those of earlier ones are replaced when a value is written
 
 
 @dataclass(frozen=True)
@@ -88,23 +87,14 @@ def read(material: bpy.types.Material) -> Adjustment:
     node = node_tree(material).nodes.get(GROUP)
     if node is None:
         return NO_ADJUSTMENT
-    values = {
-        key: float(node.inputs[name].default_value)
-        for key, (name, _, _) in _INPUTS.items()
-        if name in node.inputs
-    }
-    return Adjustment(**values)
+    return Adjustment(**{key: node.inputs[name].default_value for key, (name, _, _) in _INPUTS.items()})
 
 
 def write(material: bpy.types.Material, values: Adjustment) -> None:
     """Set the adjustment of a material; nothing happens where it has no group."""
     node = node_tree(material).nodes.get(GROUP)
-    if node is not None and values != NO_ADJUSTMENT and node.node_tree.get(ADJUSTMENT) != _VERSION:
-        node.node_tree = _group()  # the sockets that it had keep their links and values
-    for field, value in zip(fields(Adjustment), astuple(values), strict=True):
-        name = _INPUTS[field.name][0]
-        if node is not None and name in node.inputs:
-            node.inputs[name].default_value = value
+    for key, (name, _, _) in _INPUTS.items() if node is not None else ():
+        node.inputs[name].default_value = getattr(values, key)
 
 
 def adjusted(values: Adjustment, maps: np.ndarray) -> np.ndarray:
@@ -150,12 +140,12 @@ def is_adjustment(tree: bpy.types.NodeTree) -> bool:
 
 
 def _group() -> bpy.types.NodeTree:
-    """The file's group, made where there is none of this version."""
+    """The file's group, made where there is none."""
     for tree in bpy.data.node_groups:
-        if tree.get(ADJUSTMENT) == _VERSION and tree.library is None:
+        if is_adjustment(tree) and tree.library is None:
             return tree
     tree = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
-    tree[ADJUSTMENT] = _VERSION
+    tree[ADJUSTMENT] = True
     for label in MAPS:
         kind = "NodeSocketColor" if label == "Base Color" else "NodeSocketFloat"
         tree.interface.new_socket(label, in_out="OUTPUT", socket_type=kind)
@@ -164,65 +154,25 @@ def _group() -> bpy.types.NodeTree:
         socket = tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
         socket.min_value, socket.max_value = low, high
         socket.default_value = getattr(NO_ADJUSTMENT, key)
-    _fill(tree)
+    _fill(TreeBuilder(tree))
     return tree
 
 
-def _fill(tree: bpy.types.NodeTree) -> None:
-    nodes, links = tree.nodes, tree.links
-    entry, result = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")
-    entry.location, result.location = (-1000.0, 0.0), (400.0, 0.0)
-    turn = _math(tree, "ADD", entry.outputs["Hue"], 0.5, -400.0, 240.0)  # 0.5 leaves the hue as it is
-    color = nodes.new("ShaderNodeHueSaturation")
-    color.location = (-200.0, 240.0)
-    links.new(turn, color.inputs["Hue"])
+def _fill(build: TreeBuilder) -> None:
+    entry = build.node("NodeGroupInput").outputs
+    shift = build.node("ShaderNodeCombineXYZ")
+    for key, socket in zip(_SHIFT, shift.inputs, strict=True):
+        build.feed(socket, entry[_INPUTS[key][0]])
+    gain, base_color = entry["Gain"], entry["Base Color"]
+    moved = build.vector("MULTIPLY_ADD", "Vector", a=base_color, b=gain, c=shift.outputs["Vector"])
+    color = build.node("ShaderNodeHueSaturation")
+    build.feed(color.inputs["Hue"], build.math("ADD", entry["Hue"], 0.5, clamp=True))  # 0.5: as it is
     for name in ("Saturation", "Value"):
-        links.new(entry.outputs[name], color.inputs[name])
-    links.new(_moved(tree, entry), color.inputs["Color"])
-    most = nodes.new("ShaderNodeVectorMath")  # a surface reflects no more light than it gets
-    most.operation, most.location = "MINIMUM", (0.0, 240.0)
-    links.new(color.outputs["Color"], most.inputs[0])
-    most.inputs[1].default_value = (1.0, 1.0, 1.0)
-    links.new(most.outputs["Vector"], result.inputs["Base Color"])
-    for row, label in enumerate(MAPS[1:]):
-        offset = entry.outputs[f"{label} Offset"]
-        links.new(
-            _math(tree, "ADD", entry.outputs[label], offset, -200.0, -200.0 * row), result.inputs[label]
-        )
-
-
-def _moved(tree: bpy.types.NodeTree, entry: bpy.types.Node) -> bpy.types.NodeSocket:
-    """The base colour with gain and shift, not below 0."""
-    shift = tree.nodes.new("ShaderNodeCombineXYZ")
-    shift.location = (-800.0, 60.0)
-    for name, socket in zip(_SHIFT, shift.inputs, strict=True):
-        tree.links.new(entry.outputs[_INPUTS[name][0]], socket)
-    moved, least = (tree.nodes.new("ShaderNodeVectorMath") for _ in range(2))
-    moved.operation, moved.location = "MULTIPLY_ADD", (-600.0, 240.0)
-    for socket, source in zip(
-        moved.inputs, (entry.outputs["Base Color"], entry.outputs["Gain"], shift.outputs[0]), strict=False
-    ):
-        tree.links.new(source, socket)
-    least.operation, least.location = "MAXIMUM", (-400.0, 60.0)
-    tree.links.new(moved.outputs["Vector"], least.inputs[0])
-    least.inputs[1].default_value = (0.0, 0.0, 0.0)
-    return least.outputs["Vector"]
-
-
-def _math(
-    tree: bpy.types.NodeTree,
-    operation: str,
-    first: bpy.types.NodeSocket,
-    second: bpy.types.NodeSocket | float,
-    x: float,
-    y: float,
-) -> bpy.types.NodeSocket:
-    """A clamped sum or product."""
-    node = tree.nodes.new("ShaderNodeMath")
-    node.operation, node.use_clamp, node.location = operation, True, (x, y)
-    tree.links.new(first, node.inputs[0])
-    if isinstance(second, bpy.types.NodeSocket):
-        tree.links.new(second, node.inputs[1])
-    else:
-        node.inputs[1].default_value = second
-    return node.outputs["Value"]
+        build.feed(color.inputs[name], entry[name])
+    build.feed(color.inputs["Color"], build.vector("MAXIMUM", "Vector", a=moved, b=(0.0, 0.0, 0.0)))
+    # A surface reflects no more light than it gets.
+    most = build.vector("MINIMUM", "Vector", a=color.outputs["Color"], b=(1.0, 1.0, 1.0))
+    offset = [build.math("ADD", entry[label], entry[f"{label} Offset"], clamp=True) for label in MAPS[1:]]
+    result = build.node("NodeGroupOutput").inputs
+    for label, value in zip(MAPS, (most, *offset), strict=True):
+        build.feed(result[label], value)

@@ -8,12 +8,12 @@ Until the last slice nothing visible has changed, so that a failure leaves the r
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
 
 from ...bridge.process import Message
+from ...bridge.step import Slices
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ...core.run.versions import results_id
@@ -37,7 +37,7 @@ from ..room.originals import remove_fixtures, result_mesh, set_result_mesh
 from ..room.panes import add_surfaces
 from ..room.result_meshes import copied_objects, list_names, match_objects
 from ..room.uv_layer import UV_LAYER, layer_values, write_layer
-from ..slices import Slices, find_object, run_through
+from ..slices import find_object
 from ..texture_files import TextureFiles, in_run_folder
 from .materials import (
     MAPS,
@@ -53,25 +53,16 @@ from .reading import Results, cleaned_scan, read_results
 from .targets import Target, TargetBuilder, find_mesh
 from .write_back_nodes import agree_with_model
 
-SEVERAL = "Room"  # in place of an atlas image's name, for several or for colour attributes
+ATTRIBUTES = "Room"  # in place of an image's name
 
 
-@dataclass(frozen=True)
-class Applied:
-    """What `apply_results` did.
-
-    Attributes:
-        materials, fixtures: names of those that it put into the file.
-        warnings: objects of the room that got no results, faces that keep what they had, and lost lamps.
-    """
-
-    materials: list[str] = field(default_factory=list)
-    fixtures: list[str] = field(default_factory=list)
-    warnings: list[Message] = field(default_factory=list)
-
-
-def apply_results(run: RunFolder, objects: Iterable[bpy.types.Object]) -> Applied:
-    """Put textures and emitters of a finished run onto the room, in the context's scene.
+def apply_results(
+    run: RunFolder,
+    objects: Iterable[bpy.types.Object],
+    scene: bpy.types.Scene,
+    files: TextureFiles | None = None,
+) -> Slices[list[Message]]:
+    """Put textures and emitters of a finished run onto the room, which changes in the last slice.
 
     Objects of the run that are missing are left out with a warning. Faces that the artist has modelled since
     get the results of the nearest surface (`room.transfer`), or keep what they have, with a warning.
@@ -79,29 +70,15 @@ def apply_results(run: RunFolder, objects: Iterable[bpy.types.Object]) -> Applie
     Args:
         run: the run folder with atlas, textures and results/emitters.json.
         objects: the room's objects; earlier results on them are replaced.
-
-    Raises:
-        FiptError: ``room-changed`` where all are left out, ``room-edited``, ``uv-layers-full``,
-            ``file-missing``, ``file-damaged``.
-    """
-    return run_through(apply_slices(run, objects, bpy.context.scene))
-
-
-def apply_slices(
-    run: RunFolder,
-    objects: Iterable[bpy.types.Object],
-    scene: bpy.types.Scene,
-    files: TextureFiles | None = None,
-) -> Slices[Applied]:
-    """`apply_results`, one object per slice; the scene changes in the last slice.
-
-    Args:
-        run, objects: see `apply_results`.
         scene: for the fixtures.
         files: where the textures are kept; in the run folder by default.
 
+    Returns:
+        Warnings: objects of the room that got no results, faces that keep what they had, and lost lamps.
+
     Raises:
-        FiptError: also ``textures-unwritable``.
+        FiptError: ``room-changed`` where all are left out, ``room-edited``, ``room-linked``,
+            ``uv-layers-full``, ``file-missing``, ``file-damaged``, ``textures-unwritable``.
     """
     scene_name = scene.name
     results = read_results(run)
@@ -199,26 +176,23 @@ def _swap_in(
     scene: bpy.types.Scene,
     warnings: list[Message],
     files: TextureFiles,
-) -> Applied:
+) -> list[Message]:
     """Give the objects of the targets their result meshes, and the scene the fixtures."""
     room = results.room
     pairs = [(target, find_object(target.name), find_mesh(target.mesh_name)) for target in targets]
     for target, item, _ in pairs:
-        if OBJECT_ID not in item:  # undone since, or a run of an earlier version
-            item[OBJECT_ID] = (room.object_ids or room.objects)[target.index]
+        if OBJECT_ID not in item:  # undone since
+            item[OBJECT_ID] = room.object_ids[target.index]
     before = [mesh for _, item, _ in pairs if (mesh := result_mesh(item)) is not None]
     sharing = {item.name: _sharing(scene, item) for _, item, _ in pairs}
     earlier = result_materials(before)
     replaced = {*before, *(mesh for _, _, mesh in pairs)}
     stale = {material for target, _, mesh in pairs for material in _kept_materials(target, mesh, results)}
     entries = results.entries
-    atlases = [[entry] for entry in entries] if results.apart else [entries]
     materials = PartMaterials(
-        results.faces,
-        [load_maps(run, images, files) if images else None for images in atlases],
-        [images[0].name if len(images) == 1 else SEVERAL for images in atlases],
-        results.triangle_atlas,
-        results.uniform,
+        results,
+        [load_maps(run, entry, files) for entry in entries] or [None],
+        [entry.name for entry in entries] or [ATTRIBUTES],
         earlier,
         [material for material in used_alone(earlier, replaced) if material not in stale],
     )
@@ -233,7 +207,7 @@ def _swap_in(
             agree_with_model(material, settings.masking)
     sources = [fixtures.Source(item, mesh, target.found.triangle) for target, item, mesh in pairs]
     kept_faces = {item.name: _kept_faces(target, results) for target, item, _ in pairs}
-    new_fixtures = fixtures.split_off(room, results.emitters, sources, results.faces.parts)
+    new_fixtures = fixtures.split_off(room, results.emitters, sources, results.parts)
     deleted = _deleted_lamps(run, results, targets, scene)
     kept = states_of(scene)
     remove_fixtures(scene, {object_id(item) for _, item, _ in pairs})
@@ -253,9 +227,8 @@ def _swap_in(
     warnings += _still_deleted(absent)
     bpy.data.batch_remove([fixture.mesh for fixture in absent])
     wanted = [fixture for fixture in new_fixtures if fixture not in absent]
-    placed = keep_states(scene, fixtures.place(scene, wanted), kept)
-    placed_names = [item.name for item in placed]
-    return Applied([material.name for material in materials.made.values()], placed_names, warnings)
+    keep_states(scene, fixtures.place(scene, wanted), kept)
+    return warnings
 
 
 def _sharing(scene: bpy.types.Scene, item: bpy.types.Object) -> list[bpy.types.Object]:

@@ -21,6 +21,7 @@ from ..marks import MATERIAL, REPLACEMENT, remove_marks, room_with_results
 _State = dict[tuple[str, int], str]
 _SELF = -1  # in place of an index: the replacement of an estimated material
 _made: list[_State] = []
+_INTERVAL = 0.5  # seconds between looks for copied scenes
 _scenes = 1  # number of the file's scenes whose materials are their own
 
 
@@ -28,21 +29,21 @@ def register() -> None:
     """Watch changes of the room."""
     for handlers, function in _HANDLERS:
         handlers.append(function)
+    bpy.app.timers.register(own_copies, persistent=True)
 
 
 def unregister() -> None:
     """Stop watching."""
     for handlers, function in _HANDLERS:
         handlers.remove(function)
+    if bpy.app.timers.is_registered(own_copies):
+        bpy.app.timers.unregister(own_copies)
     _made.clear()
 
 
 @bpy.app.handlers.persistent
 def _follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    if bpy.app.is_job_running("RENDER"):
-        return
-    _own_copies()
-    if not scene.fipt.materials.object_count:
+    if bpy.app.is_job_running("RENDER") or not scene.fipt.materials.object_count:
         return
     changed = {update.id.original for update in depsgraph.updates if update.is_updated_geometry}
     changed |= {update.id.original for update in depsgraph.updates if update.is_updated_shading}
@@ -53,12 +54,14 @@ def _follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         _adopt(scene, items)
 
 
-def _own_copies() -> None:
+def own_copies() -> float:
     """Give full copies of a scene materials of their own, before the artist edits one of them herself.
 
-    Blender does not report a copy, but the first change after it, such as that of the selection.
+    A timer, since Blender does not report a copy, but the first change after it; returns seconds to the next.
     """
     global _scenes
+    if bpy.app.is_job_running("RENDER"):
+        return _INTERVAL
     if len(bpy.data.scenes) > _scenes:
         from ..own_materials import own_materials
 
@@ -66,13 +69,14 @@ def _own_copies() -> None:
             if scene.fipt.materials.object_count:
                 own_materials(scene)
     _scenes = len(bpy.data.scenes)
+    return _INTERVAL
 
 
 @bpy.app.handlers.persistent
 def _after_step(scene: bpy.types.Scene, *_: object) -> None:
     # Blender does not report all changes by undo and redo as updates.
     _forget()
-    _own_copies()
+    own_copies()
     if scene.fipt.materials.object_count:
         _adopt(scene, room_with_results(scene))
 

@@ -13,14 +13,14 @@ import hashlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-import bmesh
 import bpy
 import numpy as np
 from mathutils import Matrix
 
 from ...core.run.errors import FiptError
-from ...core.run.runfolder import RunFolder, atomic_path
+from ...core.run.runfolder import RunFolder
 from ..color_spaces import from_scene_linear
+from ..image_datablocks import save_values
 from ..marks import (
     FILLED,
     MAP,
@@ -35,10 +35,17 @@ from ..marks import (
 from ..node_trees import node_tree
 from ..outliner import EMPTIED, collection, remove_if_empty, remove_object
 from ..own_materials import own_materials
-from ..room.mesh_arrays import corner_vertices, polygon_starts, transform_points, vertex_positions
+from ..room.mesh_arrays import (
+    corner_vertices,
+    polygon_sizes,
+    polygon_starts,
+    remove_polygons,
+    transform_points,
+    world_positions,
+)
 from ..room.originals import shows_original
 from ..room.uv_layer import write_layer
-from ..texture_files import TextureFiles, texture_files
+from ..texture_files import TextureFiles, texture_files, written_picture
 from .completion import complete
 from .hidden_surfaces import Room, Window, planes_beside, window_of
 from .maps import show
@@ -66,8 +73,7 @@ def faces_in_box(scene: bpy.types.Scene, box: bpy.types.Object) -> Chosen:
     inverse = np.linalg.inv(np.array(box.matrix_world, np.float64))
     found = Chosen()
     for item in _shown_room(scene):
-        matrix = inverse @ np.array(item.matrix_world, np.float64)
-        points = transform_points(vertex_positions(item.data), matrix)
+        points = transform_points(world_positions(item), inverse)
         inside = (np.abs(points) <= box.empty_display_size).all(axis=1)[corner_vertices(item.data)]
         faces = np.logical_and.reduceat(inside, polygon_starts(item.data))
         if faces.any():
@@ -156,11 +162,10 @@ def _can_be_removed(item: bpy.types.Object, faces: np.ndarray | None) -> bool:
 
 def _points(item: bpy.types.Object, faces: np.ndarray | None) -> np.ndarray:
     """(N, 3) corners of an object's faces in the world."""
-    mesh, matrix = item.data, np.array(item.matrix_world, np.float64)
-    corners = corner_vertices(mesh)
+    corners = corner_vertices(item.data)
     if faces is not None:
-        corners = corners[np.repeat(faces, np.diff(polygon_starts(mesh), append=len(mesh.loops)))]
-    return transform_points(vertex_positions(mesh)[np.unique(corners)], matrix)
+        corners = corners[np.repeat(faces, polygon_sizes(item.data))]
+    return world_positions(item)[np.unique(corners)]
 
 
 def _separated(item: bpy.types.Object, faces: np.ndarray) -> bpy.types.Object:
@@ -172,12 +177,7 @@ def _separated(item: bpy.types.Object, faces: np.ndarray) -> bpy.types.Object:
     part = item.copy()
     part.data = item.data.copy()
     for each, unwanted in ((part, ~faces), (item, faces)):
-        bm = bmesh.new()
-        bm.from_mesh(each.data)
-        geometry = [face for face, out in zip(bm.faces, unwanted.tolist(), strict=True) if out]
-        bmesh.ops.delete(bm, geom=geometry, context="FACES")
-        bm.to_mesh(each.data)
-        bm.free()
+        remove_polygons(each.data, unwanted)
     for target in item.users_collection:
         target.objects.link(part)
     return part
@@ -261,18 +261,6 @@ def _written(scene: bpy.types.Scene, run: RunFolder, values: np.ndarray) -> Text
     maps["confidence"] = np.zeros((1, 1, 3))
     files = texture_files(scene, run, hashlib.blake2b(values.tobytes(), digest_size=6).hexdigest())
     for key, pixels in maps.items():
-        height, width = pixels.shape[:2]
-        image = bpy.data.images.new("FIPT Emptied", width, height, float_buffer=True, is_data=True)
-        rgba = np.concatenate([pixels, np.ones((height, width, 1))], axis=2)
-        image.pixels.foreach_set(rgba.astype(np.float32).ravel())
-        try:
-            with atomic_path(files.folder / _path(key)) as temporary:
-                image.filepath_raw, image.file_format = str(temporary), "OPEN_EXR"
-                image.save()
-        except (RuntimeError, FiptError) as error:
-            text = f"The pictures of what was hidden could not be written to {files.folder}."
-            remedy = "Free some space, or save the file in a folder in which you may write."
-            raise FiptError("textures-unwritable", text, remedy) from error
-        finally:
-            bpy.data.images.remove(image)
+        with written_picture(files.folder / _path(key)) as temporary:
+            save_values(pixels, temporary)
     return files

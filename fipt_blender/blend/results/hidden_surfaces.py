@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 from mathutils.bvhtree import BVHTree
 
-from ..image_datablocks import linear_values, tile_values
+from ..image_datablocks import image_values, linear_values
 from ..marks import FILLED, MAP
 from ..node_trees import node_tree
 from ..room.mesh_arrays import (
@@ -24,11 +24,9 @@ from ..room.mesh_arrays import (
     corner_vertices,
     is_mirrored,
     polygon_slots,
-    transform_points,
     triangle_loops,
-    vertex_positions,
+    world_positions,
 )
-from ..room.tiles import image_uvs, tile_number
 from ..room.uv_layer import UV_LAYER
 from .completion import grown
 from .materials import slot_estimates
@@ -63,18 +61,17 @@ class Room:
         for item in items:
             mesh = item.data
             loops, polygons = triangle_loops(mesh, is_mirrored(item))
-            points = transform_points(vertex_positions(mesh), np.array(item.matrix_world, np.float64))
             layer = mesh.uv_layers.get(UV_LAYER)
             uv = np.zeros((len(mesh.loops), 2)) if layer is None else corner_uvs(mesh, layer)
             slot = np.minimum(polygon_slots(mesh)[polygons], max(len(mesh.materials) - 1, 0))
             filled = np.full(len(loops), FILLED in item)
-            corners = points[corner_vertices(mesh)[loops]]
+            corners = world_positions(item)[corner_vertices(mesh)[loops]]
             found.append((corners, uv[loops], slot + len(self.materials), filled))
             self.materials += slot_estimates(mesh) or [None]
         self.corners, self._uvs, self.slot, self.filled = map(np.concatenate, zip(*found, strict=True))
         triangles = np.arange(3 * len(self.corners)).reshape(-1, 3).tolist()
         self._tree = BVHTree.FromPolygons(self.corners.reshape(-1, 3).tolist(), triangles, all_triangles=True)
-        self._pixels: dict[tuple[str, int], np.ndarray] = {}
+        self._pixels: dict[str, np.ndarray] = {}
 
     def cast(
         self, origins: np.ndarray, directions: np.ndarray, distance: float
@@ -110,19 +107,14 @@ class Room:
         return values
 
     def _texels(self, image: bpy.types.Image, label: str, uv: np.ndarray) -> np.ndarray:
-        """(N, 3) values of an image at UVs (N, 2), which choose its tile."""
-        tile = np.floor(uv).astype(int) @ [1, 10] if image.source == "TILED" else np.zeros(len(uv), int)
-        values = np.zeros((len(uv), 3), np.float32)
-        for number in np.unique(tile).tolist():
-            key, rows = (image.name, number), np.flatnonzero(tile == number)
-            if key not in self._pixels:
-                one = image.source != "TILED" and label == "Base Color"
-                self._pixels[key] = linear_values(image) if one else tile_values(image, tile_number(number))
-            pixels = self._pixels[key]
-            size = np.array([pixels.shape[1], pixels.shape[0]])
-            x, y = np.clip((image_uvs(uv[rows], tile[rows]) * size).astype(int), 0, size - 1).T
-            values[rows] = pixels[y, x][:, [0, 1, 2] if pixels.shape[2] > 2 else [0, 0, 0]]
-        return values
+        """(N, 3) values of an image at UVs (N, 2)."""
+        if image.name not in self._pixels:
+            read = linear_values if label == "Base Color" else image_values
+            self._pixels[image.name] = read(image)
+        pixels = self._pixels[image.name]
+        size = np.array([pixels.shape[1], pixels.shape[0]])
+        x, y = np.clip((uv * size).astype(int), 0, size - 1).T
+        return pixels[y, x][:, [0, 1, 2] if pixels.shape[2] > 2 else [0, 0, 0]]
 
 
 @dataclass(frozen=True)

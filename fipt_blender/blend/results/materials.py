@@ -2,15 +2,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The estimated materials: a Principled material for each part, its maps in nodes with fixed names.
 
-Parts share the atlas images. Of several, each map is one image with tiles (UDIM), so that a part has one
-material wherever it lies. The artist's materials stay in the original meshes, which `room.originals` sets
-aside.
+Parts share the atlas images; a part on several images has a material for each. The artist's materials stay in
+the original meshes, which `room.originals` sets aside.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -20,10 +18,9 @@ from ...core.run.errors import FiptError
 from ...core.run.result_contents import TextureImage, Textures
 from ...core.run.runfolder import RunFolder
 from ..color_spaces import to_scene_linear
-from ..image_datablocks import remove_unused_images, tile_pattern
+from ..image_datablocks import remove_unused_images
 from ..marks import ESTIMATE, MAP, MATERIAL, OUTPUT, PART, PART_NAME, PRINCIPLED, TABLE
 from ..node_trees import node_tree
-from ..room.tiles import tile_number
 from ..room.uv_layer import UV_LAYER
 from ..texture_files import TextureFiles
 from . import adjust
@@ -38,22 +35,6 @@ MAPS = {
     "metallic": ("Metallic", True),
     "confidence": ("Confidence", True),
 }
-
-
-@dataclass(frozen=True)
-class Surface:
-    """What a material shows: a part's texels of the atlas.
-
-    Attributes:
-        image: name of the atlas, the same for all parts that share it.
-        key, name: of the part, see `core.run.parts`.
-        values: base colour, roughness and metallic (5,) of a part of one value, which needs no textures.
-    """
-
-    image: str
-    key: str
-    name: str
-    values: tuple[float, ...] | None = None
 
 
 def result_materials(meshes: Iterable[bpy.types.Mesh]) -> list[bpy.types.Material]:
@@ -122,7 +103,7 @@ def _images(tree: bpy.types.NodeTree) -> set[bpy.types.Image]:
 
 
 def read_textures(run: RunFolder) -> tuple[Sequence[TextureImage], dict[str, tuple[float, ...]]]:
-    """The images of textures.json, and what parts of one value have, by their keys: `Surface.values`.
+    """The images of textures.json, and what parts of one value have, by their keys: those of `part_material`.
 
     Raises:
         FiptError: ``file-missing`` for textures.json or a texture, or ``file-damaged``.
@@ -141,43 +122,34 @@ def read_textures(run: RunFolder) -> tuple[Sequence[TextureImage], dict[str, tup
     return textures.images, uniform
 
 
-def load_maps(
-    run: RunFolder, entries: Sequence[TextureImage], files: TextureFiles
-) -> dict[str, bpy.types.Image]:
-    """The images of the entries of textures.json, by the labels of their maps; of several, their tiles.
-
-    Raises:
-        FiptError: ``file-damaged`` for textures of an earlier version, which are not tiles.
-    """
-    maps = {}
-    for key, (label, is_data) in MAPS.items():
-        paths = {tile_number(index): run.resolve(getattr(entry, key)) for index, entry in enumerate(entries)}
-        if len(paths) == 1:
-            maps[label] = files.load(next(iter(paths.values())), is_data)
-            continue
-        if len({tile_pattern(path.name, number) for number, path in paths.items()}) > 1:
-            text = f"The names in {run.textures_json} are not those of tiles."
-            raise FiptError("file-damaged", text, "Apply the results again.")
-        maps[label] = files.load_tiles(paths, is_data)
-    return maps
+def load_maps(run: RunFolder, entry: TextureImage, files: TextureFiles) -> dict[str, bpy.types.Image]:
+    """The images of an entry of textures.json, by the labels of their maps."""
+    return {
+        label: files.load(run.resolve(getattr(entry, key)), is_data) for key, (label, is_data) in MAPS.items()
+    }
 
 
 def part_material(
-    surface: Surface,
-    images: Mapping[str, bpy.types.Image] | None,
-    adjustment: adjust.Adjustment,
+    image: str,
+    key: str,
+    name: str,
+    images: Mapping[str, bpy.types.Image] | None = None,
+    adjustment: adjust.Adjustment = adjust.NO_ADJUSTMENT,
+    values: Sequence[float] | None = None,
     reuse: bpy.types.Material | None = None,
 ) -> bpy.types.Material:
     """The Principled material of a part, with the artist's adjustment between its maps and the shader.
 
     Args:
-        surface: what it shows.
-        images: of the atlas by the labels of their maps (`load_maps`); None for colour attributes.
+        image: name of the atlas image.
+        key, name: of the part, see `core.run.parts`.
+        images: the maps of the atlas image by their labels (`load_maps`); None for colour attributes.
         adjustment: of the part.
+        values: base colour, roughness and metallic (5,) of a part of one value, which needs no textures.
         reuse: an estimated material to rebuild instead of making a new one.
     """
-    material = reuse or bpy.data.materials.new(f"{surface.name} FIPT")
-    material[MATERIAL], material[PART], material[PART_NAME] = surface.image, surface.key, surface.name
+    material = reuse or bpy.data.materials.new(f"{name} FIPT")
+    material[MATERIAL], material[PART], material[PART_NAME] = image, key, name
     nodes, links = node_tree(material).nodes, node_tree(material).links
     nodes.clear()
     _add_shader(material)
@@ -187,8 +159,8 @@ def part_material(
         _add_attributes(material, frame)
     else:
         _add_textures(material, frame, images)
-    if surface.values is not None:
-        _add_values(material, frame, surface.values)
+    if values is not None:
+        _add_values(material, frame, values)
     node = adjust.add_adjustment(material, adjustment)
     node.location = (-220, 300)
     for label in adjust.MAPS:

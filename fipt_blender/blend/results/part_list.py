@@ -20,9 +20,9 @@ from ...core.run.runfolder import RunFolder
 from ..color_spaces import to_scene_linear
 from ..marks import PART, has_results, room_with_results
 from ..own_materials import own_materials
-from ..ray_hits import hits
+from ..ray_hits import surface_on_ray
 from ..room.arrays import read_room
-from ..room.mesh_arrays import corner_vertices, polygon_slots, polygon_starts
+from ..room.mesh_arrays import corner_vertices, polygon_sizes, polygon_slots
 from ..room.originals import estimated_meshes, result_meshes
 from . import adjust
 from .materials import materials_by_part, result_materials, slot_estimates
@@ -142,8 +142,7 @@ def select_faces(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, key: str) -
 
 def select_polygons(mesh: bpy.types.Mesh, chosen: np.ndarray) -> None:
     """Select these polygons ((P,) bool) with their edges and vertices, and nothing else."""
-    sizes = np.diff(polygon_starts(mesh), append=len(mesh.loops))
-    corners = np.repeat(chosen, sizes)  # the corners of polygons follow each other
+    corners = np.repeat(chosen, polygon_sizes(mesh))
     edges = np.empty(len(mesh.loops), np.int32)
     if len(edges):
         mesh.attributes[".corner_edge"].data.foreach_get("value", edges)
@@ -167,12 +166,10 @@ def part_under(
     Args:
         scene, depsgraph, origin, direction, skip_backs: as for `hits`.
     """
-    for hit in hits(scene, depsgraph, origin, direction, skip_backs):
-        if hit.object.type != "MESH" or hit.face < 0:
-            continue
-        if not has_results(hit.object.original):
-            return ""
-        mesh = hit.object.evaluated_get(depsgraph).data
-        keys = _slot_parts(hit.object.original.data)
-        return keys[min(mesh.polygons[hit.face].material_index, len(keys) - 1)] if keys else ""
-    return ""
+    found = surface_on_ray(scene, depsgraph, origin, direction, skip_backs)
+    if found is None or not has_results(found[0]):
+        return ""
+    item, face, _ = found
+    keys = _slot_parts(item.data)
+    slot = item.evaluated_get(depsgraph).data.polygons[face].material_index
+    return keys[min(slot, len(keys) - 1)] if keys else ""

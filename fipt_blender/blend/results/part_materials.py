@@ -14,27 +14,14 @@ import bpy
 import numpy as np
 
 from ...bridge.process import Message
-from ...core.run.parts import RoomParts
 from ..image_datablocks import remove_unused_images
 from ..marks import MATERIAL, PART, PART_NAME, REPLACEMENT
 from ..room.mesh_arrays import polygon_slots
 from ..room.result_meshes import list_names
 from . import adjust
-from .materials import Surface, images_of, part_material
+from .materials import images_of, materials_by_part, part_material
+from .reading import Results
 from .replacing import fill_slots
-
-
-@dataclass(frozen=True)
-class PartFaces:
-    """What each triangle of a room shows.
-
-    Attributes:
-        parts: of the room.
-        left_alone: (T,) bool, triangles that keep the artist's material.
-    """
-
-    parts: RoomParts
-    left_alone: np.ndarray
 
 
 @dataclass
@@ -42,32 +29,28 @@ class PartMaterials:
     """The materials of a room's parts.
 
     Attributes:
-        faces: what the triangles show.
-        images: of each atlas by the labels of their maps; of colour attributes, the one is None.
-        names: of the atlases.
-        triangle_atlas: (T,) int, the atlas of each triangle.
-        uniform: base colour, roughness and metallic of parts of one value, by their keys.
+        results: of the run.
+        images: the maps of each atlas image by their labels; of colour attributes, the one is None.
+        names: of the atlas images.
         earlier: materials of earlier results, whose adjustments and replacements are kept.
         reused: those of them that are built anew instead of making new ones.
-        made: those made so far, by the indices of part and atlas.
+        made: those made so far, by the indices of part and image.
     """
 
-    faces: PartFaces
+    results: Results
     images: Sequence[Mapping[str, bpy.types.Image] | None]
     names: Sequence[str]
-    triangle_atlas: np.ndarray
-    uniform: Mapping[str, tuple[float, ...]]
     earlier: Sequence[bpy.types.Material]
     reused: Sequence[bpy.types.Material]
     made: dict[tuple[int, int], bpy.types.Material] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        parts = self.faces.parts.parts
+        parts = self.results.parts.parts
         keys, names = {part.key for part in parts}, {part.name: part.key for part in parts}
         self._adjustments: dict[str, adjust.Adjustment] = {}
         self._replacements: dict[str, bpy.types.Material] = {}
         self._lost: list[str] = []
-        self._reused = {material.get(PART, ""): material for material in reversed(self.reused)}
+        self._reused = {key: iter(found) for key, found in materials_by_part(self.reused).items()}
         for material in self.earlier:
             values, replacement = adjust.read(material), material.get(REPLACEMENT)
             if values == adjust.NO_ADJUSTMENT and replacement is None:
@@ -102,9 +85,9 @@ class PartMaterials:
         own = np.minimum(polygon_slots(mesh), max(len(mesh.materials) - 1, 0))
         # The last ones stand for -1.
         part = np.append(
-            self.faces.parts.triangle.astype(np.int64) * len(self.names) + self.triangle_atlas, -1
+            self.results.parts.triangle.astype(np.int64) * len(self.names) + self.results.triangle_image, -1
         )
-        kept = np.append(self.faces.left_alone, True)[triangle]
+        kept = np.append(self.results.left_alone, True)[triangle]
         number = part[triangle]
         if estimates is not None:
             kept |= ~np.array([material is not None for material in estimates] or [False])[own]
@@ -122,24 +105,26 @@ class PartMaterials:
         mesh.update()
 
     def _number(self, material: bpy.types.Material | None) -> int:
-        """Index of part and atlas of an earlier material, -1 where there is no such part."""
-        keys = [part.key for part in self.faces.parts.parts]
+        """Index of part and image of an earlier material, -1 where there is no such part."""
+        keys = [part.key for part in self.results.parts.parts]
         if material is None or material[MATERIAL] not in self.names or material.get(PART) not in keys:
             return -1
         return keys.index(material[PART]) * len(self.names) + self.names.index(material[MATERIAL])
 
-    def _material(self, part: int, atlas: int) -> bpy.types.Material:
-        found = self.made.get((part, atlas))
+    def _material(self, part: int, image: int) -> bpy.types.Material:
+        found = self.made.get((part, image))
         if found is None:
-            described = self.faces.parts.parts[part]
-            values = self.uniform.get(described.key)
+            described = self.results.parts.parts[part]
             found = part_material(
-                Surface(self.names[atlas], described.key, described.name, values),
-                self.images[atlas],
+                self.names[image],
+                described.key,
+                described.name,
+                self.images[image],
                 self._adjustments.get(described.key, adjust.NO_ADJUSTMENT),
-                self._reused.pop(described.key, None),
+                self.results.uniform.get(described.key),
+                next(self._reused.get(described.key, iter(())), None),
             )
-            self.made[part, atlas] = found
+            self.made[part, image] = found
             if described.key in self._replacements:
                 found[REPLACEMENT] = self._replacements[described.key]
         return found

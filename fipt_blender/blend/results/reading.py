@@ -13,7 +13,7 @@ import numpy as np
 
 from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
-from ...core.run.parts import read_parts
+from ...core.run.parts import RoomParts, read_parts
 from ...core.run.result_contents import AtlasImages, EmitterFixture, Emitters, TextureImage
 from ...core.run.run_files import AtlasArrays, CornerFields, Geometry, LeftAlone, read_outlined
 from ...core.run.runfolder import RunFolder
@@ -23,10 +23,8 @@ from ..lights.fixtures import triangle_fixtures
 from ..marks import MAP
 from ..room.arrays import Room, read_room
 from ..room.islands import uv_islands
-from ..room.tiles import tiled_uvs
 from ..room.uv_layer import UV_LAYER
 from .materials import MAPS, read_textures
-from .part_materials import PartFaces
 
 _AGAIN = "Apply the results again."
 _ESTIMATE_AGAIN = "Run the estimation again."
@@ -38,22 +36,22 @@ class Results:
 
     Attributes:
         room: the exported room.
-        faces: part of each triangle.
-        corner_uv: (T,3,2) of the atlas, in its tiles.
-        triangle_atlas: (T,) int, which of several atlases a triangle lies on; 0 where parts share one.
+        parts: of the room.
+        left_alone: (T,) bool, triangles that keep the artist's material.
+        corner_uv: (T,3,2) of the atlas.
+        triangle_image: (T,) int, on which of its images a triangle lies; 0 for colour attributes.
         entries: the images of textures.json; empty for colour attributes.
-        apart: whether each image is an atlas of its own.
         uniform: base colour, roughness and metallic of parts of one value, by their keys.
         corner_fields: values of colour attributes by map; empty for UVs.
         emitters: the fixtures of emitters.json.
     """
 
     room: Room
-    faces: PartFaces
+    parts: RoomParts
+    left_alone: np.ndarray
     corner_uv: np.ndarray
-    triangle_atlas: np.ndarray
+    triangle_image: np.ndarray
     entries: Sequence[TextureImage]
-    apart: bool
     uniform: dict[str, tuple[float, ...]]
     corner_fields: dict[str, np.ndarray]
     emitters: Sequence[EmitterFixture]
@@ -61,7 +59,7 @@ class Results:
     @cached_property
     def laid_out(self) -> str:
         """A digest of the atlas."""
-        digest = hashlib.blake2b(self.corner_uv.tobytes(), digest_size=16)
+        digest = hashlib.blake2b(self.corner_uv.tobytes() + self.triangle_image.tobytes(), digest_size=16)
         digest.update(repr((sorted(self.corner_fields), [each.name for each in self.entries])).encode())
         return digest.hexdigest()
 
@@ -87,8 +85,9 @@ class Results:
     def charts(self) -> np.ndarray:
         """(T,) number of the surface on which each triangle's values are continuous."""
         if self.corner_fields:
-            return self.faces.parts.triangle + 1
-        return uv_islands(self.room.triangles, self.corner_uv)
+            return self.parts.triangle + 1
+        apart = 2.0 * self.triangle_image[:, None, None]  # on different images
+        return uv_islands(self.room.triangles, self.corner_uv + apart)
 
 
 def read_results(run: RunFolder) -> Results:
@@ -111,15 +110,13 @@ def read_results(run: RunFolder) -> Results:
     if run.left_alone_npz.is_file():
         found = read_arrays(run.left_alone_npz, LeftAlone, _ESTIMATE_AGAIN)
         left_alone = of_whole_polygons(room, found.left_alone)
-    image, apart = arrays.triangle_image, atlas.apart and bool(entries)
-    shared = np.zeros_like(image)
     return Results(
         room=room,
-        faces=PartFaces(parts, left_alone),
-        corner_uv=tiled_uvs(arrays.corner_uv, shared if apart else image),
-        triangle_atlas=own_images(image, parts.triangle, room.triangle_object) if apart else shared,
+        parts=parts,
+        left_alone=left_alone,
+        corner_uv=arrays.corner_uv,
+        triangle_image=own_images(arrays.triangle_image, parts.triangle, room.triangle_object),
         entries=entries,
-        apart=apart,
         uniform=uniform,
         corner_fields=corner_fields,
         emitters=read_document(run.emitters_json, Emitters, _ESTIMATE_AGAIN).fixtures,

@@ -20,7 +20,6 @@ from ..lights import light_state
 from ..lights.calibration import scene_unit
 from ..lights.missing_lamps import add_inferred
 from ..marks import MUTED, other_lights, remove_marks, room_with_results
-from ..outliner import mark_collections
 from ..render_settings import set_once, set_up
 from .part_list import note_parts
 
@@ -51,7 +50,6 @@ def finish(scene: bpy.types.Scene, run: RunFolder) -> None:
 def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
     """Fill the panel with what results of a run were applied, and list the scene's lights."""
     settings = scene.fipt.materials
-    mark_collections(scene)
     room = room_with_results(scene)
     settings.object_count = len(room)
     atlas = read_document(run.atlas_json, AtlasImages, "Apply the results again.")

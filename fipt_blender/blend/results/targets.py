@@ -17,11 +17,11 @@ import numpy as np
 
 from ...bridge.step import Slices
 from ...core.run.errors import FiptError
-from ...core.run.run_files import CLOSING, PANES, Geometry
+from ...core.run.run_files import Geometry
 from ..lights.fixtures import divide
 from ..marks import SPLIT_OFF
 from ..room.arrays import Room
-from ..room.mesh_arrays import is_mirrored, transform_points, triangle_loops
+from ..room.mesh_arrays import is_mirrored, remove_polygons, transform_points, triangle_loops
 from ..room.mesh_digest import is_edited
 from ..room.originals import result_mesh
 from ..room.result_meshes import clean_result_mesh, evaluations, make_mesh
@@ -140,7 +140,9 @@ class TargetBuilder:
         local = np.searchsorted(rows, of_other.triangle)
         missing = np.isin(local, list(split)) & (same_polygons(other, mesh) < 0)
         if missing.any():
-            _append(mesh, _some_polygons(other, missing))
+            lamps = other.copy()
+            remove_polygons(lamps, ~missing)
+            _append(mesh, lamps)
         found = Counterparts.none(mesh)
         copy_same(mesh, found, other, of_other)
         bpy.data.meshes.remove(other)
@@ -149,7 +151,7 @@ class TargetBuilder:
     def _lamps(self, index: int, item: bpy.types.Object) -> bpy.types.Mesh:
         """The lamps' triangles of an object as they were exported, in its own space."""
         rows = np.flatnonzero((self._room.triangle_object == index) & (self._fixture >= 0))
-        inverse = np.linalg.inv(self._matrix(index, item))
+        inverse = np.linalg.inv(self._matrix(index))
         points = transform_points(self._room.vertices[self._room.triangles[rows]].reshape(-1, 3), inverse)
         faces = np.arange(len(points)).reshape(-1, 3)
         mesh = bpy.data.meshes.new("lamps")
@@ -187,19 +189,15 @@ class TargetBuilder:
         if self._searched is None:
             vertices = self._room.vertices if self._geometry is None else self._geometry.vertices
             self._searched = Surfaces(vertices, self._room.triangles, self._charts())
-        item = find_object(name)
-        yield from find_nearest(find_mesh(mesh_name), found, self._matrix(index, item), self._searched)
+        yield from find_nearest(find_mesh(mesh_name), found, self._matrix(index), self._searched)
         if (found.triangle < 0).all():
             matrix = np.array(find_object(name).matrix_world, np.float64)
             yield from find_nearest(find_mesh(mesh_name), found, matrix, self._searched)
 
-    def _matrix(self, index: int, item: bpy.types.Object) -> np.ndarray:
-        """4x4, the object's space to the world when it was exported; runs of earlier versions don't say."""
-        if index < len(self._room.matrices):
-            return np.array(self._room.matrices[index], np.float64)
-        if self._room.objects[index] in (CLOSING, PANES):  # made in the world's coordinates
-            return np.eye(4)
-        return np.array(item.matrix_world, np.float64)
+    def _matrix(self, index: int) -> np.ndarray:
+        """4x4, the object's space to the world when it was exported; the engine's are in the world's."""
+        matrices = self._room.matrices
+        return np.array(matrices[index], np.float64) if index < len(matrices) else np.eye(4)
 
 
 def find_mesh(name: str) -> bpy.types.Mesh:
@@ -216,18 +214,6 @@ def find_mesh(name: str) -> bpy.types.Mesh:
             "Apply them again; the textures are kept.",
         )
     return mesh
-
-
-def _some_polygons(mesh: bpy.types.Mesh, chosen: np.ndarray) -> bpy.types.Mesh:
-    """A copy of a mesh with some of its polygons, (P,) bool."""
-    part = mesh.copy()
-    bm = bmesh.new()
-    bm.from_mesh(part)
-    unwanted = [face for face, wanted in zip(bm.faces, chosen.tolist(), strict=True) if not wanted]
-    bmesh.ops.delete(bm, geom=unwanted, context="FACES")
-    bm.to_mesh(part)
-    bm.free()
-    return part
 
 
 def _append(mesh: bpy.types.Mesh, more: bpy.types.Mesh) -> None:

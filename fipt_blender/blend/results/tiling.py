@@ -11,17 +11,18 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ...core.run.errors import FiptError
 from ..marks import filled_surfaces, room_with_results
 from ..room.mesh_arrays import (
+    area_normals,
     corner_uvs,
     corner_vertices,
+    polygon_sizes,
     polygon_slots,
     polygon_starts,
-    transform_points,
-    vertex_positions,
+    world_positions,
 )
 from ..room.originals import shows_original
+from ..room.uv_layer import new_layer
 from .materials import slot_estimates
 
 METRES = "FIPT Metres"
@@ -49,15 +50,8 @@ def _replaced_slots(mesh: bpy.types.Mesh) -> list[bool]:
 
 def _geometry(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """Corners (L, 3) of an object's faces in the world, and the area normals (P, 3) of these."""
-    mesh, matrix = item.data, np.array(item.matrix_world, np.float64)
-    points = transform_points(vertex_positions(mesh), matrix)[corner_vertices(mesh)]
-    starts = polygon_starts(mesh)
-    sizes = np.diff(starts, append=len(points))
-    following = np.arange(len(points)) + 1
-    following[starts + sizes - 1] = starts
-    first = points[np.repeat(starts, sizes)]
-    normals = np.add.reduceat(np.cross(points - first, points[following] - first), starts, axis=0)
-    return points, normals
+    points = world_positions(item)[corner_vertices(item.data)]
+    return points, area_normals(points, polygon_starts(item.data))
 
 
 def _axes(items: list[bpy.types.Object]) -> np.ndarray:
@@ -83,19 +77,14 @@ def _write(item: bpy.types.Object, axes: np.ndarray) -> None:
     if METRES not in layers:
         shown = next((layer.name for layer in layers if layer.active_render), "")
         active = layers.active_index
-        if layers.new(name=METRES, do_init=False) is None:
-            raise FiptError(
-                "uv-layers-full",
-                f"The mesh of '{item.name}' already has 8 UV layers, the most that Blender allows.",
-                "Remove a UV map, and replace the material again.",
-            )
+        new_layer(mesh, METRES)
         layers.active_index = active
         mesh[_RENDERED] = shown
     layer = layers.get(mesh.get(_RENDERED, ""))
     values = np.zeros((len(mesh.loops), 2)) if layer is None else corner_uvs(mesh, layer)
     points, normals = _geometry(item)
     slots = np.array(_replaced_slots(mesh))[np.minimum(polygon_slots(mesh), len(mesh.materials) - 1)]
-    sizes = np.diff(polygon_starts(mesh), append=len(mesh.loops))
+    sizes = polygon_sizes(mesh)
     level = np.abs(normals[:, 2]) > _MOST_LEVEL * np.linalg.norm(normals, axis=1)
     above = points[:, :2] @ axes.T
     on_wall = np.abs(normals[:, :2] @ axes.T).argmin(axis=1)  # the axis that is more parallel to the face

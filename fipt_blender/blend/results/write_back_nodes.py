@@ -9,7 +9,6 @@ that exporters find them; muting the group leaves plain Principled.
 from __future__ import annotations
 
 import hashlib
-from typing import Any, TypeAlias
 
 import bpy
 import numpy as np
@@ -18,10 +17,10 @@ from ...core.optics.factorised import DIELECTRIC_REFLECTANCE
 from ...core.textures import write_back
 from ..color_spaces import from_scene_linear
 from ..marks import OUTPUT, PRINCIPLED, TABLE
+from ..node_trees import TreeBuilder
 
 GROUP = "FIPT Agreement"
 _LABELS = ("Base Color", "Roughness", "Metallic")
-_Value: TypeAlias = bpy.types.NodeSocket | float | tuple[float, ...]
 
 
 def agree_with_model(material: bpy.types.Material, masking: str = write_back.MASKINGS[0]) -> None:
@@ -56,7 +55,7 @@ def agreement_group(masking: str = write_back.MASKINGS[0]) -> bpy.types.NodeTree
             return tree
     tree = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
     tree[TABLE] = digest
-    _fill(_Builder(tree), values, tuple(weights.tolist()))
+    _fill(TreeBuilder(tree), values, tuple(weights.tolist()))
     return tree
 
 
@@ -72,49 +71,7 @@ def _table_image(name: str, values: np.ndarray) -> bpy.types.Image:
     return image
 
 
-class _Builder:
-    """Adds nodes to a tree by what they compute; values are sockets or constants."""
-
-    def __init__(self, tree: bpy.types.NodeTree) -> None:
-        self.tree = tree
-        self.column = 0
-
-    def node(self, kind: str, **properties: Any) -> bpy.types.Node:
-        node = self.tree.nodes.new(kind)
-        for name, value in properties.items():
-            setattr(node, name, value)
-        node.location = (180.0 * self.column, -60.0 * (self.column % 5))
-        self.column += 1
-        return node
-
-    def feed(self, socket: bpy.types.NodeSocket, value: _Value) -> None:
-        if isinstance(value, bpy.types.NodeSocket):
-            self.tree.links.new(value, socket)
-        else:
-            socket.default_value = value
-
-    def math(self, operation: str, *values: _Value) -> bpy.types.NodeSocket:
-        node = self.node("ShaderNodeMath", operation=operation)
-        for socket, value in zip(node.inputs, values, strict=False):
-            self.feed(socket, value)
-        return node.outputs["Value"]
-
-    def vector(self, operation: str, result: str, **values: _Value) -> bpy.types.NodeSocket:
-        node = self.node("ShaderNodeVectorMath", operation=operation)
-        for name, value in values.items():
-            index = {"a": 0, "b": 1, "c": 2}.get(name)
-            self.feed(node.inputs["Scale"] if index is None else node.inputs[index], value)
-        return node.outputs[result]
-
-    def lookup(self, image: bpy.types.Image, uv: bpy.types.NodeSocket) -> list[bpy.types.NodeSocket]:
-        node = self.node("ShaderNodeTexImage", image=image, interpolation="Linear", extension="EXTEND")
-        self.feed(node.inputs["Vector"], uv)
-        parts = self.node("ShaderNodeSeparateXYZ")
-        self.feed(parts.inputs["Vector"], node.outputs["Color"])
-        return list(parts.outputs)
-
-
-def _fill(build: _Builder, values: np.ndarray, weights: tuple[float, ...]) -> None:
+def _fill(build: TreeBuilder, values: np.ndarray, weights: tuple[float, ...]) -> None:
     """The nodes of the group."""
     interface = build.tree.interface
     interface.new_socket("BSDF", in_out="OUTPUT", socket_type="NodeSocketShader")

@@ -32,9 +32,8 @@ class Room:
         triangle_material: (T,) i32 index into `materials`, -1 without a material.
         triangle_polygon: (T,) i32 index of the polygon in its object's evaluated mesh.
         objects, materials: names.
-        object_ids: by which the objects are found when they have other names; empty for none.
-        matrices: 4x4 of each object to the world when it was exported; not of those that the engine has
-            added, and none in runs of earlier versions.
+        object_ids: by which the objects are found when they have other names.
+        matrices: 4x4 of each object to the world when it was exported; not of those of the engine.
         triangle_exact: (T,) bool, those that are no scan, whatever the others are; None without any.
     """
 
@@ -92,7 +91,7 @@ def read_room(run: RunFolder) -> Room:
         **{name: arrays[name] for name in ROOM_ARRAYS},
         objects=names.objects,
         materials=names.materials,
-        object_ids=names.object_ids,
+        object_ids=names.ids,
         matrices=names.matrices,
         triangle_exact=arrays.get("triangle_exact"),
     )

@@ -23,12 +23,11 @@ from ...core.run.run_files import AtlasArrays, Resolution
 from ...core.run.runfolder import RunFolder, write_json
 from ...core.run.settings import Settings
 from ...core.run.store import optional_arrays, write_arrays
-from ..slices import find_object, run_through
+from ..slices import find_object
 from .arrays import Room, read_room
 from .islands import island_bounds, rotate_islands, split_islands, triangle_areas, uv_islands
-from .packing import PAD, Packing, pack_apart, pack_islands, place
+from .packing import PAD, pack_apart, pack_islands, place
 from .result_meshes import match_objects
-from .tiles import tile_number
 from .unwrapping import (
     UnwrapSource,
     exported_source,
@@ -46,30 +45,6 @@ DETAIL_IMAGES = 4
 DETAIL_SIZES = {"draft": 2048, "medium": 4096, "high": 8192}
 # UVs of scans are rounded to this share of an image, a 32nd of a texel or less: they compress to two thirds.
 UV_STEP = 2.0**-16
-
-
-@dataclass(frozen=True)
-class Atlas:
-    """What `make_atlas` did.
-
-    Attributes:
-        images: width and height of each image.
-        kept: names of the objects whose own UVs were usable.
-        unwrapped: names of the others.
-        texel_density: the lowest of all islands, texels per metre.
-    """
-
-    images: list[tuple[int, int]]
-    kept: list[str]
-    unwrapped: list[str]
-    texel_density: float
-
-
-@dataclass(frozen=True)
-class _UnwrapTask:
-    name: str  # of the object
-    triangles: np.ndarray  # its triangles in the room
-    source: UnwrapSource
 
 
 @dataclass(frozen=True)
@@ -91,12 +66,12 @@ class _RoomIslands:
 
 def make_atlas(
     objects: Iterable[bpy.types.Object], run: RunFolder, settings: Settings, max_images: int = MAX_IMAGES
-) -> Atlas:
-    """Lay the room out for baking: write atlas.npz and atlas.json. The objects are not changed.
+) -> Slices[None]:
+    """Lay the room out for baking: write atlas.npz and atlas.json, a few objects per slice.
 
     Args:
-        objects: the objects that `export_room` wrote, in any order; of those that are missing or changed,
-            the exported triangles are unwrapped, so that the atlas always holds the whole room.
+        objects: the objects that `export_room` wrote, in any order, which are not changed; of those that are
+            missing or changed the exported triangles are unwrapped, so that the atlas holds the whole room.
         run: the run folder with its room.
         settings: texel_density, texture_size, atlas_images and atlas_mode are used.
         max_images: where more were needed, all islands are scaled down instead.
@@ -104,27 +79,19 @@ def make_atlas(
     Raises:
         FiptError: ``room-changed`` where none of the objects is there; ``mesh-empty``.
     """
-    return run_through(atlas_slices(objects, run, settings, max_images))
-
-
-def atlas_slices(
-    objects: Iterable[bpy.types.Object], run: RunFolder, settings: Settings, max_images: int = MAX_IMAGES
-) -> Slices[Atlas]:
-    """`make_atlas`, a few objects per slice."""
     room = read_room(run)
     count = len(room.triangles)
     if settings.atlas_mode == "color_attribute":
-        _write(run, np.zeros((count, 3, 2)), np.full(count, -1), "color_attribute", [], None)
-        return Atlas([], [], [], 0.0)
+        _write(run, np.zeros((count, 3, 2)), np.full(count, -1), "color_attribute", [], [])
+        return
     matches = match_objects(room, objects)
     yield None
     areas = triangle_areas(room.vertices[room.triangles])
     islands = _RoomIslands(
         np.zeros((count, 3, 2)), np.full(count, -1, np.int64), areas, np.zeros(count, bool)
     )
-    kept: list[str] = []
-    tasks: list[_UnwrapTask] = []
-    for index, (name, match) in enumerate(zip(room.objects, matches, strict=True)):
+    tasks: list[tuple[int, UnwrapSource]] = []  # objects that are unwrapped
+    for index, match in enumerate(matches):
         triangles = np.flatnonzero(room.triangle_object == index)
         source = None
         if match is not None:
@@ -139,19 +106,19 @@ def atlas_slices(
         if source.uv is not None and uvs_in_range(source.uv):
             object_island = uv_islands(room.triangles[triangles], source.uv)
             if uvs_usable(source.uv, object_island, areas[triangles]):
-                kept.append(name)
                 islands.uv[triangles] = source.uv
                 islands.island[triangles] = object_island
                 yield None
                 continue
         islands.is_scan[triangles] = is_scan(areas[triangles])
-        tasks.append(_UnwrapTask(name, triangles, source))
+        tasks.append((index, source))
         yield None
     for batch in _batches(tasks):
-        scans = [bool(islands.is_scan[task.triangles].any()) for task in batch]
-        for task, uv in zip(batch, unwrap([task.source for task in batch], scans), strict=True):
-            islands.uv[task.triangles] = uv
-            islands.island[task.triangles] = uv_islands(room.triangles[task.triangles], uv)
+        rows = [np.flatnonzero(room.triangle_object == index) for index, _ in batch]
+        scans = [bool(islands.is_scan[triangles].any()) for triangles in rows]
+        for triangles, uv in zip(rows, unwrap([source for _, source in batch], scans), strict=True):
+            islands.uv[triangles] = uv
+            islands.island[triangles] = uv_islands(room.triangles[triangles], uv)
         yield None
     found = optional_arrays(run.resolution_npz, Resolution) if settings.detail else None
     resolved = None if found is None else found.density
@@ -159,44 +126,41 @@ def atlas_slices(
         size = max(settings.texture_size, DETAIL_SIZES.get(settings.preset, 0))
         settings, max_images = replace(settings, texture_size=size), min(max_images, DETAIL_IMAGES)
     owners = _image_owners(room, run, settings)
-    packing, density = yield from _pack_room(room, islands, run, settings, max_images, resolved, owners)
-    return Atlas(packing.sizes, kept, [task.name for task in tasks], density)
+    yield from _pack_room(room, islands, run, settings, max_images, resolved, owners)
 
 
 @dataclass(frozen=True)
 class _Owners:
-    """What has images of its own.
+    """What lies on as few images as possible, or on an image of its own.
 
     Attributes:
         triangle: (T,) int, the owner of each triangle.
         names: of the owners.
+        apart: whether each has an image of its own.
     """
 
     triangle: np.ndarray
     names: list[str]
+    apart: bool
 
 
-def _image_owners(room: Room, run: RunFolder, settings: Settings) -> _Owners | None:
-    """The parts or objects that have images of their own; None where all share them."""
+def _image_owners(room: Room, run: RunFolder, settings: Settings) -> _Owners:
+    """The objects where each has an image of its own, else the parts."""
     if settings.atlas_images == "object":
-        return _Owners(room.triangle_object.astype(np.int64), list(room.objects))
-    if settings.atlas_images == "part":
-        parts = read_parts(run, room.triangle_object, room.objects)
-        return _Owners(parts.triangle.astype(np.int64), [part.name for part in parts.parts])
-    return None
+        return _Owners(room.triangle_object.astype(np.int64), list(room.objects), True)
+    parts = read_parts(run, room.triangle_object, room.objects)
+    names = [part.name for part in parts.parts]
+    return _Owners(parts.triangle.astype(np.int64), names, settings.atlas_images == "part")
 
 
-def _batches(tasks: list[_UnwrapTask]) -> Iterator[list[_UnwrapTask]]:
-    """Objects that are unwrapped in one slice: many small ones, or a large one."""
-    batch: list[_UnwrapTask] = []
-    corners = 0
+def _batches(tasks: list[tuple[int, UnwrapSource]]) -> Iterator[list[tuple[int, UnwrapSource]]]:
+    """Objects that are unwrapped in one slice, about 50 ms: many small ones, or a large one."""
+    batch: list[tuple[int, UnwrapSource]] = []
     for task in tasks:
-        # A slice: about 50 ms.
-        if batch and corners + len(task.source.loop_vertex) > 20_000:
+        if batch and sum(len(source.loop_vertex) for _, source in (*batch, task)) > 20_000:
             yield batch
-            batch, corners = [], 0
+            batch = []
         batch.append(task)
-        corners += len(task.source.loop_vertex)
     if batch:
         yield batch
 
@@ -208,21 +172,18 @@ def _pack_room(
     settings: Settings,
     max_images: int,
     resolved: np.ndarray | None,
-    owners: _Owners | None,
-) -> Slices[tuple[Packing, float]]:
+    owners: _Owners,
+) -> Slices[None]:
     """Scale all islands to one density, or to that of the photographs, pack them and write the atlas.
 
     Args:
         resolved: (T,) texels a metre that photographs resolve, NaN where unseen; None for one density.
-        owners: each gets an image of its own; None: all share images.
-
-    Returns:
-        the packing, and the lowest density of an island.
+        owners: of the images.
     """
     # Number the islands over the whole room.
     stride = int(islands.island.max(initial=0)) + 1
     number = room.triangle_object.astype(np.int64) * stride + islands.island
-    if owners is not None:  # an island may extend over several parts
+    if owners.apart:  # an island may extend over several parts
         number = number * len(owners.names) + owners.triangle
     _, island = np.unique(number, return_inverse=True)
     island_count = int(island.max(initial=-1)) + 1
@@ -236,7 +197,6 @@ def _pack_room(
     texels = islands.uv[packed] * density[island[packed]][:, None, None]
     owner = room.triangle_object[packed].astype(np.int64)
     polygon = room.triangle_polygon[packed]
-    packed_wanted = wanted[island[packed]]
     packed_island = np.zeros(len(texels), np.int64)
     count = 0
     for index in np.unique(owner):
@@ -252,11 +212,11 @@ def _pack_room(
         yield None
     low, extent = island_bounds(texels, packed_island)
     group = np.zeros(len(low), np.int64)
-    group[packed_island] = owner if owners is None else owners.triangle[packed]
-    if owners is None:
-        packing = pack_islands(extent, group, settings.texture_size, max_images=max_images)
-    else:
+    group[packed_island] = owners.triangle[packed]
+    if owners.apart:
         packing = pack_apart(extent, group, settings.texture_size)
+    else:
+        packing = pack_islands(extent, group, settings.texture_size, max_images=max_images)
     placed = place(texels, packed_island, low, packing)
 
     image = np.full(len(room.triangles), -1, np.int64)
@@ -265,14 +225,14 @@ def _pack_room(
     corner_uv = np.zeros_like(islands.uv)
     corner_uv[packed] = placed / sizes[image[packed]][:, None]
     corner_uv[islands.is_scan] = np.round(corner_uv[islands.is_scan] / UV_STEP) * UV_STEP
-    names = None if owners is None else [owners.names[index] for index in np.unique(group).tolist()]
+    names = [f"Room.{index + 1:03d}" for index in range(len(packing.sizes))]
+    if owners.apart:
+        names = file_names([owners.names[index] for index in np.unique(group).tolist()])
     _write(run, corner_uv, image, "uv", packing.sizes, names)
     if not len(packing.scale):
         raise FiptError(
             "mesh-empty", "The room's faces have no area.", "Choose the mesh objects that form the room."
         )
-    yield None
-    return packing, float((packed_wanted * packing.scale[packed_island]).min(initial=np.inf))
 
 
 def _island_density(
@@ -308,16 +268,12 @@ def _write(
     image: np.ndarray,
     mode: str,
     sizes: list[tuple[int, int]],
-    owners: list[str] | None,
+    names: list[str],
 ) -> None:
-    """Write atlas.npz and atlas.json; `owners`: names of those whose images these are, None if shared."""
+    """Write atlas.npz and atlas.json with the names and sizes of the images."""
     write_arrays(run.atlas_npz, AtlasArrays(corner_uv.astype(np.float32), image.astype(np.int32)))
-    # Several images are tiles of one, which Blender finds by the numbers in their names.
-    names = [f"Room.{tile_number(index)}" for index in range(len(sizes))] if len(sizes) > 1 else ["Room.001"]
-    if owners is not None:
-        names = file_names(owners)
-    images = tuple(AtlasImage(name, *size) for name, size in zip(names, sizes, strict=False))
-    write_json(run.atlas_json, AtlasImages(mode, images, apart=owners is not None))
+    images = tuple(AtlasImage(name, *size) for name, size in zip(names, sizes, strict=True))
+    write_json(run.atlas_json, AtlasImages(mode, images))
 
 
 def file_names(owners: list[str]) -> list[str]:

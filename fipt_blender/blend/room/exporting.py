@@ -5,18 +5,16 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 
 import bpy
 import numpy as np
 
 from ...bridge.step import Slices
-from ...core.run.errors import FiptError
 from ...core.run.kinds import as_matrix
 from ...core.run.runfolder import RunFolder
 from ..marks import OBJECT_ID, is_exact, object_id
-from ..slices import find_object, run_through
+from ..slices import find_object
 from .arrays import ROOM_ARRAYS, Room, write_room
 from .mesh_arrays import (
     corner_normals,
@@ -29,45 +27,33 @@ from .mesh_arrays import (
 )
 from .originals import original_shown
 
-# Face corners up to which an object is read in one slice, and triangles whose normals one slice computes.
+# Triangles whose normals one slice computes.
 _CHUNK = 1 << 15
 
 
-def export_room(objects: Iterable[bpy.types.Object], run: RunFolder, parts: str = "auto") -> Room:
+def export_room(
+    objects: Iterable[bpy.types.Object], run: RunFolder, parts: str = "auto", completed: bool = False
+) -> Slices[Room]:
     """Write the objects' triangles to the run folder; of objects with results, the original mesh.
 
     Args:
         objects: objects other than meshes are skipped.
         run: the run folder; room.npz and room.json are written.
         parts: source of the part labels, of `core.capture.options.PART_SOURCES`; the engine resolves "auto".
+        completed: the engine adds nothing to a scan.
 
     Raises:
-        FiptError: ``mesh-empty`` where there is no triangle; the run folder's write errors.
+        FiptError: ``mesh-empty`` where there is no triangle; the run folder's write errors; ``room-changed``
+            or ``room-edited`` where the artist changes the room meanwhile.
     """
-    return run_through(export_slices(objects, run, parts))
-
-
-def export_slices(
-    objects: Iterable[bpy.types.Object], run: RunFolder, parts: str = "auto", completed: bool = False
-) -> Slices[Room]:
-    """`export_room` in slices.
-
-    Raises:
-        FiptError: also ``room-changed`` and ``room-edited`` where the artist changes the room meanwhile.
-    """
-    room = yield from collect_slices(objects)
+    room = yield from collect_room(objects)
     room.object_ids = give_ids(room.objects)
     write_room(room, run, parts, completed)
     return room
 
 
-def collect_room(objects: Iterable[bpy.types.Object]) -> Room:
-    """The triangles of mesh objects in world space, without writing anything."""
-    return run_through(collect_slices(objects))
-
-
-def collect_slices(objects: Iterable[bpy.types.Object]) -> Slices[Room]:
-    """`collect_room` in slices.
+def collect_room(objects: Iterable[bpy.types.Object]) -> Slices[Room]:
+    """The triangles of mesh objects in world space, without writing anything.
 
     Raises:
         FiptError: ``room-changed`` or ``room-edited`` where the artist changes the room meanwhile.
@@ -134,89 +120,32 @@ def _object_slices(name: str, material_ids: dict[str, int]) -> Slices[dict[str, 
         name: name of the object.
         material_ids: index of each material by name; new ones are added.
     """
-    reader = _ObjectReader(material_ids)
-    with _evaluated(name) as (item, mesh):
-        counts = _counts(mesh)
-        reader.read_normals(item, mesh)
-        if small := len(mesh.loops) < _CHUNK:
-            reader.read_triangles(mesh)
-            reader.read_vertices(mesh)
-    if not small:
-        yield None
-        with _evaluated(name, counts) as (_, mesh):
-            reader.read_triangles(mesh)
-        yield None
-        with _evaluated(name, counts) as (_, mesh):
-            reader.read_vertices(mesh)
-    loops, polygons, vertices = reader.loops, reader.polygons, reader.vertices
-    triangles = reader.corner_vertices[loops]
-    slot_material = np.array(reader.slot_materials or [-1], np.int32)
-    normals = []
-    for start in range(0, len(loops), _CHUNK):
-        yield None
-        chunk = slice(start, start + _CHUNK)
-        positions = vertices[triangles[chunk]]
-        normals.append(_world_normals(reader.normals, reader.matrix, loops[chunk], positions))
-    return {
-        "vertices": vertices.astype(np.float32),
-        "triangles": triangles,
-        "corner_normals": np.concatenate([np.zeros((0, 3, 3), np.float32), *normals]),
-        "triangle_material": slot_material[np.clip(reader.slots[polygons], 0, len(slot_material) - 1)],
-        "triangle_polygon": polygons,
-    }
-
-
-class _ObjectReader:
-    """Reads one object in parts, each short enough not to delay a redraw."""
-
-    def __init__(self, material_ids: dict[str, int]) -> None:
-        self._material_ids = material_ids
-
-    def read_normals(self, item: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
-        self.matrix, self.mirrored = np.array(item.matrix_world, np.float64), is_mirrored(item)
-        names = [slot.material.name if slot.material else "" for slot in item.material_slots]
-        ids = self._material_ids
-        self.slot_materials = [ids.setdefault(name, len(ids)) if name else -1 for name in names]
-        self.normals = corner_normals(mesh)
-
-    def read_triangles(self, mesh: bpy.types.Mesh) -> None:
-        self.loops, self.polygons = triangle_loops(mesh, self.mirrored)
-
-    def read_vertices(self, mesh: bpy.types.Mesh) -> None:
-        self.vertices = transform_points(vertex_positions(mesh), self.matrix)
-        self.corner_vertices = corner_vertices(mesh)
-        self.slots = polygon_slots(mesh)
-
-
-@contextmanager
-def _evaluated(
-    name: str, counts: tuple[int, ...] | None = None
-) -> Iterator[tuple[bpy.types.Object, bpy.types.Mesh]]:
-    """An object with its original mesh, evaluated, and that mesh for the length of the block.
-
-    Args:
-        name: name of the object.
-        counts: counts of the mesh in an earlier slice.
-
-    Raises:
-        FiptError: ``room-changed`` where the counts differ from `counts`; ``room-edited``.
-    """
     item = find_object(name)
     with original_shown(item):
         evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        names = [slot.material.name if slot.material else "" for slot in evaluated.material_slots]
+        matrix = np.array(evaluated.matrix_world, np.float64)
         mesh = evaluated.to_mesh()
-        if counts not in (None, _counts(mesh)):
-            raise FiptError(
-                "room-changed",
-                f"'{name}' was changed while it was being exported.",
-                "Start again, and leave the room unchanged for these seconds.",
-            )
-        yield evaluated, mesh
+        corners = corner_normals(mesh)
+        loops, polygons = triangle_loops(mesh, is_mirrored(evaluated))
+        vertices = transform_points(vertex_positions(mesh), matrix)
+        triangles = corner_vertices(mesh)[loops]
+        slots = polygon_slots(mesh)[polygons]
         evaluated.to_mesh_clear()
-
-
-def _counts(mesh: bpy.types.Mesh) -> tuple[int, ...]:
-    return len(mesh.vertices), len(mesh.loops), len(mesh.polygons)
+    ids = [material_ids.setdefault(name, len(material_ids)) if name else -1 for name in names]
+    materials = np.array(ids or [-1], np.int32)
+    normals = [np.zeros((0, 3, 3), np.float32)]
+    for start in range(0, len(loops), _CHUNK):
+        yield None
+        chunk = slice(start, start + _CHUNK)
+        normals.append(_world_normals(corners, matrix, loops[chunk], vertices[triangles[chunk]]))
+    return {
+        "vertices": vertices.astype(np.float32),
+        "triangles": triangles,
+        "corner_normals": np.concatenate(normals),
+        "triangle_material": materials[np.clip(slots, 0, len(materials) - 1)],
+        "triangle_polygon": polygons,
+    }
 
 
 def fresh_depsgraph(objects: Iterable[bpy.types.Object]) -> bpy.types.Depsgraph:

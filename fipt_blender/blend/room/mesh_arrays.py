@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import bmesh
 import bpy
 import numpy as np
 from mathutils import Vector
@@ -73,6 +74,13 @@ def polygon_starts(mesh: bpy.types.Mesh) -> np.ndarray:
     return starts
 
 
+def polygon_sizes(mesh: bpy.types.Mesh) -> np.ndarray:
+    """Number of face corners of each polygon, (P,) i32; those of all polygons follow each other."""
+    sizes = np.empty(len(mesh.polygons), np.int32)
+    mesh.polygons.foreach_get("loop_total", sizes)
+    return sizes
+
+
 def polygon_slots(mesh: bpy.types.Mesh) -> np.ndarray:
     """Material slot of each polygon, (P,) i32."""
     slots = np.empty(len(mesh.polygons), np.int32)
@@ -83,6 +91,36 @@ def polygon_slots(mesh: bpy.types.Mesh) -> np.ndarray:
 def transform_points(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """Points (N,3) moved by an affine 4x4 matrix."""
     return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def world_positions(item: bpy.types.Object) -> np.ndarray:
+    """(V,3) f64 vertices of a mesh object in the world."""
+    return transform_points(vertex_positions(item.data), np.array(item.matrix_world, np.float64))
+
+
+def area_normals(corners: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """(P,3) normals of polygons, as long as twice their areas (Newell).
+
+    Args:
+        corners: (L,3) positions of the face corners, those of each polygon after the other.
+        starts: (P,) first face corner of each polygon.
+    """
+    sizes = np.diff(starts, append=len(corners))
+    following = np.arange(len(corners)) + 1
+    following[starts + sizes - 1] = starts
+    first = corners[np.repeat(starts, sizes)]
+    return np.add.reduceat(np.cross(corners - first, corners[following] - first), starts, axis=0)
+
+
+def remove_polygons(mesh: bpy.types.Mesh, chosen: np.ndarray) -> None:
+    """Remove polygons, (P,) bool, with the edges and vertices that only they have."""
+    bm = bmesh.new()
+    bm.from_mesh(mesh)
+    faces = [face for face, unwanted in zip(bm.faces, chosen.tolist(), strict=True) if unwanted]
+    bmesh.ops.delete(bm, geom=faces, context="FACES")
+    bm.to_mesh(mesh)
+    bm.free()
+    mesh.update()
 
 
 def world_bounds(objects: Iterable[bpy.types.Object]) -> tuple[np.ndarray, np.ndarray] | None:

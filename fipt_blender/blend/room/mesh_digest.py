@@ -14,21 +14,7 @@ from .mesh_arrays import polygon_starts
 
 _OURS = ("FIPT", "fipt_")  # layers that results write
 _TOPOLOGY = (".corner_vert", ".corner_edge", ".edge_verts")
-# data type -> property, numbers of an element, their type
-_KINDS = {
-    "FLOAT": ("value", 1, np.float32),
-    "FLOAT2": ("vector", 2, np.float32),
-    "FLOAT_VECTOR": ("vector", 3, np.float32),
-    "FLOAT_COLOR": ("color", 4, np.float32),
-    "BYTE_COLOR": ("color", 4, np.float32),
-    "QUATERNION": ("value", 4, np.float32),
-    "FLOAT4X4": ("value", 16, np.float32),
-    "INT": ("value", 1, np.int32),
-    "INT8": ("value", 1, np.int32),
-    "INT16_2D": ("value", 2, np.int32),
-    "INT32_2D": ("value", 2, np.int32),
-    "BOOLEAN": ("value", 1, np.bool_),
-}
+_TYPES = {"FLOAT": np.float32, "INT": np.int32, "BOOLEAN": np.bool_}  # of a layer's values that count
 
 
 def sign(mesh: bpy.types.Mesh) -> None:
@@ -48,11 +34,11 @@ def _digest(mesh: bpy.types.Mesh) -> str:
         if layer.name.startswith(_OURS) or (layer.name.startswith(".") and layer.name not in _TOPOLOGY):
             continue
         digest.update(f"{layer.name} {layer.data_type} {layer.domain} {len(layer.data)}".encode())
-        name, width, kind = _KINDS.get(layer.data_type, ("", 0, np.float32))
-        if name and len(layer.data):
-            values = np.empty(width * len(layer.data), kind)
-            layer.data.foreach_get(name, values)
-            digest.update(values.tobytes())
+        for field in layer.data[0].bl_rna.properties if len(layer.data) else ():
+            if field.identifier in ("value", "vector", "color") and field.type in _TYPES:
+                values = np.empty(max(field.array_length, 1) * len(layer.data), _TYPES[field.type])
+                layer.data.foreach_get(field.identifier, values)
+                digest.update(values.tobytes())
     groups = [(each.group, each.weight) for vertex in mesh.vertices for each in vertex.groups]
     keys = [] if mesh.shape_keys is None else [key.name for key in mesh.shape_keys.key_blocks]
     digest.update(repr((groups, keys)).encode())

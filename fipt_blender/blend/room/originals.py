@@ -121,9 +121,8 @@ def _kept(item: bpy.types.Object, state: dict[str, Any]) -> Iterator[tuple[bpy.t
     """The modifiers of a stored state with their visibility in viewports and renders."""
     found = {_modifier_id(modifier): modifier for modifier in item.modifiers}
     for key, show_viewport, show_render in state.get("modifiers", []):
-        modifier = found.get(key) or item.modifiers.get(str(key))  # files of earlier versions have names
-        if modifier is not None:
-            yield modifier, show_viewport, show_render
+        if key in found:
+            yield found[key], show_viewport, show_render
 
 
 def _modifier_id(modifier: bpy.types.Modifier) -> int | str:

@@ -14,6 +14,7 @@ import numpy as np
 
 # Texels kept free on each side of an island; neighbours are twice as far apart.
 PAD = 4
+_FILL = 0.85  # of an image that shelves fill: what has no place is on another image
 
 
 @dataclass
@@ -31,12 +32,12 @@ def pack_islands(
 ) -> Packing:
     """Pack rectangles into as few images as their area needs.
 
-    A group (object) that fills more than half an image gets images of its own; all others share. An island
-    larger than an image is scaled down; if more than `max_images` were needed, all islands are.
+    A group (part) lies on as few images as possible, unless more than `max_images` were needed. Where they
+    are all the same, all islands are scaled down, and so is an island that is larger than an image.
 
     Args:
         extent: (N,2) wanted width and height in texels.
-        group: (N,) i32 object of each island.
+        group: (N,) int, the group of each island.
         size: largest width and height of an image.
         pad: texels kept free around each island.
         max_images: the most images.
@@ -52,7 +53,9 @@ def pack_islands(
             packing.offset += pad
             packing.scale = scale
             return packing
-        if pad > 1 and (2 * pad) ** 2 * len(boxes) > 0.25 * max_images * size * size:
+        if group.any():  # groups that are kept together leave more of the images empty
+            group = np.zeros_like(group)
+        elif pad > 1 and (2 * pad) ** 2 * len(boxes) > 0.25 * max_images * size * size:
             pad -= 1  # very many small islands, whose padding alone fills the images
         else:
             shrink *= 0.98 * math.sqrt(max_images / len(packing.sizes))
@@ -78,15 +81,21 @@ def pack_apart(extent: np.ndarray, group: np.ndarray, size: int) -> Packing:
 
 def _pack_boxes(boxes: np.ndarray, group: np.ndarray, size: int) -> Packing:
     area = np.bincount(group, (boxes[:, 0] * boxes[:, 1]).astype(np.float64))
-    large = area > 0.5 * size * size
-    groups = [np.flatnonzero(group == index) for index in np.flatnonzero(large)]
-    groups.append(np.flatnonzero(~large[group]))
+    sharing: list[list[int]] = []  # groups that share an image
+    left: list[float] = []  # its free area, texels; of a group that needs several, that of all
+    room = _FILL * size * size
+    for index in np.argsort(-area, kind="stable")[: np.count_nonzero(area)].tolist():
+        place = next((place for place, free in enumerate(left) if area[index] <= free), len(left))
+        if place == len(left):
+            sharing.append([])
+            left.append(room * max(math.ceil(area[index] / room), 1))
+        sharing[place].append(index)
+        left[place] -= area[index]
     image = np.zeros(len(boxes), np.int32)
     offset = np.zeros((len(boxes), 2))
     sizes: list[tuple[int, int]] = []
-    for members in groups:
-        if not len(members):
-            continue
+    for groups in sharing:
+        members = np.flatnonzero(np.isin(group, groups))
         box_area = 1.15 * float((boxes[members, 0] * boxes[members, 1]).sum())
         width = 1 << max(math.ceil(math.log2(math.sqrt(box_area))), 4)
         width = min(size, max(width, 1 << math.ceil(math.log2(boxes[members].max()))))

@@ -31,17 +31,17 @@ def match_objects(room: Room, objects: Iterable[bpy.types.Object]) -> list[str |
     Raises:
         FiptError: ``room-changed`` where none is there.
     """
-    ids = room.object_ids or room.objects  # runs of earlier versions have no ids
     present = {item.name: object_id(item) for item in objects if item.type == "MESH"}
     by_id: dict[str, list[str]] = {}
     for name, identity in present.items():
         by_id.setdefault(identity, []).append(name)
     matches: list[str | None] = []
-    for name, identity in zip(room.objects, ids, strict=True):
+    for name, identity in zip(room.objects, room.object_ids, strict=True):
         names = by_id.get(identity, [])  # several where the artist has duplicated it
         matches.append(name if name in names else names[0] if names else None)
     for index, name in enumerate(room.objects):
-        if matches[index] is None and name in present and name not in matches and present[name] not in ids:
+        others = name in present and name not in matches and present[name] not in room.object_ids
+        if matches[index] is None and others:
             matches[index] = name
     if room.objects and not any(matches):
         raise FiptError(
@@ -63,7 +63,7 @@ def copied_objects(
     room: Room, matches: Sequence[str | None], objects: Iterable[bpy.types.Object]
 ) -> list[tuple[int, str]]:
     """Index in the room and name of the objects that the artist has copied or separated from matched ones."""
-    index = {name: number for number, name in enumerate(room.object_ids or room.objects)}
+    index = {name: number for number, name in enumerate(room.object_ids)}
     others = [item for item in objects if item.name not in matches and OBJECT_ID in item]
     return [(index[object_id(item)], item.name) for item in others if object_id(item) in index]
 

@@ -18,8 +18,10 @@ from mathutils.bvhtree import BVHTree
 
 from ...bridge.step import Slices
 from .mesh_arrays import (
+    area_normals,
     barycentric,
     corner_vertices,
+    polygon_sizes,
     polygon_starts,
     transform_points,
     triangle_loops,
@@ -153,7 +155,7 @@ def copy_same(
     place = same_polygons(mesh, other)
     same = np.flatnonzero(place >= 0)
     found.triangle[same] = of_other.triangle[place[same]]
-    starts, sizes = polygon_starts(mesh), _sizes(mesh)
+    starts, sizes = polygon_starts(mesh), polygon_sizes(mesh)
     loops = _corners_of(starts[same], sizes[same])
     others = _corners_of(polygon_starts(other)[place[same]], sizes[same])
     found.corner[loops], found.weights[loops] = of_other.corner[others], of_other.weights[others]
@@ -169,7 +171,7 @@ def same_polygons(mesh: bpy.types.Mesh, other: bpy.types.Mesh) -> np.ndarray:
     place = lowest[group.ravel()[first:]]
     place = np.where(place < first, place, -1)
     same = np.flatnonzero(place >= 0)
-    sizes = _sizes(mesh)[same]
+    sizes = polygon_sizes(mesh)[same]
     equal = _corner_positions(mesh)[_corners_of(polygon_starts(mesh)[same], sizes)]
     equal = equal == _corner_positions(other)[_corners_of(polygon_starts(other)[place[same]], sizes)]
     if len(same):
@@ -182,17 +184,13 @@ def _keys(mesh: bpy.types.Mesh) -> np.ndarray:
     """(P,) number and first three corners of each polygon, as bytes."""
     starts = polygon_starts(mesh)
     corners = _corner_positions(mesh)[starts[:, None] + np.arange(3)].reshape(-1, 9)
-    sizes = _sizes(mesh).astype(np.float32)[:, None]
+    sizes = polygon_sizes(mesh).astype(np.float32)[:, None]
     rows = np.ascontiguousarray(np.concatenate([corners, sizes], axis=1)) + np.float32(0.0)  # no -0
     return rows.view(f"V{rows.dtype.itemsize * rows.shape[1]}").ravel()
 
 
 def _corner_positions(mesh: bpy.types.Mesh) -> np.ndarray:
     return vertex_positions(mesh).astype(np.float32)[corner_vertices(mesh)]
-
-
-def _sizes(mesh: bpy.types.Mesh) -> np.ndarray:
-    return np.diff(polygon_starts(mesh), append=len(mesh.loops))
 
 
 def _corners_of(starts: np.ndarray, sizes: np.ndarray) -> np.ndarray:
@@ -216,15 +214,15 @@ def find_nearest(
     if not len(missing):
         return
     corners = transform_points(vertex_positions(mesh), matrix)[corner_vertices(mesh)]
-    starts, sizes = polygon_starts(mesh), _sizes(mesh)
-    flip = -1.0 if np.linalg.det(matrix[:3, :3]) < 0.0 else 1.0
+    starts, sizes = polygon_starts(mesh), polygon_sizes(mesh)
+    normals = area_normals(corners, starts) * np.sign(np.linalg.det(matrix[:3, :3]))
     chosen: list[int] = []
     points: list[Vector] = []
     for number, polygon in enumerate(missing.tolist()):
         if number % _CHUNK == 0:
             yield None
         own = corners[starts[polygon] : starts[polygon] + sizes[polygon]]
-        normal = _area_normal(own) * flip
+        normal = normals[polygon]
         length = float(np.linalg.norm(normal))
         triangle = surfaces.nearest(Vector(own.mean(axis=0)), Vector(normal / length)) if length else -1
         if triangle < 0:
@@ -238,9 +236,3 @@ def find_nearest(
     if chosen:
         triangles = surfaces.corners[found.corner[chosen]]
         found.weights[chosen] = barycentric(np.array(points), triangles)
-
-
-def _area_normal(corners: np.ndarray) -> np.ndarray:
-    """(3,) normal of a polygon (n,3), as long as twice its area (Newell)."""
-    following = np.roll(corners, -1, axis=0)
-    return np.cross(corners - corners[0], following - corners[0]).sum(axis=0)

@@ -20,6 +20,17 @@ def layer_values(mesh: bpy.types.Mesh) -> np.ndarray:
     return corner_uvs(mesh, mesh.uv_layers[UV_LAYER]).astype(np.float32)
 
 
+def new_layer(mesh: bpy.types.Mesh, name: str) -> None:
+    """Add a UV layer.
+
+    Raises:
+        FiptError: ``uv-layers-full``.
+    """
+    if mesh.uv_layers.new(name=name, do_init=False) is None:
+        text = f"The mesh '{mesh.name}' already has 8 UV layers, the most that Blender allows."
+        raise FiptError("uv-layers-full", text, "Remove a UV map, and do it again.")
+
+
 def write_layer(mesh: bpy.types.Mesh, uv: np.ndarray) -> None:
     """Write the FIPT layer of a result mesh, and make it active, so that solid shading draws with it.
 
@@ -35,13 +46,8 @@ def write_layer(mesh: bpy.types.Mesh, uv: np.ndarray) -> None:
         FiptError: ``uv-layers-full``.
     """
     active_render = [layer.active_render for layer in mesh.uv_layers]
-    layer = mesh.uv_layers.get(UV_LAYER) or mesh.uv_layers.new(name=UV_LAYER, do_init=False)
-    if layer is None:
-        raise FiptError(
-            "uv-layers-full",
-            f"The mesh of '{mesh.name}' already has 8 UV layers, the most that Blender allows.",
-            "Remove a UV map, or set Store In to Color Attributes.",
-        )
+    if UV_LAYER not in mesh.uv_layers:
+        new_layer(mesh, UV_LAYER)
     mesh.attributes[UV_LAYER].data.foreach_set("vector", uv.astype(np.float32).ravel())
     mesh.uv_layers.active = mesh.uv_layers[UV_LAYER]
     if True in active_render:

@@ -151,11 +151,10 @@ class AtlasImage:
 
 @dataclass(frozen=True)
 class AtlasImages:
-    """atlas.json: colour attributes need no images; `apart`: objects or parts have images of their own."""
+    """atlas.json; colour attributes need no images."""
 
     mode: Annotated[str, choice("uv", "color_attribute")]
     images: tuple[AtlasImage, ...]
-    apart: bool = False
 
 
 @dataclass(frozen=True)
