@@ -140,7 +140,7 @@ def main_job_options(arguments: argparse.Namespace, output: Path) -> list[str]:
     if arguments.mesh_noise > 0.0:
         source = arguments.capture / "scene.obj"
         if not source.is_file():
-            raise FiptError("truth-missing", f"{source} does not exist.", "Only an OBJ can be disturbed.")
+            raise FiptError.of("truth-missing", f"{source} does not exist.", "Only an OBJ can be disturbed.")
         mesh = output.with_name(f"{output.name}-mesh.obj")
         mesh.parent.mkdir(parents=True, exist_ok=True)
         disturb.disturb_obj(source, mesh, arguments.mesh_noise)
@@ -157,7 +157,7 @@ def scan_capture(capture: Path, mesh: Path, options: Sequence[str]) -> None:
     mesh.parent.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, str(ROOT / "benchmarks" / "scan.py"), str(capture), "--output", str(mesh)]
     if subprocess.run([*command, *options], check=False).returncode:
-        raise FiptError("run-failed", "The room could not be scanned.", "Mend what is reported above.")
+        raise FiptError.of("run-failed", "The room could not be scanned.", "Mend what is reported above.")
 
 
 def run_main_job(capture: Path, output: Path, preset: str, options: Sequence[str]) -> dict[str, Any]:
@@ -190,7 +190,7 @@ def run_main_job(capture: Path, output: Path, preset: str, options: Sequence[str
                     shown = int(message["fraction"] * 20)
                     print(f"{100 * message['fraction']:3.0f} %", file=sys.stderr, flush=True)
     if process.returncode:
-        raise FiptError("run-failed", "The main job failed.", "Mend what it reports above.")
+        raise FiptError.of("run-failed", "The main job failed.", "Mend what it reports above.")
     seconds = round(time.monotonic() - started, 1)
     return {"seconds": seconds, "announced": announced, "peak_memory_gb": memory}
 
@@ -355,7 +355,7 @@ def cycles_renders(run: RunFolder, wanted: dict[str, Any], spp: int) -> dict[tup
         text = json.dumps(wanted).encode()
         ended = subprocess.run(command, input=text, stdout=log, stderr=log, check=False)
     if ended.returncode:
-        raise FiptError("run-failed", "The renders in Cycles failed.", f"Mend what {run.log} reports.")
+        raise FiptError.of("run-failed", "The renders in Cycles failed.", f"Mend what {run.log} reports.")
     listed = read_document(cycles_views.apart(RunFolder(run.root)).renders_json, dict)["renders"]
     return {(entry["kind"], entry["view"]): run.resolve(entry["image"]) for entry in listed}
 

@@ -119,7 +119,7 @@ def lamps_of_run(run: RunFolder, capture: Path, least: float = 0.0) -> LampCount
         FiptError: ``truth-missing`` where the capture does not tell its lamps.
     """
     if not (capture / "emitters.json").is_file():
-        raise FiptError("truth-missing", f"{capture} has no emitters.json.", "Use a rendered capture.")
+        raise FiptError.of("truth-missing", f"{capture} has no emitters.json.", "Use a rendered capture.")
     corners = transform_points(load_capture(run).world_from_source, _corners(capture / "scene.obj"))
     table = json.loads((capture / "emitters.json").read_text())
     true = [corners[slice(*lamp["triangles"])] for lamp in table]

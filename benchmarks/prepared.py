@@ -37,7 +37,7 @@ def prepare(capture: Path, root: Path, options: Sequence[str] = ()) -> RunFolder
     clear(run)
     command = [sys.executable, str(Path(__file__).resolve()), str(capture), str(run.root), *options]
     if subprocess.run(command, stdout=sys.stderr, check=False).returncode:
-        raise FiptError("run-failed", f"{capture} could not be prepared.", "See the error above.")
+        raise FiptError.of("run-failed", f"{capture} could not be prepared.", "See the error above.")
     return run
 
 
@@ -49,7 +49,7 @@ def clear(run: RunFolder) -> None:
     """
     if run.root.exists():
         if not run.run_json.exists() and any(run.root.iterdir()):
-            raise FiptError("run-foreign", f"{run.root} is not a run folder.", "Choose another folder.")
+            raise FiptError.of("run-foreign", f"{run.root} is not a run folder.", "Choose another folder.")
         shutil.rmtree(run.root)
 
 
@@ -83,7 +83,7 @@ def main(argv: Sequence[str]) -> int:
                 command, stdout=log, stderr=log, env=engine_environment(python), check=False
             )
         if result.returncode:
-            raise FiptError("run-failed", "The capture could not be read.", f"See {run.log}.")
+            raise FiptError.of("run-failed", "The capture could not be read.", f"See {run.log}.")
         from fipt_blender.jobs.room_steps import RoomSteps, panel_state  # bpy
         from fipt_blender.jobs.scene_steps import export_scene_room
 

@@ -106,7 +106,7 @@ def read_truth(capture: Path) -> Truth:
     """
     missing = [name for name in (*REPLACED, "materials.json") if not (capture / name).is_file()]
     if missing:
-        raise FiptError(
+        raise FiptError.of(
             "truth-missing",
             f"{capture / missing[0]} does not exist.",
             "Only captures with truth are scanned.",

@@ -177,7 +177,9 @@ def measure(name: str, places: Places, folder: Path, seed: int, preset: str, reu
     if truth is not None:
         command += ["--truth", str(truth)]
     if subprocess.run(command, check=False).returncode:
-        raise FiptError("run-failed", f"The row {name} could not be scored.", "Mend what is reported above.")
+        raise FiptError.of(
+            "run-failed", f"The row {name} could not be scored.", "Mend what is reported above."
+        )
     found = json.loads(scored.read_text(encoding="utf-8"))
     return {key: value for key, value in {**found, **figures}.items() if value is not None}
 

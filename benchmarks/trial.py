@@ -153,7 +153,7 @@ def main(argv: Sequence[str]) -> int:
         changes = changes_of(arguments.off, arguments.numbers, arguments.preset)
         unknown = {case.room for case in chosen} - rooms.keys()
         if unknown:
-            raise FiptError("trial-unknown", f"No --room names {', '.join(unknown)}.", "Name its folder.")
+            raise FiptError.of("trial-unknown", f"No --room names {', '.join(unknown)}.", "Name its folder.")
         for case, change in itertools.islice(trial.pending(chosen, changes or [Change()]), arguments.most):
             print(f"== {case.name} {change.name or 'as it is'}", file=sys.stderr, flush=True)
             trial.do(case, change)

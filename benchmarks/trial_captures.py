@@ -65,12 +65,12 @@ def cases(text: str) -> list[Case]:
     for word in text.split():
         choices = [part.split(",") for part in word.split(":")]
         if len(choices) != 4:
-            raise FiptError("trial-unknown", f"{word} is no capture.", "Write ROOM:MESH:LIGHT:MASKS.")
+            raise FiptError.of("trial-unknown", f"{word} is no capture.", "Write ROOM:MESH:LIGHT:MASKS.")
         found += [Case(*values) for values in itertools.product(*choices)]
     for case in found:
         mesh = re.fullmatch(rf"{EXACT}|{DISTURBED}|\d+(\.\d+)?cm", case.mesh)
         if not mesh or case.light not in ("hdr", JPEG) or case.masks not in PARTS:
-            raise FiptError(
+            raise FiptError.of(
                 "trial-unknown",
                 f"{case.name} is no capture.",
                 "Use exact, disturbed, 2cm; hdr, jpeg; parts, linked, semantics, none.",

@@ -131,7 +131,7 @@ def without(name: str) -> Change:
     if name in ABLATIONS:
         return Change(name, ABLATIONS[name], begins="" if "view_share" in ABLATIONS[name] else BAKED)
     if name not in MECHANISMS:
-        raise FiptError("trial-unknown", f"There is no mechanism {name}.", "See --list.")
+        raise FiptError.of("trial-unknown", f"There is no mechanism {name}.", "See --list.")
     mechanism = MECHANISMS[name]
     begins = BAKED
     if any(key in _COMPLETION_SETTINGS for key in mechanism.off):
@@ -176,7 +176,7 @@ def changes_of(off: str, numbers: str, preset: str) -> list[Change]:
     for prefix in (word for word in numbers.split(",") if word):
         chosen = [each for each in every if each.key.startswith(prefix)]
         if not chosen:
-            raise FiptError("trial-unknown", f"There is no number {prefix}.", "See --list.")
+            raise FiptError.of("trial-unknown", f"There is no number {prefix}.", "See --list.")
         changes += [scaled(each, factor) for each in chosen for factor in FACTORS]
     return changes
 

@@ -67,7 +67,7 @@ def read_maps(view: View) -> Maps:
         a_prime = read_radiance(folder / "albedo" / bare)
         material = read_ids(folder / "IndexMA" / name)
     except FiptError as error:
-        raise FiptError(
+        raise FiptError.of(
             "truth-missing",
             f"The capture has no complete ground truth: {error.text}",
             "It needs DiffCol, BaseColor, Metallic, Roughness, Emit, albedo and IndexMA beside Image.",
@@ -141,7 +141,7 @@ def read_relight(folder: Path, capture: Capture) -> Relight | None:
             )
         radiance = np.array(light["radiance"], np.float32).reshape(3)
     except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise FiptError(
+        raise FiptError.of(
             "truth-missing", f"{path} can't be understood ({error}).", "Mend or remove it."
         ) from None
     return Relight(vertices, triangles, radiance, views)

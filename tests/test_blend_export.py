@@ -104,7 +104,7 @@ def test_an_export_that_fails_leaves_what_was_there(scene, tmp_path, monkeypatch
     before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*")}
 
     def full(path):
-        raise FiptError("disk-full", f"{path}", "Free some space.")
+        raise FiptError.of("disk-full", f"{path}", "Free some space.")
 
     monkeypatch.setattr(exporting, "check_space", full)
     scene.fipt.materials.parts["Cube"].value = 0.5

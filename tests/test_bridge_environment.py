@@ -116,7 +116,7 @@ def without_ensurepip(monkeypatch: MonkeyPatch) -> None:
 def device_works(monkeypatch: MonkeyPatch) -> None:
     """Replace the engine's check by one that finds an LLVM, as these environments contain no engine."""
     found = {"device": "llvm", "llvm": None}
-    monkeypatch.setattr(native, "check_engine", lambda python: (found, FiptError("", "", "")))
+    monkeypatch.setattr(native, "check_engine", lambda python: (found, FiptError.of("", "", "")))
 
 
 @pytest.mark.parametrize(
@@ -221,7 +221,7 @@ def test_locked_packages_are_installed_only_with_the_hashes_of_the_lock(tmp_path
 
 
 def test_llvm_is_unpacked_only_with_the_hash_of_the_lock(tmp_path: Path, monkeypatch: MonkeyPatch, made: None) -> None:
-    missing = FiptError("llvm-missing", "No LLVM.", "Install one.")
+    missing = FiptError.of("llvm-missing", "No LLVM.", "Install one.")
     library = tmp_path / "env" / "llvm" / "libLLVM.so.19"
     found = {"device": "llvm", "llvm": str(library)}
     monkeypatch.setattr(native, "check_engine", lambda python: (found if library.exists() else {}, missing))

@@ -103,7 +103,7 @@ def test_slices_that_fail_or_are_cancelled_are_closed(tmp_path):
         finally:
             closed.append(True)
 
-    for error, code in ((FiptError("mesh-empty", "E.", "F."), "mesh-empty"), (KeyError(), "blender-step-failed")):
+    for error, code in ((FiptError.of("mesh-empty", "E.", "F."), "mesh-empty"), (KeyError(), "blender-step-failed")):
         job = slice_job(tmp_path, lambda error=error: function(error))
         assert not job.run(lambda message: None) and job.error["code"] == code
     job = slice_job(tmp_path, function)

@@ -125,7 +125,7 @@ def test_full_disk_while_writing(tmp_path, run, monkeypatch):
     def full(path, array, half=False):
         calls.append(path)
         if len(calls) == 2:
-            raise FiptError("disk-full", f"The disk is full; {path}.", "Free some space.")
+            raise FiptError.of("disk-full", f"The disk is full; {path}.", "Free some space.")
         write_exr(path, array, half)
 
     monkeypatch.setattr("fipt_blender.core.capture.photograph.write_exr", full)

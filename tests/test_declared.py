@@ -13,8 +13,8 @@ import pytest
 
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.declared import Option, add_options, arguments_of, converted, options_of
-from fipt_blender.core.run.errors import FiptError
-from fipt_blender.operators.action import REGISTER, action, note, warning
+from fipt_blender.core.run.errors import FiptError, Problem, message
+from fipt_blender.operators.action import REGISTER, action, note
 from fipt_blender.properties.declared import fill, values_of
 from samples.operator_calls import refused
 from samples.refusals import error_of
@@ -68,9 +68,9 @@ def try_action(
     This is for programmers.
     """
     if count > 5:
-        raise FiptError("too-many", "These are too many.", "Take fewer.")
+        raise FiptError.of("too-many", "These are too many.", "Take fewer.")
     scene["tried"] = f"{kind}{count}"
-    return "Done" if count else [note("Nothing"), warning("none", "There are none.", "Take some.")]
+    return "Done" if count else [note("Nothing"), message("warning", Problem("none", "There are none.", "Take some."))]
 
 
 def test_a_function_is_an_operator_and_stays_a_function(capfd: pytest.CaptureFixture) -> None:

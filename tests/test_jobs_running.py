@@ -178,7 +178,7 @@ def test_a_bug_in_a_timer_ends_the_job_with_words(run, monkeypatch, capsys):
     assert holder(run) is None and "Traceback" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("raised", "code"), [(FiptError("x", "X.", "Y."), "x"), (KeyError("k"), None)])
+@pytest.mark.parametrize(("raised", "code"), [(FiptError.of("x", "X.", "Y."), "x"), (KeyError("k"), None)])
 def test_a_failure_at_the_end_is_the_jobs(run, raised, code, capsys):
     def end(info):
         raise raised
@@ -215,7 +215,7 @@ ended: list[str] = []
 @action("Try")
 def try_job(scene: bpy.types.Scene, mode: Annotated[str, "How it ends"] = "") -> Task:
     """For the test below."""
-    error = FiptError("bad", "It went wrong.", "Try again.")
+    error = FiptError.of("bad", "It went wrong.", "Try again.")
 
     def work():
         yield

@@ -90,7 +90,7 @@ def do_job(tmp_path: Path, function) -> Job:
 
 def test_a_failure_is_told_with_its_reason(tmp_path, notices):
     def fail():
-        raise FiptError("odd", "There is no mesh.", "Import one.")
+        raise FiptError.of("odd", "There is no mesh.", "Import one.")
 
     assert do_job(tmp_path, fail).state == "failed"
     # In the status bar, without a popup: the section shows it with its remedy.
@@ -100,7 +100,7 @@ def test_a_failure_is_told_with_its_reason(tmp_path, notices):
 def test_a_warning_goes_once_its_remedy_was_followed(tmp_path):
     info = new_job("Import Capture", "capture", tmp_path)
     info.warnings += [{"code": "mesh-missing"}, {"code": "images-not-hdr"}]
-    running.refuse(info, FiptError("odd", "The file is odd.", "Export it again."))
+    running.refuse(info, FiptError.of("odd", "The file is odd.", "Export it again."))
     bpy.ops.mesh.primitive_cube_add()
     assert bpy.ops.fipt.set_room() == {"FINISHED"}
     assert info.warnings == [{"code": "images-not-hdr"}]

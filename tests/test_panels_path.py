@@ -103,7 +103,7 @@ def test_online_access_is_explained_and_asked_for_where_it_is_needed(monkeypatch
 def test_without_an_engine_an_error_leads_to_its_set_up(tmp_path):
     scene = bpy.context.scene
     info = Job([], tmp_path / "log.txt", title="Example", kind="estimate", scene_name=scene.name)
-    running.refuse(info, FiptError("engine-missing", "There is no engine.", "Set it up."))
+    running.refuse(info, FiptError.of("engine-missing", "There is no engine.", "Set it up."))
     assert "fipt.set_up_engine" in drawn_by(estimate.FIPT_PT_estimate)[0]
 
 
@@ -112,7 +112,7 @@ def test_photographs_without_cameras_lead_to_make_capture(tmp_path):
     scene = bpy.context.scene
     scene.fipt.capture.path, scene.fipt.run_folder = str(tmp_path / "photos"), str(tmp_path / "run")
     info = Job([], tmp_path / "run" / "log.txt", title="Import Capture", kind="capture", scene_name=scene.name)
-    error = FiptError("cameras-missing", "Photographs without cameras.", "Make a capture.")
+    error = FiptError.of("cameras-missing", "Photographs without cameras.", "Make a capture.")
     running.refuse(info, error)
     assert "fipt.photographs_of_capture" in drawn_by(start.FIPT_PT_start)[0]
     assert bpy.ops.fipt.photographs_of_capture() == {"FINISHED"}
@@ -122,7 +122,7 @@ def test_photographs_without_cameras_lead_to_make_capture(tmp_path):
     assert "Photographs without cameras." not in drawn_by(start.FIPT_PT_start)[0]
     # After an import they become a capture unasked, unless it failed for another reason.
     scene.fipt.capture.path = str(tmp_path / "photos")
-    running.refuse(info, FiptError("other", "Another error.", "Another remedy."))
+    running.refuse(info, FiptError.of("other", "Another error.", "Another remedy."))
     session.after_job(info)
     assert not scene.fipt.photographs.path
     running.refuse(info, error)

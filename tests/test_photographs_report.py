@@ -65,7 +65,7 @@ def test_the_page_is_written_although_a_step_fails(folder, tmp_path, monkeypatch
 
         @staticmethod
         def run(folder, preparation, reporter):
-            raise FiptError("solve-few", "Two views are too few.", "Take more photographs.")
+            raise FiptError.of("solve-few", "Two views are too few.", "Take more photographs.")
 
     monkeypatch.setitem(sys.modules, "fipt_blender.prepare.solve_step", Fails)
     preparation = make_preparation(tmp_path / "card")

@@ -22,6 +22,7 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run import chain as chain_module
 from fipt_blender.core.run import finished_views, messages
 from fipt_blender.core.run.chain import Chain, Given, Stage, Tools, Watch
+from fipt_blender.core.run.errors import Problem
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.settings import Settings
 from fipt_blender.core.run.stage_settings import Seeded, TrainingSettings
@@ -44,7 +45,7 @@ SOURCE = ["photograph"]  # given, and passed on
 def make_table(number: int, source: list[str], *, settings: Seeded, tools: Tools) -> Table:
     table = np.lib.format.open_memmap(tools.folder / "table.npy", mode="w+", dtype=np.float64, shape=(4, 2))
     table[:] = number + settings.seed
-    tools.reporter.warning("a-code", "A text.", "A remedy.")
+    tools.reporter.warn(Problem("a-code", "A text.", "A remedy."))
     tools.facts["rays"] = 7
     return Table(table, source)
 

@@ -121,7 +121,7 @@ def test_each_image_holds_the_triangles_of_its_own(run):
 
 def test_an_image_that_cannot_be_written_ends_the_baking(run, monkeypatch):
     def full(*arguments, **options):
-        raise FiptError("disk-full", "The disk is full.", "Make room.")
+        raise FiptError.of("disk-full", "The disk is full.", "Make room.")
 
     monkeypatch.setattr(images, "write_exr", full)
     assert "full" in str(error_of(bake.bake, run, AnalyticFields()))

@@ -64,9 +64,7 @@ def import_capture(
     settings = (scene or bpy.context.scene).fipt.capture
     for name, value in (options or {}).items():
         if name not in settings.bl_rna.properties:
-            raise FiptError(
-                "option-unknown", f"There is no import setting '{name}'.", "Use a name of scene.fipt.capture."
-            )
+            raise FiptError("option-unknown", name=name)
         setattr(settings, name, str(value) if isinstance(value, Path) else value)
     settings.path = str(path)
     return _run(capture_import(), scene)
@@ -175,12 +173,10 @@ def render(
 
     scene, path = scene or bpy.context.scene, Path(bpy.path.abspath(str(path))).absolute()
     if path.suffix.lower() != ".exr":
-        raise FiptError(
-            "render-format", f"{path} does not end in .exr.", "For other formats use bpy.ops.render.render."
-        )
+        raise FiptError("render-format", path=path)
     camera = find_camera(view, scene) if view else None
     if camera is None and scene.camera is None:
-        raise FiptError("view-missing", "The scene has no camera.", "Name a view, or set the scene's camera.")
+        raise FiptError("view-missing.render")
     render_exr(scene, path, RenderOptions(samples), camera)
     return path
 
@@ -285,10 +281,10 @@ def _run(task: Task, scene: bpy.types.Scene | None) -> Outcome:
 
     scene = scene or bpy.context.scene
     if (job := running.current()) is not None:
-        raise FiptError("job-running", f"'{job.title}' is still running.", "Wait for its end.")
+        raise FiptError("job-running.run", title=job.title)
     with bpy.context.temp_override(scene=scene):
         info = begin(task, scene, wait=True)
     if info.error is not None:
-        raise FiptError(info.error["code"], info.error["text"], info.error["remedy"])
+        raise FiptError.of(info.error["code"], info.error["text"], info.error["remedy"])
     warnings = tuple(f"{warning['text']} {warning['remedy']}" for warning in info.warnings)
     return Outcome(Path(bpy.path.abspath(scene.fipt.run_folder)), warnings)

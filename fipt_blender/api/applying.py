@@ -28,9 +28,7 @@ def run_of(scene: bpy.types.Scene) -> RunFolder:
         FiptError: ``run-missing`` where it has none.
     """
     if not scene.fipt.run_folder:
-        raise FiptError(
-            "run-missing", f"The scene '{scene.name}' has no run.", "Import a capture and estimate it first."
-        )
+        raise FiptError("run-missing.run-of", name=scene.name)
     return RunFolder(bpy.path.abspath(scene.fipt.run_folder))
 
 
@@ -81,8 +79,7 @@ def delete_version(scene: bpy.types.Scene, version: str) -> None:
     run = find_version(run_of(scene), version)
     refuse_busy(run)
     if any(each.fipt.run_folder and run_of(each).root == run.root for each in bpy.data.scenes):
-        text = f"The scene shows the estimate {version}."
-        raise FiptError("run-busy", text, "Apply another one first, then delete this one.")
+        raise FiptError("run-busy.delete-version", version=version)
     for _ in storage.delete_folder(run.root):
         pass
     runstate.forget(run_of(scene).root)
@@ -125,9 +122,5 @@ def chosen_settings(scene: bpy.types.Scene, run: RunFolder) -> Settings:
     settings = run.read()
     run.recover()
     if not run.fields_npz.is_file() or not run.emitters_json.is_file():
-        raise FiptError(
-            "results-missing",
-            f"The run {run.root} has no results yet.",
-            "Use Estimate, or Resume if the run was stopped.",
-        )
+        raise FiptError("results-missing.chosen-settings", root=run.root)
     return replace(settings, **values_of(scene.fipt.materials, TextureSettings))

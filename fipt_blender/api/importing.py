@@ -39,18 +39,10 @@ def _import_capture(scene: bpy.types.Scene) -> Job:
 
     settings = scene.fipt.capture
     if not settings.path:
-        raise FiptError(
-            "capture-missing",
-            "No capture is selected.",
-            "Select its folder or camera file in the section Capture.",
-        )
+        raise FiptError("capture-missing.import-capture")
     path = Path(bpy.path.abspath(settings.path)).absolute()
     if not path.exists():
-        raise FiptError(
-            "capture-missing",
-            f"The capture {path} does not exist.",
-            "Select the folder that contains the cameras, or the camera file itself, as Capture.",
-        )
+        raise FiptError("capture-missing.import-capture-2", path=path)
     path = capture_source(path)
     options = CaptureOptions(**converted(CaptureOptions, values_of(settings, CaptureOptions)))
     options.refuse_missing()

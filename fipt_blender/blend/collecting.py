@@ -89,14 +89,13 @@ def collect_room(folder: Path) -> tuple[Path, list[Path]]:
             `save.write_error` returns.
     """
     if missing := missing_pictures():
-        text = f"{len(missing)} pictures are missing, the first is {missing[0]}."
-        raise FiptError("file-missing", text, "Use Find Missing Files, or apply the results again.")
+        raise FiptError("file-missing.collect-room", number_of_missing=len(missing), missing=missing[0])
     blend = Path(bpy.data.filepath or UNSAVED)
     if folder.is_dir() and any(folder.iterdir()):
         folder = folder / f"{blend.stem}_collected"
     target = folder / blend.name
     if target.exists():
-        raise FiptError("file-exists", f"{target} exists.", "Choose another folder.")
+        raise FiptError("file-exists", target=target)
     images = [
         image for image in bpy.data.images if image.library is None and image.source in ("FILE", "TILED")
     ]

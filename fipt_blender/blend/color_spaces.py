@@ -73,11 +73,7 @@ def set_view_transform(view: bpy.types.ColorManagedViewSettings, name: str) -> N
 def _named(meaning: str) -> str:
     name = _spaces()[meaning]
     if not name:
-        raise FiptError(
-            "color-space-missing",
-            f"The OpenColorIO configuration has no color space for {meaning}.",
-            "Add one to the configuration, or start Blender without the environment variable OCIO.",
-        )
+        raise FiptError("color-space-missing", meaning=meaning)
     return name
 
 

@@ -26,9 +26,7 @@ def check_length(path: Path) -> None:
     """
     if len(os.fsencode(path)) > MOST_PATH_BYTES:
         raise FiptError(
-            "path-long",
-            f"The path {str(path)[:80]}... has {len(str(path))} letters; Blender takes {MOST_PATH_BYTES}.",
-            "Move the file to a folder with a shorter path.",
+            "path-long", path=str(path)[:80], number_of_path=len(str(path)), most_path_bytes=MOST_PATH_BYTES
         )
 
 

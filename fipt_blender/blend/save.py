@@ -50,14 +50,10 @@ def write_error(path: Path, error: RuntimeError, code: str) -> FiptError:
         return reason
     # How large the file would be is not known.
     if free < 500_000_000:
-        return FiptError(
-            "disk-full",
-            f"{path} could not be written. The disk is probably full: {free / 1e6:,.0f} MB are left.",
-            "Free some space and start again; finished steps are kept.",
-        )
+        return FiptError("disk-full.write-error", path=path, free=free / 1e6)
     reason_text = str(error).strip().removeprefix("Error: ")
     known = "" if reason_text in ("", "Success") else f" ({reason_text})"
-    return FiptError(
+    return FiptError.of(
         code,
         f"{path} could not be written{known}.",
         "Choose a folder in which you may write, and check that no other program uses the file.",

@@ -20,15 +20,7 @@ def find_object(name: str) -> bpy.types.Object:
     """
     item = bpy.data.objects.get(name)
     if item is None:
-        raise FiptError(
-            "room-changed",
-            f"The object '{name}' was removed or renamed in the meantime.",
-            "Undo that, and start again: finished steps are kept.",
-        )
+        raise FiptError("room-changed.find-object", name=name)
     if item.mode == "EDIT":
-        raise FiptError(
-            "room-edited",
-            f"'{name}' is in edit mode.",
-            "Leave edit mode, and start again: finished steps are kept.",
-        )
+        raise FiptError("room-edited.find-object", name=name)
     return item

@@ -41,9 +41,7 @@ def written_picture(target: Path) -> Iterator[Path]:
         with atomic_path(target) as temporary:
             yield temporary
     except (RuntimeError, FiptError) as error:
-        text = f"The pictures of results could not be copied to {target.parent}. {error}"
-        remedy = "Free some space, or save the file in a folder in which you may write."
-        raise FiptError("textures-unwritable", text, remedy) from error
+        raise FiptError("textures-unwritable", parent=target.parent, error=error) from error
 
 
 def copy_picture(path: Path, target: Path) -> None:

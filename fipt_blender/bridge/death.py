@@ -11,6 +11,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
+from ..core.run.errors import message, problem
 from ..core.run.messages import says_out_of_memory
 
 
@@ -24,33 +25,18 @@ def explain_death(returncode: int | None, last_line: str = "", file: Path | None
     """
     code = returncode or 0
     number = -code if code < 0 else code - 128 if 128 < code < 160 else 0
-    if number == 9 or says_out_of_memory(last_line):
-        killed = "The engine was killed by the system (SIGKILL), most likely because memory ran out."
-        return _error(
-            "out-of-memory",
-            killed if number == 9 else "The engine ran out of memory.",
-            "Use a smaller preset or fewer or smaller views, or close other programs; then resume.",
-        )
+    if number == 9:
+        return message("error", problem("out-of-memory.killed"))
+    if says_out_of_memory(last_line):
+        return message("error", problem("out-of-memory"))
     if code == errno.ENOSPC or (file is not None and _is_full(file)):
-        return _error(
-            "disk-full",
-            "The disk is full; the engine could not write its files.",
-            "Free some space and resume the run; finished stages are kept.",
-        )
+        return message("error", problem("disk-full.explain-death"))
     try:
         how = f"was ended by the signal {signal.Signals(number).name}"
     except ValueError:
         how = "ended" if returncode is None else f"ended with exit status {returncode}"
     last = f"; the last line that it printed is: {last_line}" if last_line else ""
-    return _error(
-        "engine-crashed",
-        f"The engine {how} without an error message{last}",
-        "Resume the run; finished stages are kept. If it happens again, see log.txt in the run folder.",
-    )
-
-
-def _error(code: str, text: str, remedy: str) -> dict[str, Any]:
-    return {"type": "error", "code": code, "text": text, "remedy": remedy}
+    return message("error", problem("engine-crashed", how=how, last=last))
 
 
 def _is_full(path: Path) -> bool:

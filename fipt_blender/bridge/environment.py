@@ -72,9 +72,9 @@ def check_space(plan: Plan, build: str, tell: Teller) -> None:
     place = f"in {plan.folder.parent}, but only {free:.1f} GB are free."
     remedy = "Free some space, or choose a data folder on another disk."
     if free < least:
-        raise FiptError("disk-full", f"The packages need {least:.1f} GB {place}", remedy)
+        raise FiptError("disk-full.check-space", least=least, place=place, remedy=remedy)
     if free < expected:
-        tell.warning("disk-full", f"The packages may need {expected:.1f} GB {place}", remedy)
+        tell.warning("disk-full.check-space-2", expected=expected, place=place, remedy=remedy)
 
 
 def make_environment(plan: Plan) -> None:
@@ -89,7 +89,7 @@ def make_environment(plan: Plan) -> None:
     folder, python = plan.folder, plan.python
     wanted = answer(plan.base, VERSION)
     if wanted is None:
-        raise FiptError("python-unfit", f"{plan.base} does not start.", "Choose another Python.")
+        raise FiptError("python-unfit.make-environment-2", base=plan.base)
     if answer(python, _PIP_INSIDE) == wanted and pins.read_stamp(folder).installed:
         return
     shutil.rmtree(folder, ignore_errors=True)
@@ -99,12 +99,7 @@ def make_environment(plan: Plan) -> None:
     if result.returncode == 0:
         return
     shutil.rmtree(folder, ignore_errors=True)
-    raise FiptError(
-        "python-unfit",
-        f"{plan.base} can't make an environment that installs packages: {output_end(result)}",
-        "Install its modules venv and ensurepip (Debian, Ubuntu: apt-get install python3-venv) or another"
-        " Python, and set up again.",
-    )
+    raise FiptError("python-unfit.make-environment", base=plan.base, output_end=output_end(result))
 
 
 def _install_pip(plan: Plan) -> bool:
@@ -129,12 +124,7 @@ def _install_pip(plan: Plan) -> bool:
     except OSError:
         return False
     if f"--hash=sha256:{hashlib.sha256(content).hexdigest()}" not in pin.split():
-        raise FiptError(
-            "package-hash",
-            f"{name} is not the file that this version was made with.",
-            "Do not use the folder of wheels or the network that it came from, or ask their owner why it"
-            " was changed.",
-        )
+        raise FiptError("package-hash.install-pip", name=name)
     with tempfile.TemporaryDirectory() as temporary:
         wheel = Path(temporary, name)
         wheel.write_bytes(content)
@@ -180,11 +170,7 @@ def _install_torch(plan: Plan, pip: Pip, tell: Teller) -> str:
             pip.run(*install, *patience, requirement, expected_gb=SIZES[build].torch_gb, span=span)
             return build
         except FiptError as error:
-            tell.warning(
-                "torch-index",
-                f"PyTorch's download site offers no usable build: {error.text}",
-                "The package index's build is installed instead; it works too, but may be larger.",
-            )
+            tell.warning("torch-index", text=error.text)
         build = ""
         check_space(plan, build, tell)
     for pin in plan.requirements:

@@ -49,9 +49,7 @@ def find_engine_python(explicit: str | None = None, managed: Sequence[Path] | No
             python = environment_python(python)
         if reason := _why_not(python):
             raise FiptError(
-                "engine-missing",
-                f"The engine's Python {source}, {python}, can't be used: {reason}.",
-                "Choose an interpreter that has the engine's packages, or choose none and set up the engine.",
+                "engine-missing.find-engine-python-2", source=source, python=python, reason=reason
             )
         return python
     if managed is None:
@@ -60,12 +58,7 @@ def find_engine_python(explicit: str | None = None, managed: Sequence[Path] | No
     for python in (*candidates, Path(sys.executable or "python")):
         if _why_not(python) is None:
             return python
-    raise FiptError(
-        "engine-missing",
-        "No Python with the engine's packages (Mitsuba, torch and others) was found.",
-        "Press Set Up Engine in the add-on's preferences, or choose one that has them, there or by"
-        f" {PYTHON_VARIABLE}.",
-    )
+    raise FiptError("engine-missing.find-engine-python")
 
 
 def _why_not(python: Path) -> str | None:

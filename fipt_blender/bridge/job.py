@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..core.run.contents import JobNote, Problem
-from ..core.run.errors import FiptError
+from ..core.run.contents import JobNote
+from ..core.run.errors import FiptError, Problem
 from ..core.run.runfolder import full_disk, write_json
 from .process import EngineProcess, Message, error_message
 from .step import JobProgress, Step, StepSlices
@@ -272,9 +272,7 @@ class Job:
             with suppress(OSError), open(self.log, "a", encoding="utf-8") as log:
                 log.write(traceback.format_exc())
             raise FiptError(
-                "blender-step-failed",
-                f"The step '{step.text}' failed: {type(error).__name__}: {error}",
-                f"See {self.log}, and please report the problem.",
+                "blender-step-failed", text=step.text, kind=type(error).__name__, error=error, log=self.log
             ) from error
 
     def _complete(self) -> list[Message]:

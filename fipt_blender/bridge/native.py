@@ -39,7 +39,7 @@ def provide_system_libraries(plan: Plan, tell: Teller) -> None:
         failure = import_failure(plan)
     if failure:
         how = f"As root: apt-get install {' '.join(names)}" if names else "Install the missing library."
-        raise FiptError("package-broken", f"An installed package can't be imported: {failure}", how)
+        raise FiptError("package-broken", failure=failure, how=how)
 
 
 def import_failure(plan: Plan) -> str:
@@ -80,9 +80,8 @@ def check_engine(python: Path) -> tuple[dict[str, Any], FiptError]:
     problems.sort(key=lambda message: message["code"] != "llvm-missing")
     data: dict[str, Any] = next((message["data"] for message in messages if message["type"] == "done"), {})
     if problems:
-        return data, FiptError(problems[0]["code"], problems[0]["text"], problems[0]["remedy"])
-    text = f"The engine's check failed: {output_end(result)}"
-    return data, FiptError("engine-failed", text, "Set up the engine again.")
+        return data, FiptError.of(problems[0]["code"], problems[0]["text"], problems[0]["remedy"])
+    return data, FiptError("engine-failed", output_end=output_end(result))
 
 
 def _fetch_llvm_package(plan: Plan, folder: Path, tell: Teller) -> bool:

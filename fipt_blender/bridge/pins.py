@@ -50,10 +50,7 @@ def read_pins(package: Path = PACKAGE_FOLDER) -> dict[str, list[str]]:
     try:
         project = tomllib.loads(file.read_text(encoding="utf-8"))["project"]
     except (OSError, ValueError, KeyError) as error:
-        raise FiptError(
-            "file-missing", f"The list of the engine's packages, {copied}, can't be read ({error}).",
-            "Install the extension again.",
-        ) from None  # fmt: skip
+        raise FiptError("file-missing.read-pins", copied=copied, error=error) from None  # fmt: skip
     lock = package.parent / LOCK_NAME
     locked = parse_lock(lock.read_text(encoding="utf-8")) if lock.exists() else []
     groups = {"engine": project["dependencies"], **project["optional-dependencies"]}

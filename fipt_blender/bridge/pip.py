@@ -39,7 +39,7 @@ class Teller(Protocol):
     def progress(self, stage_fraction: float) -> None:
         """Report which share of the current stage is done (0 to 1)."""
 
-    def warning(self, code: str, text: str, remedy: str) -> None:
+    def warning(self, key: str, /, **values: object) -> None:
         """Report a problem that does not stop set-up."""
 
     def log(self, line: str) -> None:
@@ -176,36 +176,14 @@ def pip_error(progress: PipProgress, wheels: Path | None) -> FiptError:
     reason = next((text for text in progress.errors if "No matching" in text), "")
     reason = reason or (progress.errors[-1] if progress.errors else "pip gave no reason")
     if any("No space left" in text or "Errno 28" in text for text in progress.errors):
-        return FiptError(
-            "disk-full",
-            "The disk is full; the engine's packages could not be installed.",
-            "Free some space or move the data folder to another disk, and set up again; downloads are kept.",
-        )
+        return FiptError("disk-full.pip-error")
     if progress.mismatch:
-        return FiptError(
-            "package-hash",
-            f"A package is not the one that this version was made with: {progress.mismatch}",
-            "Do not use the package index or the folder of wheels that it came from; if you trust them, ask"
-            " their owner why the file was changed.",
-        )
+        return FiptError("package-hash.pip-error", mismatch=progress.mismatch)
     if wheels is not None:
-        return FiptError(
-            "wheels-missing",
-            f"The folder of wheels {wheels} does not contain all packages: {reason}",
-            "Fill it again with the command from Copy Download Command, on a machine with network access.",
-        )
+        return FiptError("wheels-missing.pip-error", wheels=wheels, reason=reason)
     if progress.offline:
-        return FiptError(
-            "network-missing",
-            f"The engine's packages could not be downloaded: {reason}",
-            "Check the network and the proxy (HTTPS_PROXY), or install from a folder of wheels; then set up"
-            " again. Finished downloads are kept.",
-        )
-    return FiptError(
-        "packages-failed",
-        f"The engine's packages could not be installed: {reason}",
-        "See the log. If your studio uses its own package index, make sure that it has these packages.",
-    )
+        return FiptError("network-missing", reason=reason)
+    return FiptError("packages-failed", reason=reason)
 
 
 def _bytes(size: str) -> float:

@@ -91,11 +91,7 @@ class EngineProcess:
         self._stdout = open_lockable(messages)
         if not try_lock(self._stdout):
             self._stdout.close()
-            raise FiptError(
-                "run-busy",
-                f"Another engine is writing its messages to {messages}.",
-                "Wait until it has finished, or stop it where it was started.",
-            )
+            raise FiptError("run-busy.init", messages=messages)
         with explained_write_errors(messages):
             self._stdout.truncate(0)
         self.log = log
@@ -112,11 +108,7 @@ class EngineProcess:
             self._process = self._start(command, environment)
         except OSError as error:
             self._close()
-            raise FiptError(
-                "engine-missing",
-                f"{command[0]} can't be started ({error.strerror}).",
-                "Choose another interpreter (preferences, --engine-python), or set up the engine again.",
-            ) from error
+            raise FiptError("engine-missing.init", command=command[0], strerror=error.strerror) from error
         if sys.platform != "win32":
             # Not by preexec_fn, which is unsafe in a process with threads such as Blender.
             try:

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ..core.device.cuda import cuda_devices, cuda_driver_version
-from ..core.run.errors import FiptError
+from ..core.run.errors import FiptError, Problem
 from ..core.run.lock import hold
 from ..core.run.messages import Reporter, claim_stdout
 from ..core.run.runfolder import RunFolder, explained_write_errors
@@ -65,11 +65,7 @@ def make_plans(data: Path, device: str, wheels: Path | None) -> list[Plan]:
     if wheels is not None:
         versions = pins.wheel_pythons(wheels, groups)
         if not versions:
-            raise FiptError(
-                "wheels-missing",
-                f"The folder {wheels} does not contain the wheels that this version needs.",
-                "Fill it with the command from Copy Download Command, on a machine with network access.",
-            )
+            raise FiptError("wheels-missing.make-plans", wheels=wheels)
     key = plan_key(groups["engine"], groups.get("lock", []), torch)
     # An environment that another Blender's Python has made is as good as one of this Python.
     existing = pins.managed_environments(data)
@@ -94,11 +90,7 @@ def make_plans(data: Path, device: str, wheels: Path | None) -> list[Plan]:
     if not plans:
         listed = " or ".join(f"{major}.{minor}" for major, minor in versions)
         source = "The wheels are" if wheels else "The engine's packages exist"
-        raise FiptError(
-            "python-unfit",
-            f"{source} for Python {listed}, which this machine does not have.",
-            f"Install Python {listed} from your system or from the Python project, and set up again.",
-        )
+        raise FiptError("python-unfit.make-plans", source=source, listed=listed)
     return list(plans.values())
 
 
@@ -135,7 +127,7 @@ def run(arguments: argparse.Namespace, reporter: SetupReporter) -> None:
             except FiptError as error:
                 if error.code != "python-unfit" or plan is last:
                     raise
-                reporter.warning(error.code, error.text, "Another Python will be tried.")
+                reporter.warn(Problem(error.code, error.text, "Another Python will be tried."))
                 continue
             data = {"folder": str(plan.folder), "python": str(plan.python), "torch": plan.torch}
             reporter.done([str(plan.python)], data)

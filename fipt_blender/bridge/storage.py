@@ -107,13 +107,9 @@ def delete(item: Item, data: Path, used: Sequence[Path]) -> Iterator[None]:
     """
     known = {existing.folder: existing for existing in list_items(data)}
     if item.folder not in known:
-        raise FiptError(
-            "run-foreign",
-            f"{item.folder} is neither a run nor an environment of this add-on.",
-            "Delete it yourself if you do not need it.",
-        )
+        raise FiptError("run-foreign.delete", folder=item.folder)
     if reason := why_in_use(known[item.folder], used):
-        raise FiptError("run-busy", f"{item.folder} is kept: {reason}.", "Try again later.")
+        raise FiptError("run-busy.delete", folder=item.folder, reason=reason)
     yield from delete_folder(item.folder)
 
 
@@ -137,9 +133,7 @@ def delete_folder(folder: Path) -> Iterator[None]:
         folder.rmdir()
     except OSError as error:
         raise FiptError(
-            "run-unwritable",
-            f"{error.filename or folder} can't be deleted ({error.strerror}).",
-            "Close programs that use it, or delete it yourself.",
+            "run-unwritable.delete-folder", filename=error.filename or folder, strerror=error.strerror
         ) from error
 
 

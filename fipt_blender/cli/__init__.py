@@ -73,12 +73,11 @@ def _export(arguments: argparse.Namespace) -> int:
     blend = arguments.blend.absolute()
     try:
         if not blend.is_file():
-            raise FiptError("file-missing", f"{blend} does not exist.", "Give a .blend file with results.")
+            raise FiptError("file-missing.export", blend=blend)
         try:
             bpy.ops.wm.open_mainfile(filepath=str(blend), load_ui=False, use_scripts=False)
         except RuntimeError as error:
-            text = f"{blend} can't be opened ({str(error).strip()})."
-            raise FiptError("file-damaged", text, "Give a .blend file with results.") from None
+            raise FiptError("file-damaged.export", blend=blend, error=str(error).strip()) from None
         path, options = arguments.file.absolute(), (arguments.texture_size, arguments.lamp_lights)
         exported = export_room(bpy.context.scene, path, *options)
     except FiptError as error:

@@ -105,7 +105,7 @@ def make_options(arguments: argparse.Namespace) -> MainJobOptions:
     for text in arguments.set:
         name, equals, value = text.partition("=")
         if not equals:
-            raise FiptError("option-invalid", f"'--set {text}' has no '='.", "Write --set NAME=VALUE.")
+            raise FiptError("option-invalid.make-options", text=text)
         changes[name.strip()] = value.strip()
     for name in ("device", "seed", "rounds", "force"):
         if getattr(arguments, name) is not None:

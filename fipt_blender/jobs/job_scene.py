@@ -43,11 +43,7 @@ def scene_context(scene_name: str, run_folder: Path) -> Iterator[None]:
         return
     scene = find_scene(scene_name, run_folder)
     if scene is None:
-        raise FiptError(
-            "scene-gone",
-            f"The scene '{scene_name}' of this job is no longer open.",
-            "Open its file again and resume.",
-        )
+        raise FiptError("scene-gone", scene_name=scene_name)
     windows = list(bpy.context.window_manager.windows)
     window = next((window for window in windows if window.scene == scene), windows[0] if windows else None)
     override: dict[str, object] = {"scene": scene}

@@ -62,7 +62,7 @@ def _existing(path: Path | None) -> list[Hint] | None:
     if path is None:
         return None
     if not path.is_file():
-        raise FiptError("hints-missing", f"{path} does not exist.", "Name an existing file of hints.")
+        raise FiptError("hints-missing", path=path)
     return read_hints(path)
 
 

@@ -75,21 +75,9 @@ def check_options(options: MainJobOptions) -> None:
         FiptError: see ``make_main_job``.
     """
     if not options.capture.exists():
-        raise FiptError(
-            "capture-missing",
-            f"The capture {options.capture} does not exist.",
-            "Give the capture's folder or its camera file.",
-        )
+        raise FiptError("capture-missing.check-options", capture=options.capture)
     options.refuse_missing()
     if options.output.exists() and not options.output.is_dir():
-        raise FiptError(
-            "run-foreign",
-            f"{options.output} is a file.",
-            "Choose a new or empty folder for the output (--output).",
-        )
+        raise FiptError("run-foreign.check-options", output=options.output)
     if options.output.resolve() == options.capture.resolve():
-        raise FiptError(
-            "output-inside-capture",
-            f"The output folder {options.output} is the capture itself.",
-            "Choose a new or empty folder for the output (--output).",
-        )
+        raise FiptError("output-inside-capture", output=options.output)

@@ -76,13 +76,7 @@ class RoomSteps:
         """
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True, load_ui=False)
         if not read_capture(self._run.capture_json).mesh:
-            raise FiptError(
-                "mesh-missing",
-                "No mesh of the room was found beside the cameras: there is none, or there are several.",
-                "Give the room's mesh file (--mesh) or a capture with depth images: RealityScan and Meshroom"
-                " make a mesh of photographs, Polycam scans with a phone. Or model the room in Blender over"
-                " the photographs: there it becomes the room by From Selection.",
-            )
+            raise FiptError("mesh-missing.import-room-3")
         show_options(bpy.context.scene, self._options, self._run)
         source = str(capture_source(self._options.capture.absolute()))
         return (yield from import_capture(self._run, source))

@@ -74,11 +74,7 @@ def start(job: Job, on_end: Callable[[Job], None] | None = None) -> Job:
     """
     global _active
     if _active is not None:
-        raise FiptError(
-            "job-running",
-            f"'{_active.job.title}' is still running.",
-            "Wait for its end, or cancel it first.",
-        )
+        raise FiptError("job-running.start", title=_active.job.title)
     job.around = lambda: scene_context(job.scene_name, job.run_folder)
     scene = find_scene(job.scene_name, job.run_folder) if job.scene_name else None
     _active = _Active(job, on_end, bpy.data.filepath, scene.session_uid if scene else 0)

@@ -115,11 +115,7 @@ def export_scene_room(run: RunFolder) -> Slices[list[Message]]:
     scene = bpy.context.scene
     objects = scene.fipt.capture.room_objects(scene)
     if not objects:
-        raise FiptError(
-            "room-missing",
-            "The scene has no room.",
-            "Import the room's mesh or select its collection in the section Capture.",
-        )
+        raise FiptError("room-missing.export-scene-room")
     warnings = not_in_room(scene.fipt.capture.room_members(scene))
     yield from export_room(objects, run, scene.fipt.parts.engine_source, scene.fipt.capture.completed)
     return warnings

@@ -163,8 +163,7 @@ def row_index(rows: Any, index: int, active: int) -> int:
     """
     index = active if index < 0 else index
     if index >= len(rows):
-        text = f"There is no row {index}. The list has {len(rows)}."
-        raise FiptError("row-missing", text, "Use the number of a row, from 0.")
+        raise FiptError("row-missing", index=index, number_of_rows=len(rows))
     return index
 
 
@@ -182,8 +181,3 @@ def file_dialog(self: Any, context: bpy.types.Context, event: bpy.types.Event) -
 def note(text: str) -> dict[str, Any]:
     """A message that is reported as information."""
     return {"type": "note", "text": text}
-
-
-def warning(code: str, text: str, remedy: str = "") -> dict[str, Any]:
-    """A message that is reported as a warning."""
-    return {"type": "warning", "code": code, "text": text, "remedy": remedy}

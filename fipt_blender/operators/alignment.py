@@ -163,7 +163,7 @@ def pick_pair(
 
     item = scene.objects.get(object)
     if item is None or item.type != "MESH":
-        raise FiptError("room-missing", f"There is no mesh object '{object}'.", "Use the name of one.")
+        raise FiptError("room-missing.pick-pair", object=object)
     picked = [(view, *pixel), *([(second_view, *second_pixel)] if second_view else ())]
     add_pair(scene, item, Vector(location), [PickedSight(*sight) for sight in picked])
 

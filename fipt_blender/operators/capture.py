@@ -121,8 +121,7 @@ def set_room(
     if collection:
         room = bpy.data.collections.get(collection)
         if room is None or not any(member.type == "MESH" for member in room.all_objects):
-            text = f"There is no collection '{collection}' with meshes."
-            raise FiptError("room-missing", text, "Name another one.")
+            raise FiptError("room-missing.set-room", collection=collection)
         settings.room = room
         left_out = importing.not_in_room(room.all_objects)
     else:
@@ -132,7 +131,7 @@ def set_room(
         if not meshes:
             advice = [f"{each['text']} {each['remedy']}" for each in left_out]
             remedy = " ".join(advice) or "Select the objects that form the room."
-            raise FiptError("room-missing", "No mesh objects are selected.", remedy)
+            raise FiptError("room-missing.set-room-2", remedy=remedy)
         importing.set_room(context.scene, meshes)
     running.settle("capture", "mesh-missing")
     return [note(_meshes(len(settings.room_objects(context.scene)))), *left_out]
@@ -173,7 +172,7 @@ def look_through(
     if view:
         index = settings.views.find(view)
         if index < 0:
-            raise FiptError("view-missing", f"There is no view '{view}'.", "Use the name of one in the list.")
+            raise FiptError("view-missing.look-through", view=view)
     index = (index + step) % len(settings.views)
     if toggle:
         shown = look.shows_photograph(context.scene, settings.views[index], context)
@@ -324,7 +323,7 @@ def select_added(context: bpy.types.Context) -> None:
 
     first, *others = [item for item in added_surfaces(context.scene) if not item.hide_get()] or [None]
     if first is None:
-        raise FiptError("surfaces-hidden", "All added surfaces are hidden.", "Show them with Alt H.")
+        raise FiptError("surfaces-hidden")
     select_only(context.view_layer, first)
     for item in others:
         item.select_set(True)

@@ -11,12 +11,12 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..core.run.declared import Option
-from ..core.run.errors import FiptError
+from ..core.run.errors import FiptError, warning
 from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
 from ..jobs.window import show_notice
 from ..properties.check import BACKDROPS
-from .action import REGISTER, Messages, action, warning
+from .action import REGISTER, Messages, action
 from .polls import has_results, has_run, in_object_mode, needs, no_job
 
 if TYPE_CHECKING:
@@ -53,9 +53,9 @@ def open_report(scene: bpy.types.Scene) -> None:
     page = Path(bpy.path.abspath(scene.fipt.check.report))
     run = RunFolder(page.parent.parent)
     if page != run.report / "index.html" or not run.run_json.is_file():
-        raise FiptError("report-missing", f"{page} is not the report of a run.", "Write the report again.")
+        raise FiptError("report-missing.open-report", page=page)
     if not page.is_file():
-        raise FiptError("report-missing", f"{page} no longer exists.", "Write the report again.")
+        raise FiptError("report-missing.open-report-2", page=page)
     bpy.ops.wm.url_open(url=page.as_uri())
 
 
@@ -144,11 +144,7 @@ def final_picture(
     if view:
         use_view(scene, find_camera(view, scene))
     if scene.camera is None:
-        raise FiptError(
-            "view-missing",
-            "The scene has no camera.",
-            "Click a view in the section Capture, or add a camera.",
-        )
+        raise FiptError("view-missing.final-picture")
 
     def failed(error: FiptError) -> None:
         show_notice(str(error), "ERROR")
@@ -156,8 +152,7 @@ def final_picture(
     take_picture(scene, RunFolder(bpy.path.abspath(scene.fipt.run_folder)), failed)
     if can_denoise():
         return []
-    text, remedy = "This Blender was built without its denoiser; the render is noisy.", "Raise the samples."
-    return [warning("denoise-missing", text, remedy)]
+    return [warning("denoise-missing")]
 
 
 @action("Set Render Settings", needs=(has_results,))
@@ -183,7 +178,7 @@ def open_picture(context: bpy.types.Context) -> None:
     path = Path(context.scene.fipt.insert.picture)
     image = load_picture(path)
     if image is None:
-        raise FiptError("image-missing", f"{path} no longer exists.", "Render the view again.")
+        raise FiptError("image-missing.open-picture", path=path)
     open_editor(context, image)
 
 

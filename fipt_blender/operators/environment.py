@@ -15,11 +15,11 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
 from ..core.run.declared import Option
-from ..core.run.errors import FiptError
+from ..core.run.errors import FiptError, message
 from ..jobs import running
 from ..jobs.tasks import Task
 from ..panels.sidebar import size_text
-from .action import HIDDEN, REGISTER, Action, action, warning
+from .action import HIDDEN, REGISTER, Action, action
 from .polls import needs, no_job
 
 if TYPE_CHECKING:
@@ -73,11 +73,7 @@ def set_up_engine(
         values, data = machine.get_preferences(), machine.data_folder()
         wheels = Path(bpy.path.abspath(values.wheel_folder)) if values.wheel_folder else None
         if wheels is not None and not wheels.is_dir():
-            raise FiptError(
-                "wheels-missing",
-                f"The folder {wheels} does not exist.",
-                "Select another folder as Folder of Wheels.",
-            )
+            raise FiptError("wheels-missing.steps", wheels=wheels)
         return [set_up_step(Path(sys.executable), data, values.device, wheels), check_step()]
 
     return data_task("Set Up Engine", steps, partial(store_status, set_up=True))
@@ -200,11 +196,7 @@ def _clearing(names: str) -> Step:
     chosen = [name.strip() for name in names.split(";") if name.strip()] if names else unused
     unknown = [name for name in chosen if name not in stored]
     if unknown:
-        raise FiptError(
-            "run-foreign",
-            f"There is no run and no environment named {', '.join(unknown)} in {data}.",
-            "Use names that the dialog Clear Cached Data lists.",
-        )
+        raise FiptError("run-foreign.clearing", unknown=", ".join(unknown), data=data)
     if any(stored[name].current for name in chosen):
         machine.store_status({})
 
@@ -215,7 +207,7 @@ def _clearing(names: str) -> Step:
                 for _ in storage.delete(stored[name], data, used):
                     yield index / len(chosen)
             except FiptError as error:
-                warnings.append(warning(error.code, error.text, error.remedy))
+                warnings.append(message("warning", error))
         return warnings
 
     return Step("clear", "Deleting cached data", 5.0, function=clear)

@@ -14,11 +14,12 @@ from bpy.app.translations import pgettext_iface as iface_
 from .. import machine
 from ..api import applying, estimating
 from ..core.run.declared import Option
+from ..core.run.errors import warning
 from ..core.run.runfolder import RunFolder, explained_write_errors
 from ..core.run.settings import PRESETS
 from ..jobs import running
 from ..jobs.tasks import Task
-from .action import HIDDEN, REGISTER, UNDO, Action, Messages, action, note, warning
+from .action import HIDDEN, REGISTER, UNDO, Action, Messages, action, note
 from .polls import has_no_capture, has_run, in_object_mode, needs, no_job, run_state
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def notice(
     level: Annotated[str, Option('"INFO" or "WARNING"', shown=HIDDEN)] = "INFO",
 ) -> Messages:
     """Show a text in the status bar and the Info editor."""
-    return [warning("notice", text) if level == "WARNING" else note(text)]
+    return [warning("notice", text=text) if level == "WARNING" else note(text)]
 
 
 def _stop_or_ask(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

@@ -76,7 +76,7 @@ def export_room(
     from ..blend.export import exporting
 
     if not filepath:
-        raise FiptError("export-file", "No file is chosen.", "Choose the file to write.")
+        raise FiptError("export-file.export-room")
     path = Path(bpy.path.abspath(filepath))
     if path.suffix.lower() not in exporting.SUFFIXES:
         path = path.with_name(path.name + file_format)

@@ -41,7 +41,7 @@ def _clicked(context: bpy.types.Context, ray: PointerRay) -> tuple[bpy.types.Obj
 
     found = surface_on_ray(context.scene, context.evaluated_depsgraph_get(), *ray)
     if found is None:
-        raise FiptError("surface-missing", "There is no surface there.", "Click on the room.")
+        raise FiptError("surface-missing.clicked")
     if context.area is not None:
         context.area.tag_redraw()
     return found
@@ -153,8 +153,7 @@ def hint_on_lamp(
 
     lamp = find_light(scene, light)
     if not is_fixture(lamp):
-        text = f"'{lamp.name}' is a light that was added, not estimated."
-        raise FiptError("fixture-missing", text, "Select a fixture in the list of the section Lights.")
+        raise FiptError("fixture-missing.hint-on-lamp", name=lamp.name)
     exchange.hint_on_lamp(scene, lamp, emission)
 
 

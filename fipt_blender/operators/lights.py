@@ -12,9 +12,9 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..blend.marks import BAKED, FIXTURE, NEW_LIGHT, fixture_lights, has_light_groups, light_probe
 from ..core.run.declared import Option
-from ..core.run.errors import FiptError
+from ..core.run.errors import FiptError, warning
 from ..properties.lights import FIPT_Light
-from .action import REGISTER, Glob, Messages, action, dialog, file_dialog, note, warning
+from .action import REGISTER, Glob, Messages, action, dialog, file_dialog, note
 from .polls import has_results, in_object_mode, is_own_room, needs
 
 LightName = Annotated[str, "Name of the light. If empty, the active light of the list is used"]
@@ -33,7 +33,7 @@ def find_light(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
         row = next((light for light in rows if name in (light.object.name, light.object.get(FIXTURE))), None)
     if row is None or not row.is_here():
         text = f"There is no light '{name}' in the list." if name else "No light is selected."
-        raise FiptError("fixture-missing", text, "Select a light in the list of the section Lights.")
+        raise FiptError("fixture-missing.find-light", text=text)
     return row.object
 
 
@@ -45,8 +45,7 @@ def find_fixture(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     """
     fixture = find_light(scene, name)
     if FIXTURE not in fixture:
-        text = f"'{fixture.name}' is not an estimated fixture."
-        raise FiptError("fixture-missing", text, "Select a fixture in the list of the section Lights.")
+        raise FiptError("fixture-missing.find-fixture", name=fixture.name)
     return fixture
 
 
@@ -93,7 +92,7 @@ def select_light(
     layer = context.view_layer
     item = find_light(context.scene, light)
     if not item.visible_get(view_layer=layer):
-        raise FiptError("light-hidden", f"'{item.name}' is hidden.", "Show it in the Outliner.")
+        raise FiptError("light-hidden", name=item.name)
     select_only(layer, item)
     if frame and not bpy.app.background and context.area and context.area.type == "VIEW_3D":
         region = next(region for region in context.area.regions if region.type == "WINDOW")
@@ -112,8 +111,7 @@ def fixture_to_area_light(scene: bpy.types.Scene, fixture: LightName = "") -> st
     lights, exact = fixture_to_lights(scene, item)
     if exact:
         return iface_("Converted to {} Blender lights").format(len(lights))
-    text = iface_("The shape of '{}' is approximated by Blender lights; its total power is the same")
-    return [warning("lights-approximate", text.format(item.name))]
+    return [warning("lights-approximate", name=item.name)]
 
 
 @action("Convert Back", needs=own_lights)
@@ -144,8 +142,7 @@ def make_light_groups(context: bpy.types.Context) -> Messages:
     names = light_groups.make_light_groups(context.scene, context.view_layer)
     messages = [note(iface_("Light groups: {}").format(", ".join(names)))]
     if ungrouped := lights_outside_groups(context.scene):
-        text = iface_("Not in any light group, so missing from the sum of the passes: {}")
-        messages.append(warning("lights-ungrouped", text.format(", ".join(ungrouped))))
+        messages.append(warning("lights-ungrouped", lights=", ".join(ungrouped)))
     return messages
 
 
@@ -254,7 +251,7 @@ def _index(scene: bpy.types.Scene, state: str) -> int:
     index = settings.states.find(state) if state else settings.active_state
     if not 0 <= index < len(settings.states):
         text = f"There is no light state '{state}'." if state else "No light state is selected."
-        raise FiptError("state-missing", text, "Select a state in the list Light States.")
+        raise FiptError("state-missing", text=text)
     return int(index)
 
 
@@ -267,8 +264,7 @@ def _blender_lights(scene: bpy.types.Scene, name: str) -> list[bpy.types.Object]
     item = find_light(scene, name)
     lights = [item] if NEW_LIGHT in item and item.type == "LIGHT" else fixture_lights(item)
     if not lights:
-        text = f"The surface of '{item.name}' emits by itself."
-        raise FiptError("fixture-emits", text, "Use Convert to Blender Light first.")
+        raise FiptError("fixture-emits", name=item.name)
     return lights
 
 
@@ -336,8 +332,7 @@ def prepare_eevee(
 def bake_probe(context: bpy.types.Context) -> None:
     """Bake the light probe volume again, after a change of the lights."""
     if bpy.app.background:
-        text, remedy = "EEVEE bakes light probes only in a window.", "Open the file in Blender's window."
-        raise FiptError("window-missing", text, remedy)
+        raise FiptError("window-missing")
     _bake(context)
 
 

@@ -12,10 +12,10 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..api import applying
 from ..core.run.declared import Option
-from ..core.run.errors import FiptError
+from ..core.run.errors import FiptError, warning
 from ..jobs.tasks import Task
 from ..properties.materials import SHOWN
-from .action import Messages, action, dialog, file_dialog, note, warning
+from .action import Messages, action, dialog, file_dialog, note
 from .pointer import PicksAlongRay, PointerRay
 from .polls import has_results, in_object_mode, is_own_room, needs, no_job
 
@@ -61,8 +61,7 @@ def revert(
     restored, hidden = reverting.revert(scene, new_lights)
     messages = [note(iface_("{} objects restored").format(len(restored)))]
     if hidden:
-        text = iface_("Hidden, since the restored meshes hold the faces that were separated: {}")
-        messages.insert(0, warning("faces-hidden", text.format(list_names(hidden))))
+        messages.insert(0, warning("faces-hidden", objects=list_names(hidden)))
     return messages
 
 
@@ -79,12 +78,11 @@ def collect_room(
     from ..blend import collecting
 
     if not directory:
-        raise FiptError("export-file", "No folder is chosen.", "Choose a folder.")
+        raise FiptError("export-file.collect-room")
     path, left = collecting.collect_room(Path(bpy.path.abspath(directory)))
     messages = [note(iface_("{} written").format(path))]
     if left:
-        text = iface_("{} other files stay where they are, the first is {}")
-        messages.insert(0, warning("files-left", text.format(len(left), left[0])))
+        messages.insert(0, warning("files-left", count=len(left), first=left[0]))
     return messages
 
 
@@ -94,7 +92,7 @@ def use_cycles(scene: bpy.types.Scene) -> None:
     from ..blend.render_settings import set_once
 
     if not set_once(scene, {"render.engine": "CYCLES"}, again=True):
-        raise FiptError("cycles-missing", "Cycles is disabled.", "Enable its add-on in the preferences.")
+        raise FiptError("cycles-missing")
 
 
 _has_parts = (
@@ -122,7 +120,7 @@ def pick_part(context: bpy.types.Context, ray: PointerRay) -> None:
     rows = context.scene.fipt.materials.parts
     index = next((i for i, row in enumerate(rows) if key and row.key == key), None)
     if index is None:
-        raise FiptError("surface-missing", "There is no estimated surface there.", "Click on the room.")
+        raise FiptError("surface-missing.pick-part")
     context.scene.fipt.materials.active_part = index
     if context.area is not None:
         context.area.tag_redraw()
@@ -138,7 +136,7 @@ def select_part_faces(
 
     part = context.scene.fipt.materials.part()
     if part is None:
-        raise FiptError("part-missing", "No part is chosen.", "Choose a part in the list first.")
+        raise FiptError("part-missing.select-part-faces")
     select_faces(context.scene, context.view_layer, part.key)
     if edit:
         context.tool_settings.mesh_select_mode = (False, False, True)
@@ -155,8 +153,7 @@ def set_part_color(
 
     part = scene.fipt.materials.part()
     if part is None or not part.known:
-        text = "No part is chosen whose colors are known."
-        raise FiptError("part-missing", text, "Choose a part in the list that photographs saw.")
+        raise FiptError("part-missing.set-part-color")
     part.color = named_color(color)
     return iface_("{} has the color {}").format(part.name, color)
 
@@ -196,7 +193,7 @@ def replace_part_material(
     part, chosen = scene.fipt.materials.part(), bpy.data.materials.get(material)
     if part is None or chosen is None:
         text = f"There is no material '{material}'." if part else "No part is chosen."
-        raise FiptError("material-missing", text, "Choose a part in the list and a material of the file.")
+        raise FiptError("material-missing", text=text)
     replace_part(scene, part.key, chosen)
 
 

@@ -53,7 +53,7 @@ def choose_photographs(
     """Choose the folder with the photographs, or some photographs in it."""
     settings, path = scene.fipt.photographs, Path(bpy.path.abspath(folder))
     if not folder or not path.is_dir():
-        raise FiptError("photographs-missing", "No folder is chosen.", "Choose an existing folder.")
+        raise FiptError("photographs-missing.choose-photographs")
     settings.path, settings.chosen = str(path), "\n".join(names)
     settings.groups.clear()
 
@@ -214,7 +214,7 @@ def open_photographs_report(scene: bpy.types.Scene) -> None:
     folder = scene.fipt.photographs.capture_folder()
     page = None if folder is None else folder / "report" / "index.html"
     if page is None or not page.is_file():
-        raise FiptError("report-missing", "There is no report yet.", "Use Make Capture first.")
+        raise FiptError("report-missing.open-photographs-report")
     bpy.ops.wm.url_open(url=page.as_uri())
 
 
@@ -227,9 +227,8 @@ def _photographs(settings: FIPT_PhotographsSettings) -> Path:
     folder = Path(bpy.path.abspath(settings.path)).absolute()
     if not settings.path or not folder.is_dir():
         raise FiptError(
-            "photographs-missing",
-            f"The folder {folder} does not exist." if settings.path else "No folder is chosen.",
-            "Choose the folder of the photographs.",
+            "photographs-missing.photographs",
+            value=f"The folder {folder} does not exist." if settings.path else "No folder is chosen.",
         )
     return folder
 
@@ -249,11 +248,7 @@ def _write_groups(settings: FIPT_PhotographsSettings, folder: PreparationFolder)
     there, wanted = digest(preparation.groups), digest(groups)
     if there != settings.listed and (str(folder.root), there) not in _written:
         list_groups(settings, folder)
-        raise FiptError(
-            "brackets-changed",
-            f"The groups in {folder.prepare_json} are not those that were listed.",
-            "The list now shows the file's groups. Check them, and use Make Capture again.",
-        )
+        raise FiptError("brackets-changed", prepare_json=folder.prepare_json)
     if there != wanted:
         write_preparation(folder, replace(preparation, groups=tuple(groups)))
     _written.add((str(folder.root), wanted))
@@ -328,9 +323,9 @@ def pick_scale_points(
 
     settings = scene.fipt.photographs
     if view not in settings.groups:
-        raise FiptError("scale-view", f"There is no group '{view}'.", "Name one of the list.")
+        raise FiptError("scale-view.pick-scale-points", view=view)
     if points[:2] == points[2:]:
-        raise FiptError("scale-point", "The two picked points are the same.", "Pick two points.")
+        raise FiptError("scale-point.pick-scale-points")
     before = settings.scale_picks if extend else ""
     settings.scale_picks = with_picks(before, view, points[:2], points[2:])
     settings.scale = "points"
@@ -347,7 +342,7 @@ def _merged(settings: FIPT_PhotographsSettings) -> str:
         path = PreparationFolder(folder).image(Group(settings.groups[settings.active_group].name, ()))
         if path.is_file():
             return str(path)
-    raise FiptError("image-missing", "The active group is not merged yet.", "Use Make Capture first.")
+    raise FiptError("image-missing.merged")
 
 
 def _image_editor(context: bpy.types.Context) -> bpy.types.Area | None:

@@ -23,7 +23,7 @@ from PIL import Image
 from ..core.capture.encoded import CLIPPED_CODE
 from ..core.capture.images import open_picture
 from ..core.run.contents import Problem
-from ..core.run.errors import FiptError
+from ..core.run.errors import FiptError, problem
 from .exif import DAMAGE
 from .frames import linear_frame, load
 from .motion import LEAST_OVERLAP, grey, log_values, measure, warped
@@ -230,52 +230,26 @@ def remarks(photographs: Sequence[Photograph], groups: Sequence[Group]) -> Itera
     firsts = {name: items[0] for name, items in members.items()}
     unknown = [item.path for items in members.values() for item in items if item.exposure is None]
     if unknown:
-        yield Problem(
-            "exposure-unknown",
-            f"There is no exposure data (EXIF) for {listed(unknown)}.",
-            "Use the files as your camera has written them, which hold it, or untick these groups. The"
-            " exposures can also be written into prepare.json.",
-        )
+        yield problem("exposure-unknown.remarks", unknown=listed(unknown))
     apertures = [name for name, items in members.items() if len({item.aperture for item in items}) > 1]
     if apertures:
-        yield Problem(
-            "aperture-varies",
-            f"The aperture differs within {listed(apertures)}: blur and vignetting differ too.",
-            "Bracket by the shutter time, at one aperture.",
-        )
+        yield problem("aperture-varies", apertures=listed(apertures))
     cameras = Counter(f"{item.make} {item.model}".strip() or "an unknown camera" for item in firsts.values())
     if len(cameras) > 1:
         texts = ", ".join(f"{name} ({count})" for name, count in cameras.most_common())
-        yield Problem(
-            "cameras-mixed",
-            f"The groups are from different cameras: {texts}. Their colors and exposures may not agree.",
-            "Use one camera, or untick the groups of the others.",
-        )
+        yield problem("cameras-mixed", texts=texts)
     edges = {name: frozenset((item.width, item.height)) for name, item in firsts.items()}
     if len(set(edges.values())) > 1:
         usual_edges = Counter(edges.values()).most_common(1)[0][0]
         others = [name for name, each in edges.items() if each != usual_edges]
-        yield Problem(
-            "sizes-mixed",
-            f"The size differs from most others in {listed(others)}: they may be frames of videos or crops.",
-            "Untick these groups if they don't belong to the capture.",
-        )
+        yield problem("sizes-mixed", others=listed(others))
     sizes = Counter(len(items) for items in members.values())
     usual = max(sizes, key=lambda size: (sizes[size], size), default=1)
     odd = [name for name, items in members.items() if len(items) < usual]
     if odd:
-        yield Problem(
-            "bracket-incomplete",
-            f"Most groups have {usual} exposures; there are fewer in {listed(odd)}.",
-            "Correct the groups, or untick those that are no brackets.",
-        )
+        yield problem("bracket-incomplete", usual=usual, odd=listed(odd))
     if members and usual == 1 and not any(item.kind == "linear" for item in firsts.values()):
-        yield Problem(
-            "no-brackets",
-            "Most photographs are single exposures: bright windows and lamps are clipped in them, and"
-            " will be too dim.",
-            "Take brackets, or group the photographs by folders or by hand.",
-        )
+        yield problem("no-brackets")
 
 
 def listed(names: Sequence[str]) -> str:

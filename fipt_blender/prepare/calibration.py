@@ -128,11 +128,7 @@ def calibrate(
     groups = [preparation.of(group) for group in preparation.used_groups]
     corrections, largest = correct_exposures(groups, surveys)
     if largest > _DOUBTFUL:
-        reporter.warning(
-            "exposure-doubtful",
-            f"The photographs' brightness departs from their exposure data by up to {100 * largest:.0f} %.",
-            "Flickering light, automatic ISO and edited files have this effect: leave such groups out.",
-        )
+        reporter.warning("exposure-doubtful", largest=100 * largest)
     photographs = {item.path: item for items in groups for item in items}
     for path, item in photographs.items():
         if item.exposure is not None:
@@ -179,12 +175,7 @@ def _curve(
     try:
         response = recover_response(samples, exposures)
     except (ValueError, np.linalg.LinAlgError):
-        reporter.warning(
-            "response-unknown",
-            "The camera's response can't be recovered without brackets; sRGB's is assumed, and radiance"
-            " may be wrong by tens of percent.",
-            "Take brackets or RAW photographs.",
-        )
+        reporter.warning("response-unknown")
         return srgb_curve(), None
     return response.curve, response
 

@@ -70,22 +70,16 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     folder, photographs = PreparationFolder(arguments.run), arguments.photographs.absolute()
     wrong = next((text for text in arguments.set if "=" not in text), None)
     if wrong is not None:
-        raise FiptError("option-invalid", f"'--set {wrong}' has no '='.", "Write it as NAME=VALUE.")
+        raise FiptError("option-invalid.run", wrong=wrong)
     parts = [text.partition("=") for text in arguments.set]
     changes = {name.strip(): value.strip() for name, _, value in parts}
     if not photographs.is_dir():
-        raise FiptError(
-            "photographs-missing", f"The folder {photographs} does not exist.", "Choose another folder."
-        )
+        raise FiptError("photographs-missing.run", photographs=photographs)
     refuse_foreign(folder, photographs)
     is_new = not folder.prepare_json.exists()
     preparation = Preparation(photographs, (), ()) if is_new else read_preparation(folder)
     if preparation.source != photographs:
-        raise FiptError(
-            "capture-foreign",
-            f"{folder.root} was prepared from other photographs, in {preparation.source}.",
-            "Choose another folder for the capture, or those photographs.",
-        )
+        raise FiptError("capture-foreign.run", root=folder.root, source=preparation.source)
     settings = make_prepare_settings({**asdict(preparation.settings), **changes})
     with explained_write_errors(folder.root):
         folder.stage.mkdir(parents=True, exist_ok=True)
@@ -105,9 +99,7 @@ def choose_steps(names: str) -> list[str]:
     wanted = [name.strip() for name in names.split(",") if name.strip()] or list(STEPS)
     unknown = [name for name in wanted if name not in STEPS]
     if unknown:
-        raise FiptError(
-            "option-invalid", f"There is no step '{unknown[0]}'.", f"Use some of: {', '.join(STEPS)}."
-        )
+        raise FiptError("option-invalid.choose-steps", unknown=unknown[0], steps=", ".join(STEPS))
     return [name for name in STEPS if name in wanted]
 
 
@@ -142,7 +134,7 @@ def _run_step(folder: PreparationFolder, name: str, reporter: Reporter) -> None:
     done = optional_document(path, FinishedStep)
     if done is not None and done.key == key:
         for message in done.messages:
-            reporter.warning(message.code, message.text, message.remedy)
+            reporter.warn(message)
         reporter.skip()
         return
     reporter.stage(name, STEPS[name][1])

@@ -81,11 +81,7 @@ def unreadable(path: Path, reason: object) -> FiptError:
     """The error for a photograph that can't be read."""
     if isinstance(reason, rawpy.LibRawError) and reason.args and isinstance(reason.args[0], bytes):
         reason = reason.args[0].decode(errors="replace")
-    return FiptError(
-        "photograph-unreadable",
-        f"{path} can't be read ({reason}).",
-        "Copy it from the camera again, or remove it from the folder.",
-    )
+    return FiptError("photograph-unreadable", path=path, reason=reason)
 
 
 def _photograph(name: str, kind: str, size: tuple[int, int], tags: Mapping[str, Any]) -> Photograph:

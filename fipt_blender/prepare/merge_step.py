@@ -72,23 +72,13 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
 
 def _check(preparation: Preparation, groups: Sequence[Group]) -> None:
     if not groups:
-        raise FiptError(
-            "no-photographs", "No group of photographs is used.", "Find the brackets, and tick some groups."
-        )
+        raise FiptError("no-photographs.check")
     for group in groups:
         items = preparation.of(group)
         if len(items) > 1 and any(item.exposure is None for item in items):
-            raise FiptError(
-                "exposure-unknown",
-                f"The group '{group.name}' has photographs without exposure data (EXIF).",
-                "Enter their exposures in prepare.json, split the group, or untick it.",
-            )
+            raise FiptError("exposure-unknown.check", name=group.name)
         if len({(item.kind, item.upright_size, item.orientation) for item in items}) > 1:
-            raise FiptError(
-                "bracket-mixed",
-                f"The photographs of the group '{group.name}' differ in format, size or orientation.",
-                "Correct the group: all exposures of a view must come from one camera that is held alike.",
-            )
+            raise FiptError("bracket-mixed", name=group.name)
 
 
 def merged_group(
@@ -183,15 +173,8 @@ def _warn(reporter: Reporter, entries: Sequence[MergedImage]) -> None:
     clipped = [entry.name for entry in entries if (entry.clipped_share or 0.0) > MUCH_CLIPPED]
     if clipped:
         reporter.warning(
-            "clipped",
-            f"{len(clipped)} of {len(entries)} views are clipped even in their darkest photograph, such as"
-            f" '{clipped[0]}': lamps and windows will be too dim there.",
-            "Take darker exposures as well; the folder 'clipped' shows the places.",
+            "clipped", number_of_clipped=len(clipped), number_of_entries=len(entries), clipped=clipped[0]
         )
     left_out = [name for entry in entries for name in entry.left_out]
     if left_out:
-        reporter.warning(
-            "exposures-left-out",
-            f"{listed(left_out)}: left out, as they don't show what the others of their group show.",
-            "Correct the groups.",
-        )
+        reporter.warning("exposures-left-out", left_out=listed(left_out))

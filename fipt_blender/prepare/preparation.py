@@ -259,11 +259,7 @@ def split_group(groups: Sequence[Group], index: int, at: int) -> list[Group]:
     """
     group = groups[index]
     if not 0 < at < len(group.photographs):
-        raise FiptError(
-            "group-not-split",
-            f"The group '{group.name}' can't be split before its first photograph.",
-            "Select the photograph that begins the second group.",
-        )
+        raise FiptError("group-not-split", name=group.name)
     name = free_name(PurePath(group.photographs[at]).stem, {other.name.casefold() for other in groups})
     first = replace(group, photographs=group.photographs[:at])
     second = replace(group, name=name, photographs=group.photographs[at:])
@@ -277,9 +273,7 @@ def merge_groups(groups: Sequence[Group], index: int) -> list[Group]:
         FiptError: ``group-not-merged`` for the last group.
     """
     if not 0 <= index < len(groups) - 1:
-        raise FiptError(
-            "group-not-merged", "There is no group after this one.", "Select the first of the two groups."
-        )
+        raise FiptError("group-not-merged")
     first, second = groups[index], groups[index + 1]
     merged = replace(
         first, photographs=(*first.photographs, *second.photographs), used=first.used or second.used
@@ -325,14 +319,12 @@ def read_preparation(folder: PreparationFolder) -> Preparation:
     data = read_document(folder.prepare_json, _Document, _REMEDY)
     fault = _fault(Path(data.source), data.photographs, data.groups)
     if fault:
-        raise FiptError("file-damaged", f"{folder.prepare_json} can't be used: {fault}.", _REMEDY)
+        raise FiptError("file-damaged.read-preparation", prepare_json=folder.prepare_json, fault=fault)
     settings = make_prepare_settings(data.settings)
     for path in (data.source, settings.cameras):
         if is_network(path):
             raise FiptError(
-                "path-network",
-                f"{folder.prepare_json} names {path[:200]}, which is on another computer.",
-                "Map the network folder to a drive letter, or copy it to your own disk; then start anew.",
+                "path-network.read-preparation", prepare_json=folder.prepare_json, path=path[:200]
             )
     return Preparation(Path(data.source), data.photographs, data.groups, settings)
 
@@ -368,14 +360,6 @@ def refuse_foreign(folder: PreparationFolder, photographs: Path) -> None:
         return
     own = {"messages", "log.txt", "engine.lock", "stage"}
     if folder.root.is_dir() and {path.name for path in folder.root.iterdir()} - own:
-        raise FiptError(
-            "capture-foreign",
-            f"The folder {folder.root} is not empty, and no capture was prepared in it.",
-            "Choose a new or empty folder for the capture.",
-        )
+        raise FiptError("capture-foreign.refuse-foreign", root=folder.root)
     if folder.root.is_relative_to(photographs):
-        raise FiptError(
-            "capture-foreign",
-            f"The capture's folder {folder.root} is inside the photographs' folder.",
-            "Choose a folder elsewhere, so that merged images are not taken for photographs.",
-        )
+        raise FiptError("capture-foreign.refuse-foreign-2", root=folder.root)

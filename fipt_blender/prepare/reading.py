@@ -66,9 +66,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     skipped = (*damaged, *copies, *maps, *panoramas)
     if not photographs:
         raise FiptError(
-            "no-photographs",
-            f"None of the {len(skipped)} photographs in {source} can be read; the first: {skipped[0].reason}",
-            "Copy them from the camera again, or export them in another format.",
+            "no-photographs.run", number_of_skipped=len(skipped), source=source, reason=skipped[0].reason
         )
     # Exposures that the header lacks may be in prepare.json.
     entered = {item.path: item.exposure for item in preparation.photographs}
@@ -77,28 +75,21 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     if {path for group in groups for path in group.photographs} != {item.path for item in photographs}:
         groups = find_groups(photographs, preparation.settings.grouping, likeness(source))
     if panoramas:
-        reporter.warning(
-            "panoramas-left-out",
-            f"Left out: {listed([item.name for item in panoramas])}. Equirectangular panoramas can't be"
-            " solved with the other photographs.",
-            "Give the panorama and its place to the import (Import Settings > Advanced > Panorama,"
-            " --panorama), or use an existing solve that has it (COLMAP, Metashape, OpenSfM).",
-        )
+        reporter.warning("panoramas-left-out", panoramas=listed([item.name for item in panoramas]))
     if copies or maps:
         kinds = Counter(item.reason.removeprefix("it is one of the ") for item in maps)
         said = [f"{count} {kind}" for kind, count in kinds.items()]
         said += [f"{len(copies)} JPEGs of RAW photographs or edited copies"] if copies else []
         remedy = "To use them instead, move the others out of the folder."
-        reporter.warning("images-left-out", f"{' and '.join(said)} are left out.", remedy)
+        reporter.warning("images-left-out", said=" and ".join(said), remedy=remedy)
     if damaged:
         reporter.warning(
             "photographs-skipped",
-            f"{listed([item.name for item in damaged])} can't be used: {damaged[0].reason}"
+            value=f"{listed([item.name for item in damaged])} can't be used: {damaged[0].reason}"
             f" {damaged[0].remedy}".strip(),
-            "Copy them from the camera again, or remove them.",
         )
     for remark in remarks(photographs, groups):
-        reporter.warning(remark.code, remark.text, remark.remedy)
+        reporter.warn(remark)
     write_preparation(folder, replace(preparation, photographs=tuple(photographs), groups=tuple(groups)))
     return ReadFacts(skipped, len(photographs), len(groups))
 
@@ -110,9 +101,7 @@ def list_photographs(source: Path) -> list[str]:
         FiptError: ``photographs-missing``, ``no-photographs`` or ``too-many-photographs``.
     """
     if not source.is_dir():
-        raise FiptError(
-            "photographs-missing", f"The folder {source} does not exist.", "Restore it, or choose another."
-        )
+        raise FiptError("photographs-missing.list-photographs", source=source)
     names = []
     for top, folders, files in os.walk(source):
         folders[:] = sorted(name for name in folders if not is_hidden(name))
@@ -120,17 +109,9 @@ def list_photographs(source: Path) -> list[str]:
             if not is_hidden(name) and name.lower().endswith(SUFFIXES):
                 names.append(Path(top, name).relative_to(source).as_posix())
         if len(names) > 20_000:
-            raise FiptError(
-                "too-many-photographs",
-                f"{source} holds more than 20000 photographs.",
-                "Choose the folder of one room.",
-            )
+            raise FiptError("too-many-photographs", source=source)
     if not names:
-        raise FiptError(
-            "no-photographs",
-            f"{source} holds no photographs.",
-            "Choose a folder with RAW, JPEG, TIFF, PNG, WebP, HEIC, EXR or HDR files.",
-        )
+        raise FiptError("no-photographs.list-photographs", source=source)
     return names
 
 

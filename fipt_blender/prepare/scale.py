@@ -71,8 +71,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     unit, doubt = 1.0, None
     if settings.scale in ("points", "marker"):
         if not (np.isfinite(settings.scale_length) and settings.scale_length > 0.0):
-            text = f"The known length is {settings.scale_length:g} m."
-            raise FiptError("scale-length", text, "Give the length in meters, above zero.")
+            raise FiptError("scale-length", scale_length=settings.scale_length)
         if settings.scale == "points":
             length = _picked_length(model, settings.scale_picks)
         else:
@@ -86,12 +85,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
         points = np.array([point.xyz for point in model.points3D.values()]).reshape(-1, 3)
         frame = room_frame(poses(model), points, unit)
     if settings.scale == "none":
-        reporter.warning(
-            "scale-unknown",
-            "The real size of the room is not known: lengths, and the power of lamps, are wrong.",
-            "Give the distance of two points or the size of a printed marker, or align the cameras with "
-            "a mesh in meters after the import.",
-        )
+        reporter.warning("scale-unknown")
     model.transform(pycolmap.Sim3d(frame[:3]))
     write_model(folder.sparse, model)
     known = None if settings.scale == "none" else unit
@@ -147,7 +141,7 @@ def parse_picks(text: str) -> tuple[list[Pick], list[Pick]]:
         if point.strip()
     ]
     if len(points) != 2 or not all(points):
-        raise FiptError("scale-picks", f"The text '{text}' does not name two points.", _PICK_FORM)
+        raise FiptError("scale-picks.parse-picks", text=text)
     return points[0], points[1]
 
 
@@ -156,11 +150,9 @@ def _pick(text: str) -> Pick:
     try:
         pick = Pick(words[0], float(words[1]), float(words[2]))
     except (IndexError, ValueError):
-        raise FiptError(
-            "scale-picks", f"'{text.strip()}' is not a view and a position in it.", _PICK_FORM
-        ) from None
+        raise FiptError("scale-picks.pick-2", text=text.strip()) from None
     if not np.isfinite([pick.x, pick.y]).all():
-        raise FiptError("scale-picks", f"'{text.strip()}' has no finite position.", _PICK_FORM)
+        raise FiptError("scale-picks.pick", text=text.strip())
     return pick
 
 
@@ -182,11 +174,7 @@ def parse_similarity(text: str) -> np.ndarray:
         even = scale > 0.0 and np.abs(linear.T @ linear / scale**2 - np.eye(3)).max() < 1e-3
         if even and (values.size == 12 or np.allclose(values[12:], [0.0, 0.0, 0.0, 1.0])):
             return matrix
-    raise FiptError(
-        "scale-matrix",
-        "The transform from the cameras to the mesh is not a rotation, one scale and a translation.",
-        "Give the 12 or 16 numbers of a 4 x 4 matrix, row by row, without reflection or shear.",
-    )
+    raise FiptError("scale-matrix")
 
 
 def _picked_length(model: pycolmap.Reconstruction, text: str) -> float:
@@ -194,7 +182,7 @@ def _picked_length(model: pycolmap.Reconstruction, text: str) -> float:
     first, second = (_picked_point(model, picks) for picks in parse_picks(text))
     length = float(np.linalg.norm(first - second))
     if length == 0.0:
-        raise FiptError("scale-point", "The two picked points are the same.", "Pick two points.")
+        raise FiptError("scale-point.pick-scale-points")
     return length
 
 
@@ -204,8 +192,7 @@ def _picked_point(model: pycolmap.Reconstruction, picks: list[Pick]) -> np.ndarr
     for pick in picks:
         image = model.find_image_with_name(f"{pick.view}.exr")
         if image is None or not image.has_pose:
-            text = f"The view '{pick.view}' has no camera."
-            raise FiptError("scale-view", text, "Pick the point in a view that has one.")
+            raise FiptError("scale-view.picked-point", view=pick.view)
         images.append(image)
     place = triangulated(images, np.array([[pick.x, pick.y] for pick in picks]))
     return _at_depth(model, images[0], picks[0]) if place is None else place
@@ -218,12 +205,7 @@ def _at_depth(model: pycolmap.Reconstruction, image: pycolmap.Image, pick: Pick)
     reach = _PICK_SHARE * np.hypot(image.camera.width, image.camera.height)
     near = [seen[index] for index in np.argsort(distances)[:5] if distances[index] <= reach]
     if not near:
-        raise FiptError(
-            "scale-point",
-            f"The depth of the point at {pick.x:g}, {pick.y:g} in {pick.view} is not known: no solved point"
-            " is near it.",
-            _PICK_AGAIN,
-        )
+        raise FiptError("scale-point.at-depth", x=pick.x, y=pick.y, view=pick.view)
     pose = image.cam_from_world()
     depth = np.median([(pose * model.points3D[point.point3D_id].xyz)[2] for point in near])
     ray = np.asarray(image.camera.cam_ray_from_img(np.array([[pick.x, pick.y]])))[0]
@@ -250,21 +232,12 @@ def _marker_length(
         if all(place is not None for place in places):
             squares.append(marker_edge(np.array(places)))
     if not squares:
-        raise FiptError(
-            "marker-missing",
-            f"No marker of the dictionary {dictionary} is seen from two positions; "
-            f"{len(seen)} are seen at all.",
-            "Photograph the marker flat, sharp and large from several positions, or pick two points instead.",
-        )
+        raise FiptError("marker-missing", dictionary=dictionary, number_of_seen=len(seen))
     edges, differences = np.array(squares).T
     length = float(np.median(edges))
     difference = float(max(np.abs(edges / length - 1.0).max(), differences.max()))
     if difference > MARKER_TOLERANCE:
-        reporter.warning(
-            "marker-inaccurate",
-            f"Estimates of the marker's edge differ by {100.0 * difference:.0f} %.",
-            "Check that it lies flat and was not moved, and that all markers have the same size.",
-        )
+        reporter.warning("marker-inaccurate", difference=100.0 * difference)
     return length, difference
 
 
@@ -293,11 +266,7 @@ def marker_finder(dictionary: str) -> Callable[[np.ndarray], dict[int, np.ndarra
         FiptError: ``package-optional`` without OpenCV, ``marker-dictionary`` for an unknown dictionary.
     """
     if dictionary not in DICTIONARIES:
-        raise FiptError(
-            "marker-dictionary",
-            f"There is no dictionary of markers '{dictionary}'.",
-            f"Use one of: {', '.join(DICTIONARIES)}.",
-        )
+        raise FiptError("marker-dictionary", dictionary=dictionary, dictionaries=", ".join(DICTIONARIES))
     cv2 = optional("markers", "A printed marker")
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX

@@ -61,11 +61,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     groups = preparation.used_groups
     missing = [group.name for group in groups if not folder.image(group).is_file()]
     if missing:
-        raise FiptError(
-            "image-missing",
-            f"{listed(missing)} of the capture's images are not merged yet.",
-            "Run the step merge before the step solve.",
-        )
+        raise FiptError("image-missing.run", missing=listed(missing))
     changed = _write_copies(folder, groups, reporter)
     if preparation.settings.cameras:
         solved = _existing(folder, preparation, reporter)
@@ -96,11 +92,7 @@ def _solve(folder: PreparationFolder, preparation: Preparation, reporter: Report
     for indices in camera_groups(views):
         if len(indices) < FEW_VIEWS < len(views):
             names = listed([views[index].name for index in indices])
-            reporter.warning(
-                "camera-few-views",
-                f"{names}: taken with a camera, focal length or format that no other photograph has.",
-                "Its focal length is less certain. Leave such photographs out, or take more of them.",
-            )
+            reporter.warning("camera-few-views", names=names)
     return solved
 
 
@@ -129,7 +121,7 @@ def _existing(folder: PreparationFolder, preparation: Preparation, reporter: Rep
     """The cameras of an existing solve, in any format that the capture readers know."""
     rig = read_rig(Path(preparation.settings.cameras).absolute(), "auto", CaptureOptions())
     for note in rig.notes:
-        reporter.warning(note.code, note.text, note.remedy)
+        reporter.warn(note)
     wanted = []
     for group in preparation.used_groups:
         width, height = read_size(folder.image(group))
@@ -160,10 +152,8 @@ def _warn(solved: Solve, facts: SolveFacts, count: int, reporter: Reporter) -> N
     if len(solved.sizes) > 1:
         reporter.warning(
             "solve-split",
-            f"The photographs form {len(solved.sizes)} sets that are not connected "
-            f"({', '.join(str(size) for size in solved.sizes)} photographs); only the largest is used.",
-            "Of two rooms, prepare each from its own folder. In one room, take photographs that lead from "
-            "one set to the other.",
+            number_of_sizes=len(solved.sizes),
+            sizes=", ".join(str(size) for size in solved.sizes),
         )
     if solved.left_out:
         names = listed([item.name for item in solved.left_out])
@@ -173,17 +163,16 @@ def _warn(solved: Solve, facts: SolveFacts, count: int, reporter: Reporter) -> N
             remedy = f"The images have {side} pixels, which show few features: set a larger working width."
         reporter.warning(
             "solve-left-out",
-            f"{len(solved.left_out)} of {count} photographs have no camera and are left out: {names}. "
-            f"{solved.left_out[0].name}: {solved.left_out[0].reason}.",
-            f"{remedy} The report lists the reason for each.",
+            number_of_left_out=len(solved.left_out),
+            count=count,
+            names=names,
+            name=solved.left_out[0].name,
+            reason=solved.left_out[0].reason,
+            remedy=remedy,
         )
     error = facts.reprojection_error
     if error is not None and error > POOR_ERROR:
-        reporter.warning(
-            "solve-inaccurate",
-            f"The mean reprojection error is {error:.2f} pixels; a good solve has less than 1.",
-            "Leave blurred photographs out, and use one focal length and focus for all of them.",
-        )
+        reporter.warning("solve-inaccurate", error=error)
 
 
 def write_model(folder: Path, model: pycolmap.Reconstruction) -> None:
@@ -209,8 +198,7 @@ def read_model(folder: Path) -> pycolmap.Reconstruction:
         FiptError: ``file-missing`` or ``rig-damaged``.
     """
     if not (folder / "cameras.bin").is_file():
-        text = f"{folder} holds no solved cameras."
-        raise FiptError("file-missing", text, "Solve the cameras again (step solve).")
+        raise FiptError("file-missing.read-model", folder=folder)
     return colmap.opened(colmap.Model(folder, folder))
 
 
@@ -257,9 +245,11 @@ def model_from_rig(rig: Rig, wanted: list[SolveView]) -> pycolmap.Reconstruction
         if abs(ratio - 1.0) > 0.01:
             raise FiptError(
                 "solve-size",
-                f"The existing solve has {found.width} x {found.height} pixels for {found.name}, but the "
-                f"photograph has {view.width} x {view.height}.",
-                "Use the solve of these photographs, neither cropped nor rotated nor undistorted.",
+                width=found.width,
+                height=found.height,
+                name=found.name,
+                width_2=view.width,
+                height_2=view.height,
             )
         camera.rescale(view.width, view.height)
         model.add_camera_with_trivial_rig(camera)
@@ -267,9 +257,5 @@ def model_from_rig(rig: Rig, wanted: list[SolveView]) -> pycolmap.Reconstruction
         image = pycolmap.Image(name=view.name, camera_id=number, image_id=number)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(world_to_camera))
     if not model.num_images():
-        raise FiptError(
-            "solve-foreign",
-            "The existing solve has none of the photographs: no name agrees.",
-            "Use the solve of these photographs; its images are named like the photographs or the groups.",
-        )
+        raise FiptError("solve-foreign")
     return model

@@ -114,11 +114,7 @@ def solve(folder: Path, views: Sequence[SolveView], seed: int, progress: Progres
             two photographs, ``solve-database`` or ``disk-full`` where the database can't be used.
     """
     if len(views) < 2:
-        raise FiptError(
-            "solve-few",
-            f"Cameras can't be solved from {len(views)} photograph(s).",
-            "Take at least 20 photographs of the room; each shows half of what the one before shows.",
-        )
+        raise FiptError("solve-few", number_of_views=len(views))
     pycolmap.logging.minloglevel = 2  # errors only; the log of a room has 10,000 lines
     pycolmap.set_random_seed(seed)
     database = folder / "database.db"
@@ -257,28 +253,15 @@ def _nothing_solved(connections: Sequence[Connections]) -> FiptError:
     alone = sum(found.partners == 0 for found in connections)
     text = f"No camera could be solved: of {len(connections)} photographs, {alone} match no other one"
     text += f", and {poor} are blurred, dark or show only plain surfaces." if poor else "."
-    return FiptError(
-        "solve-failed",
-        text,
-        "Take photographs from different positions that share half of what they show, or solve the cameras "
-        "in another program and name its folder as the existing solve.",
-    )
+    return FiptError("solve-failed", text=text)
 
 
 def _explained(database: Path, error: RuntimeError) -> FiptError:
     """pycolmap's error as one for the user: it stops at what the database's system says."""
     if "full" in str(error).lower():
-        return FiptError(
-            "disk-full",
-            f"The disk is full; {database} could not be written.",
-            "Free some space and start again; the features and matches found so far are kept.",
-        )
+        return FiptError("disk-full.explained", database=database)
     reason = str(error).strip().splitlines()
-    return FiptError(
-        "solve-database",
-        f"The camera solve stopped with {database} ({reason[-1] if reason else 'no reason given'}).",
-        "Delete this file and start again.",
-    )
+    return FiptError("solve-database", database=database, reason=reason[-1] if reason else "no reason given")
 
 
 def _extract(database: Path, copies: Path, views: Sequence[SolveView], progress: Progress) -> None:

@@ -164,12 +164,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
             continue
         facts.append(LensFacts(name, False, len(groups), "unknown"))
         if preparation.of(groups[0])[0].corrected is None:
-            reporter.warning(
-                "vignetting-unknown",
-                f"The vignetting of {name} is unknown: neither the lens database nor the files, and"
-                " the views have too little in common to measure it.",
-                "Use RAW photographs, switch the camera's correction on, or take views that overlap more.",
-            )
+            reporter.warning("vignetting-unknown", name=name)
     for group in preparation.used_groups:
         _correct(folder.image(group), corrections.get(group.name, np.zeros(TERMS)))
     return VignettingFacts(tuple(facts))

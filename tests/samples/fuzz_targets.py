@@ -42,12 +42,12 @@ def _ingest_with_options(sample: Path, out: Path) -> None:
         options = json.loads((sample / "options.json").read_text())
         given = [f"{key}={value}" for key, value in options.items()]
     except (AttributeError, RecursionError, ValueError) as error:
-        raise FiptError("options", str(error), "Not a fault of the reader.") from None
+        raise FiptError.of("options", str(error), "Not a fault of the reader.") from None
     os.chdir(sample)
     try:
         fuzz_samples.import_sample(sample / "capture", out, *given)
     except SystemExit as error:  # argparse has told what is wrong
-        raise FiptError("options", str(error), "Correct them.") from None
+        raise FiptError.of("options", str(error), "Correct them.") from None
 
 
 def _load_capture(sample: Path, out: Path) -> None:

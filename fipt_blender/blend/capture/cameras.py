@@ -122,11 +122,7 @@ def find_camera(view_name: str, scene: bpy.types.Scene) -> bpy.types.Object:
     """
     camera = view_cameras(scene).get(view_name)
     if camera is None:
-        raise FiptError(
-            "view-missing",
-            f"The scene has no camera for the view '{view_name}'.",
-            "Import the capture's cameras again, or name one of its views.",
-        )
+        raise FiptError("view-missing.find-camera", view_name=view_name)
     return camera
 
 
@@ -143,9 +139,7 @@ def camera_geometry(scene: bpy.types.Scene, camera: bpy.types.Object) -> ViewGeo
     """
     data, render = camera.data, scene.render
     if data.type != "PERSP":
-        raise FiptError(
-            "camera-kind", f"'{camera.name}' is not a perspective camera.", "Look through one that is."
-        )
+        raise FiptError("camera-kind", name=camera.name)
     share = render.resolution_percentage / 100.0
     scene_size = [int(render.resolution_x * share), int(render.resolution_y * share)]
     width, height = (int(value) for value in camera.get(RESOLUTION, scene_size))

@@ -52,8 +52,9 @@ def export_capture(scene: bpy.types.Scene, run: RunFolder) -> int:
         text += f" and have a camera: those of {gone} were deleted" if gone else ""
         raise FiptError(
             "views-few",
-            f"{text}; at least {MIN_VIEWS} are needed.",
-            "Import the capture again, which brings back deleted cameras."
+            text=text,
+            min_views=MIN_VIEWS,
+            value="Import the capture again, which brings back deleted cameras."
             if gone
             else "Tick more views in the list, or change some from Held Back to Estimation.",
         )
@@ -72,11 +73,7 @@ def read_source(run: RunFolder) -> CapturedViews:
     """
     if not run.ingest_json.exists():
         if not run.capture_json.exists():
-            raise FiptError(
-                "capture-missing",
-                "No capture is imported into this scene.",
-                "Import photographs and cameras in the section Capture.",
-            )
+            raise FiptError("capture-missing.read-source")
         write_json(run.ingest_json, read_capture(run.capture_json))
     return read_capture(run.ingest_json)
 
@@ -121,11 +118,7 @@ def selected_views(
         views.append(replace(source_view, **changes))
     if masks is not None and views and not any(view.parts for view in views):
         stem = Path(views[0].image).stem
-        raise FiptError(
-            "parts-folder",
-            f"{masks} holds no mask for any of the {len(views)} views.",
-            f"Name the masks like the photographs: {stem}.png or {stem}.exr.",
-        )
+        raise FiptError("parts-folder.selected-views", masks=masks, number_of_views=len(views), stem=stem)
     return views
 
 
@@ -141,9 +134,10 @@ def part_folder(scene: bpy.types.Scene) -> Path | None:
     folder = Path(bpy.path.abspath(settings.folder)) if settings.folder else None
     if folder is None or not folder.is_dir():
         raise FiptError(
-            "parts-folder",
-            f"The folder of masks {folder} does not exist." if folder else "No folder of masks is chosen.",
-            "Choose the folder in the section Parts, or another source of parts.",
+            "parts-folder.part-folder",
+            value=f"The folder of masks {folder} does not exist."
+            if folder
+            else "No folder of masks is chosen.",
         )
     return folder
 
@@ -160,11 +154,7 @@ def camera_pose(camera: bpy.types.Object) -> np.ndarray:
     unit = axes / np.maximum(lengths, 1e-30)
     uneven = np.ptp(lengths) > _UNEVEN * lengths.mean() or np.abs(unit.T @ unit - np.eye(3)).max() > _UNEVEN
     if uneven or np.linalg.det(unit) < 0.0 or lengths.min() < 1e-20:
-        raise FiptError(
-            "alignment-uneven",
-            f"The camera '{camera.name}' is stretched or mirrored by its parent.",
-            "Scale the alignment by the same positive factor along all axes.",
-        )
+        raise FiptError("alignment-uneven", name=camera.name)
     u, _, vt = np.linalg.svd(unit)
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = u @ vt, matrix[:3, 3]

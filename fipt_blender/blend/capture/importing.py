@@ -19,7 +19,7 @@ from ...bridge.process import Message
 from ...bridge.step import Slices
 from ...core import conventions
 from ...core.run.contents import CapturedViews, UpAxis
-from ...core.run.errors import FiptError
+from ...core.run.errors import FiptError, warning
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder
 from ..image_datablocks import remove_unused_images
@@ -274,18 +274,14 @@ def _import_room(scene: bpy.types.Scene, run: RunFolder, capture: CapturedViews)
         if present:
             return []
         text = "No mesh of the room was found beside the cameras."
-        remedy = (
-            "Press Import Mesh: RealityScan and Meshroom make a mesh of photographs, Polycam scans with a"
-            " phone. Or model the room over the photographs, select its objects and press From Selection."
-        )
-        return [_warning("mesh-missing", text, remedy)]
+        return [warning("mesh-missing.import-room", text=text)]
     path, matrix = run.resolve(capture.mesh), np.array(capture.world_from_source)
     imported = [item for item in present if is_imported(item)]
     if any(item[IMPORTED] == _origin(path, matrix) for item in imported):
         return []
     if len(imported) < len(present):
         text = f"The room is still the {len(present)} meshes chosen before; {path.name} was not imported."
-        return [_warning("mesh-kept", text, "Use Import Mesh to import it.")]
+        return [warning("mesh-kept", text=text)]
     import_mesh(scene, path, matrix)
     return []
 
@@ -300,8 +296,7 @@ def _objects_beside(scene: bpy.types.Scene) -> list[Message]:
     ]
     if not names:
         return []
-    text = f"The scene has objects besides the room, which will be rendered, too: {list_names(names)}."
-    return [_warning("objects-beside", text, "Delete those that do not belong there.")]
+    return [warning("objects-beside", names=list_names(names))]
 
 
 def _origin(path: Path, matrix: np.ndarray) -> str:
@@ -316,10 +311,6 @@ def _remove_cameras(scene: bpy.types.Scene, keep: set[str]) -> None:
             remove_object(item)
 
 
-def _warning(code: str, text: str, remedy: str) -> Message:
-    return {"type": "warning", "code": code, "text": text, "remedy": remedy}
-
-
 def not_in_room(objects: Iterable[bpy.types.Object]) -> list[Message]:
     """Warnings about objects that render surfaces, but are no part of a room that consists of meshes."""
     instances, shapes = [], []
@@ -330,14 +321,11 @@ def not_in_room(objects: Iterable[bpy.types.Object]) -> list[Message]:
             shapes.append(item.name)
     warnings = []
     if instances:
-        text = f"Left out of the room: {_plural(instances, 'collection instance')} ({list_names(instances)})."
-        remedy = "Turn them into meshes with Object > Apply > Make Instances Real, and set the room again."
-        warnings.append(_warning("instances-left-out", text, remedy))
+        kinds = _plural(instances, "collection instance")
+        warnings.append(warning("instances-left-out", kinds=kinds, names=list_names(instances)))
     if shapes:
-        objects_text = _plural(shapes, "curve, text or metaball object")
-        text = f"Left out of the room: {objects_text} ({list_names(shapes)})."
-        remedy = "Turn them into meshes with Object > Convert > Mesh, and set the room again."
-        warnings.append(_warning("shapes-left-out", text, remedy))
+        kinds = _plural(shapes, "curve, text or metaball object")
+        warnings.append(warning("shapes-left-out", kinds=kinds, names=list_names(shapes)))
     return warnings
 
 
@@ -347,8 +335,4 @@ def _plural(names: Sequence[str], noun: str) -> str:
 
 def room_missing() -> FiptError:
     """The error for a scene without a room."""
-    return FiptError(
-        "room-missing",
-        "No meshes are chosen as the room.",
-        "Press Import Mesh, or select the room's objects and press From Selection (Capture > Room).",
-    )
+    return FiptError("room-missing.room-missing")

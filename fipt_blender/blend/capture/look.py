@@ -146,11 +146,7 @@ def enter_camera_on_opening() -> None:
 
 def camera_missing(view: bpy.types.PropertyGroup) -> FiptError:
     """The error for a view whose camera was deleted."""
-    return FiptError(
-        "camera-missing",
-        f"The camera of the view '{view.name}' was deleted.",
-        "Undo that, or import the capture again: existing cameras are kept.",
-    )
+    return FiptError("camera-missing.camera-missing", name=view.name)
 
 
 def view_spaces(context: bpy.types.Context, scene: bpy.types.Scene) -> list[bpy.types.SpaceView3D]:

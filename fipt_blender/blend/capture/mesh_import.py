@@ -67,7 +67,7 @@ def import_room(
     """
     path = Path(path)
     if not path.is_file():
-        raise FiptError("mesh-missing", f"The mesh {path} does not exist.", "Restore it, or choose another.")
+        raise FiptError("mesh-missing.import-room-2", path=path)
     if path.suffix.lower() == ".ply":  # its importer crashes at damaged files
         read_mesh(path)
     return import_meshes(path, world_from_source, scene)
@@ -101,14 +101,10 @@ def import_meshes(
     for item in [other for other in new if wrong or other not in meshes]:
         bpy.data.objects.remove(item)
     if wrong:
-        raise FiptError(
-            "mesh-not-finite",
-            f"{wrong} of {count} vertices of {path} are no numbers or more than {FARTHEST:g} m away.",
-            "Remove these vertices in the program that made the mesh, or check the scale.",
-        )
+        raise FiptError("mesh-not-finite", wrong=wrong, count=count, path=path, farthest=FARTHEST)
     names = [item.name for item in meshes]
     if not names:
-        raise FiptError("mesh-empty", f"{path} holds no faces.", "Choose a file with a triangle mesh.")
+        raise FiptError("mesh-empty.import-meshes", path=path)
     return names
 
 
@@ -161,15 +157,11 @@ def _run_importer(path: Path) -> None:
         if "FINISHED" not in result:
             raise _unreadable(path, "Blender's importer failed")
         return
-    raise FiptError(
-        "mesh-format",
-        f"This Blender can't import {suffix or 'nameless'} files ({path}).",
-        "Export the mesh as OBJ, PLY or glTF.",
-    )
+    raise FiptError("mesh-format", suffix=suffix or "nameless", path=path)
 
 
 def _unreadable(path: Path, reason: str) -> FiptError:
-    return FiptError("mesh-unreadable", f"{path} can't be read ({reason}).", "Export the mesh again.")
+    return FiptError("mesh-unreadable.unreadable", path=path, reason=reason)
 
 
 def mark_turned_edges(mesh: bpy.types.Mesh) -> None:

@@ -51,11 +51,7 @@ def check_mesh_file(path: Path) -> None:
         if path.suffix.lower() in _GLTF:
             _check_scene(_gltf(path))
     except (OSError, ValueError) as error:
-        raise FiptError(
-            "mesh-unreadable",
-            f"The mesh {path} can't be used: {error}.",
-            "Copy or export the file again, or choose another mesh.",
-        ) from None
+        raise FiptError("mesh-unreadable.check-mesh-file", path=path, error=error) from None
 
 
 def check_named_files(path: Path) -> None:

@@ -113,8 +113,7 @@ def read(path: Path, arrays: Path) -> None:
         mesh = bpy.data.objects[name].data
         corners = corner_vertices(mesh)
         if corners.min() < 0 or corners.max() >= len(mesh.vertices):
-            text = f"The mesh {path} can't be used: its faces have vertices that are not there."
-            raise FiptError("mesh-unreadable", text, "Export the mesh again.")
+            raise FiptError("mesh-unreadable.read", path=path)
         vertices.append(vertex_positions(mesh) + offset)
         triangles.append(corners[triangle_loops(mesh, False)[0]].astype(np.int64) + count)
         count += len(mesh.vertices)

@@ -47,16 +47,10 @@ def add_pair(
     cameras = view_cameras(scene)
     for sight in sights:
         if sight.view not in cameras:
-            raise FiptError(
-                "view-missing", f"There is no view '{sight.view}'.", "Use the name of a view in the list."
-            )
+            raise FiptError("view-missing.add-pair", view=sight.view)
         geometry = camera_geometry(scene, cameras[sight.view])
         if not (0.0 <= sight.u <= geometry.width and 0.0 <= sight.v <= geometry.height):
-            raise FiptError(
-                "alignment-pairs",
-                f"The point lies outside the photograph of the view '{sight.view}'.",
-                "Click a point inside the frame of the camera.",
-            )
+            raise FiptError("alignment-pairs.add-pair", view=sight.view)
     settings = scene.fipt.alignment
     pair = settings.pairs.add()
     pair.name = item.name
@@ -153,7 +147,7 @@ def align_by_pairs(scene: bpy.types.Scene) -> PairFit:
     fit = solve_pairs(scene)
     if fit is None:
         problem = scene.fipt.alignment.problem or "No points are picked."
-        raise FiptError("alignment-pairs", problem, "Pick pairs of points in the panel Alignment.")
+        raise FiptError("alignment-pairs.align-by-pairs", problem=problem)
     move_cameras(scene, fit.similarity)
     return fit
 
@@ -195,11 +189,7 @@ def imported_cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """
     items = [item for item in collection(scene, CAMERAS).objects if is_view(item)]
     if not items:
-        raise FiptError(
-            "alignment-own-cameras",
-            "The views' cameras are your own and are not moved.",
-            "Move the mesh to them instead, or import the capture from its files.",
-        )
+        raise FiptError("alignment-own-cameras")
     return items
 
 

@@ -64,10 +64,9 @@ def write_scene_cameras(scene: bpy.types.Scene, run: RunFolder) -> tuple[Path, l
     if not chosen:
         raise FiptError(
             "cameras-none",
-            f"None of the scene's {len(items)} cameras has a photograph as its background image."
+            value=f"None of the scene's {len(items)} cameras has a photograph as its background image."
             if items
             else "The scene has no cameras.",
-            "Give each camera its photograph: Camera properties > Background Images > Add Image.",
         )
     path = run.scene_cameras / "transforms.json"
     write_json(path, {"up_axis": "z", "frames": [describe_camera(scene, item) for item in chosen]})
@@ -85,14 +84,11 @@ def adopt_cameras(run: RunFolder) -> None:
     frames = read_document(path, _Frames, "Import the cameras again.").frames
     views = read_capture(run.ingest_json).views
     if len(frames) != len(views):
-        text = f"{path} does not fit {run.ingest_json}."
-        raise FiptError("file-damaged", text, "Import the cameras again.")
+        raise FiptError("file-damaged.adopt-cameras", path=path, ingest_json=run.ingest_json)
     for view, frame in zip(views, frames, strict=True):
         item = scene.objects.get(frame.name)
         if item is None:
-            raise FiptError(
-                "camera-missing", f"The camera '{frame.name}' was removed meanwhile.", "Import again."
-            )
+            raise FiptError("camera-missing.adopt-cameras", name=frame.name)
         cameras.set_lens(item.data, frame.camera)
         cameras.mark_camera(item, view, frame.camera)
     fill_views(scene, run)
@@ -116,29 +112,20 @@ def describe_camera(scene: bpy.types.Scene, item: bpy.types.Object) -> dict[str,
     background = photograph_of(item)
     assert background is not None
     if item.data.type != "PERSP":
-        raise FiptError(
-            "camera-model",
-            f"The camera '{item.name}' is not a perspective camera.",
-            "Set its lens type to Perspective, or remove its background image.",
-        )
+        raise FiptError("camera-model.describe-camera", name=item.name)
     image = background.image
     path = photograph_path(item, image)
     size = item.get(RESOLUTION, image.size) if LARGE_PHOTOGRAPH in image else image.size
     width, height = (int(value) for value in size)
     if not width or not height:
-        raise FiptError("image-unreadable", f"The photograph {path} can't be read.", "Export it again.")
+        raise FiptError("image-unreadable.describe-camera", path=path)
     _check_background(item, background)
     frame = frame_of(scene, item, width, height)
     lens = photograph_lens(*frame, background.frame_method, width, height, image.display_aspect)
     motion = item.data.animation_data
     is_locked = item.data.library or (motion and (motion.action or motion.drivers))
     if is_locked and cameras.lens_of(item.data, (lens.pixel_aspect_x, lens.pixel_aspect_y)) != lens:
-        raise FiptError(
-            "camera-locked",
-            f"The photograph of the camera '{item.name}' has another shape than its frame. The lens can't be"
-            " adapted, because it is linked from another file or animated.",
-            f"Set the scene's resolution to {width} x {height}, or make the camera local without animation.",
-        )
+        raise FiptError("camera-locked", name=item.name, width=width, height=height)
     # To 1e-9 pixels: the same numbers again for a camera that already has this lens.
     fx, fy, cx, cy = (round(value, 9) for value in conventions.blender_to_intrinsics(width, height, lens))
     return {
@@ -165,11 +152,7 @@ def photograph_path(item: bpy.types.Object, image: bpy.types.Image) -> Path:
     path = Path(bpy.path.abspath(name, library=image.library)) if name else None
     if path is None or not path.is_file():
         shown_name = path or f"'{image.name}'"
-        raise FiptError(
-            "image-missing",
-            f"The photograph {shown_name} of the camera '{item.name}' is not a file on disk.",
-            "Save or unpack the image, or restore the file.",
-        )
+        raise FiptError("image-missing.photograph-path", shown_name=shown_name, name=item.name)
     return path
 
 
@@ -243,8 +226,4 @@ def _check_background(item: bpy.types.Object, background: bpy.types.CameraBackgr
     """Refuse a photograph that is shifted, scaled, rotated or flipped (``background-moved``)."""
     moved = max(abs(value) for value in background.offset) > 1e-6 or abs(background.scale - 1.0) > 1e-6
     if moved or background.rotation or background.use_flip_x or background.use_flip_y:
-        raise FiptError(
-            "background-moved",
-            f"The photograph of the camera '{item.name}' is shifted, scaled, rotated or flipped.",
-            "Reset offset, scale, rotation and flip of its background image; use the camera's shift instead.",
-        )
+        raise FiptError("background-moved", name=item.name)

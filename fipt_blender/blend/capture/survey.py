@@ -199,11 +199,7 @@ def show_parts(scene: bpy.types.Scene) -> None:
         _show(scene, run, "parts", np.tile(_NO_PART, (len(survey.areas), 1)))
         return
     if source not in survey.labels or not surveyed_folder_fits(scene):
-        raise FiptError(
-            "parts-missing",
-            f"The check found no such parts: {_WHY_NONE.get(source, 'the capture has none')}.",
-            "Check the views again, or choose another source of parts.",
-        )
+        raise FiptError("parts-missing", get=_WHY_NONE.get(source, "the capture has none"))
     _show(scene, run, "parts", part_colors(survey.labels[source]))
 
 
@@ -271,7 +267,7 @@ def survey_of(scene: bpy.types.Scene) -> tuple[RunFolder, Survey]:
     run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
     survey = read_survey(run)
     if survey is None:
-        raise FiptError("survey-missing", "The views have not been checked yet.", "Press Check Views first.")
+        raise FiptError("survey-missing")
     return run, survey
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import bpy
 
 from ...bridge.process import Message
-from ...core.run.errors import FiptError
+from ...core.run.errors import FiptError, warning
 from ...core.run.runfolder import explained_write_errors
 from ..lights.color import LUMENS_PER_WATT
 from ..lights.convert import lights_as_converted
@@ -41,7 +41,7 @@ from ..room.uv_layer import UV_LAYER
 from ..save import check_space, write_error
 from .color import colors_in_rec709
 from .environment import is_dark, plain_world
-from .lights import area_spot, has_default_nodes, lamp_light, turned, warning, without_nodes
+from .lights import area_spot, has_default_nodes, lamp_light, turned, without_nodes
 from .materials import (
     TEXTURE_SIZE,
     PlainTextures,
@@ -92,25 +92,17 @@ def export_room(
             ``disk-full`` or ``run-unwritable``.
     """
     if path.suffix.lower() not in SUFFIXES:
-        raise FiptError(
-            "export-format",
-            f"'{path.suffix}' is not the suffix of a format that can be exported.",
-            f"Use one of {', '.join(SUFFIXES)}.",
-        )
+        raise FiptError("export-format", suffix=path.suffix, suffixes=", ".join(SUFFIXES))
     room = room_with_results(scene)
     if not room or any(map(shows_original, room)):
-        raise FiptError("export-nothing", "No results are shown.", "Apply the results, and show Estimated.")
+        raise FiptError("export-nothing.export-room")
     ours = [slot.material for item in room for slot in item.material_slots if slot.material is not None]
     if not all(has_maps(material) for material in ours if MATERIAL in material):
-        raise FiptError(
-            "export-attributes",
-            "The results are color attributes, which other programs do not read as materials.",
-            "Choose Image Textures as Store In, and apply the results again.",
-        )
+        raise FiptError("export-attributes")
     exported = Exported(path)
     suffix, shown = path.suffix.lower(), rendered_objects(scene)
     if not set(room) & set(shown):
-        raise FiptError("export-nothing", "Renders show nothing of the room.", "Enable it in renders.")
+        raise FiptError("export-nothing.export-room-2")
     with (
         _written_whole(path) as written,
         tempfile.TemporaryDirectory(prefix="fipt_export_") as folder,
@@ -182,10 +174,7 @@ def _show_surfaces(stage: Stage, shown: list[bpy.types.Object], warnings: list[M
         *(each for each in _materials(stage) if not has_maps(each) and not is_emission_material(each))
     )
     if others:
-        text = f"{', '.join(others)}: objects of these kinds are not in the file."
-        warnings.append(
-            warning("export-others", text, "Convert them to meshes, or make their instances real.")
-        )
+        warnings.append(warning("export-others", others=", ".join(others)))
 
 
 def _materials(stage: Stage) -> list[bpy.types.Material]:
@@ -246,8 +235,7 @@ def _plain_lamps(
         if light is not None:
             stage.add_light(f"{item.name} Light", *light)
     if dark:
-        text = f"{', '.join(dark)}: other lights light the room in place of these lamps, which are black."
-        warnings.append(warning("export-lamps-dark", text, "Use Convert Back to export their own light."))
+        warnings.append(warning("export-lamps-dark", dark=", ".join(dark)))
 
 
 def _stands_for(scene: bpy.types.Scene, item: bpy.types.Object, shown: list[bpy.types.Object]) -> bool:
@@ -277,8 +265,7 @@ def _plain_lights(
                 light = stage.add(item.data.copy(), stage.name(item.data))
                 stage.set(item, "data", without_nodes(light))
     if spots:
-        text = f"{', '.join(spots)}: glTF has no area lights, these are wide spots of the same power."
-        warnings.append(warning("export-light-size", text, "Export USD."))
+        warnings.append(warning("export-light-size", spots=", ".join(spots)))
 
 
 def _plain_world(
@@ -288,8 +275,7 @@ def _plain_world(
     if is_dark(scene.world):
         return
     if gltf:
-        text = "glTF has no environment: the light from outside the room is not in the file."
-        warnings.append(warning("export-environment", text, "Export USD to keep it."))
+        warnings.append(warning("export-environment"))
         return
     if WORLD not in scene.world:
         stage.scene.world = scene.world
@@ -312,7 +298,7 @@ def _write(path: Path, target: Path) -> None:
             if is_gltf
             else ("This Blender was built without USD.", "Export glTF, or use a Blender of blender.org.")
         )
-        raise FiptError("export-failed", text, remedy) from None
+        raise FiptError.of("export-failed", text, remedy) from None
     options = _gltf_options(path) if is_gltf else _USD_OPTIONS
     arguments = {name: value for name, value in options.items() if name in known}
     try:
@@ -322,7 +308,7 @@ def _write(path: Path, target: Path) -> None:
         reason = RuntimeError(lines[-1] if lines else "")  # of a traceback, the error
         raise write_error(target, reason, "export-failed") from None
     if not path.is_file():
-        raise FiptError("export-failed", f"{path} was not written.", "Choose another folder or format.")
+        raise FiptError("export-failed", path=path)
 
 
 _USD_OPTIONS = {

@@ -10,7 +10,6 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ...bridge.process import Message
 from ..lights.color import LUMINANCE
 from ..lights.convert import is_closed, vector_areas, world_triangles
 from ..lights.fixture_nodes import is_emission_material, side_radiance
@@ -23,11 +22,6 @@ _BEFORE = 0.01
 _CONE = math.radians(170.0)
 # A lamp is a spot if its mean normal, weighted by power, is longer than this; a hemisphere's has 0.5.
 _DIRECTED = 0.8
-
-
-def warning(code: str, text: str, remedy: str) -> Message:
-    """A message of an export."""
-    return {"type": "warning", "code": code, "text": text, "remedy": remedy}
 
 
 def area_spot(item: bpy.types.Object) -> bpy.types.Light:

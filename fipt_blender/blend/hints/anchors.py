@@ -54,11 +54,7 @@ def face_set_at(item: bpy.types.Object, face: int) -> np.ndarray:
     """
     attribute = item.data.attributes.get(FACE_SETS)
     if attribute is None or attribute.domain != "FACE" or face >= len(item.data.polygons):
-        raise FiptError(
-            "face-sets-missing",
-            f"'{item.name}' has no face sets.",
-            "Paint one in Sculpt Mode, or select faces in Edit Mode and use Hint on Selected Faces.",
-        )
+        raise FiptError("face-sets-missing", name=item.name)
     values = np.empty(len(item.data.polygons), np.int32)
     attribute.data.foreach_get("value", values)
     result: np.ndarray = values == values[face]
@@ -75,7 +71,7 @@ def selected_faces(item: bpy.types.Object) -> np.ndarray:
     selected = np.empty(len(item.data.polygons), bool)
     item.data.polygons.foreach_get("select", selected)
     if not selected.any():
-        raise FiptError("faces-missing", "No face is selected.", "Select the faces of the area first.")
+        raise FiptError("faces-missing")
     return selected
 
 
@@ -89,8 +85,7 @@ def set_area(hint: bpy.types.PropertyGroup, item: bpy.types.Object, chosen: np.n
     loops, polygon = triangle_loops(mesh, False)
     corners = vertex_positions(mesh)[corner_vertices(mesh)[loops[chosen[polygon]]]]
     if len(corners) > MOST_POINTS:
-        text = f"The area has {len(corners)} triangles, more than {MOST_POINTS}."
-        raise FiptError("area-large", text, "Choose a smaller area.")
+        raise FiptError("area-large", number_of_corners=len(corners), most_points=MOST_POINTS)
     to_hint = hint.object.matrix_world.inverted_safe() @ item.matrix_world
     centers = transform_points(corners.mean(axis=1), np.array(to_hint, np.float64))
     hint.area, hint.point = True, centers[0]

@@ -38,8 +38,7 @@ def scene_hints(scene: bpy.types.Scene) -> list[Hint]:
     """
     hints = [_hint(row, scene) for row in scene.fipt.hints.hints if in_scene(row.object, scene)]
     if len(hints) > MOST_HINTS or sum(len(hint.points) for hint in hints) > MOST_POINTS:
-        text = f"The scene has more than {MOST_HINTS} hints or areas of more than {MOST_POINTS} triangles."
-        raise FiptError("hints-many", text, "Use fewer hints or smaller areas.")
+        raise FiptError("hints-many", most_hints=MOST_HINTS, most_points=MOST_POINTS)
     return hints
 
 
@@ -128,7 +127,7 @@ def answer_doubt(scene: bpy.types.Scene, index: int, answer: str) -> None:
     doubt = settings.doubts[index]
     surface = surface_at_point(scene, Vector(doubt.point))
     if surface is None:
-        raise FiptError("surface-missing", "The scene has no mesh.", "Import the room first.")
+        raise FiptError("surface-missing.answer-doubt")
     hint = add_hint(scene, doubt.name, *surface)
     for name, value in ANSWERS[answer].items():
         setattr(hint, name, value)

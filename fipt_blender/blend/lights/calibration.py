@@ -76,10 +76,9 @@ def calibrate_by_lux(
 
 def _calibrate(scene: bpy.types.Scene, present: float, wanted: float, dark: str, remedy: str) -> float:
     if present <= 0.0:
-        raise FiptError("calibration-dark", dark, remedy)
+        raise FiptError.of("calibration-dark", dark, remedy)
     if not 1.0 / _MOST < wanted / present < _MOST:
-        text = f"{wanted:g} is no value for what is {present:.3g} now."
-        raise FiptError("calibration-value", text, "Type what the lamp's package or the lux meter says.")
+        raise FiptError("calibration-value", wanted=wanted, present=present)
     scale_light(scene, wanted / present)
     return wanted / present
 

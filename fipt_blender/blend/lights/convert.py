@@ -92,7 +92,7 @@ def fixture_to_lights(scene: bpy.types.Scene, item: bpy.types.Object) -> tuple[l
         for shape in fit_shapes(vertices, triangles[chosen])
     ]
     if not emitted:
-        raise FiptError("fixture-empty", f"'{item.name}' has no surface.", "Choose another fixture.")
+        raise FiptError("fixture-empty", name=item.name)
     target = collection(scene, FIXTURES)
     lights = []
     for shape, sides in emitted:

@@ -45,7 +45,7 @@ def prepare(scene: bpy.types.Scene) -> list[str]:
     """
     bounds = world_bounds(scene.fipt.capture.room_objects(scene))
     if bounds is None:
-        raise FiptError("room-missing", "There is no room.", "Import a capture, or set the room first.")
+        raise FiptError("room-missing.prepare")
     use_eevee(scene)
     inexact = []
     for item in fixtures_of(scene):
@@ -67,7 +67,7 @@ def use_eevee(scene: bpy.types.Scene) -> None:
     """
     values = [{"render.engine": engine} for engine in ENGINES]
     if not any([set_once(scene, value, again=True) for value in values]):
-        raise FiptError("engine-missing", "This Blender has no EEVEE.", "Use Cycles.")
+        raise FiptError("engine-missing.use-eevee")
     median = scene_unit(scene) * scene.fipt.lights.median_radiance
     scale = median / 0.18 if median > 0.0 else 1.0
     wanted: dict[str, float] = {name: scale * value for name, value in _RADIANCES.items()}

@@ -27,8 +27,7 @@ def set_profile(light: bpy.types.Object, path: Path) -> None:
         FiptError: ``ies-unreadable``.
     """
     if not path.is_file():
-        remedy = "Choose an .ies file of the lamp's manufacturer."
-        raise FiptError("ies-unreadable", f"{path} does not exist.", remedy)
+        raise FiptError("ies-unreadable", path=path)
     if light.data.type != "POINT":
         size = getattr(light.data, "shadow_soft_size", 0.5 * getattr(light.data, "size", 0.1))
         light.data.type = "POINT"

@@ -39,7 +39,7 @@ def irradiance(scene: bpy.types.Scene, point: Sequence[float], samples: int = 25
         FiptError: ``engine-missing``.
     """
     if not hasattr(scene, "cycles"):
-        raise FiptError("engine-missing", "Cycles is not enabled.", "Enable it in the preferences.")
+        raise FiptError("engine-missing.irradiance")
     mesh, material = bpy.data.meshes.new("Probe"), bpy.data.materials.new("Probe")
     mesh.from_pydata([Vector(point) + _RADIUS * Vector(corner) for corner in _CORNERS], [], [(0, 1, 2)])
     mesh.color_attributes.active_color = mesh.color_attributes.new("Received", "FLOAT_COLOR", "CORNER")

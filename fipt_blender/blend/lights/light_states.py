@@ -47,8 +47,7 @@ def recall(scene: bpy.types.Scene, text: str) -> None:
         settings = {name: dict(entry["settings"]) for name, entry in state["lights"].items()}
         values = state["world"] and [float(state["world"][key]) for key in ("on", "factor", "rotation")]
     except (ValueError, TypeError, KeyError, AttributeError) as error:
-        damaged = "This light state is damaged."
-        raise FiptError("state-damaged", damaged, "Remove it and save it again.") from error
+        raise FiptError("state-damaged") from error
     for item in lights_of(scene):
         for key, value in settings.get(_key_of(item), {}).items():
             if key in SETTINGS:

@@ -58,9 +58,7 @@ def add_light(
         FiptError: ``direction-missing``.
     """
     if direction.length <= 0.0:
-        raise FiptError(
-            "direction-missing", "The light has no direction.", "Give a direction other than zero."
-        )
+        raise FiptError("direction-missing.add-light")
     data = bpy.data.lights.new("FIPT Light", "AREA")
     data.shape, data.size = "SQUARE", size
     item = bpy.data.objects.new(data.name, data)
@@ -111,7 +109,7 @@ def turn_to(item: bpy.types.Object, target: Vector) -> None:
     place, _, scale = item.matrix_world.decompose()
     direction = target - place
     if direction.length <= 1e-6:
-        raise FiptError("direction-missing", "The light is at this point.", "Choose another point.")
+        raise FiptError("direction-missing.turn-to")
     item.matrix_world = Matrix.LocRotScale(place, direction.to_track_quat("-Z", "Y"), scale)
 
 

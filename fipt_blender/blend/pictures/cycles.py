@@ -150,6 +150,4 @@ def _plain_scene(
 
 def render_failed(reason: str) -> FiptError:
     """The error for a render that Blender did not make."""
-    return FiptError(
-        "render-failed", f"Cycles could not render ({reason}).", "Look at Blender's console output."
-    )
+    return FiptError("render-failed", reason=reason)

@@ -87,11 +87,7 @@ def view_scene(scene: bpy.types.Scene, run: RunFolder) -> bpy.types.Scene:
         FiptError: ``view-missing``, ``image-missing``, ``file-missing`` or ``file-damaged``.
     """
     if not scene.camera or not scene.camera.get(VIEW):
-        raise FiptError(
-            "view-missing",
-            "The scene's active camera is no camera of the capture.",
-            "Click a view in the section Capture to look through its camera.",
-        )
+        raise FiptError("view-missing.view-scene")
     return plate_scene(scene, run, read_capture(run.capture_json).view(str(scene.camera[VIEW])))
 
 

@@ -49,11 +49,7 @@ def photograph(run: RunFolder, view: CapturedView) -> np.ndarray:
             raise ValueError("no pixels")
         return decode_srgb(pixels) if view.encoded else pixels
     except (RuntimeError, ValueError):
-        raise FiptError(
-            "image-missing",
-            f"The photograph {path} of the view '{view.name}' can't be read.",
-            "Put the file back where it was, or import the capture again from where it is now.",
-        ) from None
+        raise FiptError("image-missing.photograph", path=path, name=view.name) from None
 
 
 def read_pixels(path: Path, channels: int = 3) -> np.ndarray:

@@ -61,11 +61,7 @@ def plate_scene(scene: bpy.types.Scene, run: RunFolder, view: CapturedView) -> b
     path = run.resolve(view.image)
     image = load_radiance(path)
     if image is None or min(image.size) == 0:
-        raise FiptError(
-            "image-missing",
-            f"The photograph {path} of the view '{view.name}' can't be read.",
-            "Put the file back where it was, or import the capture again from where it is now.",
-        )
+        raise FiptError("image-missing.photograph", path=path, name=view.name)
     if view.encoded:
         image.colorspace_settings.name = encoded_space()
     set_backdrop(scene, "PHOTOGRAPH", scene.fipt.capture.room_objects(scene))  # also objects that came since

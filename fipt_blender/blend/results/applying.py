@@ -86,11 +86,7 @@ def apply_results(
     objects = list(objects)
     linked = [item.name for item in objects if is_linked(item)]
     if linked:
-        raise FiptError(
-            "room-linked",
-            f"These objects belong to another file: {list_names(linked)}.",
-            "Open that file and apply there, or use Object > Relations > Make Local.",
-        )
+        raise FiptError("room-linked", linked=list_names(linked))
     matches = match_objects(results.room, objects)
     surfaces = add_surfaces(results.room, objects)
     added = [item.name for item in surfaces]
@@ -137,11 +133,7 @@ def _check_counterparts(targets: Sequence[Target]) -> None:
     """
     if not any((target.found.triangle >= 0).any() for target in targets):
         names = list_names([target.name for target in targets])
-        raise FiptError(
-            "room-changed",
-            f"No face of {names} is where it was when the room was estimated.",
-            "Undo the change to the meshes or modifiers, or estimate again.",
-        )
+        raise FiptError("room-changed.check-counterparts", names=names)
 
 
 def _left_out(room: Room, matches: Sequence[str | None]) -> list[Message]:

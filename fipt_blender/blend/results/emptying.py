@@ -99,11 +99,10 @@ def remove(scene: bpy.types.Scene, run: RunFolder, chosen: Chosen) -> tuple[list
     chosen = {item: faces for item, faces in chosen.items() if _can_be_removed(item, faces)}
     if not chosen:
         text = "Nothing of the room's results is selected."
-        remedy = "Select objects of the room or their faces, or an empty that encloses them."
-        raise FiptError("removal-empty", text, remedy)
+        raise FiptError("removal-empty", text=text)
     if scene.fipt.materials.applied_mode != "uv":
         text = "The results are color attributes, which can't be completed."
-        raise FiptError("removal-attributes", text, "Choose Image Textures as Store In, and apply again.")
+        raise FiptError("removal-attributes", text=text)
     own_materials(scene)
     points = np.concatenate([_points(item, faces) for item, faces in chosen.items()])
     removed = [item if faces is None else _separated(item, faces) for item, faces in chosen.items()]

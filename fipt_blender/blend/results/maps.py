@@ -49,9 +49,7 @@ def show(scene: bpy.types.Scene, shown: str) -> None:
         return
     for item in items:
         if item.mode == "EDIT":
-            raise FiptError(
-                "room-edited", f"'{item.name}' is in edit mode.", "Leave edit mode, and choose again."
-            )
+            raise FiptError("room-edited.show", name=item.name)
     own_materials(scene)
     for item in items:
         show_original(item, shown == "ORIGINAL")

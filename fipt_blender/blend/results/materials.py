@@ -113,9 +113,7 @@ def read_textures(run: RunFolder) -> tuple[Sequence[TextureImage], dict[str, tup
         for key in MAPS:
             path = run.resolve(getattr(image, key))
             if not path.is_file():
-                raise FiptError(
-                    "file-missing", f"The texture {path} does not exist.", "Apply the results again."
-                )
+                raise FiptError("file-missing.read-textures", path=path)
     uniform: dict[str, tuple[float, ...]] = {
         each.part: (*each.base_color, each.roughness, each.metallic) for each in textures.uniform
     }

@@ -45,11 +45,7 @@ def named_color(text: str) -> tuple[float, ...]:
     name = re.sub(r"[\s#]|^\s*ral", "", text.lower())
     code = known.get(name, name)
     if not re.fullmatch("[0-9a-f]{6}", code):
-        raise FiptError(
-            "color-unknown",
-            f"'{text}' is no color that is known here.",
-            f"Write sRGB as #d7d5cb, or one of these RAL numbers: {', '.join(known)}.",
-        )
+        raise FiptError("color-unknown", text=text, known=", ".join(known))
     encoded = np.array([int(code[place : place + 2], 16) / 255.0 for place in (0, 2, 4)])
     return tuple(to_scene_linear(decode_srgb(encoded)).tolist())
 

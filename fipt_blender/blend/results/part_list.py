@@ -126,11 +126,7 @@ def select_faces(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, key: str) -
             select_polygons(mesh, chosen)
             found.append((int(chosen.sum()), item))
     if not found:
-        raise FiptError(
-            "part-missing",
-            "No visible object of the room has faces of this part.",
-            "Choose Estimated as Show, or apply the results again.",
-        )
+        raise FiptError("part-missing.select-faces")
     for item in layer.objects:
         if item.select_get(view_layer=layer):
             item.select_set(False, view_layer=layer)

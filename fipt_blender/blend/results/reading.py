@@ -104,7 +104,9 @@ def read_results(run: RunFolder) -> Results:
     else:
         entries, uniform = read_textures(run)
         if len(entries) != len(atlas.images):
-            raise FiptError("file-damaged", f"{run.textures_json} does not fit {run.atlas_json}.", _AGAIN)
+            raise FiptError(
+                "file-damaged.read-results", textures_json=run.textures_json, atlas_json=run.atlas_json
+            )
     parts = read_parts(run, room.triangle_object, room.objects)
     left_alone = np.zeros(count, bool)
     if run.left_alone_npz.is_file():

@@ -93,9 +93,7 @@ def match_exposure(scene: bpy.types.Scene) -> float:
     """
     stops = photographs_exposure(scene)
     if stops is None:
-        raise FiptError(
-            "radiance-unknown", "The brightness of the photographs is not known.", "Apply the results first."
-        )
+        raise FiptError("radiance-unknown")
     kept = scene.fipt.materials.kept_view
     if kept:  # while a map is shown: the exposure is set when the scene's view settings come back
         scene.fipt.materials.kept_view = json.dumps({**json.loads(kept), "exposure": stops})

@@ -208,11 +208,7 @@ def find_mesh(name: str) -> bpy.types.Mesh:
     """
     mesh = bpy.data.meshes.get(name)
     if mesh is None:
-        raise FiptError(
-            "apply-interrupted",
-            "An undo or the loading of a file interrupted applying the results.",
-            "Apply them again; the textures are kept.",
-        )
+        raise FiptError("apply-interrupted")
     return mesh
 
 

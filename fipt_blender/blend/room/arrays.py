@@ -69,9 +69,7 @@ def write_room(room: Room, run: RunFolder, parts: str, completed: bool = False) 
         FiptError: ``mesh-empty`` for a room without triangles; the run folder's write errors.
     """
     if not len(room.triangles):
-        raise FiptError(
-            "mesh-empty", "The chosen objects have no faces.", "Choose the mesh objects that form the room."
-        )
+        raise FiptError("mesh-empty.write-room")
     with atomic_path(run.room_npz) as temporary:
         np.savez(temporary, **{name: getattr(room, name) for name in ROOM_ARRAYS} | room.mesh)
         if run.room_npz.is_file() and not filecmp.cmp(temporary, run.room_npz, shallow=False):

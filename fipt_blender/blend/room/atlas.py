@@ -230,9 +230,7 @@ def _pack_room(
         names = file_names([owners.names[index] for index in np.unique(group).tolist()])
     _write(run, corner_uv, image, "uv", packing.sizes, names)
     if not len(packing.scale):
-        raise FiptError(
-            "mesh-empty", "The room's faces have no area.", "Choose the mesh objects that form the room."
-        )
+        raise FiptError("mesh-empty.pack-room")
 
 
 def _island_density(

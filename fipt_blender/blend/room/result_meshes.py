@@ -44,12 +44,7 @@ def match_objects(room: Room, objects: Iterable[bpy.types.Object]) -> list[str |
         if matches[index] is None and others:
             matches[index] = name
     if room.objects and not any(matches):
-        raise FiptError(
-            "room-changed",
-            f"None of the estimated objects is in the room any more ({list_names(room.objects)}).",
-            "Undo their removal, choose the collection that holds them in the section Capture, or estimate"
-            " again.",
-        )
+        raise FiptError("room-changed.match-objects", objects=list_names(room.objects))
     return matches
 
 
@@ -88,11 +83,7 @@ def make_mesh(room: Room, index: int, item: bpy.types.Object) -> tuple[bpy.types
         if np.array_equal(polygons, exported):
             return mesh, modifiers
         bpy.data.meshes.remove(mesh)
-    raise FiptError(
-        "room-changed",
-        f"The faces of '{item.name}' are not those that were estimated ({len(exported):,} triangles).",
-        "Undo the change to its mesh or modifiers, or estimate again.",
-    )
+    raise FiptError("room-changed.make-mesh", name=item.name, number_of_exported=len(exported))
 
 
 def evaluations(item: bpy.types.Object) -> Iterator[tuple[bpy.types.Mesh, list[str]]]:

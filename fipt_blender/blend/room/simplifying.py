@@ -31,11 +31,9 @@ def simplify_room(objects: Sequence[bpy.types.Object], triangles: int) -> tuple[
         FiptError: ``room-empty``, or ``results-applied`` where the room shows its result meshes.
     """
     if not objects:
-        raise FiptError("room-empty", "The room has no meshes.", "Choose its objects under Room.")
+        raise FiptError("room-empty")
     if any(has_results(item) for item in objects):
-        raise FiptError(
-            "results-applied", "Results are applied to the room.", "Use Revert Results first, then estimate."
-        )
+        raise FiptError("results-applied")
     for item in objects:
         modifier = item.modifiers.get(MODIFIER)
         if modifier is not None:

@@ -27,8 +27,7 @@ def new_layer(mesh: bpy.types.Mesh, name: str) -> None:
         FiptError: ``uv-layers-full``.
     """
     if mesh.uv_layers.new(name=name, do_init=False) is None:
-        text = f"The mesh '{mesh.name}' already has 8 UV layers, the most that Blender allows."
-        raise FiptError("uv-layers-full", text, "Remove a UV map, and do it again.")
+        raise FiptError("uv-layers-full", name=mesh.name)
 
 
 def write_layer(mesh: bpy.types.Mesh, uv: np.ndarray) -> None:

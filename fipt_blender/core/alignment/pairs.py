@@ -101,4 +101,4 @@ def undecided(
     text: str, remedy: str = "Pick three or more pairs of points far apart, not on one line."
 ) -> FiptError:
     """The error for picked points that do not decide a placement."""
-    return FiptError("alignment-pairs", f"{text}.", remedy)
+    return FiptError("alignment-pairs.undecided", text=text, remedy=remedy)

@@ -51,11 +51,7 @@ def refine(points: np.ndarray, surface: Surface) -> Refined:
         FiptError: ``alignment-points`` for too few points.
     """
     if len(points) < MIN_POINTS:
-        raise FiptError(
-            "alignment-points",
-            f"The camera solve has {len(points)} points; refining needs at least {MIN_POINTS}.",
-            "Keep the placement by pairs of points, or solve the cameras with more features.",
-        )
+        raise FiptError("alignment-points.refine", number_of_points=len(points), min_points=MIN_POINTS)
     low, high = np.percentile(points, [2.0, 98.0], axis=0)  # every solve has a few points far away
     extent = float(np.linalg.norm(high - low)) or 1.0
     similarity, moved = np.eye(4), np.asarray(points, np.float64)

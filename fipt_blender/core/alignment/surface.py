@@ -75,7 +75,7 @@ def sample_surface(
     lengths = np.linalg.norm(crosses, axis=1)
     total = float(lengths.sum()) if len(lengths) else 0.0
     if not (np.isfinite(total) and total > 0.0):
-        raise FiptError("mesh-empty", "The mesh has no surface.", "Choose a mesh with faces.")
+        raise FiptError("mesh-empty.sample-surface")
     # At even steps of the area, so that no part of the mesh is missed by chance.
     positions = (np.arange(count) + rng.random(count)) / count * total
     chosen = np.minimum(np.searchsorted(np.cumsum(lengths), positions), len(lengths) - 1)

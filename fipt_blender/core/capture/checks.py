@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..run.errors import FiptError
+from ..run.errors import FiptError, Problem, problem
 from ..run.shapes import FARTHEST
 from .encoded import srgb_encoded
-from .rig import Note, Pinhole
+from .rig import Pinhole
 
 CLIPPED_SHARE = 5e-4  # of the sampled values, at the highest one
 CLIPPED_TOLERANCE = 4e-3  # a few steps of half floats: the pixels of a uniform lamp differ by as much
@@ -47,11 +47,7 @@ def nearest_rotation(name: str, pose: np.ndarray) -> np.ndarray:
         result[:3, :3] = u @ vt
         result[:3, 3] = pose[:3, 3]
         return result
-    raise FiptError(
-        "pose-not-rotation",
-        f"The pose of view {name} {reason}; it must consist of a rotation and a position.",
-        "Export the camera poses without scale.",
-    )
+    raise FiptError("pose-not-rotation.nearest-rotation", name=name, reason=reason)
 
 
 def check_intrinsics(name: str, pinhole: Pinhole) -> None:
@@ -70,10 +66,7 @@ def check_intrinsics(name: str, pinhole: Pinhole) -> None:
     focal = finite and least <= fx <= most and least <= fy <= most
     if width < 1 or height < 1 or not focal or not near:
         raise FiptError(
-            "intrinsics-invalid",
-            f"View {name} has impossible intrinsics: {width} x {height} pixels, focal lengths "
-            f"({fx:g}, {fy:g}), principal point ({cx:g}, {cy:g}).",
-            "Check that the intrinsics belong to images of this size.",
+            "intrinsics-invalid", name=name, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy
         )
 
 
@@ -91,11 +84,7 @@ def check_view(name: str, pinhole: Pinhole, camera_to_world: np.ndarray) -> None
     check_intrinsics(name, pinhole)
     distance = float(np.abs(nearest_rotation(name, camera_to_world)[:3, 3]).max())
     if distance > FARTHEST:
-        raise FiptError(
-            "pose-far",
-            f"View {name} is {distance:.3g} m from the origin; positions up to {FARTHEST:g} m are possible.",
-            "Check the scale (--scale), and export the camera poses in local coordinates.",
-        )
+        raise FiptError("pose-far", name=name, distance=distance, farthest=FARTHEST)
 
 
 @dataclass(frozen=True)
@@ -128,11 +117,7 @@ def pixel_statistics(path: Path, pixels: np.ndarray) -> PixelStatistics:
     if not (np.isfinite(minimum) and np.isfinite(maximum)):  # both are NaN where any value is
         bad = ~np.isfinite(pixels).all(axis=-1)
         y, x = (int(index[0]) for index in np.nonzero(bad))
-        raise FiptError(
-            "image-not-finite",
-            f"{path} contains NaN or infinity in {int(bad.sum())} pixels, the first at column {x}, row {y}.",
-            "Repair the HDR merge or the render, or paint over these pixels.",
-        )
+        raise FiptError("image-not-finite", path=path, sum=int(bad.sum()), x=x, y=y)
     sample = pixel_sample(pixels)
     positive = sample[sample > 0.0]
     return PixelStatistics(
@@ -177,7 +162,7 @@ def _clipped_share(sample: np.ndarray) -> float:
 
 def judge_pixels(
     names: Sequence[str], statistics: Sequence[PixelStatistics], clamp_negative: bool
-) -> Iterator[Note]:
+) -> Iterator[Problem]:
     """Warnings about the photographs of a whole capture.
 
     Args:
@@ -191,40 +176,33 @@ def judge_pixels(
     """
     medians = [item.median for item in statistics if item.median > 0.0]
     if not medians:
-        raise FiptError(
-            "image-black", "All photographs are black.", "Check the export: the values must be radiance."
-        )
+        raise FiptError("image-black")
     limit = -1e-3 * float(np.median(medians))  # of the capture's median radiance
     pairs = list(zip(names, statistics, strict=True))
     if negative := [(name, item.minimum) for name, item in pairs if item.minimum < 0.0]:
         name, lowest = min(negative, key=lambda pair: pair[1])
         text = f"{len(negative)} photographs contain negative values (the lowest is {lowest:.3g}, in {name})"
         if lowest < limit and not clamp_negative:
-            raise FiptError(
-                "image-negative",
-                f"{text}, but radiance can't be negative.",
-                "Export them without sharpening or color grading, or set negative values to zero "
-                "(Clamp Negative in the import settings, --clamp-negative).",
-            )
+            raise FiptError("image-negative.judge-pixels", text=text)
         remedy = "Resampling filters produce such values; nothing needs to be done."
-        yield Note("image-negative", f"{text}, which are set to zero.", remedy)
+        yield problem("image-negative.judge-pixels-2", text=text, remedy=remedy)
     if clear := [item.transparent for item in statistics if item.transparent > 0.0]:
         text = f"{len(clear)} photographs have pixels with alpha 0 (up to {100.0 * max(clear):.0f} %)."
         remedy = "They are left out, as by a mask; remove the alpha channel to use them."
-        yield Note("image-transparent", text, remedy)
+        yield Problem("image-transparent", text, remedy)
     if ldr := [name for name, item in pairs if item.looks_ldr]:
         text = f"{len(ldr)} photographs (the first is {ldr[0]}) contain only 8-bit values between 0 and 1"
         remedy = "Merge several exposures into HDR: the radiance of lamps and windows must not be clipped."
-        yield Note("image-maybe-ldr", f"{text}: they look like LDR photographs saved as EXR.", remedy)
+        yield problem("image-maybe-ldr", text=text, remedy=remedy)
     if clipped := [(name, item.clipped) for name, item in pairs if item.clipped > 0.0]:
         name, share = max(clipped, key=lambda pair: pair[1])
         most = f"{name} most ({100.0 * share:.1f} % of its pixels)"
         text = f"{len(clipped)} photographs look over-exposed, {most}."
         remedy = "Add shorter exposures to the HDR merge: clipped lamps are estimated too dark."
-        yield Note("image-clipped", text, remedy)
+        yield Problem("image-clipped", text, remedy)
 
 
-def judge_size(points: np.ndarray, slack: float = 1.0) -> Note | None:
+def judge_size(points: np.ndarray, slack: float = 1.0) -> Problem | None:
     """A warning where a room can't have the size that it has; None where it can.
 
     Args:
@@ -239,17 +217,17 @@ def judge_size(points: np.ndarray, slack: float = 1.0) -> Note | None:
         return None
     if not height > 0.0:
         return None
-    return Note(
+    return problem(
         "size-implausible",
-        f"The room would be {height:.3g} m high and {width:.3g} x {depth:.3g} m wide: the unit of the"
-        " capture is probably not the meter, on which the lamps' power depends.",
-        "Measure something and set the scale (Scale in the import settings, --scale): meters per unit."
-        " Doors are 2.0 m high, worktops 0.9 m. A room"
-        f" {USUAL_HEIGHT} m high would need {USUAL_HEIGHT / height:.3g} times the present scale.",
+        height=height,
+        width=width,
+        depth=depth,
+        usual_height=USUAL_HEIGHT,
+        height_2=USUAL_HEIGHT / height,
     )
 
 
-def judge_encoded(encoded: Sequence[bool], exposures: Sequence[float | None]) -> Iterator[Note]:
+def judge_encoded(encoded: Sequence[bool], exposures: Sequence[float | None]) -> Iterator[Problem]:
     """What is assumed of photographs that are not HDR.
 
     Args:
@@ -260,10 +238,4 @@ def judge_encoded(encoded: Sequence[bool], exposures: Sequence[float | None]) ->
         told = sum(exposure is not None for exposure in exposures)
         some = f"{count} of {len(encoded)}" if count < len(encoded) else f"The {count}"
         known = f"{told} files tell their exposure" if told else "their files tell no exposures"
-        yield Note(
-            "images-not-hdr",
-            f"{some} photographs are not HDR ({known}). The camera's response, the exposures and the white"
-            " balances are estimated from what several photographs show. Lamps are clipped in them.",
-            "Where you have brackets of exposures, merge them into HDR (section Photographs, Make Capture):"
-            " that is more accurate.",
-        )
+        yield problem("images-not-hdr", some=some, known=known)

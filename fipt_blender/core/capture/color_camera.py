@@ -22,9 +22,10 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from ..robust import LEAST_VIEWS, without_means
+from ..run.errors import Problem
 from .depth_images import read_depth
 from .images import read_radiance
-from .rig import DepthView, Lens, Note, Rig, RigView
+from .rig import DepthView, Lens, Rig, RigView
 
 MOST_FRAMES = 64  # more only cost time
 WIDTH = 320  # pixels to which photographs are reduced
@@ -107,7 +108,7 @@ def with_color_camera(rig: Rig, scale: float) -> Rig:
     if camera.unsettled:
         text += f" They hardly determine its {' and '.join(camera.unsettled)}, which are near the usual ones."
         remedy = "Give the color camera's own matrix, if it is known, or frames with near and far things."
-    note = Note("color-camera", text, remedy)
+    note = Problem("color-camera", text, remedy)
     return replace(
         rig, views=tuple(moved[view.image] for view in rig.views), depths=depths, notes=(*rig.notes, note)
     )

@@ -75,9 +75,7 @@ def read_depth(view: DepthView, scale: float) -> RangeImage:
     width, height = depth_size(view.path)  # before any pixel is read
     if (width, height) != (view.width, view.height):
         raise FiptError(
-            "depth-size",
-            f"{view.path} is {width} x {height} pixels, not {view.width} x {view.height}.",
-            "Use depth images of the size for which the camera was calibrated.",
+            "depth-size", path=view.path, width=width, height=height, width_2=view.width, height_2=view.height
         )
     depth = _stored(view.path) * np.float32(view.unit)
     depth = np.where(np.isfinite(depth) & (depth > 0.0) & (depth < FARTHEST), depth, 0.0)
@@ -119,13 +117,11 @@ def _unusable(path: Path, error: FiptError) -> FiptError:
     """The error for a depth image, instead of that for the same file as a photograph."""
     if error.code == "image-format":
         return _no_depth(path)
-    text = f"The depth image {path} can't be read ({error.text})."
-    return stand_in(path) or FiptError("depth-unreadable", text, "Restore the file.")
+    return stand_in(path) or FiptError("depth-unreadable", path=path, text=error.text)
 
 
 def _no_depth(path: Path) -> FiptError:
-    text = f"{path} is neither a 16-bit grayscale PNG nor OpenEXR, so that it holds no depth."
-    return FiptError("depth-format", text, "Export depth images as 16-bit PNG.")
+    return FiptError("depth-format", path=path)
 
 
 def _colors(view: DepthView, depth: np.ndarray, scale: float) -> np.ndarray | None:
@@ -158,18 +154,10 @@ def check_unit(images: Sequence[RangeImage]) -> None:
     measured = [image.depth[image.depth > 0.0] for image in images]
     depths = np.concatenate([*measured, np.zeros(0, np.float32)])
     if not len(depths):
-        raise FiptError(
-            "depth-empty",
-            f"The depth images have no measurement up to {FARTHEST:g} m.",
-            "Check the depth images and their unit (--depth-unit), or give a mesh (--mesh).",
-        )
+        raise FiptError("depth-empty.check-unit", farthest=FARTHEST)
     median = float(np.median(depths))
     if not PLAUSIBLE_MEDIAN[0] <= median <= PLAUSIBLE_MEDIAN[1]:
-        raise FiptError(
-            "depth-unit",
-            f"The median depth would be {median:.3g} m, which is no distance in a room.",
-            "Set the unit of the depth images in meters (--depth-unit; 0.001 for millimeters).",
-        )
+        raise FiptError("depth-unit.check-unit", median=median)
 
 
 def _check_other_units(views: Sequence[DepthView], scale: float) -> None:
@@ -185,8 +173,7 @@ def _check_other_units(views: Sequence[DepthView], scale: float) -> None:
     best, unit = max(zip(shares, UNITS, strict=True))
     if best >= CONFIRMED:
         text = f"Depth images confirm {100.0 * own:.0f} % of what others measure, in steps of {unit:.4g} m"
-        remedy = f"Set the unit of the depth images (--depth-unit {unit:.6g})."
-        raise FiptError("depth-unit", f"{text} {100.0 * best:.0f} %.", remedy)
+        raise FiptError("depth-unit.check-other-units", text=text, best=100.0 * best, unit=unit)
 
 
 def _confirmed(views: Sequence[DepthView], scale: float) -> float:
@@ -239,11 +226,7 @@ def fuse(
     volume.adopt(gaps)
     mesh = without_specks(extract(volume, LEAST_WEIGHT), (SPECK_VOXELS * voxel) ** 2)
     if not len(mesh.triangles):
-        raise FiptError(
-            "depth-empty",
-            "The depth images agree on no surface.",
-            "Check their unit (--depth-unit) and the poses, or give a mesh (--mesh).",
-        )
+        raise FiptError("depth-empty.fuse")
     if options.triangles:
         mesh = simplified(mesh, options.triangles)
     progress(1.0)

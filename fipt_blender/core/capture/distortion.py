@@ -38,9 +38,7 @@ def lens_camera(lens: Lens, width: int, height: int) -> pycolmap.Camera:
         valid = False
     if not valid:
         raise FiptError(
-            "camera-model",
-            f"The camera model {lens.model} with {len(lens.parameters)} parameters can't be used.",
-            "Export perspective, fisheye or equirectangular images.",
+            "camera-model.lens-camera", model=lens.model, number_of_parameters=len(lens.parameters)
         )
     return camera
 
@@ -81,11 +79,7 @@ def undistorted_pinhole(lens: Lens, width: int, height: int) -> Pinhole:
     grid = positions.reshape(len(y), len(x), 2)
     folds = (np.diff(grid[..., 0], axis=1) <= 0.0).any() or (np.diff(grid[..., 1], axis=0) <= 0.0).any()
     if folds or not inside:  # NaN included
-        raise FiptError(
-            "camera-model",
-            f"The lens distortion {lens.model} {lens.parameters} can't be undone over the whole image.",
-            "Check the distortion coefficients, or undistort the photographs before the import.",
-        )
+        raise FiptError("camera-model.undistorted-pinhole", model=lens.model, parameters=lens.parameters)
     return pinhole
 
 

@@ -106,12 +106,12 @@ def srgb_encoded(linear: np.ndarray) -> np.ndarray:
 
 def missing(path: Path) -> FiptError:
     """The error for a file that does not exist."""
-    return FiptError("image-missing", f"The image {path} does not exist.", "Restore it, or correct its path.")
+    return FiptError("image-missing.missing", path=path)
 
 
 def unreadable(path: Path, reason: object) -> FiptError:
     """The error for a file that can't be read."""
-    return FiptError("image-unreadable", f"{path} can't be read ({reason}).", "Export the image again.")
+    return FiptError("image-unreadable.unreadable", path=path, reason=reason)
 
 
 def check_pixels(path: Path, width: int, height: int) -> None:
@@ -124,7 +124,5 @@ def check_pixels(path: Path, width: int, height: int) -> None:
         raise unreadable(path, f"its size is {width} x {height}")
     if max(width, height) > MOST_SIDE or width * height > MOST_PIXELS:
         raise FiptError(
-            "image-too-large",
-            f"{path} has {width} x {height} pixels; the limit is {MOST_PIXELS / 1e6:.0f} megapixels.",
-            "Scale the photographs and masks down; 1 to 2 megapixels per view are enough.",
+            "image-too-large", path=path, width=width, height=height, most_pixels=MOST_PIXELS / 1e6
         )

@@ -196,7 +196,7 @@ def chosen_layer(path: Path, layers: Sequence[Layer], wanted: str, others: bool 
     else:
         which = f"layer '{wanted}'" if wanted else "layer of a picture"
         code, text = "image-channels", f"{path} has no {which} with R, G, B or Y; it has: {listed}."
-    raise FiptError(
+    raise FiptError.of(
         code, text, "Name the layer to use (Layer in the settings, --layer NAME), or export only that."
     )
 

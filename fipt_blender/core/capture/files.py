@@ -72,7 +72,7 @@ def stand_in(path: Path) -> FiptError | None:
         return None
     for begins, what, remedy in STAND_INS:
         if re.match(begins, start):
-            return FiptError("file-stand-in", f"{path} is {what}, not the file itself.", remedy)
+            return FiptError("file-stand-in", path=path, what=what, remedy=remedy)
     return None
 
 
@@ -349,9 +349,4 @@ class Folders:
 def ambiguous(name: str, paths: Sequence[object]) -> FiptError:
     """The error for a name that fits several files or views."""
     shown = ", ".join(map(str, paths[:5])) + (" and others" if len(paths) > 5 else "")
-    return FiptError(
-        "file-ambiguous",
-        f"The name {name[:200]!r} fits each of these {len(paths)} equally well: {shown}.",
-        "Give them different names, remove the others, or choose the folder of the photographs (Photographs"
-        " in the import settings, --images).",
-    )
+    return FiptError("file-ambiguous.ambiguous", name=name[:200], number_of_paths=len(paths), shown=shown)

@@ -191,11 +191,7 @@ def _opened(path: Path, layer: str, *state: int) -> Picture:
                 raise error
             if suffix in IMAGE_SUFFIXES:
                 raise ValueError(f"its content is none of {FORMATS}")
-            raise FiptError(
-                "image-format",
-                f"{path} has a format that can't be read; {FORMATS} can.",
-                "Export one of these, or prepare the photographs (section Photographs), which reads RAW.",
-            )
+            raise FiptError("image-format", path=path)
         picture = _OPEN.get(kind, _open_by_oiio)(path, kind, layer)
     except DAMAGE as error:
         raise unreadable(path, error) from None
@@ -485,4 +481,4 @@ def _red(path: Path, colors: np.ndarray) -> np.ndarray:
 
 
 def _no_ids(path: Path, fault: str, remedy: str) -> FiptError:
-    return FiptError("mask-not-ids", f"{path} {fault}: it is no id image.", f"Save id images {remedy}.")
+    return FiptError("mask-not-ids", path=path, fault=fault, remedy=remedy)

@@ -38,7 +38,7 @@ from .options import CaptureOptions
 from .panorama import pinhole_views, placed_panorama, says_panorama
 from .photograph import ID_IMAGES, Files, Photograph
 from .photograph_poses import with_photograph_poses
-from .places import MASK_FOLDER, MISSING_REMEDY
+from .places import MASK_FOLDER
 from .rig import EQUIRECTANGULAR, RigView
 from .source import mesh_fusion, read_source, size_note, write_mesh
 from .upright import Upright, doubts, find_upright
@@ -82,11 +82,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     rig = source.rig
     views = distinct_views(rig.views)
     if len(views) < len(rig.views):
-        reporter.warning(
-            "photograph-repeated",
-            f"{len(views)} photographs have {len(rig.views)} cameras; the first camera of each is used.",
-            "Remove the other ones from the camera file.",
-        )
+        reporter.warning("photograph-repeated", number_of_views=len(views), number_of_views_2=len(rig.views))
     views = _assign_splits(_chosen(views, options.views), options.hold_back)
     in_metres = conventions.world_from_source("z", options.scale)  # distances do not depend on what is up
     if options.panorama is not None:
@@ -96,7 +92,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     if rig.one_camera:
         views, note = with_photograph_poses(rig, views, options.scale)
         if note is not None:
-            reporter.warning(note.code, note.text, note.remedy)
+            reporter.warn(note)
     views = [
         replace(view, camera_to_world=checks.nearest_rotation(view.name, view.camera_to_world))
         for view in views
@@ -115,7 +111,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     elif rig.up_axis is not None:
         upright = Upright(rig.up_axis, "format")
         for note in doubts(rig.up_axis, poses):
-            reporter.warning(note.code, note.text, note.remedy)
+            reporter.warn(note)
 
     fusion = mesh_fusion(run_folder, source, options)
     if fusion is not None:
@@ -145,7 +141,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         run_folder.images.rmdir()  # if nothing had to be converted
     world_from_source = upright.world_from_source(options.scale)
     if (note := size_note(capture, source, mesh, world_from_source)) is not None:
-        reporter.warning(note.code, note.text, note.remedy)
+        reporter.warn(note)
     worlds = [world_from_source] * solved + [in_metres] * (len(views) - solved)
     items = zip(photographs, written, worlds, strict=True)
     entries = (photograph.captured(run_folder, files, world) for photograph, files, world in items)
@@ -240,9 +236,7 @@ def _assign_splits(views: list[RigView], hold_back: int) -> list[RigView]:
         ]
     views = [replace(view, split=view.split or "train") for view in views]
     if not any(view.split == "train" for view in views):
-        raise FiptError(
-            "no-views", "The capture has no training photograph with a pose.", "Check the camera file."
-        )
+        raise FiptError("no-views.assign-splits")
     return views
 
 
@@ -255,14 +249,10 @@ def _check_files(views: list[RigView]) -> None:
     missing = [view.missing for view in views if view.missing]
     if missing:
         text = f"Files of {len(missing)} of {len(views)} photographs are missing. {missing[0]}"
-        raise FiptError("image-missing", text, MISSING_REMEDY)
+        raise FiptError("image-missing.check-files", text=text)
     for view in views:
         if is_network(str(view.image)):
-            raise FiptError(
-                "path-network",
-                f"{view.image} is on another computer, which files of a run may not name.",
-                "Map the network folder to a drive letter, or copy the capture to your own disk.",
-            )
+            raise FiptError("path-network.check-files", image=view.image)
     for view in views:
         for kind in ("image", *ID_IMAGES):
             path, code = getattr(view, kind), "image-size" if kind == "image" else "mask-size"
@@ -276,13 +266,9 @@ def _check_files(views: list[RigView]) -> None:
                         "The cameras are those of photographs that were turned upright: turn their pixels."
                     )
                 text = f"{path} has {width} x {height} pixels, but its camera {view.width} x {view.height}."
-                raise FiptError(code, text, remedy)
+                raise FiptError.of(code, text, remedy)
         if view.lens.model != EQUIRECTANGULAR and says_panorama(view.image, (view.width, view.height)):
-            raise FiptError(
-                "camera-model",
-                f"{view.image} is an equirectangular panorama, but its camera is a {view.lens.model}.",
-                "Solve the cameras again with an equirectangular (spherical) one for it, or leave it out.",
-            )
+            raise FiptError("camera-model.check-files", image=view.image, model=view.lens.model)
 
 
 def _convert(
@@ -312,5 +298,5 @@ def _convert(
     encoded, exposures = zip(*((picture.is_encoded, picture.exposure) for picture in pictures), strict=True)
     judged = checks.judge_pixels([view.name for view in first], statistics, clamp_negative)
     for note in chain(judged, checks.judge_encoded(encoded, exposures)):
-        reporter.warning(note.code, note.text, note.remedy)
+        reporter.warn(note)
     return written

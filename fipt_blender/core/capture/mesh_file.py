@@ -36,7 +36,7 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
             ``mesh-unreadable``.
     """
     if not path.is_file():
-        raise FiptError("mesh-missing", f"The mesh {path} does not exist.", "Correct the path.")
+        raise FiptError("mesh-missing.read-mesh", path=path)
     try:
         check_size(path, MOST_BYTES)
     except ValueError as error:
@@ -65,7 +65,7 @@ def _read(path: Path, changed: int) -> tuple[np.ndarray, np.ndarray]:
         except (OSError, subprocess.TimeoutExpired) as error:
             raise _unreadable(path, f"Blender can't read it: {error}") from None
         if problem.is_file():
-            raise FiptError(*json.loads(problem.read_text("utf-8")))
+            raise FiptError.of(*json.loads(problem.read_text("utf-8")))
         if not arrays.is_file():
             last = result.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
             raise _unreadable(path, f"Blender's importer ended with status {result.returncode} {last}")
@@ -74,4 +74,4 @@ def _read(path: Path, changed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _unreadable(path: Path, reason: str) -> FiptError:
-    return FiptError("mesh-unreadable", f"The mesh {path} can't be used: {reason}.", "Export the mesh again.")
+    return FiptError("mesh-unreadable.unreadable-2", path=path, reason=reason)

@@ -217,10 +217,10 @@ class CaptureOptions:
         """
         remedy = "Correct the path, in Import Settings or on the command line, or give none."
         if self.mesh is not None and not self.mesh.is_file():
-            raise FiptError("mesh-missing", f"The mesh {self.mesh} does not exist.", remedy)
+            raise FiptError("mesh-missing.refuse-missing", mesh=self.mesh, remedy=remedy)
         for path, exists in ((self.images, Path.is_dir), (self.panorama, Path.is_file)):
             if path is not None and not exists(path):
-                raise FiptError("images-missing", f"{path} does not exist.", remedy)
+                raise FiptError("images-missing", path=path, remedy=remedy)
 
     def arguments(self) -> list[str]:
         """Arguments of `ingest`."""

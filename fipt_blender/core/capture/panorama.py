@@ -41,12 +41,7 @@ def pinhole_views(view: RigView) -> list[RigView]:
     if view.lens.model != EQUIRECTANGULAR or view.lens.face:
         return [view]
     if view.width != 2 * view.height:
-        raise FiptError(
-            "panorama-shape",
-            f"{view.image} has {view.width} x {view.height} pixels; an equirectangular panorama is twice as"
-            " wide as high.",
-            "Export the whole sphere. What the photographs lack may be black if a mask leaves it out.",
-        )
+        raise FiptError("panorama-shape", image=view.image, width=view.width, height=view.height)
     views = []
     for face, axes in FACES.items():
         pose = view.camera_to_world.copy()

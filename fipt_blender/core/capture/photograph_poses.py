@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..alignment.turns import turn_by
+from ..run.errors import Problem, problem
 from .color_camera import (
     MOST_FRAMES,
     SCALE,
@@ -26,7 +27,7 @@ from .color_camera import (
     sampled,
     shown_points,
 )
-from .rig import DepthView, Note, Rig, RigView
+from .rig import DepthView, Rig, RigView
 
 BLURS = ((8.0, 6), (4.0, 8), (2.0, 10), (1.0, 10))  # pixels, and steps
 DAMPING = 0.7  # share of each step: the mean that a photograph is compared with contains what the others move
@@ -41,7 +42,7 @@ BETTER = 0.95
 
 def with_photograph_poses(
     rig: Rig, views: Sequence[RigView], scale: float
-) -> tuple[list[RigView], Note | None]:
+) -> tuple[list[RigView], Problem | None]:
     """Some of a rig's photographs with their own poses, and a note; unchanged where they agree no better.
 
     Args:
@@ -70,13 +71,11 @@ def with_photograph_poses(
             sizes.append(float(np.linalg.norm(motion[:3])))
     if not gains:
         return list(views), None
-    text = (
-        f"The photographs were not taken where the depth images were: {len(sizes)} of them are turned by"
-        f" {np.degrees(np.median(sizes)):.1f} degrees in the median. They agree {1.0 / np.mean(gains):.1f}"
-        " times as well with poses of their own."
-    )
-    return result, Note(
-        "photograph-poses", text, "Nothing needs to be done. Check with Check Views that edges fit."
+    return result, problem(
+        "photograph-poses",
+        number_of_sizes=len(sizes),
+        degrees=np.degrees(np.median(sizes)),
+        mean=1.0 / np.mean(gains),
     )
 
 

@@ -15,7 +15,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from ..run.errors import FiptError
+from ..run.errors import FiptError, Problem
 from ..run.paths import leads_outside
 from .files import (
     DEPTHS_FIRST,
@@ -32,7 +32,7 @@ from .files import (
 )
 from .images import read_size
 from .options import CaptureOptions
-from .rig import PARTS_FOLDER, SEMANTICS_FOLDER, DepthView, Lens, Note, Rig, RigView, find_mesh
+from .rig import PARTS_FOLDER, SEMANTICS_FOLDER, DepthView, Lens, Rig, RigView, find_mesh
 
 IMAGE_FOLDERS = ("hdr", "exr", "images", "input", "Image", ".")
 MASK_FOLDER = "masks"
@@ -127,7 +127,7 @@ class Places:
         """
         found = self.find(name)
         if found is None:
-            raise FiptError("image-missing", self._missing(name), MISSING_REMEDY)
+            raise FiptError("image-missing.size", missing=self._missing(name))
         size: tuple[int, int] = self._once(("size", name), lambda: read_size(found.path))
         return size
 
@@ -206,7 +206,7 @@ class Places:
         views: Sequence[RigView],
         up_axis: str | None,
         mesh: Path | None,
-        notes: Sequence[Note] = (),
+        notes: Sequence[Problem] = (),
         depths: tuple[DepthView, ...] = (),
         one_camera: bool = False,
     ) -> Rig:
@@ -242,7 +242,7 @@ class Places:
         for name, one in found.items():
             if len(one.end) == 1 < len(name_parts(name)) and one.path.parent in claimed:
                 text = f"{self.file} names the file {name[:200]!r}; the only one of this name, {one.path},"
-                raise FiptError("image-missing", f"{text} lies with others' photographs.", MISSING_REMEDY)
+                raise FiptError("image-missing.refuse-other-folders", text=text)
 
     def _refuse_shared(self, kind: str, views: Sequence[RigView]) -> None:
         """Refuse one file for several cameras: the name was not enough to tell which one it belongs to."""
@@ -254,11 +254,11 @@ class Places:
                 other.camera_to_world, view.camera_to_world, equal_nan=True
             ):
                 raise FiptError(
-                    "file-ambiguous",
-                    f"Several cameras of {self.file}, among them {other.name!r} and {view.name!r}, lead to"
-                    f" the one file {path}.",
-                    "Put the files into the folders that they had when the cameras were solved, or give them"
-                    " different names.",
+                    "file-ambiguous.refuse-shared",
+                    file=self.file,
+                    name=other.name,
+                    name_2=view.name,
+                    path=path,
                 )
 
     def _missing(self, name: str, folders: Sequence[Path] = ()) -> str:
@@ -287,7 +287,7 @@ class Places:
             text += f" Similar names: {', '.join(similar)}." if similar else ""
         if self.relative and not self.own_paths and leads_outside(self.file.parent, name):
             text += " The path itself leads outside of the capture's folder, and is not followed."
-            raise FiptError("path-outside", text, MISSING_REMEDY)
+            raise FiptError("path-outside.missing", text=text)
         return text
 
 
@@ -304,7 +304,7 @@ def _has_size(path: Path, size: tuple[int, int]) -> bool:
         return False
 
 
-def _unused(code: str, what: str, whose: str, paths: Iterable[Path], used: Iterable[Path]) -> Note | None:
+def _unused(code: str, what: str, whose: str, paths: Iterable[Path], used: Iterable[Path]) -> Problem | None:
     """A warning of files that nothing uses; copies of used ones in another format do not count."""
     stems = {path.parent / key(stem_of(path.name)) for path in used}
     unused = [path for path in paths if path.parent / key(stem_of(path.name)) not in stems]
@@ -313,4 +313,4 @@ def _unused(code: str, what: str, whose: str, paths: Iterable[Path], used: Itera
     folders = ", ".join(dict.fromkeys(str(path.parent) for path in unused))
     shown = ", ".join(path.name for path in unused[:3]) + (", and others" if len(unused) > 3 else "")
     text = f"{len(unused)} {what} in {folders} belong to no {whose} that is used ({shown})."
-    return Note(code, text, "Check their names if you miss them; otherwise nothing needs to be done.")
+    return Problem(code, text, "Check their names if you miss them; otherwise nothing needs to be done.")

@@ -23,11 +23,11 @@ from ..alignment.surface import sample_surface
 from ..alignment.turns import turn_by
 from ..conventions import transform_points, transform_poses
 from ..run.documents import decoded, load_document, read_limited
-from ..run.errors import FiptError
+from ..run.errors import FiptError, Problem, problem
 from .distortion import lens_pinhole
 from .mesh_file import read_mesh
 from .panorama import pinhole_views
-from .rig import DepthView, Note, Rig, RigView
+from .rig import DepthView, Rig, RigView
 
 FAR = 1000.0  # distance from the origin, in units and in the cameras' spread, beyond which all is moved
 SAMPLES, VIEWS, CELLS = 20_000, 60, 8  # points of the mesh; photographs; cells along each side of an image
@@ -116,8 +116,7 @@ def relate(capture: Path, rig: Rig, mesh: Path | None, solved: np.ndarray) -> Re
     offset = _offset(places) if usable else np.zeros(3)
     if offset.any():
         shown = ", ".join(f"{value:.0f}" for value in offset)
-        text = f"The coordinates are far from the origin; cameras and mesh were moved by ({shown})."
-        notes.append(Note("georeferenced", text, "Nothing needs to be done; capture.json keeps the offset."))
+        notes.append(problem("georeferenced", shown=shown))
     shift = np.eye(4)
     shift[:3, 3] = -offset
     place = shift @ place
@@ -151,7 +150,7 @@ def _offset(places: np.ndarray) -> np.ndarray:
     return np.round(middle) if far else np.zeros(3)
 
 
-def _coordinate_notes(places: np.ndarray, folders: Sequence[Path]) -> list[Note]:
+def _coordinate_notes(places: np.ndarray, folders: Sequence[Path]) -> list[Problem]:
     """What the cameras' positions (V, 3) and the files of map programs tell of the coordinates.
 
     Raises:
@@ -162,18 +161,11 @@ def _coordinate_notes(places: np.ndarray, folders: Sequence[Path]) -> list[Note]
     small = (np.abs(places[:, :2]) <= (180.0, 90.0)).all()
     measured = 0.0 < flat <= min(DEGREES, DEGREES_PER_METRE * high)
     if small and (measured or (0.0 < flat <= DEGREES and any("GEOGCS" in text[:20] for text in texts))):
-        raise FiptError(
-            "pose-unsupported",
-            "The cameras' positions are degrees of longitude and latitude.",
-            "Export cameras and mesh in a local or projected coordinate system, in meters.",
-        )
+        raise FiptError("pose-unsupported.coordinate-notes")
     for text in texts:
         units = _UNIT.findall(text)  # the last one is that of the projected coordinates
         if text.lstrip().startswith("PROJ") and units and abs(float(units[-1][1]) - 1.0) > 1e-6:
-            said = f"The coordinate system's unit is {units[-1][0]}, {units[-1][1]} meters."
-            return [
-                Note("mesh-unit", said, f"Set the scale to {units[-1][1]} if it is not set yet (--scale).")
-            ]
+            return [problem("mesh-unit", units=units[-1][0], units_2=units[-1][1])]
     return []
 
 
@@ -238,7 +230,7 @@ class _Cameras:
         return seen >= FITTING_SEEN and inside >= FITTING_INSIDE and path >= USUAL_PATH * diagonal
 
 
-def _placed(cameras: _Cameras, folders: Sequence[Path]) -> tuple[np.ndarray, list[Note]]:
+def _placed(cameras: _Cameras, folders: Sequence[Path]) -> tuple[np.ndarray, list[Problem]]:
     """The similarity (4, 4) from the mesh's file to the cameras, as files beside them tell and it fits."""
     best, note = np.eye(4), []
     score = sum(cameras.fit(best)) + BETTER
@@ -246,8 +238,7 @@ def _placed(cameras: _Cameras, folders: Sequence[Path]) -> tuple[np.ndarray, lis
         place = _side_placement(file)
         if place is not None and sum(cameras.fit(place)) > score:
             best, score = place, sum(cameras.fit(place))
-            text = f"The mesh was moved to the cameras as {file} tells."
-            note = [Note("mesh-moved", text, "Nothing needs to be done if the mesh lies on the photographs.")]
+            note = [problem("mesh-moved", file=file)]
     return best, note
 
 
@@ -265,7 +256,7 @@ def _side_placement(file: Path) -> np.ndarray | None:
     return None
 
 
-def _judged(mesh: Path | None, cameras: _Cameras, place: np.ndarray) -> list[Note]:
+def _judged(mesh: Path | None, cameras: _Cameras, place: np.ndarray) -> list[Problem]:
     """A warning where cameras and mesh do not belong together, with a remedy that was tried, if one fits."""
     seen, inside = cameras.fit(place)
     path, diagonal = cameras.size(place)
@@ -278,7 +269,7 @@ def _judged(mesh: Path | None, cameras: _Cameras, place: np.ndarray) -> list[Not
     if not elsewhere and len(cameras.places) > 2 and path < ONE_PLACE * diagonal:
         text = f"All {len(cameras.places)} cameras are at one place: nothing is seen from two sides."
         remedy = "Check that the camera file has positions. Photographs from one tripod do not suffice."
-        return [Note("cameras-one-place", text, remedy)]
+        return [Problem("cameras-one-place", text, remedy)]
     doubtful = cameras.solved is None and (other_unit or inside < INSIDE)
     if cameras.fits(place) or not (elsewhere or doubtful):
         return []
@@ -294,7 +285,7 @@ def _judged(mesh: Path | None, cameras: _Cameras, place: np.ndarray) -> list[Not
         remedy = f"The mesh fits around the cameras if it is {cures[0]}: export it like this."
     else:
         remedy = f"Choose the cameras' own mesh, {_TOGETHER}, or align them (Capture > Alignment)."
-    return [Note("mesh-elsewhere", text, remedy)]
+    return [Problem("mesh-elsewhere", text, remedy)]
 
 
 def _cures(cameras: _Cameras) -> list[str]:

@@ -19,7 +19,7 @@ from xml.etree.ElementTree import ParseError
 import numpy as np
 
 from ..run.documents import load_document
-from ..run.errors import FiptError
+from ..run.errors import FiptError, Problem
 from ..run.kinds import T
 from .files import key, stand_in, visible
 
@@ -112,15 +112,6 @@ class DepthView:
     photograph: RigView | None = None
 
 
-@dataclass(frozen=True)
-class Note:
-    """A warning about the source."""
-
-    code: str
-    text: str
-    remedy: str
-
-
 @dataclass(frozen=True, eq=False)
 class Rig:
     """A capture as its source describes it.
@@ -140,16 +131,14 @@ class Rig:
     views: tuple[RigView, ...]
     up_axis: str | None
     mesh: Path | None
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Problem, ...] = ()
     depths: tuple[DepthView, ...] = ()
     one_camera: bool = False
 
 
 def damaged(path: Path, reason: object) -> FiptError:
     """The error for a rig file that does not conform to its format."""
-    return stand_in(path) or FiptError(
-        "rig-damaged", f"{path} does not conform to its format ({reason}).", "Export the capture again."
-    )
+    return stand_in(path) or FiptError("rig-damaged.damaged", path=path, reason=reason)
 
 
 class WellFormed:

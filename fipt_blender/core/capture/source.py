@@ -15,7 +15,7 @@ from ..conventions import transform_points
 from ..depth.cleaning import collapsed
 from ..depth.extraction import FusedMesh
 from ..depth.ply import write_ply
-from ..run.errors import FiptError
+from ..run.errors import FiptError, Problem, problem
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder
 from .checks import judge_size
@@ -26,7 +26,7 @@ from .formats.registry import read_points, read_rig
 from .mesh_file import read_mesh
 from .options import CaptureOptions
 from .relation import Related, relate
-from .rig import Note, Rig
+from .rig import Rig
 
 # Depth images are measured in metres, and often show a part of a room: only their unit can be wrong, which is
 # 1, 0.25 or 0.2 mm, so that sizes within this factor are plausible.
@@ -66,15 +66,20 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
     vertices, triangles = related.vertices, related.triangles
     if vertices is not None and len(triangles) and (related.moved or 0 < options.triangles < len(triangles)):
         made = fewer_triangles(vertices, triangles, options.triangles)
-        text = (
-            f"The mesh {mesh} was written anew with {len(made.triangles):,} of {len(triangles):,} triangles."
-        )
         remedy = "Its material slots, colors and UVs are not kept."
         if not related.moved:
             remedy += " Set the triangles to 0 to use the mesh itself."
-        notes.append(Note("mesh-simplified", text, remedy))
+        notes.append(
+            problem(
+                "mesh-simplified",
+                mesh=mesh,
+                number_of_triangles=len(made.triangles),
+                number_of_triangles_2=len(triangles),
+                remedy=remedy,
+            )
+        )
     for note in notes:
-        reporter.warning(note.code, note.text, note.remedy)
+        reporter.warn(note)
     return Source(**vars(related), mesh=mesh, made=made)
 
 
@@ -99,7 +104,9 @@ def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: Fus
     return source.mesh
 
 
-def size_note(capture: Path, source: Source, mesh: Path | None, world_from_source: np.ndarray) -> Note | None:
+def size_note(
+    capture: Path, source: Source, mesh: Path | None, world_from_source: np.ndarray
+) -> Problem | None:
     """A warning where the room can't have the size that it has, by its mesh or else by the solve's points.
 
     Args:
@@ -127,7 +134,7 @@ def _with_layer(rig: Rig, layer: str) -> Rig:
 
 def _mesh(rig: Rig, options: CaptureOptions) -> Path | None:
     if options.mesh is not None and not options.mesh.is_file():
-        raise FiptError("mesh-missing", f"The mesh {options.mesh} does not exist.", "Correct the path.")
+        raise FiptError("mesh-missing.mesh", mesh=options.mesh)
     mesh = options.mesh or rig.mesh
     if mesh is not None and (error := stand_in(mesh)) is not None:
         raise error

@@ -13,10 +13,9 @@ import numpy as np
 from .. import conventions
 from ..alignment.turns import rotation_between, turn_by
 from ..robust import deviation, student_weights
-from ..run.errors import FiptError
+from ..run.errors import FiptError, Problem, problem
 from ..run.shapes import FARTHEST_UNITS
 from .mesh_file import read_mesh
-from .rig import Note
 
 # Length of the mean up direction of the cameras' images above which it tells which way is up; it is short
 # where cameras were turned on their sides.
@@ -96,7 +95,7 @@ def find_upright(poses: np.ndarray, mesh: Path | None) -> Upright:
     return Upright(axis, source, angle, to_world.T @ turn @ to_world)
 
 
-def doubts(axis: str, poses: np.ndarray) -> list[Note]:
+def doubts(axis: str, poses: np.ndarray) -> list[Problem]:
     """A warning where cameras (V, 4, 4) were held level about another direction than a format's up axis."""
     held = common_up(poses)
     angle = _degrees(held.up, _direction(axis))
@@ -104,14 +103,7 @@ def doubts(axis: str, poses: np.ndarray) -> list[Note]:
     if held.error > LEVEL or nearest <= CONTRADICTED:
         return []
     other = _nearest_axis(held.up)
-    return [
-        Note(
-            "up-axis-doubtful",
-            f"The format says that {axis.upper()} points up, but the cameras were held as if"
-            f" {other.upper()} did ({angle:.0f} degrees off).",
-            f"If the room does not stand upright, set Up in the section Capture (--up-axis={other}).",
-        )
-    ]
+    return [problem("up-axis-doubtful", axis=axis.upper(), other=other.upper(), angle=angle, other_2=other)]
 
 
 def common_up(poses: np.ndarray) -> HeldLevel:

@@ -145,7 +145,7 @@ class View:
                 "Use masks of the photographs' size. If lens distortion was undone, put the original masks"
                 " into the folder 'parts' beside the photographs and import the capture again."
             )
-        raise FiptError(
+        raise FiptError.of(
             "image-size" if kind == "image" else "mask-size",
             f"{path} has {picture.size[0]} x {picture.size[1]} pixels; the photograph of {self.name} had"
             f" {wanted[0]} x {wanted[1]} when the capture was imported.",

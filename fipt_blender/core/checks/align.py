@@ -63,14 +63,9 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     surface = sample_surface(arrays["vertices"], arrays["triangles"], rng)
     found = refine(points[rng.permutation(len(points))[:MOST_POINTS]], surface)
     if found.inliers < LEAST_INLIERS:
-        raise FiptError(
-            "alignment-failed",
-            f"Only {100.0 * found.inliers:.0f} % of the points of the camera solve lie near the mesh.",
-            "Pick three or more pairs of points first (Capture > Alignment > Cameras to Mesh), and check that"
-            " the mesh shows the same room.",
-        )
+        raise FiptError("alignment-failed", inliers=100.0 * found.inliers)
     if (note := judge_size(arrays["vertices"])) is not None:
-        reporter.warning(note.code, note.text, note.remedy)
+        reporter.warn(note)
     text = (
         f"{100.0 * found.inliers:.0f}% of the points of the camera solve lie near the mesh, half of all"
         f" within {1000.0 * found.error:.3g} mm"
@@ -93,11 +88,7 @@ def solve_points(capture: Path, name: str, views: list[View]) -> np.ndarray:
     poses = {view.name: view.camera_to_world for each in photographs for view in pinhole_views(each)}
     common = [view for view in views if view.name in poses]
     if len(common) < 2:
-        raise FiptError(
-            "alignment-points",
-            f"{capture} holds other views than the scene.",
-            "Import the capture again.",
-        )
+        raise FiptError("alignment-points.solve-points", capture=capture)
     now = np.array([view.camera_to_world for view in common], np.float64)
     return transform_points(
         similarity_of_poses(np.array([poses[view.name] for view in common]), now),
@@ -147,11 +138,7 @@ def depth_points(views: Sequence[DepthView], rng: np.random.Generator) -> np.nda
         points.append(positions[rng.permutation(len(positions))[:200]])
     found = np.concatenate(points)
     if not len(found):
-        raise FiptError(
-            "depth-empty",
-            "The depth images measure no surface away from its edges.",
-            "Check the depth images, or align by pairs of points.",
-        )
+        raise FiptError("depth-empty.depth-points")
     return found
 
 

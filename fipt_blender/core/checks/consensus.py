@@ -187,13 +187,7 @@ def disagreement(wrong: int, judged: int, evidence: str = "", own_mesh: bool = F
     """
     align = "" if own_mesh else f", or {_ALIGN}"
     mesh = "fuse the depth images with smaller voxels" if own_mesh else "use another mesh of the room"
-    return FiptError(
-        "views-disagree",
-        f"{wrong} of {judged} photographs do not agree with the others on this mesh. Either so many of the"
-        " camera poses are wrong that the right ones can't be told, or the mesh is wrong or not where the"
-        f" cameras are.{evidence}",
-        f"If poses are wrong, solve the cameras again{align}; if the mesh is, {mesh}." + _FORCE,
-    )
+    return FiptError("views-disagree", wrong=wrong, judged=judged, evidence=evidence, align=align, mesh=mesh)
 
 
 def _near_agreement(found: PairAgreement, views: Sequence[View]) -> float:
@@ -221,7 +215,7 @@ def _evidence(found: PairAgreement, near: float) -> str:
 
 
 def _insufficient(text: str, remedy: str) -> FiptError:
-    return FiptError("input-insufficient", f"Not enough to estimate: {text}.", remedy + _FORCE)
+    return FiptError("input-insufficient", text=text, remedy=remedy)
 
 
 def _check_photographs(small: SmallPhotographs) -> None:
@@ -266,13 +260,7 @@ def _check_mesh(room: Room, small: SmallPhotographs, given: PairAgreement, anyth
         if best > WELL:
             break
     if best > MEND_LEFT and 1.0 - best < LACK * (1.0 - reference):
-        raise FiptError(
-            "mesh-misplaced",
-            f"The photographs do not agree on this mesh (correlation {reference:.2f}), but they do after:"
-            f" {name} ({best:.2f}).",
-            f"Change the mesh alone, not the cameras, in Blender or in the program that exports it: {name}."
-            + _FORCE,
-        )
+        raise FiptError("mesh-misplaced", reference=reference, name=name, best=best)
 
 
 def _placements(room: Room, views: Sequence[View], anything: bool) -> Iterator[tuple[str, np.ndarray]]:

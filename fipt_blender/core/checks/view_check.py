@@ -75,11 +75,9 @@ def check_views(
         }
         reporter.warning(
             "view-misaligned",
-            f"{len(fits)} of {len(views)} photographs do not agree with the others and are left out:"
-            f" {_describe(views, remarks)}. Their poses may be wrong, or the mesh or the exposure where they"
-            " look.",
-            "Correct poses that are wrong. To use them anyway, clear Reject Views in the section Estimate >"
-            " Advanced (--set reject_views=false).",
+            number_of_fits=len(fits),
+            number_of_views=len(views),
+            describe=_describe(views, remarks),
         )
         for index in fits:
             pixels.triangle[pixels.rows(index)] = LEFT_OUT
@@ -91,10 +89,9 @@ def check_views(
         remarks = {int(i): f"× {gains[i]:.2f}" for i in unlike}
         reporter.warning(
             "view-exposure",
-            f"{len(unlike)} of {len(views)} photographs have another exposure than the rest, which is "
-            f"corrected: {_describe(views, remarks)}.",
-            "Nothing needs to be done. If the exposures are in fact equal, clear Correct Exposure in the"
-            " section Estimate > Advanced (--set correct_exposure=false).",
+            number_of_unlike=len(unlike),
+            number_of_views=len(views),
+            describe=_describe(views, remarks),
         )
         for index in unlike:
             pixels.radiance[pixels.rows(index)] /= np.float32(gains[index])

@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     packages = package_versions(PACKAGES)
     missing = [name for name, version in packages.items() if version is None]
     for name in missing:
-        reporter.warning("package-missing", f"The package {name} is missing.", _SET_UP_AGAIN)
+        reporter.warning("package-missing.run", name=name)
     gpus = cuda_devices()  # all of them; afterwards only the chosen one is visible to this process
     if arguments.gpu:
         os.environ[VISIBLE_VARIABLE] = arguments.gpu
@@ -54,16 +54,10 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         llvm = _find_llvm(cuda is not None, reporter)
     oidn = oidn_works()
     if not oidn:
-        reporter.warning(
-            "oidn-missing",
-            "Open Image Denoise does not work on this machine.",
-            f"{_SET_UP_AGAIN} Or switch off the setting 'denoise'.",
-        )
+        reporter.warning("oidn-missing")
     total, free = memory_gb()
     if free is not None and free < 4.0:
-        reporter.warning(
-            "memory-low", f"Only {free:.1f} GB of memory is free.", "Close other programs or use fewer views."
-        )
+        reporter.warning("memory-low", free=free)
     device = "cuda" if cuda else "llvm" if llvm and arguments.device != "cuda" else None
     reporter.done(
         files=[],
@@ -90,38 +84,22 @@ def find_cuda(gpus: Sequence[Gpu], arguments: argparse.Namespace, reporter: Repo
     """Name of the GPU that the engine can use, or None; warns if there is one that it can't use."""
     chosen = [gpu for gpu in gpus if arguments.gpu in ("", gpu.uuid)]
     if gpus and not chosen:
-        reporter.warning(
-            "gpu-missing",
-            "The GPU chosen in the preferences is not in this machine.",
-            "Choose another GPU or the automatic choice.",
-        )
+        reporter.warning("gpu-missing")
     elif not gpus and arguments.device == "cuda":
-        reporter.warning(
-            "cuda-missing",
-            "The preferences demand a GPU, but no NVIDIA driver with a GPU was found on this machine.",
-            "Install NVIDIA's driver or compute on the CPU.",
-        )
+        reporter.warning("cuda-missing.find-cuda-2")
     if not chosen:
         return None
     name = chosen[0].name
     try:
         verdict = cuda_verdict()
     except FiptError as error:
-        reporter.warning(error.code, error.text, error.remedy)
+        reporter.warn(error)
         return None
     if not verdict.works:
-        reporter.warning(
-            "cuda-missing",
-            f"{name} can't be used: {verdict.reason}.",
-            "Update NVIDIA's driver; until then, the CPU is used.",
-        )
+        reporter.warning("cuda-missing.find-cuda", name=name, reason=verdict.reason)
         return None
     if not torch_has_cuda():
-        reporter.warning(
-            "torch-cpu",
-            f"The installed PyTorch can't use {name}; training will run on the CPU.",
-            _SET_UP_AGAIN,
-        )
+        reporter.warning("torch-cpu", name=name)
     return name
 
 
@@ -131,7 +109,7 @@ def _find_llvm(has_gpu: bool, reporter: Reporter) -> str | None:
         return str(find_llvm())
     except FiptError as error:
         if not has_gpu or error.code != "llvm-missing":
-            reporter.warning(error.code, error.text, error.remedy)
+            reporter.warn(error)
         return None
 
 

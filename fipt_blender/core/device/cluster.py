@@ -119,11 +119,7 @@ def _connect(address: str) -> Iterator[Client]:
 
 
 def _unreachable(address: str, reason: str) -> FiptError:
-    return FiptError(
-        "cluster-unreachable",
-        f"No Dask scheduler answers at '{address}' ({reason}).",
-        "Check the address, which `dask scheduler` prints, and the firewall, or run without --cluster.",
-    )
+    return FiptError("cluster-unreachable", address=address, reason=reason)
 
 
 def _why_no_answer(address: str) -> str | None:
@@ -227,12 +223,7 @@ class ClusterWorkers:
             if self._count():
                 last_worker = time.monotonic()
             if time.monotonic() - last_worker > WORKERS_SECONDS:
-                raise FiptError(
-                    "cluster-no-worker",
-                    f"The cluster had no worker for {WORKERS_SECONDS:.0f} seconds.",
-                    "Start workers as described in docs/cluster.md and resume the run. If there were "
-                    "workers before, their logs show why they ended.",
-                )
+                raise FiptError("cluster-no-worker", workers_seconds=WORKERS_SECONDS)
 
 
 @contextmanager
@@ -243,11 +234,7 @@ def _scheduler_errors() -> Iterator[None]:
     try:
         yield
     except (CancelledError, OSError) as error:
-        raise FiptError(
-            "cluster-lost",
-            f"The connection to the cluster's scheduler was lost ({type(error).__name__}: {error}).",
-            "Start the scheduler and its workers again, and resume the run with the new address.",
-        ) from error
+        raise FiptError("cluster-lost.scheduler-errors", kind=type(error).__name__, error=error) from error
 
 
 def _result(future: Future) -> Any:
@@ -262,17 +249,9 @@ def _result(future: Future) -> Any:
     try:
         return future.result()
     except KilledWorker as error:
-        raise FiptError(
-            "cluster-lost",
-            f"Several workers died while working on the same view ({error}).",
-            "Their logs show why. Often memory ran out: then start fewer workers per machine.",
-        ) from error
+        raise FiptError("cluster-lost.result", error=error) from error
     except CancelledError as error:
-        raise FiptError(
-            "cluster-lost",
-            f"The cluster cancelled work ({error}).",
-            "Restart the cluster and resume the run.",
-        ) from error
+        raise FiptError("cluster-lost.result-2", error=error) from error
     except (ImportError, AttributeError, RuntimeError) as error:
         if isinstance(error, RuntimeError) and "deserializ" not in str(error):
             raise  # an error of the work itself
@@ -281,10 +260,10 @@ def _result(future: Future) -> Any:
 
 def _unfit(subject: str, error: Exception) -> FiptError:
     return FiptError(
-        "cluster-worker-unfit",
-        f"{subject} can't import the engine ({type(error).__name__}: {' '.join(str(error).split())}).",
-        "Start the scheduler and the workers with the same Python packages and version of the engine as the "
-        "run; docs/cluster.md describes how.",
+        "cluster-worker-unfit.unfit",
+        subject=subject,
+        kind=type(error).__name__,
+        error=" ".join(str(error).split()),
     )
 
 
@@ -323,11 +302,7 @@ def _check(needs: Needs) -> None:
     except (FiptError, ImportError, RuntimeError) as error:
         reason = error.text if isinstance(error, FiptError) else str(error)
     if reason:
-        raise FiptError(
-            "cluster-worker-unfit",
-            f"The worker on {platform.node()} can't take part: {reason}.",
-            "Start the worker with the run's version of the engine and its packages, or stop the worker.",
-        )
+        raise FiptError("cluster-worker-unfit.check", node=platform.node(), reason=reason)
 
 
 def _text(needs: Needs) -> str:

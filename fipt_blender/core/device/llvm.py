@@ -165,9 +165,9 @@ def try_variant(variant: str, library: Path | None = None) -> Verdict:
         output = log.read().decode("utf-8", "replace")
     if probe.IMPORTED not in output:
         raise FiptError(
-            "package-missing",
-            f"Mitsuba can't be imported by {sys.executable} ({_reason(output) or f'exit status {status}'}).",
-            "Set up the engine again.",
+            "package-missing.try-variant",
+            executable=sys.executable,
+            reason=_reason(output) or f"exit status {status}",
         )
     if status == 0 and probe.PASSED in output:
         return Verdict(True, "")
@@ -218,7 +218,7 @@ def find_llvm() -> Path:
     if failures:
         listed = "; ".join(failures)
         text = f"Mitsuba needs LLVM to compute on the CPU, but none on this machine works: {listed}."
-    raise FiptError("llvm-missing", text, install_remedy())
+    raise FiptError.of("llvm-missing", text, install_remedy())
 
 
 def install_remedy() -> str:

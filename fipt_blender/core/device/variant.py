@@ -32,18 +32,14 @@ def set_variant(device: str = "auto") -> str:
         FiptError: ``llvm-missing``, ``cuda-missing``, ``setting-invalid``.
     """
     if device not in ("auto", *VARIANTS):
-        raise FiptError("setting-invalid", f"'{device}' is not a device.", "Use one of: auto, cuda, llvm.")
+        raise FiptError("setting-invalid.set-variant", device=device)
     current = _current_variant()
     if current is not None and (device == "auto" or current == VARIANTS[device]):
         return current
     if device == "auto":
         device = "cuda" if cuda_verdict().works else "llvm"
     elif device == "cuda" and not (verdict := cuda_verdict()).works:
-        raise FiptError(
-            "cuda-missing",
-            f"CUDA was chosen but does not work on this machine: {verdict.reason}.",
-            "Install NVIDIA's driver (with OptiX), or choose the device 'auto' or 'llvm'.",
-        )
+        raise FiptError("cuda-missing.set-variant", reason=verdict.reason)
     if device == "llvm":
         library = find_llvm()
         if "mitsuba" in sys.modules and os.environ.get(LLVM_VARIABLE) != str(library):

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ..device.cluster import unprotected, workers_at
 from ..device.variant import set_variant
+from ..run.errors import Problem
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder, explained_write_errors
 
@@ -45,7 +46,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 
     set_masking(settings.masking)
     if (danger := unprotected(arguments.cluster)) is not None:
-        reporter.warning(*danger)
+        reporter.warn(Problem(*danger))
     with workers_at(arguments.cluster) as workers:
         statistics = estimate_room(prepare_input(folder, settings, reporter), reporter, workers)
     reporter.done([str(path) for path in result_files(folder)], statistics)

@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 
     capture = load_capture(folder)
     if not capture.train:
-        raise FiptError("views-none", "No view is ticked for estimation.", "Tick views in the list.")
+        raise FiptError("views-none.run")
     reporter.plan([0.2, 0.8])
     completed_room(folder, settings, capture, reporter)
     reporter.done([str(path) for path in (folder.closing_npz, folder.panes_npz) if path.exists()])

@@ -78,7 +78,7 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
     capture = load_capture(folder)
     photographs = spread_views(capture.train, settings.view_share)
     if not photographs:
-        raise FiptError("views-none", "The capture has no training views.", "Add photographs.")
+        raise FiptError("views-none.prepare-input")
     plan = light_plan([(view.width, view.height) for view in photographs], settings)
     reporter.note(f"{plan.resolution}; {plan.cost}")
     reporter.plan([*PREPARATION, 1.0 - sum(PREPARATION)], plan.seconds)

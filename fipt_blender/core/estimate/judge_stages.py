@@ -55,12 +55,7 @@ def find_room_fields(
         if doubted:
             names = fixture_names(room, fixtures)
             listed = ", ".join(f"{names[lamp]} ({count} pixels)" for lamp, count, _ in doubted)
-            tools.reporter.warning(
-                "lamp-hardly-seen",
-                f"The photographs hardly show these lamps: {listed}. Their light and the colors near them may"
-                " be wrong: glow may have become paint.",
-                "Add photographs that show these lamps from near, most of all their bright insides.",
-            )
+            tools.reporter.warning("lamp-hardly-seen", listed=listed)
             of_power = power_errors(room, fixtures, doubted, places, settings.seed)
             errors = add_light_errors(errors, lit, of_power)
         if room.place:

@@ -85,12 +85,7 @@ def infer_outside(
     light = observed.environment
     if light is not None and light.unseen_light > MUCH_INFERRED:
         tools.reporter.warning(
-            "light-inferred",
-            f"{100.0 * light.unseen_light:.0f} % of the light on the surfaces comes from what no photograph"
-            " shows. It was inferred from how it falls on them, to"
-            f" {100.0 * light.unseen_error:.0f} % or so, and base colors are as uncertain.",
-            "Add photographs that show the lamps and windows. The inferred lamps are named Unseen Light: move"
-            " or delete them as you know better.",
+            "light-inferred", unseen_light=100.0 * light.unseen_light, unseen_error=100.0 * light.unseen_error
         )
     return light
 
@@ -118,12 +113,7 @@ def bake_shadings(
     store = _bake(baking, pixels, tools)
     tools.facts["light_excess"] = excess = light_excess(observed.environment, store.diffuse)
     if abs(excess) > MUCH_DIFFERENT:
-        tools.reporter.warning(
-            "light-differs",
-            f"The baked light differs by {100.0 * excess:+.0f} % from the light that was inferred from"
-            " what no photograph shows, and base colors are as uncertain.",
-            "Add photographs that show the lamps and windows.",
-        )
+        tools.reporter.warning("light-differs", excess=100.0 * excess)
     return store
 
 

@@ -146,8 +146,7 @@ def estimate(
     if emitting is None:
         _warn_of_missing_light(brighter_than_white(pixels, shadings), tools)
     if surface_hints.problems and (emitting is None or lamps_before is not None):
-        text = "Some hints could not be honoured: " + " ".join(surface_hints.problems)
-        tools.reporter.warning("hints-unclear", text, "Correct or remove these hints.")
+        tools.reporter.warning("hints-unclear", problems=" ".join(surface_hints.problems))
     tools.facts["cells"] = len(cells.keys)
     units = units_before
     if units is None or observations.parts.kind == "part":
@@ -160,25 +159,14 @@ def estimate(
     if lamps_before is not None:
         changed = lamps_before != (probability > 0.5)
         if changed[surface_hints.of_triangles(surface_hints.emits) != 0].any():
-            tools.reporter.warning(
-                "hints-lamps",
-                "The hints change which surfaces are lamps, but the light in the room is that of before.",
-                "Tick Light Changes Too and estimate again with hints, or use Estimate.",
-            )
+            tools.reporter.warning("hints-lamps")
     return Estimate(units, probability)
 
 
 def _warn_of_missing_light(share: float, tools: Tools) -> None:
     """Warn where many pixels, a share of all, are brighter than white surfaces."""
     if share > MISSING_LIGHT:
-        tools.reporter.warning(
-            "light-missing",
-            f"{100.0 * share:.0f} % of the pixels are brighter than white surfaces would be in the light"
-            " that the photographs show: lamps or windows are missing in them, and false ones will be"
-            " found.",
-            "Add photographs that show the lamps, and use them as the camera made them: not painted over,"
-            " not cropped, not tone-mapped.",
-        )
+        tools.reporter.warning("light-missing", share=100.0 * share)
 
 
 @dataclass(frozen=True)

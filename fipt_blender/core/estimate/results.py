@@ -127,11 +127,7 @@ def write_results(
         write_exr(folder.environment_exr, environment.image * scale)
         described = EmitterEnvironment(folder.environment_exr.name, environment.observed_share)
     if not fixtures and environment is None:
-        reporter.warning(
-            "no-emitter",
-            "No surface was found to emit light, and no view looks outside.",
-            "Check that the photographs show the lamps and that the lamps are not over-exposed.",
-        )
+        reporter.warning("no-emitter")
     listed = tuple(
         _described(fixture, f"Fixture.{number:03d}", scale)
         for number, fixture in enumerate(fixtures, start=1)

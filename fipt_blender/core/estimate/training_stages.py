@@ -113,8 +113,7 @@ def _train_anew(
         try:
             state = load_tensors(checkpoint, networks.brdf.grid.table.device)
         except FiptError as error:
-            text = f"{error.text} The training starts again."
-            tools.reporter.warning("checkpoint-damaged", text, "There is nothing to do.")
+            tools.reporter.warning("checkpoint-damaged.train-anew", text=error.text)
             checkpoint.unlink()
     fitted = PRETRAINING_STEPS / (PRETRAINING_STEPS + settings.training_steps)
     if state is None:

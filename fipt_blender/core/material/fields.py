@@ -146,11 +146,7 @@ class RoomFields:
         set_masking(settings.masking)
         for path in (run.fields_npz, run.parts_npz):
             if not path.exists():
-                raise FiptError(
-                    "results-missing",
-                    f"{path} does not exist.",
-                    "Run the estimation, and wait until it has finished.",
-                )
+                raise FiptError("results-missing.load", path=path)
         again = "Run the estimation again."
         parts = read_arrays(run.parts_npz, PartArrays, again)
         units = Units(parts.triangle_part, parts.single, parts.fixed)
@@ -158,7 +154,9 @@ class RoomFields:
         try:
             network = brdf_network(settings, arrays.network, len(units.single))
         except (RuntimeError, KeyError) as error:  # the settings have changed since
-            raise FiptError("file-damaged", f"{run.fields_npz} can't be read ({error}).", again) from None
+            raise FiptError(
+                "file-damaged.load", fields_npz=run.fields_npz, error=error, again=again
+            ) from None
         median, width = arrays.detail_median, arrays.detail_width
         keys, sums = arrays.detail_keys, arrays.detail_sums
         detail = None

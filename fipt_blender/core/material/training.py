@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..run.chain import START_AGAIN
 from ..run.errors import FiptError
 from ..run.runfolder import atomic_path
 from ..run.stage_settings import TrainingSettings
@@ -283,7 +282,7 @@ def load_tensors(path: Path, device: torch.device) -> dict[str, Any]:
         if not isinstance(state, dict):
             raise TypeError("it holds no tensors by name")
     except Exception as error:
-        raise FiptError("file-damaged", f"{path} can't be read ({error}).", START_AGAIN) from None
+        raise FiptError("file-damaged.load-tensors", path=path, error=error) from None
     return state
 
 

@@ -239,24 +239,17 @@ def warn_of_photographs(facts: dict[str, Any], reporter: Reporter) -> None:
         share = max(views[name]["clipped"] for name in much)
         reporter.warning(
             "view-clipped",
-            f"{len(much)} of {len(views)} photographs are over-exposed, {much[0]} for example: up to"
-            f" {100.0 * share:.0f} % of their pixels are clipped.",
-            "Take photographs with shorter exposures of these places, or brackets.",
+            number_of_much=len(much),
+            number_of_views=len(views),
+            much=much[0],
+            share=100.0 * share,
         )
     strange = [name for name, view in views.items() if view["unexplained"] > MUCH_UNEXPLAINED]
     if strange:
         reporter.warning(
-            "view-unexplained",
-            f"No response explains how bright {len(strange)} of {len(views)} photographs are, {strange[0]}"
-            " for example. The camera may have brightened parts of the picture (HDR mode, tone mapping).",
-            "Switch such functions off, or use the camera's RAW files.",
+            "view-unexplained", number_of_strange=len(strange), number_of_views=len(views), strange=strange[0]
         )
     lamps = facts["lamps"][:-1]
     vague = sum(max(lamp["deviation"]) > VAGUE for lamp in lamps)
     if lamps:
-        reporter.warning(
-            "lamps-clipped",
-            f"{len(lamps)} bright surfaces are clipped in the photographs. Their radiance is found from the"
-            f" light that they cast, of {vague} of them only roughly.",
-            "Check the power of those that are lamps in the section Lights.",
-        )
+        reporter.warning("lamps-clipped", number_of_lamps=len(lamps), vague=vague)

@@ -19,7 +19,6 @@ import drjit as dr
 import numpy as np
 
 from ..capture.views import View
-from ..run.chain import START_AGAIN
 from ..run.errors import FiptError
 from ..run.per_view import LocalWorkers, Workers
 from ..run.store import DAMAGE
@@ -173,9 +172,9 @@ def open_array(
     try:
         array = np.lib.format.open_memmap(path, mode="r+" if create else "r")
     except DAMAGE as error:
-        raise FiptError("file-damaged", f"{path} can't be read ({error}).", START_AGAIN) from None
+        raise FiptError("file-damaged.load-tensors", path=path, error=error) from None
     if array.shape != shape or array.dtype != dtype:
-        raise FiptError("file-damaged", f"{path} does not fit the capture.", START_AGAIN)
+        raise FiptError("file-damaged.open-array", path=path)
     return array
 
 
@@ -261,14 +260,10 @@ def fill_pixels(
         store.front[rows] = traced.front
         progress(done / len(store.views))
     if not mesh_seen:
-        raise FiptError(
-            "mesh-unseen",
-            "No camera sees the mesh.",
-            "Check the up axis and the scale: cameras and mesh must have the same coordinates.",
-        )
+        raise FiptError("mesh-unseen")
     positive = np.concatenate(luminances)
     if not len(positive):
-        raise FiptError("images-black", "All photographs are black.", "Check the images of the capture.")
+        raise FiptError("images-black")
     scale = float(np.median(positive))
     for index in range(len(store.views)):
         store.radiance[store.rows(index)] /= scale

@@ -24,7 +24,7 @@ from typing import Any, TypeVar, get_type_hints
 
 from .declared import declared
 from .documents import read_document
-from .errors import FiptError
+from .errors import FiptError, Problem
 from .finished_views import FinishedViews
 from .messages import Progress, Reporter, within
 from .method import digest, method_digest
@@ -245,7 +245,7 @@ class Chain:
                     return target(**self._taken(sources))
             except DamagedStage as damage:
                 if damage.stage in damaged:  # its files can't be kept here
-                    raise FiptError("file-damaged", str(damage), START_AGAIN) from None
+                    raise FiptError("file-damaged.run", damage=str(damage)) from None
                 damaged.add(damage.stage)
                 self._warn_of_damage(str(damage))
                 self._outputs.clear()
@@ -277,7 +277,7 @@ class Chain:
                 self._reporter.skip()
                 for warning in self._data["warnings"][self.stages[index].name]:
                     if warning not in self._reporter.warnings:  # after damage all stages come by once more
-                        self._reporter.warning(**warning)
+                        self._reporter.warn(Problem(**warning))
             watch.after(self.stages[index].name, index in due)
             for output in [each for each in self._outputs if last_use.get(each, -1) <= index]:
                 del self._outputs[output]
@@ -385,6 +385,4 @@ class Chain:
             raise
 
     def _warn_of_damage(self, text: str) -> None:
-        self._reporter.warning(
-            "checkpoint-damaged", f"{text} What is missing is done again.", "There is nothing to do."
-        )
+        self._reporter.warning("checkpoint-damaged.warn-of-damage", text=text)

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
-from .errors import FiptError
+from .errors import FiptError, Problem
 from .kinds import Count, Matrix, NotNegative, Number, Pixels, Vector, choice
 from .shapes import FARTHEST, FARTHEST_UNITS, UP_AXES, UP_SOURCES
 
@@ -87,9 +87,7 @@ class CapturedViews:
         for view in self.views:
             if view.name == name:
                 return view
-        raise FiptError(
-            "view-missing", f"The capture of this run has no view '{name}'.", "Choose one of its views."
-        )
+        raise FiptError("view-missing.view", name=name)
 
 
 @dataclass(frozen=True)
@@ -114,15 +112,6 @@ class RoomNames:
     def ids(self) -> tuple[str, ...]:
         """One id for each object."""
         return self.object_ids or self.objects
-
-
-@dataclass(frozen=True)
-class Problem:
-    """What a step has warned of."""
-
-    code: str
-    text: str
-    remedy: str
 
 
 @dataclass(frozen=True)

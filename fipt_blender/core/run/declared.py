@@ -158,16 +158,12 @@ def converted(kind: Callable[..., Any], changes: Mapping[str, Any]) -> dict[str,
     known, values = declared(kind), {}
     for name, value in changes.items():
         if name not in known:
-            raise FiptError(
-                "setting-unknown", f"There is no setting '{name}'.", f"Use one of: {', '.join(known)}."
-            )
+            raise FiptError("setting-unknown.converted", name=name, known=", ".join(known))
         try:
             values[name] = known[name].converted(value)
         except ValueError as error:
             raise FiptError(
-                "setting-invalid",
-                f"'{str(value)[:80]}' is not a valid value of the setting '{name}'.",
-                f"Give {error}.",
+                "setting-invalid.converted", value=str(value)[:80], name=name, error=error
             ) from None
     return values
 

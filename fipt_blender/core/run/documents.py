@@ -72,10 +72,10 @@ def read_document(
     try:
         return load_document(path, kind)
     except FileNotFoundError:
-        raise FiptError("file-missing", f"{path} does not exist.", "Run the step that writes it.") from None
+        raise FiptError("file-missing.read-document", path=path) from None
     except (OSError, ValueError) as error:
         code = other if isinstance(error, HeadError) else "file-damaged"
-        raise FiptError(code, f"{path} can't be read ({error}).", remedy) from None
+        raise FiptError.of(code, f"{path} can't be read ({error}).", remedy) from None
 
 
 def decoded(data: bytes, errors: str = "strict") -> str:

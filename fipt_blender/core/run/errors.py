@@ -1,15 +1,22 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one exception that reaches the user: what is wrong, and what to do about it.
+"""What is wrong, and what to do about it: errors and warnings, by the keys of problems.toml.
 
 Standard library only: both processes import it.
 """
 
 from __future__ import annotations
 
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
 
-class FiptError(Exception):
-    """A failure with a stable code, a text on what is wrong and a text on what to do.
+
+@dataclass(frozen=True)
+class Problem:
+    """What is said of a problem.
 
     Attributes:
         code: short kebab-case identifier that scripts can match, e.g. ``"image-missing"``.
@@ -17,12 +24,59 @@ class FiptError(Exception):
         remedy: what the user can do about it.
     """
 
-    def __init__(self, code: str, text: str, remedy: str) -> None:
-        super().__init__(f"{text} {remedy}")
-        self.code = code
-        self.text = text
-        self.remedy = remedy
+    code: str
+    text: str
+    remedy: str = ""
 
-    def __reduce__(self) -> tuple[type[FiptError], tuple[str, str, str]]:
-        """Pickle all three arguments; an exception by default keeps only its message."""
-        return FiptError, (self.code, self.text, self.remedy)
+
+@cache
+def problem_texts() -> dict[str, dict[str, str]]:
+    """Text and remedy of each problem, with places for its values, by its key.
+
+    A key is a code, or a code, a dot and a name where a code has several texts.
+    """
+    return tomllib.loads(Path(__file__).with_name("problems.toml").read_text(encoding="utf-8"))
+
+
+def problem(key: str, /, **values: object) -> Problem:
+    """The problem with a key, and these values in its texts."""
+    texts = problem_texts()[key]
+    text, remedy = (texts.get(name, "").format_map(values) for name in ("text", "remedy"))
+    return Problem(key.partition(".")[0], text, remedy.strip())
+
+
+class FiptError(Exception):
+    """The one exception that reaches the user: a problem that ends what was begun.
+
+    Args:
+        key: of problems.toml.
+        values: for its texts.
+    """
+
+    def __init__(self, key: str, /, **values: object) -> None:
+        self._say(problem(key, **values))
+
+    @classmethod
+    def of(cls, code: str, text: str, remedy: str) -> FiptError:
+        """The error whose texts come from elsewhere, such as another process."""
+        error = cls.__new__(cls)
+        error._say(Problem(code, text, remedy))
+        return error
+
+    def _say(self, said: Problem) -> None:
+        super().__init__(f"{said.text} {said.remedy}")
+        self.code, self.text, self.remedy = said.code, said.text, said.remedy
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle what is said; an exception by default keeps only its message."""
+        return FiptError.of, (self.code, self.text, self.remedy)
+
+
+def message(kind: str, said: Problem | FiptError) -> dict[str, Any]:
+    """The message of type "warning" or "error" that says a problem."""
+    return {"type": kind, "code": said.code, "text": said.text, "remedy": said.remedy}
+
+
+def warning(key: str, /, **values: object) -> dict[str, Any]:
+    """The message that warns of a problem."""
+    return message("warning", problem(key, **values))

@@ -40,7 +40,5 @@ def optional(extra: str, purpose: str) -> ModuleType:
     except ImportError:
         command = f'"{sys.executable}" -m pip install --require-hashes --no-deps -r "{install_list(extra)}"'
         raise FiptError(
-            "package-optional",
-            f"{purpose} needs the package {package} (extra '{extra}'), which is missing.",
-            f"Install it into the engine's Python: {command}",
+            "package-optional", purpose=purpose, package=package, extra=extra, command=command
         ) from None

@@ -75,8 +75,7 @@ def read_hints(path: Path) -> list[Hint]:
         return []
     hints = read_document(path, _Hints, _REMEDY).hints
     if len(hints) > MOST_HINTS or sum(len(hint.points) for hint in hints) > MOST_POINTS:
-        text = f"{path} has more than {MOST_HINTS} hints or {MOST_POINTS} points."
-        raise FiptError("hints-invalid", text, "Use fewer or smaller areas.")
+        raise FiptError("hints-invalid.read-hints", path=path, most_hints=MOST_HINTS, most_points=MOST_POINTS)
     return [_checked(hint, number, path) for number, hint in enumerate(hints, start=1)]
 
 
@@ -98,7 +97,7 @@ def _checked(hint: Hint, number: int, path: Path) -> Hint:
     name = (hint.name or f"Hint {number}")[:MOST_NAME]
 
     def refuse(problem: str) -> FiptError:
-        return FiptError("hints-invalid", f"The hint '{name}' in {path} {problem}.", _REMEDY)
+        return FiptError("hints-invalid.refuse", name=name, path=path, problem=problem)
 
     roughness = hint.roughness
     if not hint.points:

@@ -173,7 +173,8 @@ def refuse_full_disk(folder: Path, needed: int, remedy: str) -> None:
     if needed - present + SPARE_BYTES > free:
         raise FiptError(
             "disk-space",
-            f"About {max(needed - present, 0) / 1e9:.1f} GB will be written to {folder}, but"
-            f" {free / 1e9:.1f} GB of its disk are free.",
-            f"Free some space, choose a folder on another disk, or {remedy}.",
+            present=max(needed - present, 0) / 1e9,
+            folder=folder,
+            free=free / 1e9,
+            remedy=remedy,
         )

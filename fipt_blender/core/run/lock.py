@@ -107,11 +107,7 @@ def busy(run: RunFolder) -> FiptError:
     """The error ``run-busy``, which says where the engine runs that works in a run folder."""
     engine = holder(run)
     place = "" if engine is None else f" It runs {engine.place}."
-    return FiptError(
-        "run-busy",
-        f"Another engine is already working in {run.root}.{place}",
-        "Wait until it has finished, or stop it where it was started.",
-    )
+    return FiptError("run-busy.busy", root=run.root, place=place)
 
 
 def open_lockable(path: Path) -> IO[bytes]:

@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +66,7 @@ class Made:
         """Whether they are; the reporter then gets the warnings of their making again."""
         warnings = self.kept()
         for warning in warnings or ():
-            reporter.warning(**asdict(warning))
+            reporter.warn(warning)
         return warnings is not None
 
 

@@ -17,6 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
+from .errors import FiptError, Problem, problem
 from .kinds import as_json
 
 # Share of a plan whose time counts as known before anything is done, where seconds are expected; and without
@@ -188,9 +189,13 @@ class Reporter:
         """Report a fact that is no problem, such as the expected cost."""
         self._write({"type": "note", "text": text})
 
-    def warning(self, code: str, text: str, remedy: str) -> None:
+    def warning(self, key: str, /, **values: object) -> None:
+        """Report a problem of problems.toml that does not stop the command."""
+        self.warn(problem(key, **values))
+
+    def warn(self, said: Problem | FiptError) -> None:
         """Report a problem that does not stop the command."""
-        self.warnings.append({"code": code, "text": text, "remedy": remedy})
+        self.warnings.append({"code": said.code, "text": said.text, "remedy": said.remedy})
         self._write({"type": "warning", **self.warnings[-1]})
 
     def error(self, code: str, text: str, remedy: str) -> None:

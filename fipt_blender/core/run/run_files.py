@@ -168,8 +168,7 @@ def read_room_files(run: RunFolder) -> tuple[dict[str, np.ndarray], RoomNames]:
             arrays, names = _with_object(arrays, names, name, added)
     corners, count = arrays["triangles"], len(arrays["vertices"])
     if corners.size and not 0 <= corners.min() <= corners.max() < count:  # libraries would read beyond
-        text = f"The triangles of {run.room_npz} refer to missing vertices."
-        raise FiptError("file-damaged", text, _EXPORT_AGAIN)
+        raise FiptError("file-damaged.read-room-files", room_npz=run.room_npz)
     return arrays, names
 
 

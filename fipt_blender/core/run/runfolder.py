@@ -114,11 +114,7 @@ class RunFolder:
     def _refuse_link(self, path: Path, root: str) -> None:
         target = os.path.realpath(path)
         if target != root and not target.startswith(os.path.join(root, "")):
-            raise FiptError(
-                "run-linked",
-                f"{path} is a link that leads out of the run folder, to {target}.",
-                "Replace the link by a folder, or choose another output folder (on any disk).",
-            )
+            raise FiptError("run-linked", path=path, target=target)
 
     def messages(self, command: str) -> Path:
         """The file with the messages of the last start of an engine command."""
@@ -142,11 +138,7 @@ class RunFolder:
         if self.run_json.exists():
             self.read()
         elif self.root.exists() and any(self.root.iterdir()):
-            raise FiptError(
-                "run-foreign",
-                f"The folder {self.root} is not empty, and it is not a run folder.",
-                "Choose a new or empty folder for the output.",
-            )
+            raise FiptError("run-foreign.create", root=self.root)
         self.refuse_links()
         self.recover()
         with explained_write_errors(self.root):
@@ -161,9 +153,7 @@ class RunFolder:
             FiptError: ``run-missing``, ``run-damaged`` or ``run-version``.
         """
         if not self.run_json.exists():
-            raise FiptError(
-                "run-missing", f"{self.root} is not a run folder: it has no run.json.", "Start a new run."
-            )
+            raise FiptError("run-missing.read", root=self.root)
         from .contents import RunNote
         from .documents import load_document
         from .kinds import HeadError
@@ -173,13 +163,8 @@ class RunFolder:
             note = load_document(self.run_json, RunNote)
         except (OSError, ValueError) as error:
             if isinstance(error, HeadError) and error.field == "version":
-                raise FiptError(
-                    "run-version",
-                    f"The run folder {self.root} is of another version of the add-on ({error}).",
-                    "Start a new run in another folder, or open this one with the version that made it.",
-                ) from None
-            text = f"{self.run_json} does not describe a run ({error})."
-            raise FiptError("run-damaged", text, "Choose another folder, or start a new run.") from None
+                raise FiptError("run-version", root=self.root, error=error) from None
+            raise FiptError("run-damaged", run_json=self.run_json, error=error) from None
         return make_settings(changes=note.settings)
 
     def read_estimated(self) -> Settings:
@@ -242,11 +227,7 @@ class RunFolder:
         elif leads_outside(self.root, path):
             fault = "leads out of it"
         if fault:
-            raise FiptError(
-                "path-outside",
-                f"A file of the run folder {self.root} names the path '{path[:200]}', which {fault}.",
-                "It was changed by hand or comes from another computer. Start a new run.",
-            )
+            raise FiptError("path-outside.resolve", root=self.root, path=path[:200], fault=fault)
         return Path(os.path.normpath(self.root / path))
 
 
@@ -254,11 +235,7 @@ def full_disk(error: Exception, path: object = "") -> FiptError | None:
     """The error ``disk-full`` where one of the system means that of writing `path`; else None."""
     if not isinstance(error, OSError) or error.errno not in (errno.ENOSPC, errno.EDQUOT):
         return None
-    return FiptError(
-        "disk-full",
-        f"The disk is full; {path or error.filename or 'a file'} could not be written.",
-        "Free some space and resume the run; finished stages are kept.",
-    )
+    return FiptError("disk-full.full-disk", path=path or error.filename or "a file")
 
 
 @contextmanager
@@ -274,9 +251,7 @@ def explained_write_errors(path: Path) -> Iterator[None]:
         if full := full_disk(error, path):
             raise full from error
         raise FiptError(
-            "run-unwritable",
-            f"{path} could not be written ({error.strerror}).",
-            "Choose an output folder in which you may write.",
+            "run-unwritable.explained-write-errors", path=path, strerror=error.strerror
         ) from error
 
 

@@ -124,8 +124,6 @@ def make_settings(preset: str = "medium", changes: Mapping[str, Value] | None = 
     changes = dict(changes or {})
     preset = changes.pop("preset", preset)  # type: ignore[assignment]
     if not isinstance(preset, str) or preset not in PRESETS:
-        raise FiptError(
-            "setting-unknown", f"There is no preset '{preset}'.", f"Use one of: {', '.join(PRESETS)}."
-        )
+        raise FiptError("setting-unknown.make-settings", preset=preset, presets=", ".join(PRESETS))
     values: dict[str, Any] = {"preset": preset, **PRESETS[preset]}
     return Settings(**values | converted(Settings, changes))

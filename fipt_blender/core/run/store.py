@@ -75,9 +75,9 @@ def read_arrays(path: Path, kind: type[T], remedy: str = "Repeat the step that w
                     values[name] = archive[name]
         return kind(**{name: values[name] for name in get_type_hints(kind) if name in values})
     except FileNotFoundError:
-        raise FiptError("file-missing", f"{path} does not exist.", remedy) from None
+        raise FiptError("file-missing.read-arrays", path=path, remedy=remedy) from None
     except DAMAGE as error:
-        raise FiptError("file-damaged", f"{path} can't be read ({error}).", remedy) from None
+        raise FiptError("file-damaged.read-arrays", path=path, error=error, remedy=remedy) from None
 
 
 def optional_arrays(path: Path, kind: type[T]) -> T | None:
@@ -129,11 +129,7 @@ def refuse_infinite(name: str, array: np.ndarray, unknown: bool = False) -> None
     blocks = (flat[first : first + _BLOCK] for first in range(0, len(flat), _BLOCK))
     bad = sum(int(np.count_nonzero(np.isinf(one) if unknown else ~np.isfinite(one))) for one in blocks)
     if bad:
-        raise FiptError(
-            "not-finite",
-            f"{bad:,} of {array.size:,} values of {name} are infinite or not a number. They were not stored.",
-            "Please report this with the file log.txt of the run folder.",
-        )
+        raise FiptError("not-finite", bad=bad, size=array.size, name=name)
 
 
 # ---- Outputs of stages -------------------------------------------------------------------------------------

@@ -59,11 +59,7 @@ def find_version(run: RunFolder, name: str) -> RunFolder:
     for version in list_versions(run):
         if version.folder.name == name:
             return RunFolder(version.folder)
-    raise FiptError(
-        "version-missing",
-        f"There is no estimate '{name[:80]}' of this capture beside {run.root}.",
-        "Choose one of those that are listed.",
-    )
+    raise FiptError("version-missing", name=name[:80], root=run.root)
 
 
 def has_results(run: RunFolder) -> bool:

@@ -209,7 +209,7 @@ def load_room(run: RunFolder, outlined: bool = True, cleaned: bool = True) -> Ro
         FiptError: ``mesh-missing``, ``mesh-damaged``, ``mesh-empty``, ``file-missing`` or ``file-damaged``.
     """
     if not run.room_npz.exists():
-        raise FiptError("mesh-missing", f"{run.room_npz} does not exist.", "Export the room's mesh first.")
+        raise FiptError("mesh-missing.load-room", room_npz=run.room_npz)
     arrays, names = read_room_files(run)
     scan = (read_outlined if outlined else read_geometry)(run, arrays) if cleaned else None
     if scan is not None:
@@ -224,11 +224,7 @@ def load_room(run: RunFolder, outlined: bool = True, cleaned: bool = True) -> Ro
         exact=arrays.get("triangle_exact"),
     )
     if not np.isfinite(room.vertices).all():
-        raise FiptError(
-            "mesh-damaged",
-            "The room's mesh has vertices at infinity or NaN.",
-            "Remove them (Mesh > Clean Up) and export it again.",
-        )
+        raise FiptError("mesh-damaged")
     if not room.areas.max(initial=0.0) > 0.0:
-        raise FiptError("mesh-empty", "The room's mesh has no surface.", "Choose a mesh with faces.")
+        raise FiptError("mesh-empty.load-room")
     return room

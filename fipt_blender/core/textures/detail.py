@@ -25,7 +25,6 @@ from ..light.observations import median_footprint
 from ..optics.lights import LUMINANCE
 from ..parts.labels import NO_PART
 from ..pixels.store import PixelStore
-from ..run.chain import START_AGAIN
 from ..run.documents import read_document
 from ..run.errors import FiptError
 from ..run.kinds import Pixels
@@ -124,7 +123,7 @@ def solved_light(run: RunFolder, views: list[View]) -> SolvedLight:
         light = read_document(path, _UsedViews).light
         return cast(SolvedLight, loaded(light, SolvedLight, run.stage.resolve(), {"views": views}))
     except (ValueError, DamagedStage) as error:
-        raise FiptError("file-damaged", f"{path} can't be used ({error}).", START_AGAIN) from None
+        raise FiptError("file-damaged.solved-light", path=path, error=error) from None
 
 
 def load_input(run: RunFolder, reporter: Reporter | None = None) -> DetailInput | None:
@@ -147,8 +146,7 @@ def load_input(run: RunFolder, reporter: Reporter | None = None) -> DetailInput 
         lost = "the capture has changed"
     if lost:
         if reporter is not None:
-            text = f"The textures get no detail of the photographs: {lost} since these results were made."
-            reporter.warning("detail-lost", text, "Estimate again, or finish the estimation that was begun.")
+            reporter.warning("detail-lost", lost=lost)
         return None
     photographs = [by_name[view.name] for view in document.views]
     lights = [by_name[view.name].resized(view.width, view.height) for view in document.views]

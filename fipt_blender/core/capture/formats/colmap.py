@@ -17,9 +17,10 @@ import numpy as np
 import pycolmap
 
 from ...run.documents import check_size, decoded, has_mark, read_limited
+from ...run.errors import Problem, problem
 from ..options import CaptureOptions
 from ..places import IMAGE_FOLDERS, Places
-from ..rig import Lens, Note, Rig, damaged, find_mesh
+from ..rig import Lens, Rig, damaged, find_mesh
 from .colmap_sizes import MOST_BYTES, check_model
 
 NAME = "colmap"
@@ -222,7 +223,7 @@ def _camera_to_world(image: pycolmap.Image) -> np.ndarray:
     return pose
 
 
-def _notes(folder: Path) -> tuple[Note, ...]:
+def _notes(folder: Path) -> tuple[Problem, ...]:
     """A warning where the solver left several unconnected models."""
     if not _is_number(folder.name):
         return ()
@@ -231,10 +232,11 @@ def _notes(folder: Path) -> tuple[Note, ...]:
         return ()
     sizes = ", ".join(f"{other} ({_image_count(other)})" for other in others)
     return (
-        Note(
-            "several-models",
-            f"COLMAP found {len(others) + 1} unconnected models; only '{folder.name}' with its "
-            f"{_image_count(folder)} images is used. The others (and their images): {sizes}.",
-            "To use another one, choose its folder as the capture; to connect them, run COLMAP again.",
+        problem(
+            "several-models.notes",
+            number_of_others=len(others) + 1,
+            name=folder.name,
+            image_count=_image_count(folder),
+            sizes=sizes,
         ),
     )

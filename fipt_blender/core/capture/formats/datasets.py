@@ -178,11 +178,7 @@ def _look_at(path: Path, index: int, rows: np.ndarray) -> np.ndarray:
     up = up / lengths[1]
     # cam.txt has few digits.
     if abs(forward @ up) > 1e-2:
-        raise FiptError(
-            "pose-not-rotation",
-            f"View {index} in {path} has an up vector that is not perpendicular to its viewing direction.",
-            "Export the camera poses again.",
-        )
+        raise FiptError("pose-not-rotation.look-at", index=index, path=path)
     down = -(up - (up @ forward) * forward)
     down /= np.linalg.norm(down)
     pose = np.eye(4)
@@ -197,12 +193,7 @@ def _real_lens(path: Path, index: int, matrix: np.ndarray, width: int, height: i
     fx, fy, cx, cy = (float(v) for v in (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]))
     # The format has no image size; a principal point far from the centre indicates another size.
     if abs(cx / width - 0.5) > 0.25 or abs(cy / height - 0.5) > 0.25:
-        raise FiptError(
-            "image-size",
-            f"View {index} is {width} x {height}, but its camera matrix has the principal point "
-            f"({cx:.1f}, {cy:.1f}).",
-            "Use the images that the cameras were calibrated for, or scale K_list.txt with them.",
-        )
+        raise FiptError("image-size", index=index, width=width, height=height, cx=cx, cy=cy)
     return Lens("PINHOLE", (fx, fy, cx, cy))
 
 

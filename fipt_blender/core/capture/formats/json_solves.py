@@ -274,9 +274,7 @@ def _opensfm_lens(file: Path, camera: _Camera, size: tuple[int, int]) -> Lens:
     intrinsics = (fx, fy, 0.5 * size[0] + camera.c_x * side, 0.5 * size[1] + camera.c_y * side)
     k1, k2, k3, tangential = camera.k1, camera.k2, camera.k3, (camera.p1, camera.p2)
     if fx <= 0.0 or fy <= 0.0:
-        raise FiptError(
-            "intrinsics-missing", f"{file} has a camera without focal length.", "Solve the cameras again."
-        )
+        raise FiptError("intrinsics-missing.opensfm-lens", file=file)
     if kind in ("perspective", "simple_radial", "radial"):
         return distorting_lens(intrinsics, size, (k1, k2))
     if kind == "brown":

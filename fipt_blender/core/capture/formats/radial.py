@@ -107,8 +107,4 @@ def _fitted(
 
 
 def _unusable() -> FiptError:
-    return FiptError(
-        "camera-model",
-        "The lens distortion can't be undone over the whole image.",
-        "Check the distortion coefficients, or undistort the photographs before the import.",
-    )
+    return FiptError("camera-model.unusable")

@@ -16,10 +16,11 @@ import numpy as np
 
 from ...alignment.turns import turn_by
 from ...conventions import opengl_to_opencv_camera
+from ...run.errors import Problem, problem
 from ..files import Folders
 from ..options import CaptureOptions
 from ..places import IMAGE_FOLDERS, Places
-from ..rig import Lens, Note, Rig, RigView, WellFormed
+from ..rig import Lens, Rig, RigView, WellFormed
 from .radial import distorting_lens
 from .rig_files import (
     camera_file,
@@ -70,7 +71,7 @@ def read(found: tuple[Path, list[Path]], options: CaptureOptions) -> Rig:
         FiptError: ``rig-damaged``, ``camera-model``, ``image-missing`` or ``image-unreadable``.
     """
     folder, files = found
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Problem, ...] = ()
     if files[0].suffix.lower() == ".csv":
         places = Places.around(files[0], options)
         views = _csv_views(files[0], places)
@@ -117,7 +118,7 @@ def _world_to_camera(heading: float, pitch: float, roll: float) -> np.ndarray:
     return (turn_by(z) @ turn_by(x) @ turn_by(y)).T
 
 
-def _xmp_views(folder: Path, files: list[Path], places: Places) -> tuple[list[RigView], tuple[Note, ...]]:
+def _xmp_views(folder: Path, files: list[Path], places: Places) -> tuple[list[RigView], tuple[Problem, ...]]:
     """The views of all XMP files with a pose, and a warning of those that RealityScan could not align.
 
     Files of other programs are left alone; a damaged one is refused, since its view would be missing.
@@ -138,8 +139,7 @@ def _xmp_views(folder: Path, files: list[Path], places: Places) -> tuple[list[Ri
         places.find(names[file])  # it is told of here, and not as one without a camera
     if not lost:
         return views, notes
-    text = f"{len(lost)} XMP files have no pose (the first is {lost[0]}); their photographs are left out."
-    return views, (*notes, Note("pose-lost", text, "Align these photographs, too, or leave them out there."))
+    return views, (*notes, problem("pose-lost.xmp-views", number_of_lost=len(lost), lost=lost[0]))
 
 
 def _xmp_values(file: Path) -> dict[str, str]:

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from ...run.errors import FiptError
+from ...run.errors import FiptError, Problem, problem
 from ...run.shapes import FARTHEST_UNITS
 from ..files import visible
 from ..options import CaptureOptions
-from ..rig import Note, Rig, damaged
+from ..rig import Rig, damaged
 from ..suffixes import SUFFIXES
 from . import colmap, datasets, json_solves, realityscan, scans, text_solves, transforms, xml_solves
 from .rig_files import Program
@@ -55,29 +55,17 @@ def detect_format(path: Path) -> str:
             ``format-unknown``.
     """
     if not path.exists():
-        raise FiptError("capture-missing", f"The capture {path} does not exist.", "Correct the path.")
+        raise FiptError("capture-missing.detect-format", path=path)
     for name, module in FORMATS.items():
         if module.find(path) is not None:
             return name
     folder = path if path.is_dir() else path.parent
     if (near := _capture_near(folder)) is not None:
-        raise FiptError(
-            "capture-elsewhere",
-            f"{path} is no capture, but {near[0]} is one, in the format {near[1]}.",
-            f"Choose the folder {near[0]}.",
-        )
+        raise FiptError("capture-elsewhere", path=path, near=near[0], near_2=near[1])
     files = (file for pattern in ("*", "*/*") for file in folder.glob(pattern))
     if any(file.suffix.lower() in SUFFIXES for file in islice(files, 10_000)):
-        raise FiptError(
-            "cameras-missing",
-            f"{folder} holds photographs without cameras.",
-            "Make a capture of them: Photographs > Make Capture in Blender, or the command prepare.",
-        )
-    raise FiptError(
-        "format-unknown",
-        f"{path} holds neither photographs nor cameras in a known format ({', '.join(FORMATS)}).",
-        "Choose the folder that contains the camera file and the photographs.",
-    )
+        raise FiptError("cameras-missing", folder=folder)
+    raise FiptError("format-unknown.detect-format", path=path, formats=", ".join(FORMATS))
 
 
 def _capture_near(folder: Path) -> tuple[Path, str] | None:
@@ -90,16 +78,12 @@ def _capture_near(folder: Path) -> tuple[Path, str] | None:
     return None
 
 
-def _others(path: Path, used: str) -> Note | None:
+def _others(path: Path, used: str) -> Problem | None:
     """A note of other formats in which a capture could be read."""
     also = [name for name, module in FORMATS.items() if name != used and module.find(path) is not None]
     if not also or used in COMPLETE:
         return None
-    return Note(
-        "formats-several",
-        f"{path} is read in the format {used}; it could be read as {' or '.join(also)}, too.",
-        f"If cameras or mesh are wrong, choose the other format (--format {also[0]}).",
-    )
+    return problem("formats-several.others", path=path, used=used, also=" or ".join(also), also_2=also[0])
 
 
 def read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
@@ -117,8 +101,9 @@ def read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
             remedy = "Correct the name, or move the capture to a folder with a shorter path."
         raise FiptError(
             "capture-unreadable",
-            f"{str(error.filename or path)[:1000]} can't be read ({error.strerror}).",
-            remedy,
+            filename=str(error.filename or path)[:1000],
+            strerror=error.strerror,
+            remedy=remedy,
         ) from None
 
 
@@ -138,11 +123,7 @@ def read_points(path: Path, name: str, sure: bool = False) -> np.ndarray:
     if sure:
         reader = getattr(module, "sure_points", reader)
     if reader is None:
-        raise FiptError(
-            "alignment-points",
-            f"The format {name} holds no sparse points, by which cameras could be aligned.",
-            "Align by pairs of points alone, or export the cameras as a COLMAP model with points.",
-        )
+        raise FiptError("alignment-points.read-points", name=name)
     found = module.find(path)
     if found is None:
         raise damaged(path, f"it lacks {module.LOOKS_FOR}")
@@ -155,20 +136,16 @@ def _read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
     detected = detect_format(path) if name == "auto" else name
     module = FORMATS[detected]
     if not path.exists():
-        raise FiptError("capture-missing", f"The capture {path} does not exist.", "Correct the path.")
+        raise FiptError("capture-missing.detect-format", path=path)
     found = module.find(path)
     if found is None:
-        raise FiptError(
-            "format-unknown",
-            f"{path} is not a capture in the format {name}, which needs {module.LOOKS_FOR}.",
-            "Set the format to auto, or choose another folder.",
-        )
+        raise FiptError("format-unknown.read-rig", path=path, name=name, looks_for=module.LOOKS_FOR)
     rig: Rig = module.read(found, options)
     notes = [_others(path, detected) if name == "auto" else None, _other_files(path, found, module)]
     return replace(rig, notes=(*rig.notes, *filter(None, notes)))
 
 
-def _other_files(path: Path, found: Any, module: Reader) -> Note | None:
+def _other_files(path: Path, found: Any, module: Reader) -> Problem | None:
     """A note of other camera files of the same program in the folder that was chosen."""
     if path.is_file() or not isinstance(found, Path) or not found.is_file():
         return None
@@ -176,5 +153,6 @@ def _other_files(path: Path, found: Any, module: Reader) -> Note | None:
     also = [str(file) for file in beside if module.find(file) is not None]
     if not also:
         return None
-    text = f"{found} is read; {len(also)} other files hold such cameras, too: {', '.join(also[:3])}."
-    return Note("formats-several", text, "To read another one, choose that file instead of the folder.")
+    return problem(
+        "formats-several.other-files", found=found, number_of_also=len(also), also=", ".join(also[:3])
+    )

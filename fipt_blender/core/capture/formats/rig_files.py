@@ -18,12 +18,12 @@ import numpy as np
 
 from ...alignment.turns import quaternion_rotation
 from ...run.documents import decoded, read_limited
-from ...run.errors import FiptError
+from ...run.errors import FiptError, Problem, problem
 from ...run.shapes import MOST_SIDE
 from ..files import visible
 from ..options import CaptureOptions
 from ..places import MESH_STEMS, Places
-from ..rig import Note, Rig, RigView, WellFormed, damaged
+from ..rig import Rig, RigView, WellFormed, damaged
 
 MOST_TEXT_BYTES = 256_000_000  # of a camera file
 
@@ -171,21 +171,20 @@ def similarity(scale: float, rotation: np.ndarray, translation: np.ndarray) -> n
 
 def unsupported(file: Path, what: str, remedy: str) -> FiptError:
     """The error for a camera that no pinhole or no model of COLMAP's describes."""
-    return FiptError("camera-model", f"{file} has {what}, which is not supported.", remedy)
+    return FiptError("camera-model.unsupported", file=file, what=what, remedy=remedy)
 
 
-def cameras_off(file: Path, names: Sequence[str]) -> tuple[Note, ...]:
+def cameras_off(file: Path, names: Sequence[str]) -> tuple[Problem, ...]:
     """A warning of cameras that are switched off in the program that wrote a file; none without any."""
     if not names:
         return ()
     shown = ", ".join(names[:3]) + (", and others" if len(names) > 3 else "")
-    text = f"{len(names)} cameras of {file} are switched off in its program ({shown}); they are left out."
-    return (Note("cameras-off", text, "To use them, switch them on there and export the cameras again."),)
+    return (problem("cameras-off", number_of_names=len(names), file=file, shown=shown),)
 
 
 def largest_model(
     models: Sequence[Sequence[RigView]], source: str
-) -> tuple[tuple[RigView, ...], tuple[Note, ...]]:
+) -> tuple[tuple[RigView, ...], tuple[Problem, ...]]:
     """The views of the model with the most views, and a warning where there are others.
 
     Args:
@@ -199,16 +198,12 @@ def largest_model(
     if len(filled) == 1:
         return tuple(chosen), ()
     sizes = ", ".join(str(len(model)) for model in filled)
-    note = Note(
-        "several-models",
-        f"{source} holds {len(filled)} unconnected models ({sizes} photographs); only the largest is used.",
-        "To use another one, or all of them together, connect them in the program that solved the cameras.",
-    )
+    note = problem("several-models.largest-model", source=source, number_of_filled=len(filled), sizes=sizes)
     return tuple(chosen), (note,)
 
 
 # The views of each model that the solver could not connect with the others, and warnings.
-Models = tuple[Sequence[Sequence[RigView]], tuple[Note, ...]]
+Models = tuple[Sequence[Sequence[RigView]], tuple[Problem, ...]]
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,13 @@ import numpy as np
 
 from ...conventions import opengl_to_opencv_camera, transform_poses
 from ...run.documents import decoded, read_limited
-from ...run.errors import FiptError
+from ...run.errors import FiptError, Problem, problem
 from ...run.kinds import Row
 from ..depth_images import depth_size, registered_depths
 from ..files import visible
 from ..options import CaptureOptions
 from ..places import IMAGE_FOLDERS, MESH_STEMS, Places
-from ..rig import Lens, Note, Rig, WellFormed, damaged, read_json_rig, read_pose
+from ..rig import Lens, Rig, WellFormed, damaged, read_json_rig, read_pose
 from .rig_files import (
     MOST_TEXT_BYTES,
     camera_files,
@@ -110,9 +110,7 @@ class ScanApp:
         scan = self.scan(found, options)
         places, shown = scan.places, next((each for each in scan.frames if scan.places.find(each.name)), None)
         if scan.without is not None and shown is None:
-            raise FiptError(
-                "image-missing", f"No frame of {places.file} with a pose has a photograph.", scan.without
-            )
+            raise FiptError("image-missing.read", file=places.file, without=scan.without)
         images = [places.depth(scan.depths, frame.depth or frame.name) for frame in scan.frames]
         whole = depth_size(next(filter(None, images), scan.depths)) if scan.depth_camera else (1, 1)
         views = []
@@ -130,15 +128,15 @@ class ScanApp:
             depths = tuple(
                 replace(depth, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy) for depth in depths
             )
-        notes: list[Note] = []
+        notes: list[Problem] = []
         if not depths and any(places.file.parent.glob("rgbd/*.depth")):
             text = f"The depth images beside {places.file} are compressed as in Record3D's .r3d: not read."
             remedy = "Export EXR + RGBD from Record3D, or give a mesh (--mesh)."
-            notes.append(Note("depth-format", text, remedy))
+            notes.append(Problem("depth-format", text, remedy))
         if scan.lost:
             text = f"{scan.lost} of {scan.lost + len(scan.frames)} frames have no pose, since the tracking"
             remedy = "Nothing needs to be done."
-            notes.append(Note("pose-lost", f"{text} was lost; they are left out.", remedy))
+            notes.append(problem("pose-lost.read", text=text, remedy=remedy))
         if scan.without is not None:
             views = [view for view in views if not view.missing]
         one_camera = scan.depth_camera is not None and scan.frames[0].intrinsics is None
@@ -352,8 +350,7 @@ def _rgbd(root: Path, options: CaptureOptions) -> _Scan:
 
 def _camera_matrix(path: Path) -> tuple[float, ...]:
     if not path.is_file():
-        remedy = "Write the three rows of the depth camera's matrix into this file."
-        raise FiptError("intrinsics-missing", f"{path} does not exist.", remedy)
+        raise FiptError("intrinsics-missing.camera-matrix", path=path)
     text = read_text_rig(path, MOST_POSE_BYTES)
     side = 4 if len(text.split()) == 16 else 3
     with WellFormed(path):

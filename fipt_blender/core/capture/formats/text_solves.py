@@ -75,11 +75,7 @@ def _names(file: Path) -> list[str]:
     paths = [folder / name for folder in (file.parent, file.absolute().parent.parent) for name in lists]
     found = next((path for path in paths if path.is_file()), None)
     if found is None:
-        raise FiptError(
-            "rig-damaged",
-            f"{file} has no list of its photographs beside it ({', '.join(LISTS)}).",
-            "Put the list that was exported with it beside it.",
-        )
+        raise FiptError("rig-damaged.names", file=file, lists=", ".join(LISTS))
     lines = [line.strip() for line in read_text_rig(found).splitlines() if line.strip()]
     return [_name(line) for line in lines]
 

@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 
 from ...conventions import UP_AXES, opengl_to_opencv_camera, transform_poses
-from ...run.errors import FiptError
+from ...run.errors import FiptError, Problem, problem
 from ...run.kinds import Number, choice
 from ...run.shapes import MOST_SIDE
 from ..depth_images import registered_depths
@@ -24,7 +24,6 @@ from ..rig import (
     EQUIRECTANGULAR,
     DepthView,
     Lens,
-    Note,
     Rig,
     RigView,
     WellFormed,
@@ -154,7 +153,7 @@ def read(path: Path, options: CaptureOptions) -> Rig:
         own_paths=options.own_paths,
         relative=True,
     )
-    notes: list[Note] = []
+    notes: list[Problem] = []
     views: list[RigView] = []
     depths: list[DepthView] = []
     up_axis: str | None = None
@@ -180,13 +179,13 @@ def read(path: Path, options: CaptureOptions) -> Rig:
         if split_of:
             text = f"{len(split_of)} of {len(lists)} names in the splits of {json_path} belong to no frame"
             text += f"; the first is {next(name for name in lists if _identity(places, name) in split_of)}."
-            notes.append(Note("splits-unknown", text, "Correct these names, or leave them out."))
+            notes.append(problem("splits-unknown", text=text))
     beside = {path for view in views for path in view.image.parent.glob("dynamic_mask_*")}
     if beside:
         text = (
             f"{len(beside)} masks of instant-ngp ({min(beside)}) are not used: what is white is masked there."
         )
-        notes.append(Note("masks-unused", text, "Invert them, and name them in the frames with mask_path."))
+        notes.append(problem("masks-unused", text=text))
     mesh = find_mesh([root], ["scene", "mesh", "meshed-poisson", "poisson_mesh"])
     return places.rig(NAME, views, up_axis, mesh, notes, tuple(depths))
 
@@ -212,8 +211,7 @@ def frame_view(json_path: Path, frame: Frame, split: str | None, places: Places)
         FiptError: see `read`.
     """
     if frame.transform_matrix_start is not None and not frame.transform_matrix:
-        text = f"{json_path} has two poses of each frame, between which a rolling shutter moved."
-        raise FiptError("pose-unsupported", text, "Write the pose of the middle as transform_matrix.")
+        raise FiptError("pose-unsupported.frame-view", json_path=json_path)
     pose = opengl_to_opencv_camera(read_pose(json_path, frame.transform_matrix))
     with WellFormed(json_path):
         width, height = int(frame.w or 0), int(frame.h or 0)
@@ -268,11 +266,7 @@ def _focal_lengths(json_path: Path, frame: Frame, width: int, height: int) -> tu
     fx = frame.fl_x or (0.5 * width / math.tan(0.5 * angle_x) if angle_x else None)
     fy = frame.fl_y or (0.5 * height / math.tan(0.5 * angle_y) if angle_y else None)
     if fx is None and fy is None:
-        raise FiptError(
-            "intrinsics-missing",
-            f"{json_path} has no focal length for {frame.file_path}.",
-            "Add fl_x (pixels) or camera_angle_x (radians).",
-        )
+        raise FiptError("intrinsics-missing.focal-lengths", json_path=json_path, file_path=frame.file_path)
     fx = fy if fx is None else fx
     return float(fx), float(fx if fy is None else fy)  # type: ignore[arg-type]
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from ...alignment.turns import turn_by
 from ...conventions import transform_poses
-from ...run.errors import FiptError
+from ...run.errors import FiptError, problem
 from ..places import Places
-from ..rig import EQUIRECTANGULAR, Lens, Note, RigView
+from ..rig import EQUIRECTANGULAR, Lens, RigView
 from .radial import distorting_lens
 from .rig_files import (
     Models,
@@ -140,11 +140,7 @@ def _sensor(file: Path, sensor: Element) -> _Sensor:
     calibration = next(iter((*adjusted, *calibrations)), Element("calibration"))
     kind = calibration.get("type") or sensor.get("type") or "frame"
     if kind != "spherical" and calibration.find("f") is None:
-        raise FiptError(
-            "intrinsics-missing",
-            f"{file} has the sensor {sensor.get('label', '')[:80]!r} without a calibrated focal length.",
-            "Align the photographs in Metashape, then export the cameras again.",
-        )
+        raise FiptError("intrinsics-missing.sensor", file=file, get=sensor.get("label", "")[:80])
     resolution = sensor.find("resolution")
     if resolution is None:
         resolution = calibration.find("resolution")
@@ -218,8 +214,8 @@ def _blocksexchange(file: Path, places: Places) -> Models:
                 models.setdefault((index, system, component), []).append(view)
     text = f"{file} has {len(lost)} photographs without a pose (the first is {''.join(lost[:1])[:200]!r})."
     if not models:
-        raise FiptError("no-views", text, _ALIGN)
-    note = Note("pose-lost", text, "Align these photographs, too, or leave them out there.")
+        raise FiptError("no-views.blocksexchange", text=text)
+    note = problem("pose-lost.blocksexchange", text=text)
     return list(models.values()), (note,) * bool(lost)
 
 
@@ -237,8 +233,7 @@ def _photo_view(file: Path, system: str, group: Element, photo: Element, places:
     centre = _values(photo, "Pose/Center", "x y z")
     earth = system and not system.upper().startswith(_CARTESIAN)
     if earth and np.abs(centre[:2]).max() <= 180.0:  # maps and geocentric systems have larger numbers
-        text = f"{file} has positions in degrees of longitude and latitude ({system[:40]!r})."
-        raise FiptError("pose-unsupported", text, _LOCAL)
+        raise FiptError("pose-unsupported.photo-view", file=file, system=system[:40])
     size = pixel_size(*_values(group, "ImageDimensions", "Width Height"))
     pose = camera_pose(axes @ _rotation(file, photo), centre)
     return places.view(photo.findtext("ImagePath", ""), size, _block_lens(file, group, size), pose)
@@ -253,8 +248,7 @@ def _rotation(file: Path, photo: Element) -> np.ndarray:
     if photo.find("Pose/Rotation/M_00") is not None:
         return _values(photo, "Pose/Rotation", _MATRIX).reshape(3, 3)
     if photo.find("Pose/Rotation/Omega") is None:
-        text = f"{file} has rotations that are neither matrices nor the angles Omega, Phi and Kappa."
-        raise FiptError("pose-unsupported", text, "Export rotations as matrices.")
+        raise FiptError("pose-unsupported.rotation", file=file)
     x, y, z = np.diag(np.radians(_values(photo, "Pose/Rotation", "Omega Phi Kappa")))
     return (turn_by(x) @ turn_by(y) @ turn_by(z)).T
 
@@ -268,8 +262,7 @@ def _block_lens(file: Path, group: Element, size: tuple[int, int]) -> Lens:
         raise unsupported(file, what, "Export undistorted photographs with their cameras in pixels.")
     focal = group.findtext("FocalLengthPixels")
     if focal is None and (group.find("FocalLength") is None or group.find("SensorSize") is None):
-        text = f"{file} has a photogroup without FocalLengthPixels, or FocalLength and SensorSize."
-        raise FiptError("intrinsics-missing", text, _ALIGN)
+        raise FiptError("intrinsics-missing.block-lens", file=file)
     if focal is None:
         fx = number(group.findtext("FocalLength")) * max(size) / number(group.findtext("SensorSize"))
     else:
