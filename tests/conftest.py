@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fipt_blender.core.capture import mesh_file
 from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
@@ -50,6 +51,26 @@ def leave(config: pytest.Config) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(config.stash[_STATUS])
+
+
+@pytest.fixture(scope="session", autouse=True)
+def meshes_are_read_once() -> Iterator[None]:
+    """Blender starts once for each content of an OBJ or PLY file, not for each test that reads it."""
+    read = mesh_file._read
+    known: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray]] = {}
+
+    def once(path: Path, changed: int) -> tuple[np.ndarray, np.ndarray]:
+        if path.suffix not in (".obj", ".ply"):  # others refer to more files
+            return read(path, changed)
+        content = path.suffix, path.read_bytes()
+        if content not in known:
+            known[content] = read(path, changed)
+        vertices, triangles = known[content]
+        return vertices.copy(), triangles.copy()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mesh_file, "_read", once)
+        yield
 
 
 @pytest.fixture(autouse=True)

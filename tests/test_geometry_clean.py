@@ -157,12 +157,11 @@ def test_a_run_works_on_the_cleaned_scan(tmp_path: Path) -> None:
     # A copy that does not fit is made again.
     with np.load(run.geometry_npz) as archive:
         arrays = dict(archive)
-    faults = {"source": arrays["source"][::-1], "vertices": arrays["vertices"][1:]}
-    for name in (*faults, "cut"):
+    for name in ("source", "cut"):
         if name == "cut":
             run.geometry_npz.write_bytes(written[:1000])
         else:
-            np.savez(run.geometry_npz, **{**arrays, name: faults[name]})
+            np.savez(run.geometry_npz, **{**arrays, name: arrays[name][::-1]})
         assert np.array_equal(load_room(run).vertices, scan.vertices), name
         prepare_geometry(run)
         assert np.array_equal(load_room(run).vertices, room.vertices), name

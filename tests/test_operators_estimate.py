@@ -67,6 +67,7 @@ def scene(run, tmp_path, monkeypatch):
     scene = bpy.context.scene
     room = bpy.data.collections.new("FIPT Room")
     scene.collection.children.link(room)
+    scene.fipt.capture.room = room
     for index, quad in enumerate([*BOX, PANEL]):
         mesh = bpy.data.meshes.new("quad")
         mesh.from_pydata(quad, [], [(0, 1, 2, 3)])
@@ -249,7 +250,7 @@ def test_only_changed_settings_leave_the_preset(scene):
 
 def test_settings_that_messages_name_are_in_the_panel():
     core = Path(settings_module.__file__).parent.parent
-    text = "".join(path.read_text(encoding="utf-8") for path in core.rglob("*.py"))
+    text = "".join(path.read_text(encoding="utf-8") for path in core.rglob("*.*") if path.suffix in (".py", ".toml"))
     named = set(re.findall(r"--set (\w+)=", text))
     assert named and named <= {field for choice in CHOICES.values() for field in choice}
 

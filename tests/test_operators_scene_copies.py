@@ -173,7 +173,7 @@ def shot(applied, request, tmp_path):
 
 def test_a_linked_room_says_what_it_is_lists_its_lamps_and_is_not_changed(shot):
     assert [set(names) for names in marks.linked_lamps(shot).values()] == [{"Panel"}]
-    assert not shot.fipt.lights.lights and path.is_shown("FIPT_PT_lights", bpy.context)
+    assert not shot.fipt.lights.lights and path.has_lights(bpy.context)
     texts, _ = drawn_by(lights.FIPT_PT_lights)
     assert "Panel" in texts and "room.blend" in " ".join(texts)
     light_state.switch_all(False)
