@@ -62,12 +62,13 @@ def act(window: Window, options: Options, chapters: Iterable[Chapter]) -> None:
         AssertionError: something is not as it should be.
     """
     for number, chapter in enumerate(chapters):
-        start = time.monotonic()
+        start, presses = time.monotonic(), window.presses
         if chapter.anew or (chapter.after and number == 0):
             window.ask(agent.open_file, str(window.shots / f"{chapter.after}.blend"))
             window.settle()
         chapter.act(window, options)
-        print(f"{chapter.name}: {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
+        seconds, clicks = time.monotonic() - start, window.presses - presses
+        print(f"{chapter.name}: {clicks} clicks, {seconds:.0f} s", file=sys.stderr, flush=True)
         window.ask(agent.save_copy, str(window.shots / f"{chapter.name}.blend"))
 
 
