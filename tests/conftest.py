@@ -56,7 +56,7 @@ def leave(config: pytest.Config) -> None:
 @pytest.fixture(scope="session", autouse=True)
 def meshes_are_read_once() -> Iterator[None]:
     """Blender starts once for each content of an OBJ or PLY file, not for each test that reads it."""
-    read = mesh_file._read
+    read = mesh_file.read_in_blender
     known: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray]] = {}
 
     def once(path: Path, changed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -69,7 +69,7 @@ def meshes_are_read_once() -> Iterator[None]:
         return vertices.copy(), triangles.copy()
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mesh_file, "_read", once)
+        patch.setattr(mesh_file, "read_in_blender", once)
         yield
 
 

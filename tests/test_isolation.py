@@ -10,11 +10,13 @@ import graphlib
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from importlib.util import resolve_name
 from pathlib import Path
 
 import pytest
 
 import matrix
+from fipt_blender.core.__main__ import COMMANDS
 from fipt_blender.core.run.method import ROOMS
 
 TESTS = Path(__file__).resolve().parent
@@ -118,6 +120,13 @@ def test_light_modules_import_without_the_engines_packages() -> None:
     assert result.returncode == 0, result.stderr
     blocked = subprocess.run([sys.executable, "-I", "-c", BLOCK, ".", "json", "json"], capture_output=True, text=True)
     assert blocked.returncode != 0 and "json" in blocked.stderr
+
+
+def test_engine_commands_choose_the_variant_before_they_import_what_needs_it() -> None:
+    commands = [resolve_name(module, "fipt_blender.core") for module, _ in COMMANDS.values()]
+    arguments = [str(ROOT), "mitsuba,drjit,torch,bpy", ",".join(commands)]
+    result = subprocess.run([sys.executable, "-I", "-c", BLOCK, *arguments], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
 
 
 def forbidden(file: Path) -> set[str]:

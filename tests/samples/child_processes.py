@@ -21,6 +21,7 @@ ENGINE = """
 import sys, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
+from fipt_blender.core.run.errors import Problem
 from fipt_blender.core.run.lock import hold
 from fipt_blender.core.run.messages import Reporter, claim_stdout
 from fipt_blender.core.run.runfolder import RunFolder
@@ -28,7 +29,7 @@ run, reporter = RunFolder(sys.argv[2]), Reporter(claim_stdout())
 with hold(run, ["estimate", str(run.root)]):
     reporter.stage("shadings", "Baking")
     reporter.progress(0.4, force=True, pictures=["stage/picture.png"])
-    reporter.warning("odd", "Odd.", "Even it.")
+    reporter.warn(Problem("odd", "Odd.", "Even it."))
     while not (run.root / "stop").exists():
         time.sleep(0.02)
     print("a stray line")

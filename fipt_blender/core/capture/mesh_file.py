@@ -41,11 +41,12 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
         check_size(path, MOST_BYTES)
     except ValueError as error:
         raise _unreadable(path, str(error)) from None
-    return _read(path.absolute(), path.stat().st_mtime_ns)
+    return read_in_blender(path.absolute(), path.stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=1)  # an import asks for one mesh several times
-def _read(path: Path, changed: int) -> tuple[np.ndarray, np.ndarray]:
+def read_in_blender(path: Path, changed: int) -> tuple[np.ndarray, np.ndarray]:
+    """As `read_mesh`, of an absolute path and the time of the file's last change in nanoseconds."""
     blender = running_blender()
     with tempfile.TemporaryDirectory(prefix="fipt_mesh_") as folder:
         arrays, problem = Path(folder) / "mesh.npz", Path(folder) / "mesh.json"

@@ -10,8 +10,6 @@ from typing import Protocol
 
 import numpy as np
 
-from ..pixels.store import open_array
-
 QUERY_POINTS = 1 << 18  # points per query
 
 
@@ -51,6 +49,8 @@ class Texels:
     @classmethod
     def create(cls, count: int, folder: Path | None = None) -> Texels:
         """Room for `count` texels, in files of a folder that are mapped to memory, or in memory."""
+        from ..pixels.store import open_array  # needs Mitsuba's variant
+
         arrays = {}
         for item in fields(cls):
             shape = (count, 3) if item.name in ("position", "base_color", "confidence") else (count,)
