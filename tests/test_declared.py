@@ -13,7 +13,7 @@ import pytest
 
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.run.declared import Option, add_options, arguments_of, converted, options_of
-from fipt_blender.core.run.errors import FiptError, Problem, message
+from fipt_blender.core.run.errors import FiptError, Problem, as_message
 from fipt_blender.operators.action import REGISTER, action, note
 from fipt_blender.properties.declared import fill, values_of
 from samples.operator_calls import refused
@@ -70,7 +70,9 @@ def try_action(
     if count > 5:
         raise FiptError.of("too-many", "These are too many.", "Take fewer.")
     scene["tried"] = f"{kind}{count}"
-    return "Done" if count else [note("Nothing"), message("warning", Problem("none", "There are none.", "Take some."))]
+    return (
+        "Done" if count else [note("Nothing"), as_message("warning", Problem("none", "There are none.", "Take some."))]
+    )
 
 
 def test_a_function_is_an_operator_and_stays_a_function(capfd: pytest.CaptureFixture) -> None:

@@ -12,7 +12,7 @@ import fipt_blender
 from fipt_blender.core.run.errors import FiptError, problem, problem_texts
 
 PACKAGE = Path(fipt_blender.__file__).parent
-CALLS = {"FiptError", "problem", "warning", "message"}
+CALLS = {"FiptError", "problem", "warning"}
 
 
 def named_problems() -> Iterator[tuple[str, str, set[str]]]:

@@ -11,7 +11,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
-from ..core.run.errors import message, problem
+from ..core.run.errors import as_message, problem
 from ..core.run.messages import says_out_of_memory
 
 
@@ -26,17 +26,17 @@ def explain_death(returncode: int | None, last_line: str = "", file: Path | None
     code = returncode or 0
     number = -code if code < 0 else code - 128 if 128 < code < 160 else 0
     if number == 9:
-        return message("error", problem("out-of-memory.killed"))
+        return as_message("error", problem("out-of-memory.killed"))
     if says_out_of_memory(last_line):
-        return message("error", problem("out-of-memory"))
+        return as_message("error", problem("out-of-memory"))
     if code == errno.ENOSPC or (file is not None and _is_full(file)):
-        return message("error", problem("disk-full.explain-death"))
+        return as_message("error", problem("disk-full.explain-death"))
     try:
         how = f"was ended by the signal {signal.Signals(number).name}"
     except ValueError:
         how = "ended" if returncode is None else f"ended with exit status {returncode}"
     last = f"; the last line that it printed is: {last_line}" if last_line else ""
-    return message("error", problem("engine-crashed", how=how, last=last))
+    return as_message("error", problem("engine-crashed", how=how, last=last))
 
 
 def _is_full(path: Path) -> bool:

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from ..core.run.contents import JobNote
-from ..core.run.errors import FiptError, Problem
+from ..core.run.errors import FiptError, Problem, as_message
 from ..core.run.runfolder import full_disk, write_json
-from .process import EngineProcess, Message, error_message
+from .process import EngineProcess, Message
 from .step import JobProgress, Step, StepSlices
 
 QUIET_SECONDS = 5.0  # of an engine, after which the time that is left is told anew
@@ -124,7 +124,7 @@ class Job:
             messages = self._advance()
         except FiptError as error:
             self._close_slices()
-            messages = self._fail(error_message(error))
+            messages = self._fail(as_message("error", error))
         for message in messages:
             self._take(message)
         return messages

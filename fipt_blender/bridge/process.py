@@ -30,11 +30,6 @@ Message = dict[str, Any]
 _TASKKILL_SECONDS = 1.0  # it takes a tenth of that; then the process alone is ended
 
 
-def error_message(error: FiptError) -> Message:
-    """The message `error` for an exception."""
-    return {"type": "error", "code": error.code, "text": error.text, "remedy": error.remedy}
-
-
 def end_windows_tree(pid: int) -> None:
     """End a process of Windows and all that it started, which Windows itself would leave running."""
     command = Path(os.environ.get("SystemRoot", "C:/Windows"), "System32", "taskkill.exe")

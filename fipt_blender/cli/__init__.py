@@ -15,9 +15,9 @@ from functools import partial
 from pathlib import Path
 
 from ..bridge.job import Job
-from ..bridge.process import Message, error_message
+from ..bridge.process import Message
 from ..bridge.step import Step
-from ..core.run.errors import FiptError
+from ..core.run.errors import FiptError, as_message
 from ..core.run.runfolder import explained_write_errors
 from ..jobs.main_job import make_main_job
 from ..jobs.run_job import find_launch, prepare_job
@@ -124,5 +124,5 @@ def _run(job: Job, display: Display, again: str) -> int:
 
 
 def _report_error(arguments: argparse.Namespace, error: FiptError) -> int:
-    Display(sys.stdout, arguments.json, arguments.quiet).show(error_message(error))
+    Display(sys.stdout, arguments.json, arguments.quiet).show(as_message("error", error))
     return 1

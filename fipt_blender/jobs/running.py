@@ -12,7 +12,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..blend import previews
-from ..core.run.errors import FiptError
+from ..core.run.errors import FiptError, as_message
 from . import runstate
 from .job_scene import find_scene, scene_context, uses_run_folder
 from .window import push_undo, redraw, show_notice
@@ -97,9 +97,8 @@ def run(job: Job, on_end: Callable[[Job], None] | None = None) -> Job:
 
 def refuse(job: Job, error: FiptError) -> None:
     """Record a job that could not start as the last one of its kind, so that the panel shows why."""
-    from ..bridge.process import error_message
 
-    job.ended, job.error = True, error_message(error)
+    job.ended, job.error = True, as_message("error", error)
     _last[job.kind] = _last[None] = job
     redraw()
 
@@ -241,7 +240,6 @@ def _redo(active: _Active) -> None:
 
 def _end() -> None:
     global _active
-    from ..bridge.process import error_message
 
     assert _active is not None
     active, _active = _active, None
@@ -251,7 +249,7 @@ def _end() -> None:
         try:
             active.on_end(job)
         except FiptError as error:
-            job.error = error_message(error)
+            job.error = as_message("error", error)
         except Exception as error:
             job.error = _unexpected(error)
     runstate.forget(job.run_folder)

@@ -15,7 +15,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from .. import machine
 from ..core.run.declared import Option
-from ..core.run.errors import FiptError, message
+from ..core.run.errors import FiptError, as_message
 from ..jobs import running
 from ..jobs.tasks import Task
 from ..panels.sidebar import size_text
@@ -207,7 +207,7 @@ def _clearing(names: str) -> Step:
                 for _ in storage.delete(stored[name], data, used):
                     yield index / len(chosen)
             except FiptError as error:
-                warnings.append(message("warning", error))
+                warnings.append(as_message("warning", error))
         return warnings
 
     return Step("clear", "Deleting cached data", 5.0, function=clear)

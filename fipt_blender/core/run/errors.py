@@ -72,11 +72,11 @@ class FiptError(Exception):
         return FiptError.of, (self.code, self.text, self.remedy)
 
 
-def message(kind: str, said: Problem | FiptError) -> dict[str, Any]:
+def as_message(kind: str, said: Problem | FiptError) -> dict[str, Any]:
     """The message of type "warning" or "error" that says a problem."""
     return {"type": kind, "code": said.code, "text": said.text, "remedy": said.remedy}
 
 
 def warning(key: str, /, **values: object) -> dict[str, Any]:
     """The message that warns of a problem."""
-    return message("warning", problem(key, **values))
+    return as_message("warning", problem(key, **values))
