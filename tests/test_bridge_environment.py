@@ -24,7 +24,7 @@ from fipt_blender.bridge.pip import PipProgress, pip_error
 from fipt_blender.bridge.plan import Plan
 from fipt_blender.bridge.torch_build import TORCH_INDEX, Size, choose_torch_build, torch_index, torch_requirement
 from fipt_blender.core.device.cuda import Gpu
-from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.errors import FiptError, problem
 from fipt_blender.core.run.lock import hold
 from fipt_blender.core.run.messages import parse_message
 from fipt_blender.core.run.runfolder import RunFolder
@@ -46,8 +46,8 @@ class Listener:
     def stage(self, name: str, text: str) -> None:
         self.stages.append(name)
 
-    def warning(self, code: str, text: str, remedy: str) -> None:
-        self.warnings.append(code)
+    def warning(self, key: str, /, **values: object) -> None:
+        self.warnings.append(problem(key, **values).code)
 
 
 def make_plan(tmp_path: Path, **changes: object) -> Plan:
