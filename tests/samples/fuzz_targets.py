@@ -178,5 +178,5 @@ TARGETS = (
     Target("hints", fuzz_samples.write_known, lambda sample, out: read_hints(sample / "hints.json")),
     Target("options", fuzz_samples.write_options, _ingest_with_options),
     Target("preparation", fuzz_samples.write_preparation, _preparation, ("fipt_blender.prepare.preparation",)),
-    Target("named-meshes", fuzz_samples.write_named_meshes, _named_meshes, ("fipt_blender.jobs.fingerprints",)),
+    Target("named-meshes", fuzz_samples.write_named_meshes, _named_meshes, ("fipt_blender.blend.capture.mesh_names",)),
 )
