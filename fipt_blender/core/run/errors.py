@@ -7,7 +7,6 @@ Standard library only: both processes import it.
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -35,6 +34,8 @@ def problem_texts() -> dict[str, dict[str, str]]:
 
     A key is a code, or a code, a dot and a name where a code has several texts.
     """
+    import tomllib  # enabling the add-on does not need it
+
     return tomllib.loads(Path(__file__).with_name("problems.toml").read_text(encoding="utf-8"))
 
 
