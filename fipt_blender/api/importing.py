@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import bpy
 
 from .. import machine
-from ..core.run.errors import FiptError
+from ..core.run.errors import FiptError, warning
 from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
 
@@ -84,9 +84,7 @@ def _use_scene_cameras(scene: bpy.types.Scene) -> Job:
         adopt_cameras(run)
         if not skipped:
             return []
-        text = f"{len(skipped)} cameras without a photograph were skipped: {', '.join(skipped[:5])}."
-        remedy = "To use them as well, give each its photograph as background image."
-        return [{"type": "warning", "code": "cameras-left-out", "text": text, "remedy": remedy}]
+        return [warning("cameras-left-out", count=len(skipped), first=", ".join(skipped[:5]))]
 
     return open_job(run, import_steps(run, path, options, adopt, "Listing the cameras"), launch)
 

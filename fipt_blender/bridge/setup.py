@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ..core.device.cuda import cuda_devices, cuda_driver_version
-from ..core.run.errors import FiptError, Problem
+from ..core.run.errors import FiptError, Problem, problem
 from ..core.run.lock import hold
 from ..core.run.messages import Reporter, claim_stdout
 from ..core.run.runfolder import RunFolder, explained_write_errors
@@ -146,12 +146,11 @@ def main() -> int:
         run(arguments, reporter)
     except FiptError as error:
         traceback.print_exc()
-        reporter.error(error.code, error.text, error.remedy)
+        reporter.error(error)
         return 1
     except Exception as error:  # every failure must reach the user
         traceback.print_exc()
-        text = f"Set-up failed: {type(error).__name__}: {error}"
-        reporter.error("setup-failed", text, "See the log, and please report the problem.")
+        reporter.error(problem("setup-failed", kind=type(error).__name__, error=error))
         return 1
     return 0
 

@@ -16,7 +16,7 @@ import sys
 import traceback
 from contextlib import nullcontext
 
-from .run.errors import FiptError
+from .run.errors import FiptError, problem
 from .run.lock import hold
 from .run.messages import Reporter, claim_stdout, says_out_of_memory
 from .run.process_identity import end_with_parent
@@ -71,31 +71,21 @@ def run_command(argv: list[str], reporter: Reporter) -> int:
             module.run(arguments, reporter)
     except FiptError as error:
         traceback.print_exc()
-        reporter.error(error.code, error.text, error.remedy)
+        reporter.error(error)
         return 1
     except ImportError as error:
         traceback.print_exc()
-        reporter.error(
-            "package-missing", f"The engine's Python lacks a package ({error}).", "Set up the engine again."
-        )
+        reporter.error(problem("package-missing.import", error=error))
         return 1
     except Exception as error:  # every failure must reach the user
         traceback.print_exc()
         if isinstance(error, MemoryError) or says_out_of_memory(str(error)):
-            reporter.error(
-                "out-of-memory",
-                "The engine ran out of memory.",
-                "Use a smaller preset or fewer or smaller views, or close other programs; then resume.",
-            )
+            reporter.error(problem("out-of-memory"))
             return 1
         if full := full_disk(error):
-            reporter.error(full.code, full.text, full.remedy)
+            reporter.error(full)
             return 1
-        reporter.error(
-            "engine-failed",
-            f"The engine failed: {type(error).__name__}: {error}",
-            "See the log in the run folder, and please report the problem.",
-        )
+        reporter.error(problem("engine-failed.unexpected", kind=type(error).__name__, error=error))
         return 1
     return 0
 

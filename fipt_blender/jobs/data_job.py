@@ -14,6 +14,7 @@ from ..bridge.job import Job
 from ..bridge.pins import other_versions, read_pins
 from ..bridge.process import EngineProcess
 from ..bridge.step import Step
+from ..core.run.errors import warning
 from ..core.run.runfolder import PRODUCT_VERSION, explained_write_errors
 from . import running
 from .tasks import Task
@@ -73,14 +74,7 @@ def store_status(job: Job, set_up: bool = False) -> None:
         return
     engine = {} if job.error else job.data
     if engine and (others := other_versions(read_pins(), engine["packages"])):
-        job.warnings.append(
-            {
-                "type": "warning",
-                "code": "package-version",
-                "text": f"Some packages have untested versions: {', '.join(others)}.",
-                "remedy": "If the engine fails, install the tested versions (in parentheses).",
-            }
-        )
+        job.warnings.append(warning("package-version", packages=", ".join(others)))
     machine.store_status(
         {
             "time": time.time(),

@@ -10,7 +10,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 
 import bpy
 import numpy as np
@@ -37,7 +36,7 @@ from ..bridge.process import Message
 from ..bridge.step import Slices
 from ..core.capture.options import CaptureOptions
 from ..core.run.contents import CapturedView, CapturedViews
-from ..core.run.errors import FiptError
+from ..core.run.errors import FiptError, Problem, as_message, warning
 from ..core.run.made import Made, content_digest
 from ..core.run.run_files import read_capture
 from ..core.run.runfolder import RunFolder, atomic_path
@@ -107,7 +106,7 @@ class RoomSteps:
         """Make the renders of a kind, unless there are those of this room; returns warnings."""
         made = self._renders_made(kind)
         if (kept := made.kept()) is not None:
-            return [{"type": "warning", **asdict(each)} for each in kept]
+            return [as_message("warning", each) for each in kept]
         work = {"rerender": self.rerender, "relight": self.relight, "insert": self.insert}[kind]
         warnings = yield from work()
         made.note(warnings)
@@ -153,14 +152,7 @@ class RoomSteps:
         """Render the view with an inserted object; a warning if there is no place for one."""
         view, support = self._view()
         if support is None:
-            return [
-                {
-                    "type": "warning",
-                    "code": "surface-missing",
-                    "text": f"The view '{view}' shows no free horizontal surface for an inserted object.",
-                    "remedy": "Choose a view that sees the floor or a table (--render-view).",
-                }
-            ]
+            return [warning("surface-missing.insert", view=view)]
         point, size = Vector(support.point), 2.0 * support.radius
         inserted = add_ball(bpy.context.scene, point, INSERTED_KIND, size)
         try:
@@ -188,8 +180,8 @@ class RoomSteps:
             if error.code != "image-missing":
                 raise
             text = f"{error.text} The median of all photographs sets exposure and new lights instead."
-            warning = {"type": "warning", "code": error.code, "text": text, "remedy": error.remedy}
-            return np.array([median_radiance(self._run)]), [warning]
+            said = Problem(error.code, text, error.remedy)
+            return np.array([median_radiance(self._run)]), [as_message("warning", said)]
 
     def _view(self) -> tuple[str, Support | None]:
         """The view to render, and a place in it for an object, if there is one."""

@@ -12,7 +12,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..blend import previews
-from ..core.run.errors import FiptError, as_message
+from ..core.run.errors import FiptError, as_message, problem
 from . import runstate
 from .job_scene import find_scene, scene_context, uses_run_folder
 from .window import push_undo, redraw, show_notice
@@ -267,9 +267,5 @@ def _unexpected(error: Exception) -> Message:
     import traceback
 
     traceback.print_exc()
-    return {
-        "type": "error",
-        "code": "blender-step-failed",
-        "text": f"An unexpected error occurred: {type(error).__name__}: {error}",
-        "remedy": "Resume. If it happens again, report it with the console's output.",
-    }
+    said = problem("blender-step-failed.unexpected", kind=type(error).__name__, error=error)
+    return as_message("error", said)

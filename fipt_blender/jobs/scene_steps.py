@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from ..bridge.process import Message
 from ..bridge.step import Slices, Step, StepFunction
 from ..core.capture.options import CaptureOptions
-from ..core.run.errors import FiptError
+from ..core.run.errors import FiptError, warning
 from ..core.run.made import Made, content_digest
 from ..core.run.runfolder import RunFolder
 from ..core.run.settings import Settings
@@ -157,9 +157,7 @@ def apply_steps(run: RunFolder, settings: Settings) -> list[Step]:
         files = texture_files(bpy.context.scene, run)
         warnings = yield from apply_results(run, objects(), bpy.context.scene, files)
         if apply_environment(run, bpy.context.scene, files) is None:
-            text = "The scene keeps the world that you have chosen since results were applied."
-            remedy = "To get the estimated one back, use Revert and apply the results again."
-            warnings.append({"type": "warning", "code": "world-kept", "text": text, "remedy": remedy})
+            warnings.append(warning("world-kept"))
         return warnings
 
     return [

@@ -32,8 +32,6 @@ FLOOR_PERCENTILE = 2.0  # of the heights of points; below the floor are only wro
 LEAST_ANGLE = np.radians(1.0)  # between rays; below, a position along them is not determined
 MOST_ERROR = np.radians(1.0)  # of a ray; those that pass farther from a point are of something else
 _PICK_SHARE = 0.08  # of the image's diagonal within which a solved point gives the depth of a picked pixel
-_PICK_FORM = "Write them as VIEW X Y, separated by commas in one point and by a semicolon between the points."
-_PICK_AGAIN = "Pick the point in other views, at a place with texture."
 MARKER_TOLERANCE = 0.03  # relative disagreement of a marker's edges above which the scale is doubtful
 DICTIONARIES = tuple(f"{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)) + (
     "ARUCO_ORIGINAL",

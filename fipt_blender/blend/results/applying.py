@@ -14,7 +14,7 @@ import numpy as np
 
 from ...bridge.process import Message
 from ...bridge.step import Slices
-from ...core.run.errors import FiptError
+from ...core.run.errors import FiptError, warning
 from ...core.run.runfolder import RunFolder
 from ...core.run.versions import results_id
 from ..lights import fixtures
@@ -141,9 +141,7 @@ def _left_out(room: Room, matches: Sequence[str | None]) -> list[Message]:
     missing = [name for name, match in zip(room.objects, matches, strict=True) if match is None]
     if not missing:
         return []
-    text = f"These objects were estimated, but are not in the room any more: {list_names(missing)}."
-    remedy = "The others got their results. Undo the removal and apply again to give them theirs."
-    return [{"type": "warning", "code": "objects-missing", "text": text, "remedy": remedy}]
+    return [warning("objects-missing", objects=list_names(missing))]
 
 
 def _write_layers(target: Target, results: Results) -> None:
@@ -258,9 +256,7 @@ def _select_kept(scene: bpy.types.Scene, kept_faces: Mapping[str, np.ndarray]) -
             if name in layer.objects:
                 item.select_set(True, view_layer=layer)
     count = sum(int(kept_faces[name].sum()) for name in names)
-    text = f"{count:,} faces of {list_names(names)} keep what they had: no surface was estimated there."
-    remedy = "They are selected. Give them materials, or estimate again with the changed room."
-    return [{"type": "warning", "code": "surfaces-kept", "text": text, "remedy": remedy}]
+    return [warning("surfaces-kept", count=count, objects=list_names(names))]
 
 
 def _deleted_lamps(
@@ -283,9 +279,7 @@ def _still_deleted(absent: Sequence[fixtures.NewFixture]) -> list[Message]:
     """A note on lamps that stay deleted."""
     if not absent:
         return []
-    text = f"These lamps, which you have deleted, stay so: {list_names([each.name for each in absent])}."
-    remedy = "To get them back, use Revert and apply the results again."
-    return [{"type": "warning", "code": "lamps-deleted", "text": text, "remedy": remedy}]
+    return [warning("lamps-deleted", lamps=list_names([each.name for each in absent]))]
 
 
 def _lost_lamps(
@@ -301,6 +295,4 @@ def _lost_lamps(
     ]
     if not lost:
         return []
-    text = f"No face is left of these lamps: {list_names(lost)}."
-    remedy = "Undo the change to the meshes and apply again, or add lights in the section Lights."
-    return [{"type": "warning", "code": "lamps-missing", "text": text, "remedy": remedy}]
+    return [warning("lamps-missing", lamps=list_names(lost))]

@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 
 from ...bridge.process import Message
+from ...core.run.errors import warning
 from ..image_datablocks import remove_unused_images
 from ..marks import MATERIAL, PART, PART_NAME, REPLACEMENT
 from ..room.mesh_arrays import polygon_slots
@@ -141,10 +142,7 @@ class PartMaterials:
                 image.name = f"FIPT {name} {label}"
         if not self._lost:
             return []
-        names = list_names(sorted(set(self._lost)))
-        text = f"The estimate no longer has the parts that you have adjusted or replaced: {names}."
-        remedy = "Adjust or replace the parts that have taken their place."
-        return [{"type": "warning", "code": "adjustments-lost", "text": text, "remedy": remedy}]
+        return [warning("adjustments-lost", parts=list_names(sorted(set(self._lost))))]
 
 
 def _slot(materials: Sequence[bpy.types.Material | None], index: int) -> bpy.types.Material | None:

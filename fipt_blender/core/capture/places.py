@@ -127,7 +127,7 @@ class Places:
         """
         found = self.find(name)
         if found is None:
-            raise FiptError("image-missing.size", missing=self._missing(name))
+            raise FiptError("image-missing.check-files", text=self._missing(name))
         size: tuple[int, int] = self._once(("size", name), lambda: read_size(found.path))
         return size
 
@@ -289,12 +289,6 @@ class Places:
             text += " The path itself leads outside of the capture's folder, and is not followed."
             raise FiptError("path-outside.missing", text=text)
         return text
-
-
-MISSING_REMEDY = (
-    "Move the files into the capture, or choose the folder of the photographs (Photographs in the import"
-    " settings, --images)."
-)
 
 
 def _has_size(path: Path, size: tuple[int, int]) -> bool:

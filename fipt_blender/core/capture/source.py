@@ -134,7 +134,7 @@ def _with_layer(rig: Rig, layer: str) -> Rig:
 
 def _mesh(rig: Rig, options: CaptureOptions) -> Path | None:
     if options.mesh is not None and not options.mesh.is_file():
-        raise FiptError("mesh-missing.mesh", mesh=options.mesh)
+        raise FiptError("mesh-missing.read-mesh", path=options.mesh)
     mesh = options.mesh or rig.mesh
     if mesh is not None and (error := stand_in(mesh)) is not None:
         raise error

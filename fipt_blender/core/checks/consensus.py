@@ -45,7 +45,6 @@ UNITS = (0.001, 0.01, 0.0254, 0.3048, 1.0, 1.0 / 0.3048, 1.0 / 0.0254, 100.0, 10
 TRIED_VIEWS = 24  # views with which other placements of the mesh are tried
 LEAST_SEEN = 0.05  # share of the pixels that see the mesh, of a view or of all, below which they see nothing
 SAME = 0.02  # standard deviation of log radiance in all photographs, below which they show nothing
-_FORCE = " To estimate nevertheless, set Force in the section Estimate > Advanced (--force)."
 _ALIGN = "align the cameras to the mesh by pairs of points in Blender (Capture > Alignment > Cameras to Mesh)"
 _AXES = "XYZ"
 

@@ -22,7 +22,6 @@ PACKAGES = (
     *("mitsuba", "drjit", "torch", "numpy", "OpenEXR", "OpenImageIO"),
     *("pycolmap", "pyoidn", "pillow", "jinja2", "psutil", "scipy"),
 )
-_SET_UP_AGAIN = "Set up the engine again in the add-on's preferences."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

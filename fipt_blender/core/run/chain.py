@@ -35,7 +35,6 @@ from .settings import Settings
 from .stage_settings import chosen
 from .store import DamagedStage, loaded, saved
 
-START_AGAIN = "Start the estimation again without resuming it."
 _DOCUMENT, _FINISHED = "outputs.json", "finished.json"
 _NOT_TAKEN = ("settings", "tools")  # parameters that are no values of the chain
 Target = TypeVar("Target")

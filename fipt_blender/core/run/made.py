@@ -8,7 +8,6 @@ The stages of an estimation have keys of their own (:mod:`.chain`). Standard lib
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from typing import Any
 from .contents import Problem
 from .documents import optional_document
 from .messages import Reporter
-from .method import method_digest
+from .method import digest, method_digest
 from .runfolder import RunFolder, write_json
 
 
@@ -41,8 +40,7 @@ class Made:
     """
 
     def __init__(self, run: RunFolder, name: str, *facts: Any, outputs: Sequence[Path]) -> None:
-        text = json.dumps([method_digest(), *facts], sort_keys=True, default=str)
-        self._key = hashlib.sha256(text.encode()).hexdigest()
+        self._key = digest(method_digest(), *facts, default=str)
         self._path = run.made(name)
         self._outputs = outputs
 
@@ -72,10 +70,10 @@ class Made:
 
 def content_digest(*paths: Path) -> str:
     """Digest of the content of files, which may be missing."""
-    digest = hashlib.sha256()
+    content = hashlib.sha256()
     for path in paths:
-        digest.update(path.read_bytes() if path.exists() else b"missing")
-    return digest.hexdigest()
+        content.update(path.read_bytes() if path.exists() else b"missing")
+    return content.hexdigest()
 
 
 def folder_states(path: Path | None, exclude: Path) -> list[str]:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from .errors import FiptError, Problem, problem
+from .errors import FiptError, Problem, as_message, problem
 from .kinds import as_json
 
 # Share of a plan whose time counts as known before anything is done, where seconds are expected; and without
@@ -198,9 +198,9 @@ class Reporter:
         self.warnings.append({"code": said.code, "text": said.text, "remedy": said.remedy})
         self._write({"type": "warning", **self.warnings[-1]})
 
-    def error(self, code: str, text: str, remedy: str) -> None:
+    def error(self, said: Problem | FiptError) -> None:
         """Report the problem that stopped the command."""
-        self._write({"type": "error", "code": code, "text": text, "remedy": remedy})
+        self._write(as_message("error", said))
 
     def done(self, files: Sequence[str], data: Mapping[str, Any] | None = None) -> None:
         """Report the end of the command, with the files it wrote and data, JSON or dataclasses."""

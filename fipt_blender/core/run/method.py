@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -26,9 +26,9 @@ ROOMS = (
 )
 
 
-def digest(*values: Any) -> str:
-    """A hexadecimal text that differs for different values (JSON)."""
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:24]
+def digest(*values: Any, default: Callable[[Any], Any] | None = None) -> str:
+    """A hexadecimal text that differs for different values (JSON, or what `default` makes of others)."""
+    return hashlib.sha256(json.dumps(values, sort_keys=True, default=default).encode()).hexdigest()[:24]
 
 
 @cache

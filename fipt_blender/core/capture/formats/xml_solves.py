@@ -40,9 +40,6 @@ _PARAMETERS = ("f", "cx", "cy", "b1", "p1", "p2", *_RADIAL, *_UNSUPPORTED)
 _CARTESIAN = ("LOCAL", "ENU", "ENGCRS")  # beginnings of systems whose numbers may be small
 _DIRECTIONS = {"Right": (1, 0, 0), "Left": (-1, 0, 0), "Down": (0, 1, 0), "Up": (0, -1, 0)}
 _MATRIX = "M_00 M_01 M_02 M_10 M_11 M_12 M_20 M_21 M_22"  # BlocksExchange's rotations
-# Remedies.
-_LOCAL = "Export cameras and mesh in a local coordinate system."
-_ALIGN = "Export the block after its aerotriangulation."
 
 
 # ------------------------------------------------------------------------------------------------ Metashape
