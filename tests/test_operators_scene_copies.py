@@ -131,6 +131,20 @@ def test_a_material_that_the_artist_edits_herself_changes_in_one_scene(applied):
         assert look(other) == before
 
 
+def test_a_scene_that_shares_some_objects_changes_no_materials(applied):
+    lamp = bpy.data.objects["Panel"]
+    room = [item for item in applied.objects if item.type == "MESH" and item != lamp]
+    materials = [material for item in room for material in item.data.materials]
+    lamp.data.materials.append(next(each for each in materials if each and marks.MATERIAL in each))
+    other = applied.copy()  # as for a picture over the photograph
+    for group in list(other.collection.children):
+        other.collection.children.unlink(group)
+    for item in room:
+        other.collection.objects.link(item)
+    dropped.own_copies()
+    assert [material for item in room for material in item.data.materials] == materials
+
+
 def test_a_copied_lamp_has_a_switch_of_its_own(applied):
     """Duplicated by Shift D, which shares the material."""
     lamp = bpy.data.objects["Panel"]

@@ -15,12 +15,15 @@ from .marks import ESTIMATE, MATERIAL, RESULT_MESH, has_estimates, is_fixture, i
 
 
 def own_materials(scene: bpy.types.Scene) -> None:
-    """Give a scene copies of estimated materials that other scenes use, and each lamp those of its own."""
+    """Give a scene copies of estimated materials that other scenes use, and each lamp those of its own.
+
+    A scene that shares surfaces of its room, as that of a picture over the photograph does, is no copy.
+    """
     copies: dict[bpy.types.Material, bpy.types.Material] = {}
     if len(bpy.data.scenes) > 1:
-        items = set(scene.objects)
-        others = {item for other in bpy.data.scenes for item in other.objects} - items
-        elsewhere = _meshes(others)
+        items = _surfaces(scene)
+        rooms = [room for room in map(_surfaces, bpy.data.scenes) if room.isdisjoint(items)]
+        elsewhere = _meshes(set().union(*rooms))
         for item in items:
             if item.get(RESULT_MESH) in elsewhere:
                 item[RESULT_MESH] = item[RESULT_MESH].copy()
@@ -39,9 +42,14 @@ def own_materials(scene: bpy.types.Scene) -> None:
             used |= _materials(mesh)
 
 
+def _surfaces(scene: bpy.types.Scene) -> set[bpy.types.Object]:
+    """A scene's estimated objects and its fixtures."""
+    return {item for item in scene.objects if has_estimates(item) or is_fixture(item)}
+
+
 def _meshes(items: Iterable[bpy.types.Object]) -> set[bpy.types.Mesh]:
     """The result meshes of objects."""
-    return {item.get(RESULT_MESH, item.data) for item in items if has_estimates(item) or is_fixture(item)}
+    return {item.get(RESULT_MESH, item.data) for item in items}
 
 
 def _materials(mesh: bpy.types.Mesh) -> set[bpy.types.Material]:

@@ -99,8 +99,8 @@ class RoomSteps:
         """Whether renders of a kind show the room as it is applied now."""
         options, settings = self._options, self._options.settings
         how = options.render_spp, options.render_view, settings.seed, settings.clean_mesh, settings.write_back
-        applied = content_digest(self._run.made("textures"))
-        return Made(self._run, f"render-{kind}", applied, how, outputs=[self._run.renders_json])
+        textures = content_digest(self._run.made("textures"))
+        return Made(self._run, f"render-{kind}", textures, how, outputs=[self._run.renders_json])
 
     def render(self, kind: str) -> Slices[list[Message]]:
         """Make the renders of a kind, unless there are those of this room; returns warnings."""
