@@ -155,7 +155,7 @@ class RoomFields:
             network = brdf_network(settings, arrays.network, len(units.single))
         except (RuntimeError, KeyError) as error:  # the settings have changed since
             raise FiptError(
-                "file-damaged.load", fields_npz=run.fields_npz, error=error, again=again
+                "file-damaged.read-arrays", path=run.fields_npz, error=error, remedy=again
             ) from None
         median, width = arrays.detail_median, arrays.detail_width
         keys, sums = arrays.detail_keys, arrays.detail_sums
