@@ -38,7 +38,7 @@ def parse_arguments(words: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="make_room.py", description=__doc__.split("\n")[0])
     parser.add_argument("--out", type=Path, default=HERE / "room", help="folder of the capture")
     parser.add_argument(
-        "--views", type=int, default=40, help="training views; held-back ones are 15 % of that"
+        "--views", type=int, default=40, help="training views; held-back ones are 15 %% of that"
     )
     parser.add_argument("--size", default="192x108", metavar="WxH", help="pixels of an image")
     parser.add_argument("--spp", type=int, default=64, help="paths a pixel")

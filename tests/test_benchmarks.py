@@ -6,11 +6,24 @@ from __future__ import annotations
 
 import ast
 import importlib
+import runpy
+import sys
 from pathlib import Path
 
+import pytest
+
 from benchmarks import speed
+from fipt_blender import cli
+from fipt_blender.core.__main__ import COMMANDS, run_command
+from fipt_blender.core.run.messages import Reporter
 
 ROOT = Path(__file__).resolve().parent.parent
+# The scripts of people: all that read a command line, and dev.py.
+SCRIPTS = [
+    ROOT / "dev.py",
+    *(file for room in ("benchmarks", "examples") for file in sorted((ROOT / room).glob("*.py"))
+      if "argparse.ArgumentParser(" in file.read_text(encoding="utf-8")),
+]  # fmt: skip
 
 
 def imported(file: Path) -> set[str]:
@@ -40,6 +53,31 @@ def test_scripts_import_only_what_there_is() -> None:
         if missing := sorted(name for name in imported(file) if not exists(name)):
             faults[file.name] = missing
     assert len(files) > 20 and not faults, faults
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda file: file.stem)
+def test_scripts_print_their_help(
+    script: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", [str(script), "--help"])
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    with pytest.raises(SystemExit) as end:
+        runpy.run_path(str(script), run_name="__main__")
+    assert not end.value.code and len(capsys.readouterr().out) > 100
+
+
+@pytest.mark.parametrize(
+    "command", ["", "estimate", "prepare", "export", "check", *(f"core {name}" for name in COMMANDS)]
+)
+def test_commands_print_their_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [*command.split(), "--help"]
+    if words[0] == "core":
+        with pytest.raises(SystemExit) as end:
+            run_command(words[1:], Reporter(sys.stdout))
+        assert end.value.code == 0
+    else:
+        assert cli.main(words) == 0
+    assert "usage: fipt" in capsys.readouterr().out
 
 
 def test_speed_tells_medians_of_runs_beside_earlier_ones() -> None:

@@ -14,7 +14,6 @@ from ...core.run.contents import CapturedView
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ..capture.backdrop import set_backdrop
-from ..color_spaces import encoded_space
 from ..export.stage import rendered_objects
 from ..image_datablocks import load_radiance
 from ..lights.convert import RAYS
@@ -62,8 +61,6 @@ def plate_scene(scene: bpy.types.Scene, run: RunFolder, view: CapturedView) -> b
     image = load_radiance(path)
     if image is None or min(image.size) == 0:
         raise FiptError("image-missing.photograph", path=path, name=view.name)
-    if view.encoded:
-        image.colorspace_settings.name = encoded_space()
     set_backdrop(scene, "PHOTOGRAPH", scene.fipt.capture.room_objects(scene))  # also objects that came since
     size, rendered = plate_size(scene, scene.camera), rendered_objects(scene)
     made = scene.copy()
