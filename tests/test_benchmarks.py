@@ -69,7 +69,7 @@ def test_scripts_print_their_help(
 @pytest.mark.parametrize(
     "command", ["", "estimate", "prepare", "export", "check", *(f"core {name}" for name in COMMANDS)]
 )
-def test_commands_print_their_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_print_their_help(command, capsys) -> None:
     words = [*command.split(), "--help"]
     if words[0] == "core":
         with pytest.raises(SystemExit) as end:

@@ -150,6 +150,12 @@ def test_a_file_whose_textures_can_not_be_copied_is_saved_all_the_same(applied, 
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"), relative_remap=False)
     assert paths(applied) == before and "could not be copied" in capfd.readouterr().out
     assert (tmp_path / "kitchen.blend").is_file()
+    # A file that has a name brings what is still in the run folder when it is saved again, under no other name.
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other.blend"), copy=True)
+    (tmp_path / "kitchen_textures").unlink()
+    assert paths(bpy.context.scene) == before and not (tmp_path / "other_textures").exists()
+    bpy.ops.wm.save_mainfile()
+    assert all(path.startswith("//kitchen_textures/") for path in paths(bpy.context.scene)) and not missing_pictures()
 
 
 def test_textures_that_can_not_be_copied_change_nothing(applied, tmp_path):

@@ -10,7 +10,7 @@ when they are read.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -31,10 +31,24 @@ from .rig import Pinhole
 
 # From this share of clipped pixels on, the mean of codes is only a bound, and clipped, too.
 CLIPPED_SHARE = 0.02
-# Bytes of averaged images that this process keeps: all of them with the budgets of the presets.
+# Bytes of averaged images that a capture keeps: all of them with the budgets of the presets.
 MOST_KEPT = 500_000_000
-_KEPT: dict[tuple[Picture, str, tuple[int, int], bool], np.ndarray] = {}  # by the arguments of `_reduced`
 Result = TypeVar("Result")  # of a function of a view
+
+
+class KeptImages(dict[tuple[Picture, str, tuple[int, int], bool], np.ndarray]):
+    """The last images that were averaged, by the arguments of `_reduced`; processes share none."""
+
+    def __reduce__(self) -> tuple[type[KeptImages], tuple[()]]:
+        return KeptImages, ()
+
+    def keep(self, key: tuple[Picture, str, tuple[int, int], bool], image: np.ndarray) -> None:
+        """Keep an image, and of all only as many as `MOST_KEPT` allows."""
+        self[key] = image
+        for oldest in tuple(self):
+            if sum(array.nbytes for array in tuple(self.values())) <= MOST_KEPT:
+                break
+            self.pop(oldest, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +68,7 @@ class View:
         exposure: of such a photograph, the relative exposure stored in its file, or None.
         panorama: name of the panorama that the view is a face of, or None.
         full: width and height of the photograph, where the view has fewer pixels; None where it has its size.
+        kept: averaged images: of all views of a capture, at any resolution.
     """
 
     name: str
@@ -73,6 +88,7 @@ class View:
     exposure: float | None = None
     panorama: str | None = None
     full: tuple[int, int] | None = None
+    kept: KeptImages = field(default_factory=KeptImages, repr=False)
 
     @property
     def files(self) -> list[Path]:
@@ -109,8 +125,7 @@ class View:
     def keep(self, photograph: np.ndarray) -> None:
         """Average the photograph, which has been decoded, for a later `radiance`."""
         if self.full:
-            size = self.width, self.height
-            _reduced(open_picture(self.image), "image", size, self.encoded, photograph)
+            self._reduced(open_picture(self.image), "image", photograph)
 
     def part_ids(self) -> np.ndarray | None:
         """Part ids (height, width) int32, or None where the view has none."""
@@ -137,7 +152,7 @@ class View:
         if picture.size == size:
             return _pixels(picture, kind)
         if picture.size == self.full:
-            return _reduced(picture, kind, size, self.encoded)
+            return self._reduced(picture, kind)
         wanted = self.full or size
         remedy = "Import the capture again, or restore the photograph."
         if kind != "image":
@@ -152,49 +167,42 @@ class View:
             remedy,
         )
 
+    def _reduced(self, picture: Picture, kind: str, pixels: np.ndarray | None = None) -> np.ndarray:
+        """An image with fewer pixels: the mean radiance of those that each covers, ids by majority.
+
+        Of what must not be used, any share spoils a mean. Of photographs that are not HDR, pixels of which a
+        relevant share is clipped in a channel are so, too.
+
+        Args:
+            kind: as of `_read`.
+            pixels: of the picture, if they are decoded already.
+
+        Returns:
+            read-only.
+        """
+        size = self.width, self.height
+        key = (picture, kind, size, self.encoded)
+        if (kept := self.kept.get(key)) is not None:
+            return kept
+        pixels = _pixels(picture, kind) if pixels is None else pixels
+        if kind == "ids":
+            result = majority(pixels, *size)
+        elif kind == "mask":
+            result = means(pixels[..., None], *size)[..., 0] > 0.0
+        else:
+            result = means(pixels, *size)
+            if self.encoded and (clipped := is_clipped(pixels)).any():
+                result[means(clipped, *size) >= CLIPPED_SHARE] = 1.0
+        result.flags.writeable = False
+        self.kept.keep(key, result)
+        return result
+
 
 def _pixels(picture: Picture, kind: str) -> np.ndarray:
     """A view's image as it is stored; of a mask the pixels that are left out."""
     if kind == "image":
         return picture.shown()[0]
     return picture.ids() if kind == "ids" else picture.ids() == 0
-
-
-def _reduced(
-    picture: Picture, kind: str, size: tuple[int, int], encoded: bool, pixels: np.ndarray | None = None
-) -> np.ndarray:
-    """A view's image with fewer pixels: the mean radiance of those that each covers, ids by majority.
-
-    Of what must not be used, any share spoils a mean. Of photographs that are not HDR, pixels of which a
-    relevant share is clipped in a channel are so, too.
-
-    Args:
-        kind, encoded: see `View`.
-        size: width and height.
-        pixels: of the picture, if they are decoded already.
-
-    Returns:
-        read-only; the last ones are kept, as many as `MOST_KEPT` allows.
-    """
-    key = (picture, kind, size, encoded)
-    if (kept := _KEPT.get(key)) is not None:
-        return kept
-    pixels = _pixels(picture, kind) if pixels is None else pixels
-    if kind == "ids":
-        result = majority(pixels, *size)
-    elif kind == "mask":
-        result = means(pixels[..., None], *size)[..., 0] > 0.0
-    else:
-        result = means(pixels, *size)
-        if encoded and (clipped := is_clipped(pixels)).any():
-            result[means(clipped, *size) >= CLIPPED_SHARE] = 1.0
-    result.flags.writeable = False
-    _KEPT[key] = result
-    for oldest in tuple(_KEPT):
-        if sum(array.nbytes for array in tuple(_KEPT.values())) <= MOST_KEPT:
-            break
-        _KEPT.pop(oldest, None)
-    return result
 
 
 def decoded(function: Callable[[View], Result], views: Sequence[View]) -> Iterator[Result]:
@@ -280,7 +288,8 @@ def load_capture(run: RunFolder) -> Capture:
             `check_view`.
     """
     capture = read_capture(run.capture_json)
-    views = tuple(_view(run, view) for view in capture.views)
+    kept = KeptImages()
+    views = tuple(_view(run, view, kept) for view in capture.views)
     for view in views:
         pinhole = Pinhole(view.width, view.height, view.fx, view.fy, view.cx, view.cy)
         check_view(view.name, pinhole, view.camera_to_world)
@@ -292,8 +301,9 @@ def load_capture(run: RunFolder) -> Capture:
     )
 
 
-def _view(run: RunFolder, view: CapturedView) -> View:
-    files = {name: getattr(view, name) for name in ("image", "parts", "semantics", "mask")}
-    values = {item.name: getattr(view, item.name) for item in fields(View) if item.name != "full"}
-    paths = {name: None if path is None else run.resolve(path) for name, path in files.items()}
-    return View(**values | paths | {"camera_to_world": np.array(view.camera_to_world)})
+def _view(run: RunFolder, view: CapturedView, kept: KeptImages) -> View:
+    names = [item.name for item in fields(View) if item.name not in ("full", "kept")]
+    values = {name: getattr(view, name) for name in names}
+    for name in ("image", "parts", "semantics", "mask"):
+        values[name] = None if values[name] is None else run.resolve(values[name])
+    return View(**values | {"camera_to_world": np.array(view.camera_to_world), "kept": kept})
