@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
+from fipt_blender.blend import render_settings
 from fipt_blender.blend.capture.cameras import use_view
 from fipt_blender.blend.lights import eevee, new_lights
 from fipt_blender.blend.marks import PIXEL_ASPECT, RESOLUTION, VISIBILITY, light_probe
@@ -91,6 +92,20 @@ def test_revert_restores_the_artists_engine_however_often_it_was_switched(scene,
     ops.use_cycles()
     ops.revert()
     assert scene.render.engine == "BLENDER_WORKBENCH"
+
+
+def test_a_file_opened_without_a_denoiser_renders_without_unless_the_artist_has_chosen(scene, tmp_path, monkeypatch):
+    """Cycles ends with an error where it shall denoise but can't."""
+    monkeypatch.setattr(render_settings, "can_denoise", lambda: True)
+    ops.apply_results()
+    own = scene.copy()
+    own.name, own.use_fake_user, own.cycles.samples = "Own", True, 99
+    assert scene.cycles.use_denoising and own.cycles.use_denoising
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
+    monkeypatch.setattr(render_settings, "can_denoise", lambda: False)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
+    found = [(each.cycles.use_denoising, each.cycles.samples) for each in (bpy.context.scene, bpy.data.scenes["Own"])]
+    assert found == [(False, render_settings.MOST_UNDENOISED), (False, 99)]
 
 
 def test_render_settings_are_set_once_and_what_the_artist_changes_survives(scene):

@@ -17,7 +17,7 @@ from PIL import Image
 from fipt_blender.core.capture import views as views_module
 from fipt_blender.core.capture.averaging import majority, means
 from fipt_blender.core.capture.encoded import CLIPPED_CODE, srgb_decoded, srgb_encoded
-from fipt_blender.core.capture.images import open_picture, write_exr, write_ids
+from fipt_blender.core.capture.images import Picture, write_exr, write_ids
 from fipt_blender.core.capture.views import View, chosen_views, light_views
 from fipt_blender.core.run import light_size as light_size_module
 from fipt_blender.core.run.light_size import LEAST_PIXELS, SPARE_BYTES, light_size, light_views_count, refuse_full_disk
@@ -103,15 +103,15 @@ def test_images_are_averaged_when_they_are_read(tmp_path: Path, monkeypatch: pyt
     assert all(one is other for one, other in zip(light_views(views, 1.0), views, strict=True))
     light, small = light_views(views, (60 + 9 * 6) / 1e6)
     assert (light.width, light.height) == (9, 6) and small is views[1]
-    read, pixels = [], views_module._pixels
-    monkeypatch.setattr(views_module, "_pixels", lambda picture, kind: read.append(kind) or pixels(picture, kind))
+    pixels, read, shown = views[0].radiance(), [], Picture.shown
+    monkeypatch.setattr(Picture, "shown", lambda picture: read.append(picture.path) or shown(picture))
     found = light.radiance()
-    assert light.radiance() is found and views[0].resized(9, 6).radiance() is found and read == ["image"]
+    assert light.radiance() is found and views[0].resized(9, 6).radiance() is found and read == [light.image]
     other = replace(light, kept=views_module.KeptImages())  # another capture has its own
-    other.keep(pixels(open_picture(light.image), "image"))
-    assert np.array_equal(other.radiance(), found) and other.radiance() is not found and read == ["image"]
+    other.keep(pixels)
+    assert np.array_equal(other.radiance(), found) and other.radiance() is not found and read == [light.image]
     assert not deepcopy(light).kept  # and so has another process
-    assert np.array_equal(found, means(views[0].radiance(), 9, 6))
+    assert np.array_equal(found, means(pixels, 9, 6))
     monkeypatch.setattr(views_module, "MOST_KEPT", 0)
     assert light.part_ids() is not light.part_ids()  # memory has a bound
     ids, masked = light.part_ids(), light.masked()

@@ -11,7 +11,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..blend import previews
-from . import running, runstate, saving
+from . import files, running, runstate
 from .job_scene import find_scene, scene_context
 from .window import redraw, show_notice
 
@@ -40,7 +40,7 @@ def register() -> None:
     bpy.app.handlers.animation_playback_post.append(_note_playback_end)
     runstate.on_change = _show_state
     running.register(after_job)
-    saving.register()
+    files.register()
 
 
 def unregister() -> None:
@@ -51,7 +51,7 @@ def unregister() -> None:
         keymap.keymap_items.remove(item)
     bpy.app.handlers.animation_playback_post.remove(_note_playback_end)
     runstate.unregister()
-    saving.unregister()
+    files.unregister()
     previews.clear()
 
 

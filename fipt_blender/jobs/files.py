@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Saving a file brings the textures of results beside it that were applied while it had no name."""
+"""Saving a file brings the textures of results beside it that were applied while it had no name; one that was
+opened in a Blender without a denoiser renders without, unless the artist has changed that.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +12,31 @@ _before: dict[str, str] = {}  # paths of images as they were, by name, until the
 
 
 def register() -> None:
-    """Listen to saving."""
+    """Listen to opening and saving."""
+    bpy.app.handlers.load_post.append(_without_denoiser)
     bpy.app.handlers.save_pre.append(_bring)
     bpy.app.handlers.save_post.append(_after)
 
 
 def unregister() -> None:
     """Stop listening."""
+    bpy.app.handlers.load_post.remove(_without_denoiser)
     bpy.app.handlers.save_pre.remove(_bring)
     bpy.app.handlers.save_post.remove(_after)
+
+
+@bpy.app.handlers.persistent
+def _without_denoiser(*_: object) -> None:
+    """Cycles fails where it shall denoise but can't."""
+    from ..blend import render_settings
+
+    if render_settings.can_denoise():
+        return
+    wanted = render_settings.picture_settings()
+    wanted = {path: wanted[path] for path in ("cycles.use_denoising", "cycles.samples")}
+    for scene in bpy.data.scenes:
+        if scene.library is None and render_settings.is_set(scene):
+            render_settings.set_once(scene, wanted)
 
 
 @bpy.app.handlers.persistent
