@@ -7,6 +7,7 @@ bpy is imported only in `register`, so that a Python without bpy can import the 
 
 from __future__ import annotations
 
+import atexit
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -42,6 +43,8 @@ def register() -> None:
     except BaseException:
         unregister()
         raise
+    if bpy.app.module:  # as a module, Blender crashes or hangs at exit while classes are registered
+        atexit.register(unregister)
 
 
 def unregister() -> None:
