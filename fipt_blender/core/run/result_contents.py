@@ -151,9 +151,8 @@ class AtlasImage:
 
 @dataclass(frozen=True)
 class AtlasImages:
-    """atlas.json; colour attributes need no images."""
+    """atlas.json."""
 
-    mode: Annotated[str, choice("uv", "color_attribute")]
     images: tuple[AtlasImage, ...]
 
 
