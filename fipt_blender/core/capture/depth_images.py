@@ -4,10 +4,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 
@@ -19,9 +17,9 @@ from ..depth.gaps import gap_image
 from ..depth.ply import write_ply
 from ..depth.range_image import RangeImage
 from ..depth.volume import BlockVolume
-from ..run.documents import optional_document
 from ..run.errors import FiptError
-from ..run.runfolder import PRODUCT_VERSION, RunFolder, write_json
+from ..run.made import Made, file_state
+from ..run.runfolder import RunFolder
 from . import checks
 from .encoded import srgb_encoded
 from .files import stand_in
@@ -239,65 +237,27 @@ def pixel_spacing(images: Sequence[RangeImage]) -> float:
     return float(np.median(np.concatenate(spacings)))
 
 
-@dataclass(frozen=True)
-class _FusedNote:
-    """fused.json: a key of all that the mesh depends on."""
+def write_fused(
+    run: RunFolder, views: Sequence[DepthView], options: CaptureOptions, progress: Callable[[float], None]
+) -> Path:
+    """The mesh file of a capture's depth images in its run folder, fused anew where they have changed.
 
-    input: str
-
-
-@dataclass(frozen=True, eq=False)
-class Fusion:
-    """What a mesh is fused from, and where in the run folder it is kept.
-
-    Attributes:
-        run: the run folder.
-        views: the depth images.
-        options: how they are fused.
-        scale: metres per unit of the capture's coordinates.
+    Raises:
+        FiptError: those of `fuse`, ``disk-full`` or ``run-unwritable``.
     """
-
-    run: RunFolder
-    views: Sequence[DepthView]
-    options: CaptureOptions
-    scale: float
-
-    @property
-    def is_kept(self) -> bool:
-        """Whether the run folder has the mesh of this very input."""
-        if not self.run.fused_ply.is_file() or not self.run.fused_json.is_file():
-            return False
-        note = optional_document(self.run.fused_json, _FusedNote)
-        return note is not None and note.input == self._key()
-
-    def mesh(self, progress: Callable[[float], None]) -> FusedMesh:
-        """Fuse the mesh; see `fuse`."""
-        return fuse(self.views, self.options, self.scale, progress)
-
-    def keep(self, mesh: FusedMesh) -> Path:
-        """Write the mesh to the run folder and return its path.
-
-        Raises:
-            FiptError: ``disk-full`` or ``run-unwritable``.
-        """
-        key = self._key()
-        write_ply(self.run.fused_ply, mesh)
-        write_json(self.run.fused_json, _FusedNote(key))
-        return self.run.fused_ply
-
-    def _key(self) -> str:
-        """A hash of everything that the mesh depends on; of files their sizes and times."""
-        entries = []
-        for view in self.views:
-            photograph = view.photograph
-            files = [view.path, *([] if photograph is None else [photograph.image])]
-            states = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in files]
-            camera = [view.unit, view.fx, view.fy, view.cx, view.cy, *view.camera_to_world.ravel().tolist()]
-            if photograph is not None:
-                camera += [*photograph.lens.parameters, *photograph.camera_to_world.ravel().tolist()]
-            entries.append([states, camera])
-        data = [PRODUCT_VERSION, (self.options.voxel, self.options.triangles), self.scale, entries]
-        return hashlib.sha256(json.dumps(data).encode()).hexdigest()
+    facts = []
+    for view in views:
+        cameras, files = [[view.unit, view.fx, view.fy, view.cx, view.cy], view.camera_to_world], [view.path]
+        if (photograph := view.photograph) is not None:
+            cameras += [photograph.lens.parameters, photograph.camera_to_world]
+            files.append(photograph.image)
+        facts.append([[file_state(file) for file in files], [np.ravel(each).tolist() for each in cameras]])
+    chosen = options.voxel, options.triangles, options.scale
+    made = Made(run, "fused", chosen, facts, outputs=[run.fused_ply])
+    if made.kept() is None:
+        write_ply(run.fused_ply, fuse(views, options, options.scale, progress))
+        made.note()
+    return run.fused_ply
 
 
 def depth_size(path: Path) -> tuple[int, int]:

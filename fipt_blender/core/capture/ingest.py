@@ -32,6 +32,7 @@ from ..run.runfolder import RunFolder, write_json
 from ..run.settings import make_settings
 from ..run.threads import in_threads
 from . import checks
+from .depth_images import write_fused
 from .files import Folders
 from .images import read_size, threads_for
 from .options import CaptureOptions
@@ -40,7 +41,7 @@ from .photograph import ID_IMAGES, Files, Photograph
 from .photograph_poses import with_photograph_poses
 from .places import MASK_FOLDER
 from .rig import EQUIRECTANGULAR, RigView
-from .source import mesh_fusion, read_source, size_note, write_mesh
+from .source import read_source, size_note, write_mesh
 from .upright import Upright, doubts, find_upright
 
 
@@ -113,8 +114,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         for note in doubts(rig.up_axis, poses):
             reporter.warn(note)
 
-    fusion = mesh_fusion(run_folder, source, options)
-    if fusion is not None:
+    if source.is_fused:
         reporter.plan([0.35, 0.6, 0.05])
     remedy = "use photographs whose distortion is undone already, or smaller ones"
     rewritten = sum(photograph.rewritten_bytes for photograph in photographs)
@@ -126,12 +126,11 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         with atomic_folder(run_folder.images) as images:
             reporter.stage("images", "Reading the photographs")
             written = _convert(images, photographs, options.clamp_negative, reporter)
-            fused = None
-            if fusion is not None:
+            if source.is_fused:
                 reporter.stage("fuse", "Fusing the depth images")
-                fused = None if fusion.is_kept else fusion.mesh(reporter.progress)
+                fused = write_fused(run_folder, rig.depths, options, reporter.progress)
             reporter.stage("write", "Writing the capture")
-            mesh = write_mesh(run_folder, source, fusion, fused)
+            mesh = fused if source.is_fused else write_mesh(run_folder, source)
             upright = upright or find_upright(poses, mesh)
     except FiptError:
         if is_new:

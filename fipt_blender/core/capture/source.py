@@ -20,7 +20,7 @@ from ..run.messages import Reporter
 from ..run.runfolder import RunFolder
 from .checks import judge_size
 from .color_camera import with_color_camera
-from .depth_images import Fusion, checked_depths
+from .depth_images import checked_depths
 from .files import stand_in
 from .formats.registry import read_points, read_rig
 from .mesh_file import read_mesh
@@ -44,6 +44,11 @@ class Source(Related):
 
     mesh: Path | None
     made: FusedMesh | None
+
+    @property
+    def is_fused(self) -> bool:
+        """Whether its mesh is that of its depth images."""
+        return self.mesh is None and bool(self.rig.depths)
 
 
 def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> Source:
@@ -83,21 +88,8 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
     return Source(**vars(related), mesh=mesh, made=made)
 
 
-def mesh_fusion(run: RunFolder, source: Source, options: CaptureOptions) -> Fusion | None:
-    """What fuses the mesh of depth images; None where there is another one, or no depths."""
-    if source.mesh is None and source.rig.depths:
-        return Fusion(run, source.rig.depths, options, options.scale)
-    return None
-
-
-def write_mesh(run: RunFolder, source: Source, fusion: Fusion | None, fused: FusedMesh | None) -> Path | None:
-    """The mesh file of the capture, written where it was made here; None without a mesh.
-
-    Args:
-        fused: by `fusion`, None where the mesh of an earlier start is kept.
-    """
-    if fusion is not None:
-        return run.fused_ply if fused is None else fusion.keep(fused)
+def write_mesh(run: RunFolder, source: Source) -> Path | None:
+    """The mesh file of a capture, written where it was made here; None without one."""
     if source.made is not None:
         write_ply(run.simplified_ply, source.made)
         return run.simplified_ply
@@ -119,7 +111,7 @@ def size_note(
             points = read_mesh(mesh)[0] if mesh is not None else read_points(capture, source.rig.source)
         except FiptError:  # told where it is used, or the format has no points
             return None
-    slack = MEASURED if source.mesh is None and source.rig.depths else 1.0
+    slack = MEASURED if source.is_fused else 1.0
     if not source.fits or not len(points):  # what is known already explains it
         return None
     return judge_size(transform_points(world_from_source, points), slack)

@@ -43,7 +43,6 @@ class RunFolder:
         self.images = self.root / "images"
         self.fused_ply = self.root / "fused.ply"
         self.simplified_ply = self.root / "simplified.ply"
-        self.fused_json = self.root / "fused.json"
         self.room_npz = self.root / "room.npz"
         self.room_json = self.root / "room.json"
         self.geometry_npz = self.root / "geometry.npz"
