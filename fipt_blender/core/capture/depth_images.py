@@ -247,11 +247,12 @@ def write_fused(
     """
     facts = []
     for view in views:
-        cameras, files = [[view.unit, view.fx, view.fy, view.cx, view.cy], view.camera_to_world], [view.path]
+        states = [file_state(view.path)]
+        camera = [view.unit, view.fx, view.fy, view.cx, view.cy, *view.camera_to_world.ravel().tolist()]
         if (photograph := view.photograph) is not None:
-            cameras += [photograph.lens.parameters, photograph.camera_to_world]
-            files.append(photograph.image)
-        facts.append([[file_state(file) for file in files], [np.ravel(each).tolist() for each in cameras]])
+            states.append(file_state(photograph.image))
+            camera += [*photograph.lens.parameters, *photograph.camera_to_world.ravel().tolist()]
+        facts.append([states, camera])
     chosen = options.voxel, options.triangles, options.scale
     made = Made(run, "fused", chosen, facts, outputs=[run.fused_ply])
     if made.kept() is None:
