@@ -18,7 +18,7 @@ from fipt_blender.blend.results.materials import is_uniform
 from fipt_blender.blend.room.atlas import file_names
 from fipt_blender.blend.room.mesh_arrays import corner_uvs
 from fipt_blender.core.run.parts import read_parts
-from fipt_blender.core.run.run_files import read_room_files
+from fipt_blender.core.run.run_files import read_room
 from fipt_blender.core.textures import bake
 from samples.applied_rooms import ConstantFields, picture
 from samples.exported_files import encoded, opened, principled, texel, texture_behind
@@ -48,8 +48,8 @@ def scene(scene, monkeypatch):
     real = bake.bake
 
     def with_parts(run, fields):
-        room, names = read_room_files(run)
-        parts = read_parts(run, room["triangle_object"], names.objects)
+        room = read_room(run)
+        parts = read_parts(run, room.triangle_object, room.objects)
         return real(run, PlacedFields(), parts=parts)
 
     monkeypatch.setattr(bake, "bake", with_parts)

@@ -10,7 +10,7 @@ import pytest
 from mathutils import Matrix
 
 from fipt_blender.blend.marks import FIXTURE, fixtures_of
-from fipt_blender.blend.room.arrays import read_room
+from fipt_blender.core.run.run_files import read_room
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.textures import bake

@@ -16,13 +16,12 @@ from fipt_blender.blend.lights.area_lights import add_area_light
 from fipt_blender.blend.marks import ADDED, DRAWN, ON
 from fipt_blender.blend.results import applying
 from fipt_blender.blend.room import originals
-from fipt_blender.blend.room.arrays import Room, read_room
 from fipt_blender.blend.room.mesh_arrays import vertex_positions
 from fipt_blender.blend.room.result_meshes import clean_result_mesh, make_mesh
 from fipt_blender.core import conventions
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.documents import read_document
-from fipt_blender.core.run.run_files import CLOSING, PANES, mesh_digest, read_geometry, read_room_files
+from fipt_blender.core.run.run_files import CLOSING, PANES, RoomMesh, mesh_digest, read_geometry, read_room
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from fipt_blender.core.surface.clean import CleanMesh
@@ -133,11 +132,10 @@ def test_environment_direction(run):
 
 def with_panes(run):
     """Put a quad into the run as the engine puts panes into holes of a scan, which this room need not be."""
-    arrays, _ = read_room_files(run)
     vertices = np.array([[0, 0, 3], [1, 0, 3], [1, 1, 3], [0, 1, 3]], np.float32)
     triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     normals = np.tile(np.array([0, 0, 1], np.float32), (2, 3, 1))
-    source = mesh_digest(arrays)
+    source = mesh_digest(read_room(run))
     np.savez(run.panes_npz, vertices=vertices, triangles=triangles, corner_normals=normals, source=source)
     return vertices
 
@@ -164,26 +162,26 @@ def test_panes_become_an_object_of_the_room(run, objects):
 
 def test_closed_holes_become_an_object_with_the_cleaned_vertices(run, objects):
     """Beside panes: each is an object of its own, and a second application finds both."""
-    arrays, _ = read_room_files(run)
-    rim = arrays["vertices"][arrays["triangles"][:1]].reshape(3, 3)
+    room = read_room(run)
+    rim = room.vertices[room.triangles[:1]].reshape(3, 3)
     np.savez(
         run.closing_npz,
         vertices=rim,
         triangles=np.array([[0, 1, 2]], np.int32),
-        corner_normals=arrays["corner_normals"][:1],
+        corner_normals=room.corner_normals[:1],
         beside=np.zeros(1, np.int64),
         most_edges=np.int32(120),
         count=np.array([1, 0], np.int32),
         area=np.ones(2, np.float32),
-        source=mesh_digest(arrays),
+        source=mesh_digest(room),
     )
     with_panes(run)
-    found, names = read_room_files(run)
-    assert names.objects[2:] == (CLOSING, PANES)
-    assert found["triangle_material"][-3:].tolist() == [arrays["triangle_material"][0], -1, -1]
+    found = read_room(run)
+    assert found.objects[2:] == (CLOSING, PANES)
+    assert found.triangle_material[-3:].tolist() == [room.triangle_material[0], -1, -1]
     # As if the mesh were a scan whose cleaned copy lies a metre higher.
-    higher, region = found["vertices"] + np.float32([0, 0, 1]), np.full(len(found["triangles"]), -1, np.int32)
-    store_geometry(run, found, CleanMesh(higher, found["corner_normals"], region, 0.01))
+    higher, region = found.vertices + np.float32([0, 0, 1]), np.full(len(found.triangles), -1, np.int32)
+    store_geometry(run, found, CleanMesh(higher, found.corner_normals, region, 0.01))
     settle(run, objects)
     assert not apply_results(run, objects)
     closing, panes = bpy.data.objects[CLOSING], bpy.data.objects[PANES]
@@ -209,7 +207,7 @@ TRANSFORMS = {
 }
 
 
-def scanned_object(run: RunFolder, matrix: Matrix) -> tuple[bpy.types.Object, Room]:
+def scanned_object(run: RunFolder, matrix: Matrix) -> tuple[bpy.types.Object, RoomMesh]:
     """A scan of a box as an object of this transform, exported and cleaned."""
     scan, _ = scanned_box(cells=20, noise=0.01)
     inverse = np.array(matrix.inverted())
@@ -229,7 +227,7 @@ def scanned_object(run: RunFolder, matrix: Matrix) -> tuple[bpy.types.Object, Ro
 def test_result_meshes_of_a_scan_are_clean(tmp_path: Path, transform: str) -> None:
     run = RunFolder(tmp_path)
     item, room = scanned_object(run, TRANSFORMS[transform])
-    geometry = read_geometry(run, room.mesh)
+    geometry = read_geometry(run, room)
     assert geometry is not None
     own = item.data
     before = np.array([vertex.co for vertex in own.vertices])
@@ -261,8 +259,8 @@ def test_a_drawn_surface_beside_a_scan_keeps_its_vertices_and_edges(tmp_path: Pa
     prepare_geometry(run)
     room = read_room(run)
     assert room.triangle_exact is not None and room.triangle_exact.sum() == 12
-    geometry = read_geometry(run, room.mesh)
-    assert geometry is not None and read_geometry(run, replace(room, triangle_exact=None).mesh) is None
+    geometry = read_geometry(run, room)
+    assert geometry is not None and read_geometry(run, replace(room, triangle_exact=None)) is None
     clean, _ = make_mesh(room, 0, drawn)
     clean_result_mesh(clean, drawn, room, 0, geometry)
     drawn.data = clean

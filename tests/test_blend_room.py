@@ -11,8 +11,9 @@ import pytest
 from mathutils import Euler, Matrix
 
 from fipt_blender.blend.capture import mesh_import
-from fipt_blender.blend.room import arrays, exporting
+from fipt_blender.blend.room import exporting
 from fipt_blender.core import conventions
+from fipt_blender.core.run.run_files import read_room
 from samples.at_once import export_room
 from samples.refusals import error_of
 from samples.spots import spot, white_world
@@ -92,9 +93,9 @@ def test_export_of_modifiers_mirrored_scale_and_materials(run_folder):
     # The sides keep their distances: a box of half sizes 1, 2, 0.5 in its own frame.
     local = (corners.reshape(-1, 3) - np.array(item.location)) @ np.array(Euler((0.3, 0.2, 0.1)).to_matrix())
     assert np.allclose(np.abs(local).max(axis=0), [1.0, 2.0, 0.5], atol=1e-5)
-    assert room.materials == ["first", "second"]
+    assert room.materials == ("first", "second")
     assert set(np.unique(room.triangle_material)) == {0, 1}
-    again = arrays.read_room(run_folder)
+    again = read_room(run_folder)
     assert np.array_equal(again.triangles, room.triangles) and list(again.objects) == [item.name]
 
 

@@ -13,7 +13,6 @@ from fipt_blender.blend.room import exporting
 from fipt_blender.blend.room.originals import set_result_mesh, shows_original
 from fipt_blender.blend.room.simplifying import MODIFIER
 from fipt_blender.core.run.errors import FiptError
-from fipt_blender.core.run.run_files import ROOM_ARRAYS
 from samples.at_once import collect_room
 from samples.counted import counted_calls
 
@@ -51,9 +50,7 @@ def test_slices_share_the_work_and_give_the_same_room(objects):
             work.append(counted.calls)
         bpy.data.objects.new("the artist's", None)  # may invalidate pointers, not names
     assert len(work) > len(objects) + 2 and max(work) < 0.25 * sum(work), work
-    for name in ROOM_ARRAYS:
-        np.testing.assert_array_equal(getattr(room, name), getattr(at_once, name))
-    assert (room.objects, room.materials) == (at_once.objects, at_once.materials)
+    np.testing.assert_equal(vars(room), vars(at_once))
     assert names()["meshes"] == before["meshes"]
 
 
@@ -87,8 +84,7 @@ def test_results_are_not_exported_and_stay_shown(objects):
     ours.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
     set_result_mesh(objects[1], ours)
     room = collect_room(objects)
-    for name in ROOM_ARRAYS:
-        np.testing.assert_array_equal(getattr(room, name), getattr(expected, name))
+    np.testing.assert_equal(vars(room), vars(expected))
     assert objects[1].data == ours and not shows_original(objects[1])
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from fipt_blender.core.light.emitters import group_fixtures
 from fipt_blender.core.parts.labels import NO_PART, label_parts, usable_sources
-from fipt_blender.core.run.run_files import CLOSING, read_closing, read_room_files
+from fipt_blender.core.run.run_files import CLOSING, read_closing, read_room
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.surface.adjacency import make_mesh
 from fipt_blender.core.surface.closing import open_loops
@@ -96,8 +96,8 @@ def test_a_closing_that_does_not_fit_is_left_out(tmp_path: Path, scan: Room) -> 
         np.savez(run.closing_npz, **arrays | {"source": arrays["source"][::-1]})
         if fault == "cut":
             run.closing_npz.write_bytes(whole[0][:500])
-        found, names = read_room_files(run)
-        assert len(found["triangles"]) == len(scan.triangles) and CLOSING not in names.objects, fault
+        found = read_room(run)
+        assert len(found.triangles) == len(scan.triangles) and CLOSING not in found.objects, fault
         prepare_geometry(run, most_edges=120)
         assert files(run) == whole, fault
 

@@ -19,7 +19,7 @@ from fipt_blender.core.completion.lost_surfaces import lost_surfaces, prism
 from fipt_blender.core.completion.panes import close_holes
 from fipt_blender.core.parts.masked_views import masked_views
 from fipt_blender.core.pixels.camera_rays import trace_pixels
-from fipt_blender.core.run.run_files import PANES, read_room_files
+from fipt_blender.core.run.run_files import PANES, read_room
 from fipt_blender.core.run.runfolder import write_json
 from fipt_blender.core.run.settings import Settings
 from fipt_blender.core.surface.adjacency import Surface
@@ -116,7 +116,7 @@ def test_nothing_is_added_to_a_completed_room_until_it_is_no_longer_one(
     for completed in (True, False, True):
         write_json(run.room_json, {**names, "completed": completed})
         if completed:  # what was added before the room was completed is not there any more
-            assert len(read_room_files(run)[0]["triangles"]) == kept.sum()
+            assert len(read_room(run).triangles) == kept.sum()
         prepare_geometry(run, most_edges=20)
         assert close_holes(run, [view(tmp_path)]) == (not completed)
         assert run.geometry_npz.exists() and run.closing_npz.exists() == run.panes_npz.exists() == (not completed)

@@ -29,7 +29,6 @@ from ..blend.pictures.cycles import RenderOptions
 from ..blend.pictures.image_files import photograph
 from ..blend.pictures.renders import render_listed
 from ..blend.results.scene_state import median_radiance
-from ..blend.room.arrays import read_room
 from ..blend.room.rays import make_cast
 from ..blend.save import save_blend
 from ..bridge.process import Message
@@ -38,7 +37,7 @@ from ..core.capture.options import CaptureOptions
 from ..core.run.contents import CapturedView, CapturedViews
 from ..core.run.errors import FiptError, Problem, as_message, warning
 from ..core.run.made import Made, content_digest
-from ..core.run.run_files import read_capture
+from ..core.run.run_files import read_capture, read_room
 from ..core.run.runfolder import RunFolder, atomic_path
 from ..core.run.settings import make_settings
 from ..core.run.stage_settings import TextureSettings

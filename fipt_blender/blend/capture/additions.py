@@ -15,10 +15,10 @@ from mathutils import Matrix, Vector
 
 from ...core.run.contents import Matrices, SurveyNote
 from ...core.run.documents import read_document
+from ...core.run.run_files import read_room
 from ...core.run.runfolder import RunFolder
 from ..marks import ADDED, DRAWN, all_view_cameras, was_found
 from ..outliner import remove_object
-from ..room.arrays import read_room
 from ..room.mesh_arrays import world_bounds
 from ..room.panes import add_apart, link_beside
 from .importing import room_missing

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ..room.arrays import Room
+from ...core.run.run_files import RoomMesh
 from ..room.mesh_arrays import transform_points
 from .look import redraw_views
 
@@ -91,7 +91,7 @@ def shown(scene: bpy.types.Scene) -> str:
 
 
 def object_parts(
-    room: Room, colors: np.ndarray, matrices: Mapping[str, Sequence[Sequence[float]]]
+    room: RoomMesh, colors: np.ndarray, matrices: Mapping[str, Sequence[Sequence[float]]]
 ) -> list[Part]:
     """A room's coloured triangles by object, so that they follow the objects when these are moved.
 

@@ -17,11 +17,10 @@ from ...core.run.contents import Matrices, SurveyNote
 from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
 from ...core.run.kinds import as_matrix
-from ...core.run.run_files import SurveyArrays
+from ...core.run.run_files import SurveyArrays, read_room
 from ...core.run.runfolder import RunFolder, write_json
 from ...core.run.store import read_arrays
 from ..marks import was_found
-from ..room.arrays import read_room
 from ..room.exporting import export_room
 from . import overlay
 from .exporting import read_source, selected_views, world_matrix

@@ -21,6 +21,7 @@ from mathutils import Matrix, Vector
 from ...core.report.fixture_names import fixture_names
 from ...core.run.parts import RoomParts, free_name
 from ...core.run.result_contents import EmitterFixture
+from ...core.run.run_files import RoomMesh
 from ..marks import (
     BACK,
     BASE,
@@ -34,7 +35,6 @@ from ..marks import (
     object_id,
 )
 from ..outliner import FIXTURES, collection
-from ..room.arrays import Room
 from ..room.mesh_arrays import is_mirrored, remove_polygons, triangle_loops
 from ..room.mesh_digest import sign
 from .calibration import scene_unit
@@ -98,7 +98,7 @@ def triangle_fixtures(entries: Sequence[EmitterFixture], count: int) -> np.ndarr
 
 
 def split_off(
-    room: Room,
+    room: RoomMesh,
     entries: Sequence[EmitterFixture],
     sources: Sequence[Source],
     parts: RoomParts | None = None,

@@ -15,6 +15,7 @@ import numpy as np
 from ...bridge.process import Message
 from ...bridge.step import Slices
 from ...core.run.errors import FiptError, warning
+from ...core.run.run_files import RoomMesh
 from ...core.run.runfolder import RunFolder
 from ...core.run.versions import results_id
 from ..lights import fixtures
@@ -30,7 +31,6 @@ from ..marks import (
     remove_marks,
 )
 from ..outliner import remove_object
-from ..room.arrays import Room
 from ..room.mesh_arrays import polygon_slots
 from ..room.mesh_digest import sign
 from ..room.originals import remove_fixtures, result_mesh, set_result_mesh
@@ -135,7 +135,7 @@ def _check_counterparts(targets: Sequence[Target]) -> None:
         raise FiptError("room-changed.check-counterparts", names=names)
 
 
-def _left_out(room: Room, matches: Sequence[str | None]) -> list[Message]:
+def _left_out(room: RoomMesh, matches: Sequence[str | None]) -> list[Message]:
     """A warning that names the objects of the room that get no results."""
     missing = [name for name, match in zip(room.objects, matches, strict=True) if match is None]
     if not missing:

@@ -16,12 +16,12 @@ from mathutils import Vector
 
 from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
+from ...core.run.run_files import read_room
 from ...core.run.runfolder import RunFolder
 from ..color_spaces import to_scene_linear
 from ..marks import PART, has_results, room_with_results
 from ..own_materials import own_materials
 from ..ray_hits import surface_on_ray
-from ..room.arrays import read_room
 from ..room.mesh_arrays import corner_vertices, polygon_sizes, polygon_slots
 from ..room.originals import estimated_meshes, result_meshes
 from . import adjust

@@ -15,11 +15,10 @@ from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
 from ...core.run.parts import RoomParts, read_parts
 from ...core.run.result_contents import AtlasImages, EmitterFixture, Emitters, TextureImage
-from ...core.run.run_files import AtlasArrays, Geometry, LeftAlone, read_outlined
+from ...core.run.run_files import AtlasArrays, Geometry, LeftAlone, RoomMesh, read_outlined, read_room
 from ...core.run.runfolder import RunFolder
 from ...core.run.store import read_arrays
 from ..lights.fixtures import triangle_fixtures
-from ..room.arrays import Room, read_room
 from ..room.islands import uv_islands
 from .materials import read_textures
 
@@ -42,7 +41,7 @@ class Results:
         emitters: the fixtures of emitters.json.
     """
 
-    room: Room
+    room: RoomMesh
     parts: RoomParts
     left_alone: np.ndarray
     corner_uv: np.ndarray
@@ -96,7 +95,7 @@ def read_results(run: RunFolder) -> Results:
     )
 
 
-def of_whole_polygons(room: Room, chosen: np.ndarray) -> np.ndarray:
+def of_whole_polygons(room: RoomMesh, chosen: np.ndarray) -> np.ndarray:
     """(T,) bool, the triangles of polygons of which some triangle is chosen, (T,) bool."""
     both = np.stack([room.triangle_object, room.triangle_polygon], axis=1)
     _, polygon = np.unique(both, axis=0, return_inverse=True)
@@ -119,8 +118,8 @@ def own_images(image: np.ndarray, part: np.ndarray, owner: np.ndarray) -> np.nda
     return np.maximum(found, 0)
 
 
-def cleaned_scan(run: RunFolder, room: Room) -> Geometry | None:
+def cleaned_scan(run: RunFolder, room: RoomMesh) -> Geometry | None:
     """The cleaned copy of the run's scan, None where the mesh is no scan or the scan is to be kept."""
     if not run.read_estimated().clean_mesh:
         return None
-    return read_outlined(run, room.mesh)
+    return read_outlined(run, room)

@@ -17,10 +17,9 @@ import numpy as np
 
 from ...bridge.step import Slices
 from ...core.run.errors import FiptError
-from ...core.run.run_files import Geometry
+from ...core.run.run_files import Geometry, RoomMesh
 from ..lights.fixtures import divide
 from ..marks import SPLIT_OFF
-from ..room.arrays import Room
 from ..room.mesh_arrays import is_mirrored, remove_polygons, transform_points, triangle_loops
 from ..room.mesh_digest import is_edited
 from ..room.originals import result_mesh
@@ -64,7 +63,7 @@ class TargetBuilder:
 
     def __init__(
         self,
-        room: Room,
+        room: RoomMesh,
         geometry: Geometry | None,
         fixture: np.ndarray,
         charts: Callable[[], np.ndarray],

@@ -19,12 +19,11 @@ from ...bridge.step import Slices
 from ...core.run.errors import FiptError
 from ...core.run.parts import read_parts
 from ...core.run.result_contents import AtlasImage, AtlasImages
-from ...core.run.run_files import AtlasArrays, Resolution
+from ...core.run.run_files import AtlasArrays, Resolution, RoomMesh, read_room
 from ...core.run.runfolder import RunFolder, write_json
 from ...core.run.settings import Settings
 from ...core.run.store import optional_arrays, write_arrays
 from ..slices import find_object
-from .arrays import Room, read_room
 from .islands import island_bounds, rotate_islands, split_islands, triangle_areas, uv_islands
 from .packing import PAD, pack_apart, pack_islands, place
 from .result_meshes import match_objects
@@ -141,7 +140,7 @@ class _Owners:
     apart: bool
 
 
-def _image_owners(room: Room, run: RunFolder, settings: Settings) -> _Owners:
+def _image_owners(room: RoomMesh, run: RunFolder, settings: Settings) -> _Owners:
     """The objects where each has an image of its own, else the parts."""
     if settings.atlas_images == "object":
         return _Owners(room.triangle_object.astype(np.int64), list(room.objects), True)
@@ -163,7 +162,7 @@ def _batches(tasks: list[tuple[int, UnwrapSource]]) -> Iterator[list[tuple[int, 
 
 
 def _pack_room(
-    room: Room,
+    room: RoomMesh,
     islands: _RoomIslands,
     run: RunFolder,
     settings: Settings,

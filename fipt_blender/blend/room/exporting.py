@@ -1,21 +1,26 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's objects to the arrays of room.npz, in slices. The meshes are evaluated, modifiers included."""
+"""Blender's objects to room.npz and room.json, in slices. The meshes are evaluated, modifiers included."""
 
 from __future__ import annotations
 
+import filecmp
 import itertools
 from collections.abc import Iterable
+from dataclasses import fields, replace
 
 import bpy
 import numpy as np
 
 from ...bridge.step import Slices
+from ...core.run.contents import RoomNames
+from ...core.run.errors import FiptError
 from ...core.run.kinds import as_matrix
-from ...core.run.runfolder import RunFolder
+from ...core.run.run_files import RoomArrays, RoomMesh
+from ...core.run.runfolder import RunFolder, atomic_path, write_json
+from ...core.run.stage_settings import chosen
 from ..marks import OBJECT_ID, is_exact, object_id
 from ..slices import find_object
-from .arrays import ROOM_ARRAYS, Room, write_room
 from .mesh_arrays import (
     corner_normals,
     corner_vertices,
@@ -33,8 +38,10 @@ _CHUNK = 1 << 15
 
 def export_room(
     objects: Iterable[bpy.types.Object], run: RunFolder, parts: str = "auto", completed: bool = False
-) -> Slices[Room]:
+) -> Slices[RoomMesh]:
     """Write the objects' triangles to the run folder; of objects with results, the original mesh.
+
+    Results of another room are deleted.
 
     Args:
         objects: objects other than meshes are skipped.
@@ -47,12 +54,20 @@ def export_room(
             or ``room-edited`` where the artist changes the room meanwhile.
     """
     room = yield from collect_room(objects)
-    room.object_ids = give_ids(room.objects)
-    write_room(room, run, parts, completed)
+    ids = tuple(give_ids(room.objects))
+    room = replace(room, object_ids=ids, parts=parts, completed=completed)
+    if not len(room.triangles):
+        raise FiptError("mesh-empty.export-room")
+    with atomic_path(run.room_npz) as temporary:
+        arrays = vars(chosen(room, RoomArrays)).items()
+        np.savez(temporary, **{name: array for name, array in arrays if array is not None})
+        if run.room_npz.is_file() and not filecmp.cmp(temporary, run.room_npz, shallow=False):
+            run.drop_results()
+    write_json(run.room_json, chosen(room, RoomNames))
     return room
 
 
-def collect_room(objects: Iterable[bpy.types.Object]) -> Slices[Room]:
+def collect_room(objects: Iterable[bpy.types.Object]) -> Slices[RoomMesh]:
     """The triangles of mesh objects in world space, without writing anything.
 
     Raises:
@@ -64,7 +79,8 @@ def collect_room(objects: Iterable[bpy.types.Object]) -> Slices[Room]:
     fresh_depsgraph([bpy.data.objects[name] for name in names])
     yield None
     material_ids: dict[str, int] = {}
-    object_arrays: dict[str, list[np.ndarray]] = {name: [] for name in ROOM_ARRAYS}
+    kinds = [item.name for item in fields(RoomArrays) if item.name != "triangle_exact"]
+    object_arrays: dict[str, list[np.ndarray]] = {kind: [] for kind in kinds}
     vertex_count = 0
     for index, name in enumerate(names):
         arrays = yield from _object_slices(name, material_ids)
@@ -79,14 +95,16 @@ def collect_room(objects: Iterable[bpy.types.Object]) -> Slices[Room]:
         "corner_normals": np.zeros((0, 3, 3), np.float32),
     }
     joined = {
-        key: np.concatenate([empty.get(key, np.zeros(0, np.int32)), *object_arrays[key]])
-        for key in ROOM_ARRAYS
+        kind: np.concatenate([empty.get(kind, np.zeros(0, np.int32)), *object_arrays[kind]]) for kind in kinds
     }
     exact = np.array([is_exact(find_object(name)) for name in names], bool)
     marked = exact[joined["triangle_object"]] if exact.any() else None
-    matrices = [as_matrix(find_object(name).matrix_world) for name in names]
-    return Room(
-        **joined, objects=names, materials=list(material_ids), matrices=matrices, triangle_exact=marked
+    return RoomMesh(
+        **joined,
+        triangle_exact=marked,
+        objects=tuple(names),
+        materials=tuple(material_ids),
+        matrices=tuple(as_matrix(find_object(name).matrix_world) for name in names),
     )
 
 
@@ -102,14 +120,14 @@ def give_ids(names: Iterable[str]) -> list[str]:
     # A copy has its original's id; the object that was named so first keeps it.
     for name in sorted(names, key=lambda name: object_id(bpy.data.objects[name]) != name):
         item = bpy.data.objects[name]
-        chosen = object_id(item)
-        if chosen in used or (OBJECT_ID not in item and chosen in taken):
+        own = object_id(item)
+        if own in used or (OBJECT_ID not in item and own in taken):
             numbered = itertools.chain([name], (f"{name} ({number})" for number in itertools.count(2)))
-            chosen = next(text for text in numbered if text not in used | taken)
-        ids[name] = chosen
-        used.add(chosen)
-        if item.library is None and item.get(OBJECT_ID) != chosen:
-            item[OBJECT_ID] = chosen
+            own = next(text for text in numbered if text not in used | taken)
+        ids[name] = own
+        used.add(own)
+        if item.library is None and item.get(OBJECT_ID) != own:
+            item[OBJECT_ID] = own
     return [ids[name] for name in names]
 
 

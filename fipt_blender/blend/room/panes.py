@@ -9,13 +9,12 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
-from ...core.run.run_files import CLOSING, PANES
+from ...core.run.run_files import CLOSING, PANES, RoomMesh
 from ..marks import ADDED, CLOSED, FOUND, OBJECT_ID, object_id
-from .arrays import Room
 from .islands import connected_triangles
 
 
-def add_surfaces(room: Room, objects: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
+def add_surfaces(room: RoomMesh, objects: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
     """Add the run's closed holes and panes to the scene's room, where the scene does not have them already.
 
     The new objects have the collections and the parent of the room's first object, which they move with.
@@ -35,7 +34,7 @@ def add_surfaces(room: Room, objects: Sequence[bpy.types.Object]) -> list[bpy.ty
     return added
 
 
-def add_apart(room: Room, index: int, beside: bpy.types.Object) -> list[bpy.types.Object]:
+def add_apart(room: RoomMesh, index: int, beside: bpy.types.Object) -> list[bpy.types.Object]:
     """Add an object that the engine has added to a room, one for each surface, so that each can be edited.
 
     Args:
@@ -61,7 +60,9 @@ def link_beside(item: bpy.types.Object, beside: bpy.types.Object) -> None:
         item.matrix_parent_inverse = beside.parent.matrix_world.inverted()
 
 
-def _new_object(room: Room, of_object: np.ndarray, name: str, beside: bpy.types.Object) -> bpy.types.Object:
+def _new_object(
+    room: RoomMesh, of_object: np.ndarray, name: str, beside: bpy.types.Object
+) -> bpy.types.Object:
     """An object with some triangles (n,) of a room, and their normals."""
     used, corners = np.unique(room.triangles[of_object], return_inverse=True)
     mesh = bpy.data.meshes.new(name)

@@ -9,13 +9,13 @@ from collections.abc import Callable
 import numpy as np
 from mathutils.bvhtree import BVHTree
 
-from .arrays import Room
+from ...core.run.run_files import RoomMesh
 
 # (origin (3,), unit direction (3,)) -> (point (3,), normal (3,)) of the first surface, or None.
 Cast = Callable[[np.ndarray, np.ndarray], "tuple[np.ndarray, np.ndarray] | None"]
 
 
-def make_cast(room: Room) -> Cast:
+def make_cast(room: RoomMesh) -> Cast:
     """A function that casts rays into the exported room."""
     tree = BVHTree.FromPolygons(room.vertices.tolist(), room.triangles.tolist(), all_triangles=True)
     low, high = room.vertices.min(axis=0), room.vertices.max(axis=0)

@@ -11,15 +11,14 @@ import bpy
 import numpy as np
 
 from ...core.run.errors import FiptError
-from ...core.run.run_files import Geometry
+from ...core.run.run_files import Geometry, RoomMesh
 from ..marks import OBJECT_ID, has_results, object_id
-from .arrays import Room
 from .exporting import fresh_depsgraph
 from .mesh_arrays import corner_vertices, is_mirrored, transform_points, triangle_loops, vertex_positions
 from .originals import modifiers_in_result, original_shown
 
 
-def match_objects(room: Room, objects: Iterable[bpy.types.Object]) -> list[str | None]:
+def match_objects(room: RoomMesh, objects: Iterable[bpy.types.Object]) -> list[str | None]:
     """The present names of a run's objects, in the run's order; None for those that are missing.
 
     An object is found by its id, which it keeps when it is renamed, else by its name.
@@ -55,7 +54,7 @@ def list_names(names: Sequence[str]) -> str:
 
 
 def copied_objects(
-    room: Room, matches: Sequence[str | None], objects: Iterable[bpy.types.Object]
+    room: RoomMesh, matches: Sequence[str | None], objects: Iterable[bpy.types.Object]
 ) -> list[tuple[int, str]]:
     """Index in the room and name of the objects that the artist has copied or separated from matched ones."""
     index = {name: number for number, name in enumerate(room.object_ids)}
@@ -63,7 +62,7 @@ def copied_objects(
     return [(index[object_id(item)], item.name) for item in others if object_id(item) in index]
 
 
-def make_mesh(room: Room, index: int, item: bpy.types.Object) -> tuple[bpy.types.Mesh, list[str]]:
+def make_mesh(room: RoomMesh, index: int, item: bpy.types.Object) -> tuple[bpy.types.Mesh, list[str]]:
     """A new result mesh for an object of the room: its own mesh with the modifiers of the export.
 
     Args:
@@ -116,7 +115,7 @@ def evaluations(item: bpy.types.Object) -> Iterator[tuple[bpy.types.Mesh, list[s
 
 
 def clean_result_mesh(
-    mesh: bpy.types.Mesh, item: bpy.types.Object, room: Room, index: int, geometry: Geometry
+    mesh: bpy.types.Mesh, item: bpy.types.Object, room: RoomMesh, index: int, geometry: Geometry
 ) -> None:
     """Move the vertices of a result mesh to those of the cleaned scan, and set its shading normals.
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
+from ...core.run.run_files import RoomMesh
 from ...core.textures.raster import cover_count
-from .arrays import Room
 from .islands import island_bounds, triangle_areas
 from .mesh_arrays import (
     corner_uvs,
@@ -48,7 +48,7 @@ class UnwrapSource:
     uv: np.ndarray | None  # (T,3,2) f64 of the artist's active layer
 
 
-def read_source(room: Room, index: int, item: bpy.types.Object) -> UnwrapSource:
+def read_source(room: RoomMesh, index: int, item: bpy.types.Object) -> UnwrapSource:
     """Read an object of the room.
 
     Raises:
@@ -66,7 +66,7 @@ def read_source(room: Room, index: int, item: bpy.types.Object) -> UnwrapSource:
         bpy.data.meshes.remove(mesh)
 
 
-def exported_source(room: Room, index: int) -> UnwrapSource:
+def exported_source(room: RoomMesh, index: int) -> UnwrapSource:
     """An object of the room that is missing in the scene, as it was exported; its polygons are triangles."""
     vertices, inverse = np.unique(room.triangles[room.triangle_object == index], return_inverse=True)
     corners = np.arange(inverse.size, dtype=np.int32)

@@ -32,7 +32,7 @@ from ..run.contents import Placement
 from ..run.errors import FiptError
 from ..run.kinds import as_matrix
 from ..run.messages import Reporter
-from ..run.run_files import read_room_files
+from ..run.run_files import read_room
 from ..run.runfolder import RunFolder, write_json
 
 MOST_POINTS = 4000  # more do not make the alignment better, only slower
@@ -59,12 +59,12 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     reporter.stage("align", "Aligning the cameras to the mesh")
     points = solve_points(arguments.capture, arguments.format, list(load_capture(folder).views))
     rng = np.random.default_rng(_SEED)
-    arrays, _ = read_room_files(folder)
-    surface = sample_surface(arrays["vertices"], arrays["triangles"], rng)
+    room = read_room(folder)
+    surface = sample_surface(room.vertices, room.triangles, rng)
     found = refine(points[rng.permutation(len(points))[:MOST_POINTS]], surface)
     if found.inliers < LEAST_INLIERS:
         raise FiptError("alignment-failed", inliers=100.0 * found.inliers)
-    if (note := judge_size(arrays["vertices"])) is not None:
+    if (note := judge_size(room.vertices)) is not None:
         reporter.warn(note)
     text = (
         f"{100.0 * found.inliers:.0f}% of the points of the camera solve lie near the mesh, half of all"

@@ -32,7 +32,7 @@ from ..run.run_files import (
     mesh_digest,
     read_geometry,
     read_made,
-    read_room_files,
+    read_room,
 )
 from ..run.runfolder import RunFolder, explained_write_errors
 from ..run.stage_settings import RoomSettings
@@ -87,17 +87,17 @@ def close_holes(
         run.panes_npz.unlink()
         prepare_geometry(run, settings.clean_scan, settings.close_holes_edges)
         room, changed = None, True  # it may have had them
-    arrays, names = read_room_files(run)
-    if names.completed or PANES in names.ids:
+    stored = read_room(run)
+    if stored.completed or PANES in stored.object_ids:
         return changed
-    cleaned = read_geometry(run, arrays)
-    use_masks = names.parts in ("auto", "masks")
+    cleaned = read_geometry(run, stored)
+    use_masks = stored.parts in ("auto", "masks")
     masks = masks_digest(views, (view.part_ids() for view in views if use_masks))
-    made = read_made(run.panes_npz, AddedSurfaces, mesh_digest(arrays))
+    made = read_made(run.panes_npz, AddedSurfaces, mesh_digest(stored))
     found_nothing = made is not None and made.masks is not None and np.array_equal(made.masks, masks)
     if cleaned is None or found_nothing:
         return changed
-    mesh, _ = make_mesh(cleaned.vertices, arrays["triangles"][scanned(arrays)])
+    mesh, _ = make_mesh(cleaned.vertices, stored.triangles[scanned(stored)])
     edge = median_edge(mesh)
     holes = flat_holes(mesh, edge) if settings.panes else []
     room = room or load_room(run, outlined=False)
@@ -110,7 +110,7 @@ def close_holes(
     nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3, 3)), np.zeros(0, np.int32)
     vertices, triangles, normals, plane = nothing if added is None else added
     with explained_write_errors(run.root):
-        source, searched_for = mesh_digest(arrays), np.array(kinds)
+        source, searched_for = mesh_digest(stored), np.array(kinds)
         panes = AddedSurfaces(vertices, triangles, normals, source, masks=masks, kinds=searched_for)
         write_arrays(run.panes_npz, panes)
         if added is None:
@@ -122,7 +122,7 @@ def close_holes(
             np.concatenate([cleaned.plane, plane.astype(np.int32)]),
             float(cleaned.noise),
         )
-        store_geometry(run, read_room_files(run)[0], extended)
+        store_geometry(run, read_room(run), extended)
     return True
 
 

@@ -19,7 +19,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 from ..capture.views import View
 from ..pixels.camera_rays import first_hits, trace_pixels
 from ..pixels.grouped import grouped_sums
-from ..run.run_files import Outlines, array_digest, read_geometry, read_outlines, read_room_files
+from ..run.run_files import Outlines, array_digest, read_geometry, read_outlines, read_room
 from ..run.runfolder import RunFolder
 from ..run.store import write_arrays
 from ..surface.adjacency import Mesh, face_vectors, make_mesh
@@ -65,7 +65,7 @@ def outline_parts(run: RunFolder, views: Sequence[View], room: Room | None = Non
     if not run.geometry_npz.exists():
         run.outlines_npz.unlink(missing_ok=True)
         return False
-    cleaned = read_geometry(run, read_room_files(run)[0])
+    cleaned = read_geometry(run, read_room(run))
     if cleaned is None:
         return False
     room = room or load_room(run, outlined=False)

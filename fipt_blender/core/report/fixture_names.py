@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from types import SimpleNamespace
 from typing import Protocol
 
 import numpy as np
 
 from ..run.parts import RoomParts, free_name, read_parts
-from ..run.run_files import read_room_files
+from ..run.run_files import read_room
 from ..run.runfolder import RunFolder
 
 _LAMPS = frozenset(
@@ -67,9 +66,8 @@ def run_fixture_names(run: RunFolder, fixtures: Sequence[NamedFixture]) -> list[
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
     """
-    arrays, names = read_room_files(run)
-    mesh = SimpleNamespace(**arrays, objects=names.objects, materials=names.materials)
-    return fixture_names(mesh, fixtures, read_parts(run, mesh.triangle_object, mesh.objects))
+    room = read_room(run)
+    return fixture_names(room, fixtures, read_parts(run, room.triangle_object, room.objects))
 
 
 def fixture_names(

@@ -90,13 +90,13 @@ class CapturedViews:
         raise FiptError("view-missing.view", name=name)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RoomNames:
     """room.json: the names that the indices in room.npz stand for.
 
     Attributes:
-        object_ids: by which the objects are found when they have other names; empty where there are none.
-        matrices: of each object to the world when it was exported.
+        object_ids: by which the objects are found when they have other names.
+        matrices: of each object to the world when it was exported; not of those of the engine.
         parts: source of the part labels, one of `jobs.options.PARTS`.
         completed: the artist has completed the scan, the engine adds nothing.
     """
@@ -107,11 +107,6 @@ class RoomNames:
     matrices: tuple[Matrix, ...] = ()
     parts: str = "masks"
     completed: bool = False
-
-    @property
-    def ids(self) -> tuple[str, ...]:
-        """One id for each object."""
-        return self.object_ids or self.objects
 
 
 @dataclass(frozen=True)

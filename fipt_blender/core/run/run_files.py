@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,21 +29,22 @@ PANES = "FIPT Panes"
 _EXPORT_AGAIN = "Export the room's mesh again (start the estimation again)."
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class RoomArrays:
     """room.npz: V vertices in world metres, T triangles; -1 for no material."""
 
     vertices: np.ndarray  # (V, 3) f32
-    triangles: np.ndarray  # (T, 3) i32
+    triangles: np.ndarray  # (T, 3) i32, counter-clockwise seen from outside
     corner_normals: np.ndarray  # (T, 3, 3) f32, unit
     triangle_object: np.ndarray  # (T,) i32, of the names in room.json
     triangle_material: np.ndarray  # (T,) i32, likewise
-    triangle_polygon: np.ndarray  # (T,) i32, in its object
-    triangle_exact: np.ndarray | None = None  # (T,) bool
+    triangle_polygon: np.ndarray  # (T,) i32, in its object's evaluated mesh
+    triangle_exact: np.ndarray | None = None  # (T,) bool, those that are no scan; None without any
 
 
-# Those that every room has.
-ROOM_ARRAYS = tuple(item.name for item in fields(RoomArrays) if item.name != "triangle_exact")
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RoomMesh(RoomArrays, RoomNames):
+    """The triangles of all objects of the room, in world space, and their names: room.npz and room.json."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,51 +142,44 @@ def read_capture(path: Path) -> CapturedViews:
     return read_document(path, CapturedViews, "Import the capture again.", other="capture-version")
 
 
-def read_room_files(run: RunFolder) -> tuple[dict[str, np.ndarray], RoomNames]:
-    """The arrays of room.npz, and room.json.
+def read_room(run: RunFolder) -> RoomMesh:
+    """The run's room.
 
     What the engine has added to a scan, `CLOSING` and `PANES`, are more objects, the last ones; a room that
-    the artist has completed gets none. Surfaces that are no scan are those of `triangle_exact`, (T,) bool, if
-    there are any.
+    the artist has completed gets none.
 
     Raises:
         FiptError: ``file-missing`` or ``file-damaged``.
     """
-    arrays, names = _read_mesh(run), read_document(run.room_json, RoomNames, _EXPORT_AGAIN)
+    names = read_document(run.room_json, RoomNames, _EXPORT_AGAIN)
+    room = RoomMesh(**vars(read_arrays(run.room_npz, RoomArrays, _EXPORT_AGAIN)), **vars(names))
     for name, path in ((CLOSING, run.closing_npz), (PANES, run.panes_npz)):
-        added = None if names.completed else read_made(path, AddedSurfaces, mesh_digest(arrays))
+        added = None if room.completed else read_made(path, AddedSurfaces, mesh_digest(room))
         if added is not None and len(added.triangles):
-            arrays, names = _with_object(arrays, names, name, added)
-    corners, count = arrays["triangles"], len(arrays["vertices"])
+            room = _with_object(room, name, added)
+    corners, count = room.triangles, len(room.vertices)
     if corners.size and not 0 <= corners.min() <= corners.max() < count:  # libraries would read beyond
-        raise FiptError("file-damaged.read-room-files", room_npz=run.room_npz)
-    return arrays, names
+        raise FiptError("file-damaged.read-room", room_npz=run.room_npz)
+    return room
 
 
-def _read_mesh(run: RunFolder) -> dict[str, np.ndarray]:
-    """The arrays of room.npz that are there."""
-    arrays = vars(read_arrays(run.room_npz, RoomArrays, _EXPORT_AGAIN))
-    return {name: array for name, array in arrays.items() if array is not None}
-
-
-def _with_object(
-    arrays: dict[str, np.ndarray], names: RoomNames, name: str, more: AddedSurfaces
-) -> tuple[dict[str, np.ndarray], RoomNames]:
+def _with_object(room: RoomMesh, name: str, more: AddedSurfaces) -> RoomMesh:
     """The room with one more object; its triangles have the materials of those `beside` them, if known."""
     count, beside = len(more.triangles), more.beside
     added = {
         "vertices": more.vertices,
-        "triangles": more.triangles + len(arrays["vertices"]),
+        "triangles": more.triangles + len(room.vertices),
         "corner_normals": more.corner_normals,
-        "triangle_object": np.full(count, len(names.objects)),
-        "triangle_material": np.full(count, -1) if beside is None else arrays["triangle_material"][beside],
+        "triangle_object": np.full(count, len(room.objects)),
+        "triangle_material": np.full(count, -1) if beside is None else room.triangle_material[beside],
         "triangle_polygon": np.arange(count),
-        **({"triangle_exact": np.zeros(count)} if "triangle_exact" in arrays else {}),
+        **({} if room.triangle_exact is None else {"triangle_exact": np.zeros(count)}),
     }
-    joined = {
-        key: np.concatenate([arrays[key], values.astype(arrays[key].dtype)]) for key, values in added.items()
+    joined: dict[str, Any] = {
+        key: np.concatenate([getattr(room, key), values.astype(getattr(room, key).dtype)])
+        for key, values in added.items()
     }
-    return joined, replace(names, objects=(*names.objects, name), object_ids=(*names.ids, name))
+    return replace(room, **joined, objects=(*room.objects, name), object_ids=(*room.object_ids, name))
 
 
 def read_made(path: Path, kind: type[T], source: np.ndarray) -> T | None:
@@ -199,17 +193,18 @@ def read_made(path: Path, kind: type[T], source: np.ndarray) -> T | None:
 
 def read_closing(run: RunFolder) -> AddedSurfaces | None:
     """closing.npz, None where there is none for the run's mesh."""
-    return read_made(run.closing_npz, AddedSurfaces, mesh_digest(_read_mesh(run)))
+    mesh = read_arrays(run.room_npz, RoomArrays, _EXPORT_AGAIN)
+    return read_made(run.closing_npz, AddedSurfaces, mesh_digest(mesh))
 
 
-def read_geometry(run: RunFolder, arrays: Mapping[str, np.ndarray]) -> Geometry | None:
+def read_geometry(run: RunFolder, room: RoomArrays) -> Geometry | None:
     """geometry.npz, None where there is none for this room: then the mesh is used as it is."""
-    return read_made(run.geometry_npz, Geometry, mesh_digest(arrays))
+    return read_made(run.geometry_npz, Geometry, mesh_digest(room))
 
 
-def read_outlined(run: RunFolder, arrays: Mapping[str, np.ndarray]) -> Geometry | None:
+def read_outlined(run: RunFolder, room: RoomArrays) -> Geometry | None:
     """geometry.npz with the vertices of outlines.npz, if these fit it; None where the first does not."""
-    cleaned = read_geometry(run, arrays)
+    cleaned = read_geometry(run, room)
     outlines = None if cleaned is None else read_outlines(run, cleaned.vertices)
     return cleaned if cleaned is None or outlines is None else replace(cleaned, vertices=outlines.vertices)
 
@@ -227,7 +222,7 @@ def array_digest(*arrays: np.ndarray) -> np.ndarray:
     return np.frombuffer(digest.digest(), np.uint8)
 
 
-def mesh_digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+def mesh_digest(room: RoomArrays) -> np.ndarray:
     """(32,) uint8 digest of a mesh's vertices and triangles, and of which are exact."""
-    exact = [arrays["triangle_exact"]] if "triangle_exact" in arrays else []
-    return array_digest(arrays["vertices"].astype(np.float32), arrays["triangles"].astype(np.int32), *exact)
+    exact = [] if room.triangle_exact is None else [room.triangle_exact]
+    return array_digest(room.vertices.astype(np.float32), room.triangles.astype(np.int32), *exact)

@@ -8,7 +8,7 @@ normals are flipped towards the viewer, so that inverted normals have no effect.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import drjit as dr
@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..run.errors import FiptError
-from ..run.run_files import CLOSING, read_geometry, read_outlined, read_room_files
+from ..run.run_files import CLOSING, read_geometry, read_outlined, read_room
 from ..run.runfolder import RunFolder
 from ..run.threads import cached_property
 from .adjacency import face_vectors
@@ -210,18 +210,18 @@ def load_room(run: RunFolder, outlined: bool = True, cleaned: bool = True) -> Ro
     """
     if not run.room_npz.exists():
         raise FiptError("mesh-missing.load-room", room_npz=run.room_npz)
-    arrays, names = read_room_files(run)
-    scan = (read_outlined if outlined else read_geometry)(run, arrays) if cleaned else None
+    stored = read_room(run)
+    scan = (read_outlined if outlined else read_geometry)(run, stored) if cleaned else None
     if scan is not None:
-        arrays |= {"vertices": scan.vertices, "corner_normals": scan.corner_normals}
+        stored = replace(stored, vertices=scan.vertices, corner_normals=scan.corner_normals)
     room = Room(
-        **{name: np.asarray(arrays[name], kind) for name, kind in _ARRAYS.items()},
+        **{name: np.asarray(getattr(stored, name), kind) for name, kind in _ARRAYS.items()},
         noise=float(scan.noise) if scan else 0.0,
         plane=scan.plane.astype(np.int32) if scan else None,
-        objects=names.objects,
-        materials=names.materials,
-        parts=names.parts,
-        exact=arrays.get("triangle_exact"),
+        objects=stored.objects,
+        materials=stored.materials,
+        parts=stored.parts,
+        exact=stored.triangle_exact,
     )
     if not np.isfinite(room.vertices).all():
         raise FiptError("mesh-damaged")

@@ -9,18 +9,17 @@ count for whether the mesh is one, and stay as they are.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from ..run.run_files import (
     CLOSING,
     AddedSurfaces,
     Geometry,
+    RoomArrays,
     mesh_digest,
     read_closing,
     read_geometry,
-    read_room_files,
+    read_room,
 )
 from ..run.runfolder import RunFolder, explained_write_errors
 from ..run.store import write_arrays
@@ -41,62 +40,56 @@ def prepare_geometry(run: RunFolder, clean: bool = True, most_edges: int = 0) ->
     Raises:
         FiptError: ``file-missing``, ``file-damaged``, ``disk-full`` or ``run-unwritable``.
     """
-    arrays, names = read_room_files(run)
-    most_edges = 0 if names.completed else most_edges
+    room = read_room(run)
+    most_edges = 0 if room.completed else most_edges
     closing = read_closing(run)
     if (
         clean
         and (closing.most_edges if closing else 0) == most_edges
-        and read_geometry(run, arrays) is not None
+        and read_geometry(run, room) is not None
     ):
         return
     with explained_write_errors(run.root):
         if most_edges or closing:
             run.closing_npz.unlink(missing_ok=True)
             run.panes_npz.unlink(missing_ok=True)  # made for the mesh with the closing
-            arrays, names = read_room_files(run)
-        usable = clean and len(scanned(arrays)) and np.isfinite(arrays["vertices"]).all()
+            room = read_room(run)
+        usable = clean and len(scanned(room)) and np.isfinite(room.vertices).all()
         if usable and most_edges:
-            closed_before = CLOSING in names.ids
-            usable = _store_closing(run, arrays, most_edges, closed_before)
-            arrays, _ = read_room_files(run)
-        cleaned = _cleaned(arrays) if usable else None
+            usable = _store_closing(run, room, most_edges, CLOSING in room.object_ids)
+            room = read_room(run)
+        cleaned = _cleaned(room) if usable else None
         if cleaned is None:
             run.geometry_npz.unlink(missing_ok=True)
             return
-        store_geometry(run, arrays, cleaned)
+        store_geometry(run, room, cleaned)
 
 
-def scanned(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+def scanned(room: RoomArrays) -> np.ndarray:
     """(n,) int64 triangles of room.npz that are not exact."""
-    exact = arrays.get("triangle_exact")
-    return np.arange(len(arrays["triangles"])) if exact is None else np.flatnonzero(~exact)
+    exact = room.triangle_exact
+    return np.arange(len(room.triangles)) if exact is None else np.flatnonzero(~exact)
 
 
-def _cleaned(arrays: Mapping[str, np.ndarray]) -> CleanMesh | None:
+def _cleaned(room: RoomArrays) -> CleanMesh | None:
     """The cleaned copy of the scan, with exact surfaces as they are; None for a mesh that is no scan."""
-    rows = scanned(arrays)
-    if len(rows) == len(arrays["triangles"]):
-        return clean_mesh(arrays["vertices"], arrays["triangles"])
-    used, triangles = without_unused(arrays["triangles"][rows])
-    cleaned = clean_mesh(arrays["vertices"][used], triangles)
+    rows = scanned(room)
+    if len(rows) == len(room.triangles):
+        return clean_mesh(room.vertices, room.triangles)
+    used, triangles = without_unused(room.triangles[rows])
+    cleaned = clean_mesh(room.vertices[used], triangles)
     if cleaned is None:
         return None
-    vertices, normals = (arrays[name].astype(np.float32) for name in ("vertices", "corner_normals"))
+    vertices, normals = room.vertices.astype(np.float32), room.corner_normals.astype(np.float32)
     plane = np.full(len(normals), NONE, np.int32)
     vertices[used], normals[rows], plane[rows] = cleaned.vertices, cleaned.corner_normals, cleaned.plane
     return CleanMesh(vertices, normals, plane, cleaned.noise)
 
 
-def _store_closing(run: RunFolder, arrays: dict[str, np.ndarray], most_edges: int, counted: bool) -> bool:
-    """Write closing.npz if the mesh is a scan, and say whether it is.
-
-    Args:
-        arrays: the room's vertices and triangles.
-        counted: holes are counted, not closed.
-    """
-    rows = scanned(arrays)
-    mesh, _ = make_mesh(arrays["vertices"], arrays["triangles"][rows])
+def _store_closing(run: RunFolder, room: RoomArrays, most_edges: int, counted: bool) -> bool:
+    """Write closing.npz if the mesh is a scan, and say whether it is; `counted` holes are not closed."""
+    rows = scanned(room)
+    mesh, _ = make_mesh(room.vertices, room.triangles[rows])
     normals, areas = face_vectors(mesh.vertices, mesh.triangles)
     if noise_level(mesh, normals, areas)[0] <= 0.0:
         return False
@@ -110,17 +103,13 @@ def _store_closing(run: RunFolder, arrays: dict[str, np.ndarray], most_edges: in
         most_edges=most_edges,
         count=np.array([found.closed, found.left], np.int32),
         area=np.array([found.closed_area, found.open_area], np.float32),
-        source=mesh_digest(arrays),
+        source=mesh_digest(room),
     )
     write_arrays(run.closing_npz, closing)
     return True
 
 
-def store_geometry(run: RunFolder, arrays: dict[str, np.ndarray], cleaned: CleanMesh) -> None:
-    """Write geometry.npz.
-
-    Args:
-        arrays: the room's vertices and triangles, of which the copy was made.
-    """
+def store_geometry(run: RunFolder, room: RoomArrays, cleaned: CleanMesh) -> None:
+    """Write geometry.npz, the copy that was made of a room."""
     vertices, normals, plane, noise = vars(cleaned).values()
-    write_arrays(run.geometry_npz, Geometry(vertices, normals, plane, noise, mesh_digest(arrays)))
+    write_arrays(run.geometry_npz, Geometry(vertices, normals, plane, noise, mesh_digest(room)))

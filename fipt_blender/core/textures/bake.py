@@ -26,7 +26,7 @@ from ..run.messages import Reporter
 from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
 from ..run.result_contents import AtlasImage, AtlasImages, TextureImage, Textures, UniformPart
-from ..run.run_files import AtlasArrays, read_outlined, read_room_files
+from ..run.run_files import AtlasArrays, read_outlined, read_room
 from ..run.runfolder import RunFolder, write_json
 from ..run.store import read_arrays
 from ..run.versions import results_id
@@ -89,8 +89,8 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     given, detail = load_input(folder, reporter), None
     if given is not None:
         detail = partial(add_detail, given, load_room(folder), fields.units.triangle)
-    room, names = read_room_files(folder)
-    parts = read_parts(folder, room["triangle_object"], names.objects)
+    room = read_room(folder)
+    parts = read_parts(folder, room.triangle_object, room.objects)
     files = bake(folder, fields, reporter.progress, parts, detail)
     files += write_view_maps(folder, fields, load_capture(folder).views)
     made.note(reporter.warnings)
@@ -128,10 +128,10 @@ def bake(
     Returns:
         The files written.
     """
-    room, _ = read_room_files(folder)
+    room = read_room(folder)
     atlas, arrays = read_document(folder.atlas_json, AtlasImages), read_arrays(folder.atlas_npz, AtlasArrays)
     scan = read_outlined(folder, room)
-    corners = (scan.vertices if scan else room["vertices"])[room["triangles"]]
+    corners = (scan.vertices if scan else room.vertices)[room.triangles]
     folder.stage.mkdir(parents=True, exist_ok=True)
     with (
         atomic_folder(folder.textures) as new,
