@@ -16,7 +16,8 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Euler, Matrix, Vector
 
 from fipt_blender.blend.capture import cameras, scene_cameras
-from fipt_blender.blend.capture.exporting import camera_pose, export_capture
+from fipt_blender.blend.capture.cameras import camera_pose
+from fipt_blender.blend.capture.exporting import export_capture
 from fipt_blender.blend.marks import LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION
 from fipt_blender.core import conventions
 from fipt_blender.core.run.runfolder import RunFolder, write_json

@@ -14,7 +14,7 @@ from mathutils import Matrix
 
 from fipt_blender import machine
 from fipt_blender.blend.capture import cameras
-from fipt_blender.blend.capture.exporting import camera_pose
+from fipt_blender.blend.capture.cameras import camera_pose
 from fipt_blender.blend.capture.importing import find_alignment
 from fipt_blender.blend.capture.pairs import place_camera, take_alignment
 from fipt_blender.blend.capture.view_geometry import view_geometry

@@ -24,10 +24,11 @@ from ..core.capture.encoded import CLIPPED_CODE
 from ..core.capture.images import open_picture
 from ..core.run.contents import Problem
 from ..core.run.errors import FiptError, problem
+from ..core.run.parts import free_name
 from .exif import DAMAGE
 from .frames import linear_frame, load
 from .motion import LEAST_OVERLAP, grey, log_values, measure, warped
-from .preparation import Group, Photograph, free_name
+from .preparation import Group, Photograph
 from .response import srgb_curve
 
 # Seconds from the end of a photograph to the next one. Cameras take a bracket in one go, within the first. By
@@ -286,7 +287,7 @@ def _named(lists: Iterable[Sequence[Photograph]], by_folder: bool = False) -> li
         has_folder = by_folder and path.parent != PurePath(".")
         stem = "_".join(path.parent.parts) if has_folder else path.stem
         plain = _FORBIDDEN.sub("_", stem).strip(" .")[:80] or "view"
-        name = free_name(plain, taken)
+        name = free_name(plain, taken, "_", str.casefold)
         taken.add(name.casefold())
         groups.append(Group(name, tuple(item.path for item in items)))
     return groups

@@ -7,7 +7,7 @@ The add-on and the user edit the file between steps; therefore it is read and ch
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePath
 from typing import Annotated, Any, ClassVar
@@ -17,6 +17,7 @@ from ..core.run.declared import Option, converted
 from ..core.run.documents import read_document
 from ..core.run.errors import FiptError
 from ..core.run.kinds import SOME, FileName, Number, Pixels, choice
+from ..core.run.parts import free_name
 from ..core.run.paths import is_network, leads_outside
 from ..core.run.runfolder import write_json
 from ..core.run.shapes import MOST_SIDE
@@ -260,7 +261,8 @@ def split_group(groups: Sequence[Group], index: int, at: int) -> list[Group]:
     group = groups[index]
     if not 0 < at < len(group.photographs):
         raise FiptError("group-not-split", name=group.name)
-    name = free_name(PurePath(group.photographs[at]).stem, {other.name.casefold() for other in groups})
+    taken = {other.name.casefold() for other in groups}
+    name = free_name(PurePath(group.photographs[at]).stem, taken, "_", str.casefold)
     first = replace(group, photographs=group.photographs[:at])
     second = replace(group, name=name, photographs=group.photographs[at:])
     return [*groups[:index], first, second, *groups[index + 1 :]]
@@ -279,15 +281,6 @@ def merge_groups(groups: Sequence[Group], index: int) -> list[Group]:
         first, photographs=(*first.photographs, *second.photographs), used=first.used or second.used
     )
     return [*groups[:index], merged, *groups[index + 2 :]]
-
-
-def free_name(name: str, taken: Set[str]) -> str:
-    """The name, or with the first number from 2 that makes it differ from the taken ones (case-folded)."""
-    number, numbered = 1, name
-    while numbered.casefold() in taken:
-        number += 1
-        numbered = f"{name}_{number}"
-    return numbered
 
 
 def make_prepare_settings(changes: Mapping[str, Any]) -> PrepareSettings:

@@ -25,6 +25,7 @@ from ..render_settings import fitted, is_set
 from .view_geometry import ViewGeometry
 
 _SIZE = 0.03  # display size of cameras, as a share of the extent of their positions
+_UNEVEN = 1e-3  # tolerance for the axes of a camera: equal lengths and right angles
 _LENS = ("lens", "sensor_width", "sensor_height", "sensor_fit", "shift_x", "shift_y")
 
 
@@ -145,9 +146,41 @@ def camera_geometry(scene: bpy.types.Scene, camera: bpy.types.Object) -> ViewGeo
     width, height = (int(value) for value in camera.get(RESOLUTION, scene_size))
     aspect = camera.get(PIXEL_ASPECT, (render.pixel_aspect_x, render.pixel_aspect_y))
     parameters = lens_of(data, aspect)
-    pose = conventions.blender_to_opencv_camera(np.array(camera.matrix_world, np.float64))
+    pose = conventions.blender_to_opencv_camera(world_matrix(camera))
     lens = conventions.blender_to_intrinsics(width, height, parameters)
     return ViewGeometry(pose, width, height, *lens)
+
+
+def camera_pose(camera: bpy.types.Object) -> np.ndarray:
+    """Camera-to-world (4, 4) float64, OpenCV axes, without the scale of its parents.
+
+    Raises:
+        FiptError: ``alignment-uneven`` where parents stretch or mirror, which a camera can't represent.
+    """
+    matrix = world_matrix(camera)
+    axes = matrix[:3, :3]
+    lengths = np.linalg.norm(axes, axis=0)
+    unit = axes / np.maximum(lengths, 1e-30)
+    uneven = np.ptp(lengths) > _UNEVEN * lengths.mean() or np.abs(unit.T @ unit - np.eye(3)).max() > _UNEVEN
+    if uneven or np.linalg.det(unit) < 0.0 or lengths.min() < 1e-20:
+        raise FiptError("alignment-uneven", name=camera.name)
+    u, _, vt = np.linalg.svd(unit)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = u @ vt, matrix[:3, 3]
+    return conventions.blender_to_opencv_camera(pose)
+
+
+def world_matrix(item: bpy.types.Object) -> np.ndarray:
+    """An object's 4x4 world matrix, also where Blender has not evaluated it since it was moved.
+
+    Blender does not update `matrix_world` of hidden objects.
+    """
+    if item.constraints or item.animation_data or (item.parent and item.parent_type != "OBJECT"):
+        return np.array(item.matrix_world, np.float64)
+    basis = np.array(item.matrix_basis, np.float64)
+    if item.parent is None:
+        return basis
+    return world_matrix(item.parent) @ np.array(item.matrix_parent_inverse, np.float64) @ basis
 
 
 def use_view(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:

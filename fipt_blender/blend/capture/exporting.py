@@ -11,7 +11,6 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core import conventions
 from ...core.capture.files import Folders, ambiguous
 from ...core.run.contents import CapturedView, CapturedViews
 from ...core.run.errors import FiptError
@@ -19,10 +18,9 @@ from ...core.run.kinds import as_matrix
 from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder, write_json
 from ..marks import view_cameras
-from .cameras import camera_geometry
+from .cameras import camera_geometry, camera_pose
 
 MIN_VIEWS = 2
-_UNEVEN = 1e-3  # tolerance for the axes of a camera: equal lengths and right angles
 _LENS = ("fx", "fy", "cx", "cy")
 # An unchanged camera keeps pose and lens as read, which are more precise than Blender's single floats.
 _UNMOVED = 2e-6
@@ -140,35 +138,3 @@ def part_folder(scene: bpy.types.Scene) -> Path | None:
             else "No folder of masks is chosen.",
         )
     return folder
-
-
-def camera_pose(camera: bpy.types.Object) -> np.ndarray:
-    """Camera-to-world (4, 4) float64, OpenCV axes, without the scale of its parents.
-
-    Raises:
-        FiptError: ``alignment-uneven`` where parents stretch or mirror, which a camera can't represent.
-    """
-    matrix = world_matrix(camera)
-    axes = matrix[:3, :3]
-    lengths = np.linalg.norm(axes, axis=0)
-    unit = axes / np.maximum(lengths, 1e-30)
-    uneven = np.ptp(lengths) > _UNEVEN * lengths.mean() or np.abs(unit.T @ unit - np.eye(3)).max() > _UNEVEN
-    if uneven or np.linalg.det(unit) < 0.0 or lengths.min() < 1e-20:
-        raise FiptError("alignment-uneven", name=camera.name)
-    u, _, vt = np.linalg.svd(unit)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = u @ vt, matrix[:3, 3]
-    return conventions.blender_to_opencv_camera(pose)
-
-
-def world_matrix(item: bpy.types.Object) -> np.ndarray:
-    """An object's 4x4 world matrix, also where Blender has not evaluated it since it was moved.
-
-    Blender does not update `matrix_world` of hidden objects.
-    """
-    if item.constraints or item.animation_data or (item.parent and item.parent_type != "OBJECT"):
-        return np.array(item.matrix_world, np.float64)
-    basis = np.array(item.matrix_basis, np.float64)
-    if item.parent is None:
-        return basis
-    return world_matrix(item.parent) @ np.array(item.matrix_parent_inverse, np.float64) @ basis

@@ -28,7 +28,7 @@ from ..outliner import CAMERAS, EARLIER_ROOMS, ROOM, TREE, collection, move_to, 
 from ..room.mesh_digest import is_edited, sign
 from ..room.result_meshes import list_names
 from . import cameras, mesh_import
-from .exporting import world_matrix
+from .cameras import world_matrix
 from .facing import face_cameras
 from .look import stand_in_photograph
 from .startup import hide_startup_objects

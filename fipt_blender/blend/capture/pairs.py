@@ -20,9 +20,7 @@ from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
 from ..marks import VIEW, is_view, view_cameras
 from ..outliner import CAMERAS, collection
-from .cameras import camera_geometry
-from .exporting import camera_pose, world_matrix
-from .view_geometry import ViewGeometry
+from .cameras import camera_geometry, camera_pose, world_matrix
 
 MOST_SIGHTS = 2  # photographs in which a point is picked
 
@@ -109,27 +107,16 @@ def usable_pairs(scene: bpy.types.Scene) -> list[bpy.types.PropertyGroup]:
 
 def pair_sights(scene: bpy.types.Scene, pairs: Sequence[bpy.types.PropertyGroup]) -> Sights:
     """The rays through the pairs' points in the photographs, with the present poses of the cameras."""
-    geometries = view_geometries(scene, {sight.name for pair in pairs for sight in pair.sights})
+    cameras = view_cameras(scene)
     index, origins, directions = [], [], []
     for number, pair in enumerate(pairs):
         for sight in pair.sights:
-            origin, direction = geometries[sight.name].ray(*sight.pixel)
+            origin, direction = camera_geometry(scene, cameras[sight.name]).ray(*sight.pixel)
             index.append(number)
             origins.append(origin)
             directions.append(direction)
     rays = np.array(origins).reshape(-1, 3), np.array(directions).reshape(-1, 3)
     return Sights(np.array(index, np.int64), *rays)
-
-
-def view_geometries(scene: bpy.types.Scene, names: set[str]) -> dict[str, ViewGeometry]:
-    """The cameras of some views, with their present poses, which Blender may not have evaluated yet."""
-    cameras = view_cameras(scene)
-    geometries = {}
-    for name in names:
-        found = camera_geometry(scene, cameras[name])
-        lens = (found.width, found.height, found.fx, found.fy, found.cx, found.cy)
-        geometries[name] = ViewGeometry(camera_pose(cameras[name]), *lens)
-    return geometries
 
 
 def mesh_point(scene: bpy.types.Scene, pair: bpy.types.PropertyGroup) -> np.ndarray:

@@ -22,7 +22,6 @@ from ...core.run.run_files import read_capture
 from ...core.run.runfolder import RunFolder, write_json
 from ..marks import LARGE_PHOTOGRAPH, PIXEL_ASPECT, RESOLUTION
 from . import cameras
-from .exporting import camera_pose
 from .importing import fill_views
 
 SCENE_SOURCE = "scene-cameras"  # `imported_path` of such captures
@@ -138,7 +137,7 @@ def describe_camera(scene: bpy.types.Scene, item: bpy.types.Object) -> dict[str,
         "cx": cx,
         "cy": cy,
         "camera": asdict(lens),  # for `adopt_cameras`
-        "transform_matrix": conventions.opencv_to_opengl_camera(camera_pose(item)).tolist(),
+        "transform_matrix": conventions.opencv_to_opengl_camera(cameras.camera_pose(item)).tolist(),
     }
 
 

@@ -23,7 +23,8 @@ from ...core.run.store import read_arrays
 from ..marks import was_found
 from ..room.exporting import export_room
 from . import overlay
-from .exporting import read_source, selected_views, world_matrix
+from .cameras import world_matrix
+from .exporting import read_source, selected_views
 from .importing import not_in_room, room_missing
 
 

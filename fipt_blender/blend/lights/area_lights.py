@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""New area lights of known radiance, for relighting."""
+"""New lights: Blender's of a shape, and rectangles of known radiance."""
 
 from __future__ import annotations
 
@@ -32,3 +32,15 @@ def add_area_light(
     item = bpy.data.objects.new(name, mesh)
     collection(scene or bpy.context.scene, LIGHTS).objects.link(item)
     return item
+
+
+def shaped_light(name: str, shape: str, width: float, height: float) -> bpy.types.Object:
+    """A Blender light in no scene: a ball ("POINT"), or an area light of one of Blender's shapes; metres."""
+    data = bpy.data.lights.new(name, "POINT" if shape == "POINT" else "AREA")
+    if shape != "POINT":
+        data.shape, data.size, data.size_y = shape, width, height
+    else:
+        data.shadow_soft_size = 0.5 * width
+        if hasattr(data, "use_soft_falloff"):  # without it the falloff is that of a sphere
+            data.use_soft_falloff = False
+    return bpy.data.objects.new(name, data)

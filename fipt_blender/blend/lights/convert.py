@@ -41,6 +41,7 @@ from ..room.mesh_arrays import (
     vertex_positions,
 )
 from . import light_state
+from .area_lights import shaped_light
 from .fixture_nodes import surfaces
 from .power import world_matrix
 
@@ -169,16 +170,7 @@ def _add_light(
     item: bpy.types.Object, shape: Shape, radiance: list[float], backwards: bool, target: bpy.types.Collection
 ) -> bpy.types.Object:
     """Add a Blender light of a shape as a fixture's child; `backwards` it shines from the shape's back."""
-    name = f"{item.name} Light"
-    if shape.kind == "POINT":
-        data = bpy.data.lights.new(name, "POINT")
-        data.shadow_soft_size = 0.5 * shape.size[0]
-        if hasattr(data, "use_soft_falloff"):  # without it the falloff is that of a sphere
-            data.use_soft_falloff = False
-    else:
-        data = bpy.data.lights.new(name, "AREA")
-        data.shape, data.size, data.size_y = shape.kind, *shape.size
-    light = bpy.data.objects.new(name, data)
+    light = shaped_light(f"{item.name} Light", shape.kind, *shape.size)
     light[FIXTURE_LIGHT] = item[FIXTURE]
     light[FIXTURE_SOURCES] = item[FIXTURE_SOURCES]
     light[BASE] = [math.pi * shape.area * value for value in radiance]

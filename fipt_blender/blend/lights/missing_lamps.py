@@ -15,6 +15,7 @@ from ...core.run.runfolder import RunFolder
 from ..marks import BASE, INFERRED, MISSING_LAMP, NEW_LIGHT, UNIT
 from ..outliner import LIGHTS, collection
 from . import light_state
+from .area_lights import shaped_light
 from .calibration import scene_unit
 
 
@@ -38,14 +39,8 @@ def add_inferred(scene: bpy.types.Scene, run: RunFolder) -> None:
 
 def _add(scene: bpy.types.Scene, lamp: MissingLamp) -> bpy.types.Object:
     """A point light for a ball, an area light for a disc, of its position, radius (metres) and radiance."""
-    data = bpy.data.lights.new("Unseen Light", "POINT" if lamp.facing is None else "AREA")
-    if lamp.facing is None:
-        data.shadow_soft_size = lamp.radius
-        if hasattr(data, "use_soft_falloff"):  # without it the falloff is that of a sphere
-            data.use_soft_falloff = False
-    else:
-        data.shape, data.size = "DISK", 2.0 * lamp.radius
-    item = bpy.data.objects.new(data.name, data)
+    size = 2.0 * lamp.radius
+    item = shaped_light("Unseen Light", "POINT" if lamp.facing is None else "DISK", size, size)
     item[NEW_LIGHT] = 1
     item[MISSING_LAMP] = [float(value) for value in lamp.position]
     # P = pi A L of a sphere or a disc.

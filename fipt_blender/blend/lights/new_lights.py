@@ -16,6 +16,7 @@ from ..marks import BASE, NEW_LIGHT
 from ..outliner import LIGHTS, collection
 from ..room.mesh_arrays import world_bounds
 from . import light_state
+from .area_lights import shaped_light
 from .calibration import scene_unit
 from .placement import room_light_power
 
@@ -59,9 +60,7 @@ def add_light(
     """
     if direction.length <= 0.0:
         raise FiptError("direction-missing.add-light")
-    data = bpy.data.lights.new("FIPT Light", "AREA")
-    data.shape, data.size = "SQUARE", size
-    item = bpy.data.objects.new(data.name, data)
+    item = shaped_light("FIPT Light", "SQUARE", size, size)
     item[NEW_LIGHT] = 1
     item[BASE] = [watts] * 3
     collection(scene, LIGHTS).objects.link(item)

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...bridge.step import Slices
 from ...core.run.errors import FiptError
-from ...core.run.parts import read_parts
+from ...core.run.parts import free_name, read_parts
 from ...core.run.result_contents import AtlasImage, AtlasImages
 from ...core.run.run_files import AtlasArrays, Resolution, RoomMesh, read_room
 from ...core.run.runfolder import RunFolder, write_json
@@ -275,10 +275,6 @@ def file_names(owners: list[str]) -> list[str]:
     names = []
     for owner in owners:
         name = re.sub(r"[^\w-]+", "_", owner).strip("_")[:60] or "Part"
-        number, found = 1, name
-        while found.lower() in taken:
-            number += 1
-            found = f"{name}_{number}"
-        taken.add(found.lower())
-        names.append(found)
+        names.append(free_name(name, taken, "_", str.casefold))
+        taken.add(names[-1].casefold())
     return names

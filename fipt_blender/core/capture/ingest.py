@@ -26,6 +26,7 @@ from ..run.kinds import as_matrix
 from ..run.light_size import refuse_full_disk
 from ..run.made import Made, file_state, folder_states
 from ..run.messages import Reporter
+from ..run.parts import free_name
 from ..run.paths import is_network
 from ..run.replacing import atomic_folder
 from ..run.runfolder import RunFolder, write_json
@@ -207,15 +208,10 @@ def distinct_views(views: Sequence[RigView]) -> list[RigView]:
     for view in views:
         first.setdefault(view.image, view)
     taken: set[str] = set()
-    counts: Counter[str] = Counter()
     unique = []
     for view in first.values():
-        name, stem = view.name, view.name.casefold()  # file systems may ignore the case of letters
-        while name.casefold() in taken:
-            counts[stem] += 1
-            name = f"{view.name}~{counts[stem] + 1}"
-        taken.add(name.casefold())
-        unique.append(replace(view, name=name))
+        unique.append(replace(view, name=free_name(view.name, taken, "~", str.casefold)))
+        taken.add(unique[-1].name.casefold())
     return unique
 
 

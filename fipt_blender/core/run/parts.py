@@ -7,8 +7,8 @@ Needs numpy alone.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Sequence
+import itertools
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -97,23 +97,20 @@ def readable(name: str) -> str:
 
 def unique_names(names: Sequence[str]) -> list[str]:
     """The names, with numbers behind those that occur again."""
-    taken: set[str] = set()
-    counts: Counter[str] = Counter()
-    result = []
+    taken: dict[str, None] = {}
     for name in names:
-        numbered = name
-        while numbered in taken:
-            counts[name] += 1
-            numbered = f"{name} {counts[name] + 1}"
-        taken.add(numbered)
-        result.append(numbered)
-    return result
+        taken[free_name(name, taken)] = None
+    return list(taken)
 
 
-def free_name(name: str, taken: Collection[str]) -> str:
-    """The name, followed by 2, 3, ... where it is taken."""
-    number, numbered = 1, name
-    while numbered in taken:
-        number += 1
-        numbered = f"{name} {number}"
-    return numbered
+def free_name(name: str, taken: Collection[str], joint: str = " ", key: Callable[[str], str] = str) -> str:
+    """The name, followed by 2, 3, ... where it is taken.
+
+    Args:
+        name: the name.
+        taken: names by `key`.
+        joint: before the number.
+        key: `str.casefold` of files, since some systems do not distinguish capitals.
+    """
+    numbered = itertools.chain([name], (f"{name}{joint}{number}" for number in itertools.count(2)))
+    return next(each for each in numbered if key(each) not in taken)
