@@ -7,6 +7,7 @@ Their regions are linked on the mesh, and written with ids that all views share.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,8 +19,9 @@ from ..capture.views import View
 from ..pixels.camera_rays import first_hits, trace_pixels
 from ..pixels.grouped import numbered, pairs_of, strongest
 from ..pixels.store import CELL_PIXELS
+from ..run.made import Made
 from ..run.run_files import array_digest
-from ..run.runfolder import RunFolder, atomic_path
+from ..run.runfolder import RunFolder
 from ..surface.room import Room
 from .coverage import coarse_view, resampled
 from .labels import choose_source, masks_digest
@@ -53,8 +55,8 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
     """The views, with part masks whose ids all of them share.
 
     Masks that share their ids already stay as they are, and so do the views. Others are written to
-    ``linked/`` of the run folder. Either is noted there, and holds as long as the mesh, the masks and the
-    poses stay the same.
+    ``linked/`` of the run folder, which is not there otherwise. Either holds as long as the mesh, the masks
+    and the poses stay the same.
     Mitsuba's variant must be set.
 
     Raises:
@@ -63,28 +65,23 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
     if choose_source(room, views) != "masks":
         return list(views)
     names = {view.name: run.linked / f"{view.name}.exr" for view in views if view.parts}
-    linked = [replace(view, parts=names[view.name]) if view.name in names else view for view in views]
     masks = masks_digest(views, (view.part_ids() for view in views))
-    digest = array_digest(room.vertices, room.triangles, masks).tobytes().hex()
-    record = run.linked / "digest.txt"
-    notes = {f"{digest} {outcome}": found for outcome, found in (("linked", linked), ("shared", list(views)))}
-    if record.is_file() and (noted := record.read_text(encoding="utf-8")) in notes:
-        return notes[noted]
-    seen, places = seen_cells(room, views)
-    known = [one.cell >= 0 for one in seen]
-    pixels = [
-        RegionPixels(one.ids[k].astype(np.int64), one.cell[k]) for one, k in zip(seen, known, strict=True)
-    ]
-    record.unlink(missing_ok=True)
-    outcome = "shared" if shared_ids(pixels) >= SHARED else "linked"
-    if outcome == "linked":
-        part = link_regions(pixels, places)
-        for one in seen:
-            write_exr(names[one.view.name], _linked(one, np.append(part, -1)[one.cell]))
-    record.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(record) as temporary:
-        temporary.write_text(f"{digest} {outcome}", encoding="utf-8")
-    return notes[f"{digest} {outcome}"]
+    made = Made(run, "linked", array_digest(room.vertices, room.triangles, masks).tolist(), outputs=())
+    if made.kept() is None:
+        shutil.rmtree(run.linked, ignore_errors=True)
+        seen, places = seen_cells(room, views)
+        known = [one.cell >= 0 for one in seen]
+        pixels = [
+            RegionPixels(one.ids[k].astype(np.int64), one.cell[k]) for one, k in zip(seen, known, strict=True)
+        ]
+        if shared_ids(pixels) < SHARED:
+            part = link_regions(pixels, places)
+            for one in seen:
+                write_exr(names[one.view.name], _linked(one, np.append(part, -1)[one.cell]))
+        made.note()
+    if not run.linked.is_dir():
+        return list(views)
+    return [replace(view, parts=names[view.name]) if view.name in names else view for view in views]
 
 
 def shared_ids(views: Sequence[RegionPixels]) -> float:
