@@ -38,7 +38,6 @@ def make_view(rng: np.random.Generator, values: tuple) -> View:
     ("there", "back"),
     [
         (conventions.opencv_to_blender_camera, conventions.blender_to_opencv_camera),
-        (conventions.opencv_to_opengl_camera, conventions.opengl_to_opencv_camera),
         (conventions.fipt_to_opencv_camera, conventions.fipt_to_opencv_camera),
     ],
 )

@@ -90,7 +90,6 @@ def test_maps_show_their_values(applied):
 
 
 def test_showing_maps_changes_nothing(applied):
-    scene = applied
     material = bpy.data.objects["cube"].data.materials[0]
 
     def links():
@@ -99,11 +98,11 @@ def test_showing_maps_changes_nothing(applied):
             for link in material.node_tree.links
         )
 
-    before, links_before = fingerprint(scene), links()
+    before, links_before = fingerprint(applied), links()
     for shown, *_ in (*SHOWN, *reversed(SHOWN)):
         ops.show_map(shown=shown)
-    assert fingerprint(scene) == before and links() == links_before
-    assert scene.fipt.materials.shown == "ESTIMATED"
+    assert fingerprint(applied) == before and links() == links_before
+    assert applied.fipt.materials.shown == "ESTIMATED"
 
 
 def test_original_is_the_artists_own(applied):

@@ -352,7 +352,7 @@ class Chain:
         if "settings" in stage.types:
             values["settings"] = chosen(self.settings, stage.types["settings"])
         if "tools" in stage.types:
-            finished = FinishedViews(folder / _FINISHED, self._keys[index])
+            finished = FinishedViews(folder / _FINISHED)
             values["tools"] = Tools(folder, self._reporter, self._workers, finished, facts)
         return stage.work(**values), facts
 

@@ -16,11 +16,10 @@ NOTE_SECONDS = 5.0
 
 
 class FinishedViews:
-    """A stage's finished views, noted in a file; a note of another stage or of other input is deleted.
+    """A stage's finished views, noted in a file of its folder, which is removed where its key changes.
 
     Args:
         path: the file.
-        key: key of the stage (`stage_keys`), on which the views' results depend.
 
     Attributes:
         flush: writes the results to the disk; called before each note.
@@ -31,19 +30,12 @@ class FinishedViews:
         FiptError: ``disk-full`` or ``run-unwritable``.
     """
 
-    def __init__(self, path: Path, key: str) -> None:
-        self._path, self._key = path, key
+    def __init__(self, path: Path) -> None:
+        self._path = path
         self.flush: Callable[[], None] = lambda: None
-        self.views: set[int] = set()
-        self.rays = 0
+        note = optional_document(path, dict) or {"views": [], "rays": 0}  # a damaged one: only time is lost
+        self.views, self.rays = set[int](note["views"]), note["rays"]
         self._noted = time.monotonic()
-        if not path.exists():
-            return
-        note = optional_document(path, dict) or {}  # a damaged one: only time is lost
-        if note.get("key") == key:
-            self.views, self.rays = set(note["views"]), note["rays"]
-        else:
-            self.forget()
 
     def forget(self) -> None:
         """No view is finished: their results are missing or are about to be overwritten."""
@@ -56,5 +48,5 @@ class FinishedViews:
         self.rays += rays
         if time.monotonic() - self._noted >= NOTE_SECONDS:
             self.flush()
-            write_json(self._path, {"key": self._key, "views": sorted(self.views), "rays": self.rays})
+            write_json(self._path, {"views": sorted(self.views), "rays": self.rays})
             self._noted = time.monotonic()
