@@ -15,7 +15,6 @@ from fipt_blender.blend.capture import cameras, importing
 from fipt_blender.blend.capture.exporting import export_capture
 from fipt_blender.core import conventions
 from fipt_blender.core.run.documents import read_document
-from fipt_blender.core.run.run_files import read_capture
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from samples.at_once import at_once
@@ -72,6 +71,8 @@ def test_unmoved_cameras_keep_their_poses_to_the_bit(run, scene):
     time = run.capture_json.stat().st_mtime_ns
     export_capture(scene, run)
     assert run.capture_json.stat().st_mtime_ns == time  # nothing changed, so that a run can resume
+    run.ingest_json.unlink()
+    assert error_of(export_capture, scene, run).code == "capture-missing"
 
 
 def test_blender_renders_what_the_pinhole_sees(run, scene):
@@ -246,18 +247,3 @@ def test_masks_of_a_folder(run, scene, tmp_path):
     parts.source = "auto"
     export_capture(scene, run)
     assert not any(entry["parts"] for entry in entries(run).values())
-
-
-def test_runs_of_the_command_line_keep_all_views(ingested, scene):
-    """They have no ingest.json: the first export makes it of capture.json."""
-    ingested.ingest_json.rename(ingested.capture_json)
-    for view in read_capture(ingested.capture_json).views:
-        cameras.add_camera(scene, ingested, view, photograph=False)
-    importing.fill_views(scene, ingested)
-    scene.fipt.capture.views[1].enabled = False
-    assert export_capture(scene, ingested) == 4
-    scene.fipt.capture.views[1].enabled = True
-    assert export_capture(scene, ingested) == 5
-    ingested.ingest_json.unlink()
-    ingested.capture_json.unlink()
-    assert error_of(export_capture, scene, ingested).code == "capture-missing"

@@ -43,7 +43,8 @@ def make_scene(folder: Path) -> RunFolder:
     views = [_view(run, VIEW, "held_back", 0.0), _view(run, "train/000", "train", np.pi)]
     matrix = np.eye(4).tolist()
     capture = {"format": "fipt-capture", "version": 1, "source": "transforms", "mesh": None}
-    write_json(run.capture_json, {**capture, "world_from_source": matrix, "views": views})
+    for path in (run.capture_json, run.ingest_json):
+        write_json(path, {**capture, "world_from_source": matrix, "views": views})
     for view in views:
         write_exr(run.root / view["image"], np.zeros((SIZE[1], SIZE[0], 3), np.float32))
     for view in read_capture(run.capture_json).views:

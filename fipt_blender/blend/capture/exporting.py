@@ -64,15 +64,13 @@ def export_capture(scene: bpy.types.Scene, run: RunFolder) -> int:
 
 
 def read_source(run: RunFolder) -> CapturedViews:
-    """ingest.json: all views as they were read; a run of the command line gets it at its first export.
+    """ingest.json: all views as they were read.
 
     Raises:
         FiptError: ``capture-missing`` or ``file-damaged``.
     """
     if not run.ingest_json.exists():
-        if not run.capture_json.exists():
-            raise FiptError("capture-missing.read-source")
-        write_json(run.ingest_json, read_capture(run.capture_json))
+        raise FiptError("capture-missing.read-source")
     return read_capture(run.ingest_json)
 
 

@@ -78,16 +78,15 @@ def fill_views(scene: bpy.types.Scene, run: RunFolder, keep: bool = False) -> No
 
     Args:
         scene: with a camera for each view.
-        run: with ingest.json, or with capture.json alone.
+        run: with ingest.json.
         keep: keep ticks and splits of views that the list has already.
     """
     settings = scene.fipt.capture
     kept = {view.name: (view.enabled, view.split) for view in settings.views} if keep else {}
-    path = run.ingest_json if run.ingest_json.exists() else run.capture_json
     settings.views.clear()
     present = view_cameras(scene)
     with settings.counting_later():
-        for entry in read_capture(path).views:
+        for entry in read_capture(run.ingest_json).views:
             view = settings.views.add()
             view.name = entry.name
             view.camera = present[view.name].name
@@ -112,7 +111,7 @@ def find_alignment(scene: bpy.types.Scene) -> bpy.types.Object:
 def _note_up(settings: bpy.types.PropertyGroup, up: UpAxis | None, is_reimport: bool) -> None:
     """Remember what ingest.json says of the up axis, and turn it up unless the alignment knows it already."""
     before, settings.imported_up = settings.imported_up, ""
-    if up is None:  # of a run of the command line, or of an earlier version
+    if up is None:
         return
     settings.imported_up, settings.up_source, settings.up_angle = up.axis, up.source, up.angle
     if not is_reimport or before not in ("", up.axis):
