@@ -15,6 +15,7 @@ from ..core.capture.averaging import means
 from ..core.capture.images import HALF_MAX, write_exr
 from ..core.run.documents import optional_document
 from ..core.run.errors import FiptError
+from ..core.run.made import file_state
 from ..core.run.messages import Reporter
 from ..core.run.method import digest
 from ..core.run.runfolder import atomic_path, write_json
@@ -152,9 +153,7 @@ def _group_key(preparation: Preparation, group: Group) -> Any:
     """A group, its files and exposures, and the settings of merging."""
     entries: list[Any] = []
     for item in preparation.of(group):
-        path = preparation.file(item)
-        fact = path.stat() if path.is_file() else None
-        entries.append([item.path, item.exposure, *((fact.st_size, fact.st_mtime_ns) if fact else (0, 0))])
+        entries.append([item.path, item.exposure, file_state(preparation.file(item))])
     names = ("working_width", "response", "align", "white_balance", "vignetting", "layer")
     return [group.name, entries, [getattr(preparation.settings, name) for name in names]]
 

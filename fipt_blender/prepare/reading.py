@@ -15,6 +15,7 @@ from ..core.capture.files import is_hidden, original_of, role
 from ..core.capture.panorama import says_panorama
 from ..core.capture.suffixes import SUFFIXES
 from ..core.run.errors import FiptError
+from ..core.run.made import file_state
 from ..core.run.messages import Reporter
 from .brackets import find_groups, in_order, likeness, listed, remarks
 from .exif import describe
@@ -24,11 +25,9 @@ from .preparation import Group, Photograph, Preparation, PreparationFolder, writ
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
     """The files with their sizes and times, the way of grouping, and whether panoramas are used."""
-    names = list_photographs(preparation.source)
-    facts = [(preparation.source / name).stat() for name in names]
-    files = [[name, fact.st_size, fact.st_mtime_ns] for name, fact in zip(names, facts, strict=True)]
-    settings = preparation.settings
-    return [str(preparation.source), settings.grouping, bool(settings.cameras), files]
+    source, settings = preparation.source, preparation.settings
+    files = [file_state(source / name) for name in list_photographs(source)]
+    return [str(source), settings.grouping, bool(settings.cameras), files]
 
 
 def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> ReadFacts:

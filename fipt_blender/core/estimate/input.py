@@ -7,8 +7,6 @@ Each step keeps its files in the run folder and does nothing where they fit.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
@@ -21,7 +19,9 @@ from ..run.chain import Chain, Given, Stage
 from ..run.errors import FiptError
 from ..run.hints import hints_digest, light_changes, read_hints, references
 from ..run.light_size import LightPlan, light_plan, refuse_full_disk
+from ..run.made import content_digest, file_state
 from ..run.messages import Reporter
+from ..run.method import digest
 from ..run.per_view import Workers
 from ..run.run_files import AddedSurfaces, read_closing
 from ..run.runfolder import RunFolder
@@ -113,15 +113,10 @@ def input_key(folder: RunFolder, settings: Settings, views: Sequence[View]) -> s
 
     Of photographs size and time of change are hashed: reading all of them takes too long.
     """
-    digest = hashlib.sha256()
-    for path in (folder.capture_json, folder.room_npz, folder.room_json):
-        digest.update(path.read_bytes() if path.exists() else b"missing")
-    for path in (path for view in views for path in view.files):
-        status = path.stat() if path.exists() else None
-        digest.update(f"{status.st_size} {status.st_mtime_ns}".encode() if status else b"missing")
+    content = content_digest(folder.capture_json, folder.room_npz, folder.room_json)
+    states = [file_state(path).rsplit("|", 2)[1:] for view in views for path in view.files]
     read = [asdict(chosen(settings, RoomSettings)), asdict(chosen(settings, ViewSettings))]
-    digest.update(json.dumps([*read, settings.device], sort_keys=True).encode())
-    return digest.hexdigest()
+    return digest(content, states, *read, settings.device)
 
 
 def completed_room(
