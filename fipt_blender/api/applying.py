@@ -58,11 +58,7 @@ def version_change(version: str) -> Task:
         scene.fipt.run_folder = str(run.root)
         return _apply_job(run, settings)
 
-    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        applied(scene, run)
-        show_doubts(scene, run)
-
-    return Task("Apply Version", "materials", make, finished=finished, undo=True)
+    return Task("Apply Version", "materials", make, finished=applied_with_doubts, undo=True)
 
 
 def delete_version(scene: bpy.types.Scene, version: str) -> None:
@@ -97,6 +93,12 @@ def applied(scene: bpy.types.Scene, run: RunFolder) -> None:
     from ..jobs import scene_steps
 
     scene_steps.applied(scene, run)
+
+
+def applied_with_doubts(scene: bpy.types.Scene, run: RunFolder) -> None:
+    """What follows when another estimate is applied."""
+    applied(scene, run)
+    show_doubts(scene, run)
 
 
 def show_doubts(scene: bpy.types.Scene, run: RunFolder) -> None:

@@ -17,7 +17,7 @@ from .. import machine
 from ..core.run.runfolder import RunFolder
 from ..jobs.tasks import Task
 from ..jobs.window import push_undo
-from .applying import applied, chosen_settings, run_of, show_doubts
+from .applying import applied_with_doubts, chosen_settings, run_of, show_doubts
 
 if TYPE_CHECKING:
     from ..bridge.job import Job
@@ -122,8 +122,4 @@ def reestimation() -> Task:
         ]
         return open_job(run, steps, launch, note=True)
 
-    def finished(scene: bpy.types.Scene, run: RunFolder) -> None:
-        applied(scene, run)
-        show_doubts(scene, run)
-
-    return Task("Re-estimate with Hints", "estimate", make, finished=finished, undo=True)
+    return Task("Re-estimate with Hints", "estimate", make, finished=applied_with_doubts, undo=True)

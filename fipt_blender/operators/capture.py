@@ -178,7 +178,7 @@ def look_through(
         shown = look.shows_photograph(context.scene, settings.views[index], context)
         setattr(settings, settings.photograph_switch(), not shown)
     if look.look_through(context.scene, settings.views[index], context) is None:
-        raise look.camera_missing(settings.views[index])
+        raise FiptError("camera-missing.look-through", name=settings.views[index].name)
     settings.active_view = index
 
 

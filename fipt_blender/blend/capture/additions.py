@@ -139,15 +139,11 @@ def place_of_disagreement(scene: bpy.types.Scene) -> Place | None:
     for box in boxes:
         low, high = np.array(box.low), np.array(box.high)
         middle, size = 0.5 * (low + high), high - low
-        if any(bounds is not None and _within(middle, *bounds) for bounds in drawn):
+        if any(each is not None and (each[0] < middle).all() and (middle < each[1]).all() for each in drawn):
             continue
         facing = np.where(np.arange(3) == size.argmin(), np.sign(cameras - middle), 0.0)
         return Place(middle - [0.0, 0.0, 0.5 * size[2]], size, facing)
     return None
-
-
-def _within(point: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
-    return bool(((point > low) & (point < high)).all())
 
 
 def _diagonal(objects: list[bpy.types.Object]) -> float:

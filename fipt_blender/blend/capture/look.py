@@ -10,7 +10,6 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ...core.run.errors import FiptError
 from ..marks import VIEW, room_with_results
 from .backdrop import show_photograph
 from .cameras import use_view
@@ -142,11 +141,6 @@ def enter_camera_on_opening() -> None:
         for space in (area.spaces.active for area in screen.areas if area.type == "VIEW_3D"):
             space.region_3d.view_perspective = "CAMERA"
             space.shading.type = "MATERIAL"
-
-
-def camera_missing(view: bpy.types.PropertyGroup) -> FiptError:
-    """The error for a view whose camera was deleted."""
-    return FiptError("camera-missing.camera-missing", name=view.name)
 
 
 def view_spaces(context: bpy.types.Context, scene: bpy.types.Scene) -> list[bpy.types.SpaceView3D]:

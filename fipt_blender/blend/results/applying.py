@@ -15,7 +15,7 @@ import numpy as np
 from ...bridge.process import Message
 from ...bridge.step import Slices
 from ...core.run.errors import FiptError, warning
-from ...core.run.run_files import RoomMesh
+from ...core.run.run_files import RoomMesh, read_outlined
 from ...core.run.runfolder import RunFolder
 from ...core.run.versions import results_id
 from ..lights import fixtures
@@ -49,7 +49,7 @@ from .materials import (
 )
 from .part_list import select_polygons
 from .part_materials import PartMaterials
-from .reading import Results, cleaned_scan, read_results
+from .reading import Results, read_results
 from .targets import Target, TargetBuilder, find_mesh
 from .write_back_nodes import agree_with_model
 
@@ -80,7 +80,7 @@ def apply_results(
     """
     scene_name = scene.name
     results = read_results(run)
-    geometry = cleaned_scan(run, results.room)
+    geometry = read_outlined(run, results.room) if run.read_estimated().clean_mesh else None
     objects = list(objects)
     linked = [item.name for item in objects if is_linked(item)]
     if linked:

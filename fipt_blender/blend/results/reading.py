@@ -15,7 +15,7 @@ from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
 from ...core.run.parts import RoomParts, read_parts
 from ...core.run.result_contents import AtlasImages, EmitterFixture, Emitters, TextureImage
-from ...core.run.run_files import AtlasArrays, Geometry, LeftAlone, RoomMesh, read_outlined, read_room
+from ...core.run.run_files import AtlasArrays, LeftAlone, RoomMesh, read_room
 from ...core.run.runfolder import RunFolder
 from ...core.run.store import read_arrays
 from ..lights.fixtures import triangle_fixtures
@@ -116,10 +116,3 @@ def own_images(image: np.ndarray, part: np.ndarray, owner: np.ndarray) -> np.nda
         np.maximum.at(largest, group, found)
         found = np.where(found < 0, largest[group], found)
     return np.maximum(found, 0)
-
-
-def cleaned_scan(run: RunFolder, room: RoomMesh) -> Geometry | None:
-    """The cleaned copy of the run's scan, None where the mesh is no scan or the scan is to be kept."""
-    if not run.read_estimated().clean_mesh:
-        return None
-    return read_outlined(run, room)

@@ -25,6 +25,7 @@ from pathlib import Path
 
 from ..run.documents import optional_document
 from ..run.errors import FiptError
+from ..run.made import file_state
 from ..run.runfolder import write_json
 from . import probe
 
@@ -208,9 +209,9 @@ def find_llvm() -> Path:
     """
     failures: list[str] = []
     for library in llvm_candidates():
-        status = library.stat()
-        key = f"{package_key()}|{library}|{status.st_mtime_ns}|{status.st_size}"
-        verdict = remembered(key, partial(try_variant, "llvm_ad_rgb", library))
+        verdict = remembered(
+            f"{package_key()}|{file_state(library)}", partial(try_variant, "llvm_ad_rgb", library)
+        )
         if verdict.works:
             return library
         failures.append(f"{library} ({verdict.reason})")
