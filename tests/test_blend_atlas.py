@@ -118,9 +118,11 @@ def test_noise_does_not_tear_a_scan_apart(run_folder, monkeypatch, rng):
     assert np.allclose(texels / areas, 128.0**2, rtol=0.05)  # the same density for all
 
 
-def test_changed_rooms(run_folder):
+def test_colour_attribute_mode_and_changed_rooms(run_folder):
     item = cube()
-    atlas_of([item], run_folder)
+    _, sizes, _, image = atlas_of([item], run_folder, atlas_mode="color_attribute")
+    assert sizes == [] and (image == -1).all()
+    assert read_document(run_folder.atlas_json, dict) == {"mode": "color_attribute", "images": []}
     # The atlas holds the room as it was exported, whatever the artist has made of it.
     item.modifiers.new("Bevel", "BEVEL")
     bpy.ops.object.mode_set(mode="EDIT")

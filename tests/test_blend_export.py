@@ -173,6 +173,10 @@ def test_what_can_not_be_exported_is_refused_and_changes_nothing(scene, tmp_path
     error = error_of(export_room, scene, tmp_path / "file" / "room.glb")
     assert error.code == "run-unwritable"
     assert fingerprint(scene) == before
+    scene.fipt.materials.atlas_mode = "color_attribute"
+    ops.apply_results()
+    error = error_of(export_room, scene, tmp_path / "room.glb")
+    assert error.code == "export-attributes" and not (tmp_path / "room.glb").exists()
 
 
 def test_the_command_line(scene, tmp_path, capfd):

@@ -31,7 +31,7 @@ from samples.applied_rooms import ConstantFields, emitter, fingerprint, panel_an
 from samples.at_once import apply_results, collect_room, export_room, make_atlas
 from samples.rendered_rooms import diffuse_floor
 from samples.scans import scanned_box
-from samples.spots import spot
+from samples.spots import spot, white_world
 
 
 @pytest.fixture
@@ -81,6 +81,19 @@ def test_restoring_undoes_applying(run, objects):
     assert shown(objects) == before
     assert "Panel" not in bpy.data.objects
     assert originals.restore_original(bpy.context.scene, objects) == []
+
+
+def test_colour_attributes(run, objects):
+    prepare(run, objects, atlas_mode="color_attribute")
+    apply_results(run, objects)
+    mesh = objects[1].data
+    attribute = mesh.attributes["FIPT Base Color"]
+    assert (attribute.data_type, attribute.domain) == ("FLOAT_COLOR", "CORNER")
+    values = np.empty(len(mesh.loops) * 4, np.float32)
+    attribute.data.foreach_get("color", values)
+    assert np.allclose(values.reshape(-1, 4), (*ConstantFields.base_color, 1.0), atol=1e-5)
+    white_world()
+    assert spot(Vector((0, 5, 4)), Vector((0, 5, 0))).mean() < 0.9  # not the default white
 
 
 def test_fixture_emits_its_radiance_on_each_side(run, objects):

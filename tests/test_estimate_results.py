@@ -195,7 +195,7 @@ def bake_here(run: RunFolder) -> list[dict]:
     uv = np.concatenate([corners + (side * index, 0) for index in range(quads)]) / (side * quads, side)
     np.savez(run.atlas_npz, corner_uv=uv.astype(np.float32), triangle_image=np.zeros(2 * quads, np.int32))
     image = {"name": "Room", "width": side * quads, "height": side}
-    write_json(run.atlas_json, {"images": [image]})
+    write_json(run.atlas_json, {"mode": "uv", "images": [image]})
     stream = io.StringIO()
     bake.run(argparse.Namespace(run=run.root), Reporter(stream))
     return [message for line in stream.getvalue().splitlines() if (message := parse_message(line))]

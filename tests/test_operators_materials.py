@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("registered")
 
 def test_apply_puts_maps_lights_and_exposure_onto_the_scene(applied):
     settings = applied.fipt.materials
-    assert (settings.object_count, settings.image_count) == (2, 1)
+    assert (settings.object_count, settings.image_count, settings.applied_mode) == (2, 1, "uv")
     assert [row.name for row in applied.fipt.lights.lights] == ["Panel"]
     assert applied.view_settings.exposure == pytest.approx(np.log2(0.18 / MEDIAN))
     assert applied.world.name == "FIPT World"
@@ -42,9 +42,11 @@ def test_applying_again_replaces_and_bakes_only_what_changed(applied, bakes):
     assert fingerprint(applied).keys() == before.keys()
 
 
+@pytest.mark.parametrize("mode", ["uv", "color_attribute"])
 @pytest.mark.parametrize("shown", ["ESTIMATED", "ORIGINAL", "ROUGHNESS"])
-def test_revert_restores_the_file(scene, shown):
+def test_revert_restores_the_file(scene, mode, shown):
     before = fingerprint(scene)
+    scene.fipt.materials.atlas_mode = mode
     assert ops.apply_results() == {"FINISHED"}
     ops.fixture_to_area_light(fixture="Fixture.001")
     ops.make_light_groups()
@@ -89,7 +91,10 @@ def test_maps_show_their_values(applied):
     assert applied.view_settings.view_transform == "AgX" and applied.view_settings.exposure == kept
 
 
-def test_showing_maps_changes_nothing(applied):
+@pytest.mark.parametrize("mode", ["uv", "color_attribute"])
+def test_showing_maps_changes_nothing(scene, mode):
+    scene.fipt.materials.atlas_mode = mode
+    ops.apply_results()
     material = bpy.data.objects["cube"].data.materials[0]
 
     def links():
@@ -98,11 +103,11 @@ def test_showing_maps_changes_nothing(applied):
             for link in material.node_tree.links
         )
 
-    before, links_before = fingerprint(applied), links()
+    before, links_before = fingerprint(scene), links()
     for shown, *_ in (*SHOWN, *reversed(SHOWN)):
         ops.show_map(shown=shown)
-    assert fingerprint(applied) == before and links() == links_before
-    assert applied.fipt.materials.shown == "ESTIMATED"
+    assert fingerprint(scene) == before and links() == links_before
+    assert scene.fipt.materials.shown == "ESTIMATED"
 
 
 def test_original_is_the_artists_own(applied):
@@ -132,16 +137,22 @@ def test_an_artists_node_before_the_output_is_restored(applied):
     assert tree.nodes["FIPT Output"].inputs["Surface"].links[0].from_node.name == "mine"
 
 
-def test_solid_viewports_draw_maps_and_are_restored(scene):
+@pytest.mark.parametrize("mode", ["uv", "color_attribute"])
+def test_solid_viewports_draw_maps_and_are_restored(scene, mode):
     areas = [area for window in bpy.context.window_manager.windows for area in window.screen.areas]
     space = next(area.spaces.active for area in areas if area.type == "VIEW_3D")
     space.shading.type = "SOLID"
     space.shading.color_type = "RANDOM"
+    scene.fipt.materials.atlas_mode = mode
     ops.apply_results()
-    steps = ("ROUGHNESS", "TEXTURE"), ("EMISSION", "MATERIAL"), ("ORIGINAL", "RANDOM"), ("ESTIMATED", "TEXTURE")
+    drawn = "TEXTURE" if mode == "uv" else "VERTEX"
+    steps = ("ROUGHNESS", drawn), ("EMISSION", "MATERIAL"), ("ORIGINAL", "RANDOM"), ("ESTIMATED", drawn)
     for shown, color in steps:
         ops.show_map(shown=shown)
         assert space.shading.color_type == color, shown
+    if mode == "color_attribute":
+        ops.show_map(shown="METALLIC")
+        assert bpy.data.objects["cube"].data.color_attributes.active_color.name == "FIPT Metallic"
     ops.revert()
     assert space.shading.color_type == "RANDOM"
 

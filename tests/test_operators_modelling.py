@@ -75,9 +75,10 @@ def state(scene) -> dict[str, tuple]:
     }
 
 
-@pytest.mark.parametrize("modelling", TOGETHER)
-def test_applying_again_keeps_what_the_artist_has_modelled(scene, modelling):
+@pytest.mark.parametrize(("modelling", "mode"), list(zip(TOGETHER, itertools.cycle(["uv", "color_attribute"]))))
+def test_applying_again_keeps_what_the_artist_has_modelled(scene, modelling, mode):
     """With the same textures, and with others after the room was moved, too."""
+    scene.fipt.materials.atlas_mode = mode
     ops.apply_results()
     assert all("" not in artist.shown(item) for item in meshes(scene))
     for each in modelling:

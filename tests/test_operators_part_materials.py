@@ -166,11 +166,13 @@ def test_assets_have_previews_and_survive_revert(applied):
     assert not len(applied.fipt.materials.parts) and "Sill FIPT" in bpy.data.materials
 
 
-def test_faces_that_were_left_alone_keep_their_material(scene):
+@pytest.mark.parametrize("mode", ["uv", "color_attribute"])
+def test_faces_that_were_left_alone_keep_their_material(scene, mode):
     run = RunFolder(scene.fipt.run_folder)
     with np.load(run.room_npz) as room:
         left = (room["triangle_object"] == 1) & (room["triangle_polygon"] >= 3)
     np.savez(run.left_alone_npz, left_alone=left)
+    scene.fipt.materials.atlas_mode = mode
     assert ops.apply_results() == {"FINISHED"}
     own = face_materials("cube")
     assert own[:3] == ["Box FIPT"] * 3 and set(own[3:]) == {"red", "own", "blue"}

@@ -185,9 +185,10 @@ def test_renamed_objects_keep_their_results(applied, density):
     assert len(bpy.data.materials["Panel FIPT"].node_tree.nodes)
 
 
-@pytest.mark.parametrize("density", [16.0, 32.0])
-def test_deleted_objects_are_left_out_with_a_warning(applied, density):
-    scene = applied
+@pytest.mark.parametrize(("density", "mode"), [(16.0, "uv"), (32.0, "uv"), (16.0, "color_attribute")])
+def test_deleted_objects_are_left_out_with_a_warning(scene, density, mode):
+    scene.fipt.materials.atlas_mode = mode
+    ops.apply_results()
     bpy.data.objects.remove(bpy.data.objects["panel"])
     scene.fipt.materials.texel_density = density
     assert ops.apply_results() == {"FINISHED"}

@@ -143,7 +143,7 @@ def test_a_damaged_archive_is_one_error_with_a_remedy(tmp_path: Path) -> None:
 def test_names_of_images_are_file_names(tmp_path: Path) -> None:
     path = tmp_path / "atlas.json"
     for name in ("../../EVIL", "..", "", "a/b", "a\\b", "C:x", "a\0b", "x" * 300, ".hidden", "a\n", 5):
-        write_json(path, {"images": [{"name": name, "width": 8, "height": 8}]})
+        write_json(path, {"mode": "uv", "images": [{"name": name, "width": 8, "height": 8}]})
         assert "images[0].name should be a file name" in error_of(read_document, path, AtlasImages).text, name
 
 

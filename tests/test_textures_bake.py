@@ -43,7 +43,7 @@ def run(tmp_path):
     b = np.array([(0, 0), (0, 1), (-1, 1), (-1, 0)]) * TEXELS + (100.6, 10.1)  # turned by a quarter
     uv = np.array([a[[0, 1, 2]], a[[0, 2, 3]], b[[0, 1, 2]], b[[0, 2, 3]]]) / (width, height)
     np.savez(folder.atlas_npz, corner_uv=uv.astype(np.float32), triangle_image=np.zeros(4, np.int32))
-    write_json(folder.atlas_json, {"images": [{"name": "Room.001", "width": width, "height": height}]})
+    write_json(folder.atlas_json, {"mode": "uv", "images": [{"name": "Room.001", "width": width, "height": height}]})
     return folder
 
 
@@ -126,6 +126,19 @@ def test_an_image_that_cannot_be_written_ends_the_baking(run, monkeypatch):
     monkeypatch.setattr(images, "write_exr", full)
     assert "full" in str(error_of(bake.bake, run, AnalyticFields()))
     assert not run.textures_json.exists()
+
+
+def test_colour_attributes_hold_the_field_at_corners(run):
+    write_json(run.atlas_json, {"mode": "color_attribute", "images": []})
+    fields = AnalyticFields()
+    bake.bake(run, fields)
+    with np.load(run.textures / "corner_fields.npz") as corner, np.load(run.room_npz) as room:
+        positions = room["vertices"][room["triangles"]].reshape(-1, 3)
+        expected = fields.query(positions, np.repeat(np.arange(4), 3))
+        assert np.abs(corner["base_color"].reshape(-1, 3) - expected[0]).max() < 2e-3
+        assert corner["confidence"][:2].reshape(-1, 3).tolist() == [[1.0, 0.5, 0.25]] * 6
+        assert not corner["confidence"][2:].any()
+        assert np.abs(corner["roughness"].ravel() - expected[1]).max() < 2e-3
 
 
 # --- rasteriser ------------------------------------------------------------------------------------------

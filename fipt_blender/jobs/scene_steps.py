@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import bpy
 
 # Settings of the atlas; the preset decides how large its images are.
-_ATLAS_SETTINGS = ("atlas_images", "texture_size", "texel_density", "detail", "preset")
+_ATLAS_SETTINGS = ("atlas_mode", "atlas_images", "texture_size", "texel_density", "detail", "preset")
 # Expected times until the capture is read: seconds for the example room on two idle cores.
 _ESTIMATE_SECONDS = {"draft": 85.0, "medium": 150.0, "high": 2400.0}
 

@@ -160,10 +160,12 @@ def FIPT_PT_materials_settings(layout: UILayout, context: Context) -> None:
     settings = context.scene.fipt.materials
     column = layout.column()
     column.enabled = running.current() is None
-    column.prop(settings, "atlas_images")
-    column.prop(settings, "texture_size")
-    column.prop(settings, "texel_density")
-    column.prop(settings, "texture_format")
+    column.prop(settings, "atlas_mode")
+    if settings.atlas_mode == "uv":
+        column.prop(settings, "atlas_images")
+        column.prop(settings, "texture_size")
+        column.prop(settings, "texel_density")
+        column.prop(settings, "texture_format")
     column.prop(settings, "write_back")
     column.prop(settings, "clean_mesh")
     column = layout.column(heading="Scene")
@@ -172,5 +174,6 @@ def FIPT_PT_materials_settings(layout: UILayout, context: Context) -> None:
     column.prop(settings, "set_rendering")
     layout.operator("fipt.apply_results", text="Apply Again", icon="MATERIAL")
     layout.operator("fipt.revert", icon="LOOP_BACK")
-    text = iface_("{} objects, {} images").format(settings.object_count, 4 * settings.image_count)
+    text = "{} objects, {} images" if settings.applied_mode == "uv" else "{} objects with attributes"
+    text = iface_(text).format(settings.object_count, 4 * settings.image_count)
     layout.label(text=text, icon="CHECKMARK", translate=False)

@@ -150,7 +150,9 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
         default="EXR",
     )
     __annotations__.update(
-        properties_of(TextureSettings, ("atlas_images", "texel_density", "write_back", "clean_mesh"))
+        properties_of(
+            TextureSettings, ("atlas_mode", "atlas_images", "texel_density", "write_back", "clean_mesh")
+        )
     )
     mute_lights: bpy.props.BoolProperty(
         name="Hide Lights",
@@ -167,7 +169,10 @@ class FIPT_MaterialsSettings(bpy.types.PropertyGroup):
     parts: bpy.props.CollectionProperty(type=FIPT_Part)
     active_part: bpy.props.IntProperty(name="Part", description="The part whose material is adjusted")
     object_count: bpy.props.IntProperty(description="Number of objects with applied results")
-    image_count: bpy.props.IntProperty(description="Number of images of the applied results")
+    image_count: bpy.props.IntProperty(
+        description="Number of images or attribute materials of the applied results"
+    )
+    applied_mode: bpy.props.StringProperty(description="atlas_mode of the applied results")
     applied_version: bpy.props.StringProperty(description="Id of the results that were applied")
     kept_view: bpy.props.StringProperty(
         description="The scene's view settings from before a map was shown, as JSON"

@@ -88,14 +88,17 @@ def export_room(
             and browsers light by lights alone; path tracers would light the room twice.
 
     Raises:
-        FiptError: ``export-format``, ``export-nothing``, ``export-failed``, ``disk-full`` or
-            ``run-unwritable``.
+        FiptError: ``export-format``, ``export-nothing``, ``export-attributes``, ``export-failed``,
+            ``disk-full`` or ``run-unwritable``.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise FiptError("export-format", suffix=path.suffix, suffixes=", ".join(SUFFIXES))
     room = room_with_results(scene)
     if not room or any(map(shows_original, room)):
         raise FiptError("export-nothing.export-room")
+    ours = [slot.material for item in room for slot in item.material_slots if slot.material is not None]
+    if not all(has_maps(material) for material in ours if MATERIAL in material):
+        raise FiptError("export-attributes")
     exported = Exported(path)
     suffix, shown = path.suffix.lower(), rendered_objects(scene)
     if not set(room) & set(shown):

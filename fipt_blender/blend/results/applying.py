@@ -36,7 +36,7 @@ from ..room.mesh_digest import sign
 from ..room.originals import remove_fixtures, result_mesh, set_result_mesh
 from ..room.panes import add_surfaces
 from ..room.result_meshes import copied_objects, list_names, match_objects
-from ..room.uv_layer import layer_values, write_layer
+from ..room.uv_layer import UV_LAYER, layer_values, write_layer
 from ..slices import find_object
 from ..texture_files import TextureFiles, in_run_folder
 from .materials import (
@@ -52,6 +52,8 @@ from .part_materials import PartMaterials
 from .reading import Results, read_results
 from .targets import Target, TargetBuilder, find_mesh
 from .write_back_nodes import agree_with_model
+
+ATTRIBUTES = "Room"  # in place of an image's name
 
 
 def apply_results(
@@ -104,8 +106,7 @@ def apply_results(
         for index, name in [*present, *copies]:
             target = yield from builder.build(index, name, is_copy=name not in matches)
             targets.append(target)
-            mesh = find_mesh(target.mesh_name)
-            write_layer(mesh, target.found.values(results.corner_uv, layer_values(mesh)))
+            _write_layers(target, results)
             yield None
         _check_counterparts(targets)
         files = files or in_run_folder(run)
@@ -143,6 +144,21 @@ def _left_out(room: RoomMesh, matches: Sequence[str | None]) -> list[Message]:
     return [warning("objects-missing", objects=list_names(missing))]
 
 
+def _write_layers(target: Target, results: Results) -> None:
+    """Write the UV layer or the colour attributes of a result mesh; faces without counterpart keep theirs."""
+    mesh = find_mesh(target.mesh_name)
+    for name, of_triangles in results.layers.items():
+        if name == UV_LAYER:
+            write_layer(mesh, target.found.values(of_triangles, layer_values(mesh)))
+            continue
+        if name not in mesh.attributes:
+            mesh.attributes.new(name, "FLOAT_COLOR", "CORNER")
+        values = np.ones((len(mesh.loops), 4), np.float32)
+        mesh.attributes[name].data.foreach_get("color", values.ravel())
+        values = target.found.values(of_triangles, values)
+        mesh.attributes[name].data.foreach_set("color", values.ravel())
+
+
 def _swap_in(
     run: RunFolder,
     results: Results,
@@ -165,8 +181,8 @@ def _swap_in(
     entries = results.entries
     materials = PartMaterials(
         results,
-        [load_maps(run, entry, files) for entry in entries],
-        [entry.name for entry in entries],
+        [load_maps(run, entry, files) for entry in entries] or [None],
+        [entry.name for entry in entries] or [ATTRIBUTES],
         earlier,
         [material for material in used_alone(earlier, replaced) if material not in stale],
     )

@@ -93,12 +93,16 @@ def remove(scene: bpy.types.Scene, run: RunFolder, chosen: Chosen) -> tuple[list
         Names of the objects that are hidden, and of those that complete what was behind them.
 
     Raises:
-        FiptError: ``removal-empty`` where nothing of the room is chosen; ``textures-unwritable``.
+        FiptError: ``removal-empty`` where nothing of the room is chosen; ``removal-attributes``;
+            ``textures-unwritable``.
     """
     chosen = {item: faces for item, faces in chosen.items() if _can_be_removed(item, faces)}
     if not chosen:
         text = "Nothing of the room's results is selected."
         raise FiptError("removal-empty", text=text)
+    if scene.fipt.materials.applied_mode != "uv":
+        text = "The results are color attributes, which can't be completed."
+        raise FiptError("removal-attributes", text=text)
     own_materials(scene)
     points = np.concatenate([_points(item, faces) for item, faces in chosen.items()])
     removed = [item if faces is None else _separated(item, faces) for item, faces in chosen.items()]

@@ -54,8 +54,11 @@ def show(scene: bpy.types.Scene, shown: str) -> None:
     for item in items:
         show_original(item, shown == "ORIGINAL")
     show_replacements(scene, shown)
-    for material in result_materials(estimated_meshes(scene)):
+    meshes = estimated_meshes(scene)
+    for material in result_materials(meshes):
         _show_in_material(material, shown)
+    for mesh in meshes:
+        _show_in_mesh(mesh, shown)
     targets = (find_collection(scene, name) for name in (FIXTURES, EMPTIED))
     for target in filter(None, targets):
         target.hide_viewport = target.hide_render = shown == "ORIGINAL"
@@ -84,6 +87,13 @@ def _show_in_material(material: bpy.types.Material, shown: str) -> None:
         nodes.active = active
 
 
+def _show_in_mesh(mesh: bpy.types.Mesh, shown: str) -> None:
+    """Make a map's colour attribute active, since solid shading draws that one."""
+    attribute = mesh.color_attributes.get(MAP.format(_LABELS.get(shown, "Base Color")))
+    if attribute is not None:
+        mesh.color_attributes.active_color = attribute
+
+
 def _show_in_view(scene: bpy.types.Scene, shown: str) -> None:
     """Set view transform and exposure; the scene's own settings are restored after the last map."""
     settings, view = scene.fipt.materials, scene.view_settings
@@ -101,13 +111,14 @@ def _show_in_view(scene: bpy.types.Scene, shown: str) -> None:
 
 
 def _draw_in_solid_views(scene: bpy.types.Scene, shown: str) -> None:
-    """Let viewports in solid shading draw our textures, so that maps are visible there too."""
+    """Let viewports in solid shading draw our textures or attributes, so that maps are visible there too."""
     if shown == "ORIGINAL":
         restore_solid_views(scene)
         return
     settings = scene.fipt.materials
-    # Emission has no texture: lamps have their colour, everything else is black.
-    wanted = "MATERIAL" if shown == "EMISSION" else "TEXTURE"
+    wanted = "VERTEX" if settings.applied_mode == "color_attribute" else "TEXTURE"
+    if shown == "EMISSION":
+        wanted = "MATERIAL"  # emission has no texture: lamps have their colour, everything else is black
     kept = {(screen, index): color for screen, index, color in json.loads(settings.kept_solid or "[]")}
     for screen, index, space in _solid_views():
         if space.shading.color_type != wanted:

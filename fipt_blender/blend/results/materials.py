@@ -131,7 +131,7 @@ def part_material(
     image: str,
     key: str,
     name: str,
-    images: Mapping[str, bpy.types.Image],
+    images: Mapping[str, bpy.types.Image] | None = None,
     adjustment: adjust.Adjustment = adjust.NO_ADJUSTMENT,
     values: Sequence[float] | None = None,
     reuse: bpy.types.Material | None = None,
@@ -141,7 +141,7 @@ def part_material(
     Args:
         image: name of the atlas image.
         key, name: of the part, see `core.run.parts`.
-        images: the maps of the atlas image by their labels (`load_maps`).
+        images: the maps of the atlas image by their labels (`load_maps`); None for colour attributes.
         adjustment: of the part.
         values: base colour, roughness and metallic (5,) of a part of one value, which needs no textures.
         reuse: an estimated material to rebuild instead of making a new one.
@@ -153,7 +153,10 @@ def part_material(
     _add_shader(material)
     frame = nodes.new("NodeFrame")
     frame.name, frame.label = "FIPT Maps", "Estimated from photographs"
-    _add_textures(material, frame, images)
+    if images is None:
+        _add_attributes(material, frame)
+    else:
+        _add_textures(material, frame, images)
     if values is not None:
         _add_values(material, frame, values)
     node = adjust.add_adjustment(material, adjustment)
@@ -224,3 +227,13 @@ def uniform_values(material: bpy.types.Material) -> np.ndarray:
     nodes = node_tree(material).nodes
     color, *others = (list(nodes[MAP.format(label)].outputs["Color"].default_value) for label in adjust.MAPS)
     return np.array([*color[:3], *(other[0] for other in others)])
+
+
+def _add_attributes(material: bpy.types.Material, frame: bpy.types.Node) -> None:
+    nodes = material.node_tree.nodes
+    for row, (label, _) in enumerate(MAPS.values()):
+        node = nodes.new("ShaderNodeAttribute")
+        node.name, node.label = MAP.format(label), label
+        node.attribute_type, node.attribute_name = "GEOMETRY", MAP.format(label)
+        node.location = (-580, 300 - 200 * row)
+        node.parent = frame

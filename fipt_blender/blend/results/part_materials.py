@@ -31,7 +31,7 @@ class PartMaterials:
 
     Attributes:
         results: of the run.
-        images: the maps of each atlas image by their labels.
+        images: the maps of each atlas image by their labels; of colour attributes, the one is None.
         names: of the atlas images.
         earlier: materials of earlier results, whose adjustments and replacements are kept.
         reused: those of them that are built anew instead of making new ones.
@@ -39,7 +39,7 @@ class PartMaterials:
     """
 
     results: Results
-    images: Sequence[Mapping[str, bpy.types.Image]]
+    images: Sequence[Mapping[str, bpy.types.Image] | None]
     names: Sequence[str]
     earlier: Sequence[bpy.types.Material]
     reused: Sequence[bpy.types.Material]
@@ -138,7 +138,7 @@ class PartMaterials:
         """
         remove_unused_images(self._images)
         for name, images in zip(self.names, self.images, strict=True):
-            for label, image in images.items():
+            for label, image in (images or {}).items():
                 image.name = f"FIPT {name} {label}"
         if not self._lost:
             return []

@@ -15,12 +15,15 @@ from ...core.run.documents import read_document
 from ...core.run.errors import FiptError
 from ...core.run.parts import RoomParts, read_parts
 from ...core.run.result_contents import AtlasImages, EmitterFixture, Emitters, TextureImage
-from ...core.run.run_files import AtlasArrays, LeftAlone, RoomMesh, read_room
+from ...core.run.run_files import AtlasArrays, CornerFields, LeftAlone, RoomMesh, read_room
 from ...core.run.runfolder import RunFolder
 from ...core.run.store import read_arrays
+from ..color_spaces import to_scene_linear
 from ..lights.fixtures import triangle_fixtures
+from ..marks import MAP
 from ..room.islands import uv_islands
-from .materials import read_textures
+from ..room.uv_layer import UV_LAYER
+from .materials import MAPS, read_textures
 
 _AGAIN = "Apply the results again."
 _ESTIMATE_AGAIN = "Run the estimation again."
@@ -35,9 +38,10 @@ class Results:
         parts: of the room.
         left_alone: (T,) bool, triangles that keep the artist's material.
         corner_uv: (T,3,2) of the atlas.
-        triangle_image: (T,) int, on which of its images a triangle lies.
-        entries: the images of textures.json.
+        triangle_image: (T,) int, on which of its images a triangle lies; 0 for colour attributes.
+        entries: the images of textures.json; empty for colour attributes.
         uniform: base colour, roughness and metallic of parts of one value, by their keys.
+        corner_fields: values of colour attributes by map; empty for UVs.
         emitters: the fixtures of emitters.json.
     """
 
@@ -48,14 +52,29 @@ class Results:
     triangle_image: np.ndarray
     entries: Sequence[TextureImage]
     uniform: dict[str, tuple[float, ...]]
+    corner_fields: dict[str, np.ndarray]
     emitters: Sequence[EmitterFixture]
 
     @cached_property
     def laid_out(self) -> str:
         """A digest of the atlas."""
         digest = hashlib.blake2b(self.corner_uv.tobytes() + self.triangle_image.tobytes(), digest_size=16)
-        digest.update(repr([each.name for each in self.entries]).encode())
+        digest.update(repr((sorted(self.corner_fields), [each.name for each in self.entries])).encode())
         return digest.hexdigest()
+
+    @cached_property
+    def layers(self) -> dict[str, np.ndarray]:
+        """(T,3,C) values of the face corners by layer."""
+        if not self.corner_fields:
+            return {UV_LAYER: self.corner_uv}
+        layers = {}
+        for key, (label, is_data) in MAPS.items():
+            values = np.ones((len(self.corner_uv), 3, 4), np.float32)
+            # Data maps are grey colours, so that solid shading can draw them too.
+            field = self.corner_fields[key].reshape(len(values), 3, -1)
+            values[..., :3] = field if is_data else to_scene_linear(field)
+            layers[MAP.format(label)] = values
+        return layers
 
     @cached_property
     def fixture(self) -> np.ndarray:
@@ -64,6 +83,8 @@ class Results:
 
     def charts(self) -> np.ndarray:
         """(T,) number of the surface on which each triangle's values are continuous."""
+        if self.corner_fields:
+            return self.parts.triangle + 1
         apart = 2.0 * self.triangle_image[:, None, None]  # on different images
         return uv_islands(self.room.triangles, self.corner_uv + apart)
 
@@ -73,11 +94,18 @@ def read_results(run: RunFolder) -> Results:
     count = len(room.triangles)
     atlas = read_document(run.atlas_json, AtlasImages, _AGAIN)
     arrays = read_arrays(run.atlas_npz, AtlasArrays, _AGAIN)
-    entries, uniform = read_textures(run)
-    if len(entries) != len(atlas.images):
-        raise FiptError(
-            "file-damaged.read-results", textures_json=run.textures_json, atlas_json=run.atlas_json
-        )
+    corner_fields: dict[str, np.ndarray] = {}
+    entries: Sequence[TextureImage] = ()
+    uniform: dict[str, tuple[float, ...]] = {}
+    if atlas.mode == "color_attribute":
+        path = run.textures / "corner_fields.npz"
+        corner_fields = vars(read_arrays(path, CornerFields, _AGAIN))
+    else:
+        entries, uniform = read_textures(run)
+        if len(entries) != len(atlas.images):
+            raise FiptError(
+                "file-damaged.read-results", textures_json=run.textures_json, atlas_json=run.atlas_json
+            )
     parts = read_parts(run, room.triangle_object, room.objects)
     left_alone = np.zeros(count, bool)
     if run.left_alone_npz.is_file():
@@ -91,6 +119,7 @@ def read_results(run: RunFolder) -> Results:
         triangle_image=own_images(arrays.triangle_image, parts.triangle, room.triangle_object),
         entries=entries,
         uniform=uniform,
+        corner_fields=corner_fields,
         emitters=read_document(run.emitters_json, Emitters, _ESTIMATE_AGAIN).fixtures,
     )
 

@@ -57,7 +57,7 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> tuple[list[str],
     mute_other_lights(scene, False)
     restore(scene)
     settings.parts.clear()
-    for name in ("active_part", "object_count", "image_count", "kept_view"):
+    for name in ("active_part", "object_count", "image_count", "applied_mode", "kept_view"):
         settings.property_unset(name)
     if UNIT in scene:
         scale_light(scene, 1.0 / scene_unit(scene))

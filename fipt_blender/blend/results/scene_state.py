@@ -53,7 +53,7 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
     room = room_with_results(scene)
     settings.object_count = len(room)
     atlas = read_document(run.atlas_json, AtlasImages, "Apply the results again.")
-    settings.image_count = len(atlas.images)
+    settings.image_count, settings.applied_mode = len(atlas.images), atlas.mode
     settings.applied_version = results_id(run)
     settings.shown = "ESTIMATED"  # its update function shows them
     scene.fipt.lights.median_radiance = median_radiance(run)

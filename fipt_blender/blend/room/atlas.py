@@ -72,7 +72,7 @@ def make_atlas(
         objects: the objects that `export_room` wrote, in any order, which are not changed; of those that are
             missing or changed the exported triangles are unwrapped, so that the atlas holds the whole room.
         run: the run folder with its room.
-        settings: texel_density, texture_size and atlas_images are used.
+        settings: texel_density, texture_size, atlas_images and atlas_mode are used.
         max_images: where more were needed, all islands are scaled down instead.
 
     Raises:
@@ -80,6 +80,9 @@ def make_atlas(
     """
     room = read_room(run)
     count = len(room.triangles)
+    if settings.atlas_mode == "color_attribute":
+        _write(run, np.zeros((count, 3, 2)), np.full(count, -1), "color_attribute", [], [])
+        return
     matches = match_objects(room, objects)
     yield None
     areas = triangle_areas(room.vertices[room.triangles])
@@ -224,7 +227,7 @@ def _pack_room(
     names = [f"Room.{index + 1:03d}" for index in range(len(packing.sizes))]
     if owners.apart:
         names = file_names([owners.names[index] for index in np.unique(group).tolist()])
-    _write(run, corner_uv, image, packing.sizes, names)
+    _write(run, corner_uv, image, "uv", packing.sizes, names)
     if not len(packing.scale):
         raise FiptError("mesh-empty.pack-room")
 
@@ -260,13 +263,14 @@ def _write(
     run: RunFolder,
     corner_uv: np.ndarray,
     image: np.ndarray,
+    mode: str,
     sizes: list[tuple[int, int]],
     names: list[str],
 ) -> None:
     """Write atlas.npz and atlas.json with the names and sizes of the images."""
     write_arrays(run.atlas_npz, AtlasArrays(corner_uv.astype(np.float32), image.astype(np.int32)))
     images = tuple(AtlasImage(name, *size) for name, size in zip(names, sizes, strict=True))
-    write_json(run.atlas_json, AtlasImages(images))
+    write_json(run.atlas_json, AtlasImages(mode, images))
 
 
 def file_names(owners: list[str]) -> list[str]:

@@ -151,8 +151,9 @@ class AtlasImage:
 
 @dataclass(frozen=True)
 class AtlasImages:
-    """atlas.json."""
+    """atlas.json; colour attributes need no images."""
 
+    mode: Annotated[str, choice("uv", "color_attribute")]
     images: tuple[AtlasImage, ...]
 
 

@@ -102,6 +102,16 @@ class AtlasArrays:
 
 
 @dataclass(frozen=True, eq=False)
+class CornerFields:
+    """textures/corner_fields.npz."""
+
+    base_color: np.ndarray  # (T, 3, 3) f32
+    roughness: np.ndarray  # (T, 3) f32
+    metallic: np.ndarray  # (T, 3) f32
+    confidence: np.ndarray  # (T, 3, 3) f32
+
+
+@dataclass(frozen=True, eq=False)
 class SurveyArrays:
     """survey/survey.npz."""
 

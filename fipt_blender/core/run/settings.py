@@ -31,7 +31,7 @@ from .stage_settings import (
 Value = str | int | float | bool
 
 # The settings of Apply Results; no stage of an estimation reads them.
-TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_images", "write_back", "clean_mesh")
+TEXTURE_SETTINGS = ("texel_density", "texture_size", "atlas_images", "atlas_mode", "write_back", "clean_mesh")
 
 PRESET_TEXTS = (  # identifier, label, tooltip
     (

@@ -16,7 +16,16 @@ from .declared import Option
 
 Kind = TypeVar("Kind")
 
-ATLAS_IMAGES = (  # identifier, label, tooltip, icon
+ATLAS_MODES = (  # identifier, label, tooltip, icon
+    ("uv", "Image Textures", "Images on a separate UV map", "IMAGE_DATA"),
+    (
+        "color_attribute",
+        "Color Attributes",
+        "Values at the face corners of the mesh, for dense scans that can't be unwrapped",
+        "GROUP_VCOL",
+    ),
+)
+ATLAS_IMAGES = (
     ("room", "Shared", "As few images as the room needs, which its parts share", "IMAGE_DATA"),
     (
         "object",
@@ -404,6 +413,9 @@ class TextureSettings:
     atlas_images: Annotated[str, Option("which surfaces share an image", "Images", choices=ATLAS_IMAGES)] = (
         "room"
     )
+    atlas_mode: Annotated[
+        str, Option("where the estimated values are stored", "Store In", choices=ATLAS_MODES)
+    ] = "uv"
     clean_mesh: Annotated[
         bool,
         Option(

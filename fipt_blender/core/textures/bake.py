@@ -26,9 +26,9 @@ from ..run.messages import Reporter
 from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
 from ..run.result_contents import AtlasImage, AtlasImages, TextureImage, Textures, UniformPart
-from ..run.run_files import AtlasArrays, read_outlined, read_room
+from ..run.run_files import AtlasArrays, CornerFields, read_outlined, read_room
 from ..run.runfolder import RunFolder, write_json
-from ..run.store import read_arrays
+from ..run.store import read_arrays, write_arrays
 from ..run.versions import results_id
 from .raster import nearest_triangle_map
 from .texels import FieldSource, Texels, sample_fields
@@ -116,7 +116,7 @@ def bake(
     parts: RoomParts | None = None,
     detail: Detail | None = None,
 ) -> list[Path]:
-    """Replace textures/: textures.json and its images.
+    """Replace textures/: textures.json and its images, or corner_fields.npz in colour-attribute mode.
 
     Args:
         folder: the run, with room and atlas.
@@ -137,8 +137,11 @@ def bake(
         atomic_folder(folder.textures) as new,
         TemporaryDirectory(dir=folder.stage, prefix="texels-", ignore_cleanup_errors=True) as scratch,
     ):
-        surface = _sampled(Path(scratch), fields, atlas.images, arrays, corners, progress)
-        names = _write_images(new, atlas.images, *surface, progress, parts, detail)
+        if atlas.mode == "color_attribute":
+            names = [_bake_corners(new, fields, corners)]
+        else:
+            surface = _sampled(Path(scratch), fields, atlas.images, arrays, corners, progress)
+            names = _write_images(new, atlas.images, *surface, progress, parts, detail)
     progress(1.0)
     return [folder.textures / name for name in names]
 
@@ -273,3 +276,22 @@ def pad(image: np.ndarray, filled: np.ndarray) -> np.ndarray:
     if not filled.any():
         return image
     return image[tuple(distance_transform_edt(~filled, return_distances=False, return_indices=True))]
+
+
+def _bake_corners(folder: Path, fields: FieldSource, corners: np.ndarray) -> str:
+    """Write the maps at the corners (T,3,3) of all triangles; returns the file's name."""
+    count = len(corners)
+    # Sampled a thousandth inwards: a corner itself may lie on the neighbouring surface too.
+    inwards = corners + 1e-3 * (corners.mean(axis=1, keepdims=True) - corners)
+    samples = Texels.create(3 * count)
+    samples.position[:], samples.triangle[:] = inwards.reshape(-1, 3), np.repeat(np.arange(count), 3)
+    sample_fields(fields, samples)
+    path = folder / "corner_fields.npz"
+    values = CornerFields(
+        base_color=samples.base_color.reshape(count, 3, 3),
+        roughness=samples.roughness.reshape(count, 3),
+        metallic=samples.metallic.reshape(count, 3),
+        confidence=samples.confidence.reshape(count, 3, 3),
+    )
+    write_arrays(path, values)
+    return path.name
