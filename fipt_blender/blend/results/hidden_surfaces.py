@@ -40,8 +40,8 @@ _PARALLEL = 0.97  # cosine (14 degrees) of the normals of one plane's hits, whic
 _THICKNESS = 0.015  # metres from a plane within which surfaces belong to it; twice the noise of a scan
 _LEAST_SHARE = 0.03  # of the rays' hits on a plane that is looked at
 _MOST_PLANES = 8
-# Cells beside what was hidden whose estimate has errors: mixed pixels, light from the furniture. With 2, their
-# blotches go on behind it, which costs 2 dB in two of four places.
+# Cells beside what was hidden whose estimate has errors: mixed pixels, light from the furniture. With 2,
+# their blotches go on behind it, which costs 2 dB in two of four places.
 _WORN = 8
 
 
