@@ -43,7 +43,7 @@ def write_options(folder: Path) -> None:
     write_colmap(folder / "capture", text=True)
     options = {"--scale": 1.0, "--up-axis": "y", "--hold-back": 2, "--views": 3, "--triangles": 0}
     options |= {"--voxel": 0.02, "--depth-unit": 0.001}
-    options |= {"--mesh": "capture/scene.obj", "--images": "capture/images"}
+    options |= {"--mesh": "capture/mesh.obj", "--images": "capture/images"}
     (folder / "options.json").write_text(json.dumps(options))
 
 
@@ -80,7 +80,7 @@ def write_colmap(folder: Path, text: bool) -> None:
     (folder / "sparse" / "0").mkdir(parents=True)
     (model.write_text if text else model.write_binary)(str(folder / "sparse" / "0"))
     _write_images(folder / "images", 3)
-    capture_files.write_mesh(folder / "scene.obj")
+    capture_files.write_mesh(folder / "mesh.obj")
 
 
 def write_transforms(folder: Path) -> None:
@@ -93,7 +93,7 @@ def write_transforms(folder: Path) -> None:
     (folder / "transforms.json").write_text(json.dumps({**data, "train_filenames": ["images/000.exr"]}))
     _write_images(folder / "images", 3)
     _write_ids(folder / "parts", 3)
-    capture_files.write_mesh(folder / "scene.obj")
+    capture_files.write_mesh(folder / "mesh.obj")
 
 
 def _write_ids(folder: Path, count: int) -> None:
@@ -109,13 +109,13 @@ def write_fipt_real(folder: Path) -> None:
     names = (f"{index:03d}_0001" for index in range(3))
     shots = [capture_files.Sample(name, 12, 8, PINHOLE, pose) for name, pose in zip(names, _poses(3), strict=True)]
     capture_files.write_fipt_real(folder, shots)
-    capture_files.write_mesh(folder / "scene.obj")
+    capture_files.write_mesh(folder / "mesh.obj")
 
 
 def write_fipt_synthetic(folder: Path) -> None:
     """train and val folders."""
     capture_files.write_fipt_synthetic(folder, {"train": _poses(2), "val": _poses(2)}, named=False)
-    capture_files.write_mesh(folder / "scene.obj")
+    capture_files.write_mesh(folder / "mesh.obj")
 
 
 def three_shots() -> list[rig_writers.Shot]:
