@@ -98,9 +98,8 @@ def damage(content: bytes, rng: np.random.Generator) -> bytes:
     return bytes(result)
 
 
-@pytest.mark.parametrize("order", ["<", ""])
-def test_damaged_ply_files_end_no_blender_of_the_artists(tmp_path, order):
-    for content in (ply(order=order)[:-20], ply(order=order, vertices=10**9), b"ply\n"):
+def test_damaged_ply_files_end_no_blender_of_the_artists(tmp_path):
+    for content in (ply()[:-20], ply(order="", vertices=10**9), b"ply\n"):
         (tmp_path / "a.ply").write_bytes(content)
         error = error_of(import_room, tmp_path / "a.ply", np.eye(4))
         assert error.code == "mesh-unreadable" and "a.ply" in error.text and error.remedy
@@ -109,7 +108,7 @@ def test_damaged_ply_files_end_no_blender_of_the_artists(tmp_path, order):
 @posix
 def test_blender_survives_damaged_meshes(tmp_path, rng):
     kinds = list(GOOD)
-    for number in range(16):
+    for number in range(8):
         name = kinds[number % len(kinds)]
         (tmp_path / f"{number:03d}-{name}").write_bytes(damage(GOOD[name], rng))
     command = [sys.executable, "-c", IMPORT, str(tmp_path)]
