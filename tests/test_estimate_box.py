@@ -38,6 +38,7 @@ from samples.camera_poses import look_at
 from samples.refusals import error_of
 from samples.small_captures import (
     COLORS,
+    FEW,
     HEIGHT,
     PANEL_RADIANCE,
     PANEL_TRIANGLES,
@@ -65,7 +66,6 @@ STAGES = [
     *("reflection-1", "refinement-1", "estimate-1", "training"),
 ]
 # Of runs whose networks learn next to nothing, such that each setting has an effect.
-FEW = {"diffuse_spp": 4, "light_spp": 4, "refine_diffuse_spp": 4, "refine_light_spp": 4, "voxel_resolution": 32}
 BASE = {**QUICK, **UNTRAINED, **FEW, "batch_size": 256, "rounds": 0}
 
 
