@@ -13,6 +13,7 @@ import bmesh
 import bpy
 import numpy as np
 from mathutils import Vector
+from mathutils.bvhtree import BVHTree
 
 from ..marks import all_view_cameras
 from ..room.islands import connected_triangles
@@ -28,18 +29,16 @@ _ARRIVED = 1e-3
 def face_cameras(scene: bpy.types.Scene, items: Sequence[bpy.types.Object]) -> None:
     """Turn those connected surfaces of new meshes of which cameras see more of the back than of the front."""
     bpy.context.view_layer.update()
-    eyes = [camera.matrix_world.translation.copy() for camera in all_view_cameras(scene)]
-    eyes = (
-        [eyes[index] for index in np.unique(np.linspace(0, len(eyes) - 1, _EYES).astype(int))] if eyes else []
-    )
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    for item in items if eyes else ():
-        loops, polygon = triangle_loops(item.data, False)
-        positions = transform_points(vertex_positions(item.data), np.array(item.matrix_world))
-        _, place = np.unique(np.round(positions, 6), axis=0, return_inverse=True)
-        vertices = corner_vertices(item.data)[loops]
-        surface = connected_triangles(place.ravel()[vertices])
-        corners = positions[vertices]
+    cameras = list(all_view_cameras(scene))
+    if not cameras:
+        return
+    some = np.unique(np.linspace(0, len(cameras) - 1, _EYES).astype(int)).tolist()
+    eyes = [cameras[index].matrix_world.translation.copy() for index in some]
+    meshes = [_surfaces(item) for item in items]
+    points = np.concatenate([corners.reshape(-1, 3) for corners, *_ in meshes] or [np.zeros((0, 3))])
+    triangles = np.arange(len(points)).reshape(-1, 3).tolist()
+    tree = BVHTree.FromPolygons(points.tolist(), triangles, all_triangles=True)
+    for item, (corners, surface, polygon) in zip(items, meshes, strict=True):
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(normal, axis=1)
         order = np.lexsort((-area, surface))  # the largest triangles of each surface first
@@ -50,13 +49,22 @@ def face_cameras(scene: bpy.types.Scene, items: Sequence[bpy.types.Object]) -> N
             target, front = Vector(corners[triangle].mean(axis=0)), Vector(normal[triangle])
             for eye in eyes:
                 toward = target - eye
-                hit, end, *_ = scene.ray_cast(depsgraph, eye, toward)
-                if hit and (end - target).length < _ARRIVED * toward.length:
+                end, *_ = tree.ray_cast(eye, toward)
+                if end is not None and (end - target).length < _ARRIVED * toward.length:
                     votes[surface[triangle]] += 1 if front.dot(toward) < 0.0 else -1
         turned = np.zeros(len(item.data.polygons), bool)
         turned[polygon[votes[surface] < 0]] = True
         if turned.any():
             _turn(item.data, turned)
+
+
+def _surfaces(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of T triangles of a mesh: corners (T, 3, 3) in the world, (T,) connected surface and (T,) polygon."""
+    loops, polygon = triangle_loops(item.data, False)
+    positions = transform_points(vertex_positions(item.data), np.array(item.matrix_world))
+    _, place = np.unique(np.round(positions, 6), axis=0, return_inverse=True)
+    vertices = corner_vertices(item.data)[loops]
+    return positions[vertices], connected_triangles(place.ravel()[vertices]), polygon
 
 
 def _turn(mesh: bpy.types.Mesh, turned: np.ndarray) -> None:
