@@ -277,7 +277,7 @@ def test_lamps_that_are_painted_out_are_a_warning(finished, capture: SmallCaptur
         return np.where(lamp, np.median(image), image).astype(np.float32)
 
     images = [painted(image) for image in capture.images]
-    run = write_run(tmp_path / "run", replace(capture, images=images), rounds=0, **UNTRAINED)
+    run = write_run(tmp_path / "run", replace(capture, images=images), rounds=0, **UNTRAINED, **FEW)
     assert "light-missing" in warnings_of(run_here(run, train=False))
     assert warnings_of(finished[1]) == []
 
