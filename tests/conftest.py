@@ -34,11 +34,16 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     # As in the engine: torch's threads must not spin while those of Dr.Jit or another process work.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    os.environ["OMP_NUM_THREADS"] = "1"  # quicker for networks as small as those of the tests
     try:
         # The engine's modules need a variant when they are imported, and torch must be imported after it.
         set_variant(os.environ.get("FIPT_TEST_DEVICE", "llvm"))
     except FiptError as error:
         raise pytest.UsageError(str(error)) from None
+    import drjit
+
+    # Workers share the cores: more threads than these take a fifth more of the processors' time.
+    drjit.set_thread_count(max(1, (os.cpu_count() or 1) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))))
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
@@ -109,17 +114,6 @@ def registered() -> Iterator[None]:
     fipt_blender.register()
     yield
     fipt_blender.unregister()
-
-
-@pytest.fixture(scope="module")
-def one_thread() -> Iterator[None]:
-    """Torch on one thread, which is faster for networks as small as those of the tests."""
-    import torch
-
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture

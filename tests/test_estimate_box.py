@@ -72,9 +72,7 @@ def killed(run: RunFolder, kill: Callable[[dict], bool]) -> list[dict]:
     command = [sys.executable, "-m", "fipt_blender.core", "estimate", str(run.root)]
     messages = []
     with (run.root / "log.txt").open("a") as log:
-        # One thread: networks this small lose more by waiting for a second one, above all on a busy machine.
-        environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-        child = subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=log, text=True)
+        child = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=log, text=True)
         assert child.stdout is not None
         for line in child.stdout:
             message = parse_message(line)
@@ -86,9 +84,6 @@ def killed(run: RunFolder, kill: Callable[[dict], bool]) -> list[dict]:
         child.stdout.close()
         assert child.wait() == -signal.SIGKILL, messages[-1]
         return messages
-
-
-pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")

@@ -185,7 +185,7 @@ def test_emission_is_of_a_view_that_shows_a_lamp(preview: Preview) -> None:
     assert not pictures(preview, EmitterTable.empty())[1].any()
 
 
-pytestmark = [pytest.mark.usefixtures("one_thread"), pytest.mark.filterwarnings("error:.*invalid value:RuntimeWarning")]
+pytestmark = pytest.mark.filterwarnings("error:.*invalid value:RuntimeWarning")
 
 
 def bake_here(run: RunFolder) -> list[dict]:

@@ -63,7 +63,6 @@ def run(tmp_path, capture) -> RunFolder:
 def scene(run, tmp_path, monkeypatch):
     monkeypatch.setattr(machine.DEFAULTS, "data_folder", str(tmp_path / "data"))
     monkeypatch.setattr(machine.DEFAULTS, "device", "llvm")
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")  # quicker for networks this small
     scene = bpy.context.scene
     room = bpy.data.collections.new("FIPT Room")
     scene.collection.children.link(room)
