@@ -186,7 +186,7 @@ def few_sources(monkeypatch: pytest.MonkeyPatch) -> None:
     """Unseen light of fewer sources, compared at fewer points: on their numbers the time depends most."""
     monkeypatch.setattr(unseen_light, "MAX_SOURCES", 100)
     monkeypatch.setattr(source_cells, "MAX_DIVIDED", 100)
-    monkeypatch.setattr(unseen_light, "MAX_POINTS", 1000)
+    monkeypatch.setattr(unseen_light, "MAX_POINTS", 2000)
 
 
 def stages_of(messages: list[dict]) -> list[str]:
