@@ -8,9 +8,8 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
-
-ROOT = Path(__file__).resolve().parent.parent.parent
 
 
 class MeshProcess:
@@ -40,19 +39,19 @@ def serve() -> None:
     """Answer each line of stdin, a file and where its arrays go, by a line of stdout, which is else kept free."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    sys.path.insert(0, str(ROOT))
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
     import bpy
 
     from fipt_blender.blend.capture import mesh_reading
 
     for line in sys.stdin:
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-        try:
+        answer = "refused"
+        with suppress(Exception):
             mesh_reading.read(*map(Path, json.loads(line)))
             answer = "read"
-        except Exception as error:
-            answer = type(error).__name__
         print(answer, file=answers, flush=True)
+    os._exit(0)  # the destructors of bpy may hang
 
 
 if __name__ == "__main__":
