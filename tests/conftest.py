@@ -21,6 +21,7 @@ from fipt_blender.core.device.variant import set_variant
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
+from samples.mesh_process import MeshProcess
 
 _STATUS = pytest.StashKey[int]()
 
@@ -33,11 +34,16 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     # As in the engine: torch's threads must not spin while those of Dr.Jit or another process work.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    os.environ["OMP_NUM_THREADS"] = "1"  # quicker for networks as small as those of the tests
     try:
         # The engine's modules need a variant when they are imported, and torch must be imported after it.
         set_variant(os.environ.get("FIPT_TEST_DEVICE", "llvm"))
     except FiptError as error:
         raise pytest.UsageError(str(error)) from None
+    import drjit
+
+    # Workers share the cores: more threads than these take a fifth more of the processors' time.
+    drjit.set_thread_count(max(1, (os.cpu_count() or 1) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))))
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
@@ -54,23 +60,29 @@ def leave(config: pytest.Config) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def meshes_are_read_once() -> Iterator[None]:
-    """Blender starts once for each content of an OBJ or PLY file, not for each test that reads it."""
+def meshes_are_read_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """One Blender reads each content of an OBJ or PLY file once; another one starts for a file that it refuses."""
     read = mesh_file.read_in_blender
     known: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray]] = {}
+    here, blender, arrays = os.getpid(), MeshProcess(), tmp_path_factory.mktemp("mesh") / "mesh.npz"
 
     def once(path: Path, changed: int) -> tuple[np.ndarray, np.ndarray]:
         if path.suffix not in (".obj", ".ply"):  # others refer to more files
             return read(path, changed)
         content = path.suffix, path.read_bytes()
         if content not in known:
-            known[content] = read(path, changed)
+            if os.getpid() == here and blender.read(path, arrays):  # not in a fork of this process
+                with np.load(arrays) as found:
+                    known[content] = found["vertices"], found["triangles"]
+            else:
+                known[content] = read(path, changed)
         vertices, triangles = known[content]
         return vertices.copy(), triangles.copy()
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mesh_file, "read_in_blender", once)
         yield
+    blender.close()
 
 
 @pytest.fixture(autouse=True)
@@ -102,17 +114,6 @@ def registered() -> Iterator[None]:
     fipt_blender.register()
     yield
     fipt_blender.unregister()
-
-
-@pytest.fixture(scope="module")
-def one_thread() -> Iterator[None]:
-    """Torch on one thread, which is faster for networks as small as those of the tests."""
-    import torch
-
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture

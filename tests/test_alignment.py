@@ -19,6 +19,7 @@ from fipt_blender.core.conventions import transform_points
 from samples import metashape_writers, rig_writers
 from samples.camera_poses import drawn_similarity
 from samples.refusals import error_of
+from samples.rgbd_frames import BOX_ROOM
 from samples.scans import grid_triangles
 from samples.small_rooms import block, make_room
 
@@ -30,14 +31,8 @@ def mesh_of(*blocks: tuple) -> tuple[np.ndarray, np.ndarray]:
 
 
 def furnished_room() -> tuple[np.ndarray, np.ndarray]:
-    """5 x 4 x 2.6 m with boxes that stand differently along each wall; no turn maps it to itself."""
-    return mesh_of(
-        ((0, 0, 0), (5, 4, 2.6)),
-        ((0, 0, 0), (0.6, 2.2, 1.9)),
-        ((2.0, 1.2, 0.65), (3.6, 2.1, 0.75)),
-        ((4.2, 2.6, 0), (5, 4, 0.8)),
-        ((1.4, 3.4, 0.9), (2.3, 4, 1.3)),
-    )
+    """Boxes stand differently along each wall; no turn maps it to itself."""
+    return mesh_of(*BOX_ROOM)
 
 
 def sparse_points(rng: np.random.Generator, count: int) -> np.ndarray:

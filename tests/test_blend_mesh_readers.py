@@ -94,10 +94,9 @@ def write_gltf(path: Path, nodes: list[dict], **more: object) -> None:
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
 
 
-@pytest.mark.parametrize("suffix", [".obj", ".ply", ".stl"])
-def test_the_engine_asks_a_blender_of_its_own(tmp_path: Path, suffix: str) -> None:
-    write_text(tmp_path / f"room{suffix}")
-    check(tmp_path / f"room{suffix}", np.eye(4), read=read_mesh)
+def test_the_engine_asks_a_blender_of_its_own(tmp_path: Path) -> None:
+    write_text(tmp_path / "room.stl")  # conftest.py spares OBJ and PLY files one
+    check(tmp_path / "room.stl", np.eye(4), read=read_mesh)
     assert error_of(read_mesh, tmp_path / "gone.obj").code == "mesh-missing"
     (tmp_path / "room.xyz").write_text("0 0 0")
     assert error_of(read_mesh, tmp_path / "room.xyz").code == "mesh-format"

@@ -9,12 +9,14 @@ import errno
 import hashlib
 import io
 import json
+import os
 import shutil
 import subprocess
 import sys
 import tarfile
 from collections import namedtuple
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from pytest import MonkeyPatch
@@ -32,6 +34,7 @@ from samples.refusals import error_of
 from samples.wheels import make_wheel, site_packages
 
 PYTHON = Path(sys.executable)
+HERE = sys.version_info[:2]
 NO_MATCH = "ERROR: No matching distribution found for torch"
 
 
@@ -69,20 +72,41 @@ def locked(wheel: Path, digest: str = "") -> str:
 
 
 @pytest.fixture(scope="module")
-def bare(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An environment with pip alone, installed from a folder of wheels that has Python's own; it takes seconds."""
-    folder = tmp_path_factory.mktemp("bare")
-    (folder / "wheels").mkdir()
+def child(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    """Set-up of an installed extension as a child process, with pip and one tiny pinned package: what it said
+    (`first`), the folder and stamp of the environment, and what a second one said while somebody else was at work.
+    """
+    folder = tmp_path_factory.mktemp("child")
+    package, data, wheels = folder / "extension", folder / "data", folder / "wheels"
+    shutil.copytree(places.PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))
+    # named as the engine's main package, by which the wheels' Python is recognised
+    wheel = make_wheel(wheels, "mitsuba", "0.0.1")
+    wheel.rename(wheel.with_name(f"mitsuba-0.0.1-cp{HERE[0]}{HERE[1]}-none-any.whl"))
     bundled = next((Path(ensurepip.__file__).parent / "_bundled").glob("pip-*.whl"))
-    wheel = Path(shutil.copy(bundled, folder / "wheels"))
-    environment.make_environment(make_plan(folder, pip=(locked(wheel),)))
-    return folder / "env"
+    groups = {"engine": ["mitsuba==0.0.1"], "llvm": [], "pip": [locked(Path(shutil.copy(bundled, wheels)))]}
+    (package / pins.PINS_NAME).write_text(json.dumps(groups))
+    command = interpreter.setup_command(PYTHON, data, "auto", wheels)
+    command = [part.replace(str(places.PACKAGE_FOLDER), str(package)) for part in command]
+    first = subprocess.run(command, capture_output=True, text=True, cwd=folder)
+    (environment,) = pins.environments(data)
+    with hold(RunFolder(data), ["set-up"]):
+        second = subprocess.run(command, capture_output=True, text=True)
+    return SimpleNamespace(first=first, folder=environment, stamp=pins.read_stamp(environment), second=second)
+
+
+@pytest.fixture(scope="module")
+def bare(child: SimpleNamespace) -> Path:
+    """An environment with pip alone, that of `child` without its package; it takes seconds."""
+    for path in site_packages(child.folder).rglob("*mitsuba*"):
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    (child.folder / pins.STAMP_NAME).unlink()
+    return child.folder
 
 
 @pytest.fixture
 def made(bare: Path, tmp_path: Path) -> None:
     """The environment of `make_plan` is there, and set-up does not make it anew; it has no packages yet."""
-    shutil.copytree(bare, tmp_path / "env", symlinks=True)
+    shutil.copytree(bare, tmp_path / "env", symlinks=True, copy_function=os.link)
     (tmp_path / "env" / pins.STAMP_NAME).write_text(json.dumps({"installed": True}))
 
 
@@ -93,7 +117,7 @@ def quick_venv(bare: Path, monkeypatch: MonkeyPatch) -> None:
 
     def copied(command: list[str], *arguments: Path) -> subprocess.CompletedProcess:
         if "venv" in command:
-            shutil.copytree(bare, command[-1], symlinks=True)
+            shutil.copytree(bare, command[-1], symlinks=True, copy_function=os.link)
         return subprocess.CompletedProcess(command, 0) if "-m" in command else run(command, *arguments)
 
     monkeypatch.setattr(environment, "run_quietly", copied)
@@ -286,9 +310,6 @@ def test_little_space_is_seen_beforehand(tmp_path: Path, monkeypatch: MonkeyPatc
     assert error_of(check, 2_500_000, wheels, "").code == "disk-full"
 
 
-HERE = sys.version_info[:2]
-
-
 def test_plans_prefer_what_stands_and_name_a_python_that_is_missing(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
     monkeypatch.setattr(setup, "other_pythons", lambda: iter([]))
     plans = setup.make_plans(tmp_path, "auto", None)
@@ -305,36 +326,20 @@ def test_plans_prefer_what_stands_and_name_a_python_that_is_missing(tmp_path: Pa
     assert caught.code == "python-unfit" and f"Python {other[0]}.{other[1]}" in caught.text
 
 
-def test_child_process_tells_in_messages_and_says_what_is_missing(tmp_path: Path) -> None:
-    """Set-up of an installed extension, with one tiny pinned package."""
-    package = tmp_path / "extension"
-    shutil.copytree(places.PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))
-    # named as the engine's main package, by which the wheels' Python is recognised
-    groups = {"engine": ["mitsuba==0.0.1"], "llvm": [], "pip": []}
-    (package / pins.PINS_NAME).write_text(json.dumps(groups))
-    command = interpreter.setup_command(PYTHON, tmp_path / "data", "auto", tmp_path / "wheels")
-    wheel = make_wheel(tmp_path / "wheels", "mitsuba", "0.0.1")
-    tag = f"cp{HERE[0]}{HERE[1]}"
-    wheel.rename(wheel.with_name(f"mitsuba-0.0.1-{tag}-none-any.whl"))
-    installed = [part.replace(str(places.PACKAGE_FOLDER), str(package)) for part in command]
-    result = subprocess.run(installed, capture_output=True, text=True, cwd=tmp_path)
-    messages = [parse_message(line) for line in result.stdout.splitlines()]
+def test_child_process_tells_in_messages_and_says_what_is_missing(child: SimpleNamespace) -> None:
+    messages = [parse_message(line) for line in child.first.stdout.splitlines()]
     assert None not in messages, "nothing but messages on stdout"
     names = [message["name"] for message in messages if message["type"] == "stage"]
     assert list(dict.fromkeys(names)) == ["environment", "packages", "libraries"]
     fractions = [message["fraction"] for message in messages if message["type"] == "progress"]
     assert fractions == sorted(fractions)
     # the only pinned package is installed; the engine's others are missed
-    assert result.returncode == 1 and messages[-1]["code"] == "package-broken"
-    assert "torch" in messages[-1]["text"] and "pip install" in result.stderr
-    (folder,) = pins.environments(tmp_path / "data")
-    stamp = pins.read_stamp(folder)
-    assert stamp.installed and not stamp.complete
+    assert child.first.returncode == 1 and messages[-1]["code"] == "package-broken"
+    assert "torch" in messages[-1]["text"] and "pip install" in child.first.stderr
+    assert child.stamp.installed and not child.stamp.complete
     # a second set-up in one data folder waits its turn
-    with hold(RunFolder(tmp_path / "data"), ["set-up"]):
-        result = subprocess.run(installed, capture_output=True, text=True)
-    error = parse_message(result.stdout.splitlines()[-1])
-    assert result.returncode == 1 and error["code"] == "run-busy"
+    error = parse_message(child.second.stdout.splitlines()[-1])
+    assert child.second.returncode == 1 and error["code"] == "run-busy"
 
 
 def test_data_folder_is_the_platforms(tmp_path: Path, monkeypatch: MonkeyPatch) -> None:

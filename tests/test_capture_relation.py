@@ -9,6 +9,7 @@ import json
 import numpy as np
 import pytest
 
+from fipt_blender.core.alignment.turns import turn_by
 from fipt_blender.core.capture.mesh_file import read_mesh
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.conventions import transform_points
@@ -50,9 +51,8 @@ def write_ply(path, points):
 
 
 def similarity(scale=1.0, shift=(0.0, 0.0, 0.0), turn=0.0):
-    sine, cosine = np.sin(turn), np.cos(turn)
     place = np.eye(4)
-    place[:3, :3] = scale * np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
+    place[:3, :3] = scale * turn_by(np.array([turn, 0.0, 0.0]))
     place[:3, 3] = shift
     return place
 
@@ -166,8 +166,8 @@ def test_cameras_at_one_place_are_told(tmp_path):
 
 @pytest.mark.parametrize("side", ["dataparser_transforms.json", "mesh_offset.xyz"])
 def test_files_beside_a_moved_mesh_are_followed_where_they_fit(tmp_path, side):
-    cosine, sine = np.cos(0.4), np.sin(0.4)
-    transform = np.array([[cosine, -sine, 0, 3], [sine, cosine, 0, 1], [0, 0, 1, -4], [0, 0, 0, 1]])
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = turn_by(np.array([0.0, 0.0, 0.4])), (3.0, 1.0, -4.0)
     folder, run = tmp_path / "in", RunFolder(tmp_path / "run")
     write_transforms(folder, make_samples(8))
     if side.endswith("json"):

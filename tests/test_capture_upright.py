@@ -20,6 +20,7 @@ from samples.camera_poses import look_at, random_rotation
 from samples.capture_files import make_samples, write_colmap, write_fipt_real, write_transforms
 from samples.combinations import pairs
 from samples.ingesting import run_ingest, warnings
+from samples.scans import grid_triangles
 
 SIZE = np.array([5.0, 4.0, 2.6])
 AXES = {axis: conventions.world_from_source(axis)[:3, :3].T for axis in conventions.UP_AXES}
@@ -35,9 +36,7 @@ def sheet(corner, first, second, step: float) -> tuple[np.ndarray, np.ndarray]:
     counts = [max(1, round(float(np.linalg.norm(side)) / step)) for side in (first, second)]
     u, v = np.meshgrid(*(np.linspace(0.0, 1.0, count + 1) for count in counts), indexing="ij")
     vertices = corner + u.reshape(-1, 1) * np.array(first) + v.reshape(-1, 1) * np.array(second)
-    index = np.arange(len(vertices)).reshape(u.shape)
-    a, b, c, d = (each.ravel() for each in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
-    return vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return vertices, grid_triangles(*counts)
 
 
 def box(size, step: float) -> tuple[np.ndarray, np.ndarray]:

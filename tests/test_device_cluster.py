@@ -33,10 +33,7 @@ from samples.small_captures import SmallCapture, pinhole, write_run
 from samples.small_rooms import BOX, make_room, table
 
 # Every stage, and next to no training: that is not shared.
-LITTLE = {
-    "training_steps": 2, "roughness_levels": 3, "diffuse_spp": 4, "light_spp": 4,
-    "refine_diffuse_spp": 4, "refine_light_spp": 4, "refine_depth": 2,
-}  # fmt: skip
+LITTLE = {**samples.FEW, "training_steps": 2, "roughness_levels": 3, "refine_depth": 2}
 
 
 @pytest.fixture(scope="module")

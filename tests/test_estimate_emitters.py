@@ -45,9 +45,6 @@ BLACK = [0.0, 0.0, 0.0]
 FIRST = 2 * len(BOX)  # triangle after those of the box
 
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
-
 @dataclass(frozen=True)
 class Lamps:
     """What the first estimate finds, in units of the capture's median radiance."""

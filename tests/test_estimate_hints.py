@@ -37,8 +37,6 @@ from samples.small_captures import (
 )
 from samples.small_rooms import BOX, make_room
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 FLOOR, BACK, LEFT = (0.3, 0.2, 0.0), (0.0, 2.0, 1.5), (-2.0, 0.0, 1.5)
 AGAIN = ["hinted-estimate", "hinted-training"]
 FEW = {**UNTRAINED, "batch_size": 128, "diffuse_spp": 8, "refine_diffuse_spp": 8, "voxel_resolution": 32}

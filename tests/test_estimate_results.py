@@ -29,6 +29,7 @@ from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.textures import bake
 from samples.small_captures import (
     COLORS,
+    FEW,
     PANEL,
     PANEL_RADIANCE,
     UNTRAINED,
@@ -184,7 +185,7 @@ def test_emission_is_of_a_view_that_shows_a_lamp(preview: Preview) -> None:
     assert not pictures(preview, EmitterTable.empty())[1].any()
 
 
-pytestmark = [pytest.mark.usefixtures("one_thread"), pytest.mark.filterwarnings("error:.*invalid value:RuntimeWarning")]
+pytestmark = pytest.mark.filterwarnings("error:.*invalid value:RuntimeWarning")
 
 
 def bake_here(run: RunFolder) -> list[dict]:
@@ -227,7 +228,7 @@ def test_a_window_becomes_an_environment(tmp_path: Path, monkeypatch: pytest.Mon
     """Light from outside through a missing wall; no lamp."""
     few_sources(monkeypatch)
     radiance = [5.0, 4.0, 3.0]
-    changes = {**UNTRAINED, "rounds": 0, "unseen_light": True, "environment_width": 32}
+    changes = {**UNTRAINED, **FEW, "rounds": 0, "unseen_light": True, "environment_width": 32}
     run = write_run(tmp_path / "run", window_capture(radiance), **changes)
     messages = run_here(run, train=False)
     data = read_document(run.emitters_json, dict)
@@ -248,7 +249,7 @@ def test_a_room_without_lamp_is_a_warning(tmp_path: Path) -> None:
     """A closed mesh, all surfaces of one radiance: white walls explain it without a lamp."""
     capture = panel_capture()
     grey = replace(capture, images=[np.full_like(image, 0.4) for image in capture.images])
-    changes = {**UNTRAINED, "rounds": 0, "force": True}  # photographs without content are refused
+    changes = {**UNTRAINED, **FEW, "rounds": 0, "force": True}  # photographs without content are refused
     run = write_run(tmp_path / "run", grey, **changes)
     messages = run_here(run, train=False)
     assert warnings_of(messages) == ["no-emitter"] and messages[-1]["type"] == "done"
@@ -260,7 +261,7 @@ def test_a_lamp_in_a_room_whose_mesh_is_open(tmp_path: Path) -> None:
     """No mesh of two walls, behind which it is dark: a scan that has not been completed."""
     quads = [*BOX[:4], PANEL]
     capture = photograph(quads, [*COLORS[:4], [0.0] * 3], table([8, 9], PANEL_RADIANCE), None)
-    run = write_run(tmp_path / "run", capture, rounds=0, **UNTRAINED)
+    run = write_run(tmp_path / "run", capture, rounds=0, **UNTRAINED, **FEW)
     assert run_here(run, train=False)[-1]["type"] == "done"
     assert [fixture["triangles"] for fixture in fixtures_of(run)] == [[8, 9]]
     assert_textures_and_maps_follow(run, open_mesh=True)

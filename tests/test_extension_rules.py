@@ -25,6 +25,7 @@ from fipt_blender import operators
 from samples.child_processes import PATIENCE_SECONDS
 from samples.development import load_dev
 from samples.enabling import needless
+from samples.fuzz_samples import write_transforms
 from samples.pages import Page
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -41,7 +42,7 @@ STARTED_ALONE = {"__main__.py", "bridge/start.py", "core/device/probe.py"}
 
 ACTIONS = """
 import os, sys
-package, data, example = sys.argv[1:]
+package, data, capture = sys.argv[1:]
 written, connected = set(), set()
 def watch(event, arguments):
     if event == "open" and isinstance(arguments[0], (str, bytes)):
@@ -59,7 +60,7 @@ addon = importlib.import_module("installed.fipt_blender")
 api = importlib.import_module("installed.fipt_blender.api")
 addon.register()
 bpy.ops.fipt.copy_wheel_command()
-api.import_capture(example)
+api.import_capture(capture)
 may_set_up = bpy.ops.fipt.set_up_engine.poll()
 answer = {"written": sorted(written), "connected": sorted(connected), "may_set_up": may_set_up}
 answer["online"] = bpy.app.online_access
@@ -113,10 +114,11 @@ def test_it_writes_into_the_users_folder_alone_and_is_offline(archive: zipfile.Z
     that leaves the add-on registered ends by itself."""
     data, package = tmp_path / "data", tmp_path / "site" / "installed" / "fipt_blender"
     archive.extractall(package)
+    (tmp_path / "capture").mkdir()
+    write_transforms(tmp_path / "capture")
     environment = {**os.environ, "FIPT_DATA": str(data), "FIPT_ENGINE_PYTHON": sys.executable}
     environment["PYTHONDONTWRITEBYTECODE"] = "1"
-    example = str(package / "example")
-    command = [sys.executable, "-c", ACTIONS, str(tmp_path / "site"), str(data), example]
+    command = [sys.executable, "-c", ACTIONS, *map(str, (tmp_path / "site", data, tmp_path / "capture"))]
     ended = subprocess.run(
         command, env=environment, capture_output=True, text=True, timeout=PATIENCE_SECONDS, cwd=tmp_path
     )

@@ -52,7 +52,7 @@ def light(room: Room, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
     ceiling = np.zeros(len(room.triangles), np.int32) - 1
     if len(room.triangles) >= 12:
         ceiling[2 * CEILING : 2 * CEILING + 2] = 0
-    entry, way = hemisphere_rays(room, grid_of(room), position, normal, ceiling, 5, 2048)
+    entry, way = hemisphere_rays(room, grid_of(room), position, normal, ceiling, 5, 512)
     reach = (3.0 - position[:, None, 2]) / np.maximum(way[..., 2], 1e-3)
     above = shines(position[:, None] + reach[..., None] * way)
     return np.where(((entry == OUTSIDE) | (entry == ON_LAMP))[..., None], above, INDIRECT).mean(axis=1)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Networks and losses against values by hand and differences; training finds materials, and is reproducible."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -93,7 +94,15 @@ def weights(networks: Networks) -> list[bytes]:
     return [value.numpy().tobytes() for state in networks.state().values() for value in state.values()]
 
 
-def test_the_same_seed_gives_the_same_weights_on_all_threads() -> None:
+@pytest.fixture
+def threads() -> Iterator[None]:
+    """Several of them; other tests have one."""
+    torch.set_num_threads(4)
+    yield
+    torch.set_num_threads(1)
+
+
+def test_the_same_seed_gives_the_same_weights_on_all_threads(threads: None) -> None:
     results = []
     for seed in (0, 0, 1):
         networks = make_networks()
@@ -103,7 +112,7 @@ def test_the_same_seed_gives_the_same_weights_on_all_threads() -> None:
     assert results[2] != results[0]
 
 
-def test_an_interrupted_training_ends_with_the_same_weights(one_thread, tmp_path: Path) -> None:
+def test_an_interrupted_training_ends_with_the_same_weights(tmp_path: Path) -> None:
     uninterrupted = make_networks()
     do_train(uninterrupted, 12)
 
@@ -122,7 +131,7 @@ def test_an_interrupted_training_ends_with_the_same_weights(one_thread, tmp_path
     assert weights(uninterrupted) == weights(resumed)
 
 
-def test_colours_are_found_beside_a_lamp_that_does_not_count(one_thread) -> None:
+def test_colours_are_found_beside_a_lamp_that_does_not_count() -> None:
     networks, data, surfaces = make_networks(), make_data(), make_surfaces()
     seen, pixels = data.observations, data.observations.pixels
     train(networks, data, surfaces, replace(SETTINGS, training_steps=300), None, lambda _: None)
@@ -138,7 +147,7 @@ def test_colours_are_found_beside_a_lamp_that_does_not_count(one_thread) -> None
     assert error[~on_lamp & at_border].mean() < 0.06
 
 
-def test_the_mask_finds_a_lamp_that_nothing_has_found_before(one_thread) -> None:
+def test_the_mask_finds_a_lamp_that_nothing_has_found_before() -> None:
     """Reflection can't explain the lamp's pixels, so the mask takes them; l_e keeps it small elsewhere."""
     networks, data = make_networks(), make_data()
     surfaces = replace(make_surfaces(), emitting=np.zeros(3, bool))
@@ -233,7 +242,7 @@ def test_hash_grid_at_the_borders_and_with_no_gradient() -> None:
     assert (grid.table.grad == 0).all()
 
 
-def test_hash_grid_gradients_are_the_same_bit_for_bit(rng: np.random.Generator) -> None:
+def test_hash_grid_gradients_are_the_same_bit_for_bit(threads: None, rng: np.random.Generator) -> None:
     """Many points lie in the same cells, so the order of summation would show."""
     positions = torch.from_numpy((rng.random((20_000, 3)) * 0.2).astype(np.float32))
     upstream = torch.from_numpy(rng.normal(size=(20_000, 10)).astype(np.float32))

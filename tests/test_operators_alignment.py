@@ -38,11 +38,8 @@ POINTS = np.array([[2.0, 2.0, 0.0], [-2.0, 1.5, 0.2], [1.0, -2.0, 2.4], [-1.5, -
 
 def toward_the_middle(angle: float) -> np.ndarray:
     """A level camera 5 m beside the mesh, which looks at it."""
-    forward = -np.array([np.cos(angle), np.sin(angle), 0.0])
-    pose, down = np.eye(4), np.array([0.0, 0.0, -1.0])
-    pose[:3, :3] = np.stack([np.cross(down, forward), down, forward], axis=1)
-    pose[:3, 3] = np.array([1.0, 0.0, 1.2 + 0.2 * np.sin(angle)]) - 5.0 * forward
-    return pose
+    middle = np.array([1.0, 0.0, 1.2 + 0.2 * np.sin(angle)])
+    return look_at(middle + [5.0 * np.cos(angle), 5.0 * np.sin(angle), 0.0], middle)
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ import pytest
 from fipt_blender import api
 from fipt_blender.blend import outliner
 from fipt_blender.blend.marks import PART, REMOVED, filled_surfaces, is_fixture
+from fipt_blender.blend.results import hidden_surfaces
 from fipt_blender.blend.results.completion import complete
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
@@ -59,8 +60,12 @@ def add(name, points, faces):
     return item
 
 
-def make_room(folder, monkeypatch, with_holes=False):
-    """Floor and wall of 3 m with a chest in front, and applied results; the mesh may lack what is hidden."""
+def make_room(folder, monkeypatch, cell=0.03, with_holes=False):
+    """Floor and wall of 3 m with a chest in front, and applied results; the mesh may lack what is hidden.
+
+    Args:
+        cell: of what is completed, metres; the time grows by the square of their number.
+    """
     scene = bpy.context.scene
     low, high = CHEST
     xs = (-1.5, low[0], high[0], 1.5)
@@ -84,6 +89,7 @@ def make_room(folder, monkeypatch, with_holes=False):
     scene.fipt.materials.texel_density = 50.0
     scene.fipt.materials.texture_size = "1024"
     use_fake_engine(monkeypatch, Photographed())
+    monkeypatch.setattr(hidden_surfaces, "FINEST", cell)
     assert ops.apply_results() == {"FINISHED"}
     return scene
 
@@ -118,7 +124,7 @@ def hidden_names(scene):
 
 @pytest.mark.parametrize("with_holes", [False, True])
 def test_planes_and_patterns_go_on_behind_removed_furniture(tmp_path, monkeypatch, with_holes):
-    scene = make_room(tmp_path / "run", monkeypatch, with_holes)
+    scene = make_room(tmp_path / "run", monkeypatch, 0.015, with_holes)
     names = api.remove_from_room([bpy.data.objects["chest"]])
     assert hidden_names(scene) == ["chest"] and len(names) == 2
     quality, area = signal_to_noise(scene)

@@ -30,7 +30,7 @@ from fipt_blender.properties.estimate import CHOICES
 from samples.child_processes import wait_for
 from samples.engine_here import engine_here, hardly_training
 from samples.operator_calls import refused
-from samples.small_captures import PANEL, QUICK, SmallCapture, panel_capture, write_run
+from samples.small_captures import FEW, PANEL, QUICK, SmallCapture, panel_capture, some_views, write_run
 from samples.small_rooms import BOX
 from samples.stand_in_jobs import tick_until
 
@@ -47,7 +47,7 @@ pytestmark = pytest.mark.usefixtures("registered")
 
 @pytest.fixture(scope="module")
 def capture() -> SmallCapture:
-    return panel_capture()
+    return some_views(panel_capture())
 
 
 @pytest.fixture
@@ -63,7 +63,6 @@ def run(tmp_path, capture) -> RunFolder:
 def scene(run, tmp_path, monkeypatch):
     monkeypatch.setattr(machine.DEFAULTS, "data_folder", str(tmp_path / "data"))
     monkeypatch.setattr(machine.DEFAULTS, "device", "llvm")
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")  # quicker for networks this small
     scene = bpy.context.scene
     room = bpy.data.collections.new("FIPT Room")
     scene.collection.children.link(room)
@@ -80,7 +79,7 @@ def scene(run, tmp_path, monkeypatch):
 @pytest.fixture
 def quick(monkeypatch) -> dict:
     """Settings below those that the panel offers, for a run of seconds."""
-    changes = {**QUICK, "device": "llvm", "training_steps": 20}
+    changes = {**QUICK, **FEW, "device": "llvm", "training_steps": 20}
     monkeypatch.setattr(estimating, "scene_settings", lambda *_: make_settings("draft", changes))
     return changes
 
@@ -160,6 +159,7 @@ def stop(stage: str, killed: bool) -> RunFolder:
 @posix
 def test_an_estimate_that_is_killed_or_cancelled_resumes_and_leaves_the_first_one_usable(scene, run, quick):
     with engine_here(), hardly_training():
+        scene.fipt.materials.texel_density = 10.0
         assert ops.estimate() == {"FINISHED"} and ops.apply_results() == {"FINISHED"}
     before = {path: path.read_bytes() for path in run.root.rglob("*") if path.is_file()}
     del before[run.messages("estimate")]
@@ -173,7 +173,7 @@ def test_an_estimate_that_is_killed_or_cancelled_resumes_and_leaves_the_first_on
         assert not state.results and not state.finished and state.stages == STAGES.index(stage)
         assert not ops.reestimate.poll()
     quick["training_steps"] = 20
-    with engine_here():
+    with engine_here(), hardly_training():
         assert ops.resume() == {"FINISHED"} and worked(new) == ["training"]
     assert done(new) == STAGES and new.read_estimated().hash_levels == 4
 
@@ -186,7 +186,7 @@ def test_an_estimate_that_is_killed_or_cancelled_resumes_and_leaves_the_first_on
     # A run that goes on with another room has no results of the one before.
     bpy.data.objects["wall 0"].location.x += 5.0
     assert runstate.look(run).results
-    with engine_here():
+    with engine_here(), hardly_training():
         assert api.estimate(keep_stages=True).run == run.root
     assert run.read_estimated().hash_levels == 4
 

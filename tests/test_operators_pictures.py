@@ -213,7 +213,7 @@ def test_a_camera_of_the_artist_is_rendered_but_has_no_photograph(run):
     scene = bpy.context.scene
     scene.camera = bpy.data.objects.new("Hero / wide", bpy.data.cameras.new("Hero"))
     scene.collection.objects.link(scene.camera)
-    scene.cycles.samples = 1
+    scene.render.engine, scene.cycles.samples = "CYCLES", 1
     assert bpy.ops.fipt.final_picture() == {"FINISHED"}
     assert (run.renders / "insert" / "Hero _ wide.png").is_file()
     bpy.ops.fipt.set_backdrop(mode="PHOTOGRAPH")

@@ -114,7 +114,7 @@ def thing() -> tuple[np.ndarray, np.ndarray]:
 @pytest.fixture
 def run_and_views(tmp_path: Path, rng: np.random.Generator):
     """A run of a scanned room with a thing in it, and views whose masks have ids of their own."""
-    scan, _ = scanned_box(cells=60, noise=0.003)
+    scan, _ = scanned_box(cells=30, noise=0.003)
     run = write_run(tmp_path, joined(scan, *thing(), 0), "masks")
     views = looking_views(tmp_path, joined(scan, *thing(), 1))
     return run, views, with_own_ids(views, rng)

@@ -154,7 +154,9 @@ def masked_capture(root: Path) -> RunFolder:
     exact = panel_capture()
     scan, _ = scanned_box(cells=30, noise=0.003)
     room = joined(scan, np.array(PANEL, np.float32), np.array([[0, 1, 2], [0, 2, 3]]), 0)
-    run = small_captures.write_run(root, replace(exact, room=room), rounds=0, **small_captures.UNTRAINED)
+    run = small_captures.write_run(
+        root, replace(exact, room=room), rounds=0, **small_captures.UNTRAINED, **small_captures.FEW
+    )
     head = read_document(run.capture_json, dict)
     for number, (view, pose) in enumerate(zip(head["views"], exact.poses, strict=True)):
         surface = trace_pixels(exact.room, pinhole(pose))

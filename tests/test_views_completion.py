@@ -25,6 +25,7 @@ from fipt_blender.core.run.settings import Settings
 from fipt_blender.core.surface.adjacency import Surface
 from fipt_blender.core.surface.room import Room, load_room
 from fipt_blender.core.surface.stored import prepare_geometry
+from samples.camera_poses import look_at
 from samples.lost_things import HIGH, LOW, photographed, with_box
 from samples.part_views import THING_PART, looking_views, with_own_ids, write_run
 from samples.scans import grid_triangles, joined, scanned_box
@@ -57,9 +58,7 @@ def view(folder: Path, through: float = 0.1) -> View:
     image = np.ones((SIZE, SIZE, 3), np.float32)
     image[14:34, 14:34] = through
     write_exr(folder / "view.exr", image)
-    pose = np.eye(4)
-    pose[:3, :3] = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]).T
-    pose[:3, 3] = [0.0, 0.0, 1.5]
+    pose = look_at([0.0, 0.0, 1.5], [0.0, 1.0, 1.5])
     middle, focal = 0.5 * SIZE, 0.5 * SIZE
     return View("view", "train", folder / "view.exr", SIZE, SIZE, focal, focal, middle, middle, pose)
 

@@ -14,6 +14,7 @@ import pycolmap
 from fipt_blender.core import conventions
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.rig import Lens
+from samples.camera_poses import look_at
 
 
 @dataclass
@@ -30,14 +31,8 @@ class Sample:
 def level_pose(rng: np.random.Generator, up: np.ndarray) -> np.ndarray:
     """A camera held roughly level at a random place in a room."""
     forward = rng.normal(size=3)
-    forward -= 0.8 * (forward @ up) * up
-    forward /= np.linalg.norm(forward)
-    down = -(up - (up @ forward) * forward)
-    down /= np.linalg.norm(down)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([np.cross(down, forward), down, forward], axis=1)
-    pose[:3, 3] = rng.uniform(-2.0, 2.0, 3)
-    return pose
+    place = rng.uniform(-2.0, 2.0, 3)
+    return look_at(place, place + forward - 0.8 * (forward @ up) * up, up)
 
 
 def make_samples(count: int, up=(0.0, 0.0, 1.0), model: str = "PINHOLE") -> list[Sample]:

@@ -7,11 +7,11 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.rig import Lens
 from fipt_blender.core.run.hints import Hint, write_hints
 from fipt_blender.core.run.runfolder import RunFolder
@@ -43,23 +43,15 @@ def write_options(folder: Path) -> None:
     write_colmap(folder / "capture", text=True)
     options = {"--scale": 1.0, "--up-axis": "y", "--hold-back": 2, "--views": 3, "--triangles": 0}
     options |= {"--voxel": 0.02, "--depth-unit": 0.001}
-    options |= {"--mesh": "capture/scene.obj", "--images": "capture/images"}
+    options |= {"--mesh": "capture/mesh.obj", "--images": "capture/images"}
     (folder / "options.json").write_text(json.dumps(options))
 
 
-def _poses(count: int) -> list[np.ndarray]:
-    poses = []
-    for index in range(count):
-        pose = np.eye(4)
-        pose[:3, 3] = (0.3 * index, 0.1, 1.0)
-        poses.append(pose)
-    return poses
-
-
-def _write_images(folder: Path, count: int) -> None:
-    rng = np.random.default_rng(0)
-    for index in range(count):
-        write_exr(folder / f"{index:03d}.exr", rng.random((8, 12, 3), np.float32), half=True)
+def _samples(count: int) -> list[capture_files.Sample]:
+    """Small photographs and their cameras, side by side."""
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, :3, 3] = [(0.3 * index, 0.1, 1.0) for index in range(count)]
+    return [capture_files.Sample(f"{index:03d}", 12, 8, PINHOLE, pose) for index, pose in enumerate(poses)]
 
 
 def write_colmap(folder: Path, text: bool) -> None:
@@ -67,33 +59,32 @@ def write_colmap(folder: Path, text: bool) -> None:
     import pycolmap
 
     model = pycolmap.Reconstruction()
-    for index, pose in enumerate(_poses(3), start=1):
+    for index, sample in enumerate(_samples(3), start=1):
         camera = pycolmap.Camera(camera_id=index, model="OPENCV", width=12, height=8, params=[9, 9, 6, 4, 0, 0, 0, 0])
         model.add_camera_with_trivial_rig(camera)
         points = pycolmap.Point2DList([pycolmap.Point2D(np.array([1.0, 2.0]))] * 2)
         image = pycolmap.Image(name=f"{index - 1:03d}.jpg", camera_id=index, image_id=index, points2D=points)
-        inverse = np.linalg.inv(pose)
+        inverse = np.linalg.inv(sample.pose)
         rigid = pycolmap.Rigid3d(pycolmap.Rotation3d(inverse[:3, :3].copy()), inverse[:3, 3])
         model.add_image_with_trivial_frame(image, rigid)
     track = pycolmap.Track([pycolmap.TrackElement(1, 0), pycolmap.TrackElement(2, 1)])
     model.add_point3D(np.array([0.5, 0.5, 3.0]), track)
     (folder / "sparse" / "0").mkdir(parents=True)
     (model.write_text if text else model.write_binary)(str(folder / "sparse" / "0"))
-    _write_images(folder / "images", 3)
-    capture_files.write_mesh(folder / "scene.obj")
+    capture_files.write_images(folder / "images", _samples(3))
+    capture_files.write_mesh(folder / "mesh.obj")
 
 
 def write_transforms(folder: Path) -> None:
     """transforms.json with id images."""
     frames = [
-        {"file_path": f"images/{index:03d}.exr", "transform_matrix": pose.tolist()}
-        for index, pose in enumerate(_poses(3))
+        {"file_path": f"images/{sample.stem}.exr", "transform_matrix": sample.pose.tolist()} for sample in _samples(3)
     ]
     data = {"w": 12, "h": 8, "fl_x": 9.0, "fl_y": 9.0, "cx": 6.0, "cy": 4.0, "frames": frames}
     (folder / "transforms.json").write_text(json.dumps({**data, "train_filenames": ["images/000.exr"]}))
-    _write_images(folder / "images", 3)
+    capture_files.write_images(folder / "images", _samples(3))
     _write_ids(folder / "parts", 3)
-    capture_files.write_mesh(folder / "scene.obj")
+    capture_files.write_mesh(folder / "mesh.obj")
 
 
 def _write_ids(folder: Path, count: int) -> None:
@@ -106,23 +97,23 @@ def _write_ids(folder: Path, count: int) -> None:
 
 def write_fipt_real(folder: Path) -> None:
     """cam.txt and K_list.txt."""
-    names = (f"{index:03d}_0001" for index in range(3))
-    shots = [capture_files.Sample(name, 12, 8, PINHOLE, pose) for name, pose in zip(names, _poses(3), strict=True)]
+    shots = [replace(sample, stem=f"{sample.stem}_0001") for sample in _samples(3)]
     capture_files.write_fipt_real(folder, shots)
-    capture_files.write_mesh(folder / "scene.obj")
+    capture_files.write_mesh(folder / "mesh.obj")
 
 
 def write_fipt_synthetic(folder: Path) -> None:
     """train and val folders."""
-    capture_files.write_fipt_synthetic(folder, {"train": _poses(2), "val": _poses(2)}, named=False)
-    capture_files.write_mesh(folder / "scene.obj")
+    poses = [sample.pose for sample in _samples(2)]
+    capture_files.write_fipt_synthetic(folder, {"train": poses, "val": poses}, named=False)
+    capture_files.write_mesh(folder / "mesh.obj")
 
 
 def three_shots() -> list[rig_writers.Shot]:
     """Three cameras of the size of the sample's images."""
     shots = []
-    for index, pose in enumerate(_poses(3)):
-        values = (f"{index:03d}.jpg", 12, 8, 9.0, 9.0, 6.0, 4.0, pose[:3, :3].T, pose[:3, 3])
+    for sample in _samples(3):
+        values = (f"{sample.stem}.jpg", 12, 8, *PINHOLE.parameters, sample.pose[:3, :3].T, sample.pose[:3, 3])
         shots.append(rig_writers.Shot(*values, k=(-0.02, 0.01)))
     return shots
 
@@ -135,7 +126,7 @@ def write_capture(folder: Path) -> None:
         write_transforms(source)
         import_sample(source, Path(temporary))
         capture = json.loads((Path(temporary) / "run" / "capture.json").read_text())
-    _write_images(folder / "images", 3)
+    capture_files.write_images(folder / "images", _samples(3))
     for index, view in enumerate(capture["views"]):
         view.update(image=f"images/{index:03d}.exr", parts=None)
     (folder / "capture.json").write_text(json.dumps({**capture, "mesh": None}))
@@ -151,7 +142,7 @@ def write_preparation(folder: Path) -> None:
     from fipt_blender.prepare import preparation
 
     (folder / "photographs").mkdir()
-    _write_images(folder / "photographs", 2)
+    capture_files.write_images(folder / "photographs", _samples(2))
     files = tuple(preparation.Photograph(f"{index:03d}.exr", "linear", 12, 8, 1, 0.01) for index in range(2))
     groups = tuple(preparation.Group(file.path[:3], (file.path,)) for file in files)
     preparation.write_preparation(

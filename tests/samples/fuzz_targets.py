@@ -65,7 +65,9 @@ def _program(write: Callable[[Path, list[rig_writers.Shot]], None]) -> Callable[
             path.unlink()
             pixels = np.random.default_rng(index).random((8, 12, 3), np.float32)
             write_exr(path.with_suffix(".exr"), pixels, half=True)
-        capture_files.write_mesh(folder / "scene.obj")
+        for mesh in [path for path in folder.rglob("*") if path.suffix in (".obj", ".ply", ".glb")]:
+            mesh.unlink()  # of the names and headers alone
+        capture_files.write_mesh(folder / "mesh.obj")
 
     return write_all
 

@@ -15,6 +15,7 @@ from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.surface.room import Room
 from fipt_blender.core.surface.stored import prepare_geometry
+from samples.camera_poses import look_at
 from samples.small_rooms import write_room
 
 SIZE, FOCAL = 64, 40.0
@@ -27,13 +28,7 @@ def looking_views(folder: Path, room: Room, radiance: float = 1.0) -> list[View]
     for number in range(12):
         angle = 2.0 * np.pi * number / 12
         place = np.array([1.7 * np.cos(angle), 1.7 * np.sin(angle), (0.5, 1.3, 2.2)[number % 3]])
-        forward = np.array([0.0, 0.0, 0.5]) - place
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        pose = np.eye(4)
-        pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-        pose[:3, 3] = place
+        pose = look_at(place, [0.0, 0.0, 0.5])
         image, parts = folder / f"{number}.exr", folder / f"parts_{number}.exr"
         view = View(str(number), "train", image, SIZE, SIZE, FOCAL, FOCAL, SIZE / 2, SIZE / 2, pose, parts=parts)
         surface = trace_pixels(room, view)

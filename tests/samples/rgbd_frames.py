@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from samples.camera_poses import look_at
+
 WALL = 2.0  # metres in front of the cameras
 # Lowest and highest corners in metres: a room, and furniture such that no turn maps it to itself.
 BOX_ROOM = (
@@ -94,14 +96,8 @@ def _slabs(box: tuple, origin: np.ndarray, direction: np.ndarray) -> tuple[np.nd
 def box_room_pose(index: int, count: int) -> np.ndarray:
     """Camera to world (4, 4): one of a circle in the middle of `BOX_ROOM`. Z is up."""
     angle = 2.0 * np.pi * index / count
-    forward = np.array([np.cos(angle), np.sin(angle), -0.35])
-    forward /= np.linalg.norm(forward)
-    side = np.cross(forward, [0.0, 0.0, 1.0])
-    side /= np.linalg.norm(side)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([side, np.cross(forward, side), forward], axis=1)
-    pose[:3, 3] = [2.6 + 0.4 * np.cos(angle), 2.4 + 0.2 * np.sin(angle), 1.5]
-    return pose
+    place = np.array([2.6 + 0.4 * np.cos(angle), 2.4 + 0.2 * np.sin(angle), 1.5])
+    return look_at(place, place + [np.cos(angle), np.sin(angle), -0.35])
 
 
 def write_box_room(folder: Path, count: int, size: tuple[int, int], focal: float) -> list[np.ndarray]:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from samples.camera_poses import random_rotation
 
@@ -100,15 +101,8 @@ def text(values) -> str:
 
 
 def quaternion(rotation: np.ndarray) -> list[float]:
-    """w, x, y, z of a rotation: the eigenvector of Bar-Itzhack's matrix."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation
-    matrix = [
-        [a - e - i, d + b, g + c, h - f],
-        [d + b, e - a - i, h + f, c - g],
-        [g + c, h + f, i - a - e, d - b],
-        [h - f, c - g, d - b, a + e + i],
-    ]
-    x, y, z, w = np.linalg.eigh(np.array(matrix) / 3.0)[1][:, -1]
+    """w, x, y, z of a rotation."""
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
     return [w, x, y, z]
 
 

@@ -55,6 +55,8 @@ QUICK = {
     "batch_size": 1024, "hash_levels": 6, "hash_log2_size": 12,
     "environment_width": 64, "unseen_light": False,
 }  # fmt: skip
+# Where the noise of the baked light is not looked at.
+FEW = {"diffuse_spp": 4, "light_spp": 4, "refine_diffuse_spp": 4, "refine_light_spp": 4, "voxel_resolution": 32}
 # With `run_here(run, train=False)`, where what the networks learn is not looked at.
 UNTRAINED = {"training_steps": 6}
 
@@ -181,9 +183,10 @@ def run_here(run: RunFolder, train: bool = True) -> list[dict]:
 
 
 def few_sources(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Unseen light of fewer sources, on whose number the time depends most."""
+    """Unseen light of fewer sources, compared at fewer points: on their numbers the time depends most."""
     monkeypatch.setattr(unseen_light, "MAX_SOURCES", 100)
     monkeypatch.setattr(source_cells, "MAX_DIVIDED", 100)
+    monkeypatch.setattr(unseen_light, "MAX_POINTS", 2000)
 
 
 def stages_of(messages: list[dict]) -> list[str]:

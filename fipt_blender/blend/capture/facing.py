@@ -9,37 +9,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import bmesh
 import bpy
 import numpy as np
 from mathutils import Vector
+from mathutils.bvhtree import BVHTree
 
 from ..marks import all_view_cameras
 from ..room.islands import connected_triangles
-from ..room.mesh_arrays import corner_vertices, transform_points, triangle_loops, vertex_positions
+from ..room.mesh_arrays import corner_vertices, polygon_sizes, triangle_loops, world_positions
 from .mesh_import import ordered_normals
 
 # Cameras, and triangles of a surface and of a mesh, between which rays are cast, at most.
 _EYES, _TARGETS, _ALL_TARGETS = 24, 24, 8000
-# Distance from a ray's end to its target, as a share of the distance to the eye, up to which it has arrived.
-_ARRIVED = 1e-3
+_ARRIVED = 1e-3  # distance of a ray's end from its target, as a share of that from the eye, at most
 
 
 def face_cameras(scene: bpy.types.Scene, items: Sequence[bpy.types.Object]) -> None:
     """Turn those connected surfaces of new meshes of which cameras see more of the back than of the front."""
     bpy.context.view_layer.update()
-    eyes = [camera.matrix_world.translation.copy() for camera in all_view_cameras(scene)]
-    eyes = (
-        [eyes[index] for index in np.unique(np.linspace(0, len(eyes) - 1, _EYES).astype(int))] if eyes else []
-    )
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    for item in items if eyes else ():
-        loops, polygon = triangle_loops(item.data, False)
-        positions = transform_points(vertex_positions(item.data), np.array(item.matrix_world))
-        _, place = np.unique(np.round(positions, 6), axis=0, return_inverse=True)
-        vertices = corner_vertices(item.data)[loops]
-        surface = connected_triangles(place.ravel()[vertices])
-        corners = positions[vertices]
+    cameras = all_view_cameras(scene)
+    if not cameras or not items:
+        return
+    some = np.unique(np.linspace(0, len(cameras) - 1, _EYES).astype(int)).tolist()
+    eyes = [cameras[index].matrix_world.translation.copy() for index in some]
+    meshes = [_surfaces(item) for item in items]
+    points = np.concatenate([corners.reshape(-1, 3) for corners, *_ in meshes])
+    triangles = np.arange(len(points)).reshape(-1, 3).tolist()
+    tree = BVHTree.FromPolygons(points.tolist(), triangles, all_triangles=True)
+    for item, (corners, surface, polygon) in zip(items, meshes, strict=True):
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(normal, axis=1)
         order = np.lexsort((-area, surface))  # the largest triangles of each surface first
@@ -50,27 +47,30 @@ def face_cameras(scene: bpy.types.Scene, items: Sequence[bpy.types.Object]) -> N
             target, front = Vector(corners[triangle].mean(axis=0)), Vector(normal[triangle])
             for eye in eyes:
                 toward = target - eye
-                hit, end, *_ = scene.ray_cast(depsgraph, eye, toward)
-                if hit and (end - target).length < _ARRIVED * toward.length:
+                end, *_ = tree.ray_cast(eye, toward)
+                if end is not None and (end - target).length < _ARRIVED * toward.length:
                     votes[surface[triangle]] += 1 if front.dot(toward) < 0.0 else -1
-        turned = np.zeros(len(item.data.polygons), bool)
-        turned[polygon[votes[surface] < 0]] = True
+        turned = np.isin(np.arange(len(item.data.polygons)), polygon[votes[surface] < 0])
         if turned.any():
             _turn(item.data, turned)
+
+
+def _surfaces(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of T triangles of a mesh: corners (T, 3, 3) in the world, (T,) connected surface and (T,) polygon."""
+    loops, polygon = triangle_loops(item.data, False)
+    positions = world_positions(item)
+    _, place = np.unique(np.round(positions, 6), axis=0, return_inverse=True)
+    vertices = corner_vertices(item.data)[loops]
+    return positions[vertices], connected_triangles(place.ravel()[vertices]), polygon
 
 
 def _turn(mesh: bpy.types.Mesh, turned: np.ndarray) -> None:
     """Reverse polygons, (P,) bool, with their shading normals."""
     _, normals = ordered_normals(mesh)
-    sizes = np.empty(len(mesh.polygons), np.int32)
-    mesh.polygons.foreach_get("loop_total", sizes)
+    sizes = polygon_sizes(mesh)
     is_custom = mesh.has_custom_normals
-    bm = bmesh.new()
-    bm.from_mesh(mesh)
-    bm.faces.ensure_lookup_table()
-    bmesh.ops.reverse_faces(bm, faces=[bm.faces[index] for index in np.flatnonzero(turned).tolist()])
-    bm.to_mesh(mesh)
-    bm.free()
+    for index in np.flatnonzero(turned).tolist():
+        mesh.polygons[index].flip()
     if is_custom:  # the corners of a polygon follow each other before and after
         signs = np.repeat(np.where(turned, -1.0, 1.0), sizes)[:, None]
         restored = np.empty_like(normals)
