@@ -124,7 +124,7 @@ def hidden_names(scene):
 
 @pytest.mark.parametrize("with_holes", [False, True])
 def test_planes_and_patterns_go_on_behind_removed_furniture(tmp_path, monkeypatch, with_holes):
-    scene = make_room(tmp_path / "run", monkeypatch, 0.015, with_holes)
+    scene = make_room(tmp_path / "run", monkeypatch, 0.01, with_holes)
     names = api.remove_from_room([bpy.data.objects["chest"]])
     assert hidden_names(scene) == ["chest"] and len(names) == 2
     quality, area = signal_to_noise(scene)
