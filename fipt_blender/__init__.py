@@ -43,7 +43,7 @@ def register() -> None:
     except BaseException:
         unregister()
         raise
-    if bpy.app.module:  # as a module, Blender crashes or hangs at exit while classes are registered
+    if not bpy.app.binary_path:  # as a module, Blender crashes or hangs at exit while classes are registered
         atexit.register(unregister)
 
 
