@@ -10,7 +10,7 @@ import bpy
 import pytest
 
 from fipt_blender.blend.capture import other_cameras
-from fipt_blender.blend.capture.look import enter_camera, enter_room, stand_in_photograph
+from fipt_blender.blend.capture.look import enter_camera, enter_room, stand_in_photograph, view_spaces
 from fipt_blender.blend.marks import LOOKED_PAST, VIEW
 from samples.rendered_rooms import make_scene
 
@@ -126,3 +126,12 @@ def test_the_room_is_entered_through_a_held_back_view_unless_the_artist_has_chos
     orbit()
     enter_room(bpy.context, scene)
     assert scene.camera.name == HELD_BACK
+
+
+@pytest.mark.parametrize(("before", "after"), [("SOLID", "RENDERED"), ("WIREFRAME", "WIREFRAME")])
+def test_the_room_is_entered_in_its_light_unless_the_artist_has_chosen_another_shading(scene, before, after):
+    scene.render.engine = "CYCLES"
+    (space, *_) = view_spaces(bpy.context, scene)
+    space.shading.type = before
+    enter_room(bpy.context, scene)
+    assert space.shading.type == after

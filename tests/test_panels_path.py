@@ -75,7 +75,7 @@ def test_each_stage_shows_what_can_be_used_then():
 def test_after_results_the_tab_shows_a_dozen_buttons(applied, monkeypatch, shading):
     """Also with guide, photographs, and a lamp in doubt that was answered; none comes or goes with the shading."""
     monkeypatch.setattr(manual, "SITE", "https://docs.example/")
-    state = runstate.RunState(stages=5, results=True, finished=True, quality=(27.1, 29.4))
+    state = runstate.RunState(stages=5, results=True, finished=True, quality=27.1)
     monkeypatch.setattr(runstate, "known", lambda folder: state)
     applied.fipt.photographs.path = "/card"
     applied.fipt.capture.views.add().name = "a view"
@@ -87,8 +87,7 @@ def test_after_results_the_tab_shows_a_dozen_buttons(applied, monkeypatch, shadi
     assert len(count.buttons) <= 12 and len(count.settings) <= 8 and len(count.texts) <= 15, count
     shown = {"fipt.pick_part", "fipt.switch_lights", "fipt.add_light", "fipt.final_picture", "fipt.hint_on_lamp"}
     assert shown <= set(count.buttons)
-    assert "Held back: 27.1 dB (projection: 29.4 dB)" in " ".join(count.texts)
-    assert ("gray while Cycles loads" in " ".join(count.texts)) is (shading == "RENDERED")
+    assert "Differs from unseen photographs by 4.4% of white (27.1 dB)" in " ".join(count.texts)
 
 
 def test_online_access_is_explained_and_asked_for_where_it_is_needed(monkeypatch):

@@ -37,8 +37,8 @@ class RunState:
         versions: the estimates of the same capture, the newest first.
         warnings, error: warnings of the last run, and the error that ended it.
         pictures: the newest preview images.
-        quality: dB with which photographs that were held back are re-rendered from the results, and projected
-            from the others; None where the results were not judged.
+        quality: dB with which photographs that were held back are re-rendered from the results; None where the
+            results were not judged.
         missing: names of files that pictures of applied results in the open file name and that are not there.
     """
 
@@ -49,7 +49,7 @@ class RunState:
     warnings: tuple[Message, ...] = ()
     error: Message | None = None
     pictures: tuple[Path, ...] = ()
-    quality: tuple[float, float] | None = None
+    quality: float | None = None
     missing: tuple[str, ...] = ()
 
 
@@ -116,7 +116,7 @@ def look(run: RunFolder) -> RunState:
         warnings=tuple(warnings),
         error=error,
         pictures=pictures,
-        quality=None if quality is None else (quality["held_back_db"], quality["projection_db"]),
+        quality=None if quality is None else quality["held_back_db"],
         missing=tuple(missing_pictures()),
     )
 

@@ -149,8 +149,9 @@ def _draw_quality(layout: UILayout, state: runstate.RunState) -> None:
     """How well the results show photographs that were held back."""
     if state.quality is None:
         return
-    text = iface_("Held back: {:.1f} dB (projection: {:.1f} dB)").format(*state.quality)
-    draw_text(layout, text, icon="IMAGE_REFERENCE")
+    percent = 100.0 * 10.0 ** (-state.quality / 20.0)
+    text = iface_("Differs from unseen photographs by {:.1f}% of white ({:.1f} dB)")
+    draw_text(layout, text.format(percent, state.quality), icon="IMAGE_REFERENCE")
 
 
 def _draw_waiting(layout: UILayout, job: Job) -> None:

@@ -4,21 +4,15 @@
 
 from __future__ import annotations
 
-import time
-
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, PropertyGroup, UILayout
 
 from ..jobs import running, runstate
-from ..jobs.window import redraw
 from . import path, swatches
 from .job import draw_job, draw_warnings, job_warnings
 from .sidebar import draw_text, panel, rows
 
-_GRAY_SECONDS = 60.0  # that Cycles may need before a viewport's first picture: it compiles and loads textures
-# When each 3D view was first drawn in Rendered shading, in seconds of `time.monotonic`, by its address.
-_rendered: dict[int, float] = {}
 # The adjustments, and where they change nothing; of parts with mean values, sliders show the sums.
 _SLIDERS = {"roughness_offset": 0.0, "metallic_offset": 0.0, "hue": 0.0, "saturation": 1.0, "value": 1.0}
 _SUMS = {"roughness_offset": "roughness_value", "metallic_offset": "metallic_value"}
@@ -39,22 +33,8 @@ def FIPT_PT_materials(layout: UILayout, context: Context) -> None:
         text = iface_("{} pictures of the results are missing, such as {}").format(len(missing), missing[0])
         draw_text(layout, text, icon="ERROR", alert=True)
         layout.operator("file.find_missing_files", icon="VIEWZOOM")
-    if shading is not None and shading.type == "RENDERED" and context.scene.render.engine == "CYCLES":
-        _draw_loading(layout, context.space_data.as_pointer())
-    elif shading is not None:
-        _rendered.pop(context.space_data.as_pointer(), None)
     draw_job(layout, context, "materials")
     draw_warnings(layout, "materials", job_warnings(context, "materials"))
-
-
-def _draw_loading(layout: UILayout, view: int) -> None:
-    """That a view stays gray at first, for as long as it may: Blender tells nobody when its picture comes."""
-    if view not in _rendered:
-        _rendered[view] = time.monotonic()
-        bpy.app.timers.register(redraw, first_interval=_GRAY_SECONDS)
-    if time.monotonic() - _rendered[view] < _GRAY_SECONDS:
-        text = "The view stays gray while Cycles loads the room, the first time up to a minute."
-        draw_text(layout, iface_(text), icon="SORTTIME")
 
 
 @rows()

@@ -8,6 +8,7 @@ Buttons are found by moving the pointer over them and asking Blender which opera
 from __future__ import annotations
 
 import json
+import statistics
 import subprocess
 import time
 from collections.abc import Iterable
@@ -51,6 +52,14 @@ class Hand(Blender):
         """Write a picture of the screen as NAME.png."""
         # Blender's own pictures are black where nothing composes windows.
         subprocess.run(["import", "-window", "root", str(self.shots / f"{name}.png")], check=True)
+
+    def colors(self) -> float:
+        """Mean difference of a pixel's largest and smallest channel, of 255, in the middle of the 3D viewport."""
+        left, top, width, height = self.box(VIEW)
+        middle = f"{width // 4}x{height // 4}+{left + width * 3 // 8}+{top + height * 3 // 8}"
+        command = ["import", "-window", "root", "-crop", middle, "-depth", "8", "RGB:-"]
+        data = subprocess.run(command, check=True, capture_output=True).stdout
+        return statistics.mean(max(pixel) - min(pixel) for pixel in zip(*[iter(data)] * 3, strict=True))
 
     def event(self, kind: str, value: str, **more: Any) -> None:
         """A key, a button or a motion where the pointer is, by the names of `Window.event_simulate`."""

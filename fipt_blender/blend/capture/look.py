@@ -85,7 +85,7 @@ def enter_room(context: bpy.types.Context, scene: bpy.types.Scene) -> None:
         look_through(scene, views[0], context)
     culled = is_culled(scene)
     for space in spaces:
-        if space.shading.type in ("SOLID", "WIREFRAME"):  # in EEVEE the light of lamps' surfaces is missing
+        if space.shading.type == "SOLID":  # Blender's own; in EEVEE the light of lamps' surfaces is missing
             space.shading.type = "RENDERED" if scene.render.engine == "CYCLES" else "MATERIAL"
         space.shading.show_backface_culling = culled
 
