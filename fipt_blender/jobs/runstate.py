@@ -37,8 +37,8 @@ class RunState:
         versions: the estimates of the same capture, the newest first.
         warnings, error: warnings of the last run, and the error that ended it.
         pictures: the newest preview images.
-        quality: dB with which photographs that were held back are re-rendered from the results; None where the
-            results were not judged.
+        quality: dB with which photographs that were held back are re-rendered from the results; None where
+            these were not judged.
         missing: names of files that pictures of applied results in the open file name and that are not there.
     """
 

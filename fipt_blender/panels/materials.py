@@ -24,11 +24,9 @@ def FIPT_PT_materials(layout: UILayout, context: Context) -> None:
     column = layout.column()
     column.enabled = context.mode == "OBJECT"
     column.prop(context.scene.fipt.materials, "shown")
-    shading = getattr(context.space_data, "shading", None)
-    if shading is not None:
-        row = column.row()
-        row.use_property_split = False
-        row.prop_enum(shading, "type", "RENDERED", text="Preview Light")
+    row = column.row()
+    row.use_property_split = False
+    row.prop_enum(context.space_data.shading, "type", "RENDERED", text="Preview Light")
     if missing := runstate.known(context.scene.fipt.run_folder).missing:
         text = iface_("{} pictures of the results are missing, such as {}").format(len(missing), missing[0])
         draw_text(layout, text, icon="ERROR", alert=True)
@@ -69,10 +67,9 @@ def FIPT_PT_materials_parts(layout: UILayout, context: Context) -> None:
         draw_text(layout, text.format(part.roughness, part.metallic, part.pixels))
     else:
         draw_text(layout, iface_("No mean values for this part; {:,} faces").format(part.faces))
-    shading = getattr(context.space_data, "shading", None)
     changed = any(getattr(part, name) != neutral for name, neutral in _SLIDERS.items())
     changed |= part.known and part.color != part.base_color
-    if changed and shading is not None and shading.type == "SOLID":
+    if changed and context.space_data.shading.type == "SOLID":
         text = "Solid shading shows the textures without these changes. Use Material Preview or Rendered."
         draw_text(layout, iface_(text), icon="INFO")
 

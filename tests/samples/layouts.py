@@ -52,9 +52,9 @@ def drawn_by(panel: type) -> tuple[list[str], list[str]]:
     return layout.drawn, layout.properties
 
 
-def _context(shading: SimpleNamespace | None = None) -> SimpleNamespace:
-    """The open scene in a 3D view of a shading, or in none."""
-    space = None if shading is None else SimpleNamespace(shading=shading, as_pointer=lambda: 1)
+def _context() -> SimpleNamespace:
+    """The open scene in a 3D view."""
+    space = SimpleNamespace(shading=SimpleNamespace(type="SOLID"))
     return SimpleNamespace(
         scene=bpy.context.scene, space_data=space, mode="OBJECT", region=None, preferences=bpy.context.preferences
     )
@@ -71,12 +71,8 @@ class TabCount:
     texts: tuple[str, ...]
 
 
-def tab_count(shading: str = "SOLID") -> TabCount:
-    """Count what the tab FIPT shows of the open scene where the artist has opened and closed nothing, in headers, too.
-
-    Args:
-        shading: type of the 3D view's.
-    """
+def tab_count() -> TabCount:
+    """Count what the tab FIPT shows of the open scene where the artist has opened nothing, in headers, too."""
     panels = [
         panel
         for panel in panel_package.CLASSES
@@ -91,7 +87,7 @@ def tab_count(shading: str = "SOLID") -> TabCount:
 
     layout = Layout()
     for name, panel in shown.items():
-        drawing = (SimpleNamespace(layout=layout), _context(SimpleNamespace(type=shading)))
+        drawing = (SimpleNamespace(layout=layout), _context())
         parent = getattr(panel, "bl_parent_id", "")
         if not parent or is_open(parent):
             panel.draw_header_preset(*drawing)
