@@ -241,12 +241,6 @@ def simulate(kind: str, value: str, x: int, y: int, more: dict[str, Any]) -> Non
     at[-1].event_simulate(kind, value, x=x - at[-1].x, y=y - at[-1].y, **more)
 
 
-def settings(values: dict[str, Any]) -> None:
-    """Set preferences of Blender's interface, for instance `show_splash`."""
-    for name, value in values.items():
-        setattr(bpy.context.preferences.view, name, value)
-
-
 def close_window(area: str) -> None:
     """Close an editor's window, as a window manager's button would: the screen has no window manager."""
     with bpy.context.temp_override(window=_find(area, "WINDOW")["window"]):

@@ -45,8 +45,8 @@ def main() -> None:
     """Hide whatever would cover the window in pictures, and start the story's thread."""
     asked = json.loads(os.environ["FIPT_GUI"])
     told = chapters.Options(Path(asked["capture"]), Path(asked["engine"]), asked["fast"])
-    bpy.context.preferences.use_preferences_save = False
-    agent.settings({"show_splash": False, "show_tooltips": False})
+    preferences = bpy.context.preferences
+    preferences.use_preferences_save = preferences.view.show_splash = preferences.view.show_tooltips = False
     bpy.types.SpaceView3D.draw_handler_add(agent.count_redraw, (), "UI", "POST_PIXEL")
     window = Window(Path(asked["shots"]))
     threading.Thread(target=play, args=(window, told, asked["only"], asked["first"]), daemon=True).start()

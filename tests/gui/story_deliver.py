@@ -4,9 +4,7 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
-import time
 from pathlib import Path
 
 import agent
@@ -43,7 +41,7 @@ def deliver(window: Window, options: Options) -> None:
     window.ask(_save_in, str(folder), options.fast)
     window.open_section("Lights")  # what was open before does not count
     window.settle()
-    start, waited = window.presses, {}
+    start = window.presses
     window.click("fipt.switch_lights", on=False)
     window.tick("lights.lights[0].on", True)
     window.settle(10.0)
@@ -57,13 +55,12 @@ def deliver(window: Window, options: Options) -> None:
     window.wait(inside.objects, until=lambda names: len(set(names) - before) > 0)
     window.settle(10.0)
     window.shot("41_placed")
-    window.shot("42_render")
-    waited["final picture"] = _picture(window, "43_final_picture")
+    _picture(window, "43_final_picture")
     window.ask(_scale, 100)  # the example's photographs are small
     window.click("fipt.set_backdrop", mode="PHOTOGRAPH")
     window.settle()
     window.shot("44_over_the_photograph")
-    waited["over the photograph"] = _picture(window, "45_over_the_photograph")
+    _picture(window, "45_over_the_photograph")
     window.open_section("Materials", "Hand Off")
     window.click("fipt.collect_room")
     window.wait(agent.is_open, *_FILES)
@@ -75,9 +72,7 @@ def deliver(window: Window, options: Options) -> None:
     window.shot("47_collected")
     clicks = window.presses - start
     opened = _open_elsewhere(copy, window.shots.resolve() / "48_opened_elsewhere.png", window)
-    told = {"clicks": clicks, "seconds waited": waited, "missing images": opened}
-    (window.shots / "delivered.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
-    assert opened == "[]" and clicks <= _MOST_CLICKS, told
+    assert opened == "[]" and clicks <= _MOST_CLICKS, (opened, clicks)
 
 
 def _section(window: Window, *labels: str) -> None:
@@ -98,20 +93,17 @@ def _scale(percent: int) -> None:
     bpy.context.scene.render.resolution_percentage = percent
 
 
-def _picture(window: Window, name: str) -> float:
-    """Press Final Picture, wait for the window with it and close that; seconds waited."""
-    started = time.monotonic()
+def _picture(window: Window, name: str) -> None:
+    """Press Final Picture, wait for the window with it and close that."""
     before = window.ask(inside.picture)
     window.click("fipt.final_picture")
     picture = Path(window.wait(inside.picture, until=lambda now: now != before, seconds=_RENDER_SECONDS))
-    seconds = time.monotonic() - started
     assert picture.is_file() and picture.with_suffix(".exr").is_file(), picture
     window.wait(agent.is_open, *PICTURE)
     window.settle(5.0)
     window.shot(name)
     window.ask(agent.close_window, PICTURE[0])
     window.settle()
-    return round(seconds, 1)
 
 
 def _collected(folder: str) -> str:
