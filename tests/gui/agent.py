@@ -241,6 +241,11 @@ def simulate(kind: str, value: str, x: int, y: int, more: dict[str, Any]) -> Non
     at[-1].event_simulate(kind, value, x=x - at[-1].x, y=y - at[-1].y, **more)
 
 
+def viewport_samples(count: int) -> None:
+    """Set Cycles' samples of viewports."""
+    bpy.context.scene.cycles.preview_samples = count
+
+
 def close_window(area: str) -> None:
     """Close an editor's window, as a window manager's button would: the screen has no window manager."""
     with bpy.context.temp_override(window=_find(area, "WINDOW")["window"]):

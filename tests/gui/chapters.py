@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from window import Window
 
 _JOB_SECONDS = 600.0
+_FAST_SAMPLES = 4  # of viewports, with --fast: Cycles leaves the processor to the story afterwards
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,8 @@ def act(window: Window, options: Options, chapters: Iterable[Chapter]) -> None:
         if chapter.anew or (chapter.after and number == 0):
             window.ask(agent.open_file, str(window.shots / f"{chapter.after}.blend"))
             window.settle()
+        if options.fast:
+            window.ask(agent.viewport_samples, _FAST_SAMPLES)
         chapter.act(window, options)
         seconds, clicks = time.monotonic() - start, window.presses - presses
         print(f"{chapter.name}: {clicks} clicks, {seconds:.0f} s", file=sys.stderr, flush=True)
