@@ -30,6 +30,7 @@ def align(window: Window, options: Options) -> None:
     assert found["sights"] == list(_SIGHTS) and 0.0 <= found["error"] < 0.05, found
     for picked, corner in zip(found["points"], corners, strict=False):
         assert max(abs(a - b) for a, b in zip(picked, corner["point"], strict=True)) < 1e-3, found  # snapped
+    window.hover("fipt.align_by_pairs")
     window.shot("06_align_pairs")
     before = window.ask(inside.camera_places)
     window.click("fipt.align_by_pairs")
