@@ -7,7 +7,6 @@ Operators import it while Blender starts, so it imports heavier modules inside f
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
@@ -102,12 +101,12 @@ def applied_with_doubts(scene: bpy.types.Scene, run: RunFolder) -> None:
 
 
 def show_doubts(scene: bpy.types.Scene, run: RunFolder) -> None:
-    """List a run's questions and load their pictures."""
+    """List a run's questions; the panel reads their pictures anew."""
     from ..blend import previews
     from ..blend.hints.exchange import read_doubts
 
     read_doubts(scene, run)
-    previews.doubt_pictures.load([Path(doubt.picture) for doubt in scene.fipt.hints.doubts])
+    previews.doubt_pictures.clear()
 
 
 def chosen_settings(scene: bpy.types.Scene, run: RunFolder) -> Settings:

@@ -76,8 +76,7 @@ def draw_again(layout: UILayout, settings: PropertyGroup) -> None:
 def _draw_doubt(layout: UILayout, doubt: PropertyGroup) -> None:
     """The picture of a part, the question, and a button for each answer."""
     box = layout.box()
-    icon = doubt_pictures.icon(Path(doubt.picture))
-    if icon:
+    if icon := doubt_pictures.add(Path(doubt.picture)):
         box.template_icon(icon_value=icon, scale=7.0)
     row = box.row()
     row.label(text=doubt.text)

@@ -277,13 +277,15 @@ def _view() -> dict[str, Any]:
 
 
 def hints() -> dict[str, Any]:
-    """The hints, the engine's questions, and what the last estimate tells of its hints."""
+    """The hints, the engine's questions, the icon of the chosen one, and what the last estimate tells of its hints."""
     state = bpy.context.scene.fipt
+    doubt, pictures = state.hints.doubt(), ours("blend.previews").doubt_pictures
     statistics = Path(bpy.path.abspath(state.run_folder)) / "results" / "statistics.json"
     return {
         "hints": [
             {"object": hint.object and hint.object.name, "material": hint.material} for hint in state.hints.hints
         ],
         "questions": [doubt.text for doubt in state.hints.doubts],
+        "icon": pictures.icon(Path(doubt.picture)) if doubt else -1,
         "told": json.loads(statistics.read_text()).get("hints", []) if statistics.is_file() else [],
     }

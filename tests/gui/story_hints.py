@@ -14,6 +14,7 @@ _ENGINE_SECONDS = 500.0
 def hints(window: Window, options: Options) -> None:
     """Say of a clicked part that it is a metal, estimate again, and answer the first question."""
     window.open_section("Estimate", "Hints")
+    assert window.ask(inside.hints)["icon"]  # also in a file that was opened
     window.shot("32_hints_empty")
     window.click("fipt.add_hint", what="PART")
     window.point_in_view(0.45, 0.35)
