@@ -14,12 +14,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
-from PIL.TiffImagePlugin import IFDRational
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from fipt_blender.core.capture.images import read_radiance
+from samples.photographs import exif, write_jpeg
 
 VIEWS = 6
 STOPS = (-3.0, 0.0, 3.0)  # relative to an exposure in which the median pixel is at a fifth of white
@@ -51,20 +51,12 @@ def main(capture: Path, out: Path) -> None:
 
 def write_bracket(folder: Path, index: int, radiance: np.ndarray) -> None:
     """The exposures of one view as JPEG with EXIF, one second apart."""
-    folder.mkdir(parents=True, exist_ok=True)
     unit = MIDDLE / 0.5  # the same for all views: the example's median radiance is near a half
     for place, stops in enumerate(STOPS):
         values = np.clip(radiance * unit * 2.0**stops, 0.0, 1.0) ** (1.0 / 2.2)
-        seconds = index * _APART + place
-        tags = Image.Exif()
-        tags[0x010F], tags[0x0110] = "Example", "Room"
-        inner = tags.get_ifd(0x8769)
-        inner[0x829A] = IFDRational(1, round(15 * 2.0**-stops)) if stops <= 0 else IFDRational(8, 15)
-        inner[0x829D], inner[0x8827] = IFDRational(8, 1), 100
-        inner[0x9003] = f"2026:05:01 12:{seconds // 60:02d}:{seconds % 60:02d}"
         name = f"IMG_{FIRST + len(STOPS) * index + place}.jpg"
         pixels = np.round(255.0 * values).astype(np.uint8)
-        Image.fromarray(pixels).save(folder / name, quality=95, exif=tags)
+        write_jpeg(folder / name, pixels, exif(2.0**stops / 15.0, index * _APART + place))
 
 
 if __name__ == "__main__":
