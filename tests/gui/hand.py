@@ -171,11 +171,12 @@ class Hand(Blender):
         if where == SIDEBAR:
             width -= round(TABS * scale)
         unit = UNIT * scale
+        edge = round(unit) if where == SIDEBAR else 4  # at which Blender resizes the region
         columns = [width * 0.66, width * 0.3]
         columns += [width - unit * (0.9 + n) for n in range(4)] + [unit * (1.0 + n) for n in range(3)]
         columns += [width * 0.5, width * 0.8]
         for column in columns:
-            for y in range(top + 4, top + height - 4, round(unit * 0.75)):  # the lowest buttons have 0.8
+            for y in range(top + 4, top + height - edge, round(unit * 0.75)):  # the lowest buttons have 0.8
                 place = (left + round(column), y)
                 self.move(*place)
                 report = self.under(where)
