@@ -28,12 +28,10 @@ def counts() -> dict[str, int]:
     return {
         "objects": len(scene.objects),
         "cameras": sum(item.type == "CAMERA" for item in scene.objects),
-        "lights": sum(item.type == "LIGHT" for item in scene.objects),
         "views": len(capture.views),
         "held_back": sum(view.split == "held_back" for view in capture.views),
         "room": len(capture.room_objects(scene)),
         "checked": sum(view.checked for view in capture.views),
-        "fixtures": len(scene.fipt.lights.lights),
     }
 
 
