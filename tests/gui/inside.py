@@ -205,7 +205,7 @@ def emission_strengths(name: str) -> list[float]:
 
 def picture() -> str:
     """The file of the last picture, "" before the first one."""
-    return str(ours("insert.picture"))
+    return bpy.context.scene.fipt.insert.picture
 
 
 def change(before: str, after: str) -> float:
