@@ -135,12 +135,13 @@ class Hand(Blender):
             self.move(*place)
             if found := _matches(self.under(where), target, values):
                 return found
-        if found := self._scan(where, target, values):
-            return found
-        for page in self._pages(where):
-            del page
-            if found := self._scan(where, target, values):
+        for wide in (True, False):  # few buttons are narrow
+            if found := self._scan(where, target, values, wide):
                 return found
+            for page in self._pages(where):
+                del page
+                if found := self._scan(where, target, values, wide):
+                    return found
         raise Lost(f"no button {target} {values or ''} in {where}")
 
     def extent(self, path: str, where: Where, axis: int) -> tuple[int, int]:
@@ -164,18 +165,16 @@ class Hand(Blender):
             self.under(where)
         return ends[0], ends[1]
 
-    def _scan(self, where: Where, target: str, values: dict[str, Any]) -> str:
-        """Move over a region column by column until the target lies under the pointer."""
+    def _scan(self, where: Where, target: str, values: dict[str, Any], wide: bool) -> str:
+        """Move over a region column by column until the target, wide or narrow, lies under the pointer."""
         left, top, width, height = self.box(where)
         scale = self.scale()
         if where == SIDEBAR:
             width -= round(TABS * scale)
         unit = UNIT * scale
         edge = round(unit) if where == SIDEBAR else 4  # at which Blender resizes the region
-        columns = [width * 0.66, width * 0.3]
-        columns += [width - unit * (0.9 + n) for n in range(4)] + [unit * (1.0 + n) for n in range(3)]
-        columns += [width * 0.5, width * 0.8]
-        for column in columns:
+        narrow = [width - unit * (0.9 + n) for n in range(4)] + [unit * (1.0 + n) for n in range(3)]
+        for column in (width * 0.66, width * 0.3) if wide else (*narrow, width * 0.5, width * 0.8):
             for y in range(top + 4, top + height - edge, round(unit * 0.75)):  # the lowest buttons have 0.8
                 place = (left + round(column), y)
                 self.move(*place)
