@@ -135,9 +135,9 @@ class Hand(Blender):
             self.move(*place)
             if found := _matches(self.under(where), target, values):
                 return found
+        if found := self._scan(where, target, values, True) or self._scan(where, target, values, False):
+            return found
         for wide in (True, False):  # few buttons are narrow
-            if found := self._scan(where, target, values, wide):
-                return found
             for page in self._pages(where):
                 del page
                 if found := self._scan(where, target, values, wide):
