@@ -20,7 +20,7 @@ _SIDEBAR = (0.66, 0.03, 0.85, 0.75)
 _ALL = (0.0, 0.0, 1.0, 1.0)
 # The shots of each picture, side by side, and the part of the screen.
 PICTURES = {
-    "guide_panel": (("03_start", "04_capture_imported", "12_materials", "16_lights"), _SIDEBAR),
+    "guide_panel": (("03_start", "04_capture_closed", "12_materials", "16_lights"), _SIDEBAR),
     "guide_preferences": (("02_preferences_before", "03_preferences_after"), _ALL),
     "guide_photographs": (("03_photographs_found", "03_photographs_split", "03_photographs_prepared"), _SIDEBAR),
     "guide_capture": (("05_capture_view", "06_capture_coverage"), _VIEW),
