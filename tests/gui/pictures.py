@@ -14,14 +14,14 @@ from pathlib import Path
 from PIL import Image
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
-_WIDTH, _QUALITY = 1000, 75  # pixels, percent
-_VIEW = (0.0, 0.03, 0.85, 0.97)  # left, top, right, bottom: 3D viewport and sidebar, shares of the screen
-_SIDEBAR = (0.66, 0.03, 0.85, 0.75)
-_ALL = (0.0, 0.0, 1.0, 1.0)
+_WIDTH, _GAP, _QUALITY = 1400, 12, 75  # pixels, pixels between pictures, percent
+_VIEW = (0.0, 0.03, 0.826, 0.902)  # left, top, right, bottom: 3D viewport and sidebar, shares of the screen
+_SIDEBAR = (0.649, 0.09, 0.826, 0.78)
+_PREFERENCES = (0.075, 0.296, 0.506, 0.9)
 # The shots of each picture, side by side, and the part of the screen.
 PICTURES = {
     "guide_panel": (("03_start", "04_capture_closed", "12_materials", "16_lights"), _SIDEBAR),
-    "guide_preferences": (("02_preferences_before", "03_preferences_after"), _ALL),
+    "guide_preferences": (("02_preferences_before", "03_preferences_after"), _PREFERENCES),
     "guide_photographs": (("03_photographs_found", "03_photographs_split", "03_photographs_prepared"), _SIDEBAR),
     "guide_capture": (("05_capture_view", "06_capture_coverage"), _VIEW),
     "guide_align": (("06_align_photograph", "06_align_pairs"), _VIEW),
@@ -30,7 +30,7 @@ PICTURES = {
     "guide_hints": (("33_hints_answered",), _VIEW),
     "guide_materials": (("12_materials", "13_show_base_color"), _VIEW),
     "guide_lights": (("40_one_lamp",), _VIEW),
-    "guide_insert": (("45_over_the_photograph",), _ALL),
+    "guide_insert": (("45_over_the_photograph",), _VIEW),
 }
 
 
@@ -54,11 +54,9 @@ def cut(image: Image.Image, box: tuple[float, ...]) -> Image.Image:
 
 def beside(images: list[Image.Image]) -> Image.Image:
     """Pictures of one size side by side, `_WIDTH` wide at most."""
-    row = Image.new("RGB", (sum(image.width for image in images), images[0].height))
-    left = 0
-    for image in images:
-        row.paste(image, (left, 0))
-        left += image.width
+    row = Image.new("RGB", (sum(image.width + _GAP for image in images) - _GAP, images[0].height), "white")
+    for index, image in enumerate(images):
+        row.paste(image, (index * (image.width + _GAP), 0))
     row.thumbnail((_WIDTH, _WIDTH))
     return row
 
