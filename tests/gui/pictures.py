@@ -17,7 +17,7 @@ IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 _WIDTH, _GAP, _QUALITY = 1400, 12, 75  # pixels, pixels between pictures, percent
 _VIEW = (0.0, 0.03, 0.826, 0.902)  # left, top, right, bottom: 3D viewport and sidebar, shares of the screen
 _SIDEBAR = (0.649, 0.09, 0.826, 0.78)
-_PREFERENCES = (0.075, 0.296, 0.506, 0.9)
+_PREFERENCES = (0.075, 0.296, 0.506, 0.886)
 # The shots of each picture, side by side, and the part of the screen.
 PICTURES = {
     "guide_panel": (("03_start", "04_capture_closed", "12_materials", "16_lights"), _SIDEBAR),

@@ -41,9 +41,10 @@ def light_states(window: Window, options: Options) -> None:
 def menus(window: Window, options: Options) -> None:
     """The pie menu on its key, the menu search, and the shortcut in the preferences."""
     window.point_in_view(0.45, 0.5)
-    window.key("shift+alt+F")
+    window.event("F", "PRESS", shift=True, alt=True)  # which holds the menu open
     window.settle()
     window.shot("33_pie")
+    window.event("F", "RELEASE", shift=True, alt=True)
     window.key("ESC")
     window.point_in_view(0.45, 0.5)
     window.search("Exposure from Photographs")
