@@ -301,6 +301,7 @@ def insert(window: Window, options: Options) -> None:
     assert Path(picture).is_file(), picture
     change = window.ask(inside.change, rendered, picture)
     assert change > 0.05, change
+    window.ask(agent.close_window, PICTURE[0])
     window.shot("20_relit_panel")
     window.click("fipt.open_picture")
     window.wait(agent.is_open, *PICTURE)
