@@ -61,7 +61,7 @@ def deliver(window: Window, options: Options) -> None:
     window.settle()
     window.shot("44_over_the_photograph")
     _picture(window, "45_over_the_photograph")
-    window.open_section("Materials", "Hand Off")
+    _section(window, "Materials", "Hand Off")
     window.click("fipt.collect_room")
     window.wait(agent.is_open, *_FILES)
     window.settle()
