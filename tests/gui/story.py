@@ -103,7 +103,8 @@ def _assert_inside(window: Window, split: str) -> None:
     assert seen == {"split": split, "shading": "RENDERED"}, seen
     end = time.monotonic() + _FIRST_PICTURE_SECONDS
     while window.colors() < _COLORED:
-        assert time.monotonic() < end, "the 3D view stays gray"
+        if time.monotonic() > end:
+            raise agent.Lost("the 3D view stays gray")
         time.sleep(0.5)
 
 
