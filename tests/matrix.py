@@ -3,7 +3,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Run the tests of the pure-Blender part on each supported Blender: python3 tests/matrix.py [VERSION ...]
 
-Each version gets a small environment below out/matrix/, with bpy and without the engine's packages.
+Each version gets a small environment below out/matrix/, with bpy and of the engine what baking textures needs. Where
+Mitsuba finds no LLVM that works, set DRJIT_LIBLLVM_PATH.
 Python 3.11 and 3.13 must be there (on the search path, from pyenv, or named: --python 3.13=PATH).
 """
 
@@ -27,9 +28,8 @@ from fipt_blender.bridge.pins import read_pins  # noqa: E402
 # bpy by version, and the Python that it is built for; 4.2 is the oldest that is supported.
 VERSIONS = {"4.2.23": "3.11", "4.5.15": "3.11", "5.0.1": "3.11", "5.2.3": "3.13"}
 # What the tests need besides bpy; the versions are those pinned for the engine.
-PACKAGES = ("numpy", "OpenEXR", "OpenImageIO", "exifread", "pillow", "jinja2", "psutil", "pytest")
-# Sockets, colour spaces, exported files, UVs, cameras, write-back, revert: these import none of the engine's
-# packages.
+PACKAGES = "numpy scipy drjit mitsuba OpenEXR OpenImageIO exifread pillow jinja2 psutil pytest".split()
+# Sockets, colour spaces, exported files, UVs, cameras, write-back, revert.
 TESTS = (
     "test_blend_atlas.py",
     "test_blend_capture.py",
