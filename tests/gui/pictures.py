@@ -31,7 +31,6 @@ PICTURES = {
     "guide_hints": (("33_hints_answered",), _VIEW),
     "guide_materials": (("12_materials", "13_show_base_color"), _VIEW),
     "guide_lights": (("40_one_lamp",), _VIEW),
-    "guide_insert": (("45_over_the_photograph",), _PICTURE),
 }
 
 
