@@ -18,7 +18,6 @@ _WIDTH, _GAP, _QUALITY = 1400, 12, 75  # pixels, pixels between pictures, percen
 _VIEW = (0.0, 0.03, 0.826, 0.902)  # left, top, right, bottom: 3D viewport and sidebar, shares of the screen
 _SIDEBAR = (0.649, 0.09, 0.826, 0.78)
 _PREFERENCES = (0.075, 0.296, 0.506, 0.886)
-_PICTURE = (0.069, 0.085, 0.931, 0.945)
 # The shots of each picture, side by side, and the part of the screen.
 PICTURES = {
     "guide_panel": (("03_start", "04_capture_closed", "12_materials", "16_lights"), _SIDEBAR),
