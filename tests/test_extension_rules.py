@@ -123,7 +123,7 @@ def test_it_writes_into_the_users_folder_alone_and_is_offline(archive: zipfile.Z
         command, env=environment, capture_output=True, text=True, timeout=PATIENCE_SECONDS, cwd=tmp_path
     )
     assert ended.returncode == 0, ended.stderr
-    answer = json.loads(ended.stdout.splitlines()[-1])
+    answer = json.loads(next(line for line in ended.stdout.splitlines() if line.startswith("{")))
     assert answer["connected"] == [] and answer["online"] is answer["may_set_up"] is False
     allowed = (str(data), os.devnull)
     assert any(path.startswith(str(data)) for path in answer["written"])

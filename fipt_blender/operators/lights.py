@@ -198,7 +198,7 @@ def save_light_state(
 ) -> None:
     """Save the power, color and switch of all lights and of the environment under a name."""
     from ..blend.lights import light_states
-    from ..core.run.parts import free_name
+    from ..core.run.names import free_name
 
     settings = scene.fipt.lights
     entry = settings.states.get(name) if name else None

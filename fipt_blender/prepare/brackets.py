@@ -24,7 +24,7 @@ from ..core.capture.encoded import CLIPPED_CODE
 from ..core.capture.images import open_picture
 from ..core.run.contents import Problem
 from ..core.run.errors import FiptError, problem
-from ..core.run.parts import free_name
+from ..core.run.names import free_name
 from .exif import DAMAGE
 from .frames import linear_frame, load
 from .motion import LEAST_OVERLAP, grey, log_values, measure, warped

@@ -17,7 +17,7 @@ from ..core.run.declared import Option, converted
 from ..core.run.documents import read_document
 from ..core.run.errors import FiptError
 from ..core.run.kinds import SOME, FileName, Number, Pixels, choice
-from ..core.run.parts import free_name
+from ..core.run.names import free_name
 from ..core.run.paths import is_network, leads_outside
 from ..core.run.runfolder import write_json
 from ..core.run.shapes import MOST_SIDE

@@ -15,7 +15,7 @@ _MODULES = {
     *("core", "core.capture", "core.capture.suffixes", "prepare", "prepare.preparation"),
     *("core.run", "core.run.documents", "core.run.errors", "core.run.kinds", "core.run.paths", "core.run.runfolder"),
     *("core.capture.options", "core.run.declared", "core.run.settings", "core.run.stage_settings"),
-    *("core.run.shapes", "jobs", "jobs.job_scene", "jobs.running", "jobs.files"),
+    *("core.run.names", "core.run.shapes", "jobs", "jobs.job_scene", "jobs.running", "jobs.files"),
     *("jobs.runstate", "jobs.session", "jobs.setup_size", "jobs.tasks", "jobs.window"),
 }
 _HEAVY = {

@@ -19,7 +19,8 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ...core.report.fixture_names import fixture_names
-from ...core.run.parts import RoomParts, free_name
+from ...core.run.names import free_name
+from ...core.run.parts import RoomParts
 from ...core.run.result_contents import EmitterFixture
 from ...core.run.run_files import RoomMesh
 from ..marks import (

@@ -17,7 +17,8 @@ import numpy as np
 
 from ...bridge.step import Slices
 from ...core.run.errors import FiptError
-from ...core.run.parts import free_name, read_parts
+from ...core.run.names import free_name
+from ...core.run.parts import read_parts
 from ...core.run.result_contents import AtlasImage, AtlasImages
 from ...core.run.run_files import AtlasArrays, Resolution, RoomMesh, read_room
 from ...core.run.runfolder import RunFolder, write_json

@@ -26,7 +26,7 @@ from ..run.kinds import as_matrix
 from ..run.light_size import refuse_full_disk
 from ..run.made import Made, file_state, folder_states
 from ..run.messages import Reporter
-from ..run.parts import free_name
+from ..run.names import free_name
 from ..run.paths import is_network
 from ..run.replacing import atomic_folder
 from ..run.runfolder import RunFolder, write_json

@@ -13,7 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from ..run.parts import RoomParts, free_name, read_parts
+from ..run.names import free_name
+from ..run.parts import RoomParts, read_parts
 from ..run.run_files import read_room
 from ..run.runfolder import RunFolder
 

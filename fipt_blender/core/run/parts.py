@@ -7,13 +7,13 @@ Needs numpy alone.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .documents import read_document
+from .names import free_name
 from .result_contents import PartList, RoomPart
 from .run_files import PartArrays
 from .runfolder import RunFolder
@@ -101,16 +101,3 @@ def unique_names(names: Sequence[str]) -> list[str]:
     for name in names:
         taken[free_name(name, taken)] = None
     return list(taken)
-
-
-def free_name(name: str, taken: Collection[str], joint: str = " ", key: Callable[[str], str] = str) -> str:
-    """The name, followed by 2, 3, ... where it is taken.
-
-    Args:
-        name: the name.
-        taken: names by `key`.
-        joint: before the number.
-        key: `str.casefold` of files, since some systems do not distinguish capitals.
-    """
-    numbered = itertools.chain([name], (f"{name}{joint}{number}" for number in itertools.count(2)))
-    return next(each for each in numbered if key(each) not in taken)
