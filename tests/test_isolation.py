@@ -30,8 +30,8 @@ SHARED = """
     alignment.pairs alignment.sights alignment.turns capture.averaging capture.files capture.mesh_file
     capture.options capture.suffixes
     conventions device.cuda optics.factorised run.contents run.declared run.documents run.errors run.hints
-    run.kinds run.light_size run.lock run.made run.messages run.method run.names run.parts run.paths run.process_identity
-    run.result_contents run.run_files run.runfolder run.settings run.shapes run.stage_settings
+    run.kinds run.light_size run.lock run.made run.messages run.method run.names run.parts run.paths
+    run.process_identity run.result_contents run.run_files run.runfolder run.settings run.shapes run.stage_settings
     run.store run.versions report.comparison report.fixture_names textures.raster textures.write_back
 """.split()
 SHARED_MODULES = (*(f"core.{name}" for name in SHARED), *("prepare.facts", "prepare.preparation"))
