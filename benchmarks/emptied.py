@@ -16,6 +16,7 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -31,7 +32,6 @@ from fipt_blender.core.capture.images import read_ids, read_radiance  # noqa: E4
 from fipt_blender.core.report.comparison import tone_mapped  # noqa: E402
 
 WIDTH, HEIGHT, SAMPLES = 192, 128, 64
-BOX = "Removed"  # name of the empty around furniture
 
 
 @dataclass(frozen=True)
@@ -86,13 +86,16 @@ def picture() -> np.ndarray:
     return render_pixels(bpy.context.scene, RenderOptions(SAMPLES))
 
 
+def named(case: Case) -> list[bpy.types.Object]:
+    """The objects of a case's names, in whose place the example's model has spaces."""
+    return [item for item in bpy.data.objects if item.name.replace(" ", "_") in case.objects]
+
+
 def furniture(case: Case) -> dict[bpy.types.Object, np.ndarray]:
     """(faces,) bool of each object that has some: all faces of a case's objects, or those in its box."""
-    found = {}
-    for item in bpy.data.objects:
-        if item.type == "MESH" and item.name.replace(" ", "_") in case.objects:
-            found[item] = np.ones(len(item.data.polygons), bool)
-        elif item.type == "MESH" and case.box:
+    found = {item: np.ones(len(item.data.polygons), bool) for item in named(case)}
+    for item in bpy.context.scene.objects if case.box else ():
+        if item.type == "MESH":
             points = np.array([item.matrix_world @ vertex.co for vertex in item.data.vertices])
             inside = ((points > case.box[0]) & (points < case.box[1])).all(axis=1)
             found[item] = np.array([inside[list(face.vertices)].all() for face in item.data.polygons])
@@ -123,12 +126,11 @@ def emptied(run: Path, case: Case) -> tuple[np.ndarray, np.ndarray, list[str]]:
     before, box = picture(), None
     if case.box:
         low, high = map(np.array, case.box)
-        box = bpy.data.objects.new(BOX, None)
+        box = bpy.data.objects.new("Removed", None)
         box.empty_display_type, box.location, box.scale = "CUBE", (low + high) / 2.0, (high - low) / 2.0
         bpy.context.scene.collection.objects.link(box)
         bpy.context.view_layer.update()
-    named = [item for item in bpy.data.objects if item.name.replace(" ", "_") in case.objects]
-    surfaces = api.remove_from_room(named, box)
+    surfaces = api.remove_from_room(named(case), box)
     return before, picture(), surfaces
 
 
@@ -210,16 +212,12 @@ def main() -> None:
 
     fipt_blender.register()
     options.out.mkdir(parents=True, exist_ok=True)
-    scene = options.scene and options.scene.resolve()
-    for name, case in (CAPTURES[scene.name] if scene else EXAMPLE).items():
+    cases = EXAMPLE
+    build = partial(make_room.build_room, 1, options.out / "textures", thin=False)  # examples/room's seed
+    if options.scene:
+        cases, build = CAPTURES[options.scene.name], partial(build_capture, options.scene)
+    for name, case in cases.items():
         before, after, surfaces = emptied(options.run.resolve(), case)
-
-        def build() -> None:
-            if scene:
-                build_capture(scene)
-            else:
-                make_room.build_room(1, options.out / "textures", thin=False)  # the seed of examples/room
-
         whole, empty, region = truth(case, build)
         np.savez(
             options.out / f"{name}.npz", before=before, after=after, whole=whole, empty=empty, region=region

@@ -95,7 +95,7 @@ AREA = "fipt_area"  # on a hint's property group: centers of the area's triangle
 # --- names of nodes that more than one module uses ---------------------------------------------------------
 OUTPUT = "FIPT Output"  # material output of our materials
 PRINCIPLED = "FIPT Principled"
-MAP = "FIPT {}"  # texture node of a map, by the map's label
+MAP = "FIPT {}"  # texture or attribute node of a map, and the colour attribute itself, by the map's label
 FRONT, BACKSIDE = "FIPT Front", "FIPT Back"  # emission of a fixture's two sides
 BACKGROUND = "FIPT Background"  # our world's background shader
 MAPPING = "FIPT Mapping"  # our world's rotation

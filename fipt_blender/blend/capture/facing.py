@@ -12,11 +12,11 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 from mathutils import Vector
-from mathutils.bvhtree import BVHTree
 
 from ..marks import all_view_cameras
 from ..room.islands import connected_triangles
 from ..room.mesh_arrays import corner_vertices, polygon_sizes, triangle_loops, world_positions
+from ..room.rays import corner_tree
 from .mesh_import import ordered_normals
 
 # Cameras, and triangles of a surface and of a mesh, between which rays are cast, at most.
@@ -33,9 +33,7 @@ def face_cameras(scene: bpy.types.Scene, items: Sequence[bpy.types.Object]) -> N
     some = np.unique(np.linspace(0, len(cameras) - 1, _EYES).astype(int)).tolist()
     eyes = [cameras[index].matrix_world.translation.copy() for index in some]
     meshes = [_surfaces(item) for item in items]
-    points = np.concatenate([corners.reshape(-1, 3) for corners, *_ in meshes])
-    triangles = np.arange(len(points)).reshape(-1, 3).tolist()
-    tree = BVHTree.FromPolygons(points.tolist(), triangles, all_triangles=True)
+    tree = corner_tree(np.concatenate([corners for corners, *_ in meshes]))
     for item, (corners, surface, polygon) in zip(items, meshes, strict=True):
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(normal, axis=1)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
-from mathutils.bvhtree import BVHTree
 
 from ..image_datablocks import image_values, linear_values
 from ..marks import FILLED, MAP
@@ -27,6 +26,7 @@ from ..room.mesh_arrays import (
     triangle_loops,
     world_positions,
 )
+from ..room.rays import corner_tree
 from ..room.uv_layer import UV_LAYER
 from .completion import grown
 from .materials import slot_estimates
@@ -41,7 +41,7 @@ _THICKNESS = 0.015  # metres from a plane within which surfaces belong to it; tw
 _LEAST_SHARE = 0.03  # of the rays' hits on a plane that is looked at
 _MOST_PLANES = 8
 # Cells beside what was hidden whose estimate has errors: mixed pixels, light from the furniture. With 2,
-# their blotches go on behind it, which costs 2 dB in two of four places.
+# their blotches go on behind it, which costs 2 dB in two of six places.
 _WORN = 8
 
 
@@ -71,8 +71,7 @@ class Room:
             found.append((corners, uv[loops], slot + len(self.materials), filled))
             self.materials += slot_estimates(mesh) or [None]
         self.corners, self._uvs, self.slot, self.filled = map(np.concatenate, zip(*found, strict=True))
-        triangles = np.arange(3 * len(self.corners)).reshape(-1, 3).tolist()
-        self._tree = BVHTree.FromPolygons(self.corners.reshape(-1, 3).tolist(), triangles, all_triangles=True)
+        self._tree = corner_tree(self.corners)
         self._pixels: dict[str, np.ndarray] = {}
 
     def cast(

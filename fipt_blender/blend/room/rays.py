@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ray queries against the exported room."""
+"""Ray queries against the exported room and other triangles."""
 
 from __future__ import annotations
 
@@ -13,6 +13,12 @@ from ...core.run.run_files import RoomMesh
 
 # (origin (3,), unit direction (3,)) -> (point (3,), normal (3,)) of the first surface, or None.
 Cast = Callable[[np.ndarray, np.ndarray], "tuple[np.ndarray, np.ndarray] | None"]
+
+
+def corner_tree(corners: np.ndarray) -> BVHTree:
+    """A tree of T triangles by their corners (T, 3, 3)."""
+    triangles = np.arange(3 * len(corners)).reshape(-1, 3).tolist()
+    return BVHTree.FromPolygons(corners.reshape(-1, 3).tolist(), triangles, all_triangles=True)
 
 
 def make_cast(room: RoomMesh) -> Cast:

@@ -19,7 +19,7 @@ from ..run.chain import Chain, Given, Stage
 from ..run.errors import FiptError
 from ..run.hints import hints_digest, light_changes, read_hints, references
 from ..run.light_size import LightPlan, light_plan, refuse_full_disk
-from ..run.made import content_digest, file_state
+from ..run.made import content_digest, file_stamp
 from ..run.messages import Reporter
 from ..run.method import digest
 from ..run.per_view import Workers
@@ -114,7 +114,7 @@ def input_key(folder: RunFolder, settings: Settings, views: Sequence[View]) -> s
     Of photographs size and time of change are hashed: reading all of them takes too long.
     """
     content = content_digest(folder.capture_json, folder.room_npz, folder.room_json)
-    states = [file_state(path).rsplit("|", 2)[1:] for view in views for path in view.files]
+    states = [file_stamp(path) for view in views for path in view.files]
     read = [asdict(chosen(settings, RoomSettings)), asdict(chosen(settings, ViewSettings))]
     return digest(content, states, *read, settings.device)
 

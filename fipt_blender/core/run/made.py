@@ -93,9 +93,15 @@ def folder_states(path: Path | None, exclude: Path) -> list[str]:
 
 
 def file_state(file: Path | None) -> str:
-    """Name, size and time of change of a file; None or missing: "", for a link's target may come and go."""
+    """Name, size and time of change of a file; None or missing: ""."""
+    stamp = file_stamp(file)
+    return stamp and f"{file}|{stamp}"
+
+
+def file_stamp(file: Path | None) -> str:
+    """Size and time of change of a file; None or missing: "", for a link's target may come and go."""
     try:
         status = None if file is None else file.stat()
     except (OSError, ValueError):  # also names that no file can have
         status = None
-    return "" if status is None else f"{file}|{status.st_size}|{status.st_mtime_ns}"
+    return "" if status is None else f"{status.st_size}|{status.st_mtime_ns}"
