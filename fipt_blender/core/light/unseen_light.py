@@ -52,7 +52,7 @@ KNOWN_POINTS = 4  # one of so many pixels is added of surfaces of known albedo, 
 LAMP_SAMPLES = SampleCounts(16, 0, 64)  # of the light of presumed lamps at each
 # Relative error of the inferred part of the light beside its covariance: root mean square of five rooms.
 MODEL_ERROR = 0.3
-GAIN = 3.0  # least logarithm of the likelihood of points held back
+GAIN = 3.0  # least gain of points held back, in standard errors
 # Rays to unseen places closer than a source is wide, and pixels that send them.
 CLOSE_RAYS, MAX_CLOSE = 64, 20_000
 # A source is a lamp or a window if it is brighter than the room's median light by this factor.
@@ -272,7 +272,8 @@ def find_sources(
     albedo = np.empty((int(group.max()) + 1, 3))
     albedo[group] = base_color[np.asarray(pixels.triangle[where])]
     points, expected = landed.transport(logs, group, albedo), landed.expectation(cells)
-    if held_back_gain(points, expected, np.random.default_rng([seed, 24])) < GAIN:
+    block = numbered([*np.floor(lit[0] / cells.size).astype(np.int64).T])
+    if held_back_gain(points, expected, block, np.random.default_rng([seed, 24])) < GAIN:
         return None
     light, width = solve_sources(points, expected), np.full(len(chosen), FINER)
     while (finer := landed.divided(cells, points, expected, light, width)) is not None:
