@@ -99,7 +99,7 @@ class Sources:
         points: N of them, with `position` and `normal` (N, 3), and `pixel`: (N,) int64 that shows each.
         expected, light: what was expected of the sources, and what was found.
         entries: (E,) int64 cache entries of unseen surfaces, of_entry: (E,) their source.
-        cells: that the sources consist of. of_hull: (C,) source of those of the hull, -1 without.
+        cells: F that the sources consist of. of_cell: (F,) source of each, -1 without.
         place, toward: (K, 3) mean place, metres, and mean unit direction of the rays that land there.
         width: (K,) metres. side: (K,) to which each shines, as of cache entries.
         looks: (S, 3) cameras and (S, 3) what pixels of theirs see: there is nothing between them.
@@ -114,7 +114,7 @@ class Sources:
     entries: np.ndarray
     of_entry: np.ndarray
     cells: Cells
-    of_hull: np.ndarray
+    of_cell: np.ndarray
     place: np.ndarray
     toward: np.ndarray
     width: np.ndarray
@@ -124,7 +124,8 @@ class Sources:
     def environment(self, before: Environment | None, width: int) -> Environment:
         """What was observed outside, with the light of the sources; `width`: of a new map in pixels."""
         radiance = self.light.radiance.astype(np.float32)
-        table = np.where((self.of_hull >= 0)[:, None], radiance[self.of_hull], -1.0).astype(np.float32)
+        of_hull = self.of_cell[: len(self.cells.hull.radiance)]
+        table = np.where((of_hull >= 0)[:, None], radiance[of_hull], -1.0).astype(np.float32)
         hull = replace(self.cells.hull, radiance=table)
         if before is None:
             shape = (width // 2, width)
@@ -133,7 +134,7 @@ class Sources:
         ways = equirect_pixel_directions(width, height)
         middle = np.broadcast_to(0.5 * (hull.low + hull.high), ways.reshape(-1, 3).shape)
         # In a world, sources that are lamps of their own would shine twice, and from wrong places.
-        far = np.where(np.append(self.lamp >= 0, False)[self.of_hull, None], DARK_OUTSIDE, table)
+        far = np.where(np.append(self.lamp >= 0, False)[of_hull, None], DARK_OUTSIDE, table)
         near = far[hull.cells(middle, ways.reshape(-1, 3))].reshape(image.shape)
         inferred = ~before.seen & (near[..., 0] >= 0.0)
         image[inferred] = near[inferred]
@@ -251,13 +252,13 @@ def find_sources(
     pixels = observed.pixels
     if base_color is None:
         base_color = np.full((len(room.triangles), 3), np.nan)
-    of_known = np.isfinite(base_color[:, 0])
-    where, group = _comparable(pixels, label, of_known, np.random.default_rng([seed, 23]))
+    known, shines = np.isfinite(base_color[:, 0]), np.isin(np.arange(len(room.triangles)), lamps.triangles)
+    where, group = _comparable(pixels, label, known, shines, np.random.default_rng([seed, 23]))
     if len(where) < MIN_POINTS:
         return None
     lit = pixels.surface(room, where)
-    cells, known = Cells.of(observed, room), np.isin(np.arange(len(room.triangles)), lamps.triangles)
-    rays = traced(observed, room, cells, known, lit, seed)
+    cells = Cells.of(observed, room)
+    rays = traced(observed, room, cells, shines, lit, seed)
     source = cells.sources(FINER)
     count = np.bincount(source[rays.cell[rays.cell >= 0]], minlength=int(source.max(initial=-1)) + 1)
     chosen = np.argsort(-count, kind="stable")[:MAX_SOURCES]
@@ -266,7 +267,7 @@ def find_sources(
         return None
     number = np.full(len(count), -1, np.int64)
     number[chosen] = np.arange(len(chosen))
-    landed = Landed.of(rays, observed, known, cells, number[source])
+    landed = Landed.of(rays, observed, shines, cells, number[source])
     landed = replace(landed, seen=landed.seen + lamp_light(room, observed.grid, lamps, lit, seed))
     logs = np.log(np.asarray(pixels.own[where], np.float64))
     albedo = np.empty((int(group.max()) + 1, 3))
@@ -295,7 +296,7 @@ def find_sources(
         entries=entries,
         of_entry=of_entry[entries],
         cells=cells,
-        of_hull=landed.source[: len(cells.hull.radiance)],
+        of_cell=landed.source,
         place=means[:, 3:6],
         toward=means[:, 6:] / np.maximum(np.linalg.norm(means[:, 6:], axis=1, keepdims=True), 1e-9),
         width=width * cells.size / FINER,
@@ -338,35 +339,38 @@ def close_share(
     observed: Observations, room: Room, found: Sources, lamps: EmitterTable, seed: int
 ) -> np.ndarray:
     """(T,) float32 share of the directions around each triangle, or the nearest that pixels see, in which
-    unseen places are closer than a source is wide."""
+    unseen lamps are closer than a source is wide."""
     rows = observed.pixels.some_hits(MAX_CLOSE)
-    known = np.isin(np.arange(len(room.triangles)), lamps.triangles)
+    shines = np.isin(np.arange(len(room.triangles)), lamps.triangles)
     lit = observed.pixels.surface(room, rows)
-    rays = traced(observed, room, found.cells, known, lit, seed, CLOSE_RAYS)
+    rays = traced(observed, room, found.cells, shines, lit, seed, CLOSE_RAYS)
     place = found.cells.hull.centers(np.where(rays.entry == OUTSIDE, np.maximum(rays.cell, 0), 0))
     place = np.where((rays.entry >= 0)[..., None], middles(observed.grid, rays.entry), place)
-    close = (rays.cell >= 0) & (np.linalg.norm(place - lit[0][:, None], axis=2) < found.cells.size)
+    of_lamp = np.append(found.lamp >= 0, False)[np.append(found.of_cell, -1)]
+    close = of_lamp[rays.cell] & (np.linalg.norm(place - lit[0][:, None], axis=2) < found.cells.size)
     centers = room.vertices[room.triangles].mean(axis=1)
     nearest = cKDTree(centers[np.asarray(observed.pixels.triangle[rows])]).query(centers)[1]
     return close.mean(axis=1, dtype=np.float32)[nearest]
 
 
 def _comparable(
-    pixels: PixelStore, label: np.ndarray, known: np.ndarray, rng: np.random.Generator
+    pixels: PixelStore, label: np.ndarray, known: np.ndarray, lamps: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N,) int64 pixels of surfaces, from all views alike, and (N,) the groups of one albedo, from 0.
 
     Args:
         known: (T,) bool, triangles whose albedo is known: however small they are, they are compared.
+        lamps: (T,) bool, presumed ones, whose own radiance no other light has to explain.
     """
     share = max(1, MAX_POINTS // max(len(pixels.views), 1))
     chosen = [np.zeros(0, np.int64)]
     for index in range(len(pixels.views)):
         rows = pixels.rows(index)
-        good = (np.asarray(pixels.triangle[rows]) >= 0) & np.asarray(pixels.pure[rows])
+        triangle = np.asarray(pixels.triangle[rows])
+        good = (triangle >= 0) & ~lamps[triangle] & np.asarray(pixels.pure[rows])
         good &= (np.asarray(pixels.weight[rows]) >= MIN_WEIGHT) & (pixels.own[rows] > DARKEST).all(axis=1)
         some = rng.permutation(np.flatnonzero(good))
-        given = some[known[np.asarray(pixels.triangle[rows])[some]]]
+        given = some[known[triangle[some]]]
         some = np.concatenate([some[:share], given[: share // KNOWN_POINTS]])
         chosen.append(np.unique(some) + rows.start if len(given) else some + rows.start)
     where = np.concatenate(chosen)
