@@ -109,7 +109,7 @@ def find_emitter_units(
         photometry: of photographs that are not HDR; None where all are.
     """
     light, hdr = observed.environment, photometry is None
-    return emitter_surfaces(room, parts, lamps.presumed, observed.footprint, light, hdr)
+    return emitter_surfaces(room, parts, observed.footprint, light, hdr, lamps.presumed)
 
 
 @dataclass(frozen=True)

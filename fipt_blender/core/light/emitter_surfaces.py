@@ -65,19 +65,20 @@ class EmitterSurfaces:
 def emitter_surfaces(
     room: Room,
     parts: Parts,
-    presumed: np.ndarray,
     footprint: float,
     environment: Environment | None = None,
     hdr: bool = True,
+    presumed: np.ndarray | None = None,
 ) -> EmitterSurfaces:
     """Triangles of a modelled room; of a scan its parts or, where they are unknown, patches of its segments.
 
     Args:
-        presumed: (T,) bool, lamps by their radiance alone.
         footprint: median width of a pixel on the surfaces, metres.
         environment: with the light that is inferred; None without any.
         hdr: whether all photographs are.
+        presumed: (T,) bool, lamps by their radiance alone; None: none.
     """
+    presumed = np.zeros(len(room.triangles), bool) if presumed is None else presumed
     pieces = room_pieces(room)
     known = parts.kind == "part"
     part = parts.triangle_part if known else np.full(len(pieces), -1)
