@@ -41,14 +41,14 @@ GROUND = np.float32([[-110, -110, -0.1], [110, -110, -0.1], [110, 110, -0.1], [-
 
 @pytest.mark.parametrize("quads", [[FAR], [GROUND], [FAR, GROUND]], ids=["stray", "terrain", "both"])
 def test_the_bounds_are_of_what_surrounds_the_cameras(quads: list) -> None:
-    """Also through a window, behind which the terrain goes on."""
+    """Also of a room with an opening, behind which the terrain goes on."""
     places = np.random.default_rng(1).uniform([-1.0, -1.0, 0.5], [1.0, 1.0, 2.0], (20, 3))
     alone, more = (replace(make_room([*BOX, *each]), cameras=places) for each in ([], quads))
     assert np.array_equal(alone.bounds, alone.mesh_bounds)
     assert np.ptp(more.mesh_bounds, axis=0).max() > 200.0
     np.testing.assert_allclose(more.bounds, alone.bounds, atol=0.61)  # a margin
     wall = max(BOX, key=lambda quad: np.mean(quad, axis=0)[0])
-    window = np.array(wall, np.float32) * [1.0, 1.0, 0.5]  # the upper half of a wall is open
+    window = np.array(wall, np.float32) * [1.0, 1.0, 0.8]  # a slot below the ceiling is open
     open_room = replace(make_room([*[each for each in BOX if each is not wall], window, *quads]), cameras=places)
     assert np.ptp(open_room.bounds, axis=0).max() < 3.0 * np.ptp(alone.bounds, axis=0).max()
 
