@@ -61,7 +61,8 @@ LAMP = 4.0
 APART, CLOSE = 1.5, 0.5
 MIN_LAMP = 0.005  # share of the light that a lamp casts
 BALL = 0.2  # least radius of a lamp in widths of a whole source
-MIN_RADIUS = 0.04  # where photographs looked past it, in widths of a whole source
+# Where photographs looked past it, in widths of a whole source; places that are tried.
+MIN_RADIUS, MAX_PLACES = 0.04, 16
 WIDEST = 2.0  # radius of a disc in widths of a whole source; what is wider is divided
 FLAT = 0.7  # it is a disc if more than this share of its light leaves to one side
 # Of discs from the surface that shines or, outwards, from the hull, in widths of a source.
@@ -185,7 +186,8 @@ class Sources:
         """Discs and balls that cast the light of bright sources, as lamps that the mesh lacks.
 
         What shines to one side is a disc as wide as its sources are spread, or several; others are balls.
-        They are as small as what photographs looked through demands, down to MIN_RADIUS.
+        They are as small as what photographs looked through demands. If that is less than MIN_RADIUS, they
+        move to one of their sources, or there is none: a lamp where cameras look would be in the picture.
         """
         clusters = [np.flatnonzero(self.lamp == index) for index in range(int(self.lamp.max(initial=-1)) + 1)]
         while clusters:
@@ -197,7 +199,7 @@ class Sources:
             if of_side.max() <= FLAT * of_side.sum():
                 way, radius = np.average(self.toward[own], axis=0, weights=weight), BALL * self.cells.size
                 center = place - inwards * radius * way / max(float(np.linalg.norm(way)), 1e-9)
-                yield self._fitted(own, center, radius, None)
+                yield from self._fitted(own, center, radius, None)
                 continue
             facing = np.eye(3)[of_side.argmax() // 2] * (1.0 - 2.0 * (of_side.argmax() % 2))
             radius, beyond = self._spread(own, place, facing)
@@ -205,7 +207,7 @@ class Sources:
                 clusters += [own[beyond], own[~beyond]]
             else:
                 center = place + inwards * CLEARANCE * self.cells.size * facing
-                yield self._fitted(own, center, radius, facing)
+                yield from self._fitted(own, center, radius, facing)
 
     def _spread(self, own: np.ndarray, place: np.ndarray, facing: np.ndarray) -> tuple[float, np.ndarray]:
         """Radius of a disc around a place (3,) that is as wide as sources (n,), metres, and which of these
@@ -219,10 +221,16 @@ class Sources:
         return max(radius, BALL * self.cells.size), off @ along > 0.0
 
     def _fitted(
-        self, own: np.ndarray, center: np.ndarray, radius: float, facing: np.ndarray | None
-    ) -> MissingLamp:
+        self, own: np.ndarray, middle: np.ndarray, radius: float, facing: np.ndarray | None
+    ) -> Iterator[MissingLamp]:
         """The lamp of a place and at most a radius, metres, that casts about the light of sources (n,)."""
-        free = max(free_radius(center, facing, *self.looks), MIN_RADIUS * self.cells.size)
+        brightest = own[np.argsort(-self.shares[own], kind="stable")[:MAX_PLACES]]
+        for center in (middle, *self.place[brightest]):
+            free = free_radius(center, facing, *self.looks)
+            if free >= MIN_RADIUS * self.cells.size:
+                break
+        else:
+            return
         radius = min(radius, free)
         cast = self.points.unseen[:, own] @ self.light.radiance[own]
         lit = cast.sum(axis=1) > 0.0
@@ -236,7 +244,7 @@ class Sources:
         fitted = unit @ cast[lit] / max(float(unit @ unit), 1e-12)
         toward = None if facing is None else facing.tolist()
         share = float(self.shares[own].sum())
-        return MissingLamp(center.tolist(), radius, fitted.tolist(), True, toward, share)
+        yield MissingLamp(center.tolist(), radius, fitted.tolist(), True, toward, share)
 
 
 def find_sources(
