@@ -25,8 +25,8 @@ from .scan import Scan, find_scan
 # Distance at which rays start above a scan, in units of its noise.
 OFFSET_NOISE = 2.0
 # Rays in all directions from cameras, at most so many of these, and the margin around where rays end, as a
-# share of the longest side. Bounds longer than WIDE median distances of the ends leave out outlying ones, up to
-# the last of these shares at each side. Of a mesh that surrounds no camera, fewer rays than FULL meet it.
+# share of the longest side. Bounds longer than WIDE median distances of the ends leave out outlying ones, up
+# to the last of these shares at each side. Of a mesh that surrounds no camera, fewer rays than FULL meet it.
 DIRECTIONS, MAX_CAMERAS, MARGIN, WIDE, FULL = 1024, 64, 0.15, 10.0, 0.5
 OUTLYING = (0.0, 0.001, 0.002, 0.005, 0.01, 0.02, 0.03, 0.05)
 NO_OBJECT = -1
