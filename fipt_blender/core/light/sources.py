@@ -141,7 +141,8 @@ def held_back_gain(
     for held in (half == 0, half == 1):
         held &= (np.bincount(points.group[~held], minlength=size) >= MIN_GROUP)[points.group]
         columns = points.log_radiance, points.group, points.seen, points.unseen
-        kept = Transport(*(column[~held] for column in columns), known=points.known)
+        log_radiance, group, seen, unseen = (column[~held] for column in columns)
+        kept = Transport(log_radiance, group, seen, unseen, points.known)
         found, judged = solve_sources(kept, expected), judged | held
         for radiance, sign in ((found.radiance, 1.0), (np.exp(expected.log_radiance), -1.0)):
             for channel, rows in enumerate(_channels(kept, radiance.T, found.spread)):
