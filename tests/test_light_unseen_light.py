@@ -220,6 +220,7 @@ def test_what_shines_through_a_wide_opening_are_lamps_beside_it() -> None:
         of_entry=np.zeros(0, np.int64),
         cells=SimpleNamespace(size=0.5),  # type: ignore[arg-type]
         of_cell=np.zeros(0, np.int64),
+        reflected=np.full((count, 3), 0.01),
         place=place,
         toward=np.tile([0.0, 1.0, 0.0], (count, 1)),
         width=np.full(count, 0.5),

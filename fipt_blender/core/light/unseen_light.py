@@ -55,7 +55,8 @@ MODEL_ERROR = 0.3
 GAIN = 3.0  # least gain of points held back, in standard errors
 # Rays to unseen places closer than a source is wide, and pixels that send them.
 CLOSE_RAYS, MAX_CLOSE = 64, 20_000
-# A source is a lamp or a window if it is brighter than the room's median light by this factor.
+# A source is a lamp or a window if it is brighter by this factor than the room's median light and than what is
+# around it.
 LAMP = 4.0
 # Sources of one side are one lamp if they are closer than so many of their widths; others, of a whole one.
 APART, CLOSE = 1.5, 0.5
@@ -101,6 +102,7 @@ class Sources:
         expected, light: what was expected of the sources, and what was found.
         entries: (E,) int64 cache entries of unseen surfaces, of_entry: (E,) their source.
         cells: F that the sources consist of. of_cell: (F,) source of each, -1 without.
+        reflected: (K, 3) radiance that the cache or the map has of each, as of surfaces around it.
         place, toward: (K, 3) mean place, metres, and mean unit direction of the rays that land there.
         width: (K,) metres. side: (K,) to which each shines, as of cache entries.
         looks: (S, 3) cameras and (S, 3) what pixels of theirs see: there is nothing between them.
@@ -116,6 +118,7 @@ class Sources:
     of_entry: np.ndarray
     cells: Cells
     of_cell: np.ndarray
+    reflected: np.ndarray
     place: np.ndarray
     toward: np.ndarray
     width: np.ndarray
@@ -165,9 +168,10 @@ class Sources:
         """(K,) int64 lamp or window that each source belongs to; -1 for dim ones.
 
         Openings are lamps however wide they are: in the world's image, what shines through them would be far
-        away, and its light would not fall off in the room.
+        away, and its light would not fall off in the room. Unseen surfaces that are as bright as those around
+        them reflect: in Blender they do that by themselves.
         """
-        level = LAMP * float(np.median(self.points.seen))
+        level = LAMP * np.maximum(float(np.median(self.points.seen)), self.reflected.mean(axis=1))
         members = np.flatnonzero(self.light.radiance.mean(axis=1) > level)
         result = np.full(len(self.place), -1, np.int64)
         if not len(members):
@@ -305,6 +309,7 @@ def find_sources(
         of_entry=of_entry[entries],
         cells=cells,
         of_cell=landed.source,
+        reflected=np.exp(means[:, :3]),
         place=means[:, 3:6],
         toward=means[:, 6:] / np.maximum(np.linalg.norm(means[:, 6:], axis=1, keepdims=True), 1e-9),
         width=width * cells.size / FINER,
