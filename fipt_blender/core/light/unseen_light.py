@@ -55,7 +55,7 @@ MODEL_ERROR = 0.3
 GAIN = 3.0  # least gain of points held back, in standard errors
 # Rays to unseen places closer than a source is wide, and pixels that send them.
 CLOSE_RAYS, MAX_CLOSE = 64, 20_000
-# A source is a lamp or a window if it is brighter by this factor than the room's median light and than what is
+# A source is a lamp or a window if it is brighter by this factor than the room's median light and what is
 # around it.
 LAMP = 4.0
 # Sources of one side are one lamp if they are closer than so many of their widths; others, of a whole one.
