@@ -51,13 +51,12 @@ def method_digest(core: Path = _CORE, rooms: Sequence[str] = ROOMS) -> str:
 
 @cache
 def code_digest(module: str, core: Path = _CORE, rooms: Sequence[str] = ROOMS) -> str:
-    """Hexadecimal digest of the files of the rooms that a module of the engine may run: it, and what it imports.
+    """Hexadecimal digest of the source files that a module may run: its own, and those that it imports.
 
     Stages whose code did not change are not done again when others' did.
 
     Args:
-        module: its name, which ends as its path in the engine's folder does; those elsewhere, of tests, may run
-            everything.
+        module: its full name; modules outside of the engine may run everything.
     """
     start = core.joinpath(*module.rpartition(f".{core.name}.")[2].split(".")).with_suffix(".py")
     if not start.is_file():
