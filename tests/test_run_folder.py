@@ -19,7 +19,7 @@ import torch
 from fipt_blender.core.material.fields import RoomFields
 from fipt_blender.core.material.groups import Units
 from fipt_blender.core.material.networks import BrdfNetwork, Fields
-from fipt_blender.core.material.reliability import part_detail
+from fipt_blender.core.material.reliability import PlaceColors, part_detail
 from fipt_blender.core.material.seen import Box, seen_cells
 from fipt_blender.core.material.training import load_tensors, save_tensors
 from fipt_blender.core.pixels.store import open_array
@@ -228,8 +228,8 @@ def test_the_detail_of_parts_is_kept_with_the_fields(tmp_path: Path) -> None:
     part, rng = np.zeros(200, np.int32), np.random.default_rng(0)
     points = rng.random((200, 3)).astype(np.float32)
     color = rng.random((200, 3))
-    detail = part_detail(points, part, color, np.zeros(200), np.array([[0.1, 0.2, 0.3]]), 0.02, BOX)
-    saved = room_fields(points, detail)
+    places = PlaceColors(points, part, color, np.stack([color] * 2), np.ones((2, 200)), np.zeros(200))
+    saved = room_fields(points, part_detail(places, np.array([[0.1, 0.2, 0.3]]), 0.02, BOX))
     saved.save(run)
     for one, other in zip(saved.query(points, part), RoomFields.load(run).query(points, part), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-5)

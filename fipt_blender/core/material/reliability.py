@@ -174,7 +174,7 @@ def part_detail(places: PlaceColors, median: np.ndarray, footprint: float, box: 
     both = (places.weight > 0.0).all(axis=0)
     telling = np.where(both, 1.0, ALONE)
     variance = places.error**2
-    known = min(1.0, FLOOR**2 / max(float(np.median(variance)), 1e-30))
+    known = min(1.0, FLOOR**2 / max(float(variance.mean()), 1e-30))
     light = variance * (known / (octaves + 1))  # spread evenly over the octaves
     weights = [ones, *places.weight]
     finer = [places.color, *places.halves]
@@ -252,4 +252,4 @@ def _reliability(local: np.ndarray, whole: np.ndarray) -> np.ndarray:
         local, whole: (K, 2) powers (:func:`_powers`) in the window and in the part.
     """
     shared = np.sqrt(np.maximum(local[:, :1], 0.0) * np.maximum(whole[:, :1], 0.0))
-    return 1.0 - np.clip(local[:, 1:] / np.maximum(shared, 1e-30), 0.0, 1.0)
+    return np.maximum(shared - local[:, 1:], 0.0) / np.maximum(shared, 1e-30)
