@@ -174,8 +174,9 @@ def part_detail(places: PlaceColors, median: np.ndarray, footprint: float, box: 
     both = (places.weight > 0.0).all(axis=0)
     telling = np.where(both, 1.0, ALONE)
     variance = places.error**2
-    known = min(1.0, FLOOR**2 / max(float(variance.mean()), 1e-30))
-    light = variance * (known / (octaves + 1))  # spread evenly over the octaves
+    # Errors that are large in the whole room are not of the light alone.
+    of_light = min(1.0, FLOOR**2 / max(float(variance.mean()), 1e-30))
+    light = variance * (of_light / (octaves + 1))  # spread evenly over the octaves
     weights = [ones, *places.weight]
     finer = [places.color, *places.halves]
     levels: list[tuple[SmoothingGrid, np.ndarray]] = []
