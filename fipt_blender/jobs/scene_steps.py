@@ -146,8 +146,8 @@ def apply_steps(run: RunFolder, settings: Settings) -> list[Step]:
         ]
         made = Made(run, "atlas", read, content_digest(*paths), outputs=[run.atlas_npz, run.atlas_json])
         if made.kept() is None:
-            yield from make_atlas(objects(), run, settings)
-            made.note()
+            with made.making():
+                yield from make_atlas(objects(), run, settings)
 
     def build() -> Slices[list[Message]]:
         from ..blend.lights.world import apply_environment

@@ -32,6 +32,7 @@ _REC709_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 DARKEST = 2.0**-6
 _LOW, _HIGH = 0.5, 99.8  # percentiles that become black and white
 _PAIRS_PER_CALL = 64  # between two messages of progress
+SQLITE_FULL = "database or disk is full"  # text of SQLite's code 13
 _FEATURES, _MATCHES = 0.2, 0.8  # share of the time after which features and matches are found
 
 
@@ -257,8 +258,8 @@ def _nothing_solved(connections: Sequence[Connections]) -> FiptError:
 
 
 def _explained(database: Path, error: RuntimeError) -> FiptError:
-    """pycolmap's error as one for the user: it stops at what the database's system says."""
-    if "full" in str(error).lower():
+    """pycolmap's error as one for the user: it stops at what SQLite says, often with paths."""
+    if SQLITE_FULL in str(error):
         return FiptError("disk-full.explained", database=database)
     reason = str(error).strip().splitlines()
     return FiptError("solve-database", database=database, reason=reason[-1] if reason else "no reason given")

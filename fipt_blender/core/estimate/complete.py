@@ -3,7 +3,7 @@
 """Engine command `complete`: what an estimation would add to a scan, before it, for the artist to decide.
 
 It works on the room and the views that Blender wrote for a survey, and leaves closing.npz and panes.npz
-there.
+there. The run.json beside them has the settings.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from ..run.runfolder import RunFolder
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("run", type=Path, help="run folder with run.json, and with a survey's input")
+    parser.add_argument("run", type=Path, help="folder with a survey's input and run.json")
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Add to the room in RUN/survey what its views show and its mesh lacks.
+    """Add to the room in the folder what its views show and its mesh lacks.
 
     Raises:
         FiptError: ``views-none``, where an input is missing or can't be used, ``disk-full`` or
             ``run-unwritable``.
     """
-    settings = RunFolder(arguments.run).read()
-    folder = RunFolder(RunFolder(arguments.run).survey)
+    folder = RunFolder(arguments.run)
+    settings = folder.read()
     set_variant(settings.device)
     # Imported here because these modules need Mitsuba's variant when they are loaded.
     from .input import completed_room

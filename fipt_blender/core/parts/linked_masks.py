@@ -68,17 +68,18 @@ def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
     masks = masks_digest(views, (view.part_ids() for view in views))
     made = Made(run, "linked", array_digest(room.vertices, room.triangles, masks).tolist(), outputs=())
     if made.kept() is None:
-        shutil.rmtree(run.linked, ignore_errors=True)
-        seen, places = seen_cells(room, views)
-        known = [one.cell >= 0 for one in seen]
-        pixels = [
-            RegionPixels(one.ids[k].astype(np.int64), one.cell[k]) for one, k in zip(seen, known, strict=True)
-        ]
-        if shared_ids(pixels) < SHARED:
-            part = link_regions(pixels, places)
-            for one in seen:
-                write_exr(names[one.view.name], _linked(one, np.append(part, -1)[one.cell]))
-        made.note()
+        with made.making():
+            shutil.rmtree(run.linked, ignore_errors=True)
+            seen, places = seen_cells(room, views)
+            known = [one.cell >= 0 for one in seen]
+            pixels = [
+                RegionPixels(one.ids[k].astype(np.int64), one.cell[k])
+                for one, k in zip(seen, known, strict=True)
+            ]
+            if shared_ids(pixels) < SHARED:
+                part = link_regions(pixels, places)
+                for one in seen:
+                    write_exr(names[one.view.name], _linked(one, np.append(part, -1)[one.cell]))
     if not run.linked.is_dir():
         return list(views)
     return [replace(view, parts=names[view.name]) if view.name in names else view for view in views]

@@ -130,10 +130,6 @@ class RunFolder:
             FiptError: ``run-version`` or ``run-damaged`` for a run that can't be read, ``run-foreign`` if the
                 folder contains something else, ``run-linked``, ``disk-full`` or ``run-unwritable``.
         """
-        from dataclasses import asdict
-
-        from .contents import RunNote
-
         if self.run_json.exists():
             self.read()
         elif self.root.exists() and any(self.root.iterdir()):
@@ -143,6 +139,18 @@ class RunFolder:
         with explained_write_errors(self.root):
             for folder in (self.root, self.stage, self.results):
                 folder.mkdir(parents=True, exist_ok=True)
+        self.write_settings(settings)
+
+    def write_settings(self, settings: Settings) -> None:
+        """Write run.json.
+
+        Raises:
+            FiptError: ``disk-full`` or ``run-unwritable``.
+        """
+        from dataclasses import asdict
+
+        from .contents import RunNote
+
         write_json(self.run_json, RunNote(PRODUCT_VERSION, asdict(settings)))
 
     def read(self) -> Settings:

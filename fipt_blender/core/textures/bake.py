@@ -91,9 +91,9 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         detail = partial(add_detail, given, load_room(folder), fields.units.triangle)
     room = read_room(folder)
     parts = read_parts(folder, room.triangle_object, room.objects)
-    files = bake(folder, fields, reporter.progress, parts, detail)
-    files += write_view_maps(folder, fields, load_capture(folder).views)
-    made.note(reporter.warnings)
+    with made.making(reporter.warnings):
+        files = bake(folder, fields, reporter.progress, parts, detail)
+        files += write_view_maps(folder, fields, load_capture(folder).views)
     reporter.done([str(path) for path in files])
 
 
