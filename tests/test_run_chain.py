@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import make_dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -112,6 +113,40 @@ def test_a_resumed_chain_does_what_has_changed_and_no_more(tmp_path: Path, monke
     assert work(tmp_path, number=4)[1] == []
     monkeypatch.setattr(chain_module, "method_digest", lambda: "other")
     assert work(tmp_path, number=4)[1] == ["table", "sum", "train"]
+
+
+def test_cancelled_at_any_write_it_never_takes_one_settings_files_for_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A chain with a seed, then another seed that is stopped at its n-th write, then the first again."""
+    writes = 0
+
+    def stop_at(most: int) -> None:
+        def counted(write: Callable, *given, **named) -> None:
+            nonlocal writes
+            writes += 1
+            if writes == most:
+                raise KeyboardInterrupt
+            write(*given, **named)
+
+        for module, name in ((os, "replace"), (np, "save")):
+            monkeypatch.setattr(module, name, partial(counted, getattr(module, name)))
+
+    right = work(tmp_path / "right", number=4)[0]
+    for most in range(1, 100):
+        folder, writes = tmp_path / str(most), 0
+        work(folder, number=4)
+        stop_at(most)
+        try:
+            work(folder, number=5)
+            break
+        except KeyboardInterrupt:
+            pass
+        finally:
+            monkeypatch.undo()
+        again = work(folder, number=4)[0]
+        assert again.total == right.total and np.array_equal(again.doubled, right.doubled), most
+    assert most > 5
 
 
 @pytest.mark.parametrize("name", ["table/outputs.json", "table/table.npy", "sum/outputs.json", "train/outputs.json"])

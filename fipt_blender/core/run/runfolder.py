@@ -45,16 +45,14 @@ class RunFolder:
         self.simplified_ply = self.root / "simplified.ply"
         self.room_npz = self.root / "room.npz"
         self.room_json = self.root / "room.json"
-        self.geometry_npz = self.root / "geometry.npz"
-        self.closing_npz = self.root / "closing.npz"
-        self.panes_npz = self.root / "panes.npz"
-        self.outlines_npz = self.root / "outlines.npz"
-        self.linked = self.root / "linked"  # part masks with the ids of other views
+        self.scan = self.root / "scan"  # outputs of the stages that make the room of a scan
+        self.linked = self.root / "linked"  # of a survey: part masks with the ids of other views
         self.hints_json = self.root / "hints.json"
         self.hints_again_json = self.root / "hints_again.json"
         self.stage = self.root / "stage"
         self.stages_json = self.stage / "stages.json"
         self.results = self.root / results
+        self.scan_npz = self.results / "scan.npz"
         self.fields_npz = self.results / "fields.npz"
         self.parts_npz = self.results / "parts.npz"
         self.parts_json = self.results / "parts.json"
@@ -92,7 +90,7 @@ class RunFolder:
             FiptError: ``run-linked``.
         """
         replaced = [self.images, self.results, self.textures]
-        own = [self.linked, self.stage, self.renders, *replaced]
+        own = [self.linked, self.scan, self.stage, self.renders, *replaced]
         own += [side for path in replaced for side in beside(path)]
         own += [self.report, self.survey, self.align, self.scene_cameras]
         own += [self.root / "messages", self.root / "made", self.log]

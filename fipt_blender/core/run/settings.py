@@ -17,12 +17,14 @@ from .declared import Option, converted
 from .errors import FiptError
 from .stage_settings import (
     CheckSettings,
+    CompletionSettings,
     MaterialSettings,
+    OutlineSettings,
     PhotometrySettings,
     RefinementSettings,
     RefitSettings,
     ResultSettings,
-    RoomSettings,
+    ScanSettings,
     TextureSettings,
     TrainingSettings,
     ViewSettings,
@@ -84,7 +86,9 @@ class Settings(
     RefitSettings,
     PhotometrySettings,
     CheckSettings,
-    RoomSettings,
+    OutlineSettings,
+    CompletionSettings,
+    ScanSettings,
     ViewSettings,
     RunSettings,
 ):

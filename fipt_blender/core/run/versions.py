@@ -122,7 +122,7 @@ def _keys(folder: Path) -> dict[str, str]:
 
 
 # All other files of a run are replaced when they change, never written in place.
-_in_place = shutil.ignore_patterns("engine.lock", "log.txt", "messages")
+_in_place = shutil.ignore_patterns("engine.lock", "log.txt", "messages", "scan")
 
 
 def _link_or_copy(source: str | Path, target: str | Path) -> None:

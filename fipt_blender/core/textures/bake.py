@@ -26,7 +26,7 @@ from ..run.messages import Reporter
 from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
 from ..run.result_contents import AtlasImage, AtlasImages, TextureImage, Textures, UniformPart
-from ..run.run_files import AtlasArrays, CornerFields, read_outlined, read_room
+from ..run.run_files import AtlasArrays, CornerFields, read_room
 from ..run.runfolder import RunFolder, write_json
 from ..run.store import read_arrays, write_arrays
 from ..run.versions import results_id
@@ -130,8 +130,7 @@ def bake(
     """
     room = read_room(folder)
     atlas, arrays = read_document(folder.atlas_json, AtlasImages), read_arrays(folder.atlas_npz, AtlasArrays)
-    scan = read_outlined(folder, room)
-    corners = (scan.vertices if scan else room.vertices)[room.triangles]
+    corners = (room.scan or room).vertices[room.triangles]
     folder.stage.mkdir(parents=True, exist_ok=True)
     with (
         atomic_folder(folder.textures) as new,
