@@ -76,9 +76,6 @@ def find_lacking(
         views: training views.
         folder: for linked masks.
         settings: which kinds of surfaces are looked for.
-
-    Raises:
-        FiptError: those of the readers of photographs, ``disk-full`` or ``run-unwritable``.
     """
     if room.plane is None or mesh.completed or PANES in mesh.object_ids:
         return Completion()

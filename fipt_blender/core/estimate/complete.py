@@ -25,12 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Add to the room in the folder what its views show and its mesh lacks.
-
-    Raises:
-        FiptError: ``views-none``, where an input is missing or can't be used, ``disk-full`` or
-            ``run-unwritable``.
-    """
+    """Add to the room in the folder what its views show and its mesh lacks."""
     folder = RunFolder(arguments.run)
     settings = folder.read()
     set_variant(settings.device)

@@ -57,10 +57,6 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
     Args:
         folder: holds capture.json and room.npz.
         reporter: gets the plan, stages and progress.
-
-    Raises:
-        FiptError: ``views-none``, ``disk-space`` unless forced, where the capture or the room can't be read,
-            and those of the stages.
     """
     capture = load_capture(folder)
     photographs = spread_views(capture.train, settings.view_share)
@@ -73,6 +69,8 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
         refuse_full_disk(folder.stage, plan.bytes, "choose a lower preset, or fewer light_pixels")
     chain = room_chain(folder, settings, capture, averaged(photographs, settings, reporter), reporter, True)
     prepared = chain.run(PreparedRoom)
+    if prepared.holes is not None:
+        reporter.note(prepared.holes.text)
     again = folder.hints_again_json.exists()
     hints, rerun = read_hints(folder.hints_json), read_hints(folder.hints_again_json)
     known, held_back, views = references(rerun if again else hints), capture.held_back, prepared.views

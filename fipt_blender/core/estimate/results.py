@@ -74,9 +74,6 @@ def write_solution(
 
     Args:
         stages: their facts (:meth:`..run.chain.Chain.facts`).
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
     run, observations = given.folder, solution.observations
     pixels, room, hints = solution.pixels, solution.room, solution.surface_hints
@@ -120,9 +117,6 @@ def write_results(
         fixtures, environment: radiance in units of the capture's median.
         scale: the capture's median radiance, in the photographs' units.
         reporter: gets the warning ``no-emitter`` if nothing lights the room.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
     fields.save(folder)
     described = None

@@ -92,9 +92,6 @@ def room_chain(
         capture: the folder's.
         views: training views that are used, at the resolution of light.
         whole: see `room_stages`.
-
-    Raises:
-        FiptError: where the room can't be read.
     """
     own_mesh = capture.mesh == run.fused_ply  # made from the rig itself
     given = {
@@ -158,11 +155,7 @@ def room_so_far(mesh: RoomMesh, scan: ScanArrays | None) -> Room:
 
 
 def check_relation(room: Room, views: list[View], own_mesh: bool, *, settings: Forced) -> dict[str, float]:
-    """`PreparedRoom.far_off`.
-
-    Raises:
-        FiptError: those of `check_input`.
-    """
+    """`PreparedRoom.far_off`."""
     return {str(index): value for index, value in check_input(room, views, settings, own_mesh).items()}
 
 

@@ -56,9 +56,6 @@ def link_masks(room: Room, views: Sequence[View], folder: Path) -> dict[str, Pat
 
     Args:
         folder: for the files; what is in it is removed.
-
-    Raises:
-        FiptError: those of reading the masks, ``disk-full`` or ``run-unwritable``.
     """
     shutil.rmtree(folder, ignore_errors=True)
     if choose_source(room, views) != "masks":

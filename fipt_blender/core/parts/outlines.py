@@ -49,9 +49,6 @@ def outline_parts(room: Room, views: Sequence[View], *, settings: OutlineSetting
     """(V, 3) float32 vertices of a scan on the outlines that the masks of views show; None without these.
 
     Mitsuba's variant must be set.
-
-    Raises:
-        FiptError: those of reading the masks.
     """
     if not settings.outlines or room.plane is None or choose_source(room, views) not in IMAGE_SOURCES:
         return None

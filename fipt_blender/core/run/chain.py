@@ -231,9 +231,6 @@ class Chain:
         Args:
             target: a dataclass, whose fields are filled like parameters.
             watch: is told of the stages.
-
-        Raises:
-            FiptError: those of the stages, ``disk-full`` or ``run-unwritable``.
         """
         with explained_write_errors(self._root):
             self._open()

@@ -25,9 +25,6 @@ class FinishedViews:
         flush: writes the results to the disk; called before each note.
         views: indices of the finished views; some may not be noted yet.
         rays: primary rays traced for them.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
 
     def __init__(self, path: Path) -> None:

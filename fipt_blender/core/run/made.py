@@ -56,9 +56,6 @@ class Made:
     def making(self, warnings: Iterable[Mapping[str, str]] = ()) -> Iterator[None]:
         """The block makes them. No key stands for files that are half of one kind and half of another: the
         former key is removed first, and theirs is written in the end with the warnings that are there then.
-
-        Raises:
-            FiptError: ``disk-full`` or ``run-unwritable``.
         """
         with explained_write_errors(self._path):
             self._path.unlink(missing_ok=True)

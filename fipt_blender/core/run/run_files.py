@@ -134,11 +134,7 @@ class LeftAlone:
 
 
 def read_capture(path: Path) -> CapturedViews:
-    """capture.json, or ingest.json.
-
-    Raises:
-        FiptError: ``file-missing``, ``file-damaged`` or ``capture-version``.
-    """
+    """capture.json, or ingest.json."""
     return read_document(path, CapturedViews, "Import the capture again.", other="capture-version")
 
 
@@ -146,9 +142,6 @@ def read_room(run: RunFolder) -> RoomMesh:
     """The run's room, with what the last estimation has made of it where it is a scan.
 
     What the engine has added, `CLOSING` and `PANES`, are more objects, the last ones.
-
-    Raises:
-        FiptError: ``file-missing`` or ``file-damaged``.
     """
     room = read_exported(run)
     if run.scan_npz.exists():
@@ -159,11 +152,7 @@ def read_room(run: RunFolder) -> RoomMesh:
 
 
 def read_exported(run: RunFolder) -> RoomMesh:
-    """The room as Blender has written it: room.npz and room.json.
-
-    Raises:
-        FiptError: ``file-missing`` or ``file-damaged``.
-    """
+    """The room as Blender has written it: room.npz and room.json."""
     names = read_document(run.room_json, RoomNames, _EXPORT_AGAIN)
     room = RoomMesh(**vars(read_arrays(run.room_npz, RoomArrays, _EXPORT_AGAIN)), **vars(names))
     corners, count = room.triangles, len(room.vertices)

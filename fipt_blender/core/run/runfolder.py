@@ -85,9 +85,6 @@ class RunFolder:
         """Refuse a folder in which a link leads out of it: its files may be written over or deleted.
 
         Only the folder's own subfolders and files are examined.
-
-        Raises:
-            FiptError: ``run-linked``.
         """
         replaced = [self.images, self.results, self.textures]
         own = [self.linked, self.scan, self.stage, self.renders, *replaced]
@@ -122,12 +119,7 @@ class RunFolder:
         return self.root / "made" / f"{name}.json"
 
     def create(self, settings: Settings) -> None:
-        """Make the folder and write run.json; an existing run of this version gets the new settings.
-
-        Raises:
-            FiptError: ``run-version`` or ``run-damaged`` for a run that can't be read, ``run-foreign`` if the
-                folder contains something else, ``run-linked``, ``disk-full`` or ``run-unwritable``.
-        """
+        """Make the folder and write run.json; an existing run of this version gets the new settings."""
         if self.run_json.exists():
             self.read()
         elif self.root.exists() and any(self.root.iterdir()):
@@ -140,11 +132,7 @@ class RunFolder:
         self.write_settings(settings)
 
     def write_settings(self, settings: Settings) -> None:
-        """Write run.json.
-
-        Raises:
-            FiptError: ``disk-full`` or ``run-unwritable``.
-        """
+        """Write run.json."""
         from dataclasses import asdict
 
         from .contents import RunNote
@@ -152,11 +140,7 @@ class RunFolder:
         write_json(self.run_json, RunNote(PRODUCT_VERSION, asdict(settings)))
 
     def read(self) -> Settings:
-        """Read the settings of the run.
-
-        Raises:
-            FiptError: ``run-missing``, ``run-damaged`` or ``run-version``.
-        """
+        """Read the settings of the run."""
         if not self.run_json.exists():
             raise FiptError("run-missing.read", root=self.root)
         from .contents import RunNote
@@ -173,11 +157,7 @@ class RunFolder:
         return make_settings(changes=note.settings)
 
     def read_estimated(self) -> Settings:
-        """The settings of the finished estimate, with the present ones of textures.
-
-        Raises:
-            FiptError: see `read`.
-        """
+        """The settings of the finished estimate, with the present ones of textures."""
         from dataclasses import replace
 
         from .settings import TEXTURE_SETTINGS, make_settings
@@ -195,21 +175,13 @@ class RunFolder:
         return optional_document(self.statistics_json, dict) or {}
 
     def recover(self) -> None:
-        """Bring back folders whose replacement was killed in the middle (`replacing.atomic_folder`).
-
-        Raises:
-            FiptError: ``disk-full`` or ``run-unwritable``.
-        """
+        """Bring back folders whose replacement was killed in the middle (`replacing.atomic_folder`)."""
         for folder in (self.images, self.results, self.textures):
             with explained_write_errors(folder):
                 recover_folder(folder)
 
     def drop_results(self) -> None:
-        """Delete the results of another room or other cameras than the run's.
-
-        Raises:
-            FiptError: ``run-unwritable``.
-        """
+        """Delete the results of another room or other cameras than the run's."""
         import shutil
 
         if self.results.is_dir():
@@ -222,9 +194,6 @@ class RunFolder:
 
         Args:
             path: of an image or a mesh on this computer, or relative to the run folder; see `paths`.
-
-        Raises:
-            FiptError: ``path-outside`` for another one.
         """
         fault = ""
         if os.path.isabs(path) or is_network(path):
@@ -245,11 +214,7 @@ def full_disk(error: Exception, path: object = "") -> FiptError | None:
 
 @contextmanager
 def explained_write_errors(path: Path) -> Iterator[None]:
-    """Turn the system's errors of writing `path` into FiptErrors.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
+    """Turn the system's errors of writing `path` into FiptErrors."""
     try:
         yield
     except OSError as error:
@@ -265,9 +230,6 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that replaces it if the block ends without an exception.
 
     The suffix is the same, for writers that choose the format by the suffix.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
     temporary = path.with_name(f".{os.getpid()}.{path.name}")
     with explained_write_errors(path):
@@ -281,11 +243,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write a JSON file, completely or not at all; dataclasses as `kinds.as_json` does.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
+    """Write a JSON file, completely or not at all; dataclasses as `kinds.as_json` does."""
     import json
 
     from .kinds import as_json

@@ -121,9 +121,6 @@ def make_settings(preset: str = "medium", changes: Mapping[str, Value] | None = 
     Args:
         preset: a key of ``PRESETS``, unless the changes name another one.
         changes: field name to value; strings are converted to the field's type.
-
-    Raises:
-        FiptError: ``setting-unknown`` or ``setting-invalid``.
     """
     changes = dict(changes or {})
     preset = changes.pop("preset", preset)  # type: ignore[assignment]

@@ -203,9 +203,6 @@ def load_room(run: RunFolder, cleaned: bool = True) -> Room:
     Args:
         run: the run folder.
         cleaned: whether a scan has its cleaned geometry.
-
-    Raises:
-        FiptError: ``mesh-missing``, ``file-missing``, ``file-damaged`` and those of `make_room`.
     """
     if not run.room_npz.exists():
         raise FiptError("mesh-missing.load-room", room_npz=run.room_npz)
@@ -214,11 +211,7 @@ def load_room(run: RunFolder, cleaned: bool = True) -> Room:
 
 
 def make_room(mesh: RoomMesh) -> Room:
-    """The room of a mesh, with its cleaned geometry where it has one.
-
-    Raises:
-        FiptError: ``mesh-damaged`` or ``mesh-empty``.
-    """
+    """The room of a mesh, with its cleaned geometry where it has one."""
     scan = mesh.scan
     if scan is not None:
         mesh = replace(mesh, vertices=scan.vertices, corner_normals=scan.corner_normals)

@@ -65,12 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Bake the textures of a run, and maps of a few of its views, unless they are those of the estimate.
-
-    Raises:
-        FiptError: ``file-missing`` or ``file-damaged`` if an earlier step has not finished; ``disk-full`` or
-            ``run-unwritable``.
-    """
+    """Bake the textures of a run, and maps of a few of its views, unless they are those of the estimate."""
     folder = RunFolder(arguments.run)
     made = textures_made(folder)
     if made.told_again(reporter):
@@ -98,11 +93,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 
 
 def textures_made(folder: RunFolder) -> Made:
-    """Whether the textures of a run are those of its estimate and its atlas.
-
-    Raises:
-        FiptError: those of `RunFolder.read`.
-    """
+    """Whether the textures of a run are those of its estimate and its atlas."""
     atlas = content_digest(folder.atlas_json, folder.atlas_npz)
     return Made(
         folder, "textures", results_id(folder), atlas, folder.read().detail, outputs=[folder.textures]
