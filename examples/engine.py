@@ -62,7 +62,7 @@ def write_room(run: RunFolder) -> None:
     of_triangle = {"triangle_object": zero, "triangle_material": zero - 1, "triangle_polygon": number}
     room = RoomArrays(**meshes, corner_normals=normals.astype(np.float32), **of_triangle)
     write_arrays(run.room_npz, room)
-    write_json(run.room_json, RoomNames(("Room",), (), parts="auto"))
+    write_json(run.room_json, RoomNames(objects=("Room",), materials=(), parts="auto"))
 
 
 def write_atlas(run: RunFolder, texels: int = 16) -> None:

@@ -21,7 +21,6 @@ from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
 from fipt_blender.core.capture.rig import Lens, Rig, RigView
 from fipt_blender.core.run.messages import Reporter
-from fipt_blender.prepare import solving
 from fipt_blender.prepare.lens import FULL_FRAME_DIAGONAL
 from fipt_blender.prepare.preparation import Preparation, PreparationFolder
 from fipt_blender.prepare.solve_step import model_from_rig, read_model, write_model
@@ -30,6 +29,7 @@ from fipt_blender.prepare.solving import (
     SolveView,
     camera_groups,
     copy_name,
+    database_error,
     image_pairs,
     left_out,
     own_sizes,
@@ -278,12 +278,8 @@ def test_a_stopped_solve_goes_on_where_it_stood(tmp_path: Path) -> None:
         ("/home/me/full frame/solve/database.db: SQLite error: disk I/O error", "solve-database"),
     ],
 )
-def test_a_full_disk_is_what_sqlite_says(text: str, code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def stop(*_):
-        raise RuntimeError(text)
-
-    monkeypatch.setattr(solving, "_extract", stop)
-    assert error_of(solving.solve, tmp_path, [None, None], 0, lambda share: None).code == code
+def test_a_full_disk_is_what_sqlite_says(text: str, code: str) -> None:
+    assert database_error(Path("database.db"), RuntimeError(text)).code == code
 
 
 def test_a_damaged_database_is_named(tmp_path: Path) -> None:

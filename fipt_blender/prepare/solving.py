@@ -124,7 +124,7 @@ def solve(folder: Path, views: Sequence[SolveView], seed: int, progress: Progres
         _match(database, views, seed, within(progress, _FEATURES, _MATCHES))
         models = _map(database, folder, len(views), seed, within(progress, _MATCHES, 1.0))
     except RuntimeError as error:
-        raise _explained(database, error) from error
+        raise database_error(database, error) from error
     connections = _connections(database, [copy_name(view.name) for view in views])
     if not models:
         raise _nothing_solved(connections)
@@ -257,7 +257,7 @@ def _nothing_solved(connections: Sequence[Connections]) -> FiptError:
     return FiptError("solve-failed", text=text)
 
 
-def _explained(database: Path, error: RuntimeError) -> FiptError:
+def database_error(database: Path, error: RuntimeError) -> FiptError:
     """pycolmap's error as one for the user: it stops at what SQLite says, often with paths."""
     if SQLITE_FULL in str(error):
         return FiptError("disk-full.explained", database=database)
