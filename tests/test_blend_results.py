@@ -20,24 +20,13 @@ from fipt_blender.blend.room.result_meshes import clean_result_mesh, make_mesh
 from fipt_blender.core import conventions
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.documents import read_document
-from fipt_blender.core.run.run_files import (
-    CLOSING,
-    PANES,
-    AddedSurfaces,
-    Geometry,
-    RoomMesh,
-    read_exported,
-    read_room,
-    scan_arrays,
-    with_added,
-)
+from fipt_blender.core.run.run_files import CLOSING, PANES, AddedSurfaces, RoomMesh, read_room
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.core.run.store import write_arrays
 from fipt_blender.core.textures import bake
 from samples.applied_rooms import ConstantFields, emitter, fingerprint, panel_and_cube
 from samples.at_once import apply_results, collect_room, export_room, make_atlas
-from samples.made_rooms import clean_run
+from samples.made_rooms import clean_run, with_panes
 from samples.rendered_rooms import diffuse_floor
 from samples.scans import scanned_box
 from samples.spots import spot, white_world
@@ -150,20 +139,6 @@ def test_environment_direction(run):
         unit = Vector(direction).normalized()
         image = spot(Vector((0, 0, 0)), unit)
         assert np.allclose(image.mean(axis=(0, 1)), np.array(unit) * 0.5 + 0.5, atol=0.03)
-
-
-def with_panes(run, closing=None, higher=0.0):
-    """Put a quad into the run as the engine puts panes into holes of a scan, which this room need not be, and
-    perhaps what closes holes; the cleaned copy may lie higher."""
-    vertices = np.array([[0, 0, 3], [1, 0, 3], [1, 1, 3], [0, 1, 3]], np.float32)
-    triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    normals = np.tile(np.array([0, 0, 1], np.float32), (2, 3, 1))
-    panes, room = AddedSurfaces(vertices, triangles, normals), read_exported(run)
-    whole = with_added(room, closing, panes)
-    region = np.full(len(whole.triangles), -1, np.int32)
-    cleaned = Geometry(whole.vertices + np.float32([0, 0, higher]), whole.corner_normals, region, 0.01)
-    write_arrays(run.scan_npz, scan_arrays(room, closing, panes, cleaned))
-    return vertices
 
 
 def test_panes_become_an_object_of_the_room(run, objects):

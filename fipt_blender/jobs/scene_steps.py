@@ -141,6 +141,7 @@ def apply_steps(run: RunFolder, settings: Settings) -> list[Step]:
         read = [getattr(settings, name) for name in _ATLAS_SETTINGS]
         paths = [
             run.room_npz,
+            run.scan_npz,
             run.resolution_npz,
             *([run.parts_npz] if settings.atlas_images == "part" else []),
         ]
