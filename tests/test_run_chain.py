@@ -149,6 +149,14 @@ def test_cancelled_at_any_write_it_never_takes_one_settings_files_for_another(
     assert most > 5
 
 
+@pytest.mark.parametrize(
+    ("text", "views"), [('{"views": [2], "rays": 7}', {2}), ('{"view": [2]}', set()), ("[", set())]
+)
+def test_a_note_of_finished_views_that_lacks_something_costs_time_alone(tmp_path: Path, text: str, views: set) -> None:
+    (tmp_path / "finished.json").write_text(text)
+    assert finished_views.FinishedViews(tmp_path / "finished.json").views == views
+
+
 @pytest.mark.parametrize("name", ["table/outputs.json", "table/table.npy", "sum/outputs.json", "train/outputs.json"])
 @pytest.mark.parametrize("content", [b"", b"cut off", None])
 def test_outputs_that_cannot_be_read_are_made_again(
