@@ -75,6 +75,7 @@ RESULT_WORLD = "fipt_own_world"  # on a scene: our world, while the original one
 ORIGINAL_WORLD = "fipt_original_world"  # on a scene
 KEPT_FILM = "fipt_kept_film_transparent"  # on a scene
 KEPT_RENDER = "fipt_kept_render"  # on a scene: settings that we made, what they were and what we made (JSON)
+UNPLACED = "fipt_unplaced"  # on a scene: settings of lamps that present results don't have (JSON)
 LIGHT_GROUPS = "fipt_light_groups"  # on a view layer: names of the groups that we added (JSON)
 
 # --- materials, node groups and images ---------------------------------------------------------------------

@@ -19,6 +19,7 @@ import bpy
 from ...bridge.process import Message
 from ...core.run.errors import FiptError, warning
 from ...core.run.runfolder import explained_write_errors
+from ..collecting import check_pictures
 from ..lights.color import LUMENS_PER_WATT
 from ..lights.convert import lights_as_converted
 from ..lights.fixture_nodes import is_emission_material
@@ -89,7 +90,7 @@ def export_room(
 
     Raises:
         FiptError: ``export-format``, ``export-nothing``, ``export-attributes``, ``export-failed``,
-            ``disk-full`` or ``run-unwritable``.
+            ``file-missing``, ``disk-full`` or ``run-unwritable``.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise FiptError("export-format", suffix=path.suffix, suffixes=", ".join(SUFFIXES))
@@ -99,6 +100,7 @@ def export_room(
     ours = [slot.material for item in room for slot in item.material_slots if slot.material is not None]
     if not all(has_maps(material) for material in ours if MATERIAL in material):
         raise FiptError("export-attributes")
+    check_pictures()
     exported = Exported(path)
     suffix, shown = path.suffix.lower(), rendered_objects(scene)
     if not set(room) & set(shown):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import bpy
 
@@ -32,14 +33,17 @@ from ..marks import (
 )
 from ..own_materials import own_materials
 from .fixture_nodes import node_strength, surfaces, write_radiance, write_shown
+from .light_groups import add_to_groups
 from .tint import base_of, blender_color, shone, shown_color, shown_temperature, tinted, unit_of
 
 SETTINGS = (ON, SOLO, STOPS, TINT, COLOR, KELVIN)
+DEFAULTS: dict[str, Any] = {ON: True, SOLO: False, STOPS: 0.0, TINT: 0}  # where they are not set
 Setting = bool | int | float | Sequence[float]
 
 
 def list_lights(scene: bpy.types.Scene) -> None:
-    """Update the panel's list; nothing happens where the add-on is not enabled (batch jobs)."""
+    """Update the panel's list, where the add-on is enabled, and the light groups that we made."""
+    add_to_groups(scene)
     if not hasattr(scene, "fipt"):
         return
     settings = scene.fipt.lights

@@ -217,8 +217,7 @@ def _swap_in(
     warnings += _still_deleted(absent)
     bpy.data.batch_remove([fixture.mesh for fixture in absent])
     wanted = [fixture for fixture in new_fixtures if fixture not in absent]
-    keep_states(scene, fixtures.place(scene, wanted), kept)
-    return warnings
+    return warnings + keep_states(scene, fixtures.place(scene, wanted), kept)
 
 
 def _sharing(scene: bpy.types.Scene, item: bpy.types.Object) -> list[bpy.types.Object]:
