@@ -11,7 +11,7 @@ from mathutils import Vector
 
 from fipt_blender.blend import render_settings
 from fipt_blender.blend.capture.cameras import use_view
-from fipt_blender.blend.lights import eevee, new_lights
+from fipt_blender.blend.lights import calibration, eevee, new_lights
 from fipt_blender.blend.marks import PIXEL_ASPECT, RESOLUTION, VISIBILITY, light_probe
 from fipt_blender.blend.render_settings import changed_by_artist
 from samples.applied_rooms import make_applied_scene
@@ -97,6 +97,7 @@ def test_revert_restores_the_artists_engine_however_often_it_was_switched(scene,
 def test_a_file_opened_without_a_denoiser_renders_without_unless_the_artist_has_chosen(scene, tmp_path, monkeypatch):
     """Cycles ends with an error where it shall denoise but can't."""
     monkeypatch.setattr(render_settings, "can_denoise", lambda: True)
+    before = scene.cycles.sample_clamp_indirect
     ops.apply_results()
     own = scene.copy()
     own.name, own.use_fake_user, own.cycles.samples = "Own", True, 99
@@ -106,6 +107,15 @@ def test_a_file_opened_without_a_denoiser_renders_without_unless_the_artist_has_
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
     found = [(each.cycles.use_denoising, each.cycles.samples) for each in (bpy.context.scene, bpy.data.scenes["Own"])]
     assert found == [(False, render_settings.MOST_UNDENOISED), (False, 99)]
+    # Fireflies, which the denoiser would remove, are clamped far above the picture's white.
+    scene = bpy.context.scene
+    white = 2.0**-scene.view_settings.exposure
+    clamp = scene.cycles.sample_clamp_indirect
+    assert clamp == pytest.approx(render_settings.CLAMPED_UNDENOISED * white, rel=1e-4) and clamp > 4.0 * white
+    calibration.scale_light(scene, 100.0)
+    assert scene.cycles.sample_clamp_indirect == pytest.approx(100.0 * clamp, rel=1e-4)
+    ops.revert()
+    assert scene.cycles.sample_clamp_indirect == pytest.approx(before)
 
 
 def test_render_settings_are_set_once_and_what_the_artist_changes_survives(scene):

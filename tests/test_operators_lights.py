@@ -123,6 +123,21 @@ def test_on_solo_and_all(scene):
     assert lamp.on and new.on and new.object.data.energy == energy and world_strength() == 1.0
 
 
+def test_solo_switches_off_a_world_that_the_artist_has_chosen(scene):
+    scene.world = bpy.data.worlds.new("my sky")
+    layer, row = bpy.context.view_layer, scene.fipt.lights.lights[0]
+    row.solo = True
+    assert not layer.use_sky
+    row.solo = False
+    assert layer.use_sky
+    row.solo = True
+    assert ops.switch_lights(on=True) == {"FINISHED"} and layer.use_sky
+    layer.use_sky = False  # hers stays
+    row.solo = True
+    row.solo = False
+    assert not layer.use_sky
+
+
 def test_strengths_entered_in_blenders_fields_become_settings(scene):
     ops.add_light(location=(0, 0, 3), size=1.0, power=50.0)
     lamp, new = scene.fipt.lights.lights

@@ -24,6 +24,8 @@ NOISE_THRESHOLD = 0.02
 # around a bulb.
 LEAST_SAMPLES, MOST_SAMPLES = 8, 8
 MOST_UNDENOISED = 256  # in a Blender without its denoiser, where the noise threshold ends a pixel
+# There, most of a sample's indirect light, in white of the picture: what is above are fireflies.
+CLAMPED_UNDENOISED = 8.0
 MOST_SECONDS = 120.0  # of sampling, after which Cycles denoises what it has
 LONGER_SIDE = 1920  # pixels
 
@@ -57,12 +59,15 @@ def can_denoise() -> bool:
     return bool(getattr(_cycles, "with_openimagedenoise", False))
 
 
-def picture_settings(exposure: float | None = None) -> dict[str, Any]:
+def picture_settings(scene: bpy.types.Scene, exposure: float | None = None) -> dict[str, Any]:
     """The settings of pictures by their paths: Cycles until the noise is low, denoised, shown as photographs.
 
     Args:
+        scene: whose they are.
         exposure: stops; None leaves the scene's.
     """
+    film = scene.cycles.film_exposure if hasattr(scene, "cycles") else 1.0
+    white = 2.0 ** -(scene.view_settings.exposure if exposure is None else exposure)
     cycles = {
         **LIGHT_PATHS,
         "use_adaptive_sampling": True,
@@ -71,7 +76,7 @@ def picture_settings(exposure: float | None = None) -> dict[str, Any]:
         "samples": MOST_SAMPLES if can_denoise() else MOST_UNDENOISED,
         "time_limit": MOST_SECONDS,
         "use_denoising": can_denoise(),
-        **(_DENOISER if can_denoise() else {}),
+        **(_DENOISER if can_denoise() else {"sample_clamp_indirect": CLAMPED_UNDENOISED * white / film}),
     }
     view: dict[str, Any] = {"view_transform": "Standard", "look": "None", "gamma": 1.0}
     if exposure is not None:
@@ -91,7 +96,7 @@ def set_up(scene: bpy.types.Scene, exposure: float | None = None, again: bool = 
             (render.resolution_x, render.resolution_y), LONGER_SIDE
         )
         render.resolution_percentage = 100
-    return set_once(scene, picture_settings(exposure), again)
+    return set_once(scene, picture_settings(scene, exposure), again)
 
 
 def fitted(size: tuple[int, int], longer_side: int) -> tuple[int, int]:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from ..blend import previews
 from . import files, running, runstate
 from .job_scene import find_scene, scene_context
-from .window import redraw, show_notice
+from .window import open_sidebar, redraw, show_notice, shows_light
 
 if TYPE_CHECKING:
     from ..bridge.job import Job
@@ -26,7 +27,7 @@ _keymap_items: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
 
 def register() -> None:
-    """Add the shortcut Esc and listen to what the run folders' timer finds.
+    """Add the shortcuts Esc and Ctrl Q and listen to what the run folders' timer finds.
 
     A key map item instead of a modal operator: Blender does not auto-save while one runs, and a run may take
     an hour. Background mode has no key map.
@@ -37,6 +38,9 @@ def register() -> None:
         item = keymap.keymap_items.new("fipt.cancel", "ESC", "PRESS")
         item.properties.by_key = True
         _keymap_items.append((keymap, item))
+        command = "oskey" if sys.platform == "darwin" else "ctrl"
+        item = keymap.keymap_items.new("fipt.quit_during_job", "Q", "PRESS", **{command: True})
+        _keymap_items.append((keymap, item))
     bpy.app.handlers.animation_playback_post.append(_note_playback_end)
     runstate.on_change = _show_state
     running.register(after_job)
@@ -44,7 +48,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """End the running job, remove the shortcut, the timers and the icons."""
+    """End the running job, remove the shortcuts, the timers and the icons."""
     running.shut_down()
     while _keymap_items:
         keymap, item = _keymap_items.pop()
@@ -72,6 +76,11 @@ def after_job(info: Job) -> None:
     unless the artist does not want that or is in Edit Mode.
     """
     scene = find_scene(info.scene_name, info.run_folder)
+    if info.kind == "materials" and info.state == "finished" and shows_light():
+        text = iface_("{}: finished. The view is gray until Cycles has loaded the room")
+        show_notice(text.format(iface_(info.title)), "INFO")
+    if info.title in ("Import Capture", "Try the Example") and info.error is None:
+        open_sidebar()
     if info.error is not None and info.error["code"] == "cameras-missing" and scene is not None:
         with scene_context(scene.name, info.run_folder):
             if bpy.ops.fipt.photographs_of_capture.poll():

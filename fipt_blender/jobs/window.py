@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import bpy
 
 
@@ -26,6 +28,28 @@ def show_notice(text: str, level: str) -> None:
     if windows and not bpy.app.background:
         with bpy.context.temp_override(window=windows[0]):
             bpy.ops.fipt.notice("INVOKE_DEFAULT", text=text, level=level)
+
+
+def _views() -> list[bpy.types.Area]:
+    """The 3D views of all windows."""
+    windows = bpy.context.window_manager.windows
+    return [area for window in windows for area in window.screen.areas if area.type == "VIEW_3D"]
+
+
+def shows_light() -> bool:
+    """Whether a 3D view renders in Cycles, which takes seconds before its first picture."""
+    engines = {window.scene.render.engine for window in bpy.context.window_manager.windows}
+    return "CYCLES" in engines and any(area.spaces.active.shading.type == "RENDERED" for area in _views())
+
+
+def open_sidebar() -> None:
+    """Open our tab in 3D views, where nobody has opened another one."""
+    for area in _views():
+        if not area.spaces.active.show_region_ui:
+            area.spaces.active.show_region_ui = True
+            region = next(each for each in area.regions if each.type == "UI")
+            with suppress(AttributeError, TypeError):  # a region that was never drawn has no tabs yet
+                region.active_panel_category = "FIPT"
 
 
 def push_undo(text: str) -> None:

@@ -64,7 +64,7 @@ def switch_lights(scene: bpy.types.Scene, on: Annotated[bool, "Switch the lights
     switch_all(on, scene)
 
 
-@action("Update List")
+@action("Update List", needs=(is_own_room,))
 def list_lights(scene: bpy.types.Scene) -> None:
     """Update the list of fixtures and added lights, including appended and duplicated ones."""
     from ..blend.lights import light_state

@@ -82,6 +82,12 @@ def FIPT_PT_lights(layout: UILayout, context: Context) -> None:
             _draw_doubt(layout, context.scene.fipt.hints, light.object)
     elif context.scene.fipt.materials.object_count and not len(settings.lights):
         draw_text(layout, "No lamps were found. Windows alone light the room.", icon="INFO")
+    shading = context.space_data.shading
+    if shading.type in ("SOLID", "WIREFRAME"):
+        row = layout.row()
+        row.use_property_split = False
+        row.label(text="This view shows no light:", icon="SHADING_SOLID")
+        row.prop_enum(shading, "type", "RENDERED", text="Show Light")
     if settings.needs_cycles():
         _draw_engine_choice(layout)
     elif settings.needs_probe():

@@ -14,6 +14,7 @@ import bpy
 
 from ...core.run.errors import FiptError
 from ..marks import UNIT, lights_of, other_lights, result_world
+from ..render_settings import is_set, set_once
 from . import light_state
 from .color import LUMENS_PER_WATT, luminance
 from .irradiance import irradiance
@@ -48,6 +49,9 @@ def scale_light(scene: bpy.types.Scene, factor: float) -> None:
     scene[UNIT] = factor * scene_unit(scene)
     if hasattr(scene, "cycles"):
         scene.cycles.film_exposure /= factor
+        if is_set(scene) and scene.cycles.sample_clamp_indirect:  # also radiance
+            clamp = factor * scene.cycles.sample_clamp_indirect
+            set_once(scene, {"cycles.sample_clamp_indirect": clamp}, again=True)
     light_state.refresh(scene)
 
 

@@ -18,6 +18,7 @@ from ..marks import (
     BASE,
     COLOR,
     KELVIN,
+    KEPT_SKY,
     ON,
     SOLO,
     STOPS,
@@ -141,14 +142,20 @@ def has_set_power(scene: bpy.types.Scene, item: bpy.types.Object, light: bpy.typ
 
 
 def refresh_world(scene: bpy.types.Scene) -> None:
-    """Update the environment's strength from its settings; nothing happens without a world of ours."""
-    world = result_world(scene)
+    """Update the environment's strength from its settings; the artist's own world is off while one is solo."""
+    world, solo = result_world(scene), _any_solo(scene)
+    for layer in scene.view_layers:
+        if solo and scene.world != world and layer.use_sky:
+            layer.use_sky, layer[KEPT_SKY] = False, 1
+        elif KEPT_SKY in layer and not (solo and scene.world != world):
+            layer.use_sky = True
+            remove_marks(layer, KEPT_SKY)
     if world is None:
         return
     background = world.node_tree.nodes.get(BACKGROUND)
     if background is None:  # removed by the artist
         return
-    on = bool(world[WORLD]) and world.get(WORLD_ON, True) and not _any_solo(scene)
+    on = bool(world[WORLD]) and world.get(WORLD_ON, True) and not solo
     visible = _shown(scene) in ("ESTIMATED", "ORIGINAL", "EMISSION")
     strength = unit_of(world) * world.get(WORLD_FACTOR, 1.0)
     background.inputs["Strength"].default_value = strength if on and visible else 0.0
