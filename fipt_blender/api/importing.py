@@ -57,11 +57,10 @@ def run_opening(folder: Path) -> Task:
     def make(scene: bpy.types.Scene) -> Job:
         from ..blend.capture.importing import import_capture
         from ..bridge.step import Step
-        from ..core.run.run_files import read_capture
         from ..jobs.run_job import open_job
 
         run = RunFolder(folder)
-        source = read_capture(run.ingest_json).source
+        source = run.unsaved.read_text(encoding="utf-8")
         work = partial(import_capture, run, source)
         job = open_job(run, [Step("import", "Adding cameras and mesh", 5.0, function=work)])
         scene.fipt.capture.path, scene.fipt.run_folder = source, str(run.root)
@@ -128,6 +127,7 @@ def open_run(scene: bpy.types.Scene, source: str, name: str) -> RunFolder:
         run = RunFolder(machine.new_run_folder(name))
     if not run.run_json.exists():
         run.create(make_settings())
+        run.unsaved.write_text(source, encoding="utf-8")
     run.made("capture").unlink(missing_ok=True)  # the artist wants it read
     scene.fipt.run_folder = str(run.root)
     return run

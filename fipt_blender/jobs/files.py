@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Saving a file brings the textures of results beside it that were applied while it had no name, and notes in
-its runs that a file knows them; one that was opened in a Blender without a denoiser renders without, unless the
-artist has changed that.
+its runs that a file knows them; one that was opened in a Blender without a denoiser renders without, unless
+the artist has changed that.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def _after(*_: object) -> None:
     for scene in bpy.data.scenes if bpy.data.filepath else ():
         if scene.fipt.run_folder:
             with suppress(OSError):  # the folder may be gone
-                RunFolder(bpy.path.abspath(scene.fipt.run_folder)).saved.touch()
+                RunFolder(bpy.path.abspath(scene.fipt.run_folder)).unsaved.unlink(missing_ok=True)
 
 
 def _restore() -> None:

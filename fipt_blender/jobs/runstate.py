@@ -8,6 +8,7 @@ While drawing, the answer comes from a cache, which a timer refreshes soon after
 from __future__ import annotations
 
 import os
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ from typing import TYPE_CHECKING
 import bpy
 
 from ..core.run.runfolder import RunFolder
+from .job_scene import uses_run_folder
+from .window import redraw
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -122,24 +125,24 @@ def _look_for_unsaved() -> None:
     found = _find_unsaved()
     if found != _unsaved[1]:
         _unsaved = time.monotonic(), found
-        on_change(RunState())
+        redraw()
 
 
 def _find_unsaved() -> tuple[UnsavedRun, ...]:
     from .. import machine
     from ..bridge import storage
-    from ..core.run.contents import CapturedViews
-    from ..core.run.documents import optional_document
+    from ..core.run.lock import holder
 
     found = []
     for item in storage.list_items(machine.data_folder()):
         run = RunFolder(item.folder)
         recent = item.kind == storage.RUN and time.time() - item.modified < _UNSAVED_SECONDS
-        if not recent or run.saved.exists() or len(found) == _MOST_UNSAVED:
+        if not recent or not run.unsaved.is_file() or len(found) == _MOST_UNSAVED:
             continue
-        capture, state = optional_document(run.ingest_json, CapturedViews), look(run)
-        if capture is not None and capture.mesh and state.stages:
-            name = Path(capture.source).stem
+        if holder(run) is not None or any(uses_run_folder(scene, run.root) for scene in bpy.data.scenes):
+            continue
+        state, name = look(run), re.sub(r"-\d{8}-\d{6}(-\d+)?$", "", run.root.name)
+        if run.ingest_json.is_file() and state.stages:
             found.append(UnsavedRun(run.root, name, item.modified, state.stages, state.finished))
     return tuple(found)
 

@@ -76,10 +76,11 @@ def after_job(info: Job) -> None:
     unless the artist does not want that or is in Edit Mode.
     """
     scene = find_scene(info.scene_name, info.run_folder)
-    if info.kind == "materials" and info.state == "finished" and shows_light():
+    applied = info.kind == "materials" or info.title == "Example"
+    if applied and info.state == "finished" and shows_light():
         text = iface_("{}: finished. The view is gray until Cycles has loaded the room")
         show_notice(text.format(iface_(info.title)), "INFO")
-    if info.title in ("Import Capture", "Try the Example") and info.error is None:
+    if info.title == "Import Capture" and info.error is None:  # dropped on the window, or from File > Import
         open_sidebar()
     if info.error is not None and info.error["code"] == "cameras-missing" and scene is not None:
         with scene_context(scene.name, info.run_folder):

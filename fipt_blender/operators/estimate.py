@@ -271,6 +271,7 @@ def try_example(context: bpy.types.Context) -> Task:
         settings = estimating.scene_settings(scene)
         run = RunFolder(machine.new_run_folder(NAME))
         run.create(settings)
+        run.unsaved.write_text(str(path), encoding="utf-8")
         scene.fipt.run_folder = str(run.root)
         steps = [
             *scene_steps.import_steps(run, path, CaptureOptions(), partial(import_capture, run, str(path))),

@@ -57,7 +57,7 @@ def _draw_problem(layout: UILayout) -> None:
 
 
 def draw_online_access(layout: UILayout) -> str:
-    """Blender's own switch, which only the user may set and which keeps its place; returns what to say below."""
+    """Blender's own switch, which only the user may set, and which keeps its place; what to say below it."""
     if not getattr(bpy.app, "online_access_override", False):
         row = layout.row()
         row.use_property_split = False

@@ -121,8 +121,8 @@ class FixtureState:
     def is_changed(self) -> bool:
         """Whether the artist has set anything but what `remove` does."""
         made = (self.name, self.own_lights, self.matrix, self.mesh, self.materials, any(self.hidden))
-        made += tuple(self.settings.get(key, value) != value for key, value in DEFAULTS.items())
-        return not self.removed and any(made)
+        is_set = any(self.settings.get(key, value) != value for key, value in DEFAULTS.items())
+        return not self.removed and (is_set or any(made))
 
 
 def release_copies(scene: bpy.types.Scene) -> None:
@@ -142,13 +142,8 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
     `keep_states` must follow, for the lights.
     """
     states = {
-        f"unplaced {index}": FixtureState(
-            entry["label"],
-            entry["settings"],
-            Surface(np.array(entry["center"]), entry["radius"]),
-            name=entry["name"],
-        )
-        for index, entry in enumerate(json.loads(scene.get(UNPLACED, "[]")))
+        f"unplaced {index}": FixtureState(label, settings, Surface(np.array(center), radius), name=name)
+        for index, (label, name, settings, center, radius) in enumerate(json.loads(scene.get(UNPLACED, "[]")))
     }
     release_copies(scene)
     for item in fixtures_of(scene):
@@ -231,18 +226,11 @@ def keep_states(
                 remove_object(light)
     remove_marks(scene, UNPLACED)
     if lost:
-        scene[UNPLACED] = json.dumps(
-            [
-                {
-                    "label": state.label,
-                    "name": state.name,
-                    "settings": state.settings,
-                    "center": state.surface.center.tolist(),
-                    "radius": state.surface.radius,
-                }
-                for state in lost
-            ]
-        )
+        places = [(each.surface.center.tolist(), each.surface.radius) for each in lost]
+        kept = [
+            (each.label, each.name, each.settings, *place) for each, place in zip(lost, places, strict=True)
+        ]
+        scene[UNPLACED] = json.dumps(kept)
     refresh(scene)
     list_lights(scene)
     return [warning("lamps-unplaced", lamps=", ".join(state.label for state in lost))] if lost else []
@@ -299,7 +287,8 @@ def _keep_shape(scene: bpy.types.Scene, item: bpy.types.Object, state: FixtureSt
             remove_object(light)
         fixture_to_lights(scene, item)
         if same:
-            _bring_back(item, state.lights, np.divide(now, before, out=np.ones(3), where=before > 0.0))
+            factor = np.divide(now, before, out=np.ones(3), where=before > 0.0)
+            _bring_back(item, state.lights, factor.tolist())
 
 
 def _taken(light: bpy.types.Object) -> tuple[bpy.types.Object, Matrix]:

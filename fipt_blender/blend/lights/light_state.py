@@ -142,7 +142,7 @@ def has_set_power(scene: bpy.types.Scene, item: bpy.types.Object, light: bpy.typ
 
 
 def refresh_world(scene: bpy.types.Scene) -> None:
-    """Update the environment's strength from its settings; the artist's own world is off while one is solo."""
+    """Update the environment's strength from its settings. While a light is solo, no world shines."""
     world, solo = result_world(scene), _any_solo(scene)
     for layer in scene.view_layers:
         if solo and scene.world != world and layer.use_sky:

@@ -184,7 +184,7 @@ def _add_nodes(
 def _caught(
     tree: bpy.types.NodeTree, noisy: bpy.types.NodeSocket, shown: bpy.types.NodeSocket
 ) -> bpy.types.NodeSocket:
-    """The shadow catcher where the mean of its noise tells that objects change the light; elsewhere exactly 1.
+    """The shadow catcher where the mean of its noise tells of a change by the objects; elsewhere exactly 1.
 
     Args:
         tree: gets the nodes.
