@@ -27,11 +27,7 @@ def missing_pictures() -> list[str]:
 
 
 def check_pictures() -> None:
-    """Read the pictures of results before their pixels are used, also those that could not be read before.
-
-    Raises:
-        FiptError: ``file-missing`` where one is missing or damaged.
-    """
+    """Read the pictures of results before their pixels are used, also those that could not be read before."""
     images = _outside()
     for image in images:
         if not image.size[0]:  # Blender doesn't try again by itself
@@ -53,11 +49,7 @@ def pictures_in_runs(folder: Path) -> list[bpy.types.Image]:
 
 
 def bring(images: Iterable[bpy.types.Image], blend: Path) -> None:
-    """Copy images' files to folders in NAME_textures beside a .blend file NAME, and let the images name them.
-
-    Raises:
-        FiptError: ``textures-unwritable``.
-    """
+    """Copy images' files to folders in NAME_textures beside a .blend file NAME; the images name them then."""
     folders: dict[Path, str] = {}
     for image in images:
         files = image_files(image)
@@ -98,10 +90,6 @@ def collect_room(folder: Path) -> tuple[Path, list[Path]]:
 
     Returns:
         The copy, and other files that it needs, which stay where they are.
-
-    Raises:
-        FiptError: ``file-missing``, ``file-exists``, ``textures-unwritable``, or what
-            `save.write_error` returns.
     """
     if missing := missing_pictures():
         raise FiptError("file-missing.check-pictures", number_of_missing=len(missing), missing=missing[0])

@@ -19,11 +19,7 @@ MOST_PATH_BYTES = 1023
 
 
 def check_length(path: Path) -> None:
-    """Refuse a path that is longer than Blender's.
-
-    Raises:
-        FiptError: ``path-long``.
-    """
+    """Refuse a path that is longer than Blender's."""
     if len(os.fsencode(path)) > MOST_PATH_BYTES:
         raise FiptError(
             "path-long", path=str(path)[:80], number_of_path=len(str(path)), most_path_bytes=MOST_PATH_BYTES
@@ -31,11 +27,7 @@ def check_length(path: Path) -> None:
 
 
 def load_radiance(path: Path) -> bpy.types.Image | None:
-    """A scene-linear image, or one of sRGB's codes, displayed as renders are; None where the file is missing.
-
-    Raises:
-        FiptError: ``path-long`` or ``color-space-missing``.
-    """
+    """A scene-linear image, or one of sRGB's codes, displayed as renders are; None without the file."""
     if not path.is_file():
         return None
     check_length(path)

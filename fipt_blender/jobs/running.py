@@ -75,9 +75,6 @@ def start(job: Job, on_end: Callable[[Job], None] | None = None) -> Job:
 
     Returns:
         `job`.
-
-    Raises:
-        FiptError: ``job-running`` where another one runs.
     """
     global _active
     if _active is not None:

@@ -285,11 +285,7 @@ def try_example(context: bpy.types.Context) -> Task:
 
 
 def copy_example(data: Path) -> Path:
-    """Copy the example to the data folder, since upgrades of the extension delete its own; returns its place.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
+    """Copy the example to the data folder, since upgrades of the extension delete its own; its place."""
     import shutil
 
     from ..bridge.places import PACKAGE_FOLDER

@@ -21,11 +21,7 @@ LightName = Annotated[str, "Name of the light. If empty, the active light of the
 
 
 def find_light(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
-    """The light of that name, or the list's active one for "".
-
-    Raises:
-        FiptError: ``fixture-missing``.
-    """
+    """The light of that name, or the list's active one for ""."""
     lights = scene.fipt.lights
     row: FIPT_Light | None = lights.active_light()
     if name:
@@ -38,11 +34,7 @@ def find_light(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
 
 
 def find_fixture(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
-    """The estimated fixture of that name, or the list's active one for "".
-
-    Raises:
-        FiptError: ``fixture-missing``.
-    """
+    """The estimated fixture of that name, or the list's active one for ""."""
     fixture = find_light(scene, name)
     if FIXTURE not in fixture:
         raise FiptError("fixture-missing.find-fixture", name=fixture.name)
@@ -204,11 +196,7 @@ def set_ies_profile(
 
 
 def _blender_lights(scene: bpy.types.Scene, name: str) -> list[bpy.types.Object]:
-    """The Blender lights of a row of the list.
-
-    Raises:
-        FiptError: ``fixture-missing``; ``fixture-emits`` for a fixture whose surface still emits.
-    """
+    """The Blender lights of a row of the list."""
     item = find_light(scene, name)
     lights = [item] if NEW_LIGHT in item and item.type == "LIGHT" else fixture_lights(item)
     if not lights:

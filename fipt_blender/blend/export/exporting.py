@@ -87,10 +87,6 @@ def export_room(
         texture_size: the most texels of a texture's side.
         lamp_lights: in glTF, give lamps a light besides the surface that glows. Game engines
             and browsers light by lights alone; path tracers would light the room twice.
-
-    Raises:
-        FiptError: ``export-format``, ``export-nothing``, ``export-attributes``, ``export-failed``,
-            ``file-missing``, ``disk-full`` or ``run-unwritable``.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise FiptError("export-format", suffix=path.suffix, suffixes=", ".join(SUFFIXES))
@@ -140,11 +136,7 @@ def _made(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _written_whole(path: Path) -> Iterator[Path]:
-    """Where a file and those that it refers to are written; they get to their places together at the end.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``; nothing is left then.
-    """
+    """Where a file and those that it refers to are written; they get to their places together at the end."""
     with explained_write_errors(path), _made(path.parent):
         with tempfile.TemporaryDirectory(prefix=".fipt_export_", dir=path.parent) as folder:
             yield Path(folder, path.name)

@@ -56,22 +56,14 @@ def scale_light(scene: bpy.types.Scene, factor: float) -> None:
 
 
 def calibrate_by_lamp(scene: bpy.types.Scene, item: bpy.types.Object, flux: float) -> float:
-    """Scale all light so that a lamp, as it is set now, has a luminous flux; returns the factor.
-
-    Raises:
-        FiptError: ``calibration-dark`` or ``calibration-value``.
-    """
+    """Scale all light so that a lamp, as it is set now, has a luminous flux; returns the factor."""
     return _calibrate(scene, lumens(item), flux, f"'{item.name}' emits nothing.", "Choose another lamp.")
 
 
 def calibrate_by_lux(
     scene: bpy.types.Scene, place: tuple[float, float, float], lux: float, samples: int = 256
 ) -> float:
-    """Scale all light so that a horizontal surface at a place gets an illuminance; returns the factor.
-
-    Raises:
-        FiptError: ``calibration-dark`` or ``calibration-value``; ``engine-missing`` without Cycles.
-    """
+    """Scale all light so that a horizontal surface at a place gets an illuminance; returns the factor."""
     above = (place[0], place[1], place[2] + _SENSOR)
     found = irradiance(scene, above, samples).tolist()
     text, remedy = "No light comes from above to this place.", "Put the 3D cursor on a lit, open surface."

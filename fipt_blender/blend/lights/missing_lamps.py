@@ -26,9 +26,6 @@ def add_inferred(scene: bpy.types.Scene, run: RunFolder) -> None:
     """Add the inferred lights of a run, in place of those of earlier results: without them the room is dark.
 
     Those that are still inferred keep the artist's settings; other ones with settings are switched off.
-
-    Raises:
-        FiptError: ``file-missing`` or ``file-damaged``.
     """
     emitters = read_document(run.emitters_json, Emitters, "Run the estimation again.")
     lamps = {lamp.position: lamp for lamp in emitters.missing}

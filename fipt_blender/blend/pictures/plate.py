@@ -53,9 +53,6 @@ def plate_scene(scene: bpy.types.Scene, run: RunFolder, view: CapturedView) -> b
         scene: the room's.
         run: the run folder.
         view: the view.
-
-    Raises:
-        FiptError: ``image-missing``.
     """
     path = run.resolve(view.image)
     image = load_radiance(path)

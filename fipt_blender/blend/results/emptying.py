@@ -92,10 +92,6 @@ def remove(scene: bpy.types.Scene, run: RunFolder, chosen: Chosen) -> tuple[list
 
     Returns:
         Names of the objects that are hidden, and of those that complete what was behind them.
-
-    Raises:
-        FiptError: ``removal-empty`` where nothing of the room is chosen; ``removal-attributes``;
-            ``textures-unwritable``, ``file-missing``. Nothing is hidden then.
     """
     chosen = {item: faces for item, faces in chosen.items() if _can_be_removed(item, faces)}
     if not chosen:
@@ -256,11 +252,7 @@ def _material(estimate: bpy.types.Material, images: Mapping[str, bpy.types.Image
 
 
 def _written(scene: bpy.types.Scene, run: RunFolder, values: np.ndarray) -> TextureFiles:
-    """Write the maps of a window, values (H, W, 5) and no confidence, into a folder of their own.
-
-    Raises:
-        FiptError: ``textures-unwritable``.
-    """
+    """Write the maps of a window, values (H, W, 5) and no confidence, into a folder of their own."""
     rgb = from_scene_linear(values[..., :3])
     maps = {"base_color": rgb, "roughness": values[..., [3] * 3], "metallic": values[..., [4] * 3]}
     maps["confidence"] = np.zeros((1, 1, 3))

@@ -40,9 +40,6 @@ def show(scene: bpy.types.Scene, shown: str) -> None:
     Args:
         scene: the scene with results; nothing happens without results.
         shown: an identifier of `properties.materials.SHOWN`.
-
-    Raises:
-        FiptError: ``room-edited`` where an object of the room is in edit mode.
     """
     items = room_with_results(scene)
     if not items:

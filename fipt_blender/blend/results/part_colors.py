@@ -35,11 +35,7 @@ _RAL = """
 
 
 def named_color(text: str) -> tuple[float, ...]:
-    """The scene-linear colour of a RAL number ("RAL 7035") or of sRGB: "#fff", "rgb(255, 255, 255)".
-
-    Raises:
-        FiptError: ``color-unknown``.
-    """
+    """The scene-linear colour of a RAL number ("RAL 7035") or of sRGB: "#fff", "rgb(255, 255, 255)"."""
     words = _RAL.split()
     known = dict(zip(words[::2], words[1::2], strict=True))
     name = re.sub(r"[\s#]|^\s*ral", "", text.lower())

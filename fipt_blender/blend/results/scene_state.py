@@ -86,11 +86,7 @@ def photographs_exposure(scene: bpy.types.Scene) -> float | None:
 
 
 def match_exposure(scene: bpy.types.Scene) -> float:
-    """Set the scene's exposure so that a render is as bright as the photographs; returns the stops.
-
-    Raises:
-        FiptError: ``radiance-unknown``.
-    """
+    """Set the scene's exposure so that a render is as bright as the photographs; returns the stops."""
     stops = photographs_exposure(scene)
     if stops is None:
         raise FiptError("radiance-unknown")
