@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from .. import machine
 from ..blend import previews
 from . import files, running, runstate
 from .job_scene import find_scene, scene_context
@@ -44,12 +45,16 @@ def register() -> None:
     bpy.app.handlers.animation_playback_post.append(_note_playback_end)
     runstate.on_change = _show_state
     running.register(after_job)
+    if not bpy.app.background:
+        bpy.app.timers.register(_tell_where, first_interval=1.0)
     files.register()
 
 
 def unregister() -> None:
     """End the running job, remove the shortcuts, the timers and the icons."""
     running.shut_down()
+    if bpy.app.timers.is_registered(_tell_where):
+        bpy.app.timers.unregister(_tell_where)
     while _keymap_items:
         keymap, item = _keymap_items.pop()
         keymap.keymap_items.remove(item)
@@ -57,6 +62,12 @@ def unregister() -> None:
     runstate.unregister()
     files.unregister()
     previews.clear()
+
+
+def _tell_where() -> None:
+    """After the installation nothing else says where the add-on is."""
+    if not machine.has_engine():
+        show_notice(iface_("FIPT is in the sidebar of the 3D Viewport: press N there, tab FIPT"), "INFO")
 
 
 @bpy.app.handlers.persistent

@@ -43,13 +43,19 @@ def shows_light() -> bool:
 
 
 def open_sidebar() -> None:
-    """Open our tab in 3D views, where nobody has opened another one."""
+    """Open our tab in the 3D views, where the sidebar is closed."""
+    closed = [area for area in _views() if not area.spaces.active.show_region_ui]
+    for area in closed:
+        area.spaces.active.show_region_ui = True
+    if closed:  # a region has no tabs before it is drawn
+        bpy.app.timers.register(_show_tab, first_interval=0.3)
+
+
+def _show_tab() -> None:
     for area in _views():
-        if not area.spaces.active.show_region_ui:
-            area.spaces.active.show_region_ui = True
-            region = next(each for each in area.regions if each.type == "UI")
-            with suppress(AttributeError, TypeError):  # a region that was never drawn has no tabs yet
-                region.active_panel_category = "FIPT"
+        region = next(each for each in area.regions if each.type == "UI")
+        with suppress(AttributeError, TypeError):
+            region.active_panel_category = "FIPT"
 
 
 def push_undo(text: str) -> None:
