@@ -26,14 +26,14 @@ def check_length(path: Path) -> None:
         )
 
 
-def load_radiance(path: Path) -> bpy.types.Image | None:
-    """A scene-linear image, or one of sRGB's codes, displayed as renders are; None without the file."""
+def load_radiance(path: Path, encoded: bool) -> bpy.types.Image | None:
+    """A scene-linear image, shown as renders are, or one of codes (`encoded`), as it is; None without the file."""
     if not path.is_file():
         return None
     check_length(path)
     image = bpy.data.images.load(str(path), check_existing=True)
     _set_color_space(image, path, False)
-    image.use_view_as_render = True  # the scene's view transform and exposure
+    image.use_view_as_render = not encoded  # the scene's view transform and exposure
     return image
 
 

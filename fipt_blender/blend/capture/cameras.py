@@ -95,10 +95,9 @@ def mark_camera(item: bpy.types.Object, view: CapturedView, parameters: conventi
 def _load_photograph(run: RunFolder, view: CapturedView) -> bpy.types.Image | None:
     """A view's photograph, or its smaller copy where it has one; None where the file is missing."""
     path = run.resolve(view.image)
-    if not view.preview:
-        return load_radiance(path)
-    image = load_radiance(run.resolve(view.preview)) if path.is_file() else None
-    if image is not None:
+    shown = run.resolve(view.preview) if view.preview else path
+    image = load_radiance(shown, view.encoded) if path.is_file() else None
+    if image is not None and view.preview:
         image[LARGE_PHOTOGRAPH] = str(path)
     return image
 

@@ -55,7 +55,7 @@ def plate_scene(scene: bpy.types.Scene, run: RunFolder, view: CapturedView) -> b
         view: the view.
     """
     path = run.resolve(view.image)
-    image = load_radiance(path)
+    image = load_radiance(path, view.encoded)
     if image is None or min(image.size) == 0:
         raise FiptError("image-missing.photograph", path=path, name=view.name)
     set_backdrop(scene, "PHOTOGRAPH", scene.fipt.capture.room_objects(scene))  # also objects that came since

@@ -63,6 +63,9 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> tuple[list[str],
         scale_light(scene, 1.0 / scene_unit(scene))
         remove_marks(scene, UNIT)
     remove_marks(scene, UNPLACED)
+    for view in scene.fipt.capture.views:
+        view.property_unset("exposure")
+    scene.fipt.capture.property_unset("shown_exposure")
     for name in ("median_radiance", "median_shown"):
         scene.fipt.lights.property_unset(name)
     restore_solid_views(scene)
