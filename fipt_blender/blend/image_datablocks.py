@@ -27,7 +27,7 @@ def check_length(path: Path) -> None:
 
 
 def load_radiance(path: Path, encoded: bool) -> bpy.types.Image | None:
-    """A scene-linear image, shown as renders are, or one of codes (`encoded`), as it is; None without the file."""
+    """A linear image, shown as renders are, or one of codes (`encoded`), as it is; None where it is missing."""
     if not path.is_file():
         return None
     check_length(path)
