@@ -27,7 +27,7 @@ def check_length(path: Path) -> None:
 
 
 def load_radiance(path: Path, encoded: bool) -> bpy.types.Image | None:
-    """A linear image, shown as renders are, or one of codes (`encoded`), as it is; None where it is missing."""
+    """A linear image, shown as renders are, or one of codes (`encoded`) as it is; None where it is not."""
     if not path.is_file():
         return None
     check_length(path)
