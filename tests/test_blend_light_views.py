@@ -10,7 +10,6 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend import render_settings
-from fipt_blender.blend.capture import look
 from fipt_blender.blend.capture.cameras import use_view
 from fipt_blender.blend.lights import calibration, eevee, new_lights
 from fipt_blender.blend.marks import PIXEL_ASPECT, RESOLUTION, VIEW, VISIBILITY, light_probe
@@ -145,7 +144,7 @@ def test_looking_through_a_view_shows_the_room_as_bright_as_its_photograph(scene
     ops.show_map(shown="ROUGHNESS")
     assert shown("b") == pytest.approx(-median)  # a map has none
     ops.show_map(shown="ESTIMATED")
-    look.follow_exposure(scene, 0.0)  # a free view
+    render_settings.follow_exposure(scene, 0.0)  # a free view
     assert scene.view_settings.exposure == pytest.approx(median)
     assert ops.revert() == {"FINISHED"} and scene.fipt.capture.shown_exposure == 0.0
 

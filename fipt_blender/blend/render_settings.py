@@ -148,6 +148,25 @@ def changed_by_artist(scene: bpy.types.Scene) -> list[str]:
     return [path for path, (_, ours) in _kept(scene).items() if _value(scene, path) != ours]
 
 
+def follow_exposure(scene: bpy.types.Scene, stops: float) -> None:
+    """Show the room as bright as a photograph: phones expose each for itself.
+
+    Args:
+        scene: what the artist has added to its exposure stays; nothing happens while it shows a map.
+        stops: the photograph's exposure after that of the median one, which a free view has.
+    """
+    settings = scene.fipt.capture
+    change = stops - settings.shown_exposure
+    if not change or scene.fipt.materials.kept_view or not is_set(scene):
+        return
+    settings.shown_exposure, name = stops, "view_settings.exposure"
+    exposure = scene.view_settings.exposure + change
+    if name in changed_by_artist(scene):
+        scene.view_settings.exposure = exposure
+    else:
+        set_once(scene, {name: exposure})
+
+
 def restore(scene: bpy.types.Scene) -> None:
     """Restore the settings that are still ours."""
     kept = _kept(scene)

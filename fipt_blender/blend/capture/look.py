@@ -11,7 +11,7 @@ import numpy as np
 from mathutils import Vector
 
 from ..marks import VIEW, room_with_results
-from ..render_settings import changed_by_artist, is_set, set_once
+from ..render_settings import follow_exposure
 from .backdrop import show_photograph
 from .cameras import use_view
 from .other_cameras import watch
@@ -34,25 +34,6 @@ def look_through(
     show_photograph(scene, camera)
     enter_camera(context, scene)
     return camera
-
-
-def follow_exposure(scene: bpy.types.Scene, stops: float) -> None:
-    """Show the room as bright as a photograph: phones expose each for itself.
-
-    Args:
-        scene: what the artist has added to its exposure stays; nothing happens while it shows a map.
-        stops: the photograph's exposure after that of the median one, which a free view has.
-    """
-    settings = scene.fipt.capture
-    change = stops - settings.shown_exposure
-    if not change or scene.fipt.materials.kept_view or not is_set(scene):
-        return
-    settings.shown_exposure, name = stops, "view_settings.exposure"
-    exposure = scene.view_settings.exposure + change
-    if name in changed_by_artist(scene):
-        scene.view_settings.exposure = exposure
-    else:
-        set_once(scene, {name: exposure})
 
 
 def stand_in_photograph(scene: bpy.types.Scene, context: bpy.types.Context) -> None:

@@ -89,7 +89,7 @@ def tick() -> float | None:
 
 
 def _show_as_median(scene: bpy.types.Scene) -> None:
-    from .look import follow_exposure
+    from ..render_settings import follow_exposure
 
     follow_exposure(scene, 0.0)
 

@@ -15,12 +15,12 @@ from ...core.run.result_contents import AtlasImages
 from ...core.run.runfolder import RunFolder
 from ...core.run.versions import results_id
 from ..capture.backdrop import set_backdrop
-from ..capture.look import cull_outside, enter_room, follow_exposure
+from ..capture.look import cull_outside, enter_room
 from ..lights import light_state
 from ..lights.calibration import scene_unit
 from ..lights.missing_lamps import add_inferred
 from ..marks import MUTED, VIEW, other_lights, remove_marks, room_with_results
-from ..render_settings import set_once, set_up
+from ..render_settings import follow_exposure, set_once, set_up
 from .part_list import note_parts
 
 MIDDLE_GREY = 0.18
