@@ -61,9 +61,9 @@ def bring(images: Iterable[bpy.types.Image], blend: Path) -> None:
         for path in files:
             copy_picture(path, folder / path.name)
         pattern = image.filepath_raw.replace("\\", "/").rpartition("/")[2]
-        path = str(folder / pattern)
+        place = str(folder / pattern)
         # Without a name of the file, Blender could not read relative ones; it makes them relative itself.
-        image.filepath_raw = bpy.path.relpath(path) if bpy.data.filepath else path
+        image.filepath_raw = bpy.path.relpath(place) if bpy.data.filepath else place
 
 
 def _outside() -> list[bpy.types.Image]:
