@@ -133,7 +133,7 @@ def _find_unsaved() -> tuple[UnsavedRun, ...]:
     from ..bridge import storage
     from ..core.run.lock import holder
 
-    found = []
+    found: list[UnsavedRun] = []
     for item in storage.list_items(machine.data_folder()):
         run = RunFolder(item.folder)
         recent = item.kind == storage.RUN and time.time() - item.modified < _UNSAVED_SECONDS
