@@ -38,9 +38,10 @@ from ..results.scene_state import median_radiance, median_shown
 from .renders import plate_size
 
 SCENE = "FIPT Composite"
-# Pixels over which the shadow catcher's change is averaged, and the change up to which there is none; from
-# twice that on it is shown in full. The denoiser changes a constant by less than 1 %, but by 12 % at edges.
-_BLUR, _UNCHANGED = 4, 0.02
+# Pixels over which the shadow catcher's change is averaged, and the mean up to which it is noise: for wide and
+# faint shadows, and for small and dark ones. From twice that on it is shown in full. The denoiser changes a
+# constant by less than 1 %, but by 12 % at edges.
+_UNCHANGED = ((12, 0.02), (4, 0.1))
 
 
 def plate_scene(scene: bpy.types.Scene, run: RunFolder, view: CapturedView) -> bpy.types.Scene:
@@ -188,19 +189,22 @@ def _caught(
         noisy: the pass as rendered.
         shown: the pass that is shown where it changes something.
     """
-    ones, blur = (1.0, 1.0, 1.0, 1.0), tree.nodes.new("CompositorNodeBlur")
-    change = _blend(tree, "SUBTRACT", _blend(tree, "DARKEN", noisy, (2.0, 2.0, 2.0, 1.0)), ones)
-    tree.links.new(change, blur.inputs["Image"])
-    if blur.inputs["Size"].type == "VECTOR":  # from Blender 4.5
-        blur.inputs["Size"].default_value[:2] = _BLUR, _BLUR
-    else:
-        blur.size_x = blur.size_y = _BLUR
-    size = _blend(tree, "DIFFERENCE", blur.outputs[0], (0.0, 0.0, 0.0, 1.0))
-    unchanged = _blend(
-        tree, "ADD", _blend(tree, "MULTIPLY", size, (-1.0 / _UNCHANGED,) * 3 + (1.0,)), (2.0, 2.0, 2.0, 1.0)
-    )
-    node = unchanged.node
+    ones, most = (1.0, 1.0, 1.0, 1.0), (2.0, 2.0, 2.0, 1.0)
+    change = _blend(tree, "SUBTRACT", _blend(tree, "DARKEN", noisy, most), ones)
+    sizes = []
+    for pixels, limit in _UNCHANGED:
+        blur = tree.nodes.new("CompositorNodeBlur")
+        tree.links.new(change, blur.inputs["Image"])
+        if blur.inputs["Size"].type == "VECTOR":  # from Blender 4.5
+            blur.inputs["Size"].default_value[:2] = pixels, pixels
+        else:
+            blur.size_x = blur.size_y = pixels
+        size = _blend(tree, "DIFFERENCE", blur.outputs[0], (0.0, 0.0, 0.0, 1.0))
+        sizes.append(_blend(tree, "MULTIPLY", size, (1.0 / limit,) * 3 + (1.0,)))
+    changed = _blend(tree, "SUBTRACT", _blend(tree, "LIGHTEN", *sizes), ones)
+    node = changed.node
     setattr(node, "use_clamp" if hasattr(node, "use_clamp") else "clamp_result", True)
+    unchanged = _blend(tree, "DIFFERENCE", changed, ones)
     return _blend(tree, "MIX", shown, ones, unchanged)
 
 
