@@ -73,6 +73,13 @@ def test_a_forecast_is_a_range_beside_the_time_that_has_passed(monkeypatch, tmp_
         assert progress.status_text(job) == f"Estimate: 42%, {text} left"
 
 
+def test_a_job_of_another_file_says_of_which(monkeypatch, tmp_path):
+    set_running(monkeypatch, "estimate", "Estimate", tmp_path)
+    bpy.context.scene.fipt.run_folder = str(tmp_path / "another")
+    monkeypatch.setattr(running, "other_file", lambda: "kitchen.blend")
+    assert "Running for 'kitchen.blend'" in " ".join(drawn_by(estimate.FIPT_PT_estimate)[0])
+
+
 def test_a_key_never_stops_a_job_without_a_question(monkeypatch, tmp_path):
     """Not even in its first minute: it may have been meant for a text field, or for Blender."""
     job = set_running(monkeypatch, "estimate", "Estimate", tmp_path)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _FRESH_SECONDS = 2.0
 _UNSAVED_SECONDS = 7 * 86400.0  # for which runs are offered that no saved file knows
-_MOST_UNSAVED = 2
+_MOST_UNSAVED = 2  # of these
 
 
 @dataclass(frozen=True)
