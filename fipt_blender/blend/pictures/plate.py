@@ -38,8 +38,8 @@ from ..results.scene_state import median_radiance, median_shown
 from .renders import plate_size
 
 SCENE = "FIPT Composite"
-# Pixels over which the shadow catcher's change is averaged, and the mean up to which it is noise: for wide
-# and faint shadows, and for small and dark ones. From twice that on it is shown in full. The denoiser changes a
+# Pixels over which the change of the shadow catcher is averaged, and the mean up to which it is noise: for
+# wide, faint shadows and for small, dark ones. From twice that on it is shown in full. The denoiser changes a
 # constant by less than 1 %, but by 12 % at edges.
 _UNCHANGED = ((12, 0.02), (4, 0.1))
 
