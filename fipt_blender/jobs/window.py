@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-
 import bpy
 
 
@@ -47,15 +45,18 @@ def open_sidebar() -> None:
     closed = [area for area in _views() if not area.spaces.active.show_region_ui]
     for area in closed:
         area.spaces.active.show_region_ui = True
-    if closed:  # a region has no tabs before it is drawn
-        bpy.app.timers.register(_show_tab, first_interval=0.3)
+    tries = iter(range(20))
 
+    def show_tab() -> float | None:
+        for region in (each for area in _views() for each in area.regions if each.type == "UI"):
+            try:
+                region.active_panel_category = "FIPT"
+            except (AttributeError, TypeError):  # a region has no tabs before it is drawn
+                return None if next(tries, None) is None else 0.3
+        return None
 
-def _show_tab() -> None:
-    for area in _views():
-        region = next(each for each in area.regions if each.type == "UI")
-        with suppress(AttributeError, TypeError):
-            region.active_panel_category = "FIPT"
+    if closed:
+        bpy.app.timers.register(show_tab, first_interval=0.3)
 
 
 def push_undo(text: str) -> None:
