@@ -51,6 +51,7 @@ def open_sidebar() -> None:
         for region in (each for area in _views() for each in area.regions if each.type == "UI"):
             try:
                 region.active_panel_category = "FIPT"
+                region.tag_redraw()
             except (AttributeError, TypeError):  # a region has no tabs before it is drawn
                 return None if next(tries, None) is None else 0.3
         return None
