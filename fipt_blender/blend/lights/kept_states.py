@@ -93,7 +93,6 @@ class FixtureState:
         converted: Blender lights stand for it.
         own_lights: these are not as they were made.
         power: rgb as estimated, W.
-        placed: where it was made, metres.
         name: the object's name if the artist has chosen it, else "".
         lights: these lights with the matrices of their parent spaces.
         matrix: its matrix to the world if the artist has moved it, else None.
@@ -109,7 +108,6 @@ class FixtureState:
     converted: bool = False
     own_lights: bool = False
     power: Sequence[float] = (0.0, 0.0, 0.0)
-    placed: Sequence[float] = (0.0, 0.0, 0.0)
     name: str = ""
     lights: Sequence[tuple[bpy.types.Object, Matrix]] = ()
     matrix: Matrix | None = None
@@ -164,7 +162,6 @@ def states_of(scene: bpy.types.Scene) -> dict[str, FixtureState]:
             converted,
             converted and (animated or not lights_as_converted(scene, item)),
             base_power(item),
-            placed,
             "" if item.name == item.get(NAMED) else item.name,
             [_taken(light) for light in lights],
             world_matrix(item).copy() if moved else None,
@@ -262,10 +259,10 @@ def _keep_shape(scene: bpy.types.Scene, item: bpy.types.Object, state: FixtureSt
         item[REMOVED] = state.removed
     if state.name:
         item.name = state.name
-    start = Matrix.Translation(state.placed)
+    if state.matrix is not None:
+        item.matrix_world = state.matrix
     mesh = bpy.data.meshes.get(state.mesh)
     if mesh is not None and mesh.library is None:
-        item.matrix_world = start if state.matrix is None else state.matrix
         made, name = item.data, item.data.name
         for index, material in enumerate(made.materials):
             if index < len(mesh.materials):
@@ -275,8 +272,6 @@ def _keep_shape(scene: bpy.types.Scene, item: bpy.types.Object, state: FixtureSt
         item.data, mesh.use_fake_user = mesh, False
         bpy.data.meshes.remove(made)
         mesh.name = name
-    elif state.matrix is not None:
-        item.matrix_world = state.matrix @ start.inverted() @ Matrix.Translation(item[PLACED])
     for slot, material in state.materials.items():
         if slot < len(item.data.materials):
             item.data.materials[slot] = material
