@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import bpy
@@ -11,14 +12,18 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix
 
+from fipt_blender import machine
 from fipt_blender.blend.capture import cameras, importing
 from fipt_blender.blend.capture.exporting import export_capture
 from fipt_blender.core import conventions
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
+from fipt_blender.jobs import run_job, runstate
+from fipt_blender.panels import start
 from samples.at_once import at_once
 from samples.camera_views import points_before, projections, random_views
+from samples.layouts import drawn_by
 from samples.refusals import error_of
 
 ALIGNED = Matrix.LocRotScale((1.5, -2.0, 0.3), Euler((0.2, -0.1, 1.1)), (0.4,) * 3)
@@ -222,6 +227,34 @@ def test_start_up_objects_are_hidden_and_shown_again(ingested, scene):
     scene.objects["Light"].location.z += 0.1  # the artist's from now on
     bpy.ops.fipt.hide_startup_objects()
     assert [scene.objects[name].hide_render for name in names] == [True, False, True]
+
+
+def test_start_offers_a_run_that_no_file_knows(ingested, scene, tmp_path, monkeypatch):
+    """As after a crash; until a file that uses it is saved."""
+    monkeypatch.setattr(machine, "data_folder", lambda: tmp_path)
+    monkeypatch.setattr(machine, "has_engine", lambda: True)
+    monkeypatch.setattr(run_job, "find_launch", lambda: run_job.Launch(Path(sys.executable), {}))
+    run = RunFolder(tmp_path / "runs" / "kitchen-20260101-101112")
+    run.root.parent.mkdir()
+    ingested.root.rename(run.root)
+    write_json(run.stages_json, {"keys": {"a": "", "b": ""}, "stages": {"a": {}}, "warnings": {}})
+    scene.fipt.run_folder = ""
+    assert runstate.unsaved_runs() == ()  # of the command line, or in a file
+    run.unsaved.write_text(str(tmp_path / "kitchen"), encoding="utf-8")
+    (offered,) = runstate.unsaved_runs()
+    scene.fipt.run_folder = str(run.root)
+    assert runstate.unsaved_runs() == ()
+    scene.fipt.run_folder = ""
+    assert (offered.name, offered.stages, offered.finished) == ("kitchen", 1, False)
+    assert "fipt.open_run" in drawn_by(start.FIPT_PT_start)[0]
+    assert bpy.ops.fipt.open_run(folder=str(run.root)) == {"FINISHED"}
+    assert scene.fipt.run_folder == str(run.root) and scene.fipt.capture.imported_path == str(tmp_path / "kitchen")
+    assert len(scene.fipt.capture.views) == 5 and scene.fipt.capture.room_objects(scene)
+    assert bpy.ops.fipt.resume.poll()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy.blend"), copy=True)
+    assert run.unsaved.exists()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"))
+    assert not run.unsaved.exists()
 
 
 def test_masks_of_a_folder(run, scene, tmp_path):

@@ -11,9 +11,10 @@ from mathutils import Vector
 
 from fipt_blender.blend import render_settings
 from fipt_blender.blend.capture.cameras import use_view
-from fipt_blender.blend.lights import eevee, new_lights
-from fipt_blender.blend.marks import PIXEL_ASPECT, RESOLUTION, VISIBILITY, light_probe
+from fipt_blender.blend.lights import calibration, eevee, new_lights
+from fipt_blender.blend.marks import PIXEL_ASPECT, RESOLUTION, VIEW, VISIBILITY, light_probe
 from fipt_blender.blend.render_settings import changed_by_artist
+from fipt_blender.core.run.runfolder import RunFolder, write_json
 from samples.applied_rooms import make_applied_scene
 from samples.operator_calls import refused
 
@@ -106,6 +107,46 @@ def test_a_file_opened_without_a_denoiser_renders_without_unless_the_artist_has_
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room.blend"))
     found = [(each.cycles.use_denoising, each.cycles.samples) for each in (bpy.context.scene, bpy.data.scenes["Own"])]
     assert found == [(False, render_settings.MOST_UNDENOISED), (False, 99)]
+    # Fireflies, which the denoiser would remove, are clamped far above the picture's white.
+    scene = bpy.context.scene
+    white = 2.0**-scene.view_settings.exposure
+    clamp = scene.cycles.sample_clamp_indirect
+    assert clamp == pytest.approx(render_settings.CLAMPED_UNDENOISED * white, rel=1e-4) and clamp > 4.0 * white
+    calibration.scale_light(scene, 100.0)
+    assert scene.cycles.sample_clamp_indirect == pytest.approx(100.0 * clamp, rel=1e-4)
+    ops.revert()
+    assert scene.cycles.sample_clamp_indirect == 10.0  # Blender's own
+
+
+def test_looking_through_a_view_shows_the_room_as_bright_as_its_photograph(scene):
+    exposures = {"a": 1.5, "b": -0.5}
+    for name in exposures:
+        camera = bpy.data.objects.new(name, bpy.data.cameras.new(name))
+        scene.collection.objects.link(camera)
+        camera[VIEW] = name
+        view = scene.fipt.capture.views.add()
+        view.name = view.camera = name
+    run, median = RunFolder(scene.fipt.run_folder), scene.view_settings.exposure
+    photometry = {"views": {name: {"exposure_ev": stops} for name, stops in exposures.items()}}
+    write_json(run.statistics_json, {"radiance_scale": 0.36, "photometry": photometry})
+
+    def shown(name: str) -> float:
+        ops.look_through(view=name)
+        return scene.view_settings.exposure - median
+
+    assert ops.apply_results() == {"FINISHED"} and scene.view_settings.exposure == pytest.approx(median)
+    assert [shown(name) for name in "aba"] == pytest.approx([1.5, -0.5, 1.5])
+    assert ops.apply_results() == {"FINISHED"} and scene.view_settings.exposure == pytest.approx(median + 1.5)
+    scene.view_settings.exposure += 1.0  # what the artist adds stays
+    assert [shown(name) for name in "ba"] == pytest.approx([0.5, 2.5])
+    ops.match_exposure()
+    assert scene.view_settings.exposure - median == pytest.approx(1.5)
+    ops.show_map(shown="ROUGHNESS")
+    assert shown("b") == pytest.approx(-median)  # a map has none
+    ops.show_map(shown="ESTIMATED")
+    render_settings.follow_exposure(scene, 0.0)  # a free view
+    assert scene.view_settings.exposure == pytest.approx(median)
+    assert ops.revert() == {"FINISHED"} and scene.fipt.capture.shown_exposure == 0.0
 
 
 def test_render_settings_are_set_once_and_what_the_artist_changes_survives(scene):

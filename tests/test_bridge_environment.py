@@ -15,7 +15,10 @@ import subprocess
 import sys
 import tarfile
 from collections import namedtuple
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 from types import SimpleNamespace
 
 import pytest
@@ -199,13 +202,31 @@ def test_set_up_names_what_the_wheels_lack_and_a_package_that_breaks(tmp_path: P
 
 
 @pytest.mark.usefixtures("without_ensurepip")
-@pytest.mark.parametrize("online", [True, False])
-def test_python_without_pip_downloads_the_pinned_one(online: bool, tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
+@pytest.mark.parametrize("source", ["usual", "find-links", "index", "none"])
+def test_python_without_pip_downloads_the_pinned_one(source: str, tmp_path: Path, monkeypatch: MonkeyPatch) -> None:
+    """From where the user's pip would take it, or from the usual place."""
     install = "import sys, sysconfig, zipfile\nzipfile.ZipFile(sys.argv[-1]).extractall(sysconfig.get_path('purelib'))"
     wheel = make_wheel(tmp_path / "index", "pip", "1.0", install, "pip/__main__.py")
-    monkeypatch.setattr(environment, "PIP_WHEELS", (wheel.parent if online else tmp_path / "none").as_uri())
+    usual = wheel.parent if source == "usual" else tmp_path / "none"
+    monkeypatch.setattr(environment, "PIP_WHEELS", usual.as_uri())
+    for name in ("PIP_INDEX_URL", "PIP_EXTRA_INDEX_URL", "PIP_FIND_LINKS"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("PIP_CONFIG_FILE", str(tmp_path / "pip.conf"))
+    if source == "find-links":
+        (tmp_path / "pip.conf").write_text(f"[install]\nfind-links =\n  {tmp_path}/none\n  {wheel.parent}\n")
+    if source == "index":
+        (tmp_path / "simple").mkdir()
+        wheel.parent.rename(tmp_path / "simple" / "pip")
+        handler = partial(SimpleHTTPRequestHandler, directory=str(tmp_path))
+        server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+        Thread(target=server.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_port}/simple/"
+        (tmp_path / "pip.conf").write_text(f"[global]\nindex-url = {address}\n")
+        wheel = tmp_path / "simple" / "pip" / wheel.name
     plan = make_plan(tmp_path, wheels=None, pip=(locked(wheel),))
-    if not online:
+    if source == "none":
         caught = error_of(environment.make_environment, plan)
         assert caught.code == "python-unfit" and "No module named ensurepip" in caught.text
         assert not plan.folder.exists()

@@ -15,7 +15,7 @@ from fipt_blender.blend import marks
 from fipt_blender.blend.marks import has_light_groups
 from fipt_blender.blend.pictures.image_files import LAYERED_IMAGE
 from fipt_blender.jobs import running
-from samples.applied_rooms import RADIANCE, front, world_strength
+from samples.applied_rooms import world_strength
 from samples.operator_calls import refused
 from samples.rendered_rooms import exr_layers
 from samples.spots import spot
@@ -50,6 +50,10 @@ def test_light_groups_sum_to_the_image(scene, tmp_path):
     assert all(part.max() > 0.0 for part in parts)
     assert np.allclose(sum(parts), whole, rtol=1e-3, atol=1e-4)
     assert ops.make_light_groups() == {"FINISHED"} and len(layer.lightgroups) == 4
+    ops.add_light(location=(2.5, 0.5, 1.0), size=0.5, power=30.0)
+    assert ops.apply_results() == {"FINISHED"}
+    assert {row.object.lightgroup for row in scene.fipt.lights.lights} == {"Panel", "New Lights"}
+    assert len(layer.lightgroups) == 4 and scene.world.lightgroup == "Environment"
     assert ops.remove_light_groups() == {"FINISHED"}
     assert [group.name for group in layer.lightgroups] == ["mine"] and not ops.remove_light_groups.poll()
     assert not has_light_groups(layer)
@@ -127,29 +131,6 @@ def test_exposure_and_other_lights(scene):
     assert sun.hide_render
     assert ops.hide_other_lights(hide=False) == {"FINISHED"} and not sun.hide_render
     assert ops.hide_other_lights(hide=True) == {"FINISHED"} and sun.hide_viewport
-
-
-def test_states_are_saved_recalled_and_removed(scene):
-    settings = scene.fipt.lights
-    row = settings.lights[0]
-    assert "Save a light state first" in refused(ops.recall_light_state)
-    assert ops.save_light_state() == {"FINISHED"}
-    row.stops = 2.0
-    assert ops.save_light_state(name="Bright") == {"FINISHED"}
-    row.on = False
-    assert ops.save_light_state() == {"FINISHED"}
-    names = [state.name for state in settings.states]
-    assert len(set(names)) == 3 and names[:2] == ["Lights", "Bright"] and settings.active_state == 2
-    assert ops.recall_light_state(state="Bright") == {"FINISHED"} and row.on and row.stops == 2.0
-    assert np.allclose(front(row.object), 4.0 * np.array(RADIANCE), rtol=1e-4)
-    row.stops = 1.0
-    assert ops.save_light_state(name="Bright") == {"FINISHED"} and len(settings.states) == 3
-    assert "no light state 'Day'" in refused(ops.recall_light_state, state="Day")
-    settings.states["Bright"].data = "{}"
-    assert "damaged" in refused(ops.recall_light_state, state="Bright")
-    for _ in range(3):
-        assert ops.remove_light_state() == {"FINISHED"}
-    assert not len(settings.states) and not ops.remove_light_state.poll()
 
 
 def test_an_ies_profile_goes_into_the_node_of_a_blender_light(scene, tmp_path):

@@ -13,7 +13,9 @@ import pytest
 from mathutils import Vector
 
 from fipt_blender.blend.lights.color import blackbody, luminance, temperature_of
-from fipt_blender.blend.marks import INFERRED
+from fipt_blender.blend.marks import FIXTURE, INFERRED
+from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.jobs import running
 from samples.applied_rooms import RADIANCE, front, make_applied_scene, make_scene, use_fake_engine, world_strength
 from samples.operator_calls import refused
 from samples.spots import spot
@@ -121,6 +123,21 @@ def test_on_solo_and_all(scene):
     assert lamp.on and new.on and new.object.data.energy == energy and world_strength() == 1.0
 
 
+def test_solo_switches_off_a_world_that_the_artist_has_chosen(scene):
+    scene.world = bpy.data.worlds.new("my sky")
+    layer, row = bpy.context.view_layer, scene.fipt.lights.lights[0]
+    row.solo = True
+    assert not layer.use_sky
+    row.solo = False
+    assert layer.use_sky
+    row.solo = True
+    assert ops.switch_lights(on=True) == {"FINISHED"} and layer.use_sky
+    layer.use_sky = False  # hers stays
+    row.solo = True
+    row.solo = False
+    assert not layer.use_sky
+
+
 def test_strengths_entered_in_blenders_fields_become_settings(scene):
     ops.add_light(location=(0, 0, 3), size=1.0, power=50.0)
     lamp, new = scene.fipt.lights.lights
@@ -217,6 +234,91 @@ def test_lights_that_the_artist_has_changed_survive_another_apply(scene):
     assert not [item for item in bpy.data.objects if item.type == "LIGHT" and item.name.startswith("Fix")]
 
 
+def estimate_again(scene, change) -> list[str]:
+    """Apply results whose fixtures `change` has edited; returns the codes of warnings."""
+    run = RunFolder(scene.fipt.run_folder)
+    table = json.loads(run.emitters_json.read_text())
+    change(table["fixtures"])
+    run.emitters_json.write_text(json.dumps(table))
+    run.fields_npz.write_text(json.dumps(table))  # by which results are told from others
+    assert ops.apply_results("EXEC_DEFAULT", True) == {"FINISHED"}
+    return [message["code"] for message in running.last("materials").warnings]
+
+
+def test_keyframes_of_the_power_of_a_blender_light_survive_another_apply(scene):
+    assert ops.fixture_to_area_light(fixture="Fixture.001") == {"FINISHED"}
+    (light,) = scene.fipt.lights.lights[0].object.children
+    power = light.data.energy
+    light.data.keyframe_insert("energy", frame=1)
+    light.data.energy = 4.0 * power
+    light.data.keyframe_insert("energy", frame=11)
+    scene.frame_set(1)
+    assert ops.apply_results() == {"FINISHED"}
+    (light,) = scene.fipt.lights.lights[0].object.children
+    for frame, factor in ((11, 4.0), (1, 1.0)):
+        scene.frame_set(frame)
+        assert light.data.energy == pytest.approx(factor * power, rel=1e-4)
+
+
+def test_changed_lamps_survive_another_estimate(scene):
+    """It has another radiance, other numbers of fixtures, and one more lamp."""
+    row = scene.fipt.lights.lights[0]
+    row.object.name = "Window"
+    row.stops, row.kelvin, row.on = -1.5, 2700.0, False
+
+    def again(fixtures: list) -> None:
+        (first,) = fixtures
+        first |= {"radiance": [1.01 * value for value in RADIANCE], "name": "Fixture.002", "centroid": [2.6, 0.5, 0.0]}
+        beside = [triangle - 2 for triangle in first["triangles"]]
+        fixtures.insert(0, first | {"name": "Fixture.001", "triangles": beside, "radiance": [2.0, 2.0, 2.0]})
+
+    assert "lamps-unplaced" not in estimate_again(scene, again)
+    rows = {row.object[FIXTURE]: row for row in scene.fipt.lights.lights}
+    row, other = rows["Fixture.002"], rows["Fixture.001"]
+    assert (row.object.name, row.stops, row.kelvin, row.on) == ("Window", -1.5, 2700.0, False)
+    assert other.on and other.stops == 0.0 and not front(row.object).any()
+    row.on, row.stops, row.tint = True, 0.0, "ESTIMATED"
+    assert np.allclose(front(row.object), 1.01 * np.array(RADIANCE))
+
+
+def test_aimed_lights_survive_another_estimate(scene):
+    assert ops.fixture_to_area_light() == {"FINISHED"}
+    (light,) = scene.fipt.lights.lights[0].object.children
+    light.rotation_euler.x += 0.5
+    bpy.context.view_layer.update()
+    place, watts = light.matrix_world.copy(), light.data.energy
+
+    def brighter(fixtures: list) -> None:
+        fixtures[0] |= {"radiance": [2.0 * value for value in RADIANCE], "name": "Fixture.007"}
+
+    assert "lamps-unplaced" not in estimate_again(scene, brighter)
+    bpy.context.view_layer.update()
+    (light,) = scene.fipt.lights.lights[0].object.children
+    assert np.allclose(light.matrix_world, place, atol=1e-6) and light.data.energy == pytest.approx(2.0 * watts)
+
+
+def test_what_finds_no_lamp_is_named_and_comes_back(scene):
+    row = scene.fipt.lights.lights[0]
+    assert ops.fixture_to_area_light() == {"FINISHED"}
+    (light,) = row.object.children
+    light.location.z -= 0.5
+    row.object.name, row.stops = "Window", 1.0
+    fixtures: list = []
+
+    def without(table: list) -> None:
+        fixtures.extend(table)
+        table.clear()
+
+    assert "lamps-unplaced" in estimate_again(scene, without)
+    (row,) = scene.fipt.lights.lights  # what she has aimed, for her to switch on
+    assert row.object == light and not row.on and light.data.energy == 0.0
+    row.on = True
+    assert light.data.energy > 0.0
+    assert "lamps-unplaced" not in estimate_again(scene, lambda table: table.extend(fixtures))
+    (row,) = [row for row in scene.fipt.lights.lights if FIXTURE in row.object]
+    assert row.object.name == "Window" and row.stops == 1.0
+
+
 def test_deleted_lights_stay_deleted_and_others_are_made_anew(scene):
     assert ops.fixture_to_area_light() == {"FINISHED"}
     (light,) = scene.fipt.lights.lights[0].object.children
@@ -247,6 +349,12 @@ def test_light_that_nothing_shows_is_there_with_the_results(tmp_path, monkeypatc
     power = item.data.energy * np.array(item.data.color)
     assert power == pytest.approx(4.0 * math.pi**2 * 0.01 * np.array([30.0, 20.0, 10.0]), rel=1e-4)
     assert applied([30.0, 20.0, 10.0]) == item
+    scene.fipt.lights.lights["Unseen Light"].stops = 1.0
+    ball["position"] = [0.5, 0.25, 1.9]  # another estimate of the same one
+    item = applied([3.0, 2.0, 1.0])
+    assert item.location.z == pytest.approx(1.9) and scene.fipt.lights.lights["Unseen Light"].stops == 1.0
+    assert item.data.energy == pytest.approx(2.0 * 4.0 * math.pi**2 * 0.01 * 3.0, rel=1e-4)
+    assert ops.reset_light(light="Unseen Light") == {"FINISHED"}
     ball["position"] = [1.0, 0.25, 2.0]  # other results replace it
     assert tuple(applied([3.0, 2.0, 1.0]).location) == (1.0, 0.25, 2.0)
     ball |= {"position": [2.0, 0.25, 2.0], "facing": [0.0, 0.0, -1.0]}

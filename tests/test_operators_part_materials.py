@@ -156,14 +156,22 @@ def test_picking_makes_the_part_under_the_ray_active(applied):
 def test_assets_have_previews_and_survive_revert(applied):
     make_active(applied, "Sill")
     assert ops.mark_part_assets() == {"FINISHED"}
-    material = bpy.data.materials["Sill FIPT"]
+    material = bpy.data.materials["Sill"]
     assert material.asset_data is not None and "FIPT" in material.asset_data.tags
     assert tuple(material.preview.image_size) == (128, 128)
-    assert bpy.data.materials["Frame FIPT"].asset_data is None
+    assert bpy.data.materials["Sill FIPT"].asset_data is None and "Frame" not in bpy.data.materials
+    part = row(applied, "Sill")
+    part.color = (0.1, 0.2, 0.3)
     ops.mark_part_assets(all_parts=True)
-    assert bpy.data.materials["Frame FIPT"].asset_data is not None
+    assert bpy.data.materials["Frame"].asset_data is not None and "Sill.001" not in bpy.data.materials
     ops.revert()
-    assert not len(applied.fipt.materials.parts) and "Sill FIPT" in bpy.data.materials
+    assert not len(applied.fipt.materials.parts)
+    # It is the same on any object: no textures, which lie on the room's UVs.
+    nodes = {node.bl_idname: node for node in material.node_tree.nodes}
+    assert "ShaderNodeTexImage" not in nodes
+    assert tuple(nodes["ShaderNodeBsdfPrincipled"].inputs["Base Color"].default_value)[:3] == pytest.approx(
+        (0.1, 0.2, 0.3), abs=1e-5
+    )
 
 
 @pytest.mark.parametrize("mode", ["uv", "color_attribute"])
@@ -189,7 +197,10 @@ def test_a_part_gets_a_colour_and_keeps_its_pattern(applied):
     assert ops.set_part_color(color="RAL 7035") == {"FINISHED"}
     grey = decode_srgb(np.array([0xC5, 0xC7, 0xC4]) / 255.0)
     assert np.allclose(part.color, grey, atol=1e-5)
-    assert ops.set_part_color(color="#c5c7c4") == {"FINISHED"} and np.allclose(part.color, grey, atol=1e-5)
+    assert ops.set_part_color(color="#fff") == {"FINISHED"} and np.allclose(part.color, 1.0)
+    for code in ("#c5c7c4", "rgb(197, 199, 196)"):
+        part.color = (0.1, 0.1, 0.1)
+        assert ops.set_part_color(color=code) == {"FINISHED"} and np.allclose(part.color, grey, atol=1e-5)
     values = adjust.read(bpy.data.materials["Sill FIPT"])
     assert row(applied, "Frame").color[0] == pytest.approx(0.6)
     maps = np.array([[0.6, 0.3, 0.1, 0.7, 0.2], [0.7, 0.4, 0.2, 0.5, 0.0], [0.5, 0.2, 0.0, 0.9, 1.0]])

@@ -144,9 +144,10 @@ def test_the_first_save_brings_the_textures_beside_the_file(scene, tmp_path, rel
     blend = tmp_path / "shot" / "kitchen.blend"
     blend.parent.mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(blend), relative_remap=relative)
-    assert all(path.startswith("//kitchen_textures/") for path in paths(bpy.context.scene))
+    start = "//" if relative else f"{blend.parent}/"  # as the artist's preference for relative paths
+    assert all(path.startswith(f"{start}kitchen_textures/") for path in paths(bpy.context.scene))
     shutil.rmtree(run)
-    for folder in ("shot", "copy"):
+    for folder in ("shot", "copy") if relative else ("copy",):
         shutil.move(tmp_path / folder, tmp_path / f"{folder} moved")
         bpy.ops.wm.open_mainfile(filepath=str(tmp_path / f"{folder} moved" / "kitchen.blend"))
         assert not missing_pictures() and all(path.startswith("//") for path in paths(bpy.context.scene))
@@ -154,6 +155,46 @@ def test_the_first_save_brings_the_textures_beside_the_file(scene, tmp_path, rel
         assert all(np.array_equal(image_values(image), old) for image, old in zip(images, values, strict=True))
     shutil.rmtree(tmp_path / "copy moved" / "kitchen_textures")
     assert len(missing_pictures()) == len(before)
+
+
+@pytest.mark.parametrize("copy", [False, True])
+def test_textures_can_be_read_while_a_file_gets_its_first_name(applied, tmp_path, copy):
+    """As by the thumbnail that Blender draws: it doesn't try again to read an image that it has failed to read."""
+    images = textures(applied)
+    for image in images:
+        image.buffers_free()
+    sizes = []
+
+    def draw(*_: object) -> None:
+        sizes.extend(tuple(image.size) for image in images)
+
+    bpy.app.handlers.save_pre.append(draw)
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"), copy=copy)
+    finally:
+        bpy.app.handlers.save_pre.remove(draw)
+    assert len(sizes) == len(images) and (0, 0) not in sizes
+    assert all(image_values(image).size for image in images)
+
+
+def test_what_reads_textures_changes_nothing_where_one_is_missing(applied, tmp_path):
+    cube = bpy.data.objects["cube"]
+    cube.select_set(True)
+    image = next(each for each in textures(applied) if "Base Color" in each.name)
+    path = Path(image.filepath)
+    path.rename(tmp_path / "elsewhere.exr")
+    image.buffers_free()
+    (tmp_path / "out").mkdir()
+    for call in (ops.remove_from_room, lambda: ops.export_room(filepath=str(tmp_path / "out" / "room.gltf"))):
+        for content in (None, b"no picture"):
+            if content:
+                path.write_bytes(content)
+            before = fingerprint(applied)
+            assert path.name in refused(call)
+            assert fingerprint(applied) == before and not list((tmp_path / "out").iterdir())
+            path.unlink(missing_ok=True)
+    (tmp_path / "elsewhere.exr").rename(path)  # Blender has failed to read it
+    assert ops.remove_from_room() == {"FINISHED"}
 
 
 def test_a_file_whose_textures_can_not_be_copied_is_saved_all_the_same(applied, tmp_path, capfd):

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -14,7 +15,8 @@ from fipt_blender.bridge.step import Step
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running, runstate
-from fipt_blender.panels import capture, estimate
+from fipt_blender.operators import estimate as operators
+from fipt_blender.panels import capture, estimate, progress
 from samples.layouts import drawn_by
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -46,14 +48,50 @@ def finished(monkeypatch, tmp_path) -> None:
 @pytest.mark.usefixtures("finished")
 def test_after_an_estimation_the_way_on_comes_before_its_warnings():
     drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
-    assert drawn[-3:] == ["Finished", "fipt.apply_results", "2 warnings"]
+    assert drawn == ["fipt.apply_results", "Estimate Again", "2 warnings"]
 
 
 def test_results_of_the_estimate_before_can_be_applied_while_a_new_one_is_stopped(monkeypatch, tmp_path):
     bpy.context.scene.fipt.run_folder = str(tmp_path)
     monkeypatch.setattr(runstate, "known", lambda folder: runstate.RunState(stages=2, results=True))
     drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
-    assert {"fipt.resume", "fipt.apply_results"} <= set(drawn) and "Finished" not in drawn
+    assert {"fipt.resume", "fipt.apply_results"} <= set(drawn)
+
+
+def test_a_forecast_is_a_range_beside_the_time_that_has_passed(monkeypatch, tmp_path):
+    job = set_running(monkeypatch, "estimate", "Estimate", tmp_path)
+    job.started -= 190.0
+    shown = {
+        30.0: "less than 1 min",
+        100.0: "1 to 2 min",
+        290.0: "2 to 5 min",
+        3500.0: "40 to 60 min",
+        7300.0: "2 to 3 h",
+    }
+    for job.remaining_seconds, text in shown.items():
+        assert f"{text} left   3 min so far" in drawn_by(estimate.FIPT_PT_estimate)[0]
+        assert progress.status_text(job) == f"Estimate: 42%, {text} left"
+
+
+def test_a_job_of_another_file_says_of_which(monkeypatch, tmp_path):
+    set_running(monkeypatch, "estimate", "Estimate", tmp_path)
+    bpy.context.scene.fipt.run_folder = str(tmp_path / "another")
+    monkeypatch.setattr(running, "other_file", lambda: "kitchen.blend")
+    assert "Running for 'kitchen.blend'" in " ".join(drawn_by(estimate.FIPT_PT_estimate)[0])
+
+
+def test_a_key_never_stops_a_job_without_a_question(monkeypatch, tmp_path):
+    """Not even in its first minute: it may have been meant for a text field, or for Blender."""
+    job = set_running(monkeypatch, "estimate", "Estimate", tmp_path)
+    asked = []
+    manager = SimpleNamespace(invoke_confirm=lambda *_, **texts: asked.append(texts["title"]) or {"RUNNING_MODAL"})
+    context = SimpleNamespace(window_manager=manager, screen=None)
+    for name, more in (("cancel", {"by_key": True}), ("quit_during_job", {})):
+        button = SimpleNamespace(execute=lambda _: asked.append("done"), **more)
+        assert getattr(operators, name).operator.invoke(button, context, None) == {"RUNNING_MODAL"}
+    assert asked == ["Stop 'Estimate'?", "Quit and stop 'Estimate'?"] and not job.cancelled
+    monkeypatch.setattr(running, "current", lambda: None)
+    assert not bpy.ops.fipt.quit_during_job.poll()  # Blender's own Ctrl Q
 
 
 def test_a_result_says_how_good_it_is(monkeypatch, tmp_path):

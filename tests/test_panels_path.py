@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -14,7 +15,7 @@ from fipt_blender.blend import marks
 from fipt_blender.bridge.job import Job
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.jobs import running, runstate, session
-from fipt_blender.panels import estimate, manual, start
+from fipt_blender.panels import engine, estimate, manual, start
 from samples.layouts import drawn_by, tab_count
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -90,8 +91,14 @@ def test_after_results_the_tab_shows_a_dozen_buttons(applied, monkeypatch):
 
 def test_online_access_is_explained_and_asked_for_where_it_is_needed(monkeypatch):
     monkeypatch.setattr(machine, "has_engine", lambda: False)
-    drawn, properties = drawn_by(start.FIPT_PT_start)
-    assert ("use_online_access" in properties) is (not bpy.app.online_access)
+    monkeypatch.setattr(engine, "bpy", app := SimpleNamespace(app=SimpleNamespace(), context=bpy.context))
+    drawn = {}
+    for app.app.online_access in (False, True):
+        drawn[app.app.online_access], properties = drawn_by(start.FIPT_PT_start)
+        assert "use_online_access" in properties
+    # The switch and the buttons keep their places under the pointer: what goes was below them.
+    (*with_text,), without = drawn[False], drawn[True]
+    assert with_text[: len(without)] == without and "may not use the internet" in " ".join(with_text)
     monkeypatch.setattr(machine.DEFAULTS, "wheel_folder", "/wheels")
     drawn, properties = drawn_by(start.FIPT_PT_start)
     assert "use_online_access" not in properties and "fipt.set_up_engine" in drawn

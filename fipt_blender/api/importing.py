@@ -51,6 +51,27 @@ def _import_capture(scene: bpy.types.Scene) -> Job:
     return open_job(run, import_steps(run, path, options, partial(import_capture, run, str(path))), launch)
 
 
+def run_opening(folder: Path) -> Task:
+    """Go on with a run that no saved file knows: its cameras and its mesh come into the scene."""
+
+    def make(scene: bpy.types.Scene) -> Job:
+        from ..blend.capture.importing import import_capture
+        from ..bridge.step import Step
+        from ..jobs.run_job import open_job
+
+        run = RunFolder(folder)
+        source = run.unsaved.read_text(encoding="utf-8")
+        work = partial(import_capture, run, source)
+        job = open_job(run, [Step("import", "Adding cameras and mesh", 5.0, function=work)])
+        scene.fipt.capture.path, scene.fipt.run_folder = source, str(run.root)
+        return job
+
+    def failed(scene: bpy.types.Scene, run: RunFolder) -> None:
+        scene.fipt.run_folder = ""
+
+    return Task("Open Run", "capture", make, failed=failed, undo=True)
+
+
 def scene_cameras_import() -> Task:
     """Use the scene's own cameras, with their background images, as the capture."""
     return Task("Use Scene Cameras", "capture", _use_scene_cameras, failed=give_back, undo=True)
@@ -106,6 +127,7 @@ def open_run(scene: bpy.types.Scene, source: str, name: str) -> RunFolder:
         run = RunFolder(machine.new_run_folder(name))
     if not run.run_json.exists():
         run.create(make_settings())
+        run.unsaved.write_text(source, encoding="utf-8")
     run.made("capture").unlink(missing_ok=True)  # the artist wants it read
     scene.fipt.run_folder = str(run.root)
     return run

@@ -26,6 +26,16 @@ def missing_pictures() -> list[str]:
     return sorted({path.name for image in _outside() for path in image_files(image) if not path.is_file()})
 
 
+def check_pictures() -> None:
+    """Read the pictures of results before their pixels are used, also those that could not be read before."""
+    images = _outside()
+    for image in images:
+        if not image.size[0]:  # Blender doesn't try again by itself
+            image.reload()
+    if missing := sorted({image_files(image)[0].name for image in images if not image.size[0]}):
+        raise FiptError("file-missing.check-pictures", number_of_missing=len(missing), missing=missing[0])
+
+
 def pictures_in_runs(folder: Path) -> list[bpy.types.Image]:
     """The pictures of results that lie in run folders other than `folder`, where a .blend file is saved."""
     found = []
@@ -39,13 +49,8 @@ def pictures_in_runs(folder: Path) -> list[bpy.types.Image]:
 
 
 def bring(images: Iterable[bpy.types.Image], blend: Path) -> None:
-    """Copy images' files to folders in NAME_textures beside a .blend file NAME, and let the images name them.
-
-    Raises:
-        FiptError: ``textures-unwritable``.
-    """
+    """Copy images' files to folders in NAME_textures beside a .blend file NAME; the images name them then."""
     folders: dict[Path, str] = {}
-    start = None if bpy.data.filepath else str(blend.parent)
     for image in images:
         files = image_files(image)
         source = files[0].parent
@@ -56,7 +61,9 @@ def bring(images: Iterable[bpy.types.Image], blend: Path) -> None:
         for path in files:
             copy_picture(path, folder / path.name)
         pattern = image.filepath_raw.replace("\\", "/").rpartition("/")[2]
-        image.filepath_raw = bpy.path.relpath(str(folder / pattern), start=start)
+        place = str(folder / pattern)
+        # Without a name of the file, Blender could not read relative ones; it makes them relative itself.
+        image.filepath_raw = bpy.path.relpath(place) if bpy.data.filepath else place
 
 
 def _outside() -> list[bpy.types.Image]:
@@ -83,13 +90,9 @@ def collect_room(folder: Path) -> tuple[Path, list[Path]]:
 
     Returns:
         The copy, and other files that it needs, which stay where they are.
-
-    Raises:
-        FiptError: ``file-missing``, ``file-exists``, ``textures-unwritable``, or what
-            `save.write_error` returns.
     """
     if missing := missing_pictures():
-        raise FiptError("file-missing.collect-room", number_of_missing=len(missing), missing=missing[0])
+        raise FiptError("file-missing.check-pictures", number_of_missing=len(missing), missing=missing[0])
     blend = Path(bpy.data.filepath or UNSAVED)
     if folder.is_dir() and any(folder.iterdir()):
         folder = folder / f"{blend.stem}_collected"

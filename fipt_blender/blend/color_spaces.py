@@ -45,20 +45,12 @@ def _times(matrix: np.ndarray, rgb: ArrayLike) -> np.ndarray:
 
 
 def linear_space() -> str:
-    """The configuration's name of linear Rec.709.
-
-    Raises:
-        FiptError: ``color-space-missing``.
-    """
+    """The configuration's name of linear Rec.709."""
     return _named("linear Rec.709")
 
 
 def encoded_space() -> str:
-    """The configuration's name of sRGB's codes.
-
-    Raises:
-        FiptError: ``color-space-missing``.
-    """
+    """The configuration's name of sRGB's codes."""
     return _named("sRGB")
 
 

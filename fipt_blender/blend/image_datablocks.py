@@ -19,29 +19,21 @@ MOST_PATH_BYTES = 1023
 
 
 def check_length(path: Path) -> None:
-    """Refuse a path that is longer than Blender's.
-
-    Raises:
-        FiptError: ``path-long``.
-    """
+    """Refuse a path that is longer than Blender's."""
     if len(os.fsencode(path)) > MOST_PATH_BYTES:
         raise FiptError(
             "path-long", path=str(path)[:80], number_of_path=len(str(path)), most_path_bytes=MOST_PATH_BYTES
         )
 
 
-def load_radiance(path: Path) -> bpy.types.Image | None:
-    """A scene-linear image, or one of sRGB's codes, displayed as renders are; None where the file is missing.
-
-    Raises:
-        FiptError: ``path-long`` or ``color-space-missing``.
-    """
+def load_radiance(path: Path, encoded: bool) -> bpy.types.Image | None:
+    """A linear image, shown as renders are, or one of codes (`encoded`) as it is; None where it is not."""
     if not path.is_file():
         return None
     check_length(path)
     image = bpy.data.images.load(str(path), check_existing=True)
     _set_color_space(image, path, False)
-    image.use_view_as_render = True  # the scene's view transform and exposure
+    image.use_view_as_render = not encoded  # the scene's view transform and exposure
     return image
 
 

@@ -75,6 +75,8 @@ RESULT_WORLD = "fipt_own_world"  # on a scene: our world, while the original one
 ORIGINAL_WORLD = "fipt_original_world"  # on a scene
 KEPT_FILM = "fipt_kept_film_transparent"  # on a scene
 KEPT_RENDER = "fipt_kept_render"  # on a scene: settings that we made, what they were and what we made (JSON)
+KEPT_SKY = "fipt_kept_sky"  # on a view layer: a solo light has switched off the artist's own world
+UNPLACED = "fipt_unplaced"  # on a scene: settings of lamps that present results don't have (JSON)
 LIGHT_GROUPS = "fipt_light_groups"  # on a view layer: names of the groups that we added (JSON)
 
 # --- materials, node groups and images ---------------------------------------------------------------------
@@ -185,9 +187,15 @@ def is_linked(item: bpy.types.ID) -> bool:
 
 def is_room_linked(scene: bpy.types.Scene) -> bool:
     """Whether results or lights of a scene belong to another file."""
+    return any(is_linked(item) for item in _with_linked(scene) if has_results(item) or is_our_light(item))
+
+
+def _with_linked(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The objects of a scene, also those in instances of collections, if any data belong to another file."""
     if not len(bpy.data.libraries):
-        return False
-    return any(is_linked(item) for item in scene.objects if has_results(item) or is_our_light(item))
+        return []
+    shown = [item.instance_collection for item in scene.objects if item.instance_collection is not None]
+    return [*scene.objects, *(item for each in shown for item in each.all_objects)]
 
 
 def is_our_light(item: bpy.types.Object) -> bool:
@@ -214,12 +222,10 @@ def lights_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 def linked_lamps(scene: bpy.types.Scene) -> dict[str, list[str]]:
     """Lamps of rooms of other files, by the paths of these; also those in instances of collections."""
     found: dict[str, list[str]] = {}
-    if len(bpy.data.libraries):
-        shown = [item.instance_collection for item in scene.objects if item.instance_collection is not None]
-        for item in (*scene.objects, *(item for each in shown for item in each.all_objects)):
-            if is_linked(item) and (is_fixture(item) or NEW_LIGHT in item):
-                source = item.library or item.override_library.reference.library
-                found.setdefault(source.filepath, []).append(item.name)
+    for item in _with_linked(scene):
+        if is_linked(item) and (is_fixture(item) or NEW_LIGHT in item):
+            source = item.library or item.override_library.reference.library
+            found.setdefault(source.filepath, []).append(item.name)
     return found
 
 

@@ -24,6 +24,8 @@ NOISE_THRESHOLD = 0.02
 # around a bulb.
 LEAST_SAMPLES, MOST_SAMPLES = 8, 8
 MOST_UNDENOISED = 256  # in a Blender without its denoiser, where the noise threshold ends a pixel
+# There, most of a sample's indirect light, in white of the picture: what is above are fireflies.
+CLAMPED_UNDENOISED = 8.0
 MOST_SECONDS = 120.0  # of sampling, after which Cycles denoises what it has
 LONGER_SIDE = 1920  # pixels
 
@@ -57,12 +59,15 @@ def can_denoise() -> bool:
     return bool(getattr(_cycles, "with_openimagedenoise", False))
 
 
-def picture_settings(exposure: float | None = None) -> dict[str, Any]:
+def picture_settings(scene: bpy.types.Scene, exposure: float | None = None) -> dict[str, Any]:
     """The settings of pictures by their paths: Cycles until the noise is low, denoised, shown as photographs.
 
     Args:
+        scene: whose they are.
         exposure: stops; None leaves the scene's.
     """
+    film = scene.cycles.film_exposure if hasattr(scene, "cycles") else 1.0
+    white = 2.0 ** -(scene.view_settings.exposure if exposure is None else exposure)
     cycles = {
         **LIGHT_PATHS,
         "use_adaptive_sampling": True,
@@ -71,7 +76,7 @@ def picture_settings(exposure: float | None = None) -> dict[str, Any]:
         "samples": MOST_SAMPLES if can_denoise() else MOST_UNDENOISED,
         "time_limit": MOST_SECONDS,
         "use_denoising": can_denoise(),
-        **(_DENOISER if can_denoise() else {}),
+        **(_DENOISER if can_denoise() else {"sample_clamp_indirect": CLAMPED_UNDENOISED * white / film}),
     }
     view: dict[str, Any] = {"view_transform": "Standard", "look": "None", "gamma": 1.0}
     if exposure is not None:
@@ -91,7 +96,7 @@ def set_up(scene: bpy.types.Scene, exposure: float | None = None, again: bool = 
             (render.resolution_x, render.resolution_y), LONGER_SIDE
         )
         render.resolution_percentage = 100
-    return set_once(scene, picture_settings(exposure), again)
+    return set_once(scene, picture_settings(scene, exposure), again)
 
 
 def fitted(size: tuple[int, int], longer_side: int) -> tuple[int, int]:
@@ -141,6 +146,25 @@ def is_set(scene: bpy.types.Scene) -> bool:
 def changed_by_artist(scene: bpy.types.Scene) -> list[str]:
     """Paths of the settings that have another value than we gave them."""
     return [path for path, (_, ours) in _kept(scene).items() if _value(scene, path) != ours]
+
+
+def follow_exposure(scene: bpy.types.Scene, stops: float) -> None:
+    """Show the room as bright as a photograph: phones expose each for itself.
+
+    Args:
+        scene: what the artist has added to its exposure stays; nothing happens while it shows a map.
+        stops: the photograph's exposure after that of the median one, which a free view has.
+    """
+    settings = scene.fipt.capture
+    change = stops - settings.shown_exposure
+    if not change or scene.fipt.materials.kept_view or not is_set(scene):
+        return
+    settings.shown_exposure, name = stops, "view_settings.exposure"
+    exposure = scene.view_settings.exposure + change
+    if name in changed_by_artist(scene):
+        scene.view_settings.exposure = exposure
+    else:
+        set_once(scene, {name: exposure})
 
 
 def restore(scene: bpy.types.Scene) -> None:

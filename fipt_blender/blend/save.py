@@ -21,9 +21,6 @@ def save_blend(path: Path) -> None:
     """Save the open file under a path, compressed and atomically (Blender renames the finished file).
 
     Image paths become relative to it where possible.
-
-    Raises:
-        FiptError: ``disk-full``, ``run-unwritable`` or ``blend-unwritable``.
     """
     path = Path(path).absolute()
     with explained_write_errors(path):
@@ -61,21 +58,13 @@ def write_error(path: Path, error: RuntimeError, code: str) -> FiptError:
 
 
 def check_space(path: Path) -> None:
-    """Check that the folder of a file is writable and has some space left.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
+    """Check that the folder of a file is writable and has some space left."""
     with explained_write_errors(path):
         reserve(path.parent)
 
 
 def reserve(folder: Path) -> None:
-    """Reserve some space in a folder for a moment.
-
-    Raises:
-        OSError: the folder is missing or write-protected, or the disk is full.
-    """
+    """Reserve some space in a folder for a moment."""
     with tempfile.TemporaryFile(dir=folder) as file:
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(file.fileno(), 0, _PROBE_BYTES)

@@ -13,11 +13,7 @@ from ..core.run.errors import FiptError
 
 
 def find_object(name: str) -> bpy.types.Object:
-    """An object of an earlier slice, by name.
-
-    Raises:
-        FiptError: ``room-changed`` where it is gone, ``room-edited`` where it is in edit mode.
-    """
+    """An object of an earlier slice, by name."""
     item = bpy.data.objects.get(name)
     if item is None:
         raise FiptError("room-changed.find-object", name=name)

@@ -32,11 +32,7 @@ SET_NAME = re.compile(rf"[0-9a-f]{{{_DIGITS}}}")
 
 @contextmanager
 def written_picture(target: Path) -> Iterator[Path]:
-    """Where a picture of results is written; it gets to its place whole.
-
-    Raises:
-        FiptError: ``textures-unwritable``.
-    """
+    """Where a picture of results is written; it gets to its place whole."""
     try:
         with atomic_path(target) as temporary:
             yield temporary
@@ -45,11 +41,7 @@ def written_picture(target: Path) -> Iterator[Path]:
 
 
 def copy_picture(path: Path, target: Path) -> None:
-    """Copy a file; one that is there already stays.
-
-    Raises:
-        FiptError: ``textures-unwritable``.
-    """
+    """Copy a file; one that is there already stays."""
     if not target.is_file():
         with written_picture(target) as temporary:
             shutil.copyfile(path, temporary)
@@ -75,9 +67,6 @@ class TextureFiles:
         Args:
             path: of the file.
             is_data: whether its values, 0 to 1, are not colours; None for radiance, which stays as it is.
-
-        Raises:
-            FiptError: ``textures-unwritable``.
         """
         target = self._kept(path, is_data)
         if target.suffix == path.suffix:
@@ -103,11 +92,7 @@ class TextureFiles:
 
 
 def in_run_folder(run: RunFolder, png: bool = False) -> TextureFiles:
-    """The present textures of a run, kept in its folder.
-
-    Raises:
-        FiptError: ``file-missing`` for a file that disappears meanwhile.
-    """
+    """The present textures of a run, kept in its folder."""
     return TextureFiles(run.root / IN_RUN / content_name(run), png)
 
 

@@ -8,17 +8,20 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import shutil
 import tempfile
 import urllib.request
+from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import urljoin
 
 from ..core.run.errors import FiptError
 from ..core.run.runfolder import explained_write_errors, write_json
 from . import pins
 from .interpreter import answer, output_end, run_quietly
 from .native import provide_llvm, provide_system_libraries
-from .pip import Pip, Teller
+from .pip import Pip, Teller, pip_settings
 from .plan import Plan
 from .torch_build import LOCKED_GB, SIZES, torch_index, torch_requirement
 
@@ -117,11 +120,9 @@ def _install_pip(plan: Plan) -> bool:
         return False
     (pin,) = plan.pip
     name = f"{pins.without_hashes(pin).replace('==', '-')}-py3-none-any.whl"
-    try:
-        source = f"{PIP_WHEELS}/{name}" if plan.wheels is None else (plan.wheels / name).as_uri()
-        with urllib.request.urlopen(source, timeout=30.0) as answered:
-            content = answered.read()
-    except OSError:
+    sources = pip_sources(name) if plan.wheels is None else [(plan.wheels / name).as_uri()]
+    content = next(filter(None, map(_fetched, sources)), None)
+    if content is None:
         return False
     if f"--hash=sha256:{hashlib.sha256(content).hexdigest()}" not in pin.split():
         raise FiptError("package-hash.install-pip", name=name)
@@ -130,6 +131,28 @@ def _install_pip(plan: Plan) -> bool:
         wheel.write_bytes(content)
         command = [str(plan.python), f"{wheel}/pip", "install", "--no-index", "--no-deps", str(wheel)]
         return run_quietly(command).returncode == 0
+
+
+def _fetched(address: str) -> bytes | None:
+    """What an address holds; None where it can't be had."""
+    try:
+        with urllib.request.urlopen(address, timeout=30.0) as answered:
+            return bytes(answered.read())
+    except (OSError, ValueError):
+        return None
+
+
+def pip_sources(name: str) -> Iterator[str]:
+    """Addresses of a wheel of pip: by the user's configuration (find-links, indexes), then the usual one."""
+    settings = pip_settings()
+    for place in settings.get("find-links", "").split():
+        folder = place if "://" in place else Path(place).expanduser().absolute().as_uri()
+        yield f"{folder.rstrip('/')}/{name}"
+    for index in f"{settings.get('index-url', '')} {settings.get('extra-index-url', '')}".split():
+        page = f"{index.rstrip('/')}/pip/"
+        text = (_fetched(page) or b"").decode("utf-8", "replace")
+        yield from (urljoin(page, each) for each in re.findall(rf'href="([^"#]*{re.escape(name)})[#"]', text))
+    yield f"{PIP_WHEELS}/{name}"
 
 
 def install(plan: Plan, tell: Teller) -> None:

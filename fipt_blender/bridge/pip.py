@@ -7,10 +7,13 @@ pip's own configuration determines the sources of packages. Standard library onl
 
 from __future__ import annotations
 
+import configparser
+import os
 import re
 import subprocess
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -25,6 +28,27 @@ _NETWORK_SIGNS = (
     *("NewConnectionError", "ConnectTimeout", "ReadTimeout", "name resolution", "getaddrinfo"),
     *("ProxyError", "SSLError", "CERTIFICATE_VERIFY_FAILED", "Network is unreachable", "Connection refused"),
 )
+
+
+def pip_settings() -> dict[str, str]:
+    """The user's settings of pip for installing, by their names, as pip reads them: files, then variables."""
+    home, roaming = Path(os.path.expanduser("~")), Path(os.environ.get("APPDATA", "~"))
+    files = [
+        *(Path("/etc/pip.conf"), Path(os.environ.get("PROGRAMDATA", "/etc"), "pip", "pip.ini")),
+        *(home / ".pip" / "pip.conf", home / "Library" / "Application Support" / "pip" / "pip.conf"),
+        Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config", "pip", "pip.conf"),
+        *(roaming / "pip" / "pip.ini", Path(os.environ.get("PIP_CONFIG_FILE", os.devnull))),
+    ]
+    parser = configparser.ConfigParser(interpolation=None)
+    with suppress(configparser.Error, UnicodeError):
+        parser.read(files)
+    values = {
+        key: text for name in ("global", "install") if name in parser for key, text in parser[name].items()
+    }
+    names = ("find-links", "index-url", "extra-index-url")
+    return values | {
+        key: text for key in names if (text := os.environ.get(f"PIP_{key.upper().replace('-', '_')}"))
+    }
 
 
 class Teller(Protocol):

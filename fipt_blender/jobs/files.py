@@ -1,12 +1,17 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Saving a file brings the textures of results beside it that were applied while it had no name; one that was
-opened in a Blender without a denoiser renders without, unless the artist has changed that.
+"""Saving a file brings the textures of results beside it that were applied while it had no name, and notes in
+its runs that a file knows them; one that was opened in a Blender without a denoiser renders without, unless
+the artist has changed that.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import bpy
+
+from ..core.run.runfolder import RunFolder
 
 _before: dict[str, str] = {}  # paths of images as they were, by name, until the file is saved
 
@@ -32,11 +37,13 @@ def _without_denoiser(*_: object) -> None:
 
     if render_settings.can_denoise():
         return
-    wanted = render_settings.picture_settings()
-    wanted = {path: wanted[path] for path in ("cycles.use_denoising", "cycles.samples")}
     for scene in bpy.data.scenes:
         if scene.library is None and render_settings.is_set(scene):
-            render_settings.set_once(scene, wanted)
+            wanted = render_settings.picture_settings(scene)
+            names = ("use_denoising", "samples", "sample_clamp_indirect")
+            render_settings.set_once(
+                scene, {path: wanted[path] for path in (f"cycles.{name}" for name in names)}
+            )
 
 
 @bpy.app.handlers.persistent
@@ -68,6 +75,10 @@ def _after(*_: object) -> None:
     if not bpy.data.filepath:  # a copy was saved, which has its own textures
         _restore()
     _before.clear()
+    for scene in bpy.data.scenes if bpy.data.filepath else ():
+        if scene.fipt.run_folder:
+            with suppress(OSError):  # the folder may be gone
+                RunFolder(bpy.path.abspath(scene.fipt.run_folder)).unsaved.unlink(missing_ok=True)
 
 
 def _restore() -> None:

@@ -33,11 +33,7 @@ def find_scene(scene_name: str, run_folder: Path) -> bpy.types.Scene | None:
 
 @contextmanager
 def scene_context(scene_name: str, run_folder: Path) -> Iterator[None]:
-    """The context for work on a job's scene, whichever scene the window shows; unchanged for the name "".
-
-    Raises:
-        FiptError: ``scene-gone``.
-    """
+    """The context for work on a job's scene, whichever scene the window shows; unchanged for the name ""."""
     if not scene_name:
         yield
         return

@@ -23,13 +23,7 @@ from .scene_steps import apply_steps, estimation_steps, import_steps
 
 
 def make_main_job(options: MainJobOptions) -> Job:
-    """Check the options, create the run folder and return the job, ready to run.
-
-    Raises:
-        FiptError: ``capture-missing``, ``mesh-missing``, ``output-inside-capture``,
-            ``engine-missing``, ``hints-missing``, ``hints-invalid``, ``run-busy`` or those of
-            ``RunFolder.create``.
-    """
+    """Check the options, create the run folder and return the job, ready to run."""
     check_options(options)
     engine = find_launch(options.engine_python)
     run = RunFolder(options.output)
@@ -54,11 +48,7 @@ def list_files(run: RunFolder) -> list[str]:
 
 
 def _existing(path: Path | None) -> list[Hint] | None:
-    """The hints of a file that the user names; None without one.
-
-    Raises:
-        FiptError: ``hints-missing``; those of `read_hints`.
-    """
+    """The hints of a file that the user names; None without one."""
     if path is None:
         return None
     if not path.is_file():

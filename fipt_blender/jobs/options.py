@@ -69,11 +69,7 @@ def capture_source(path: Path) -> Path:
 
 
 def check_options(options: MainJobOptions) -> None:
-    """Check the paths before anything is written.
-
-    Raises:
-        FiptError: see ``make_main_job``.
-    """
+    """Check the paths before anything is written."""
     if not options.capture.exists():
         raise FiptError("capture-missing.check-options", capture=options.capture)
     options.refuse_missing()

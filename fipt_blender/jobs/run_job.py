@@ -37,9 +37,6 @@ def open_job(
         steps: engine commands and functions on Blender's data.
         launch: the engine, if the caller has found it already; None finds it by the preferences.
         note: whether job.json is written.
-
-    Raises:
-        FiptError: ``engine-missing``, ``run-busy`` or ``run-linked``.
     """
     engine = launch or find_launch()
     refuse_busy(run)
@@ -56,9 +53,6 @@ def prepare_job(photographs: Path, folder: Path, options: Iterable[str], launch:
     """A job that makes a capture from photographs in a folder, by the engine's command `prepare`.
 
     The engine keeps the steps that are finished, so that a stopped job goes on when it is started again.
-
-    Raises:
-        FiptError: ``capture-foreign`` and those of `open_job`.
     """
     refuse_foreign(PreparationFolder(folder), photographs)
     command = ["prepare", *options, "--", str(photographs), str(folder)]
@@ -67,11 +61,7 @@ def prepare_job(photographs: Path, folder: Path, options: Iterable[str], launch:
 
 
 def refuse_busy(run: RunFolder) -> None:
-    """Let two engines never work in one run folder, nor any engine in one whose links lead out of it.
-
-    Raises:
-        FiptError: ``run-busy`` or ``run-linked``.
-    """
+    """Let two engines never work in one run folder, nor any engine in one whose links lead out of it."""
     run.refuse_links()
     if holder(run) is not None:
         raise busy(run)
@@ -90,11 +80,7 @@ class Launch:
 
 
 def find_launch(explicit: str | None = None) -> Launch:
-    """The given engine, else that of the preferences (in Blender), else the one that is found.
-
-    Raises:
-        FiptError: ``engine-missing``.
-    """
+    """The given engine, else that of the preferences (in Blender), else the one that is found."""
     variables: dict[str, str] = {}
     if explicit or importlib.util.find_spec("bpy") is None:
         python = find_engine_python(explicit)

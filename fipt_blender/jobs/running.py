@@ -54,6 +54,13 @@ def current() -> Job | None:
     return None if _active is None else _active.job
 
 
+def other_file() -> str:
+    """Name of the file whose job runs, where another one is open now; "" where it is the same or has none."""
+    if _active is None or _active.blend_file == bpy.data.filepath:
+        return ""
+    return bpy.path.basename(_active.blend_file)
+
+
 def last(kind: str | None = None) -> Job | None:
     """The job that ended last, of one kind or of any."""
     return _last.get(kind)
@@ -68,9 +75,6 @@ def start(job: Job, on_end: Callable[[Job], None] | None = None) -> Job:
 
     Returns:
         `job`.
-
-    Raises:
-        FiptError: ``job-running`` where another one runs.
     """
     global _active
     if _active is not None:
@@ -186,7 +190,8 @@ def _shown(job: Job) -> tuple[object, ...]:
     """The values as precisely as panels show them: the engine reports progress several times a second."""
     remaining = job.remaining_seconds
     left = None if remaining is None else int(remaining) if remaining < 60.0 else int(remaining / 60.0) * 60
-    numbers = (round(job.fraction, 2), left, round(job.memory_gb, 1), len(job.warnings))
+    passed = int(job.worked_seconds / 60.0)
+    numbers = (round(job.fraction, 2), left, passed, round(job.memory_gb, 1), len(job.warnings))
     return (job.stage_text, job.stopping, *numbers, *job.pictures)
 
 

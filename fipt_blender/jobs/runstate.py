@@ -8,6 +8,7 @@ While drawing, the answer comes from a cache, which a timer refreshes soon after
 from __future__ import annotations
 
 import os
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ from typing import TYPE_CHECKING
 import bpy
 
 from ..core.run.runfolder import RunFolder
+from .job_scene import uses_run_folder
+from .window import redraw
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
@@ -24,6 +27,8 @@ if TYPE_CHECKING:
     from ..core.run.versions import Version
 
 _FRESH_SECONDS = 2.0
+_UNSAVED_SECONDS = 7 * 86400.0  # for which runs are offered that no saved file knows
+_MOST_UNSAVED = 2  # of these
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,7 @@ class RunState:
 
 # Time of the last look (monotonic seconds) and state, by folder.
 _known: dict[str, tuple[float, RunState]] = {}
+_unsaved: tuple[float, tuple[UnsavedRun, ...]] = (-1e9, ())  # time of the last look, and what was found
 _wanted: set[str] = set()  # folders that the timer looks at next
 # Called by the timer with a state that has changed; `session` sets it.
 on_change: Callable[[RunState], None] = lambda state: None  # noqa: E731
@@ -64,8 +70,9 @@ def unregister() -> None:
     """Clear the cache, and stop the timer."""
     _known.clear()
     _wanted.clear()
-    if bpy.app.timers.is_registered(_look_soon):
-        bpy.app.timers.unregister(_look_soon)
+    for timer in (_look_soon, _look_for_unsaved):
+        if bpy.app.timers.is_registered(timer):
+            bpy.app.timers.unregister(timer)
 
 
 def known(folder: str) -> RunState:
@@ -81,6 +88,63 @@ def known(folder: str) -> RunState:
         if not bpy.app.timers.is_registered(_look_soon):
             bpy.app.timers.register(_look_soon, first_interval=0.0)
     return state
+
+
+@dataclass(frozen=True)
+class UnsavedRun:
+    """A run that no saved file knows, as after a crash.
+
+    Attributes:
+        folder: its folder.
+        name: of its capture.
+        time: of its last change, seconds since 1970.
+        stages: number of finished stages.
+        finished: whether its estimation has finished.
+    """
+
+    folder: Path
+    name: str
+    time: float
+    stages: int
+    finished: bool
+
+
+def unsaved_runs() -> tuple[UnsavedRun, ...]:
+    """The newest runs of the data folder that no saved file knows, in a window from the cache."""
+    global _unsaved
+    if bpy.app.background:
+        return _find_unsaved()
+    if time.monotonic() - _unsaved[0] > 5.0 * _FRESH_SECONDS:
+        _unsaved = time.monotonic(), _unsaved[1]
+        bpy.app.timers.register(_look_for_unsaved, first_interval=0.0)
+    return _unsaved[1]
+
+
+def _look_for_unsaved() -> None:
+    global _unsaved
+    found = _find_unsaved()
+    if found != _unsaved[1]:
+        _unsaved = time.monotonic(), found
+        redraw()
+
+
+def _find_unsaved() -> tuple[UnsavedRun, ...]:
+    from .. import machine
+    from ..bridge import storage
+    from ..core.run.lock import holder
+
+    found: list[UnsavedRun] = []
+    for item in storage.list_items(machine.data_folder()):
+        run = RunFolder(item.folder)
+        recent = item.kind == storage.RUN and time.time() - item.modified < _UNSAVED_SECONDS
+        if not recent or not run.unsaved.is_file() or len(found) == _MOST_UNSAVED:
+            continue
+        if holder(run) is not None or any(uses_run_folder(scene, run.root) for scene in bpy.data.scenes):
+            continue
+        state, name = look(run), re.sub(r"-\d{8}-\d{6}(-\d+)?$", "", run.root.name)
+        if run.ingest_json.is_file() and state.stages:
+            found.append(UnsavedRun(run.root, name, item.modified, state.stages, state.finished))
+    return tuple(found)
 
 
 def forget(folder: Path) -> None:

@@ -4,16 +4,18 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from typing import TYPE_CHECKING
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from .. import machine
 from ..blend import previews
 from . import files, running, runstate
 from .job_scene import find_scene, scene_context
-from .window import redraw, show_notice
+from .window import open_sidebar, redraw, show_notice, shows_light
 
 if TYPE_CHECKING:
     from ..bridge.job import Job
@@ -26,7 +28,7 @@ _keymap_items: list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]] = []
 
 
 def register() -> None:
-    """Add the shortcut Esc and listen to what the run folders' timer finds.
+    """Add the shortcuts Esc and Ctrl Q and listen to what the run folders' timer finds.
 
     A key map item instead of a modal operator: Blender does not auto-save while one runs, and a run may take
     an hour. Background mode has no key map.
@@ -37,15 +39,22 @@ def register() -> None:
         item = keymap.keymap_items.new("fipt.cancel", "ESC", "PRESS")
         item.properties.by_key = True
         _keymap_items.append((keymap, item))
+        command = "oskey" if sys.platform == "darwin" else "ctrl"
+        item = keymap.keymap_items.new("fipt.quit_during_job", "Q", "PRESS", **{command: True})
+        _keymap_items.append((keymap, item))
     bpy.app.handlers.animation_playback_post.append(_note_playback_end)
     runstate.on_change = _show_state
     running.register(after_job)
+    if not bpy.app.background:
+        bpy.app.timers.register(_tell_where, first_interval=1.0)
     files.register()
 
 
 def unregister() -> None:
-    """End the running job, remove the shortcut, the timers and the icons."""
+    """End the running job, remove the shortcuts, the timers and the icons."""
     running.shut_down()
+    if bpy.app.timers.is_registered(_tell_where):
+        bpy.app.timers.unregister(_tell_where)
     while _keymap_items:
         keymap, item = _keymap_items.pop()
         keymap.keymap_items.remove(item)
@@ -53,6 +62,12 @@ def unregister() -> None:
     runstate.unregister()
     files.unregister()
     previews.clear()
+
+
+def _tell_where() -> None:
+    """After the installation nothing else says where the add-on is."""
+    if not machine.has_engine():
+        show_notice(iface_("FIPT is in the sidebar of the 3D Viewport: press N there, tab FIPT"), "INFO")
 
 
 @bpy.app.handlers.persistent
@@ -72,6 +87,12 @@ def after_job(info: Job) -> None:
     unless the artist does not want that or is in Edit Mode.
     """
     scene = find_scene(info.scene_name, info.run_folder)
+    applied = info.kind == "materials" or info.title == "Example"
+    if applied and info.state == "finished" and shows_light():
+        text = iface_("{}: finished. The view is gray until Cycles has loaded the room")
+        show_notice(text.format(iface_(info.title)), "INFO")
+    if info.title == "Import Capture" and info.error is None:  # dropped on the window, or from File > Import
+        open_sidebar()
     if info.error is not None and info.error["code"] == "cameras-missing" and scene is not None:
         with scene_context(scene.name, info.run_folder):
             if bpy.ops.fipt.photographs_of_capture.poll():

@@ -50,11 +50,7 @@ class Task:
 
 
 def begin(task: Task, scene: bpy.types.Scene, wait: bool) -> Job:
-    """Start a task on the context's scene; with `wait`, run it to its end.
-
-    Raises:
-        FiptError: it can't start. How it ended is in the result.
-    """
+    """Start a task on the context's scene; with `wait`, run it to its end."""
     from ..bridge.job import Job
 
     undo = task.title if task.undo and not wait else ""

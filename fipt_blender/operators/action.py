@@ -156,11 +156,7 @@ def report_messages(operator: Any, messages: Iterable[Mapping[str, Any]]) -> Non
 
 
 def row_index(rows: Any, index: int, active: int) -> int:
-    """The place in a list of the row that a property names, the active one if it is negative.
-
-    Raises:
-        FiptError: ``row-missing``.
-    """
+    """The place in a list of the row that a property names, the active one if it is negative."""
     index = active if index < 0 else index
     if index >= len(rows):
         raise FiptError("row-missing", index=index, number_of_rows=len(rows))

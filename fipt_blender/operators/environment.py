@@ -181,11 +181,7 @@ def clear_data(
 
 
 def _clearing(names: str) -> Step:
-    """The step of Clear Cached Data.
-
-    Raises:
-        FiptError: ``run-foreign``.
-    """
+    """The step of Clear Cached Data."""
     from ..bridge import storage
     from ..bridge.step import Step
 

@@ -100,7 +100,7 @@ def notice(
 
 
 def _stop_or_ask(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-    """Cancel at once, but ask first where the Esc key would end a long run."""
+    """Cancel at once, but ask first after a key, which may have been meant for something else."""
     from ..jobs import session
     from ..panels.progress import time_text
 
@@ -109,8 +109,6 @@ def _stop_or_ask(self: Any, context: bpy.types.Context, event: bpy.types.Event) 
         return self.execute(context)
     if session.stops_playback(context.screen):
         return {"PASS_THROUGH"}
-    if job.worked_seconds < 60.0:  # after so much work, Esc asks before it cancels
-        return self.execute(context)
     message = iface_("It has been running for {}. Finished stages are kept for Resume.")
     return context.window_manager.invoke_confirm(
         self,
@@ -138,6 +136,27 @@ def cancel(
 ) -> None:
     """Stop the running job within two seconds. Finished stages are kept, and Resume continues from there."""
     running.cancel()
+
+
+def _ask_before_quit(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    job = running.current()
+    title = "" if job is None else iface_("Quit and stop '{}'?").format(iface_(job.title))
+    message = iface_("Finished stages are kept. Save the file, open it again and press Resume.")
+    return context.window_manager.invoke_confirm(
+        self, event, title=title, message=message, confirm_text=iface_("Quit")
+    )
+
+
+@action(
+    "Quit During a Job",
+    needs=(needs(lambda _: running.current(), "No job is running"),),
+    options={"INTERNAL"},
+    invoke=_ask_before_quit,
+    listed=False,
+)
+def quit_during_job(context: bpy.types.Context) -> None:
+    """Quit Blender, which stops the running job."""
+    bpy.ops.wm.quit_blender("INVOKE_DEFAULT")
 
 
 @action(
@@ -252,6 +271,7 @@ def try_example(context: bpy.types.Context) -> Task:
         settings = estimating.scene_settings(scene)
         run = RunFolder(machine.new_run_folder(NAME))
         run.create(settings)
+        run.unsaved.write_text(str(path), encoding="utf-8")
         scene.fipt.run_folder = str(run.root)
         steps = [
             *scene_steps.import_steps(run, path, CaptureOptions(), partial(import_capture, run, str(path))),
@@ -265,11 +285,7 @@ def try_example(context: bpy.types.Context) -> Task:
 
 
 def copy_example(data: Path) -> Path:
-    """Copy the example to the data folder, since upgrades of the extension delete its own; returns its place.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
+    """Copy the example to the data folder, since upgrades of the extension delete its own; its place."""
     import shutil
 
     from ..bridge.places import PACKAGE_FOLDER

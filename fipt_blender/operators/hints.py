@@ -32,11 +32,7 @@ ABOUT = (
 
 
 def _clicked(context: bpy.types.Context, ray: PointerRay) -> tuple[bpy.types.Object, int, Vector]:
-    """The object on a ray, its polygon, and the point in the world.
-
-    Raises:
-        FiptError: ``surface-missing``.
-    """
+    """The object on a ray, its polygon, and the point in the world."""
     from ..blend.ray_hits import surface_on_ray
 
     found = surface_on_ray(context.scene, context.evaluated_depsgraph_get(), *ray)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the section Lights: fixtures, their states and unit, light groups, EEVEE."""
+"""Operators of the section Lights: fixtures, their unit, light groups, EEVEE."""
 
 from __future__ import annotations
 
@@ -21,11 +21,7 @@ LightName = Annotated[str, "Name of the light. If empty, the active light of the
 
 
 def find_light(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
-    """The light of that name, or the list's active one for "".
-
-    Raises:
-        FiptError: ``fixture-missing``.
-    """
+    """The light of that name, or the list's active one for ""."""
     lights = scene.fipt.lights
     row: FIPT_Light | None = lights.active_light()
     if name:
@@ -38,11 +34,7 @@ def find_light(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
 
 
 def find_fixture(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
-    """The estimated fixture of that name, or the list's active one for "".
-
-    Raises:
-        FiptError: ``fixture-missing``.
-    """
+    """The estimated fixture of that name, or the list's active one for ""."""
     fixture = find_light(scene, name)
     if FIXTURE not in fixture:
         raise FiptError("fixture-missing.find-fixture", name=fixture.name)
@@ -64,7 +56,7 @@ def switch_lights(scene: bpy.types.Scene, on: Annotated[bool, "Switch the lights
     switch_all(on, scene)
 
 
-@action("Update List")
+@action("Update List", needs=(is_own_room,))
 def list_lights(scene: bpy.types.Scene) -> None:
     """Update the list of fixtures and added lights, including appended and duplicated ones."""
     from ..blend.lights import light_state
@@ -187,44 +179,6 @@ def hide_other_lights(
     return iface_("{} lights changed").format(mute_other_lights(scene, hide))
 
 
-State = Annotated[str, "Name of the state. If empty, the active state of the list is used"]
-_has_states = needs(lambda context: len(context.scene.fipt.lights.states), "Save a light state first")
-
-
-@action("Save Light State", needs=own_lights)
-def save_light_state(
-    scene: bpy.types.Scene,
-    name: Annotated[str, "Name of the state; a state of that name is replaced. If empty, it is chosen"] = "",
-) -> None:
-    """Save the power, color and switch of all lights and of the environment under a name."""
-    from ..blend.lights import light_states
-    from ..core.run.names import free_name
-
-    settings = scene.fipt.lights
-    entry = settings.states.get(name) if name else None
-    if entry is None:
-        entry = settings.states.add()
-        entry.name = name or free_name(iface_("Lights"), [each.name for each in settings.states])
-    entry.data = light_states.present(scene)
-    settings.active_state = settings.states.find(entry.name)
-
-
-@action("Recall Light State", needs=(_has_states,))
-def recall_light_state(scene: bpy.types.Scene, state: State = "") -> None:
-    """Give all lights and the environment the power, color and switch of a saved state."""
-    from ..blend.lights import light_states
-
-    light_states.recall(scene, scene.fipt.lights.states[_index(scene, state)].data)
-
-
-@action("Remove Light State", needs=(_has_states,))
-def remove_light_state(scene: bpy.types.Scene, state: State = "") -> None:
-    """Remove a saved state. The lights stay as they are."""
-    settings, index = scene.fipt.lights, _index(scene, state)
-    settings.states.remove(index)
-    settings.active_state = max(min(index, len(settings.states) - 1), 0)
-
-
 @action("IES Profile...", needs=own_lights, invoke=file_dialog)
 def set_ies_profile(
     scene: bpy.types.Scene,
@@ -241,26 +195,8 @@ def set_ies_profile(
         set_profile(each, Path(bpy.path.abspath(filepath)))
 
 
-def _index(scene: bpy.types.Scene, state: str) -> int:
-    """A state's place in the list.
-
-    Raises:
-        FiptError: ``state-missing``.
-    """
-    settings = scene.fipt.lights
-    index = settings.states.find(state) if state else settings.active_state
-    if not 0 <= index < len(settings.states):
-        text = f"There is no light state '{state}'." if state else "No light state is selected."
-        raise FiptError("state-missing", text=text)
-    return int(index)
-
-
 def _blender_lights(scene: bpy.types.Scene, name: str) -> list[bpy.types.Object]:
-    """The Blender lights of a row of the list.
-
-    Raises:
-        FiptError: ``fixture-missing``; ``fixture-emits`` for a fixture whose surface still emits.
-    """
+    """The Blender lights of a row of the list."""
     item = find_light(scene, name)
     lights = [item] if NEW_LIGHT in item and item.type == "LIGHT" else fixture_lights(item)
     if not lights:

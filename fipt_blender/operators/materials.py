@@ -146,7 +146,9 @@ def select_part_faces(
 @action("Set Color of Part", needs=_has_parts, invoke=dialog)
 def set_part_color(
     scene: bpy.types.Scene,
-    color: Annotated[str, 'A RAL number, such as "RAL 7035", or sRGB as "#d7d5cb"'] = "",
+    color: Annotated[
+        str, 'A RAL number, such as "RAL 7035", or sRGB as "#d7d5cb" or "rgb(215, 213, 203)"'
+    ] = "",
 ) -> str:
     """Give the active part a color by its RAL number or its sRGB code. The part's pattern and gloss stay."""
     from ..blend.results.part_colors import named_color
@@ -168,13 +170,15 @@ def reset_part(scene: bpy.types.Scene, all_parts: AllParts = False) -> str:
 
 @action("Mark as Asset", needs=_has_parts)
 def mark_part_assets(scene: bpy.types.Scene, all_parts: AllParts = False) -> str:
-    """Mark the material of the active part, or of all parts, as an asset with a preview."""
+    """Make an asset of the active part, or of all parts: a material of its mean values, with a preview.
+    The part's textures lie on the room's UVs alone.
+    """
     from ..blend.results.part_assets import mark_part
 
     settings = scene.fipt.materials
     active = settings.part()
     rows = list(settings.parts) if all_parts or active is None else [active]
-    return iface_("{} materials are assets").format(sum(len(mark_part(scene, row)) for row in rows))
+    return iface_("{} materials are assets").format(sum(mark_part(scene, row) for row in rows))
 
 
 def _draw_materials(self: Any, context: bpy.types.Context) -> None:

@@ -99,11 +99,6 @@ class FIPT_MT_pie_lights(bpy.types.Menu):
         layout.operator("fipt.switch_lights", text="All Off", icon="OUTLINER_DATA_LIGHT").on = False
         layout.operator_context = "INVOKE_DEFAULT"
         layout.operator("fipt.add_light", text="Add Light by Pointing", icon="EYEDROPPER").place = "PICK"
-        states = context.scene.fipt.lights.states
-        if states:
-            layout.separator()
-        for state in states:
-            layout.operator("fipt.recall_light_state", text=state.name, translate=False).state = state.name
 
 
 class FIPT_MT_pie(bpy.types.Menu):

@@ -219,11 +219,7 @@ def open_photographs_report(scene: bpy.types.Scene) -> None:
 
 
 def _photographs(settings: FIPT_PhotographsSettings) -> Path:
-    """The folder of the photographs.
-
-    Raises:
-        FiptError: ``photographs-missing``.
-    """
+    """The folder of the photographs."""
     folder = Path(bpy.path.abspath(settings.path)).absolute()
     if not settings.path or not folder.is_dir():
         raise FiptError(
@@ -234,11 +230,7 @@ def _photographs(settings: FIPT_PhotographsSettings) -> Path:
 
 
 def _write_groups(settings: FIPT_PhotographsSettings, folder: PreparationFolder) -> None:
-    """Write the list's groups to prepare.json, unless somebody else has changed those in the file.
-
-    Raises:
-        FiptError: ``brackets-changed``; those of `read_preparation` and `write_preparation`.
-    """
+    """Write the list's groups to prepare.json, unless somebody else has changed those in the file."""
     from dataclasses import replace
 
     from ..blend.capture.brackets import digest, list_groups, listed_groups
@@ -332,11 +324,7 @@ def pick_scale_points(
 
 
 def _merged(settings: FIPT_PhotographsSettings) -> str:
-    """The merged image of the active group.
-
-    Raises:
-        FiptError: ``image-missing``.
-    """
+    """The merged image of the active group."""
     folder = settings.capture_folder()
     if folder is not None and 0 <= settings.active_group < len(settings.groups):
         path = PreparationFolder(folder).image(Group(settings.groups[settings.active_group].name, ()))

@@ -67,7 +67,7 @@ views_checked = needs(lambda context: context.scene.fipt.capture.unseen_share >=
 def has_results(cls: Any, context: bpy.types.Context) -> bool:
     """The scene has results of its own."""
     applied = needs(lambda context: context.scene.fipt.materials.object_count, "Use Apply Results first")
-    return applied(cls, context) and is_own_room(cls, context)
+    return is_own_room(cls, context) and applied(cls, context)
 
 
 # A room comes into a scene of its own.

@@ -6,14 +6,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import bpy
 
+from ..api import importing
+from ..core.run.declared import Option
 from ..jobs.tasks import Task
 from ..panels import manual
-from .action import REGISTER, ChoosesFiles, action
+from .action import HIDDEN, REGISTER, ChoosesFiles, action
 from .capture import import_capture
-from .polls import in_object_mode, needs, no_job, over_sidebar
+from .polls import has_no_capture, in_object_mode, needs, no_job, over_sidebar
 
 CAMERA_FILES = (".json", ".xml", ".sfm", ".out", ".nvm", ".csv", ".bin")
 
@@ -30,6 +33,14 @@ def choose_capture(scene: bpy.types.Scene, folder: str, names: Sequence[str]) ->
     # Of a photograph, or of any other file in it, the folder is meant.
     path = Path(bpy.path.abspath(folder)) / (cameras[0] if len(cameras) == 1 else "")
     return import_capture(scene, filepath=str(path))
+
+
+@action("Open Run", needs=(in_object_mode, no_job, has_no_capture), options=REGISTER, listed=False)
+def open_run(
+    scene: bpy.types.Scene, folder: Annotated[str, Option("The run's folder", shown=HIDDEN)] = ""
+) -> Task:
+    """Go on with a run that no saved file knows, as after a crash. Resume or Apply Results does the rest."""
+    return importing.run_opening(Path(folder))
 
 
 class FIPT_FH_capture(bpy.types.FileHandler):

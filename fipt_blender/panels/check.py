@@ -19,6 +19,8 @@ from .sidebar import draw_text, panel
 @panel("Render", 6, shown=path.has_results)
 def FIPT_PT_check(layout: UILayout, context: Context) -> None:
     """Render pictures of the room"""
+    from ..blend.render_settings import can_denoise
+
     insert = context.scene.fipt.insert
     row = layout.row()
     row.scale_y = 1.3
@@ -26,6 +28,9 @@ def FIPT_PT_check(layout: UILayout, context: Context) -> None:
     row.operator("fipt.final_picture", text=text, icon="RENDER_STILL")
     if insert.picture:
         layout.label(text=os.path.basename(insert.picture), icon="CHECKMARK", translate=False)
+    if not can_denoise():
+        text = "This Blender has no denoiser, so pictures are noisy. Blender from blender.org has one."
+        draw_text(layout, iface_(text), icon="INFO")
     draw_warnings(layout, "check", job_warnings(context, "report"))
 
 

@@ -32,8 +32,7 @@ def draw_set_up(layout: UILayout) -> None:
         if size is not None:
             text = iface_("Downloads about {:.1f} GB and needs {:.1f} GB on the disk.")
             draw_text(layout, text.format(size.download_gb, size.disk_gb))
-    if not local and not bpy.app.online_access:
-        draw_online_access(layout)
+    online = None if local else draw_online_access(layout)
     column = layout.column()
     column.scale_y = 1.4
     column.operator("fipt.set_up_engine", icon="IMPORT").confirmed = True
@@ -41,6 +40,8 @@ def draw_set_up(layout: UILayout) -> None:
     row.operator("preferences.addon_show", text="Other Ways...", icon="PREFERENCES").module = machine.ADDON
     if machine.status():
         row.operator("wm.path_open", text="Show Log", icon="TEXT").filepath = str(machine.set_up_log())
+    if online:
+        draw_text(layout, online, icon="INTERNET_OFFLINE")
 
 
 def _draw_problem(layout: UILayout) -> None:
@@ -55,19 +56,16 @@ def _draw_problem(layout: UILayout) -> None:
         draw_text(layout, text, icon="ERROR", alert=True)
 
 
-def draw_online_access(layout: UILayout) -> None:
-    """Blender's own switch, which only the user may set, and what it is needed for."""
-    if getattr(bpy.app, "online_access_override", False):
-        text = iface_(
+def draw_online_access(layout: UILayout) -> str:
+    """Blender's own switch, which only the user may set, and which keeps its place; what to say below it."""
+    if not getattr(bpy.app, "online_access_override", False):
+        row = layout.row()
+        row.use_property_split = False
+        row.prop(bpy.context.preferences.system, "use_online_access", text="Allow Online Access", toggle=True)
+        text = "Blender may not use the internet yet. Allow it for the download; nothing else here is online."
+    else:
+        text = (
             "Blender was started offline. Start it without --offline-mode, or select a Folder of Wheels in"
             " the preferences: the button beside it copies a command that downloads the wheels elsewhere."
         )
-        draw_text(layout, text, icon="INTERNET_OFFLINE")
-        return
-    text = iface_(
-        "Blender may not use the internet yet. Allow it for the download; nothing else here is online."
-    )
-    draw_text(layout, text, icon="INTERNET_OFFLINE")
-    row = layout.row()
-    row.use_property_split = False
-    row.prop(bpy.context.preferences.system, "use_online_access", text="Allow Online Access", toggle=True)
+    return "" if bpy.app.online_access else iface_(text)

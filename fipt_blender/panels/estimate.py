@@ -43,7 +43,12 @@ def FIPT_PT_estimate(layout: UILayout, context: Context) -> None:
         _draw_pictures(layout, tuple(job.pictures))
     elif job is not None and job.kind == "materials" and uses_run_folder(context.scene, job.run_folder):
         draw_progress(layout, context, job)
-    elif state.finished and path.has_results(context):
+    elif state.finished:
+        if not path.has_results(context):
+            column = layout.column()
+            column.scale_y = 1.4
+            column.operator("fipt.apply_results", icon="MATERIAL")
+            draw_job(layout, context, "materials")
         _draw_done(layout, context, state)
     else:
         _draw_start(layout, context, state)
@@ -130,17 +135,14 @@ def _draw_state(layout: UILayout, context: Context, state: runstate.RunState) ->
     if state.error is not None and running.last("estimate") is None:
         folder = RunFolder(bpy.path.abspath(context.scene.fipt.run_folder))
         draw_error(layout, state.error, folder)
-    if state.finished:
-        layout.label(text="Finished", icon="CHECKMARK")
-    elif state.stages:
+    if state.stages:
         text = iface_("Stopped. {} stages are finished").format(state.stages)
         layout.label(text=text, icon="PAUSE", translate=False)
     if state.results:
         _draw_quality(layout, state)
     _draw_pictures(layout, state.pictures)
     if state.results:
-        if not state.finished:
-            layout.label(text="The results are those of the estimate before", icon="INFO")
+        layout.label(text="The results are those of the estimate before", icon="INFO")
         layout.operator("fipt.apply_results", icon="MATERIAL")
         draw_job(layout, context, "materials")
 

@@ -82,6 +82,12 @@ def FIPT_PT_lights(layout: UILayout, context: Context) -> None:
             _draw_doubt(layout, context.scene.fipt.hints, light.object)
     elif context.scene.fipt.materials.object_count and not len(settings.lights):
         draw_text(layout, "No lamps were found. Windows alone light the room.", icon="INFO")
+    shading = context.space_data.shading
+    if shading.type in ("SOLID", "WIREFRAME"):
+        row = layout.row()
+        row.use_property_split = False
+        row.label(text="This view shows no light:", icon="SHADING_SOLID")
+        row.prop_enum(shading, "type", "RENDERED", text="Show Light")
     if settings.needs_cycles():
         _draw_engine_choice(layout)
     elif settings.needs_probe():
@@ -170,25 +176,6 @@ def FIPT_PT_light(layout: UILayout, context: Context) -> None:
     column.operator("fipt.set_ies_profile", icon="LIGHT_POINT")
 
 
-@rows()
-def FIPT_UL_light_states(layout: UILayout, context: Context, item: PropertyGroup, index: int) -> None:
-    """Saved states of all lights"""
-    row = layout.row(align=True)
-    row.prop(item, "name", text="", emboss=False, icon="LIGHT")
-    row.operator("fipt.recall_light_state", text="", icon="PLAY", emboss=False).state = item.name
-
-
-@panel("Light States", 1, parent="FIPT_PT_lights", closed=True)
-def FIPT_PT_light_states(layout: UILayout, context: Context) -> None:
-    """Save and recall the state of all lights"""
-    settings = context.scene.fipt.lights
-    row = layout.row()
-    row.template_list("FIPT_UL_light_states", "", settings, "states", settings, "active_state", rows=3)
-    column = row.column(align=True)
-    column.operator("fipt.save_light_state", text="", icon="ADD")
-    column.operator("fipt.remove_light_state", text="", icon="REMOVE")
-
-
 def _draw_switch(layout: UILayout, context: Context) -> None:
     """Whether light from outside is on."""
     settings = context.scene.fipt.lights
@@ -198,7 +185,7 @@ def _draw_switch(layout: UILayout, context: Context) -> None:
 
 @panel(
     "Environment",
-    2,
+    1,
     parent="FIPT_PT_lights",
     closed=True,
     shown=lambda context: context.scene.fipt.lights.result_world() is not None,
@@ -216,7 +203,7 @@ def FIPT_PT_environment(layout: UILayout, context: Context) -> None:
     column.prop(settings, "environment_rotation")
 
 
-@panel("Scene and Passes", 3, parent="FIPT_PT_lights", closed=True)
+@panel("Scene and Passes", 2, parent="FIPT_PT_lights", closed=True)
 def FIPT_PT_light_output(layout: UILayout, context: Context) -> None:
     """The list, the unit of light, exposure, other lights, and render passes for each light"""
     layout.operator("fipt.list_lights", icon="FILE_REFRESH")

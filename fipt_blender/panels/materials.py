@@ -24,9 +24,6 @@ def FIPT_PT_materials(layout: UILayout, context: Context) -> None:
     column = layout.column()
     column.enabled = context.mode == "OBJECT"
     column.prop(context.scene.fipt.materials, "shown")
-    row = column.row()
-    row.use_property_split = False
-    row.prop_enum(context.space_data.shading, "type", "RENDERED", text="Preview Light")
     if missing := runstate.known(context.scene.fipt.run_folder).missing:
         text = iface_("{} pictures of the results are missing, such as {}").format(len(missing), missing[0])
         draw_text(layout, text, icon="ERROR", alert=True)

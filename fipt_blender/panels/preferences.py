@@ -137,8 +137,9 @@ def _draw_engine(layout: UILayout, context: Context, preferences: machine.Prefer
     row = column.row(align=True)
     row.prop(preferences, "wheel_folder")
     row.operator("fipt.copy_wheel_command", text="", icon="COPYDOWN")
-    if not (bpy.app.online_access or preferences.wheel_folder or preferences.engine_python):
-        draw_online_access(layout)
+    if not (preferences.wheel_folder or preferences.engine_python):
+        if text := draw_online_access(layout):
+            draw_text(layout, text, icon="INTERNET_OFFLINE")
 
 
 def _draw_status(layout: UILayout, status: machine.Status) -> None:

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from ..bridge.job import Job
 
 
+_FORECASTS = (1, 2, 5, 10, 20, 40, 60)  # ends of ranges, minutes
+
+
 def draw_progress(layout: UILayout, context: Context, job: Job) -> None:
     """A progress bar with a cancel button, the stage, the remaining time and the largest memory."""
     column = layout.column(align=True)
@@ -28,11 +31,13 @@ def draw_progress(layout: UILayout, context: Context, job: Job) -> None:
     row.operator("fipt.cancel", text="", icon="X")
     draw_text(column, iface_("Stopping...") if job.stopping else iface_(job.stage_text))
     if job.scene_name and not uses_run_folder(context.scene, job.run_folder):
-        text = iface_("Running for the scene '{}', in {}").format(job.scene_name, job.run_folder.name)
+        name = running.other_file() or job.scene_name
+        text = iface_("Running for '{}', in {}").format(name, job.run_folder.name)
         draw_text(column, text, icon="SCENE_DATA")
     facts = []
     if job.remaining_seconds is not None and job.fraction > 0.0:
-        facts.append(iface_("{} left").format(time_text(job.remaining_seconds)))
+        facts.append(left_text(job.remaining_seconds))
+    facts.append(iface_("{} so far").format(time_text(job.worked_seconds)))
     if job.memory_gb:
         facts.append(iface_("{:.1f} GB of memory").format(job.memory_gb))
     column.label(text="   ".join(facts), translate=False)
@@ -48,6 +53,17 @@ def time_text(seconds: float) -> str:
     return iface_("{} h {} min").format(rounded // 3600, rounded % 3600 // 60)
 
 
+def left_text(seconds: float) -> str:
+    """A forecast as a range, since other programs may slow the job down: "2 to 5 min left"."""
+    minutes = seconds / 60.0
+    if minutes < 1.0:
+        return iface_("less than 1 min left")
+    if minutes >= 60.0:
+        return iface_("{} to {} h left").format(int(minutes / 60.0), int(minutes / 60.0) + 1)
+    high = next(mark for mark in _FORECASTS if mark > minutes)
+    return iface_("{} to {} min left").format(_FORECASTS[_FORECASTS.index(high) - 1], high)
+
+
 def register() -> None:
     """Add the job to the status bar."""
     bpy.types.STATUSBAR_HT_header.append(_draw)
@@ -59,14 +75,14 @@ def unregister() -> None:
 
 
 def status_text(job: Job) -> str:
-    """The job in a few words, e.g. "Estimate: 42%, 3 min left"."""
+    """The job in a few words, e.g. "Estimate: 42%, 2 to 5 min left"."""
     title = iface_(job.title)
     if job.stopping:
         return iface_("{}: stopping...").format(title)
     text = iface_("{}: {:.0f}%").format(title, 100.0 * job.fraction)
     if job.remaining_seconds is None or job.fraction == 0.0:
         return text
-    return iface_("{}, {} left").format(text, time_text(job.remaining_seconds))
+    return f"{text}, {left_text(job.remaining_seconds)}"
 
 
 def _draw(header: bpy.types.Header, context: Context) -> None:

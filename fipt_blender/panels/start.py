@@ -4,14 +4,17 @@
 
 from __future__ import annotations
 
+import time
+
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Context, UILayout
 
 from .. import machine
-from ..jobs import running
+from ..jobs import running, runstate
 from . import engine, path
 from .capture import draw_import, import_settings
 from .job import draw_job, draw_warnings, job_warnings
+from .progress import time_text
 from .sidebar import draw_help, draw_text, panel
 
 
@@ -25,6 +28,12 @@ def FIPT_PT_start(layout: UILayout, context: Context) -> None:
     if draw_job(layout, context, "estimate"):  # the example, before its views are there
         return
     settings = context.scene.fipt.capture
+    for run in runstate.unsaved_runs():
+        stages = iface_("finished") if run.finished else iface_("{} stages").format(run.stages)
+        text = iface_("{}, {} old, {}: Open").format(run.name, time_text(time.time() - run.time), stages)
+        layout.operator("fipt.open_run", text=text, icon="RECOVER_LAST", translate=False).folder = str(
+            run.folder
+        )
     column = layout.column()
     column.scale_y = 1.4
     column.operator("fipt.try_example", icon="HOME")

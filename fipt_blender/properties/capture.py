@@ -113,6 +113,9 @@ class FIPT_CaptureView(bpy.types.PropertyGroup):
         update=_views_changed,
     )
     image: bpy.props.StringProperty(name="Photograph", description="Image file of the photograph")
+    exposure: bpy.props.FloatProperty(
+        description="Exposure of the photograph after that of the median one, stops; 0 where they are HDR"
+    )
     checked: bpy.props.BoolProperty(description="Whether the view has been checked since it was imported")
     image_missing: bpy.props.BoolProperty(description="Whether the photograph's file is missing")
     room_share: bpy.props.FloatProperty(description="Share of the pixels that show the room")
@@ -173,6 +176,9 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
     imported_up: bpy.props.StringProperty(description="The axis of the capture that the import turned up")
     up_source: bpy.props.StringProperty(description="What told the import which axis is up")
     up_angle: bpy.props.FloatProperty(description="Degrees between that axis and up")
+    shown_exposure: bpy.props.FloatProperty(
+        description="The photograph's exposure that is in the scene's, stops"
+    )
     imported_path: bpy.props.StringProperty(description="Source of the imported views")
     previous_run: bpy.props.StringProperty(description="Run folder before the import, restored if that fails")
     views: bpy.props.CollectionProperty(type=FIPT_CaptureView)

@@ -241,12 +241,6 @@ def _set_rotation(self: FIPT_LightsSettings, value: float) -> None:
         node.inputs["Rotation"].default_value[2] = value
 
 
-class FIPT_LightState(bpy.types.PropertyGroup):
-    """A saved state of all lights and the environment, under its name."""
-
-    data: bpy.props.StringProperty(description="The state (JSON)", options={"HIDDEN"})
-
-
 class FIPT_LightsSettings(bpy.types.PropertyGroup):
     """The section Lights."""
 
@@ -280,10 +274,6 @@ class FIPT_LightsSettings(bpy.types.PropertyGroup):
         options=set(),
         get=_get_rotation,
         set=_set_rotation,
-    )
-    states: bpy.props.CollectionProperty(type=FIPT_LightState)
-    active_state: bpy.props.IntProperty(
-        name="Light State", description="Saved states of all lights and the environment", options=set()
     )
     median_radiance: bpy.props.FloatProperty(
         description="Median radiance of the photographs, in their unit; 0 if unknown", min=0.0

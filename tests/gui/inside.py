@@ -233,12 +233,6 @@ def _blocks(path: str, size: int = 8) -> Any:
     return np.maximum(np.median(blocks, 1), 1e-4)
 
 
-def states() -> dict[str, Any]:
-    """The saved states of the lights, and the first light's power."""
-    lights = bpy.context.scene.fipt.lights
-    return {"names": [state.name for state in lights.states], "stops": lights.lights[0].stops}
-
-
 def beam() -> dict[str, Any]:
     """Where the active light's beam ends, in the 3D view's region, and the light's rotation."""
     from bpy_extras.view3d_utils import location_3d_to_region_2d

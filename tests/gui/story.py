@@ -354,7 +354,7 @@ CHAPTERS = (
     Chapter(story_materials.part_materials, "materials"),
     Chapter(check, "materials"),
     Chapter(lights, "check"),
-    Chapter(story_lights.light_states, "check"),
+    Chapter(story_lights.named, "check"),
     Chapter(story_lights.menus, "check"),
     Chapter(story_lights.aim, "check"),
     Chapter(story_lights.eevee, "check"),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The story's chapters on lights and seeing: states, aiming, EEVEE, menus."""
+"""The story's chapters on lights and seeing: aiming, EEVEE, menus."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from hand import VIEW
 from window import Window
 
 
-def light_states(window: Window, options: Options) -> None:
-    """Select a lamp, save states and recall them."""
+def named(window: Window, options: Options) -> None:
+    """Select a lamp, which has a name that says where it is."""
     window.open_section("Capture", "Views")
     window.click_row("capture.active_view", 1)
     window.open_section("Lights")
@@ -24,18 +24,6 @@ def light_states(window: Window, options: Options) -> None:
     window.click("fipt.select_light")
     window.settle()
     window.shot("30_lights")
-    window.open_section("Lights", "Light States")
-    window.shot("31_states_empty")
-    window.click("fipt.save_light_state")
-    window.wait(inside.states, until=lambda states: len(states["names"]) == 1)
-    window.open_section("Lights")
-    window.set_text("lights.lights[0].stops", "2")
-    window.open_section("Lights", "Light States")
-    window.click("fipt.save_light_state")
-    states = window.wait(inside.states, until=lambda states: len(states["names"]) == 2)
-    window.shot("31_states_saved")
-    window.click("fipt.recall_light_state", state=states["names"][0])
-    window.wait(inside.states, until=lambda now: now["stops"] == 0.0)
 
 
 def menus(window: Window, options: Options) -> None:

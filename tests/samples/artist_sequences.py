@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ from mathutils import Matrix, Vector
 from fipt_blender.blend import marks
 from fipt_blender.blend.pictures.image_files import read_pixels
 from fipt_blender.blend.room.mesh_digest import is_edited
+from fipt_blender.core.run.runfolder import RunFolder
 from samples import artist
 from samples.spots import spot_camera
 
@@ -53,6 +55,11 @@ def kept() -> Kept:
             item.hide_render,
         )
     return found
+
+
+def lamp_settings() -> dict[str, tuple]:
+    """Of each lamp of the present scene."""
+    return {item.name: tuple(item.get(key) for key in (marks.ON, marks.STOPS, marks.TINT)) for item in lamps()}
 
 
 def parts() -> dict[str, set[str]]:
@@ -134,6 +141,31 @@ class Sequence:
         for name, materials in parts().items():
             assert materials >= shown[name] - {""}, f"{name}: {shown[name]} -> {materials}"
 
+    def set_lamp(self) -> None:
+        rows = list(bpy.context.scene.fipt.lights.lights)
+        if rows:
+            row = self.random.choice(rows)
+            row.stops, row.on = self.random.choice([-1.5, 0.0, 1.0]), self.random.random() < 0.5
+            row.tint = self.kind("ESTIMATED", "COLOR", "TEMPERATURE")
+
+    def light_groups(self) -> None:
+        if ops.make_light_groups.poll():
+            ops.make_light_groups()
+
+    def estimate_again(self) -> None:
+        """Lamps have other names and radiances, and keep what the artist has set."""
+        run = RunFolder(bpy.context.scene.fipt.run_folder)
+        table = json.loads(run.emitters_json.read_text())
+        for entry in table["fixtures"]:
+            entry["radiance"] = [1.01 * value for value in entry["radiance"]]
+            entry["name"] = f"Fixture.{self.random.randrange(100):03}"
+        run.emitters_json.write_text(json.dumps(table))
+        run.fields_npz.write_text(json.dumps(table))
+        before, lit = kept(), lamp_settings()
+        assert ops.apply_results("EXEC_DEFAULT", True) == {"FINISHED"}
+        assert_same({name: kept()[name] for name in before}, before)
+        assert {name: lamp_settings()[name] for name in lit} == lit
+
     def revert_and_apply(self) -> None:
         """Modelled meshes stay in the file."""
         modelled = [item.data for item in meshes() if marks.has_results(item)]
@@ -170,6 +202,9 @@ class Sequence:
             "hide": self.hide,
             "save as": self.save_as,
             "undo": self.undo,
+            "set a lamp": self.set_lamp,
+            "light groups": self.light_groups,
+            "estimate again": self.estimate_again,
             "apply again": self.apply_again,
             "revert and apply": self.revert_and_apply,
             "save and reopen": self.reopen,

@@ -11,6 +11,7 @@ import numpy as np
 from mathutils import Vector
 
 from ..marks import VIEW, room_with_results
+from ..render_settings import follow_exposure
 from .backdrop import show_photograph
 from .cameras import use_view
 from .other_cameras import watch
@@ -27,6 +28,7 @@ def look_through(
     if camera is None:
         return None
     use_view(scene, camera)
+    follow_exposure(scene, view.exposure)
     if before is not None and before != camera and VIEW in before:
         _free_photograph(before)
     show_photograph(scene, camera)

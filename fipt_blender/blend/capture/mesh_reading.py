@@ -33,9 +33,6 @@ def near_origin(path: Path, copy: Path) -> tuple[Path, np.ndarray]:
 
     Args:
         copy: where it is written, without its suffix.
-
-    Raises:
-        ValueError, IndexError, KeyError: the file is damaged.
     """
     move = {".obj": _moved_obj, ".ply": _moved_ply}.get(path.suffix.lower())
     moved = None if move is None else move(path.read_bytes())
@@ -99,11 +96,7 @@ def _less(words: list[bytes], offset: np.ndarray) -> list[bytes]:
 
 
 def read(path: Path, arrays: Path) -> None:
-    """Write vertices (V, 3) float64 and triangles (T, 3) int64 of a mesh file to a .npz file.
-
-    Raises:
-        FiptError: those of `import_meshes`, or ``mesh-unreadable``.
-    """
+    """Write vertices (V, 3) float64 and triangles (T, 3) int64 of a mesh file to a .npz file."""
     vertices, triangles, count = [], [], 0
     try:
         path, offset = near_origin(path, arrays)

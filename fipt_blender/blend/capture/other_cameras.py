@@ -81,10 +81,17 @@ def tick() -> float | None:
             del hidden_for[name]
             if scene is not None:
                 show_all(scene)
+                _show_as_median(scene)
         elif camera.name != camera_name:
             hide_others(scene, camera)
             hidden_for[name] = camera.name
     return 0.25 if hidden_for else None  # between two looks at the 3D views
+
+
+def _show_as_median(scene: bpy.types.Scene) -> None:
+    from ..render_settings import follow_exposure
+
+    follow_exposure(scene, 0.0)
 
 
 def _looked_through(scene: bpy.types.Scene) -> bpy.types.Object | None:

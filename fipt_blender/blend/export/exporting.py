@@ -19,6 +19,7 @@ import bpy
 from ...bridge.process import Message
 from ...core.run.errors import FiptError, warning
 from ...core.run.runfolder import explained_write_errors
+from ..collecting import check_pictures
 from ..lights.color import LUMENS_PER_WATT
 from ..lights.convert import lights_as_converted
 from ..lights.fixture_nodes import is_emission_material
@@ -86,10 +87,6 @@ def export_room(
         texture_size: the most texels of a texture's side.
         lamp_lights: in glTF, give lamps a light besides the surface that glows. Game engines
             and browsers light by lights alone; path tracers would light the room twice.
-
-    Raises:
-        FiptError: ``export-format``, ``export-nothing``, ``export-attributes``, ``export-failed``,
-            ``disk-full`` or ``run-unwritable``.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise FiptError("export-format", suffix=path.suffix, suffixes=", ".join(SUFFIXES))
@@ -99,6 +96,7 @@ def export_room(
     ours = [slot.material for item in room for slot in item.material_slots if slot.material is not None]
     if not all(has_maps(material) for material in ours if MATERIAL in material):
         raise FiptError("export-attributes")
+    check_pictures()
     exported = Exported(path)
     suffix, shown = path.suffix.lower(), rendered_objects(scene)
     if not set(room) & set(shown):
@@ -138,11 +136,7 @@ def _made(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _written_whole(path: Path) -> Iterator[Path]:
-    """Where a file and those that it refers to are written; they get to their places together at the end.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``; nothing is left then.
-    """
+    """Where a file and those that it refers to are written; they get to their places together at the end."""
     with explained_write_errors(path), _made(path.parent):
         with tempfile.TemporaryDirectory(prefix=".fipt_export_", dir=path.parent) as folder:
             yield Path(folder, path.name)

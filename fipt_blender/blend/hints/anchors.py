@@ -47,11 +47,7 @@ def kept_object(scene: bpy.types.Scene, item: bpy.types.Object) -> bpy.types.Obj
 
 
 def face_set_at(item: bpy.types.Object, face: int) -> np.ndarray:
-    """(P,) bool, the polygons of an object that are in the face set of one.
-
-    Raises:
-        FiptError: ``face-sets-missing``.
-    """
+    """(P,) bool, the polygons of an object that are in the face set of one."""
     attribute = item.data.attributes.get(FACE_SETS)
     if attribute is None or attribute.domain != "FACE" or face >= len(item.data.polygons):
         raise FiptError("face-sets-missing", name=item.name)
@@ -62,11 +58,7 @@ def face_set_at(item: bpy.types.Object, face: int) -> np.ndarray:
 
 
 def selected_faces(item: bpy.types.Object) -> np.ndarray:
-    """(P,) bool, the selected polygons of an object in Edit Mode.
-
-    Raises:
-        FiptError: ``faces-missing``.
-    """
+    """(P,) bool, the selected polygons of an object in Edit Mode."""
     item.update_from_editmode()
     selected = np.empty(len(item.data.polygons), bool)
     item.data.polygons.foreach_get("select", selected)
@@ -76,11 +68,7 @@ def selected_faces(item: bpy.types.Object) -> np.ndarray:
 
 
 def set_area(hint: bpy.types.PropertyGroup, item: bpy.types.Object, chosen: np.ndarray) -> None:
-    """Make a hint be about polygons of the object that it was added on, (P,) bool.
-
-    Raises:
-        FiptError: ``area-large``.
-    """
+    """Make a hint be about polygons of the object that it was added on, (P,) bool."""
     mesh = item.data
     loops, polygon = triangle_loops(mesh, False)
     corners = vertex_positions(mesh)[corner_vertices(mesh)[loops[chosen[polygon]]]]

@@ -31,11 +31,7 @@ ANSWERS: dict[str, dict[str, str | float | bool]] = {
 
 
 def scene_hints(scene: bpy.types.Scene) -> list[Hint]:
-    """The scene's hints for the engine; those on removed objects are left out.
-
-    Raises:
-        FiptError: ``hints-many``.
-    """
+    """The scene's hints for the engine; those on removed objects are left out."""
     hints = [_hint(row, scene) for row in scene.fipt.hints.hints if in_scene(row.object, scene)]
     if len(hints) > MOST_HINTS or sum(len(hint.points) for hint in hints) > MOST_POINTS:
         raise FiptError("hints-many", most_hints=MOST_HINTS, most_points=MOST_POINTS)
@@ -60,11 +56,7 @@ def _hint(row: bpy.types.PropertyGroup, scene: bpy.types.Scene) -> Hint:
 
 
 def write_for_run(scene: bpy.types.Scene, run: RunFolder) -> None:
-    """Write the hints that a complete estimation honours.
-
-    Raises:
-        FiptError: ``hints-many``; the run folder's write errors.
-    """
+    """Write the hints that a complete estimation honours."""
     hints = scene_hints(scene)
     run.hints_again_json.unlink(missing_ok=True)
     if hints:
@@ -74,11 +66,7 @@ def write_for_run(scene: bpy.types.Scene, run: RunFolder) -> None:
 
 
 def write_hints_rerun(scene: bpy.types.Scene, run: RunFolder) -> None:
-    """Write the hints that a re-estimation honours instead of those of the run.
-
-    Raises:
-        FiptError: ``hints-many``; the run folder's write errors.
-    """
+    """Write the hints that a re-estimation honours instead of those of the run."""
     hints = scene_hints(scene)
     if hints or run.hints_json.exists():
         write_hints(run.hints_again_json, hints, scene.fipt.hints.light)
@@ -87,11 +75,7 @@ def write_hints_rerun(scene: bpy.types.Scene, run: RunFolder) -> None:
 
 
 def read_doubts(scene: bpy.types.Scene, run: RunFolder) -> int:
-    """List the questions of a run in the scene; returns their number, 0 where the run has none.
-
-    Raises:
-        FiptError: ``file-damaged``.
-    """
+    """List the questions of a run in the scene; returns their number, 0 where the run has none."""
     settings = scene.fipt.hints
     doubts: Sequence[Doubt] = ()
     if run.doubts_json.exists():
@@ -118,11 +102,7 @@ def _answers(hint: bpy.types.PropertyGroup, doubt: bpy.types.PropertyGroup) -> b
 
 
 def answer_doubt(scene: bpy.types.Scene, index: int, answer: str) -> None:
-    """Make a hint of the answer to a question, one of ANSWERS.
-
-    Raises:
-        FiptError: ``surface-missing``.
-    """
+    """Make a hint of the answer to a question, one of ANSWERS."""
     settings = scene.fipt.hints
     doubt = settings.doubts[index]
     surface = surface_at_point(scene, Vector(doubt.point))
@@ -156,9 +136,6 @@ def hint_on_lamp(scene: bpy.types.Scene, lamp: bpy.types.Object, emission: str) 
 
     Args:
         emission: an item of `properties.hints.EMISSION`.
-
-    Raises:
-        FiptError: ``area-large``.
     """
     hint = lamp_hint(scene, lamp) or add_hint(scene, lamp.name, lamp, lamp.matrix_world.translation)
     set_area(hint, lamp, np.ones(len(lamp.data.polygons), bool))

@@ -14,6 +14,7 @@ import bpy
 
 from ...core.run.errors import FiptError
 from ..marks import UNIT, lights_of, other_lights, result_world
+from ..render_settings import is_set, set_once
 from . import light_state
 from .color import LUMENS_PER_WATT, luminance
 from .irradiance import irradiance
@@ -48,26 +49,21 @@ def scale_light(scene: bpy.types.Scene, factor: float) -> None:
     scene[UNIT] = factor * scene_unit(scene)
     if hasattr(scene, "cycles"):
         scene.cycles.film_exposure /= factor
+        if is_set(scene) and scene.cycles.sample_clamp_indirect:  # also radiance
+            clamp = factor * scene.cycles.sample_clamp_indirect
+            set_once(scene, {"cycles.sample_clamp_indirect": clamp}, again=True)
     light_state.refresh(scene)
 
 
 def calibrate_by_lamp(scene: bpy.types.Scene, item: bpy.types.Object, flux: float) -> float:
-    """Scale all light so that a lamp, as it is set now, has a luminous flux; returns the factor.
-
-    Raises:
-        FiptError: ``calibration-dark`` or ``calibration-value``.
-    """
+    """Scale all light so that a lamp, as it is set now, has a luminous flux; returns the factor."""
     return _calibrate(scene, lumens(item), flux, f"'{item.name}' emits nothing.", "Choose another lamp.")
 
 
 def calibrate_by_lux(
     scene: bpy.types.Scene, place: tuple[float, float, float], lux: float, samples: int = 256
 ) -> float:
-    """Scale all light so that a horizontal surface at a place gets an illuminance; returns the factor.
-
-    Raises:
-        FiptError: ``calibration-dark`` or ``calibration-value``; ``engine-missing`` without Cycles.
-    """
+    """Scale all light so that a horizontal surface at a place gets an illuminance; returns the factor."""
     above = (place[0], place[1], place[2] + _SENSOR)
     found = irradiance(scene, above, samples).tolist()
     text, remedy = "No light comes from above to this place.", "Put the 3D cursor on a lit, open surface."

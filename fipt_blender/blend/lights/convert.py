@@ -80,9 +80,6 @@ def fixture_to_lights(scene: bpy.types.Scene, item: bpy.types.Object) -> tuple[l
     Returns:
         The lights, children of the fixture, and whether they emit exactly as the fixture does, which is so
         where its pieces are rectangles, ellipses or spheres.
-
-    Raises:
-        FiptError: ``fixture-empty`` where it has no surface.
     """
     lights_to_fixture(scene, item)
     vertices, triangles = world_triangles(item)

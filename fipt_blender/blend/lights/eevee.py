@@ -39,9 +39,6 @@ def prepare(scene: bpy.types.Scene) -> list[str]:
 
     Returns:
         Names of the fixtures whose Blender lights differ from them in shape.
-
-    Raises:
-        FiptError: ``room-missing``, ``engine-missing``.
     """
     bounds = world_bounds(scene.fipt.capture.room_objects(scene))
     if bounds is None:
@@ -61,9 +58,6 @@ def use_eevee(scene: bpy.types.Scene) -> None:
     """Make EEVEE the scene's engine, with ray tracing, whatever the exposure of the photographs.
 
     Shadows are not jittered: that darkens direct light and, more so, the baked volume (docs/results.md).
-
-    Raises:
-        FiptError: ``engine-missing``.
     """
     values = [{"render.engine": engine} for engine in ENGINES]
     if not any([set_once(scene, value, again=True) for value in values]):

@@ -22,9 +22,6 @@ def set_profile(light: bpy.types.Object, path: Path) -> None:
     Args:
         light: an area, point or spot light.
         path: of an .ies file.
-
-    Raises:
-        FiptError: ``ies-unreadable``.
     """
     if not path.is_file():
         raise FiptError("ies-unreadable", path=path)

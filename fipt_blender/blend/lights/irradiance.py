@@ -34,9 +34,6 @@ def irradiance(scene: bpy.types.Scene, point: Sequence[float], samples: int = 25
         scene: the window's.
         point: world.
         samples: of each corner of a small white triangle there.
-
-    Raises:
-        FiptError: ``engine-missing``.
     """
     if not hasattr(scene, "cycles"):
         raise FiptError("engine-missing.irradiance")

@@ -32,20 +32,27 @@ def make_light_groups(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> lis
         Names of the groups; a pass is named "Combined_" and its group.
     """
     remove_light_groups(scene, layer)
-    names = []
+    layer[LIGHT_GROUPS] = "[]"
+    add_to_groups(scene)
+    return list(json.loads(layer[LIGHT_GROUPS]))
+
+
+def add_to_groups(scene: bpy.types.Scene) -> None:
+    """Put lights that came later, and are in no group, into the groups of view layers that have ours."""
     world = result_world(scene)
-    if world is not None:
-        world.lightgroup = _add(layer, ENVIRONMENT)
-        names.append(world.lightgroup)
-    for item in lights_of(scene):
+    for layer in [layer for layer in scene.view_layers if has_light_groups(layer)]:
+        names = list(json.loads(layer[LIGHT_GROUPS]))
         # In an EXR file, dots separate the names of layers, passes and channels.
-        name = _add(layer, item.name.replace(".", "_") if is_fixture(item) else NEW_LIGHTS)
-        for light in (item, *fixture_lights(item)):
-            light.lightgroup = name
-        if name not in names:
-            names.append(name)
-    layer[LIGHT_GROUPS] = json.dumps(names)
-    return names
+        wanted = {
+            item: item.name.replace(".", "_") if is_fixture(item) else NEW_LIGHTS for item in lights_of(scene)
+        }
+        lights = [(light, name) for item, name in wanted.items() for light in (item, *fixture_lights(item))]
+        for each, name in [(world, ENVIRONMENT)] * (world is not None) + lights:
+            if each.lightgroup not in layer.lightgroups:
+                each.lightgroup = name
+            if each.lightgroup == name and name not in names:
+                names.append(_add(layer, name))
+        layer[LIGHT_GROUPS] = json.dumps(names)
 
 
 def remove_light_groups(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:

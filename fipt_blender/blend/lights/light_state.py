@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import bpy
 
@@ -17,6 +18,7 @@ from ..marks import (
     BASE,
     COLOR,
     KELVIN,
+    KEPT_SKY,
     ON,
     SOLO,
     STOPS,
@@ -32,14 +34,17 @@ from ..marks import (
 )
 from ..own_materials import own_materials
 from .fixture_nodes import node_strength, surfaces, write_radiance, write_shown
+from .light_groups import add_to_groups
 from .tint import base_of, blender_color, shone, shown_color, shown_temperature, tinted, unit_of
 
 SETTINGS = (ON, SOLO, STOPS, TINT, COLOR, KELVIN)
+DEFAULTS: dict[str, Any] = {ON: True, SOLO: False, STOPS: 0.0, TINT: 0}  # where they are not set
 Setting = bool | int | float | Sequence[float]
 
 
 def list_lights(scene: bpy.types.Scene) -> None:
-    """Update the panel's list; nothing happens where the add-on is not enabled (batch jobs)."""
+    """Update the panel's list, where the add-on is enabled, and the light groups that we made."""
+    add_to_groups(scene)
     if not hasattr(scene, "fipt"):
         return
     settings = scene.fipt.lights
@@ -137,14 +142,20 @@ def has_set_power(scene: bpy.types.Scene, item: bpy.types.Object, light: bpy.typ
 
 
 def refresh_world(scene: bpy.types.Scene) -> None:
-    """Update the environment's strength from its settings; nothing happens without a world of ours."""
-    world = result_world(scene)
+    """Update the environment's strength from its settings. While a light is solo, no world shines."""
+    world, solo = result_world(scene), _any_solo(scene)
+    for layer in scene.view_layers:
+        if solo and scene.world != world and layer.use_sky:
+            layer.use_sky, layer[KEPT_SKY] = False, 1
+        elif KEPT_SKY in layer and not (solo and scene.world != world):
+            layer.use_sky = True
+            remove_marks(layer, KEPT_SKY)
     if world is None:
         return
     background = world.node_tree.nodes.get(BACKGROUND)
     if background is None:  # removed by the artist
         return
-    on = bool(world[WORLD]) and world.get(WORLD_ON, True) and not _any_solo(scene)
+    on = bool(world[WORLD]) and world.get(WORLD_ON, True) and not solo
     visible = _shown(scene) in ("ESTIMATED", "ORIGINAL", "EMISSION")
     strength = unit_of(world) * world.get(WORLD_FACTOR, 1.0)
     background.inputs["Strength"].default_value = strength if on and visible else 0.0

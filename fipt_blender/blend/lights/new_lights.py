@@ -54,9 +54,6 @@ def add_light(
         direction: the direction in which it shines, of any length.
         size: its side, metres.
         watts: its power.
-
-    Raises:
-        FiptError: ``direction-missing``.
     """
     if direction.length <= 0.0:
         raise FiptError("direction-missing.add-light")
@@ -100,11 +97,7 @@ def aim(
 
 
 def turn_to(item: bpy.types.Object, target: Vector) -> None:
-    """Turn a light, which shines along its -Z axis, towards a point of the world.
-
-    Raises:
-        FiptError: ``direction-missing``.
-    """
+    """Turn a light, which shines along its -Z axis, towards a point of the world."""
     place, _, scale = item.matrix_world.decompose()
     direction = target - place
     if direction.length <= 1e-6:

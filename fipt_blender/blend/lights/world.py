@@ -35,9 +35,6 @@ def apply_environment(
 
     Returns:
         The world; None where the artist has chosen another one since results were applied, which stays.
-
-    Raises:
-        FiptError: ``file-missing``, ``file-damaged`` or ``textures-unwritable``.
     """
     scene = scene or bpy.context.scene
     world = result_world(scene)

@@ -68,9 +68,6 @@ def render_exr(
         options: see there.
         camera: of a view, in the frame of its photograph; the scene's in the scene's frame by default.
         widest: the most columns, of a view.
-
-    Raises:
-        FiptError: ``render-failed``, ``color-space-missing``, or the write errors of the run folder.
     """
     fixed = {
         **CYCLES,
@@ -90,11 +87,7 @@ def render_exr(
 
 
 def render(scene: bpy.types.Scene) -> None:
-    """Render a scene, as F12 does, and wait for the end.
-
-    Raises:
-        FiptError: ``render-failed``.
-    """
+    """Render a scene, as F12 does, and wait for the end."""
     try:
         bpy.ops.render.render(scene=scene.name)
     except RuntimeError as error:
@@ -102,11 +95,7 @@ def render(scene: bpy.types.Scene) -> None:
 
 
 def save_render(scene: bpy.types.Scene, path: Path, file_settings: Mapping[str, str]) -> None:
-    """Write Blender's render of a scene, atomically; an EXR in linear Rec.709.
-
-    Raises:
-        FiptError: ``render-failed``, ``color-space-missing``, or the errors of writing.
-    """
+    """Write Blender's render of a scene, atomically; an EXR in linear Rec.709."""
     result = next((image for image in bpy.data.images if image.type == "RENDER_RESULT"), None)
     if result is None:
         raise render_failed("there is no image")

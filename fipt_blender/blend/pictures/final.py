@@ -48,9 +48,6 @@ def take_picture(scene: bpy.types.Scene, run: RunFolder, failed: Callable[[FiptE
         scene: with a camera; its backdrop decides what is behind the objects.
         run: its run folder.
         failed: told of what goes wrong after the render in a window; in background it is raised.
-
-    Raises:
-        FiptError: ``room-missing``, ``render-failed``, the errors of `view_scene` and of writing.
     """
     if not scene.fipt.capture.room_objects(scene):
         raise room_missing()
@@ -81,11 +78,7 @@ def take_picture(scene: bpy.types.Scene, run: RunFolder, failed: Callable[[FiptE
 
 
 def view_scene(scene: bpy.types.Scene, run: RunFolder) -> bpy.types.Scene:
-    """`plate_scene` of the view that the scene's camera shows.
-
-    Raises:
-        FiptError: ``view-missing``, ``image-missing``, ``file-missing`` or ``file-damaged``.
-    """
+    """`plate_scene` of the view that the scene's camera shows."""
     if not scene.camera or not scene.camera.get(VIEW):
         raise FiptError("view-missing.view-scene")
     return plate_scene(scene, run, read_capture(run.capture_json).view(str(scene.camera[VIEW])))

@@ -38,9 +38,6 @@ def photograph(run: RunFolder, view: CapturedView) -> np.ndarray:
     """A view's photograph, (H, W, 3) f32 scene-linear, first row at the top.
 
     One that is not HDR is read as if its response were sRGB's curve.
-
-    Raises:
-        FiptError: ``image-missing`` or ``path-outside``.
     """
     path = run.resolve(view.image)
     try:

@@ -38,9 +38,10 @@ from ..results.scene_state import median_radiance, median_shown
 from .renders import plate_size
 
 SCENE = "FIPT Composite"
-# Pixels over which the shadow catcher's change is averaged, and the change from which it is denoised in full:
-# the denoiser changes a constant by less than 1 %, and by 12 % within 4 pixels of the picture's edge.
-_BLUR, _DENOISED = 4, 0.05
+# Pixels over which the change of the shadow catcher is averaged, and the mean up to which it is noise: for
+# wide, faint shadows and for small, dark ones. From twice that on it is shown in full. The denoiser changes a
+# constant by less than 1 %, but by 12 % at edges.
+_UNCHANGED = ((12, 0.02), (4, 0.1))
 
 
 def plate_scene(scene: bpy.types.Scene, run: RunFolder, view: CapturedView) -> bpy.types.Scene:
@@ -53,12 +54,9 @@ def plate_scene(scene: bpy.types.Scene, run: RunFolder, view: CapturedView) -> b
         scene: the room's.
         run: the run folder.
         view: the view.
-
-    Raises:
-        FiptError: ``image-missing``.
     """
     path = run.resolve(view.image)
-    image = load_radiance(path)
+    image = load_radiance(path, view.encoded)
     if image is None or min(image.size) == 0:
         raise FiptError("image-missing.photograph", path=path, name=view.name)
     set_backdrop(scene, "PHOTOGRAPH", scene.fipt.capture.room_objects(scene))  # also objects that came since
@@ -155,9 +153,12 @@ def _add_nodes(
     nodes, links = tree.nodes, tree.links
     rendered, plate = nodes.new("CompositorNodeRLayers"), nodes.new("CompositorNodeImage")
     rendered.scene, rendered.layer, plate.image = scene, layer.name, image
-    catcher = rendered.outputs["Shadow Catcher"]
+    noisy = shown = rendered.outputs["Shadow Catcher"]
     if scene.cycles.use_denoising and can_denoise():
-        catcher = _denoised(tree, rendered.outputs["Noisy Shadow Catcher"])
+        noisy, denoise = rendered.outputs["Noisy Shadow Catcher"], nodes.new("CompositorNodeDenoise")
+        links.new(noisy, denoise.inputs["Image"])
+        shown = denoise.outputs[0]
+    catcher = _caught(tree, noisy, shown)
     scaled = nodes.new("CompositorNodeScale")
     if "Type" in scaled.inputs:  # from Blender 5.0
         scaled.inputs["Type"].default_value = "Render Size"
@@ -178,22 +179,33 @@ def _add_nodes(
         node.location = (250 * (place // 2), -450 * (place % 2))
 
 
-def _denoised(tree: bpy.types.NodeTree, catcher: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-    """The shadow catcher, denoised where the objects change something: elsewhere it stays exactly 1.
+def _caught(
+    tree: bpy.types.NodeTree, noisy: bpy.types.NodeSocket, shown: bpy.types.NodeSocket
+) -> bpy.types.NodeSocket:
+    """The shadow catcher where the mean of its noise tells of a change by the objects; elsewhere exactly 1.
 
-    Cycles denoises the room with and without the objects apart, and their ratio is 1 nowhere.
+    Args:
+        tree: gets the nodes.
+        noisy: the pass as rendered.
+        shown: the pass that is shown where it changes something.
     """
-    denoise, blur = tree.nodes.new("CompositorNodeDenoise"), tree.nodes.new("CompositorNodeBlur")
-    tree.links.new(catcher, denoise.inputs["Image"])
-    tree.links.new(_blend(tree, "DIFFERENCE", catcher, (1.0, 1.0, 1.0, 1.0)), blur.inputs["Image"])
-    if blur.inputs["Size"].type == "VECTOR":  # from Blender 4.5
-        blur.inputs["Size"].default_value[:2] = _BLUR, _BLUR
-    else:
-        blur.size_x = blur.size_y = _BLUR
-    factor = _blend(tree, "MULTIPLY", blur.outputs[0], (1.0 / _DENOISED,) * 3 + (1.0,))
-    node = factor.node
+    ones, most = (1.0, 1.0, 1.0, 1.0), (2.0, 2.0, 2.0, 1.0)
+    change = _blend(tree, "SUBTRACT", _blend(tree, "DARKEN", noisy, most), ones)
+    sizes = []
+    for pixels, limit in _UNCHANGED:
+        blur = tree.nodes.new("CompositorNodeBlur")
+        tree.links.new(change, blur.inputs["Image"])
+        if blur.inputs["Size"].type == "VECTOR":  # from Blender 4.5
+            blur.inputs["Size"].default_value[:2] = pixels, pixels
+        else:
+            blur.size_x = blur.size_y = pixels
+        size = _blend(tree, "DIFFERENCE", blur.outputs[0], (0.0, 0.0, 0.0, 1.0))
+        sizes.append(_blend(tree, "MULTIPLY", size, (1.0 / limit,) * 3 + (1.0,)))
+    changed = _blend(tree, "SUBTRACT", _blend(tree, "LIGHTEN", *sizes), ones)
+    node = changed.node
     setattr(node, "use_clamp" if hasattr(node, "use_clamp") else "clamp_result", True)
-    return _blend(tree, "MIX", catcher, denoise.outputs[0], factor)
+    unchanged = _blend(tree, "DIFFERENCE", changed, ones)
+    return _blend(tree, "MIX", shown, ones, unchanged)
 
 
 def _blend(

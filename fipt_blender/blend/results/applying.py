@@ -75,10 +75,6 @@ def apply_results(
 
     Returns:
         Warnings: objects of the room that got no results, faces that keep what they had, and lost lamps.
-
-    Raises:
-        FiptError: ``room-changed`` where all are left out, ``room-edited``, ``room-linked``,
-            ``uv-layers-full``, ``file-missing``, ``file-damaged``, ``textures-unwritable``.
     """
     scene_name = scene.name
     results = read_results(run)
@@ -126,11 +122,7 @@ def apply_results(
 
 
 def _check_counterparts(targets: Sequence[Target]) -> None:
-    """Refuse a room of which nothing is as it was estimated.
-
-    Raises:
-        FiptError: ``room-changed``.
-    """
+    """Refuse a room of which nothing is as it was estimated."""
     if not any((target.found.triangle >= 0).any() for target in targets):
         names = list_names([target.name for target in targets])
         raise FiptError("room-changed.check-counterparts", names=names)
@@ -217,8 +209,7 @@ def _swap_in(
     warnings += _still_deleted(absent)
     bpy.data.batch_remove([fixture.mesh for fixture in absent])
     wanted = [fixture for fixture in new_fixtures if fixture not in absent]
-    keep_states(scene, fixtures.place(scene, wanted), kept)
-    return warnings
+    return warnings + keep_states(scene, fixtures.place(scene, wanted), kept)
 
 
 def _sharing(scene: bpy.types.Scene, item: bpy.types.Object) -> list[bpy.types.Object]:

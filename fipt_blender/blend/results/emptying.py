@@ -19,6 +19,7 @@ from mathutils import Matrix
 
 from ...core.run.errors import FiptError
 from ...core.run.runfolder import RunFolder
+from ..collecting import check_pictures
 from ..color_spaces import from_scene_linear
 from ..image_datablocks import save_values
 from ..marks import (
@@ -91,10 +92,6 @@ def remove(scene: bpy.types.Scene, run: RunFolder, chosen: Chosen) -> tuple[list
 
     Returns:
         Names of the objects that are hidden, and of those that complete what was behind them.
-
-    Raises:
-        FiptError: ``removal-empty`` where nothing of the room is chosen; ``removal-attributes``;
-            ``textures-unwritable``.
     """
     chosen = {item: faces for item, faces in chosen.items() if _can_be_removed(item, faces)}
     if not chosen:
@@ -103,6 +100,7 @@ def remove(scene: bpy.types.Scene, run: RunFolder, chosen: Chosen) -> tuple[list
     if scene.fipt.materials.applied_mode != "uv":
         text = "The results are color attributes, which can't be completed."
         raise FiptError("removal-attributes", text=text)
+    check_pictures()
     own_materials(scene)
     points = np.concatenate([_points(item, faces) for item, faces in chosen.items()])
     removed = [item if faces is None else _separated(item, faces) for item, faces in chosen.items()]
@@ -117,10 +115,14 @@ def remove(scene: bpy.types.Scene, run: RunFolder, chosen: Chosen) -> tuple[list
     hidden, staying = [item.name for item in removed], [*_shown_room(scene), *filled_surfaces(scene)]
     if not staying:
         return hidden, []
-    room = Room(staying)
-    planes = planes_beside(room, points)
-    windows = [window_of(room, plane, planes, points) for plane in planes]
-    made = [_surface(scene, run, room, window, number) for window in windows if window is not None]
+    try:
+        room = Room(staying)
+        planes = planes_beside(room, points)
+        windows = [window_of(room, plane, planes, points) for plane in planes]
+        made = [_surface(scene, run, room, window, number) for window in windows if window is not None]
+    except BaseException:
+        bring_back(scene, removed)
+        raise
     if scene.fipt.materials.shown != "ESTIMATED":
         show(scene, scene.fipt.materials.shown)
     return hidden, [item.name for item in made if item is not None]
@@ -250,11 +252,7 @@ def _material(estimate: bpy.types.Material, images: Mapping[str, bpy.types.Image
 
 
 def _written(scene: bpy.types.Scene, run: RunFolder, values: np.ndarray) -> TextureFiles:
-    """Write the maps of a window, values (H, W, 5) and no confidence, into a folder of their own.
-
-    Raises:
-        FiptError: ``textures-unwritable``.
-    """
+    """Write the maps of a window, values (H, W, 5) and no confidence, into a folder of their own."""
     rgb = from_scene_linear(values[..., :3])
     maps = {"base_color": rgb, "roughness": values[..., [3] * 3], "metallic": values[..., [4] * 3]}
     maps["confidence"] = np.zeros((1, 1, 3))

@@ -40,9 +40,6 @@ def show(scene: bpy.types.Scene, shown: str) -> None:
     Args:
         scene: the scene with results; nothing happens without results.
         shown: an identifier of `properties.materials.SHOWN`.
-
-    Raises:
-        FiptError: ``room-edited`` where an object of the room is in edit mode.
     """
     items = room_with_results(scene)
     if not items:
@@ -128,13 +125,18 @@ def _draw_in_solid_views(scene: bpy.types.Scene, shown: str) -> None:
 
 
 def restore_solid_views(scene: bpy.types.Scene) -> None:
-    """Restore the colouring that viewports in solid shading had before `show`."""
+    """Restore the colouring that viewports in solid shading had before `show`.
+
+    Scenes share viewports: while another one still shows our textures, its are left to that.
+    """
     settings = scene.fipt.materials
     kept = {(screen, index): color for screen, index, color in json.loads(settings.kept_solid or "[]")}
+    settings.kept_solid = ""
+    if any(each.fipt.materials.kept_solid for each in bpy.data.scenes):
+        return
     for screen, index, space in _solid_views():
         if (screen, index) in kept:
             space.shading.color_type = kept[screen, index]
-    settings.kept_solid = ""
 
 
 def _solid_views() -> Iterator[tuple[str, int, bpy.types.SpaceView3D]]:

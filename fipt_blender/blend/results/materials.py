@@ -103,11 +103,7 @@ def _images(tree: bpy.types.NodeTree) -> set[bpy.types.Image]:
 
 
 def read_textures(run: RunFolder) -> tuple[Sequence[TextureImage], dict[str, tuple[float, ...]]]:
-    """The images of textures.json, and what parts of one value have, by their keys: those of `part_material`.
-
-    Raises:
-        FiptError: ``file-missing`` for textures.json or a texture, or ``file-damaged``.
-    """
+    """The images of textures.json, and what parts of one value have, by their keys in `part_material`."""
     textures = read_document(run.textures_json, Textures, "Apply the results again.")
     for image in textures.images:
         for key in MAPS:

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Materials of parts as assets, with a picture of a ball of the part's mean values.
+"""Parts as assets: materials of their mean values, with a picture of a ball.
 
-Blender's own preview would show a texel of the atlas, whose coordinates only the room has.
+On any other object the textures of a part would be one texel: only the room has the atlas's coordinates.
 """
 
 from __future__ import annotations
@@ -13,28 +13,37 @@ import bpy
 import numpy as np
 
 from ..color_spaces import from_scene_linear
+from ..node_trees import node_tree
 from ..png16 import encode_srgb
-from .part_list import part_materials
+from .adjust import adjusted
+from .part_list import adjustment
 
 _LIGHT = np.array([-0.45, 0.5, 0.74])  # direction to the light, as seen from the camera at +z
 _KEY, _FILL = 1.6, 0.55  # irradiance from the light, and from everywhere
 TAG = "FIPT"
 
 
-def mark_part(scene: bpy.types.Scene, part: bpy.types.PropertyGroup) -> list[str]:
-    """Mark the materials of a part as assets, with previews; returns their names."""
-    materials = part_materials(scene, part.key)
-    for material in materials:
-        if material.asset_data is None:
-            material.asset_mark()
-        data = material.asset_data
-        data.description = f"Estimated from photographs: {part.name}"
-        if TAG not in data.tags:
-            data.tags.new(TAG)
-        _set_preview(
-            material, ball(from_scene_linear(part.base_color).tolist(), part.roughness, part.metallic)
-        )
-    return [material.name for material in materials]
+def mark_part(scene: bpy.types.Scene, part: bpy.types.PropertyGroup) -> bool:
+    """Make or update the asset of a part; returns whether it has mean values to make one of."""
+    if not part.known:
+        return False
+    means = np.array([[*part.base_color, part.roughness, part.metallic]])
+    *color, roughness, metallic = adjusted(adjustment(scene, part.key), means)[0].tolist()
+    ours = [each for each in bpy.data.materials if each.asset_data and TAG in each.asset_data.tags]
+    material = next((each for each in ours if each.name == part.name), None)
+    if material is None:
+        material = bpy.data.materials.new(part.name)
+        material.asset_mark()
+        material.asset_data.tags.new(TAG)
+    material.asset_data.description = f"Estimated from photographs: {part.name}"
+    nodes = node_tree(material).nodes
+    nodes.clear()
+    principled, output = nodes.new("ShaderNodeBsdfPrincipled"), nodes.new("ShaderNodeOutputMaterial")
+    node_tree(material).links.new(principled.outputs["BSDF"], output.inputs["Surface"])
+    for name, value in (("Base Color", (*color, 1.0)), ("Roughness", roughness), ("Metallic", metallic)):
+        principled.inputs[name].default_value = value
+    _set_preview(material, ball(from_scene_linear(color).tolist(), roughness, metallic))
+    return True
 
 
 def _set_preview(material: bpy.types.Material, pixels: np.ndarray) -> None:

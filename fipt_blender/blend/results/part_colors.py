@@ -35,15 +35,15 @@ _RAL = """
 
 
 def named_color(text: str) -> tuple[float, ...]:
-    """The scene-linear colour of a RAL number, such as "RAL 7035", or of sRGB in hexadecimal digits.
-
-    Raises:
-        FiptError: ``color-unknown``.
-    """
+    """The scene-linear colour of a RAL number ("RAL 7035") or of sRGB: "#fff", "rgb(255, 255, 255)"."""
     words = _RAL.split()
     known = dict(zip(words[::2], words[1::2], strict=True))
     name = re.sub(r"[\s#]|^\s*ral", "", text.lower())
     code = known.get(name, name)
+    if values := re.fullmatch(r"\s*rgb\(\s*(\d+)[\s,]+(\d+)[\s,]+(\d+)\s*\)\s*", text.lower()):
+        code = bytes(min(int(value), 255) for value in values.groups()).hex()
+    if re.fullmatch("[0-9a-f]{3}", code):
+        code = "".join(2 * digit for digit in code)
     if not re.fullmatch("[0-9a-f]{6}", code):
         raise FiptError("color-unknown", text=text, known=", ".join(known))
     encoded = np.array([int(code[place : place + 2], 16) / 255.0 for place in (0, 2, 4)])

@@ -111,9 +111,6 @@ def select_faces(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, key: str) -
 
     Returns:
         The selected objects, the one with the most of these faces active.
-
-    Raises:
-        FiptError: ``part-missing``.
     """
     found: list[tuple[int, bpy.types.Object]] = []
     for item in room_with_results(scene):

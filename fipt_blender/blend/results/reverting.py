@@ -11,7 +11,7 @@ from ..lights import light_state
 from ..lights.calibration import scale_light, scene_unit
 from ..lights.light_groups import remove_light_groups
 from ..lights.world import restore_world
-from ..marks import UNIT, added_lights, is_split_off, light_probe, remove_marks, room_with_results
+from ..marks import UNIT, UNPLACED, added_lights, is_split_off, light_probe, remove_marks, room_with_results
 from ..outliner import FIXTURES, remove_if_empty, remove_object
 from ..render_settings import restore
 from ..room.originals import restore_original, result_meshes, separated
@@ -62,6 +62,10 @@ def revert(scene: bpy.types.Scene, new_lights: bool = False) -> tuple[list[str],
     if UNIT in scene:
         scale_light(scene, 1.0 / scene_unit(scene))
         remove_marks(scene, UNIT)
+    remove_marks(scene, UNPLACED)
+    for view in scene.fipt.capture.views:
+        view.property_unset("exposure")
+    scene.fipt.capture.property_unset("shown_exposure")
     for name in ("median_radiance", "median_shown"):
         scene.fipt.lights.property_unset(name)
     restore_solid_views(scene)

@@ -19,8 +19,8 @@ from ..capture.look import cull_outside, enter_room
 from ..lights import light_state
 from ..lights.calibration import scene_unit
 from ..lights.missing_lamps import add_inferred
-from ..marks import MUTED, other_lights, remove_marks, room_with_results
-from ..render_settings import set_once, set_up
+from ..marks import MUTED, VIEW, other_lights, remove_marks, room_with_results
+from ..render_settings import follow_exposure, set_once, set_up
 from .part_list import note_parts
 
 MIDDLE_GREY = 0.18
@@ -36,8 +36,10 @@ def finish(scene: bpy.types.Scene, run: RunFolder) -> None:
     settings = scene.fipt.materials
     is_first = not settings.object_count
     note_results(scene, run)
-    if settings.set_rendering:
-        set_up(scene, photographs_exposure(scene))
+    if settings.set_rendering and "view_settings.exposure" in set_up(scene, photographs_exposure(scene)):
+        scene.fipt.capture.shown_exposure = 0.0
+    looked_through = scene.camera.get(VIEW, "") if scene.camera else ""
+    follow_exposure(scene, _exposures(run).get(looked_through, 0.0))
     if settings.mute_lights and is_first:  # lights that the artist adds later are to be seen
         mute_other_lights(scene, True)
     if scene.fipt.insert.backdrop == "PHOTOGRAPH":  # the new fixtures are part of it
@@ -58,9 +60,18 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
     settings.shown = "ESTIMATED"  # its update function shows them
     scene.fipt.lights.median_radiance = median_radiance(run)
     scene.fipt.lights.median_shown = median_shown(run)
+    exposures = _exposures(run)
+    for view in scene.fipt.capture.views:
+        view.exposure = exposures.get(view.name, 0.0)
     add_inferred(scene, run)
     note_parts(scene, run)
     light_state.list_lights(scene)
+
+
+def _exposures(run: RunFolder) -> dict[str, float]:
+    """Of photographs that are not HDR: their exposures after that of the median one, stops, by view."""
+    views = (run.statistics().get("photometry") or {}).get("views", {})
+    return {name: float(view.get("exposure_ev", 0.0)) for name, view in views.items()}
 
 
 def median_radiance(run: RunFolder) -> float:
@@ -86,11 +97,7 @@ def photographs_exposure(scene: bpy.types.Scene) -> float | None:
 
 
 def match_exposure(scene: bpy.types.Scene) -> float:
-    """Set the scene's exposure so that a render is as bright as the photographs; returns the stops.
-
-    Raises:
-        FiptError: ``radiance-unknown``.
-    """
+    """Set the scene's exposure so that a render is as bright as the photographs; returns the stops."""
     stops = photographs_exposure(scene)
     if stops is None:
         raise FiptError("radiance-unknown")
@@ -98,7 +105,8 @@ def match_exposure(scene: bpy.types.Scene) -> float:
     if kept:  # while a map is shown: the exposure is set when the scene's view settings come back
         scene.fipt.materials.kept_view = json.dumps({**json.loads(kept), "exposure": stops})
     else:
-        set_once(scene, {"view_settings.exposure": stops}, again=True)
+        shown = scene.fipt.capture.shown_exposure
+        set_once(scene, {"view_settings.exposure": stops + shown}, again=True)
     return stops
 
 

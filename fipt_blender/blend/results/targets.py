@@ -79,9 +79,6 @@ class TargetBuilder:
             index: of the object in the room.
             name: of the object.
             is_copy: whether it was copied or separated from another target.
-
-        Raises:
-            FiptError: ``room-changed`` or ``room-edited`` where the artist changes the room meanwhile.
         """
         item = find_object(name)
         present = result_mesh(item)
@@ -200,11 +197,7 @@ class TargetBuilder:
 
 
 def find_mesh(name: str) -> bpy.types.Mesh:
-    """A prepared mesh of an earlier slice.
-
-    Raises:
-        FiptError: ``apply-interrupted``.
-    """
+    """A prepared mesh of an earlier slice."""
     mesh = bpy.data.meshes.get(name)
     if mesh is None:
         raise FiptError("apply-interrupted")

@@ -75,9 +75,6 @@ def make_atlas(
         run: the run folder with its room.
         settings: texel_density, texture_size, atlas_images and atlas_mode are used.
         max_images: where more were needed, all islands are scaled down instead.
-
-    Raises:
-        FiptError: ``room-changed`` where none of the objects is there; ``mesh-empty``.
     """
     room = read_room(run)
     count = len(room.triangles)

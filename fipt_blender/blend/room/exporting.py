@@ -48,10 +48,6 @@ def export_room(
         run: the run folder; room.npz and room.json are written.
         parts: source of the part labels, of `core.capture.options.PART_SOURCES`; the engine resolves "auto".
         completed: the engine adds nothing to a scan.
-
-    Raises:
-        FiptError: ``mesh-empty`` where there is no triangle; the run folder's write errors; ``room-changed``
-            or ``room-edited`` where the artist changes the room meanwhile.
     """
     room = yield from collect_room(objects)
     ids = tuple(give_ids(room.objects))
@@ -68,11 +64,7 @@ def export_room(
 
 
 def collect_room(objects: Iterable[bpy.types.Object]) -> Slices[RoomMesh]:
-    """The triangles of mesh objects in world space, without writing anything.
-
-    Raises:
-        FiptError: ``room-changed`` or ``room-edited`` where the artist changes the room meanwhile.
-    """
+    """The triangles of mesh objects in world space, without writing anything."""
     # Names, since an undo between two slices may replace every object.
     names = [item.name for item in objects if item.type == "MESH"]
     # All at once, since each change redraws the viewport.

@@ -26,9 +26,6 @@ def match_objects(room: RoomMesh, objects: Iterable[bpy.types.Object]) -> list[s
     Args:
         room: the run's room.
         objects: the scene's room.
-
-    Raises:
-        FiptError: ``room-changed`` where none is there.
     """
     present = {item.name: object_id(item) for item in objects if item.type == "MESH"}
     by_id: dict[str, list[str]] = {}
@@ -72,9 +69,6 @@ def make_mesh(room: RoomMesh, index: int, item: bpy.types.Object) -> tuple[bpy.t
 
     Returns:
         The mesh, and the names of the modifiers that are part of it: the first ones.
-
-    Raises:
-        FiptError: ``room-changed`` where its faces are no longer those that were exported.
     """
     exported = room.triangle_polygon[room.triangle_object == index]
     for mesh, modifiers in evaluations(item):

@@ -26,9 +26,6 @@ def simplify_room(objects: Sequence[bpy.types.Object], triangles: int) -> tuple[
 
     Returns:
         The number of triangles before and after.
-
-    Raises:
-        FiptError: ``room-empty``, or ``results-applied`` where the room shows its result meshes.
     """
     if not objects:
         raise FiptError("room-empty")

@@ -49,11 +49,7 @@ class UnwrapSource:
 
 
 def read_source(room: RoomMesh, index: int, item: bpy.types.Object) -> UnwrapSource:
-    """Read an object of the room.
-
-    Raises:
-        FiptError: ``room-changed`` where its faces are no longer those that were exported.
-    """
+    """Read an object of the room."""
     mesh, _ = make_mesh(room, index, item)
     try:
         layer = mesh.uv_layers.active

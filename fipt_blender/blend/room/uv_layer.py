@@ -21,11 +21,7 @@ def layer_values(mesh: bpy.types.Mesh) -> np.ndarray:
 
 
 def new_layer(mesh: bpy.types.Mesh, name: str) -> None:
-    """Add a UV layer.
-
-    Raises:
-        FiptError: ``uv-layers-full``.
-    """
+    """Add a UV layer."""
     if mesh.uv_layers.new(name=name, do_init=False) is None:
         raise FiptError("uv-layers-full", name=mesh.name)
 
@@ -40,9 +36,6 @@ def write_layer(mesh: bpy.types.Mesh, uv: np.ndarray) -> None:
     Args:
         mesh: a result mesh.
         uv: (L,2) of its face corners.
-
-    Raises:
-        FiptError: ``uv-layers-full``.
     """
     active_render = [layer.active_render for layer in mesh.uv_layers]
     if UV_LAYER not in mesh.uv_layers:

@@ -79,6 +79,7 @@ class RunFolder:
         self.align = self.root / "align"
         self.scene_cameras = self.root / "scene_cameras"
         self.log = self.root / "log.txt"
+        self.unsaved = self.root / "unsaved.txt"
         self.engine_lock = self.root / "engine.lock"
 
     def refuse_links(self) -> None:

@@ -87,7 +87,7 @@ def copy_capture(run: RunFolder, target: RunFolder) -> None:
         for path in (run.images, run.survey):
             if path.is_dir():
                 shutil.copytree(path, target.root / path.name, ignore=_in_place, copy_function=_link_or_copy)
-        for path in (run.fused_ply, run.simplified_ply, run.capture_json, run.ingest_json):
+        for path in (run.fused_ply, run.simplified_ply, run.capture_json, run.ingest_json, run.unsaved):
             if path.is_file():
                 _link_or_copy(path, target.root / path.name)
 
