@@ -38,7 +38,7 @@ from .rig import EQUIRECTANGULAR, DepthView, Lens, Rig, RigView
 EXACT = 0.7  # pixels of mean reprojection error, up to which poses stay as they are
 BETTER = 0.9  # of the error before: adjusted poses are used below it
 SIDE = 960  # pixels of the longer side, to which photographs are reduced; all errors are in pixels of it
-SMALL = 800  # a longer side below which features are also sought between the pixels
+SMALL = 500  # a longer side below which features are also sought between the pixels
 FEATURES, CONTRAST = 3000, 0.002  # most features of a photograph, and their least contrast
 RATIO = 0.85  # of the distances of the best and the next match
 # Partners of a photograph, and the least share of its pixels that they see at these distances in metres.
@@ -82,6 +82,7 @@ def refine_poses(rig: Rig, views: Sequence[RigView], scale: float, reporter: Rep
     used = [views[index] for index in chosen]
     if len(used) < 3:
         return RefinedPoses(list(views), rig.depths)
+    pycolmap.logging.minloglevel = 2  # errors only
     features = _find_features(used, within(reporter.progress, 0.0, 0.5))
     shared = rig.one_camera and len({(view.width, view.height, view.lens) for view in used}) == 1
     bundle = _Bundle(used, features, shared, scale)
@@ -143,7 +144,9 @@ def _find_features(views: Sequence[RigView], progress: Progress) -> list[_Featur
     def find(view: RigView) -> _Features:
         if not hasattr(of_thread, "sift"):
             of_thread.sift = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
-        radiance, share = read_radiance(view.image, view.layer), _share(view)
+        # What is not finite is refused where photographs are checked.
+        radiance = np.nan_to_num(read_radiance(view.image, view.layer), posinf=0.0, neginf=0.0)
+        share = _share(view)
         if share < 1.0:
             size = round(share * view.width), round(share * view.height)
             planes = (Image.fromarray(np.ascontiguousarray(radiance[..., k]), "F") for k in range(3))
@@ -244,7 +247,8 @@ class _Bundle:
 
     def lens(self, view: RigView) -> Lens:
         """The lens of a photograph of full size."""
-        camera = pycolmap.Camera(self._cameras[0].todict())
+        camera = lens_camera(view.lens, self._cameras[0].width, self._cameras[0].height)
+        camera.params = self._cameras[0].params
         camera.rescale(view.width, view.height)
         return Lens(camera.model.name, tuple(camera.params.tolist()))
 
@@ -304,7 +308,8 @@ class _Bundle:
             camera, places = self._cameras[number - 1], self._features[number - 1].places
             if not model.exists_camera(camera.camera_id):
                 model.add_camera_with_trivial_rig(camera)
-            image = pycolmap.Image(str(number), places, camera_id=camera.camera_id, image_id=number)
+            names = {"name": str(number), "camera_id": camera.camera_id, "image_id": number}
+            image = pycolmap.Image(keypoints=places, **names)
             model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.linalg.inv(pose)[:3]))
         options = pycolmap.IncrementalTriangulatorOptions(random_seed=0, ignore_two_view_tracks=False)
         options.complete_max_reproj_error = options.merge_max_reproj_error = limit
