@@ -5,9 +5,9 @@
 The poses of scanning apps are off by some pixels. SIFT features are matched between photographs that overlap
 by these poses, and triangulated; poses and points are adjusted with the given places as priors (pycolmap).
 
-Depth images that were taken with the photographs move with them. Those of another camera, beside that of the
-photographs and at other moments, stay: the photographs are moved to what they measure, and their lens, which
-is unknown then, is adjusted, too. What fits the points better is chosen.
+Depth images that were taken with the photographs move with them. Where the lens of the photographs is unknown,
+depth images are those of another camera, beside it and at other moments. They stay: the lens is adjusted, too,
+and all photographs together are moved to what the depth images measure.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ..run.contents import PoseErrors
 from ..run.messages import Progress, Reporter, within
 from ..run.threads import in_threads
 from .depth_images import read_depth
-from .distortion import lens_camera
+from .distortion import lens_camera, lens_pinhole
 from .encoded import tone_mapped
 from .images import read_radiance, threads_for
 from .rig import EQUIRECTANGULAR, DepthView, Lens, Rig, RigView
@@ -103,10 +103,9 @@ def refine_poses(rig: Rig, views: Sequence[RigView], scale: float, reporter: Rep
     turns = np.degrees(_turns(given, poses).magnitude())
     seen &= (shifts < MOST_MOVED[0]) & (turns < MOST_MOVED[1])
     order = {view.image: index for index, view in enumerate(used)}
-    depths = _followed(rig.depths, order, given, poses, seen)
-    to_depths = _to_depths(rig.depths, depths, points, scale) if shared else None
-    if to_depths is not None:
-        depths, poses = rig.depths, transform_poses(to_depths, poses)
+    depths = rig.depths if shared else _followed(rig.depths, order, given, poses, seen)
+    if shared:  # also in scale: all places are near those of the depth images, of which the errors are random
+        poses = transform_poses(refine(points, _Measured(rig.depths, scale)).similarity, poses)
     result = list(views)
     for index, pose, sure in zip(chosen, poses, seen, strict=True):
         view = replace(views[index], camera_to_world=pose) if sure else views[index]
@@ -231,7 +230,7 @@ class _Bundle:
         self._features, self._shared, self._scale = features, shared, scale
         self._cameras = []
         for number, view in enumerate(views, 1):
-            camera = lens_camera(view.lens, view.width, view.height)
+            camera = lens_camera(self._start(view), view.width, view.height)
             camera.rescale(round(_share(view) * view.width), round(_share(view) * view.height))
             camera.camera_id = 1 if shared else number
             self._cameras.append(camera)
@@ -245,9 +244,16 @@ class _Bundle:
         """The focal length in units of the given one."""
         return float(self._cameras[0].mean_focal_length() / self._focal)
 
+    def _start(self, view: RigView) -> Lens:
+        """From which the lens is adjusted: with distortion, which would change its focal length otherwise."""
+        if not self._shared:
+            return view.lens
+        pinhole = lens_pinhole(view.lens, view.width, view.height)
+        return Lens("SIMPLE_RADIAL", (pinhole.fx, pinhole.cx, pinhole.cy, 0.0))
+
     def lens(self, view: RigView) -> Lens:
         """The lens of a photograph of full size."""
-        camera = lens_camera(view.lens, self._cameras[0].width, self._cameras[0].height)
+        camera = lens_camera(self._start(view), self._cameras[0].width, self._cameras[0].height)
         camera.params = self._cameras[0].params
         camera.rescale(view.width, view.height)
         return Lens(camera.model.name, tuple(camera.params.tolist()))
@@ -335,8 +341,8 @@ class _Bundle:
             priors.append(prior)
             if not self._shared:
                 config.set_constant_cam_intrinsics(number)
-        options = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_extra_params=False)
-        options.refine_focal_length = self._shared
+        options = pycolmap.BundleAdjustmentOptions(print_summary=False)
+        options.refine_focal_length = options.refine_extra_params = self._shared
         options.refine_principal_point = self._shared and whole_lens
         options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
         options.ceres.solver_options.max_num_iterations = 50
@@ -423,12 +429,3 @@ class _Measured:
         index = self._tree.query(positions)[1]
         off = ((positions - self._points[index]) * self._normals[index]).sum(axis=1)
         return np.abs(off), self._normals[index] * np.where(off < 0.0, -1.0, 1.0)[:, None]
-
-
-def _to_depths(
-    depths: Sequence[DepthView], moved: Sequence[DepthView], points: np.ndarray, scale: float
-) -> np.ndarray | None:
-    """The similarity (4, 4) from points (N, 3) to what depth images measure where they are; None where they
-    measure it better when they move with their photographs."""
-    stay, follow = (refine(points, _Measured(each, scale)) for each in (depths, moved))
-    return stay.similarity if stay.error < follow.error else None
