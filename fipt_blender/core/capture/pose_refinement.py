@@ -5,9 +5,9 @@
 The poses of scanning apps are off by some pixels. SIFT features are matched between photographs that overlap
 by these poses, and triangulated; poses and points are adjusted with the given places as priors (pycolmap).
 
-Depth images that were taken with the photographs move with them. Where the lens of the photographs is unknown,
-depth images are those of another camera, beside it and at other moments. They stay: the lens is adjusted, too,
-and all photographs together are moved to what the depth images measure.
+Depth images that were taken with the photographs move with them. Where the lens of the photographs is
+unknown, depth images are those of another camera, beside it and at other moments. They stay: the lens is
+adjusted, too, and all photographs together are moved to what the depth images measure.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ LIMITS = (24.0, 8.0, 4.0, 3.0)  # pixels of reprojection error that observations
 LEAST_ANGLE = 1.5  # degrees between the rays of a point
 PLACE = 0.05  # metres, standard deviation of the given places
 MOST_MOVED = (0.3, 10.0)  # metres and degrees; larger corrections are mistakes
-DEPTHS, DEPTH_STEP, STEEP = 60, 8, 0.1  # images that points are moved to; pixels; relative step at edges
+DEPTHS, COLUMNS, STEEP = 60, 80, 0.1  # depth images that points are moved to; of each; relative step at edges
 
 Matches = dict[tuple[int, int], np.ndarray]  # (M, 2) uint32 features of two photographs
 
@@ -410,8 +410,9 @@ class _Measured:
         points, normals = [], []
         for view in depths[:: -(-len(depths) // DEPTHS)]:
             image = read_depth(replace(view, photograph=None), scale)
-            depth = image.depth[::DEPTH_STEP, ::DEPTH_STEP].astype(np.float64)
-            y, x = np.mgrid[: view.height : DEPTH_STEP, : view.width : DEPTH_STEP] + 0.5
+            step = max(1, view.width // COLUMNS)
+            depth = image.depth[::step, ::step].astype(np.float64)
+            y, x = np.mgrid[: view.height : step, : view.width : step] + 0.5
             local = np.stack([(x - view.cx) / view.fx, (y - view.cy) / view.fy, np.ones_like(x)], axis=2)
             place = transform_points(image.camera_to_world, local * depth[..., None]) / scale
             middle, right, left = depth[1:-1, 1:-1], depth[1:-1, 2:], depth[1:-1, :-2]
