@@ -49,7 +49,7 @@ LIMITS = (24.0, 8.0, 4.0, 3.0)  # pixels of reprojection error that observations
 LEAST_ANGLE = 1.5  # degrees between the rays of a point
 PLACE = 0.05  # metres, standard deviation of the given places
 MOST_MOVED = (0.3, 10.0)  # metres and degrees; larger corrections are mistakes
-DEPTHS, COLUMNS, STEEP = 60, 80, 0.1  # depth images that points are moved to; of each; relative step at edges
+DEPTHS, COLUMNS, STEEP = 60, 80, 0.1  # depth images that place points; of each; relative step at edges
 
 Matches = dict[tuple[int, int], np.ndarray]  # (M, 2) uint32 features of two photographs
 
