@@ -29,7 +29,7 @@ LENS = Lens("PINHOLE", (FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2))
 
 
 def true_pose(index: float) -> np.ndarray:
-    """Camera to world: on an arc, turning past three walls, of which two face each other. Between whole numbers there are depth images."""
+    """Camera to world: on an arc, turning past three walls, of which two face each other."""
     angle = 0.4 * index
     place = np.array([1.0 + 0.25 * index * np.cos(0.3), 1.0 + 0.3 * np.sin(2.0 * index), 1.2 + 0.2 * np.cos(index)])
     return look_at(place, place + [np.cos(angle), np.sin(angle), -0.1])
