@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `ingest`: converts a capture in any known format to the capture.json of a run.
 
-A rejected capture leaves no files: the photographs, each decoded once after its pose, are checked while those that must be
-converted are written beside the run's images, which they replace only in the end.
+A rejected capture leaves no files: the photographs, each decoded once after its pose, are checked while those
+that must be converted are written beside the run's images, which they replace only in the end.
 """
 
 from __future__ import annotations
