@@ -138,8 +138,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     with suppress(OSError):
         run_folder.images.rmdir()  # if nothing had to be converted
     world_from_source = upright.world_from_source(options.scale)
-    if (note := size_note(capture, source, mesh, world_from_source)) is not None:
-        reporter.warn(note)
+    if (doubt := size_note(capture, source, mesh, world_from_source)) is not None:
+        reporter.warn(doubt)
     worlds = [world_from_source] * solved + [in_metres] * (len(views) - solved)
     items = zip(photographs, written, worlds, strict=True)
     entries = (photograph.captured(run_folder, files, world) for photograph, files, world in items)

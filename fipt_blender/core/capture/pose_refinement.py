@@ -149,7 +149,8 @@ def _find_features(views: Sequence[RigView], progress: Progress) -> list[_Featur
         if share < 1.0:
             size = round(share * view.width), round(share * view.height)
             planes = (Image.fromarray(np.ascontiguousarray(radiance[..., k]), "F") for k in range(3))
-            radiance = np.stack([plane.resize(size, Image.Resampling.BOX) for plane in planes], axis=2)
+            reduced = [np.asarray(plane.resize(size, Image.Resampling.BOX)) for plane in planes]
+            radiance = np.stack(reduced, axis=2)
         keypoints, found = of_thread.sift.extract_from_uint8_array(tone_mapped(radiance))
         places, descriptors = pycolmap.keypoints_to_matrix(keypoints), np.asarray(found.data, np.float32)
         largest = np.argsort(-places[:, 2], kind="stable")[:FEATURES]
