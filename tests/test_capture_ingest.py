@@ -287,7 +287,7 @@ def test_the_header_of_each_file_is_read_once_and_its_pixels_are_decoded_once(tm
         counted = lambda *args, of=of, real=real, **kinds: opened.update([of(*args, **kinds)]) or real(*args, **kinds)  # noqa: E731
         monkeypatch.setattr(owner, name, counted)
     monkeypatch.setattr(photograph, "PREVIEW_SIDE", 40)
-    run_ingest(tmp_path / "in", run)
+    run_ingest(tmp_path / "in", run, keep_poses=True)
     files = [path for folder in ("images", "masks") for path in (tmp_path / "in" / folder).iterdir()]
     assert opened == dict.fromkeys(files, 2) and len(files) == 4  # for the header, and for the pixels
     views = load_capture(run).views

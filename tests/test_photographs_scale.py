@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fipt_blender.core.capture.encoded import tone_mapped
 from fipt_blender.core.capture.upright import common_up
 from fipt_blender.prepare import scale
 from fipt_blender.prepare.preparation import PreparationFolder
 from fipt_blender.prepare.scale import Pick, marker_finder
 from fipt_blender.prepare.solve_step import poses, read_model, write_model
-from fipt_blender.prepare.solving import copy_name, tone_mapped
+from fipt_blender.prepare.solving import copy_name
 from samples.camera_poses import look_at, random_rotation
 from samples.prepared_captures import facts, placed_model, run_with, single
 from samples.refusals import error_of

@@ -16,6 +16,7 @@ import pycolmap
 import pytest
 from PIL import Image
 
+from fipt_blender.core.capture.encoded import tone_mapped
 from fipt_blender.core.capture.formats.registry import read_rig
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.options import CaptureOptions
@@ -34,7 +35,6 @@ from fipt_blender.prepare.solving import (
     left_out,
     own_sizes,
     solve,
-    tone_mapped,
 )
 from samples import textured_room
 from samples.camera_poses import look_at

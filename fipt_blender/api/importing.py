@@ -99,6 +99,7 @@ def _use_scene_cameras(scene: bpy.types.Scene) -> Job:
         layer=settings.layer,
         clamp_negative=settings.clamp_negative,
         own_paths=True,
+        keep_poses=True,  # the artist's
     )
 
     def adopt() -> list[Message]:

@@ -116,6 +116,19 @@ def transform_points(similarity: ArrayLike, points: ArrayLike) -> FloatArray:
     return np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
+def similarity_of_poses(source: FloatArray, target: FloatArray) -> FloatArray:
+    """The similarity (4, 4) that maps poses (N, 4, 4) to others: rotation first, then scale and shift."""
+    u, _, vt = np.linalg.svd(np.einsum("nij,nkj->ik", target[:, :3, :3], source[:, :3, :3]))
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    start, end = source[:, :3, 3] @ rotation.T, target[:, :3, 3]
+    spread = np.linalg.norm(start - start.mean(axis=0))
+    scale = float(np.linalg.norm(end - end.mean(axis=0)) / spread) if spread > 0.0 else 1.0
+    result = np.eye(4)
+    result[:3, :3] = scale * rotation
+    result[:3, 3] = end.mean(axis=0) - scale * start.mean(axis=0)
+    return result
+
+
 # --- pinhole rays ----------------------------------------------------------------------------------------
 
 

@@ -17,6 +17,7 @@ import numpy as np
 import pycolmap
 from PIL import Image
 
+from ..core.capture.encoded import tone_mapped
 from ..core.capture.files import Names, ambiguous, name_parts
 from ..core.capture.formats import colmap
 from ..core.capture.formats.colmap_sizes import check_model
@@ -32,7 +33,7 @@ from . import lens
 from .brackets import listed
 from .facts import LeftOut, Registered, SolveFacts
 from .preparation import Group, Preparation, PreparationFolder
-from .solving import Solve, SolveView, camera_groups, copy_name, registered_names, solve, tone_mapped
+from .solving import Solve, SolveView, camera_groups, copy_name, registered_names, solve
 
 _COPIES_SHARE = 0.1  # of the step's time
 POOR_ERROR = 1.5  # pixels of mean reprojection error; a good solve has less than one

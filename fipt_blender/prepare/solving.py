@@ -27,10 +27,6 @@ from .facts import LeftOut
 FEW_FEATURES = 150  # below, a photograph shows too little to be placed
 LEAST_MODEL = 3  # photographs; smaller models say nothing
 MOST_EXHAUSTIVE = 100  # photographs: 4,950 pairs, half an hour on one core
-_REC709_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
-# Below the median radiance by this factor, copies turn from logarithmic to linear: darker is noise.
-DARKEST = 2.0**-6
-_LOW, _HIGH = 0.5, 99.8  # percentiles that become black and white
 _PAIRS_PER_CALL = 64  # between two messages of progress
 SQLITE_FULL = "database or disk is full"  # text of SQLite's code 13
 _FEATURES, _MATCHES = 0.2, 0.8  # share of the time after which features and matches are found
@@ -169,25 +165,6 @@ def image_pairs(count: int) -> list[tuple[int, int]]:
     near = {(first, first + step) for step in steps for first in range(count - step)}
     # Every eighth is compared with all others of that net, which closes loops.
     return sorted(near | set(combinations(range(0, count, 8), 2)))
-
-
-def tone_mapped(radiance: np.ndarray) -> np.ndarray:
-    """A logarithmic copy of a photograph, on which SIFT finds equal contrast at any brightness.
-
-    Args:
-        radiance: (height, width, 3) scene-linear, finite.
-
-    Returns:
-        (height, width) uint8 luminance.
-    """
-    luminance = np.maximum(radiance @ _REC709_LUMINANCE, 0.0)
-    positive = luminance[luminance > 0.0]
-    if not positive.size:
-        return np.zeros(luminance.shape, np.uint8)
-    encoded = np.log2(luminance + DARKEST * np.median(positive))
-    low, high = np.percentile(encoded, [_LOW, _HIGH])
-    scaled = (encoded - low) / max(float(high - low), 1e-6)
-    return np.round(255.0 * np.clip(scaled, 0.0, 1.0)).astype(np.uint8)
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ Errors are measured over the scale, in units of the points: shrunk onto a wall, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from ..conventions import transform_points
 from ..robust import MAD_TO_DEVIATION
 from ..run.errors import FiptError
-from .surface import Surface
 from .turns import moved_about
 
 MIN_POINTS = 50  # of a solve
@@ -23,6 +23,12 @@ REACH = 0.05  # of the points' extent, from which points count less at first
 NEAR = 0.02  # of the extent: points of another room lie within 5 % of some surface too often to tell
 CLOSER = 0.8  # by which the distance from which points count less shrinks in each step
 GROWTH = 0.2  # most logarithm of the scale that a step changes
+
+
+class Nearest(Protocol):
+    """What points are moved onto; `surface.Surface` is one."""
+
+    def nearest(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +46,12 @@ class Refined:
     inliers: float
 
 
-def refine(points: np.ndarray, surface: Surface) -> Refined:
+def refine(points: np.ndarray, surface: Nearest) -> Refined:
     """Move points of a solve onto a mesh.
 
     Args:
         points: (N, 3) where they are now, nearly right; some may be far off.
-        surface: of the mesh.
+        surface: what they belong on.
 
     Raises:
         FiptError: ``alignment-points`` for too few points.

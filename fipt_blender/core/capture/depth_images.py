@@ -21,6 +21,7 @@ from ..run.errors import FiptError
 from ..run.made import Made, file_state
 from ..run.runfolder import RunFolder
 from . import checks
+from .distortion import lens_pinhole
 from .encoded import srgb_encoded
 from .files import stand_in
 from .images import open_picture, read_radiance, read_size
@@ -136,10 +137,10 @@ def _colors(view: DepthView, depth: np.ndarray, scale: float) -> np.ndarray | No
         * depth[..., None]
     )
     local = local @ from_depth[:3, :3].T + from_depth[:3, 3] * scale
-    fx, fy, cx, cy = photograph.lens.parameters
+    lens = lens_pinhole(photograph.lens, photograph.width, photograph.height)  # nearly
     far = np.maximum(local[..., 2], 1e-3)
-    column = np.clip(local[..., 0] / far * fx + cx, 0, photograph.width - 1).astype(np.int64)
-    row = np.clip(local[..., 1] / far * fy + cy, 0, photograph.height - 1).astype(np.int64)
+    column = np.clip(local[..., 0] / far * lens.fx + lens.cx, 0, photograph.width - 1).astype(np.int64)
+    row = np.clip(local[..., 1] / far * lens.fy + lens.cy, 0, photograph.height - 1).astype(np.int64)
     return pixels[row, column]
 
 

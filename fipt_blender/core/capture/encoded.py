@@ -28,6 +28,10 @@ MOST_PIXELS = 160_000_000
 # Codes from which on a channel counts as clipped: JPEG's noise blurs the end of the scale.
 CLIPPED_CODE = 250.0
 _EXIF = b"Exif\0\0"  # before EXIF itself in some containers
+# Of copies on which features are found. Below the median radiance by this factor, they turn from logarithmic
+# to linear: darker is noise. Percentiles that become black and white.
+DARKEST, _RANGE = 2.0**-6, (0.5, 99.8)
+_REC709_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 # What libraries raise for damaged files.
 DAMAGE = (
     *(OSError, ValueError, TypeError, LookupError, AttributeError, AssertionError, SyntaxError, EOFError),
@@ -126,3 +130,22 @@ def check_pixels(path: Path, width: int, height: int) -> None:
         raise FiptError(
             "image-too-large", path=path, width=width, height=height, most_pixels=MOST_PIXELS / 1e6
         )
+
+
+def tone_mapped(radiance: np.ndarray) -> np.ndarray:
+    """A logarithmic copy of a photograph, on which SIFT finds equal contrast at any brightness.
+
+    Args:
+        radiance: (height, width, 3) scene-linear, finite.
+
+    Returns:
+        (height, width) uint8 luminance.
+    """
+    luminance = np.maximum(radiance @ _REC709_LUMINANCE, 0.0)
+    positive = luminance[luminance > 0.0]
+    if not positive.size:
+        return np.zeros(luminance.shape, np.uint8)
+    encoded = np.log2(luminance + DARKEST * np.median(positive))
+    low, high = np.percentile(encoded, _RANGE)
+    scaled = (encoded - low) / max(float(high - low), 1e-6)
+    return np.round(255.0 * np.clip(scaled, 0.0, 1.0)).astype(np.uint8)

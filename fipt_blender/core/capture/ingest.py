@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `ingest`: converts a capture in any known format to the capture.json of a run.
 
-A rejected capture leaves no files: the photographs, each decoded once, are checked while those that must be
-converted are written beside the run's images, which they replace only in the end.
+A rejected capture leaves no files: the photographs, each decoded once after its pose, are checked while those
+that must be converted are written beside the run's images, which they replace only in the end.
 """
 
 from __future__ import annotations
@@ -36,12 +36,13 @@ from ..run.threads import in_threads
 from . import checks
 from .depth_images import write_fused
 from .files import Folders
+from .formats.registry import FORMATS
 from .images import read_size, threads_for
 from .options import CaptureOptions
 from .panorama import pinhole_views, placed_panorama, says_panorama
 from .photograph import ID_IMAGES, Files, Photograph
-from .photograph_poses import with_photograph_poses
 from .places import MASK_FOLDER
+from .pose_refinement import refine_poses
 from .rig import EQUIRECTANGULAR, RigView
 from .source import read_source, size_note, write_mesh
 from .upright import Upright, doubts, find_upright
@@ -78,7 +79,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     """
     if run_folder.run_json.exists():
         run_folder.read()
-    reporter.plan([0.1, 0.85, 0.05])
+    reporter.plan([0.1, 0.4, 0.45, 0.05])
     reporter.stage("cameras", "Reading cameras")
     converted(CaptureOptions, vars(options))  # refuses impossible values
     source = read_source(capture.absolute(), options, reporter)
@@ -92,22 +93,20 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         others = [view for view in views if view.image.absolute() != options.panorama.absolute()]
         views = distinct_views([*others, _placed(options, in_metres)])
     _check_files(views)
-    if rig.one_camera:
-        views, note = with_photograph_poses(rig, views, options.scale)
-        if note is not None:
-            reporter.warn(note)
     views = [
         replace(view, camera_to_world=checks.nearest_rotation(view.name, view.camera_to_world))
         for view in views
     ]
     # What the user has placed is last, and has the world's coordinates whatever is up in the source.
     solved = len(views) - (options.panorama is not None)
+    photographs, pose_errors = _photographs(views, in_metres), None
+    # A solve with points is the result of a bundle adjustment itself.
+    if not options.keep_poses and not hasattr(FORMATS[rig.source], "points"):
+        reporter.stage("poses", "Checking the photographs' poses")
+        refined = refine_poses(rig, views, options.scale, reporter)
+        views, rig, pose_errors = refined.views, replace(rig, depths=refined.depths), refined.errors
+        photographs = _photographs(views, in_metres)
     poses = np.array([view.camera_to_world for view in views[:solved]])
-    photographs = [Photograph(tuple(pinhole_views(view))) for view in views]
-    for photograph in photographs:
-        for view, pinhole in zip(photograph.views, photograph.pinholes, strict=True):
-            pose = conventions.transform_poses(in_metres, view.camera_to_world)
-            checks.check_view(view.name, pinhole, pose)
     upright = None
     if options.up_axis != "auto":
         upright = Upright(options.up_axis, "option")
@@ -116,8 +115,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         for note in doubts(rig.up_axis, poses):
             reporter.warn(note)
 
-    if source.is_fused:
-        reporter.plan([0.35, 0.6, 0.05])
+    reporter.plan([0.35, 0.6, 0.05] if source.is_fused else [0.9, 0.1])
     remedy = "use photographs whose distortion is undone already, or smaller ones"
     rewritten = sum(photograph.rewritten_bytes for photograph in photographs)
     refuse_full_disk(run_folder.images, rewritten, remedy)
@@ -134,8 +132,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         with suppress(OSError):
             run_folder.images.rmdir()  # if nothing had to be converted
         world_from_source = upright.world_from_source(options.scale)
-        if (note := size_note(capture, source, mesh, world_from_source)) is not None:
-            reporter.warn(note)
+        if (doubt := size_note(capture, source, mesh, world_from_source)) is not None:
+            reporter.warn(doubt)
         worlds = [world_from_source] * solved + [in_metres] * (len(views) - solved)
         items = zip(photographs, written, worlds, strict=True)
         entries = (photograph.captured(run_folder, files, world) for photograph, files, world in items)
@@ -148,7 +146,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         )
         up = UpAxis(upright.axis, upright.source, upright.angle)
         # The add-on writes capture.json again with the views that the artist selects.
-        write_json(run_folder.ingest_json, replace(captured, up=up))
+        write_json(run_folder.ingest_json, replace(captured, up=up, poses=pose_errors))
         write_json(run_folder.capture_json, captured)
     counts = Counter(view.split for view in captured.views)
     reporter.done(
@@ -162,6 +160,23 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             "undistorted": sum(sum(photograph.distorted) for photograph in photographs),
         },
     )
+
+
+def _photographs(views: Sequence[RigView], in_metres: np.ndarray) -> list[Photograph]:
+    """The files of the views, whose cameras are checked.
+
+    Args:
+        in_metres: (4, 4) similarity from the source's coordinates.
+
+    Raises:
+        FiptError: those of `check_view`, ``camera-model``.
+    """
+    photographs = [Photograph(tuple(pinhole_views(view))) for view in views]
+    for photograph in photographs:
+        for view, pinhole in zip(photograph.views, photograph.pinholes, strict=True):
+            pose = conventions.transform_poses(in_metres, view.camera_to_world)
+            checks.check_view(view.name, pinhole, pose)
+    return photographs
 
 
 def _placed(options: CaptureOptions, world_from_source: np.ndarray) -> RigView:

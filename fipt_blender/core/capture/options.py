@@ -174,6 +174,11 @@ class CaptureOptions:
     clamp_negative: Annotated[
         bool, "Treat all negative pixel values as black, instead of refusing large ones"
     ] = False
+    keep_poses: Annotated[
+        bool,
+        "Keep the photographs' poses as they are. Otherwise those that are off by more than 0.7 pixels, as in"
+        " scanning apps, are refined by bundle adjustment",
+    ] = False
     triangles: Annotated[
         int,
         Option(

@@ -97,7 +97,7 @@ class DepthView:
         fx, fy, cx, cy: pinhole intrinsics in pixels.
         unit: metres per stored unit.
         camera_to_world: (4, 4) float64, OpenCV axes, source world.
-        photograph: the view of the same frame, with a pinhole lens, or None.
+        photograph: the view of the same frame, or None.
     """
 
     path: Path

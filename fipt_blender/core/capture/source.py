@@ -19,7 +19,6 @@ from ..run.errors import FiptError, Problem, problem
 from ..run.messages import Reporter
 from ..run.runfolder import RunFolder
 from .checks import judge_size
-from .color_camera import with_color_camera
 from .depth_images import checked_depths
 from .files import stand_in
 from .formats.registry import read_points, read_rig
@@ -60,8 +59,6 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
     rig = _with_layer(read_rig(capture, options.format, options), options.layer)
     mesh = _mesh(rig, options)
     rig = replace(rig, depths=checked_depths(rig.depths))
-    if rig.one_camera:
-        rig = with_color_camera(rig, options.scale)
     solved = np.zeros((0, 3))
     if mesh is not None:
         with suppress(FiptError):  # the format has none

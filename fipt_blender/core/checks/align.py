@@ -19,7 +19,6 @@ from scipy.ndimage import generate_binary_structure, maximum_filter, minimum_fil
 from ..alignment.registration import refine
 from ..alignment.surface import sample_surface
 from ..capture.checks import judge_size
-from ..capture.color_camera import with_color_camera
 from ..capture.depth_images import check_unit, read_depth
 from ..capture.formats.registry import FORMATS, read_points, read_rig
 from ..capture.ingest import distinct_views
@@ -27,7 +26,7 @@ from ..capture.options import CaptureOptions
 from ..capture.panorama import pinhole_views
 from ..capture.rig import DepthView, Rig
 from ..capture.views import View, load_capture
-from ..conventions import transform_points
+from ..conventions import similarity_of_poses, transform_points
 from ..run.contents import Placement
 from ..run.errors import FiptError
 from ..run.kinds import as_matrix
@@ -82,8 +81,6 @@ def solve_points(capture: Path, name: str, views: list[View]) -> np.ndarray:
         FiptError: ``alignment-points`` or an error of the readers.
     """
     rig = read_rig(capture, name, CaptureOptions())
-    if rig.one_camera:
-        rig = with_color_camera(rig, 1.0)
     photographs = distinct_views(rig.views)
     poses = {view.name: view.camera_to_world for each in photographs for view in pinhole_views(each)}
     common = [view for view in views if view.name in poses]
@@ -94,19 +91,6 @@ def solve_points(capture: Path, name: str, views: list[View]) -> np.ndarray:
         similarity_of_poses(np.array([poses[view.name] for view in common]), now),
         alignment_points(capture, rig),
     )
-
-
-def similarity_of_poses(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The similarity (4, 4) that maps poses (N, 4, 4) to others: rotation first, then scale and shift."""
-    u, _, vt = np.linalg.svd(np.einsum("nij,nkj->ik", target[:, :3, :3], source[:, :3, :3]))
-    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    start, end = source[:, :3, 3] @ rotation.T, target[:, :3, 3]
-    spread = np.linalg.norm(start - start.mean(axis=0))
-    scale = float(np.linalg.norm(end - end.mean(axis=0)) / spread) if spread > 0.0 else 1.0
-    result = np.eye(4)
-    result[:3, :3] = scale * rotation
-    result[:3, 3] = end.mean(axis=0) - scale * start.mean(axis=0)
-    return result
 
 
 def alignment_points(capture: Path, rig: Rig) -> np.ndarray:

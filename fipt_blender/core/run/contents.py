@@ -63,8 +63,18 @@ class UpAxis:
 
 
 @dataclass(frozen=True)
+class PoseErrors:
+    """Mean reprojection errors of the given poses and of those that are used, in pixels of photographs of 960
+    pixels; equal where the given ones are used."""
+
+    before: float
+    after: float
+    photographs: int
+
+
+@dataclass(frozen=True)
 class CapturedViews:
-    """capture.json, and ingest.json with all views and with `up`.
+    """capture.json, and ingest.json with all views, `up` and `poses`.
 
     `world_from_source` is the similarity for anything in source coordinates, `mesh` included; these are the
     camera file's without `offset`, by which far ones were moved to the origin.
@@ -76,6 +86,7 @@ class CapturedViews:
     mesh: str | None
     views: tuple[CapturedView, ...]
     up: UpAxis | None = None
+    poses: PoseErrors | None = None
     offset: Vector = (0.0, 0.0, 0.0)
 
     def view(self, name: str) -> CapturedView:
