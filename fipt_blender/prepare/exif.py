@@ -25,7 +25,7 @@ from ..core.capture.encoded import (
     shutter_aperture_iso,
 )
 from ..core.capture.files import stand_in
-from ..core.capture.images import open_picture
+from ..core.capture.images import is_picture, open_picture
 from ..core.capture.suffixes import RAW_SUFFIXES
 from ..core.run.errors import FiptError
 from .preparation import Photograph
@@ -56,7 +56,7 @@ def describe(path: Path, name: str) -> Photograph:
     """
     if (error := stand_in(path)) is not None:
         raise error
-    if path.suffix.lower() not in RAW_SUFFIXES:
+    if path.suffix.lower() not in RAW_SUFFIXES or is_picture(path):
         picture = open_picture(path)
         tags = picture.tags
         if picture.is_encoded:

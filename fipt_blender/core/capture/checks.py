@@ -187,8 +187,9 @@ def judge_pixels(
         remedy = "Resampling filters produce such values; nothing needs to be done."
         yield problem("image-negative.judge-pixels-2", text=text, remedy=remedy)
     if clear := [item.transparent for item in statistics if item.transparent > 0.0]:
-        text = f"{len(clear)} photographs have pixels with alpha 0 (up to {100.0 * max(clear):.0f} %)."
-        remedy = "They are left out, as by a mask; remove the alpha channel to use them."
+        text = f"{len(clear)} photographs have pixels with alpha 0, or that their files do not hold"
+        text += f" (up to {100.0 * max(clear):.0f} %)."
+        remedy = "They are left out, as by a mask; remove the alpha channel or the crop to use them."
         yield Problem("image-transparent", text, remedy)
     if ldr := [name for name, item in pairs if item.looks_ldr]:
         text = f"{len(ldr)} photographs (the first is {ldr[0]}) contain only 8-bit values between 0 and 1"

@@ -95,7 +95,7 @@ class ExrFile:
 
     def picture(self, layer: str = "") -> tuple[np.ndarray, np.ndarray | None]:
         """Linear Rec.709 of the picture, (height, width, 3) float32 on the display window, and its alpha
-        (height, width), None without.
+        (height, width), None without: 0 also where the file holds no pixels.
 
         Args:
             layer: name of the part or layer; "" for the one that is named like a picture.
@@ -107,7 +107,7 @@ class ExrFile:
         found = chosen_layer(self.path, self._layers(), layer)
         file = self._open()
         planes = [_plane(file, found, name) for name in found.color or "Y"]
-        alpha = _plane(file, found, "A") if "A" in found.channels else None
+        alpha = _plane(file, found, "A") if "A" in found.channels else self._stored_part(found)
         matrix, weights = _primaries(self.path, self._headers[found.part])
         if found.color == _LUMA_CHROMA:  # Y, RY = (R - Y) / Y, BY = (B - Y) / Y
             red, blue = ((plane + np.float32(1.0)) * planes[0] for plane in planes[1:])
@@ -117,6 +117,17 @@ class ExrFile:
         if matrix is not None and len(planes) == 3:
             pixels = pixels @ matrix.T.astype(np.float32)
         return pixels, alpha
+
+    def _stored_part(self, layer: Layer) -> np.ndarray | None:
+        """(height, width) 1 where the file holds pixels, 0 beside; None where it holds all."""
+        (low, high), (stored_low, stored_high) = (self._headers[layer.part][name] for name in _WINDOWS)
+        if (np.asarray(stored_low) <= low).all() and (np.asarray(stored_high) >= high).all():
+            return None
+        alpha = np.zeros((int(high[1] - low[1]) + 1, int(high[0] - low[0]) + 1), np.float32)
+        x0, y0 = (int(value) for value in np.maximum(np.subtract(stored_low, low), 0))
+        x1, y1 = (int(value) for value in np.maximum(np.subtract(stored_high, low) + 1, 0))
+        alpha[y0:y1, x0:x1] = 1.0
+        return alpha
 
     def values(self) -> np.ndarray:
         """Values (height, width, 1 or 3) of an image that is no picture, as stored: ids, depths.

@@ -31,6 +31,7 @@ from . import primaries
 from .encoded import (
     DAMAGE,
     check_pixels,
+    exif_number,
     exif_tags,
     missing,
     relative_exposure,
@@ -55,6 +56,30 @@ _STARTS = re.compile(
     rb"|(?P<tiff>II[*+]\0|MM\0[*+])|(?P<webp>RIFF....WEBP)|(?P<hdr>#\?)|(?P<jpegxl>\xff\x0a|....JXL )",
     re.DOTALL,
 )
+# How files begin that are not read, and what they are.
+_NOT_READ = (
+    (rb"....ftypavi[fs]", "AVIF"),
+    (rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51", "JPEG 2000"),
+    (rb"8BPS", "Photoshop"),
+    (rb"BM", "BMP"),
+    (rb"GIF8", "GIF"),
+    (rb"SDPX|XPDS", "DPX"),
+    (rb"%PDF", "PDF"),
+    (rb"....ftyp(crx )", "RAW"),
+    (rb"FUJIFILM|IIU\0|IIRO|FOVb|\0MRM", "RAW"),
+    (rb"....ftyp|\x1a\x45\xdf\xa3|RIFF....AVI ", "video"),
+)
+# What a TIFF's values are that are no RGB: Lab, a sensor's mosaic, LogL and LogLuv, linear RAW. OpenImageIO
+# reads these as RGB, or a preview of 8 bits.
+_NO_RGB = {
+    8: "Lab",
+    9: "Lab",
+    10: "Lab",
+    32803: "a sensor's",
+    32844: "LogL",
+    32845: "LogLuv",
+    34892: "a sensor's",
+}
 MOST_CHUNK = 64  # bytes of a PNG's chunk that are read
 _TYPES = {"uint8": "uint8", "uint16": "uint16", **dict.fromkeys(("half", "float", "double"), "float32")}
 
@@ -184,11 +209,15 @@ def _opened(path: Path, layer: str, *state: int) -> Picture:
     """`open_picture` of a file in a state."""
     try:
         with path.open("rb") as file:
-            found = _STARTS.match(file.read(16))
+            start = file.read(16)
+            found = _STARTS.match(start)
         kind, suffix = str(found and found.lastgroup), path.suffix.lower()
-        if found is None or suffix in RAW_SUFFIXES:
+        if found is None or (suffix in RAW_SUFFIXES and kind == "tiff"):
             if (error := stand_in(path)) is not None:
                 raise error
+            what = next((name for begins, name in _NOT_READ if re.match(begins, start, re.DOTALL)), "")
+            if what and suffix not in RAW_SUFFIXES:
+                raise FiptError("image-format.known", path=path, what=what, formats=FORMATS)
             if suffix in IMAGE_SUFFIXES:
                 raise ValueError(f"its content is none of {FORMATS}")
             raise FiptError("image-format", path=path)
@@ -197,6 +226,16 @@ def _opened(path: Path, layer: str, *state: int) -> Picture:
         raise unreadable(path, error) from None
     check_pixels(path, *picture.size)
     return picture
+
+
+def is_picture(path: Path) -> bool:
+    """Whether a file is a picture by its content, whatever its name says; RAW files may begin like TIFFs."""
+    try:
+        with path.open("rb") as file:
+            found = _STARTS.match(file.read(16))
+    except OSError:
+        return False
+    return found is not None and found.lastgroup != "tiff"
 
 
 def read_size(path: Path) -> tuple[int, int]:
@@ -351,7 +390,11 @@ def _open_heif(path: Path, kind: str, _: str) -> Picture:
 
 def _open_by_oiio(path: Path, kind: str, _: str) -> Picture:
     colors = _radiance_colors(path) if kind == "hdr" else Colors()
+    if kind == "jpegxl" and not oiio.is_imageio_format_name(kind):
+        raise FiptError("image-format.known", path=path, what="JPEG XL", formats=FORMATS)
     spec = _oiio_input(path, kind).spec()
+    if kind == "tiff":
+        _refuse_previews(path)
     name = _TYPES.get(str(spec.format))
     if name is None:
         raise ValueError(f"its values are {spec.format}, not of 8 or 16 bits or floats")
@@ -382,6 +425,25 @@ def _open_by_oiio(path: Path, kind: str, _: str) -> Picture:
 
     is_plain = colors.curve is None and colors.matrix is None
     return Picture(path, kind, (spec.width, spec.height), name, colors, is_plain, decode, exif)
+
+
+def _refuse_previews(path: Path) -> None:
+    """Refuse a TIFF of whose values OpenImageIO would give others.
+
+    Raises:
+        FiptError: ``image-format``.
+    """
+    tags = exif_tags(path)
+    colors, kind = (
+        exif_number(tags, f"Image {name}") for name in ("PhotometricInterpretation", "SubfileType")
+    )
+    if colors in _NO_RGB:
+        what = f"its values are {_NO_RGB[int(colors)]} values, not RGB"
+    elif kind is not None and int(kind) % 2 == 1:
+        what = "its first image is a preview, as in RAW files"
+    else:
+        return
+    raise FiptError("image-format.preview", path=path, what=what)
 
 
 def _oiio_input(path: Path, kind: str) -> Any:

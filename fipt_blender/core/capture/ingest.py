@@ -12,7 +12,7 @@ import argparse
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 
@@ -21,7 +21,8 @@ import numpy as np
 from .. import conventions
 from ..run.contents import CapturedViews, UpAxis
 from ..run.declared import add_options, converted, options_of
-from ..run.errors import FiptError
+from ..run.documents import optional_document
+from ..run.errors import FiptError, Problem
 from ..run.kinds import as_matrix
 from ..run.light_size import refuse_full_disk
 from ..run.made import Made, file_state, folder_states
@@ -33,16 +34,19 @@ from ..run.runfolder import RunFolder, write_json
 from ..run.settings import make_settings
 from ..run.threads import in_threads
 from . import checks
+from .corrections import NONE
 from .depth_images import write_fused
 from .files import Folders
 from .images import read_size, threads_for
+from .mistakes import COMPARED, Scene, examine
 from .options import CaptureOptions
 from .panorama import pinhole_views, placed_panorama, says_panorama
 from .photograph import ID_IMAGES, Files, Photograph
 from .photograph_poses import with_photograph_poses
 from .places import MASK_FOLDER
-from .rig import EQUIRECTANGULAR, RigView
-from .source import read_source, size_note, write_mesh
+from .relation import sight
+from .rig import EQUIRECTANGULAR, MESH_SUFFIXES, RigView
+from .source import Source, read_source, size_note, write_mesh
 from .upright import Upright, doubts, find_upright
 
 
@@ -57,20 +61,42 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     """Run `ingest` with the command's arguments, unless the same capture has been read already."""
     options = CaptureOptions(**options_of(arguments, CaptureOptions))
     folder, capture = RunFolder(arguments.run), arguments.capture.absolute()
-    states = [
-        *(folder_states(path, folder.root) for path in (capture, options.images, options.panorama)),
-        file_state(options.mesh),
-    ]
-    made = Made(folder, "capture", states, vars(options), outputs=[folder.capture_json, folder.ingest_json])
-    if made.told_again(reporter):
+    named = folder.made("capture-files")  # photographs and mesh may lie beside the capture's folder
+    found = optional_document(named, _Files)
+    if found is not None and _made(folder, capture, options, found).told_again(reporter):
         reporter.done([str(folder.capture_json)])
         return
-    ingest(capture, folder, options, reporter)
-    made.note(reporter.warnings)
+    found = ingest(capture, folder, options, reporter)
+    write_json(named, found)
+    _made(folder, capture, options, found).note(reporter.warnings)
 
 
-def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, reporter: Reporter) -> None:
+@dataclass(frozen=True)
+class _Files:
+    """made/capture-files.json: the files that a capture was read from, wherever they lie."""
+
+    files: tuple[str, ...]
+
+
+def _made(folder: RunFolder, capture: Path, options: CaptureOptions, found: _Files) -> Made:
+    """Whether capture.json is still that of all these files, and of the meshes in their folders."""
+    files = [Path(file) for file in found.files]
+    folders = {capture.parent, *(path for file in files for path in file.parents[:2])}
+    beside = [
+        path for each in sorted(folders) for suffix in MESH_SUFFIXES for path in each.glob(f"*{suffix}")
+    ]
+    states = [
+        *(folder_states(path, folder.root) for path in (capture, options.images, options.panorama)),
+        [file_state(path) for path in (options.mesh, *files, *sorted(beside))],
+    ]
+    return Made(folder, "capture", states, vars(options), outputs=[folder.capture_json, folder.ingest_json])
+
+
+def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, reporter: Reporter) -> _Files:
     """Read a capture, check all of it, then write capture.json and the images that must be converted.
+
+    Returns:
+        the files that were read.
 
     Raises:
         FiptError: with a code that docs/capture_formats.md lists; capture.json is not written then.
@@ -102,7 +128,10 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     # What the user has placed is last, and has the world's coordinates whatever is up in the source.
     solved = len(views) - (options.panorama is not None)
     poses = np.array([view.camera_to_world for view in views[:solved]])
-    photographs = [Photograph(tuple(pinhole_views(view))) for view in views]
+    step = -(-len(views) // COMPARED)
+    photographs = [
+        Photograph(tuple(pinhole_views(view)), index % step == 0) for index, view in enumerate(views)
+    ]
     for photograph in photographs:
         for view, pinhole in zip(photograph.views, photograph.pinholes, strict=True):
             pose = conventions.transform_poses(in_metres, view.camera_to_world)
@@ -112,8 +141,6 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         upright = Upright(options.up_axis, "option")
     elif rig.up_axis is not None:
         upright = Upright(rig.up_axis, "format")
-        for note in doubts(rig.up_axis, poses):
-            reporter.warn(note)
 
     if source.is_fused:
         reporter.plan([0.35, 0.6, 0.05])
@@ -126,7 +153,12 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     try:
         with atomic_folder(run_folder.images) as images:
             reporter.stage("images", "Reading the photographs")
-            written = _convert(images, photographs, options.clamp_negative, reporter)
+            written, shown = _convert(images, photographs, options.clamp_negative, reporter)
+            notes = _judged(source, photographs[:solved], shown, options)
+            if not notes and options.up_axis == "auto" and rig.up_axis is not None:
+                notes = doubts(rig.up_axis, poses, rig.source)
+            for note in notes:
+                reporter.warn(note)
             if source.is_fused:
                 reporter.stage("fuse", "Fusing the depth images")
                 fused = write_fused(run_folder, rig.depths, options, reporter.progress)
@@ -140,7 +172,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     with suppress(OSError):
         run_folder.images.rmdir()  # if nothing had to be converted
     world_from_source = upright.world_from_source(options.scale)
-    if (note := size_note(capture, source, mesh, world_from_source)) is not None:
+    note = size_note(capture, source, mesh, world_from_source)
+    if note is not None and not any(each.code == "mesh-elsewhere" for each in notes):  # which explains it
         reporter.warn(note)
     worlds = [world_from_source] * solved + [in_metres] * (len(views) - solved)
     items = zip(photographs, written, worlds, strict=True)
@@ -168,6 +201,9 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             "undistorted": sum(sum(photograph.distorted) for photograph in photographs),
         },
     )
+    images = (getattr(view, kind) for view in views for kind in ("image", *ID_IMAGES))
+    files = sorted({str(path.absolute()) for path in (*images, source.mesh) if path is not None})
+    return _Files(tuple(files))
 
 
 def _placed(options: CaptureOptions, world_from_source: np.ndarray) -> RigView:
@@ -199,7 +235,8 @@ def _chosen(views: list[RigView], count: int) -> list[RigView]:
         return views
     held_back = [view for view in views if view.split == "held_back"]
     rest = [view for view in views if view.split != "held_back"]
-    return [rest[index * len(rest) // count] for index in range(min(count, len(rest)))] + held_back
+    count = min(count, len(rest))
+    return [rest[index * len(rest) // count] for index in range(count)] + held_back
 
 
 def distinct_views(views: Sequence[RigView]) -> list[RigView]:
@@ -266,32 +303,66 @@ def _check_files(views: list[RigView]) -> None:
             raise FiptError("camera-model.check-files", image=view.image, model=view.lens.model)
 
 
+def _judged(
+    source: Source,
+    photographs: Sequence[Photograph],
+    shown: Sequence[Sequence[np.ndarray | None]],
+    options: CaptureOptions,
+) -> list[Problem]:
+    """A warning where cameras, points, mesh and photographs do not belong together, with what explains it.
+
+    Args:
+        shown: what is compared of each view of each photograph.
+
+    Raises:
+        FiptError: ``convention`` where the photographs confirm an explanation.
+    """
+    if options.correct == NONE:
+        return []
+    sights = []
+    back = np.eye(4)
+    back[:3, 3] = source.offset  # mistakes of poses are those of the source's coordinates
+    for photograph, images in zip(photographs, shown, strict=True):
+        for view, pinhole, image in zip(photograph.views, photograph.pinholes, images, strict=True):
+            sights.append(sight(conventions.transform_poses(back, view.camera_to_world), pinhole, image))
+    has_mesh = source.vertices is not None and len(source.triangles) > 0
+    mesh = (source.vertices + source.offset, source.triangles) if has_mesh else None  # type: ignore[operator]
+    scene = Scene.of(sights, mesh, source.solved + source.offset)
+    finding = None if scene is None else examine(scene, source.rig.source)
+    if scene is None or finding is None:
+        return []
+    if finding.is_sure and not options.correct:
+        raise finding.error()
+    return [finding.note(scene, source.mesh)] if finding.elsewhere or finding.explained else []
+
+
 def _convert(
     folder: Path, photographs: Sequence[Photograph], clamp_negative: bool, reporter: Reporter
-) -> list[list[Files]]:
+) -> tuple[list[list[Files]], list[list[np.ndarray | None]]]:
     """Read all photographs, write what must be converted, and warn about them.
 
     Args:
         folder: for the images that are written.
 
     Returns:
-        what was written of each view of each photograph.
+        what was written and what is compared of each view of each photograph.
 
     Raises:
         FiptError: those of `Photograph.convert` and `judge_pixels`.
     """
-    statistics, written = [], []
+    statistics, written, shown = [], [], []
     # Resamplings are made here, so that the threads share them.
     work = ((photograph, photograph.resamplings()) for photograph in photographs)
     first = [photograph.views[0] for photograph in photographs]
     most = threads_for(view.width * view.height for view in first)
-    for found, files in in_threads(lambda item: item[0].convert(folder, item[1]), work, most):
+    for found, files, images in in_threads(lambda item: item[0].convert(folder, item[1]), work, most):
         statistics.append(found)
         written.append(files)
+        shown.append(images)
         reporter.progress(len(statistics) / len(photographs))
     pictures = [photograph.picture for photograph in photographs]
     encoded, exposures = zip(*((picture.is_encoded, picture.exposure) for picture in pictures), strict=True)
     judged = checks.judge_pixels([view.name for view in first], statistics, clamp_negative)
     for note in chain(judged, checks.judge_encoded(encoded, exposures)):
         reporter.warn(note)
-    return written
+    return written, shown

@@ -160,6 +160,15 @@ class CaptureOptions:
     up_axis: Annotated[str, Option("Axis of the capture that points up; --up-axis=-y for -y", choices=UP)] = (
         "auto"
     )
+    correct: Annotated[
+        str,
+        Option(
+            "Correction of a usual mistake of the program that wrote the capture, as the import names it:"
+            " axes-opencv, inverse, transpose, quaternion, scale-39.3701, turn-x90, ... If empty, they are"
+            " tried where something does not fit; none for not at all",
+            "Correction",
+        ),
+    ] = ""
     hold_back: Annotated[
         int,
         Option(

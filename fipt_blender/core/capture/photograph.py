@@ -35,6 +35,7 @@ from .images import (
     write_exr,
     write_ids,
 )
+from .mistakes import small
 from .rig import Pinhole, RigView
 
 # Photographs with more pixels than these are rewritten with the bits that they have, 8 (PNG) or 16 (EXR),
@@ -55,9 +56,11 @@ class Photograph:
 
     Attributes:
         views: one, or the six faces of a panorama.
+        compared: whether it is compared with others (:mod:`.mistakes`).
     """
 
     views: tuple[RigView, ...]
+    compared: bool = False
 
     @cached_property
     def picture(self) -> Picture:
@@ -102,8 +105,8 @@ class Photograph:
 
     def convert(
         self, folder: Path, resamplings: Sequence[Undistortion | None]
-    ) -> tuple[checks.PixelStatistics, list[Files]]:
-        """Statistics of its values, and the images written of its views.
+    ) -> tuple[checks.PixelStatistics, list[Files], list[np.ndarray | None]]:
+        """Statistics of its values, the images written of its views, and what is compared of each.
 
         Bilinear weights are positive, so that no value is negative if clamping precedes the resampling. Id
         images are read, for their errors, also where they stay as they are.
@@ -128,13 +131,15 @@ class Photograph:
         if clear is not None:
             ids["mask"] = np.where(clear, 0, ids.get("mask", 1)).astype(np.int32)
             found = replace(found, transparent=float(clear.mean()))
-        files = []
+        files, shown = [], []
         for view, resampling in zip(self.views, resamplings, strict=True):
             image, cut = pixels, {"mask": ids["mask"]} if clear is not None else {}
             if resampling is not None:
                 image, cut = resampling.image(pixels), {kind: resampling.ids(ids[kind]) for kind in ids}
             files.append(self._write(folder, view.name, image, resampling is not None or not plain, cut))
-        return found, files
+            mask = cut.get("mask", ids.get("mask"))
+            shown.append(small(image, None if mask is None else mask == 0) if self.compared else None)
+        return found, files, shown
 
     def _write(
         self, folder: Path, name: str, pixels: np.ndarray, is_new: bool, ids: dict[str, np.ndarray]

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import partial
 from itertools import product
@@ -15,7 +15,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from ..run.errors import FiptError, Problem
+from ..run.errors import FiptError, Problem, problem
 from ..run.paths import leads_outside
 from .files import (
     DEPTHS_FIRST,
@@ -30,12 +30,16 @@ from .files import (
     suffix_of,
     view_name,
 )
-from .images import read_size
+from .images import read_ids, read_size
 from .options import CaptureOptions
 from .rig import PARTS_FOLDER, SEMANTICS_FOLDER, DepthView, Lens, Rig, RigView, find_mesh
 
 IMAGE_FOLDERS = ("hdr", "exr", "images", "input", "Image", ".")
 MASK_FOLDER = "masks"
+# Where programs write masks: COLMAP, nerfstudio and Metashape into a folder, the last one and RealityScan
+# also beside the photographs; and what they put behind a photograph's name, or its stem, besides the suffix.
+MASK_FOLDERS, MASK_ENDS = (MASK_FOLDER, "mask"), (".mask", "_mask", "-mask")
+MOST_MASK_IDS = 2  # of a mask; images with more are of parts or classes
 MESH_STEMS = ("scene", "mesh", "model", "texturedMesh", "scene_dense_mesh")
 ID_FOLDERS = {PARTS_FOLDER: PARTS_FOLDER, SEMANTICS_FOLDER: SEMANTICS_FOLDER}
 
@@ -54,6 +58,7 @@ class Places:
         own_paths: whether paths from the file may lead anywhere.
         relative: whether paths start at the file's folder: such a path must not lead elsewhere.
         id_folders: folder below a root of each kind of id images.
+        finds_masks: whether masks are searched that the camera file does not name.
     """
 
     file: Path
@@ -65,6 +70,7 @@ class Places:
     own_paths: bool = False
     relative: bool = False
     id_folders: dict[str, str] = field(default_factory=lambda: ID_FOLDERS)
+    finds_masks: bool = True
     folders: Folders = field(default_factory=Folders, compare=False, repr=False)
     # What was found of each name, since camera files may repeat names without end.
     _found: dict[tuple, Any] = field(default_factory=dict, compare=False, repr=False)
@@ -163,6 +169,8 @@ class Places:
             masking = self._once(("mask", mask), lambda: self.folders.find(mask, places, first=IDS_FIRST))
             if masking is None or masking == found:
                 missing = missing or self._missing(mask, places)
+        elif found and self.finds_masks:
+            masking = self._once(("mask", found.path), lambda: self._mask(found))
         ends = name_parts(name) if is_plain(name) else found.end if found else name_parts(name)[-1:]
         own = view_name(called or "/".join(ends))
         names = (own, "/".join(ends), *([found.path.name] if found else []))
@@ -179,6 +187,42 @@ class Places:
             missing=missing,
             **ids,
         )
+
+    def _mask(self, photograph: Found) -> Found | None:
+        """The mask of a photograph where programs write it; None without."""
+        path, end = photograph.path, "/".join(photograph.end)
+        names = [each for name in dict.fromkeys((end, path.name)) for each in (name, stem_of(name))]
+        ends = [name + end for name in names for end in MASK_ENDS]
+        folders = [*self.roots, path.parent, path.parent.parent]
+        for root, folder in product(dict.fromkeys(folders), MASK_FOLDERS):
+            if root / folder != path.parent and (file := self.folders.ids(root / folder, [*names, *ends])):
+                return Found(file, ())
+        beside = {key(stem_of(file.name)): file for file in self.folders.images(path.parent)}
+        file = next(filter(None, (beside.get(key(name.rpartition("/")[2])) for name in ends)), None)
+        return None if file is None else Found(file, ())
+
+    def _checked_masks(self, views: Sequence[RigView]) -> tuple[list[RigView], list[Problem]]:
+        """The views without found masks that are none, and a note of these."""
+        for view in (view for view in views if view.mask is not None and self._masked(view)):
+            try:
+                fault, count = "", len(np.unique(read_ids(view.mask)))
+                if count > MOST_MASK_IDS:
+                    fault = f"it has {count} values, as images of parts or classes have"
+                elif read_size(view.mask) != (view.width, view.height):
+                    fault = "it has another size than its photograph"
+            except FiptError as error:
+                fault = error.text
+            if not fault:
+                break
+            views = [replace(each, mask=None) if self._masked(each) else each for each in views]
+            return list(views), [
+                problem("masks-unused.kind", folder=view.mask.parent, mask=view.mask, fault=fault)
+            ]
+        return list(views), []
+
+    def _masked(self, view: RigView) -> bool:
+        """Whether the mask of a view was found, not named."""
+        return ("mask", view.image) in self._found and view.mask is not None
 
     def _ids(self, kind: str, names: Sequence[str]) -> Path | None:
         """The id image with one of a view's names in the folder of its kind, or None."""
@@ -219,9 +263,17 @@ class Places:
             FiptError: ``file-ambiguous`` where views at different places lead to one file.
         """
         self._refuse_other_folders()
+        views, unread = self._checked_masks(views)
+        masks = {view.mask for view in views if view.mask is not None and self._masked(view)}
+        if masks:
+            folder = min(masks).parent
+            unread.append(problem("masks-found", count=len(masks), views=len(views), folder=folder))
         for kind in ("image", *self.id_folders):
             self._refuse_shared(kind, [view for view in views if not view.missing])
-        used = [found.path for of, found in self._found.items() if isinstance(found, Found)]
+        found = {
+            of: one for of, one in self._found.items() if isinstance(one, Found) and one.path not in masks
+        }
+        used = [one.path for one in found.values()]
         suffixes, folders = {suffix_of(path.name) for path in used}, {path.parent for path in used}
         beside = [path for folder in sorted(folders) for path in self.folders.images(folder)]
         beside = [path for path in beside if suffix_of(path.name) in suffixes and not self.own_paths]
@@ -232,7 +284,10 @@ class Places:
             beside = [path for root in roots for path in self.folders.images(root / folder, True)]
             used = [path for view in views if (path := getattr(view, kind)) is not None]
             unused.append(_unused("masks-unused", "id images", "photograph", beside, used))
-        notes = (*notes, *filter(None, unused))
+        folders = {path.parent for path in masks if path.parent.name.lower() in MASK_FOLDERS}
+        beside = [path for folder in sorted(folders) for path in self.folders.images(folder, True)]
+        unused.append(_unused("masks-unused", "masks", "photograph", beside, masks))
+        notes = (*notes, *filter(None, unused), *unread)
         return Rig(source, tuple(views), up_axis, mesh, notes, depths, one_camera)
 
     def _refuse_other_folders(self) -> None:
@@ -272,6 +327,9 @@ class Places:
             FiptError: ``path-outside``.
         """
         inside = None if folders else self.inside
+        stub = self.folders.stub(name, folders or self._below(self.image_folders))
+        if stub is not None:
+            raise stub
         folders = folders or [*([self.images] if self.images else []), *self._below(self.image_folders)]
         last = (name_parts(name) or ("",))[-1]
         text = (

@@ -21,7 +21,7 @@ import numpy as np
 from ..run.documents import load_document
 from ..run.errors import FiptError, Problem
 from ..run.kinds import T
-from .files import key, stand_in, visible
+from .files import copied_from, key, stand_in, visible
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 PARTS_FOLDER = "parts"
@@ -180,6 +180,8 @@ def read_pose(path: Path, matrix: Any) -> np.ndarray:
         values = np.array(matrix, np.float64)
         if values.shape not in ((3, 4), (4, 4)):
             raise ValueError(f"a matrix has shape {values.shape}")
+        if len(values) == 4 and values[3, :3].any() and not values[:3, 3].any():
+            raise ValueError("a matrix is transposed: its position is in the last row, not the last column")
     pose = np.eye(4)
     pose[:3] = values[:3]
     return pose
@@ -199,7 +201,15 @@ def find_mesh(folders: Sequence[Path], stems: Sequence[str]) -> Path | None:
         if named:
             return min(named, key=lambda path: MESH_SUFFIXES.index(path.suffix.lower()))
     others = {path.resolve(): path for paths in meshes.values() for path in paths}
-    return next(iter(others.values())) if len(others) == 1 else None
+    names = {(path.parent, key(path.stem)) for path in others.values()}
+    plain = [path for path in others.values() if not _is_copy(path, names)]
+    return plain[0] if len(plain) == 1 else None
+
+
+def _is_copy(path: Path, names: set[tuple[Path, str]]) -> bool:
+    """Whether a mesh is a second copy of another one, of which folders and stems are given."""
+    original = copied_from(path.stem)
+    return original != path.stem and (path.parent, key(original)) in names
 
 
 def _meshes(folder: Path) -> list[Path]:

@@ -66,7 +66,7 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
     if mesh is not None:
         with suppress(FiptError):  # the format has none
             solved = read_points(capture, rig.source, sure=True)
-    related = relate(capture, rig, mesh, solved)
+    related = relate(capture, rig, mesh, solved, options)
     notes, made = list(related.rig.notes), None
     vertices, triangles = related.vertices, related.triangles
     if vertices is not None and len(triangles) and (related.moved or 0 < options.triangles < len(triangles)):
@@ -112,7 +112,7 @@ def size_note(
         except FiptError:  # told where it is used, or the format has no points
             return None
     slack = MEASURED if source.is_fused else 1.0
-    if not source.fits or not len(points):  # what is known already explains it
+    if not len(points):
         return None
     return judge_size(transform_points(world_from_source, points), slack)
 

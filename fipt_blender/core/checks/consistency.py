@@ -8,7 +8,7 @@ these read the table, which is made anew where pixels or mesh have changed.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -270,16 +270,10 @@ class SmallPhotographs:
             found.masked.append(covered[:, 0] > 0.0)
         return found
 
-    def among(self, chosen: Sequence[int]) -> SmallPhotographs:
-        """Some of the views."""
-        return SmallPhotographs(*([each[index] for index in chosen] for each in vars(self).values()))
-
-    def moved(self, places: np.ndarray) -> SmallPhotographs:
-        """The same on a mesh that a similarity (4, 4), or a mirror, has moved: the views go the other way."""
-        unit, inverse = np.cbrt(abs(np.linalg.det(places[:3, :3]))), np.linalg.inv(places)
-        turn = np.diag([unit, unit, unit, 1.0])
-        views = [replace(view, camera_to_world=inverse @ view.camera_to_world @ turn) for view in self.views]
-        return replace(self, views=views)
+    def images(self) -> Iterator[np.ndarray]:
+        """The photographs (h, w, 3)."""
+        for view, radiance in zip(self.views, self.radiance, strict=True):
+            yield radiance.reshape(view.height, view.width, 3)
 
     def traced(self, room: Room) -> PixelStore:
         """What their pixels see of a room, in memory; all that meet it are pure and see fronts."""

@@ -140,7 +140,7 @@ def completed_room(
             reporter.progress(done / len(smaller))
     room = load_room(folder, outlined=False)
     own_mesh = capture.mesh == folder.fused_ply  # made from the rig itself
-    far_off = check_input(room, views, settings, own_mesh)
+    far_off = check_input(room, views, settings, own_mesh, capture.source)
     if folder.geometry_npz.exists():
         text = "Looking for what the scan lacks"  # takes minutes
         reporter.stage("scan", text if holes is None else f"{holes.text} {text}")

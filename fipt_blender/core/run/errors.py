@@ -21,11 +21,13 @@ class Problem:
         code: short kebab-case identifier that scripts can match, e.g. ``"image-missing"``.
         text: what is wrong, naming the file or value.
         remedy: what the user can do about it.
+        fix: how an import is corrected (`CaptureOptions.correct`), where one correction is the remedy.
     """
 
     code: str
     text: str
     remedy: str = ""
+    fix: str = ""
 
 
 @cache
@@ -43,7 +45,7 @@ def problem(key: str, /, **values: object) -> Problem:
     """The problem with a key, and these values in its texts."""
     texts = problem_texts()[key]
     text, remedy = (texts.get(name, "").format_map(values) for name in ("text", "remedy"))
-    return Problem(key.partition(".")[0], text, remedy.strip())
+    return Problem(key.partition(".")[0], text, remedy.strip(), str(values.get("fix", "")))
 
 
 class FiptError(Exception):
@@ -66,7 +68,7 @@ class FiptError(Exception):
 
     def _say(self, said: Problem) -> None:
         super().__init__(f"{said.text} {said.remedy}")
-        self.code, self.text, self.remedy = said.code, said.text, said.remedy
+        self.code, self.text, self.remedy, self.fix = said.code, said.text, said.remedy, said.fix
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle what is said; an exception by default keeps only its message."""
@@ -75,7 +77,8 @@ class FiptError(Exception):
 
 def as_message(kind: str, said: Problem | FiptError) -> dict[str, Any]:
     """The message of type "warning" or "error" that says a problem."""
-    return {"type": kind, "code": said.code, "text": said.text, "remedy": said.remedy}
+    fix = {"fix": said.fix} if said.fix else {}
+    return {"type": kind, "code": said.code, "text": said.text, "remedy": said.remedy, **fix}
 
 
 def warning(key: str, /, **values: object) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from ..options import CaptureOptions
 from ..places import IMAGE_FOLDERS, Places
 from ..rig import Lens, Rig, damaged, find_mesh
 from .colmap_sizes import MOST_BYTES, check_model
+from .rig_files import camera_pose, stored_rotation
 
 NAME = "colmap"
 LOOKS_FOR = "cameras.bin or cameras.txt with images and points3D, in the folder or its sparse/0"
@@ -218,9 +219,11 @@ def _roots(path: Path, folder: Path) -> list[Path]:
 
 
 def _camera_to_world(image: pycolmap.Image) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3] = image.cam_from_world().inverse().matrix()
-    return pose
+    """The pose (4, 4), with quaternions of any length: some programs do not normalize them."""
+    stored = image.cam_from_world()
+    x, y, z, w = stored.rotation.quat
+    rotation = stored_rotation(np.array([w, x, y, z], np.float64))
+    return camera_pose(rotation, -rotation.T @ stored.translation)
 
 
 def _notes(folder: Path) -> tuple[Problem, ...]:

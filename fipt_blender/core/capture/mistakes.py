@@ -1,0 +1,350 @@
+# SPDX-FileCopyrightText: 2026 fipt_blender authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whether cameras, sparse points, mesh and photographs belong together, and which usual mistake explains it
+if not: one check for all formats, at the import and before an estimation.
+
+Points of the mesh (else of the solve) are looked up in small photographs, where the nearest ones in a cell of
+the image are visible. Each correction is tried alone, and then some usual pairs: what explains all is named,
+of several that do all of them. It can't tell mistakes apart that no photograph shows: in rooms that are their
+own mirror image, or whose photographs are plain or noisy, mesh and points alone decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..alignment.surface import sample_surface
+from ..conventions import transform_points
+from ..run.errors import FiptError, Problem, problem
+from .averaging import means
+from .corrections import Correction, both, corrections
+
+SAMPLES, VIEWS, CELLS = 20_000, 60, 8  # points of the mesh; photographs; cells along each side of an image
+COMPARED = 24  # photographs that are compared
+WIDTH = 64  # pixels, about, of the photographs that are compared
+FLOOR = 0.05  # radiance in units of a photograph's median, below which differences count less
+# A point is visible that is not farther away than this, in distances of the nearest one in its cell.
+REACH = 1.25
+# Share of the images that shows the mesh: below the first, the mesh is elsewhere; above the second, and with
+# so many of the cameras within its box, it fits. A box is taken larger by a share of its size.
+LEAST_SEEN, FITTING_SEEN, FITTING_INSIDE, LARGER = 0.1, 0.5, 0.9, 0.05
+INSIDE = 0.6  # share of the cameras in the mesh's box, below which it is doubted
+# Cameras' spread over the mesh's diagonal: in rooms it is larger than the first. Below the second, the mesh
+# may have another unit.
+USUAL_PATH, SMALL_PATH = 1.0 / 30.0, 1.0 / 150.0
+# Points of the solve, where it has so many: those within this share of the mesh's diagonal lie on it. Of a
+# real room 92 % did, of the same mesh turned, recentred or in feet 24 % at most. All points are before two
+# cameras or more; with wrong poses, few are.
+ENOUGH_POINTS, MOST_POINTS, NEAR, ON_MESH, CURED, WATCHED = 100, 2000, 0.02, 0.4, 0.6, 0.75
+# Correlation of neighbouring pixels of a photograph below which it is mostly noise and is not compared. Rooms
+# have 0.83 and more, photographs traced with few samples 0.4 to 0.8.
+CLEAR = 0.75
+LEAST_SPREAD = 0.1  # standard deviation of log radiance in the shared points, below which pairs say nothing
+LEAST_SHARED = 60  # points that a pair of photographs must share
+LEAST_PAIRS = 4  # that say something of a placement
+# Median correlation of the pairs: below the first, something is wrong. A correction explains it that is above
+# the second, and that reduces 1 - correlation to less than the share. Others that leave at most this factor
+# more explain it as well.
+MEND, EXPLAINED, LACK, ALIKE = 0.75, 0.85, 0.6, 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """A photograph's camera, and what it shows on few pixels.
+
+    Attributes:
+        pose: (4, 4) camera to world, OpenCV axes.
+        fx, fy, cx, cy: intrinsics in units of the image's width and height.
+        radiance: (h, w, 3), NaN where masked; None where it is not compared.
+    """
+
+    pose: np.ndarray
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    radiance: np.ndarray | None = None
+
+    def shows(self, points: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points (N, 3) in the image from a pose: index (M,), place (M, 2) from 0 to 1, and depth (M,)."""
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        depth = local[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            place = local[:, :2] / depth[:, None] * (self.fx, self.fy) + (self.cx, self.cy)
+        inside = np.flatnonzero((depth > 0.0) & ((place >= 0.0) & (place < 1.0)).all(axis=1))
+        return inside, place[inside], depth[inside]
+
+
+def small(radiance: np.ndarray, masked: np.ndarray | None = None) -> np.ndarray | None:
+    """A photograph (H, W, 3) on few pixels, in units of its median; None where it is noise or black.
+
+    Args:
+        masked: (H, W) bool, pixels that show nothing.
+    """
+    width = min(WIDTH, radiance.shape[1])
+    height = max(2, round(radiance.shape[0] * width / radiance.shape[1]))
+    found = means(radiance, width, min(height, radiance.shape[0]))
+    median = float(np.median(found))
+    found = found / max(median, 1e-12)
+    if not median > 0.0 or not is_clear(np.log(np.maximum(found, 0.0) + FLOOR).mean(axis=2)):
+        return None
+    if masked is not None:
+        found[means(masked[..., None].astype(np.float32), width, len(found))[..., 0] > 0.0] = np.nan
+    return found
+
+
+def is_clear(gray: np.ndarray) -> bool:
+    """Whether neighbouring pixels (h, w) of a photograph's log radiance are alike: it is not mostly noise."""
+    for one, other in ((gray[:, 1:], gray[:, :-1]), (gray[1:], gray[:-1])):
+        one, other = one - one.mean(), other - other.mean()
+        if (one * other).sum() < CLEAR * np.sqrt((one**2).sum() * (other**2).sum()):
+            return False
+    return True
+
+
+class Fit(NamedTuple):
+    """How cameras and mesh go together."""
+
+    seen: float  # share of the images that shows the mesh
+    inside: float  # share of the cameras within its box
+    path: float  # spread of the cameras over its diagonal
+    on_mesh: float  # share of the solve's points on the mesh; 1 without
+    watched: float  # share of them before two cameras or more; 1 without
+    agreement: float  # median correlation of the photographs' pairs
+    pairs: int  # that were compared
+
+    @property
+    def agrees(self) -> bool:
+        """Whether photographs confirm it."""
+        return self.pairs >= LEAST_PAIRS and self.agreement >= MEND
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What belongs together or not.
+
+    Attributes:
+        sights: cameras and photographs.
+        points: (N, 3) on the mesh, or of the solve without one.
+        solved: (M, 3) points of the solve in the cameras' coordinates; None with too few.
+        has_mesh: whether the points are those of a mesh.
+    """
+
+    sights: Sequence[Sight]
+    points: np.ndarray
+    solved: np.ndarray | None
+    has_mesh: bool
+
+    @classmethod
+    def of(
+        cls, sights: Sequence[Sight], mesh: tuple[np.ndarray, np.ndarray] | None, solved: np.ndarray
+    ) -> Scene | None:
+        """The scene of vertices and triangles and of the solve's points; None with neither.
+
+        Args:
+            solved: (N, 3), in the coordinates of the cameras.
+        """
+        few = solved[:: -(-len(solved) // MOST_POINTS)] if len(solved) >= ENOUGH_POINTS else None
+        if mesh is None:
+            return None if few is None else cls(sights, few, few, False)
+        try:
+            points = sample_surface(*mesh, np.random.default_rng(0), SAMPLES).points
+        except FiptError:  # a mesh without area
+            points = mesh[0]
+        return cls(sights, points, few, True)
+
+    @property
+    def is_telling(self) -> bool:
+        """Whether enough photographs can be compared."""
+        return sum(sight.radiance is not None for sight in self.sights) >= LEAST_PAIRS
+
+    def fit(self, correction: Correction | None = None) -> Fit:
+        """How all goes together after a correction."""
+        poses, place = np.array([sight.pose for sight in self.sights]), np.eye(4)
+        if correction is not None and correction.poses is not None:
+            poses = correction.poses(poses)
+        if correction is not None and correction.mesh is not None:
+            place = correction.mesh
+        points, solved = transform_points(place, self.points), self.solved
+        low, high = points.min(axis=0), points.max(axis=0)
+        diagonal, margin = float(np.linalg.norm(high - low)), LARGER * (high - low)
+        places = poses[:, :3, 3]
+        within = ((places >= low - margin) & (places <= high + margin)).all(axis=1)
+        path = float(np.linalg.norm(np.ptp(places, axis=0))) / max(diagonal, 1e-300)
+        on_mesh = watched = 1.0
+        if solved is not None:
+            if self.has_mesh:
+                on_mesh = float((cKDTree(points).query(solved)[0] < NEAR * diagonal).mean())
+            before = np.zeros(len(solved), np.int64)
+            for sight, pose in zip(self.sights, poses, strict=True):
+                before[sight.shows(solved, pose)[0]] += 1
+            watched = float((before >= min(2, len(poses))).mean())
+        step = max(1, -(-len(poses) // VIEWS))
+        shown = []
+        for sight, pose in zip(self.sights[::step], poses[::step], strict=True):
+            cells = np.floor(sight.shows(points, pose)[1] * CELLS)
+            shown.append(len(np.unique(cells @ [1, CELLS])) / CELLS**2)
+        agreement, pairs = self._agreement(points, poses)
+        return Fit(float(np.mean(shown)), float(within.mean()), path, on_mesh, watched, agreement, pairs)
+
+    def _agreement(self, points: np.ndarray, poses: np.ndarray) -> tuple[float, int]:
+        """Median correlation of photographs in the points that two of them see, and how many pairs there are.
+
+        Args:
+            points: (N, 3).
+            poses: (V, 4, 4).
+        """
+        known = [index for index, sight in enumerate(self.sights) if sight.radiance is not None]
+        known = known[:: max(1, -(-len(known) // COMPARED))]
+        values = np.zeros((3, len(known), len(points)))
+        sees = np.zeros((len(known), len(points)), bool)
+        for row, index in enumerate(known):
+            radiance = self.sights[index].radiance
+            assert radiance is not None, "only these are known"
+            inside, place, depth = self.sights[index].shows(points, poses[index])
+            cell = np.floor(place * CELLS).astype(np.int64) @ [1, CELLS]
+            nearest = np.full(CELLS**2, np.inf)
+            np.minimum.at(nearest, cell, depth)
+            column, line = (place * radiance.shape[1::-1]).astype(np.int64).T
+            color = radiance[line, column]
+            good = (depth <= REACH * nearest[cell]) & np.isfinite(color[:, 0])
+            sees[row, inside[good]] = True
+            values[:, row, inside[good]] = np.log(np.maximum(color[good], 0.0) + FLOOR).T
+        share = sees.astype(np.float64)
+        shared = share @ share.T
+        common, covariance, variance = np.maximum(shared, 1.0), np.zeros(shared.shape), np.zeros(shared.shape)
+        for value in values:
+            sums = value @ share.T
+            covariance += value @ value.T / common - sums * sums.T / common**2
+            variance += value**2 @ share.T / common - (sums / common) ** 2
+        compared = (shared >= LEAST_SHARED) & (np.minimum(variance, variance.T) > 3.0 * LEAST_SPREAD**2)
+        first, second = np.nonzero(np.triu(compared, 1))
+        if not len(first):
+            return 0.0, 0
+        spread = np.sqrt(np.maximum(variance * variance.T, 1e-12))
+        return float(np.median((covariance / spread)[first, second])), len(first)
+
+    def is_elsewhere(self, fit: Fit) -> bool:
+        """Whether cameras and mesh clearly do not belong together, whatever photographs show."""
+        return fit.on_mesh < ON_MESH if self.solved is not None and self.has_mesh else fit.seen < LEAST_SEEN
+
+    def is_doubtful(self, fit: Fit) -> bool:
+        """Whether something may be wrong."""
+        if fit.agrees:
+            return False
+        odd = self.solved is None and (fit.path < SMALL_PATH or fit.inside < INSIDE)
+        return self.is_elsewhere(fit) or odd or fit.watched < WATCHED or (self.is_telling and fit.pairs > 0)
+
+    def explains(self, fit: Fit) -> bool:
+        """Whether mesh and points fit."""
+        if self.solved is not None:
+            return fit.on_mesh >= CURED and fit.watched >= WATCHED
+        room = fit.inside >= FITTING_INSIDE and fit.path >= USUAL_PATH
+        return fit.seen >= FITTING_SEEN and room
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """What was found of a scene.
+
+    Attributes:
+        given: how it fits as it is.
+        elsewhere: whether cameras and mesh clearly do not belong together.
+        explained: the corrections that explain all, the best first.
+        best: how it fits with the first of them.
+        is_sure: whether photographs confirm them.
+    """
+
+    given: Fit
+    elsewhere: bool = False
+    explained: Sequence[Correction] = ()
+    best: Fit | None = None
+    is_sure: bool = False
+
+    def error(self, code: str = "convention") -> FiptError:
+        """The error where photographs confirm what explains it."""
+        assert self.best is not None, "something explains it"
+        return FiptError(code, given=self._agreement, best=self.best.agreement, **self._explanation())
+
+    def note(self, scene: Scene, mesh: Path | None) -> Problem:
+        """The warning where mesh and points alone tell, or nothing explains it."""
+        places = np.array([sight.pose[:3, 3] for sight in scene.sights])
+        low, high = scene.points.min(axis=0), scene.points.max(axis=0)
+        given = self.given
+        return problem(
+            f"mesh-elsewhere.{'explained' if self.explained else 'unknown'}",
+            mesh=mesh or "the solve's points",
+            seen=100.0 * given.seen,
+            beside=""
+            if scene.solved is None
+            else f", {100.0 * given.on_mesh:.0f} % of the solve's points lie"
+            f" on it, {100.0 * given.watched:.0f} % of them are before two cameras",
+            inside=100.0 * given.inside,
+            diagonal=float(np.linalg.norm(high - low)),
+            distance=float(np.linalg.norm(places.mean(axis=0) - 0.5 * (low + high))),
+            **(self._explanation() if self.explained else {}),
+        )
+
+    @property
+    def _agreement(self) -> str:
+        if self.given.pairs < LEAST_PAIRS:
+            return "hardly two photographs would show the same of it"
+        return f"the photographs agree by {self.given.agreement:.2f} on it"
+
+    def _explanation(self) -> dict[str, str]:
+        """What is true of the files, how to say so, and the only correction; values of problems.toml."""
+        names = " or ".join(each.name for each in self.explained)
+        which = names if len(self.explained) == 1 else f"one of {names}, whichever your program's mistake is"
+        fix = names if len(self.explained) == 1 else ""
+        return {"says": ", or ".join(each.says for each in self.explained), "which": which, "fix": fix}
+
+
+def examine(scene: Scene, source: str, poses: bool = True) -> Finding | None:
+    """Which usual mistakes explain that a scene does not belong together; None where it does.
+
+    Args:
+        source: name of the capture's format.
+        poses: whether corrections of poses are tried that depend on the source's coordinates.
+    """
+    given = scene.fit()
+    if not scene.is_doubtful(given):
+        return None
+    elsewhere = scene.is_elsewhere(given) and not given.agrees
+    for table in (corrections(source), both(source)):
+        tried = [
+            (each, scene.fit(each))
+            for each in table
+            if (scene.has_mesh or each.mesh is None)
+            and (poses or each.mesh is not None or each.name.startswith("axes-"))
+        ]
+        found = _explaining(scene, given, tried)
+        if found:
+            sure = scene.is_telling and found[0][1].pairs >= LEAST_PAIRS
+            return Finding(given, elsewhere, [each for each, _ in found], found[0][1], sure)
+    return Finding(given, elsewhere)
+
+
+def _explaining(
+    scene: Scene, given: Fit, tried: Sequence[tuple[Correction, Fit]]
+) -> list[tuple[Correction, Fit]]:
+    """The corrections that explain all, the best first."""
+    if not scene.is_telling:
+        return (
+            [(each, fit) for each, fit in tried if scene.explains(fit)] if not scene.explains(given) else []
+        )
+    least = max(LEAST_PAIRS, max((fit.pairs for _, fit in tried), default=0) / 3)
+    left = 1.0 - (given.agreement if given.pairs >= LEAST_PAIRS else 0.0)
+    found = [
+        (each, fit)
+        for each, fit in tried
+        if fit.pairs >= least and fit.agreement > EXPLAINED and 1.0 - fit.agreement < LACK * left
+        and (scene.solved is None or scene.explains(fit))
+    ]  # fmt: skip
+    found.sort(key=lambda pair: -pair[1].agreement)
+    return [pair for pair in found if 1.0 - pair[1].agreement <= ALIKE * (1.0 - found[0][1].agreement)]
