@@ -29,12 +29,7 @@ FOCAL_LENGTHS = (0.01, 100.0)
 
 
 def nearest_rotation(name: str, pose: np.ndarray) -> np.ndarray:
-    """The pose (4, 4) with its rotation made exactly orthonormal.
-
-    Raises:
-        FiptError: ``pose-not-rotation`` where it is not finite, or is mirrored, or scaled or sheared by more
-            than 1e-3.
-    """
+    """The pose (4, 4) with its rotation made exactly orthonormal."""
     if not np.isfinite(pose).all():
         reason = "contains NaN or infinity"
     elif np.linalg.det(pose[:3, :3]) < 0.0:
@@ -55,9 +50,6 @@ def check_intrinsics(name: str, pinhole: Pinhole) -> None:
 
     Args:
         name: of the view, for the error.
-
-    Raises:
-        FiptError: ``intrinsics-invalid``.
     """
     width, height, fx, fy, cx, cy = astuple(pinhole)
     finite = np.isfinite([fx, fy, cx, cy]).all()
@@ -77,9 +69,6 @@ def check_view(name: str, pinhole: Pinhole, camera_to_world: np.ndarray) -> None
         name: of the view.
         pinhole: size and intrinsics without distortion.
         camera_to_world: (4, 4) pose in Blender's world.
-
-    Raises:
-        FiptError: ``intrinsics-invalid``, ``pose-not-rotation`` or ``pose-far``.
     """
     check_intrinsics(name, pinhole)
     distance = float(np.abs(nearest_rotation(name, camera_to_world)[:3, 3]).max())
@@ -107,11 +96,7 @@ class PixelStatistics:
 
 
 def pixel_statistics(path: Path, pixels: np.ndarray) -> PixelStatistics:
-    """Statistics of one photograph (height, width, 3) float32.
-
-    Raises:
-        FiptError: ``image-not-finite``.
-    """
+    """Statistics of one photograph (height, width, 3) float32."""
     minimum = float(pixels.min())
     maximum = float(pixels.max())
     if not (np.isfinite(minimum) and np.isfinite(maximum)):  # both are NaN where any value is
@@ -169,10 +154,6 @@ def judge_pixels(
         names: of the views, for the texts.
         statistics: of each view.
         clamp_negative: accept negative values of any size.
-
-    Raises:
-        FiptError: ``image-black`` where all photographs are black, ``image-negative`` where a value is lower
-            than -1e-3 times the capture's median radiance.
     """
     medians = [item.median for item in statistics if item.median > 0.0]
     if not medians:

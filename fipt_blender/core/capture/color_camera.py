@@ -85,9 +85,6 @@ def with_color_camera(rig: Rig, scale: float) -> Rig:
     Args:
         rig: whose photographs have the depth images' cameras.
         scale: metres per unit of the capture's coordinates.
-
-    Raises:
-        FiptError: an image can't be read.
     """
     frames = [depth for depth in rig.depths if depth.photograph is not None]
     frames = frames[:: -(-len(frames) // MOST_FRAMES) or 1]

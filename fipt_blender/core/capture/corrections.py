@@ -93,11 +93,7 @@ def both(source: str) -> list[Correction]:
 
 
 def named(source: str, names: str) -> list[Correction]:
-    """The corrections with these names, in their order.
-
-    Raises:
-        FiptError: ``setting-invalid``.
-    """
+    """The corrections with these names, in their order."""
     known = {each.name: each for each in corrections(source)}
     wanted = [name.strip() for name in names.split("+") if name.strip() not in ("", NONE)]
     if unknown := [name for name in wanted if name not in known]:

@@ -57,11 +57,7 @@ class Layer:
 
 
 class ExrFile:
-    """An OpenEXR file by the headers of its parts.
-
-    Raises:
-        FiptError: ``image-unreadable`` or ``image-too-large``.
-    """
+    """An OpenEXR file by the headers of its parts."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -99,10 +95,6 @@ class ExrFile:
 
         Args:
             layer: name of the part or layer; "" for the one that is named like a picture.
-
-        Raises:
-            FiptError: ``image-unreadable``; ``image-channels`` where no layer is a picture, ``image-layers``
-                where several may be it.
         """
         found = chosen_layer(self.path, self._layers(), layer)
         file = self._open()
@@ -133,9 +125,6 @@ class ExrFile:
         """Values (height, width, 1 or 3) of an image that is no picture, as stored: ids, depths.
 
         They are the file's only channel, or R, G and B, Y or R of the layer that would be its picture.
-
-        Raises:
-            FiptError: those of `picture`.
         """
         layers = self._layers()
         layer = layers[0] if len(layers) == 1 else chosen_layer(self.path, layers, "", others=True)
@@ -182,9 +171,6 @@ def chosen_layer(path: Path, layers: Sequence[Layer], wanted: str, others: bool 
         layers: of all parts.
         wanted: a layer's name, whole or its last word; "" for none.
         others: whether other passes are as good as pictures.
-
-    Raises:
-        FiptError: ``image-channels`` or ``image-layers``.
     """
     colored = [layer for layer in layers if layer.color]
     grey = [layer for layer in layers if "Y" in layer.channels and not {"X", "Z"} & layer.channels.keys()]

@@ -244,11 +244,7 @@ class Names:
         return found
 
     def find(self, name: str) -> str | None:
-        """The path that ends like a name, as far as possible; None without one.
-
-        Raises:
-            FiptError: ``file-ambiguous`` where several paths fit equally.
-        """
+        """The path that ends like a name, as far as possible; None without one."""
         parts = name_parts(name)
         for tail in (parts[start:] for start in range(len(parts))):
             ranked = self.ending(tail)
@@ -295,10 +291,6 @@ class Folders:
             inside: folder that is searched with all its subfolders, too.
             first: see `Names.ending`.
             fits: tells of a file whether it is the right one; asked where there are several.
-
-        Raises:
-            FiptError: ``file-ambiguous`` where several files fit equally.
-            OSError: the system's, where it refuses access.
         """
         parts = name_parts(name)
         for tail in (parts[start:] for start in range(len(parts))):
@@ -327,9 +319,6 @@ class Folders:
         Args:
             folder: searched with its subfolders, unless the first name tells in which one it is.
             names: the best first.
-
-        Raises:
-            FiptError: ``file-ambiguous``.
         """
         if not any(self._list(folder)[:2]):
             return None

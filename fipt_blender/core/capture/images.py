@@ -130,11 +130,7 @@ class Picture:
         return relative_exposure(self.tags) if self.is_encoded else None
 
     def stored(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """Values (height, width, 1 or 3) as stored, and alpha (height, width), or None without.
-
-        Raises:
-            FiptError: ``image-unreadable``.
-        """
+        """Values (height, width, 1 or 3) as stored, and alpha (height, width), or None without."""
         try:
             decoded, alpha = self.decode()
         except DAMAGE as error:
@@ -144,11 +140,7 @@ class Picture:
         return pixels[..., : 3 if pixels.shape[-1] > 2 else 1], alpha
 
     def data(self) -> np.ndarray:
-        """Values (height, width, 1 or 3) as stored of an image that is no picture: ids, depths.
-
-        Raises:
-            FiptError: ``image-unreadable``.
-        """
+        """Values (height, width, 1 or 3) as stored of an image that is no picture: ids, depths."""
         return self.stored()[0] if self.numbers is None else self.numbers()
 
     def shown(self) -> tuple[np.ndarray, np.ndarray | None]:
@@ -190,10 +182,6 @@ def open_picture(path: Path, layer: str = "") -> Picture:
     Args:
         path: of the file.
         layer: of an EXR; see `ExrFile.picture`.
-
-    Raises:
-        FiptError: ``image-missing``, ``image-unreadable``, ``image-too-large``, ``image-format`` for other
-            formats, or ``package-optional``.
     """
     try:
         status = path.stat()
@@ -248,9 +236,6 @@ def read_radiance(path: Path, layer: str = "") -> np.ndarray:
 
     Returns:
         (height, width, 3) float32, units as stored; from 0 to 1 where the image is not HDR.
-
-    Raises:
-        FiptError: those of `open_picture` and `ExrFile.picture`.
     """
     return open_picture(path, layer).shown()[0]
 
@@ -265,9 +250,6 @@ def read_codes(path: Path, as_stored: bool = False) -> tuple[np.ndarray, np.ndar
     Returns:
         (height, width, 3) uint8, or uint16 where 8 bits are too few, and (3, 3) from the linear values to
         Rec.709; None where they are that.
-
-    Raises:
-        FiptError: those of `open_picture`.
     """
     picture = open_picture(path)
     codes = _three(picture.stored()[0])
@@ -285,9 +267,6 @@ def read_ids(path: Path) -> np.ndarray:
 
     Returns:
         (height, width) int32.
-
-    Raises:
-        FiptError: those of `open_picture`, ``mask-not-ids`` where values are not ids.
     """
     return open_picture(path).ids()
 
@@ -301,9 +280,6 @@ def write_exr(path: Path, array: np.ndarray, half: bool = False, lossy: bool = F
         half: 16-bit values, clamped to ±65504, instead of 32-bit.
         lossy: compressed to a quarter, for pictures that are only looked at.
         note: a text in the header, as of `ExrFile`.
-
-    Raises:
-        FiptError: ``not-finite``, ``disk-full`` or ``run-unwritable``.
     """
     values = np.asarray(array)
     refuse_infinite(path.name, values)
@@ -327,9 +303,6 @@ def write_codes(path: Path, values: np.ndarray) -> None:
     Args:
         path: .png, with an error of half of a code; or .jpg, for pictures that are only looked at.
         values: by the curve of the codes.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
     codes = np.clip(values * 255.0 + 0.5, 0.0, 255.0).astype(np.uint8)
     buffer = io.BytesIO()
@@ -353,9 +326,6 @@ def write_ids(path: Path, ids: np.ndarray) -> None:
     Args:
         path: the file; its folder is created if missing.
         ids: (height, width) int from 0 to `MAX_PNG_ID`.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
     buffer = io.BytesIO()
     Image.fromarray(ids.astype(np.uint16)).save(buffer, "PNG")
@@ -428,11 +398,7 @@ def _open_by_oiio(path: Path, kind: str, _: str) -> Picture:
 
 
 def _refuse_previews(path: Path) -> None:
-    """Refuse a TIFF of whose values OpenImageIO would give others.
-
-    Raises:
-        FiptError: ``image-format``.
-    """
+    """Refuse a TIFF of whose values OpenImageIO would give others."""
     tags = exif_tags(path)
     colors, kind = (
         exif_number(tags, f"Image {name}") for name in ("PhotometricInterpretation", "SubfileType")

@@ -97,9 +97,6 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
 
     Returns:
         the files that were read.
-
-    Raises:
-        FiptError: with a code that docs/capture_formats.md lists; capture.json is not written then.
     """
     if run_folder.run_json.exists():
         run_folder.read()
@@ -207,11 +204,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
 
 
 def _placed(options: CaptureOptions, world_from_source: np.ndarray) -> RigView:
-    """The panorama that the user has placed, in the source's coordinates.
-
-    Raises:
-        FiptError: those of `read_size`.
-    """
+    """The panorama that the user has placed, in the source's coordinates."""
     assert options.panorama is not None, "asked only where there is one"
     image = options.panorama.absolute()
     view = placed_panorama(image, read_size(image), options.panorama_place, options.panorama_heading)
@@ -253,11 +246,7 @@ def distinct_views(views: Sequence[RigView]) -> list[RigView]:
 
 
 def _assign_splits(views: list[RigView], hold_back: int) -> list[RigView]:
-    """Give all views a split; held-back views that the capture defines take precedence over `hold_back`.
-
-    Raises:
-        FiptError: ``no-views`` where no view is left for training.
-    """
+    """Give all views a split; held-back views that the capture defines take precedence over `hold_back`."""
     if hold_back and not any(view.split == "held_back" for view in views):
         ordered = sorted(range(len(views)), key=lambda index: views[index].name)
         # From the middle of each N, so that the first and the last photograph are used for training.
@@ -273,11 +262,7 @@ def _assign_splits(views: list[RigView], hold_back: int) -> list[RigView]:
 
 
 def _check_files(views: list[RigView]) -> None:
-    """Check that all files exist and have the right format and size.
-
-    Raises:
-        FiptError: ``image-missing``, ``image-format``, ``image-size``, ``mask-size`` or ``image-unreadable``.
-    """
+    """Check that all files exist and have the right format and size."""
     missing = [view.missing for view in views if view.missing]
     if missing:
         text = f"Files of {len(missing)} of {len(views)} photographs are missing. {missing[0]}"
@@ -313,9 +298,6 @@ def _judged(
 
     Args:
         shown: what is compared of each view of each photograph.
-
-    Raises:
-        FiptError: ``convention`` where the photographs confirm an explanation.
     """
     if options.correct == NONE:
         return []
@@ -346,9 +328,6 @@ def _convert(
 
     Returns:
         what was written and what is compared of each view of each photograph.
-
-    Raises:
-        FiptError: those of `Photograph.convert` and `judge_pixels`.
     """
     statistics, written, shown = [], [], []
     # Resamplings are made here, so that the threads share them.

@@ -25,7 +25,7 @@ from ..run.errors import FiptError, Problem, problem
 from .averaging import means
 from .corrections import Correction, both, corrections
 
-SAMPLES, VIEWS, CELLS = 20_000, 60, 8  # points of the mesh; photographs; cells along each side of an image
+SAMPLES, VIEWS, CELLS = 10_000, 60, 8  # points of the mesh; photographs; cells along each side of an image
 COMPARED = 24  # photographs that are compared
 WIDTH = 64  # pixels, about, of the photographs that are compared
 FLOOR = 0.05  # radiance in units of a photograph's median, below which differences count less
@@ -41,17 +41,17 @@ USUAL_PATH, SMALL_PATH = 1.0 / 30.0, 1.0 / 150.0
 # Points of the solve, where it has so many: those within this share of the mesh's diagonal lie on it. Of a
 # real room 92 % did, of the same mesh turned, recentred or in feet 24 % at most. All points are before two
 # cameras or more; with wrong poses, few are.
-ENOUGH_POINTS, MOST_POINTS, NEAR, ON_MESH, CURED, WATCHED = 100, 2000, 0.02, 0.4, 0.6, 0.75
+ENOUGH_POINTS, MOST_POINTS, NEAR, ON_MESH, CURED, WATCHED = 100, 2000, 0.02, 0.4, 0.6, 0.6
 # Correlation of neighbouring pixels of a photograph below which it is mostly noise and is not compared. Rooms
 # have 0.83 and more, photographs traced with few samples 0.4 to 0.8.
 CLEAR = 0.75
 LEAST_SPREAD = 0.1  # standard deviation of log radiance in the shared points, below which pairs say nothing
-LEAST_SHARED = 60  # points that a pair of photographs must share
+LEAST_SHARED = 30  # points that a pair of photographs must share
 LEAST_PAIRS = 4  # that say something of a placement
-# Median correlation of the pairs: below the first, something is wrong. A correction explains it that is above
-# the second, and that reduces 1 - correlation to less than the share. Others that leave at most this factor
-# more explain it as well.
-MEND, EXPLAINED, LACK, ALIKE = 0.75, 0.85, 0.6, 1.5
+# Median correlation of the pairs: below the first, something is wrong, above the second nothing is. What is
+# above the third explains it, if it reduces 1 - correlation to less than the share. Others that leave at most
+# this factor more explain it as well.
+MEND, WELL, EXPLAINED, LACK, ALIKE = 0.75, 0.95, 0.85, 0.5, 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,26 +308,30 @@ class Finding:
 def examine(scene: Scene, source: str, poses: bool = True) -> Finding | None:
     """Which usual mistakes explain that a scene does not belong together; None where it does.
 
+    Rooms are alike in front of and behind a camera, so that photographs may agree well with wrong poses:
+    those of cameras are also tried where they agree less than photographs of right poses do.
+
     Args:
         source: name of the capture's format.
         poses: whether corrections of poses are tried that depend on the source's coordinates.
     """
     given = scene.fit()
-    if not scene.is_doubtful(given):
+    doubtful = scene.is_doubtful(given)
+    if not doubtful and not (scene.is_telling and given.agreement < WELL):
         return None
     elsewhere = scene.is_elsewhere(given) and not given.agrees
     for table in (corrections(source), both(source)):
         tried = [
             (each, scene.fit(each))
             for each in table
-            if (scene.has_mesh or each.mesh is None)
-            and (poses or each.mesh is not None or each.name.startswith("axes-"))
+            if (each.poses is not None or (doubtful and scene.has_mesh))
+            and (poses or each.poses is None or each.name.startswith("axes-"))
         ]
         found = _explaining(scene, given, tried)
         if found:
             sure = scene.is_telling and found[0][1].pairs >= LEAST_PAIRS
             return Finding(given, elsewhere, [each for each, _ in found], found[0][1], sure)
-    return Finding(given, elsewhere)
+    return Finding(given, elsewhere) if doubtful else None
 
 
 def _explaining(
@@ -343,8 +347,10 @@ def _explaining(
     found = [
         (each, fit)
         for each, fit in tried
-        if fit.pairs >= least and fit.agreement > EXPLAINED and 1.0 - fit.agreement < LACK * left
-        and (scene.solved is None or scene.explains(fit))
-    ]  # fmt: skip
+        if fit.pairs >= least
+        and fit.agreement > EXPLAINED
+        and 1.0 - fit.agreement < LACK * left
+        and fit.on_mesh >= CURED
+    ]
     found.sort(key=lambda pair: -pair[1].agreement)
     return [pair for pair in found if 1.0 - pair[1].agreement <= ALIKE * (1.0 - found[0][1].agreement)]

@@ -219,11 +219,7 @@ class CaptureOptions:
     ] = False
 
     def refuse_missing(self) -> None:
-        """Look whether what is named exists.
-
-        Raises:
-            FiptError: ``mesh-missing`` or ``images-missing``.
-        """
+        """Look whether what is named exists."""
         remedy = "Correct the path, in Import Settings or on the command line, or give none."
         if self.mesh is not None and not self.mesh.is_file():
             raise FiptError("mesh-missing.refuse-missing", mesh=self.mesh, remedy=remedy)

@@ -74,11 +74,7 @@ class Photograph:
 
     @cached_property
     def pinholes(self) -> tuple[Pinhole, ...]:
-        """Of each view, undistorted where necessary.
-
-        Raises:
-            FiptError: ``intrinsics-invalid`` or ``camera-model``.
-        """
+        """Of each view, undistorted where necessary."""
         found = []
         for view, distorted in zip(self.views, self.distorted, strict=True):
             found.append(lens_pinhole(view.lens, view.width, view.height))
@@ -114,10 +110,6 @@ class Photograph:
         Args:
             folder: for the images that are written.
             resamplings: of this photograph.
-
-        Raises:
-            FiptError: those of `Picture.shown`, `read_ids` and `pixel_statistics`, ``disk-full`` or
-                ``run-unwritable``.
         """
         pixels, clear = self.picture.shown()
         found = checks.pixel_statistics(self.picture.path, pixels)

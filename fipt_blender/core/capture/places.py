@@ -99,9 +99,6 @@ class Places:
         Args:
             name: as the camera file has it.
             size: width and height in pixels; of several files, one of this size is the photograph.
-
-        Raises:
-            FiptError: ``file-ambiguous`` where equal names lie in several folders.
         """
         found: Found | None = self._once(("image", name, size), lambda: self._find(name, size))
         return found
@@ -126,11 +123,7 @@ class Places:
         return [root / folder for root, folder in product(self.roots, folders)]
 
     def size(self, name: str) -> tuple[int, int]:
-        """Width and height in pixels of the photograph of a name.
-
-        Raises:
-            FiptError: ``image-missing``, ``path-outside``, ``file-ambiguous`` or ``image-unreadable``.
-        """
+        """Width and height in pixels of the photograph of a name."""
         found = self.find(name)
         if found is None:
             raise FiptError("image-missing.check-files", text=self._missing(name))
@@ -157,9 +150,6 @@ class Places:
             called: the view's name; "" for that of its photograph.
             split: see `RigView`.
             mask: name of the image whose black pixels are left out, or None.
-
-        Raises:
-            FiptError: ``path-outside`` or ``file-ambiguous``.
         """
         found = self.find(name, size)
         missing = "" if found else self._missing(name)
@@ -230,11 +220,7 @@ class Places:
         return next(filter(None, found), None)
 
     def depth(self, folder: Path, name: str) -> Path | None:
-        """The depth image of a name in a folder, or None.
-
-        Raises:
-            FiptError: ``file-ambiguous``.
-        """
+        """The depth image of a name in a folder, or None."""
         found = self._once(
             ("depth", folder, name), lambda: self.folders.find(name, [folder], first=DEPTHS_FIRST)
         )
@@ -258,9 +244,6 @@ class Places:
 
         Args:
             source, views, up_axis, mesh, notes, depths, one_camera: see `Rig`.
-
-        Raises:
-            FiptError: ``file-ambiguous`` where views at different places lead to one file.
         """
         self._refuse_other_folders()
         views, unread = self._checked_masks(views)
@@ -322,9 +305,6 @@ class Places:
         Args:
             name: as the camera file has it.
             folders: where it was looked for; () stands for those of photographs.
-
-        Raises:
-            FiptError: ``path-outside``.
         """
         inside = None if folders else self.inside
         stub = self.folders.stub(name, folders or self._below(self.image_folders))

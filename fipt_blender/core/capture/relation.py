@@ -77,9 +77,6 @@ def relate(
         capture: folder or camera file.
         mesh: in whatever coordinates.
         solved: (N, 3) points of the solve in the coordinates of the cameras.
-
-    Raises:
-        FiptError: ``pose-unsupported`` for positions in degrees; ``mesh-unreadable``; ``setting-invalid``.
     """
     place = np.eye(4)
     for each in named(rig.source, options.correct):
@@ -188,11 +185,7 @@ def _offset(places: np.ndarray) -> np.ndarray:
 
 
 def _coordinate_notes(places: np.ndarray, folders: Sequence[Path]) -> list[Problem]:
-    """What the cameras' positions (V, 3) and the files of map programs tell of the coordinates.
-
-    Raises:
-        FiptError: ``pose-unsupported``.
-    """
+    """What the cameras' positions (V, 3) and the files of map programs tell of the coordinates."""
     texts = [text for folder in folders for file in sorted(folder.glob("*.prj")) if (text := _text(file))]
     flat, high = float(np.ptp(places[:, :2], axis=0).max()), float(np.ptp(places[:, 2]))
     small = (np.abs(places[:, :2]) <= (180.0, 90.0)).all()

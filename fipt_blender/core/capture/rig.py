@@ -160,9 +160,6 @@ def read_json_rig(path: Path, kind: type[T]) -> T:
     Args:
         path: of the file.
         kind: what it must hold; see `core.run.kinds`.
-
-    Raises:
-        FiptError: ``rig-damaged``.
     """
     try:
         return load_document(path, kind)
@@ -171,11 +168,7 @@ def read_json_rig(path: Path, kind: type[T]) -> T:
 
 
 def read_pose(path: Path, matrix: Any) -> np.ndarray:
-    """A (4, 4) float64 pose from nested lists of 3 or 4 rows.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """A (4, 4) float64 pose from nested lists of 3 or 4 rows."""
     with WellFormed(path):
         values = np.array(matrix, np.float64)
         if values.shape not in ((3, 4), (4, 4)):

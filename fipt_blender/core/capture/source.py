@@ -52,11 +52,7 @@ class Source(Related):
 
 
 def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> Source:
-    """Read cameras and mesh, and warn of what the user should know of them.
-
-    Raises:
-        FiptError: those of the readers, ``mesh-missing``.
-    """
+    """Read cameras and mesh, and warn of what the user should know of them."""
     rig = _with_layer(read_rig(capture, options.format, options), options.layer)
     mesh = _mesh(rig, options)
     rig = replace(rig, depths=checked_depths(rig.depths))

@@ -114,12 +114,7 @@ class View:
         return conventions.pixel_rays(self, z_depth)
 
     def radiance(self) -> np.ndarray:
-        """The photograph, (height, width, 3) float32 scene-linear radiance; read-only where it is averaged.
-
-        Raises:
-            FiptError: ``image-size`` where the file has been replaced by one of another size, and those of
-                `read_radiance`.
-        """
+        """(height, width, 3) float32 scene-linear radiance; read-only where it is averaged."""
         return self._read(self.image, "image")
 
     def keep(self, photograph: np.ndarray) -> None:
@@ -144,9 +139,6 @@ class View:
 
         Args:
             kind: "image", "ids" or "mask".
-
-        Raises:
-            FiptError: ``image-size`` or ``mask-size``, and those of `read_radiance` and `read_ids`.
         """
         picture, size = open_picture(path), (self.width, self.height)
         if picture.size == size:
@@ -281,12 +273,7 @@ class Capture:
 
 
 def load_capture(run: RunFolder) -> Capture:
-    """Read capture.json of a run.
-
-    Raises:
-        FiptError: ``file-missing``, ``file-damaged``, ``capture-version``, ``path-outside``, or one of
-            `check_view`.
-    """
+    """Read capture.json of a run."""
     capture = read_capture(run.capture_json)
     kept = KeptImages()
     views = tuple(_view(run, view, kept) for view in capture.views)

@@ -57,9 +57,6 @@ def read(found: Model, options: CaptureOptions) -> Rig:
     Photographs are searched in ``options.images`` and the usual folders beside the model, EXR files first
     (models are often solved on tone-mapped copies). COLMAP does not define an up axis. Of several unconnected
     models below the folder, the one with most images is read.
-
-    Raises:
-        FiptError: ``rig-damaged``.
     """
     model = opened(found)
     try:
@@ -85,31 +82,19 @@ def read(found: Model, options: CaptureOptions) -> Rig:
 
 
 def points(found: Model) -> np.ndarray:
-    """The sparse points (N, 3) of a model.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """The sparse points (N, 3) of a model."""
     return _points(found)[0]
 
 
 def sure_points(found: Model) -> np.ndarray:
-    """Those of the points that many photographs see, if there are enough; they are off much less.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """Those of the points that many photographs see, if there are enough; they are off much less."""
     positions, views = _points(found)
     sure = views >= SURE_VIEWS
     return positions[sure] if sure.sum() >= ENOUGH_POINTS else positions
 
 
 def opened(found: Model) -> pycolmap.Reconstruction:
-    """A model as COLMAP has it in memory.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """A model as COLMAP has it in memory."""
     try:
         check_model(found.folder)
         with _plain(found.folder) as folder:

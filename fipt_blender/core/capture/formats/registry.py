@@ -67,12 +67,7 @@ FORMATS: dict[str, Reader] = {
 
 
 def detect_format(path: Path) -> str:
-    """The name of the first format that matches a capture.
-
-    Raises:
-        FiptError: ``capture-missing``; ``capture-elsewhere``; ``cameras-missing`` for photographs alone;
-            ``format-unknown``.
-    """
+    """The name of the first format that matches a capture."""
     if not path.exists():
         raise FiptError("capture-missing.detect-format", path=path)
     for name, module in FORMATS.items():
@@ -111,12 +106,7 @@ def _others(path: Path, used: str) -> Problem | None:
 
 
 def read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
-    """Read a capture; `name` is one of `FORMATS` or "auto".
-
-    Raises:
-        FiptError: ``capture-missing``, ``cameras-missing``, ``format-unknown``, ``capture-unreadable`` where
-            the system refuses access, or one of the reader's.
-    """
+    """Read a capture; `name` is one of `FORMATS` or "auto"."""
     try:
         return _read_rig(path, name, options)
     except OSError as error:
@@ -138,9 +128,6 @@ def read_points(path: Path, name: str, sure: bool = False) -> np.ndarray:
         path: of the capture.
         name: of its format, one of `FORMATS`.
         sure: only the better ones, where the format distinguishes them.
-
-    Raises:
-        FiptError: ``alignment-points`` where the format has none, or one of the reader's.
     """
     module = FORMATS[name]
     reader = getattr(module, "points", None)

@@ -65,11 +65,7 @@ def camera_file(
 
 
 def read_text_rig(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
-    """The text of a camera file.
-
-    Raises:
-        FiptError: ``rig-damaged`` where it is not a file, no Unicode text, or too large.
-    """
+    """The text of a camera file."""
     if not path.is_file():
         raise damaged(path, "it contains no camera file")
     with WellFormed(path):
@@ -77,11 +73,7 @@ def read_text_rig(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
 
 
 def read_xml_rig(path: Path) -> ElementTree.Element:
-    """The root element of an XML file without a document type, whose entities could expand without end.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """The root element of an XML file without a document type, whose entities could expand without end."""
     text = read_text_rig(path, 64_000_000)  # a parsed document takes about ten times its size
     if "<!DOCTYPE" in text:
         raise damaged(path, "it declares a document type")
@@ -240,11 +232,7 @@ class Program:
         return Places.around(file, options, folders=self.folders)
 
     def read(self, file: Path, options: CaptureOptions) -> Rig:
-        """Read the views with a pose of the largest model, by name.
-
-        Raises:
-            FiptError: ``rig-damaged`` or one of the reader's.
-        """
+        """Read the views with a pose of the largest model, by name."""
         places = self.places(file, options)
         with WellFormed(file):
             models, notes = self.models(file, places)

@@ -99,11 +99,7 @@ class _Scan:
 
 
 def _paired(scan: _Scan) -> _Scan:
-    """The scan with frames that name their files, where these are called by other numbers or by times.
-
-    Raises:
-        FiptError: ``pairs-unsure`` where pictures of a video may show other frames than their numbers say.
-    """
+    """The scan with frames that name their files, where these are called by other numbers or by times."""
     if not scan.numbered:
         return scan
     places, names = scan.places, [frame.name for frame in scan.frames]
@@ -151,11 +147,7 @@ def _by_time(frames: Sequence[_Frame], files: Sequence[Path]) -> dict[int, str]:
 
 
 def _of_video(names: Sequence[str], files: Sequence[Path], table: Path) -> dict[int, str]:
-    """The pictures of a video's frames. Programs number what they extract from 0 or 1 on, whatever it shows.
-
-    Raises:
-        FiptError: ``pairs-unsure`` where there are more or fewer of such pictures than frames.
-    """
+    """The pictures of a video's frames. Programs number what they extract from 0 or 1 on."""
     asked, given = [_number(name) for name in names], [_number(file.name) for file in files]
     if None in asked or None in given:
         return {}
@@ -183,11 +175,7 @@ class ScanApp:
     UP: str | None = "y"
 
     def read(self, found: Any, options: CaptureOptions) -> Rig:
-        """Read the frames with a photograph, and all depth images.
-
-        Raises:
-            FiptError: ``rig-damaged``, ``image-missing`` or ``depth-unreadable``.
-        """
+        """Read the frames with a photograph, and all depth images."""
         scan = _paired(self.scan(found, options))
         places, shown = scan.places, next((each for each in scan.frames if scan.places.find(each.name)), None)
         if scan.without is not None and shown is None:

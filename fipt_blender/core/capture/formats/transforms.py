@@ -140,10 +140,6 @@ def read(path: Path, options: CaptureOptions) -> Rig:
     pixels of a frame's ``mask_path`` are left out. Depth images are nerfstudio's ``depth_file_path`` and
     NeRFCapture's ``depth_path``, in the unit that the file has. A frame may name its view with ``name``, our
     own extension.
-
-    Raises:
-        FiptError: ``rig-damaged``, ``camera-model``, ``intrinsics-missing``, ``pose-unsupported``,
-            ``image-missing``, ``image-unreadable`` or ``path-outside``.
     """
     if path.is_file():
         files: dict[Path, str | None] = {path: None}
@@ -214,9 +210,6 @@ def frame_view(json_path: Path, frame: Frame, split: str | None, places: Places)
         frame: with what stands once for all.
         split: of the view.
         places: where its photograph is.
-
-    Raises:
-        FiptError: see `read`.
     """
     if frame.transform_matrix_start is not None and not frame.transform_matrix:
         raise FiptError("pose-unsupported.frame-view", json_path=json_path)
