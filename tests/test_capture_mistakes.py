@@ -117,6 +117,14 @@ def test_a_mistake_of_the_mesh_is_named(change, name):
     assert names(mesh=(box_room.CORNERS @ change.T, box_room.TRIANGLES)) == [name]
 
 
+def test_what_does_the_same_to_a_symmetric_room_is_named_once():
+    middle = 0.5 * (box_room.LOW + box_room.HIGH) * (1.0, 1.0, 0.0)
+    poses = POSES.copy()
+    poses[:, :3, 3] -= middle
+    turned = (box_room.CORNERS - middle) @ turn_by(np.array([-0.5 * np.pi, 0.0, 0.0])).T
+    assert names(poses, mesh=(turned, box_room.TRIANGLES)) == ["turn-x90"]
+
+
 def test_points_of_the_solve_stand_for_a_mesh():
     rng = np.random.default_rng(0)
     points = rng.uniform(box_room.LOW, box_room.HIGH, (3000, 3))

@@ -175,6 +175,7 @@ def _put_at_rest(item: bpy.types.Object) -> None:
     item.animation_data_clear()
     if item.type == "ARMATURE":
         item.data.pose_position = "REST"
+    item.constraints.clear()
     if item.type == "MESH":
         if item.data.shape_keys is not None:
             item.shape_key_clear()

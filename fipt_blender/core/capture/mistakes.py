@@ -47,6 +47,7 @@ ENOUGH_POINTS, MOST_POINTS, NEAR, ON_MESH, CURED, WATCHED = 100, 2000, 0.02, 0.4
 CLEAR = 0.75
 LEAST_SPREAD = 0.1  # standard deviation of log radiance in the shared points, below which pairs say nothing
 LEAST_SHARED = 30  # points that a pair of photographs must share
+SAME = 0.99  # share of the mesh that lies where another correction puts it, if they do the same
 LEAST_PAIRS = 4  # that say something of a placement
 # Median correlation of the pairs: below the first, something is wrong, above the second nothing is. What is
 # above the third explains it, if it reduces 1 - correlation to less than the share. Others that leave at most
@@ -230,6 +231,14 @@ class Scene:
         spread = np.sqrt(np.maximum(variance * variance.T, 1e-12))
         return float(np.median((covariance / spread)[first, second])), len(first)
 
+    def is_same(self, one: Correction, other: Correction) -> bool:
+        """Whether two corrections put the mesh into the same places, as turns of a symmetric room do."""
+        if one.mesh is None or other.mesh is None:
+            return False
+        first, second = (transform_points(place, self.points) for place in (one.mesh, other.mesh))
+        near = NEAR * float(np.linalg.norm(np.ptp(first, axis=0)))
+        return float((cKDTree(first).query(second)[0] < near).mean()) > SAME
+
     def is_elsewhere(self, fit: Fit) -> bool:
         """Whether cameras and mesh clearly do not belong together, whatever photographs show."""
         return fit.on_mesh < ON_MESH if self.solved is not None and self.has_mesh else fit.seen < LEAST_SEEN
@@ -352,5 +361,10 @@ def _explaining(
         and 1.0 - fit.agreement < LACK * left
         and fit.on_mesh >= CURED
     ]
-    found.sort(key=lambda pair: -pair[1].agreement)
-    return [pair for pair in found if 1.0 - pair[1].agreement <= ALIKE * (1.0 - found[0][1].agreement)]
+    best = max((fit.agreement for _, fit in found), default=0.0)
+    kept: list[tuple[Correction, Fit]] = []
+    for pair in found:  # the simplest first
+        near = 1.0 - pair[1].agreement <= ALIKE * (1.0 - best)
+        if near and not any(scene.is_same(pair[0], other) for other, _ in kept):
+            kept.append(pair)
+    return kept
