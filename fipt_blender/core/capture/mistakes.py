@@ -250,10 +250,11 @@ class Scene:
         odd = self.solved is None and (fit.path < SMALL_PATH or fit.inside < INSIDE)
         return self.is_elsewhere(fit) or odd or fit.watched < WATCHED or (self.is_telling and fit.pairs > 0)
 
-    def explains(self, fit: Fit) -> bool:
-        """Whether mesh and points fit."""
+    def explains(self, fit: Fit, given: Fit) -> bool:
+        """Whether mesh and points fit, which do not as they are given."""
         if self.solved is not None:
-            return fit.on_mesh >= CURED and fit.watched >= WATCHED
+            least = WATCHED if given.on_mesh >= CURED else min(WATCHED, given.watched)
+            return fit.on_mesh >= CURED and fit.watched >= least
         room = fit.inside >= FITTING_INSIDE and fit.path >= USUAL_PATH
         return fit.seen >= FITTING_SEEN and room
 
@@ -265,7 +266,7 @@ class Finding:
     Attributes:
         given: how it fits as it is.
         elsewhere: whether cameras and mesh clearly do not belong together.
-        explained: the corrections that explain all, the best first.
+        explained: the corrections that explain all.
         best: how it fits with the first of them.
         is_sure: whether photographs confirm them.
     """
@@ -346,25 +347,25 @@ def examine(scene: Scene, source: str, poses: bool = True) -> Finding | None:
 def _explaining(
     scene: Scene, given: Fit, tried: Sequence[tuple[Correction, Fit]]
 ) -> list[tuple[Correction, Fit]]:
-    """The corrections that explain all, the best first."""
+    """The corrections that explain all, of those that do the same the simplest."""
     if not scene.is_telling:
-        return (
-            [(each, fit) for each, fit in tried if scene.explains(fit)] if not scene.explains(given) else []
-        )
-    least = max(LEAST_PAIRS, max((fit.pairs for _, fit in tried), default=0) / 3)
-    left = 1.0 - (given.agreement if given.pairs >= LEAST_PAIRS else 0.0)
-    found = [
-        (each, fit)
-        for each, fit in tried
-        if fit.pairs >= least
-        and fit.agreement > EXPLAINED
-        and 1.0 - fit.agreement < LACK * left
-        and fit.on_mesh >= CURED
-    ]
-    best = max((fit.agreement for _, fit in found), default=0.0)
+        fitting = [] if scene.explains(given, given) else tried
+        found = [(each, fit) for each, fit in fitting if scene.explains(fit, given)]
+    else:
+        least = max(LEAST_PAIRS, max((fit.pairs for _, fit in tried), default=0) / 3)
+        left = 1.0 - (given.agreement if given.pairs >= LEAST_PAIRS else 0.0)
+        found = [
+            (each, fit)
+            for each, fit in tried
+            if fit.pairs >= least
+            and fit.agreement > EXPLAINED
+            and 1.0 - fit.agreement < LACK * left
+            and fit.on_mesh >= CURED
+        ]
+        best = max((fit.agreement for _, fit in found), default=0.0)
+        found = [pair for pair in found if 1.0 - pair[1].agreement <= ALIKE * (1.0 - best)]
     kept: list[tuple[Correction, Fit]] = []
     for pair in found:  # the simplest first
-        near = 1.0 - pair[1].agreement <= ALIKE * (1.0 - best)
-        if near and not any(scene.is_same(pair[0], other) for other, _ in kept):
+        if not any(scene.is_same(pair[0], other) for other, _ in kept):
             kept.append(pair)
     return kept
