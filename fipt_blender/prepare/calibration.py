@@ -89,9 +89,6 @@ def survey_group(preparation: Preparation, group: Group, most: int) -> Survey:
     Args:
         preparation, group: whose photographs are read.
         most: number of samples of codes.
-
-    Raises:
-        FiptError: those of `frames.load`.
     """
     photographs, settings = preparation.of(group), preparation.settings
     kind = photographs[0].kind

@@ -50,9 +50,6 @@ def describe(path: Path, name: str) -> Photograph:
     Args:
         path: of the file.
         name: the path by which prepare.json names it.
-
-    Raises:
-        FiptError: ``photograph-unreadable`` for RAW files, and those of `read_size`.
     """
     if (error := stand_in(path)) is not None:
         raise error

@@ -68,9 +68,6 @@ def load(path: Path, photograph: Photograph, settings: PrepareSettings | None = 
 
     Codes are those of sRGB's curve, where the file has another one, unless the settings say that they are
     linear.
-
-    Raises:
-        FiptError: ``photograph-unreadable`` and those of `read_radiance`.
     """
     settings = settings or PrepareSettings()
     try:

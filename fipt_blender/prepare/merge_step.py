@@ -46,11 +46,7 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
 
 
 def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> MergeFacts:
-    """Merge all used groups.
-
-    Raises:
-        FiptError: ``no-photographs``, ``exposure-unknown``, ``bracket-mixed``, and those of `frames.load`.
-    """
+    """Merge all used groups."""
     groups = preparation.used_groups
     _check(preparation, groups)
     surveys: list[Survey] = []

@@ -254,9 +254,6 @@ def split_group(groups: Sequence[Group], index: int, at: int) -> list[Group]:
     """The groups with one of them cut into its first `at` photographs and the others.
 
     The first part keeps its name; the second takes that of its first photograph.
-
-    Raises:
-        FiptError: ``group-not-split`` where a part would be empty.
     """
     group = groups[index]
     if not 0 < at < len(group.photographs):
@@ -269,11 +266,7 @@ def split_group(groups: Sequence[Group], index: int, at: int) -> list[Group]:
 
 
 def merge_groups(groups: Sequence[Group], index: int) -> list[Group]:
-    """The groups with one of them and the next one as one group, which has the name of the first.
-
-    Raises:
-        FiptError: ``group-not-merged`` for the last group.
-    """
+    """The groups with one of them and the next one as one group, which has the name of the first."""
     if not 0 <= index < len(groups) - 1:
         raise FiptError("group-not-merged")
     first, second = groups[index], groups[index + 1]
@@ -284,31 +277,19 @@ def merge_groups(groups: Sequence[Group], index: int) -> list[Group]:
 
 
 def make_prepare_settings(changes: Mapping[str, Any]) -> PrepareSettings:
-    """Settings with some values changed; texts are converted to the field's type.
-
-    Raises:
-        FiptError: ``setting-unknown`` or ``setting-invalid``.
-    """
+    """Settings with some values changed; texts are converted to the field's type."""
     return PrepareSettings(**converted(PrepareSettings, changes))
 
 
 def write_preparation(folder: PreparationFolder, preparation: Preparation) -> None:
-    """Write prepare.json, completely or not at all.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
+    """Write prepare.json, completely or not at all."""
     settings = asdict(preparation.settings)
     data = _Document(str(preparation.source), settings, preparation.photographs, preparation.groups)
     write_json(folder.prepare_json, data)
 
 
 def read_preparation(folder: PreparationFolder) -> Preparation:
-    """Read prepare.json and check that its groups agree with its photographs.
-
-    Raises:
-        FiptError: ``file-missing``, ``file-damaged``, ``setting-unknown`` or ``setting-invalid``.
-    """
+    """Read prepare.json and check that its groups agree with its photographs."""
     data = read_document(folder.prepare_json, _Document, _REMEDY)
     fault = _fault(Path(data.source), data.photographs, data.groups)
     if fault:
@@ -344,11 +325,7 @@ def _fault(source: Path, photographs: tuple[Photograph, ...], groups: tuple[Grou
 
 
 def refuse_foreign(folder: PreparationFolder, photographs: Path) -> None:
-    """Refuse to write among the photographs or into a folder that holds something else.
-
-    Raises:
-        FiptError: ``capture-foreign``.
-    """
+    """Refuse to write among the photographs or into a folder that holds something else."""
     if folder.prepare_json.exists():
         return
     own = {"messages", "log.txt", "engine.lock", "stage"}

@@ -38,9 +38,6 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     """Read all headers and write prepare.json.
 
     Exposures that the user entered are kept, and so are the groups if they have the same photographs.
-
-    Raises:
-        FiptError: ``no-photographs``.
     """
     photographs: list[Photograph] = []
     damaged: list[LeftOut] = []
@@ -108,11 +105,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
 
 
 def list_photographs(source: Path) -> list[str]:
-    """Relative paths of all photographs below a folder, with forward slashes; hidden ones are left out.
-
-    Raises:
-        FiptError: ``photographs-missing``, ``no-photographs`` or ``too-many-photographs``.
-    """
+    """Relative paths of all photographs below a folder, with forward slashes; hidden ones are left out."""
     if not source.is_dir():
         raise FiptError("photographs-missing.list-photographs", source=source)
     names = []

@@ -93,9 +93,6 @@ def write_report(
         folder, preparation: of the capture.
         progress: called with the finished share.
         stopped: the error that has ended the steps, if one has.
-
-    Raises:
-        FiptError: ``file-damaged``, ``image-unreadable``, ``disk-full`` or ``run-unwritable``.
     """
     merge = read_facts(folder, "merge", MergeFacts) or MergeFacts()
     read = read_facts(folder, "read", ReadFacts) or ReadFacts()

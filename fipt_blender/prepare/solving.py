@@ -108,10 +108,6 @@ def solve(folder: Path, views: Sequence[SolveView], seed: int, progress: Progres
         views: in the order in which they were taken; all sizes as of the copies.
         seed: of all random choices.
         progress: takes the share that is done, 0 to 1.
-
-    Raises:
-        FiptError: ``solve-failed`` where no two photographs could be connected, ``solve-few`` for less than
-            two photographs, ``solve-database`` or ``disk-full`` where the database can't be used.
     """
     if len(views) < 2:
         raise FiptError("solve-few", number_of_views=len(views))

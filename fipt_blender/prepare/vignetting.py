@@ -132,11 +132,7 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
 
 
 def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> VignettingFacts:
-    """Fit and divide out the vignetting of each lens that the database did not correct; returns facts.
-
-    Raises:
-        FiptError: of reading the model and of reading and writing images.
-    """
+    """Fit and divide out the vignetting of each lens that the database did not correct; returns facts."""
     wanted = preparation.settings.vignetting == "auto"
     lenses = _lenses(preparation) if wanted else {}
     known = _lenses(preparation, by_database=True) if wanted else {}

@@ -55,9 +55,6 @@ def take_found(scene: bpy.types.Scene, run: RunFolder) -> list[str]:
 
     Returns:
         Names of the new objects.
-
-    Raises:
-        FiptError: ``file-missing`` or ``file-damaged``.
     """
     survey = RunFolder(run.survey)
     room = read_room(survey)
@@ -79,9 +76,6 @@ def draw_surface(scene: bpy.types.Scene, shape: str, place: Place) -> bpy.types.
     Args:
         shape: "BOX", "CYLINDER" or "PANEL".
         place: where it stands; a panel faces the cameras.
-
-    Raises:
-        FiptError: ``room-missing``.
     """
     room = scene.fipt.capture.room_objects(scene)
     if not room:
@@ -127,11 +121,7 @@ def place_at(scene: bpy.types.Scene, location: Vector) -> Place:
 
 
 def place_of_disagreement(scene: bpy.types.Scene) -> Place | None:
-    """Where the photographs show most that the room lacks and the artist has not drawn; None without any.
-
-    Raises:
-        FiptError: ``file-missing`` or ``file-damaged``.
-    """
+    """Where the photographs show most that the room lacks and the artist has not drawn; None without any."""
     run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
     boxes = read_document(run.survey_json, SurveyNote, "Check the views again.").missing
     drawn = [world_bounds([item]) for item in added_surfaces(scene) if item[ADDED] == DRAWN]

@@ -16,11 +16,7 @@ from ...prepare.preparation import Group, Photograph, PreparationFolder, read_pr
 
 
 def list_groups(settings: bpy.types.PropertyGroup, folder: PreparationFolder) -> None:
-    """Fill the list from prepare.json, and each group's outcome from the steps that have run.
-
-    Raises:
-        FiptError: ``file-missing`` or ``file-damaged``.
-    """
+    """Fill the list from prepare.json, and each group's outcome from the steps that have run."""
     preparation = read_preparation(folder)
     exposures = {photograph.path: exposure_text(photograph) for photograph in preparation.photographs}
     fill(settings, preparation.groups, exposures)

@@ -116,11 +116,7 @@ def _set_background(camera: bpy.types.Camera, image: bpy.types.Image | None) -> 
 
 
 def find_camera(view_name: str, scene: bpy.types.Scene) -> bpy.types.Object:
-    """The camera of a view in a scene.
-
-    Raises:
-        FiptError: ``view-missing``.
-    """
+    """The camera of a view in a scene."""
     camera = view_cameras(scene).get(view_name)
     if camera is None:
         raise FiptError("view-missing.find-camera", view_name=view_name)
@@ -133,11 +129,7 @@ def lens_of(camera: bpy.types.Camera, pixel_aspect: Sequence[float]) -> conventi
 
 
 def camera_geometry(scene: bpy.types.Scene, camera: bpy.types.Object) -> ViewGeometry:
-    """A camera's pinhole model at its photograph's resolution, or at the scene's where it has none.
-
-    Raises:
-        FiptError: ``camera-kind`` for a camera that is not perspective.
-    """
+    """A camera's pinhole model at its photograph's resolution, or at the scene's where it has none."""
     data, render = camera.data, scene.render
     if data.type != "PERSP":
         raise FiptError("camera-kind", name=camera.name)
@@ -152,11 +144,7 @@ def camera_geometry(scene: bpy.types.Scene, camera: bpy.types.Object) -> ViewGeo
 
 
 def camera_pose(camera: bpy.types.Object) -> np.ndarray:
-    """Camera-to-world (4, 4) float64, OpenCV axes, without the scale of its parents.
-
-    Raises:
-        FiptError: ``alignment-uneven`` where parents stretch or mirror, which a camera can't represent.
-    """
+    """Camera-to-world (4, 4) float64, OpenCV axes, without the scale of its parents."""
     matrix = world_matrix(camera)
     axes = matrix[:3, :3]
     lengths = np.linalg.norm(axes, axis=0)

@@ -35,10 +35,6 @@ def export_capture(scene: bpy.types.Scene, run: RunFolder) -> int:
 
     Returns:
         The number of views.
-
-    Raises:
-        FiptError: ``capture-missing`` where nothing was imported, ``views-few``, ``alignment-uneven``,
-            ``parts-folder``; the run folder's errors.
     """
     source = read_source(run)
     views = selected_views(scene, run, source, ticked=True)
@@ -64,11 +60,7 @@ def export_capture(scene: bpy.types.Scene, run: RunFolder) -> int:
 
 
 def read_source(run: RunFolder) -> CapturedViews:
-    """ingest.json: all views as they were read.
-
-    Raises:
-        FiptError: ``capture-missing`` or ``file-damaged``.
-    """
+    """ingest.json: all views as they were read."""
     if not run.ingest_json.exists():
         raise FiptError("capture-missing.read-source")
     return read_capture(run.ingest_json)
@@ -84,9 +76,6 @@ def selected_views(
         run: the run folder.
         source: result of `read_source`.
         ticked: leave out views that are not ticked; otherwise their split is "unused".
-
-    Raises:
-        FiptError: ``alignment-uneven``, ``camera-kind``, ``parts-folder`` or ``file-ambiguous``.
     """
     known = {view.name: view for view in source.views}
     masks, cameras = part_folder(scene), view_cameras(scene)
@@ -119,11 +108,7 @@ def selected_views(
 
 
 def part_folder(scene: bpy.types.Scene) -> Path | None:
-    """The artist's folder of part masks; None where the parts have another source.
-
-    Raises:
-        FiptError: ``parts-folder``.
-    """
+    """The artist's folder of part masks; None where the parts have another source."""
     settings = scene.fipt.parts
     if settings.source != "folder":
         return None

@@ -160,9 +160,6 @@ def import_mesh(scene: bpy.types.Scene, path: Path, matrix: np.ndarray) -> list[
 
     Returns:
         Names of the objects.
-
-    Raises:
-        FiptError: those of `mesh_import.import_room`; nothing has changed then.
     """
     present = scene.fipt.capture.room_objects(scene)
     earlier = [item for item in present if is_imported(item) or was_found(item)]

@@ -66,10 +66,6 @@ def import_room(
 
     Returns:
         Names of the mesh objects, in the order of the file.
-
-    Raises:
-        FiptError: ``mesh-missing``, ``mesh-format``, ``mesh-unreadable``, ``mesh-empty``, ``mesh-not-finite``
-            or ``path-long``.
     """
     path = Path(path)
     if not path.is_file():

@@ -48,11 +48,7 @@ def named_files(path: Path) -> set[str]:
 
 
 def check_mesh_file(path: Path) -> None:
-    """Refuse a mesh file that names files which it may not name, or that Blender's importer takes wrongly.
-
-    Raises:
-        FiptError: ``mesh-unreadable``.
-    """
+    """Refuse a mesh file that names files which it may not name, or that Blender's importer takes wrongly."""
     try:
         check_named_files(path)
         if path.suffix.lower() in _GLTF:
@@ -149,11 +145,7 @@ def _gltf(path: Path) -> dict[str, Any]:
 
 
 def _check_extensions(path: Path, document: dict[str, Any]) -> None:
-    """Refuse a file that is compressed in a way that Blender's importer does not read.
-
-    Raises:
-        FiptError: ``mesh-format``.
-    """
+    """Refuse a file that is compressed in a way that Blender's importer does not read."""
     required = document.get("extensionsRequired", [])
     for name, what in COMPRESSIONS.items():
         if isinstance(required, list) and name in required:

@@ -99,11 +99,7 @@ def _less(words: list[bytes], offset: np.ndarray) -> list[bytes]:
 
 
 def read(path: Path, arrays: Path) -> None:
-    """Write vertices (V, 3) float64 and triangles (T, 3) int64 of a mesh file to a .npz file.
-
-    Raises:
-        FiptError: those of `import_meshes`, or ``mesh-unreadable``.
-    """
+    """Write vertices (V, 3) float64 and triangles (T, 3) int64 of a mesh file to a .npz file."""
     vertices, triangles, count = [], [], 0
     try:
         path, offset = near_origin(path, arrays)

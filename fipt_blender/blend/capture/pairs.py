@@ -37,11 +37,7 @@ class PickedSight:
 def add_pair(
     scene: bpy.types.Scene, item: bpy.types.Object, location: Vector, sights: Sequence[PickedSight]
 ) -> None:
-    """Add a point of the mesh, given in the world, with its places in photographs; then solve all pairs.
-
-    Raises:
-        FiptError: ``view-missing``, or ``alignment-pairs`` for a point outside its photograph.
-    """
+    """Add a point of the mesh, given in the world, with its places in photographs; then solve all pairs."""
     cameras = view_cameras(scene)
     for sight in sights:
         if sight.view not in cameras:
@@ -126,11 +122,7 @@ def mesh_point(scene: bpy.types.Scene, pair: bpy.types.PropertyGroup) -> np.ndar
 
 
 def align_by_pairs(scene: bpy.types.Scene) -> PairFit:
-    """Move the cameras to the mesh by the pairs.
-
-    Raises:
-        FiptError: ``alignment-pairs`` where they do not decide a placement, or ``alignment-own-cameras``.
-    """
+    """Move the cameras to the mesh by the pairs."""
     fit = solve_pairs(scene)
     if fit is None:
         problem = scene.fipt.alignment.problem or "No points are picked."
@@ -140,11 +132,7 @@ def align_by_pairs(scene: bpy.types.Scene) -> PairFit:
 
 
 def take_alignment(scene: bpy.types.Scene, run: RunFolder) -> None:
-    """Move the cameras as RUN/align/align.json says.
-
-    Raises:
-        FiptError: ``file-missing``, ``file-damaged`` or ``alignment-own-cameras``.
-    """
+    """Move the cameras as RUN/align/align.json says."""
     found = read_document(run.align / "align.json", Placement, "Align the cameras again.")
     scene.fipt.alignment.summary = found.text
     move_cameras(scene, np.array(found.similarity))
@@ -154,9 +142,6 @@ def move_cameras(scene: bpy.types.Scene, similarity: np.ndarray) -> None:
     """Move all imported cameras by a similarity (4, 4) of the world; the mesh stays.
 
     What depended on the cameras' poses is no longer known.
-
-    Raises:
-        FiptError: ``alignment-own-cameras`` where the views' cameras are the artist's.
     """
     for item in imported_cameras(scene):
         place_camera(item, conventions.transform_poses(similarity, camera_pose(item)))
@@ -169,11 +154,7 @@ def move_cameras(scene: bpy.types.Scene, similarity: np.ndarray) -> None:
 
 
 def imported_cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The views' cameras that an import has made.
-
-    Raises:
-        FiptError: ``alignment-own-cameras`` where there are none.
-    """
+    """The views' cameras that an import has made."""
     items = [item for item in collection(scene, CAMERAS).objects if is_view(item)]
     if not items:
         raise FiptError("alignment-own-cameras")

@@ -89,9 +89,6 @@ def write_survey_input(run: RunFolder, search: bool = False) -> Slices[list[Mess
 
     Returns:
         Warnings about objects in the room's collection that are not meshes.
-
-    Raises:
-        FiptError: ``room-missing``, ``mesh-empty`` and those of `selected_views`.
     """
     for stale in (run.survey_json, run.survey_npz):  # of a room that may have changed
         stale.unlink(missing_ok=True)
@@ -111,9 +108,6 @@ def write_views_and_room(run: RunFolder, target: RunFolder, search: bool = False
 
     Returns:
         Warnings about objects in the room's collection that are not meshes.
-
-    Raises:
-        FiptError: ``room-missing``, ``mesh-empty`` and those of `selected_views`.
     """
     scene = bpy.context.scene
     objects = scene.fipt.capture.room_objects(scene)
@@ -177,22 +171,14 @@ def used_views(scene: bpy.types.Scene) -> set[str]:
 
 
 def show_coverage(scene: bpy.types.Scene) -> None:
-    """Colour the room by how many of the ticked views see each triangle.
-
-    Raises:
-        FiptError: ``survey-missing``.
-    """
+    """Colour the room by how many of the ticked views see each triangle."""
     run, survey = survey_of(scene)
     counts = survey.counts(used_views(scene))
     _show(scene, run, "coverage", coverage_colors(counts))
 
 
 def show_parts(scene: bpy.types.Scene) -> None:
-    """Colour the room by its parts from the chosen source.
-
-    Raises:
-        FiptError: ``survey-missing``, ``parts-missing``.
-    """
+    """Colour the room by its parts from the chosen source."""
     run, survey = survey_of(scene)
     source = resolved_source(scene)
     if source == "none":
@@ -259,11 +245,7 @@ def read_survey(run: RunFolder) -> Survey | None:
 
 
 def survey_of(scene: bpy.types.Scene) -> tuple[RunFolder, Survey]:
-    """A scene's run and its survey.
-
-    Raises:
-        FiptError: ``survey-missing``.
-    """
+    """A scene's run and its survey."""
     run = RunFolder(bpy.path.abspath(scene.fipt.run_folder))
     survey = read_survey(run)
     if survey is None:

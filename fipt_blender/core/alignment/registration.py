@@ -46,9 +46,6 @@ def refine(points: np.ndarray, surface: Surface) -> Refined:
     Args:
         points: (N, 3) where they are now, nearly right; some may be far off.
         surface: of the mesh.
-
-    Raises:
-        FiptError: ``alignment-points`` for too few points.
     """
     if len(points) < MIN_POINTS:
         raise FiptError("alignment-points.refine", number_of_points=len(points), min_points=MIN_POINTS)

@@ -54,9 +54,6 @@ def fit_sights(sights: Sights, target: np.ndarray) -> PairFit:
 
     Returns:
         The similarity; as residual of a pair, the largest distance of its mesh point from its rays.
-
-    Raises:
-        FiptError: ``alignment-pairs`` where the pairs do not decide it.
     """
     target = np.asarray(target, np.float64)
     known = sights.is_point
@@ -93,11 +90,7 @@ def _check_count(sights: Sights, target: np.ndarray) -> None:
 
 
 def _solve(sights: Sights, target: np.ndarray) -> tuple[np.ndarray, float]:
-    """The similarity (4, 4) from the mesh to the cameras, and the sum of its squared angles.
-
-    Raises:
-        FiptError: ``alignment-pairs`` where the pairs do not decide it.
-    """
+    """The similarity (4, 4) from the mesh to the cameras, and the sum of its squared angles."""
     middle = sights.origin.mean(axis=0)
     size = float(np.sqrt(((sights.origin - middle) ** 2).sum(axis=1).mean())) or 1.0
     near = Sights(sights.pair, (sights.origin - middle) / size, sights.direction)

@@ -66,9 +66,6 @@ def sample_surface(
         triangles: (T, 3) vertex indices.
         rng: of the positions in the triangles.
         count: number of points.
-
-    Raises:
-        FiptError: ``mesh-empty`` for a mesh without area.
     """
     corners = np.asarray(vertices, np.float64)[np.asarray(triangles, np.int64)]
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -30,10 +30,12 @@ FOCAL_LENGTHS = (0.01, 100.0)
 
 def nearest_rotation(name: str, pose: np.ndarray) -> np.ndarray:
     """The pose (4, 4) with its rotation made exactly orthonormal."""
+    remedy = "Export the camera poses without scale."
     if not np.isfinite(pose).all():
-        reason = "contains NaN or infinity"
+        reason, remedy = "contains NaN or infinity", "Leave the view out, or export the camera poses again."
     elif np.linalg.det(pose[:3, :3]) < 0.0:
         reason = "is mirrored (its determinant is negative)"
+        remedy = "Its axes are left-handed, as of Unity and Unreal: export cameras and mesh right-handed."
     elif (error := float(np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max())) > 1e-3:
         reason = f"is scaled or sheared (off by {error:.2g})"
     else:
@@ -42,7 +44,7 @@ def nearest_rotation(name: str, pose: np.ndarray) -> np.ndarray:
         result[:3, :3] = u @ vt
         result[:3, 3] = pose[:3, 3]
         return result
-    raise FiptError("pose-not-rotation.nearest-rotation", name=name, reason=reason)
+    raise FiptError("pose-not-rotation.nearest-rotation", name=name, reason=reason, remedy=remedy)
 
 
 def check_intrinsics(name: str, pinhole: Pinhole) -> None:

@@ -315,7 +315,7 @@ def _judged(
         return []
     if finding.is_sure and not options.correct:
         raise finding.error()
-    return [finding.note(scene, source.mesh)] if finding.elsewhere or finding.explained else []
+    return [finding.note(scene, source.mesh)] if finding.is_told else []
 
 
 def _convert(

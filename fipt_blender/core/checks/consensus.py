@@ -86,11 +86,7 @@ class PairAgreement:
 
 
 def small_photographs(views: Sequence[View]) -> SmallPhotographs:
-    """The photographs on coarse pixels, each in units of its median.
-
-    Raises:
-        FiptError: those of reading the photographs and masks.
-    """
+    """The photographs on coarse pixels, each in units of its median."""
     small = SmallPhotographs.of(views, [max(1, view.width // WIDTH) for view in views])
     positive = [np.maximum(each, 0.0) for each in small.radiance]
     return replace(small, radiance=[each / max(float(np.median(each)), 1e-12) for each in positive])
@@ -119,9 +115,6 @@ def check_input(
 
     Returns:
         index of each view that the others contradict, and its mean correlation with the credible ones.
-
-    Raises:
-        FiptError: ``input-insufficient``, ``mesh-misplaced`` or ``views-disagree``, unless forced.
     """
     small = small_photographs(views)
     found = pair_agreement(room, small)
@@ -203,11 +196,7 @@ def _insufficient(text: str, remedy: str) -> FiptError:
 
 
 def _check_photographs(small: SmallPhotographs) -> None:
-    """Refuse one view, and photographs without content.
-
-    Raises:
-        FiptError: ``input-insufficient``.
-    """
+    """Refuse one view, and photographs without content."""
     if len(small.views) < 2:
         raise _insufficient(
             "there is one photograph, but gloss and light follow from several",
@@ -224,11 +213,7 @@ def _check_photographs(small: SmallPhotographs) -> None:
 
 
 def _check_mesh(room: Room, small: SmallPhotographs, source: str) -> None:
-    """Find out whether the photographs agree far better with a usual mistake of mesh or cameras undone.
-
-    Raises:
-        FiptError: ``mesh-misplaced``.
-    """
+    """Find out whether the photographs agree far better with a usual mistake of mesh or cameras undone."""
     sights = []
     for view, image, masked in zip(small.views, small.images(), small.masked, strict=True):
         shown = small_image(image, masked.reshape(view.height, view.width))

@@ -247,11 +247,7 @@ class SmallPhotographs:
 
     @classmethod
     def of(cls, views: Sequence[View], steps: Sequence[int]) -> SmallPhotographs:
-        """The photographs of views, with blocks of so many pixels along each side.
-
-        Raises:
-            FiptError: those of reading the photographs and masks.
-        """
+        """The photographs of views, with blocks of so many pixels along each side."""
         found = cls([], [], [])
         for view, step in zip(views, steps, strict=True):
             width, height = view.width // step, view.height // step

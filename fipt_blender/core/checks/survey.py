@@ -42,11 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Examine all views of FOLDER/capture.json and write FOLDER/survey.json and FOLDER/survey.npz.
-
-    Raises:
-        FiptError: where the capture or the mesh can't be read, or a mask can't be used.
-    """
+    """Examine all views of FOLDER/capture.json and write FOLDER/survey.json and FOLDER/survey.npz."""
     reporter.plan([0.1, 0.7, 0.2])
     reporter.stage("device", "Starting the engine")
     set_variant(arguments.device)
