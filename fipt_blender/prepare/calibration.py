@@ -31,47 +31,32 @@ _LINEAR_CURVE = np.repeat(np.linspace(0.0, 1.0, 256)[:, None], 3, 1)  # by code 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """One group before merging, its exposures from the shortest to the longest.
+    """One group before merging, its exposures from the shortest to the longest."""
 
-    Attributes:
-        motions: of each exposure, relative to one in the middle.
-        strangers: indices of exposures that show something else.
-        ratios: log of what exposure j + 1 received over what exposure j did, less that of the headers' ratio;
-            NaN where they can't be compared. RAW only.
-        noise: gain and read noise; RAW only.
-        samples: (places, exposures, 3) codes of 8 bits, NaN where unusable; LDR only.
-        ceilings: where each exposure seems to clip, and its highest value; RAW only.
-        color: the first photograph without its values, for the colors of its camera; RAW only.
-    """
-
-    motions: tuple[Motion, ...] = ()
-    strangers: tuple[int, ...] = ()
+    motions: tuple[Motion, ...] = ()  # of each exposure, relative to one in the middle
+    strangers: tuple[int, ...] = ()  # indices of exposures that show something else
+    # Log of what exposure j + 1 received over what exposure j did, less that of the headers' ratio; NaN
+    # where they can't be compared. RAW only.
     ratios: tuple[float, ...] = ()
-    noise: tuple[float, float] | None = None
-    samples: np.ndarray | None = None
+    noise: tuple[float, float] | None = None  # gain and read noise; RAW only
+    samples: np.ndarray | None = None  # (places, exposures, 3) codes of 8 bits, NaN where unusable; LDR only
+    # Where each exposure seems to clip, and its highest value; RAW only
     ceilings: tuple[tuple[float, float], ...] = ()
+    # The first photograph without its values, for the colors of its camera; RAW only
     color: Stored | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What all groups share.
+    """What all groups share."""
 
-    Attributes:
-        photographs: by path, with corrected exposures.
-        curve: (256, 3) linear values of codes, None without LDR photographs.
-        noise: by kind of photograph.
-        scale: exposure that a radiance of 1 saturates.
-        ceiling: value at which RAW photographs clip.
-        colors: of each camera (`camera_of`), balance (3,) and matrix (3, 3) from RAW channels to linear
-            Rec.709; see `frames.Stored`.
-    """
-
-    photographs: Mapping[str, Photograph]
-    curve: np.ndarray | None
-    noise: Mapping[str, Noise]
-    scale: float
-    ceiling: float
+    photographs: Mapping[str, Photograph]  # by path, with corrected exposures
+    curve: np.ndarray | None  # (256, 3) linear values of codes, None without LDR photographs
+    noise: Mapping[str, Noise]  # by kind of photograph
+    scale: float  # exposure that a radiance of 1 saturates
+    ceiling: float  # value at which RAW photographs clip
+    # Of each camera (`camera_of`), balance (3,) and matrix (3, 3) from RAW channels to linear Rec.709;
+    # see `frames.Stored`
     colors: Mapping[str, tuple[np.ndarray, np.ndarray]]
 
     @property

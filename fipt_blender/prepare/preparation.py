@@ -101,17 +101,11 @@ class Photograph:
 
 @dataclass(frozen=True)
 class Group:
-    """Photographs that become one view.
+    """Photographs that become one view."""
 
-    Attributes:
-        name: of the view and of its files.
-        photographs: paths as in `Photograph.path`.
-        used: whether it becomes a view.
-    """
-
-    name: FileName
-    photographs: Annotated[tuple[str, ...], SOME]
-    used: bool = True
+    name: FileName  # of the view and of its files
+    photographs: Annotated[tuple[str, ...], SOME]  # paths as in `Photograph.path`
+    used: bool = True  # whether it becomes a view
 
 
 @dataclass(frozen=True)
@@ -182,19 +176,12 @@ class PrepareSettings:
 
 @dataclass(frozen=True)
 class Preparation:
-    """Content of prepare.json.
+    """Content of prepare.json."""
 
-    Attributes:
-        source: absolute folder of the photographs.
-        photographs: in the order of time and name.
-        groups: in the order of their views.
-        settings: see `PrepareSettings`.
-    """
-
-    source: Path
-    photographs: tuple[Photograph, ...]
-    groups: tuple[Group, ...]
-    settings: PrepareSettings = PrepareSettings()
+    source: Path  # absolute folder of the photographs
+    photographs: tuple[Photograph, ...]  # in the order of time and name
+    groups: tuple[Group, ...]  # in the order of their views
+    settings: PrepareSettings = PrepareSettings()  # see `PrepareSettings`
 
     @property
     def used_groups(self) -> list[Group]:

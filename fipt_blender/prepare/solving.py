@@ -59,17 +59,12 @@ class SolveView:
 
 @dataclass(frozen=True, eq=False)
 class Solve:
-    """What a solve gives.
+    """What a solve gives."""
 
-    Attributes:
-        model: the largest connected set of photographs, in an arbitrary frame; images are named like views.
-        left_out: photographs that it lacks, in the order of the views.
-        sizes: number of photographs of each model that no larger one has, the largest first.
-    """
-
+    # The largest connected set of photographs, in an arbitrary frame; images are named like views
     model: pycolmap.Reconstruction
-    left_out: tuple[LeftOut, ...]
-    sizes: tuple[int, ...]
+    left_out: tuple[LeftOut, ...]  # photographs that it lacks, in the order of the views
+    sizes: tuple[int, ...]  # number of photographs of each model that no larger one has, the largest first
 
 
 def camera_groups(views: Sequence[SolveView]) -> list[list[int]]:

@@ -95,7 +95,7 @@ def photograph_of(item: bpy.types.Object) -> bpy.types.CameraBackgroundImage | N
 
 
 def describe_camera(scene: bpy.types.Scene, item: bpy.types.Object) -> dict[str, Any]:
-    """A camera as a frame of transforms.json: pose with OpenGL axes, intrinsics in pixels of its photograph."""
+    """A camera as a frame of transforms.json: OpenGL axes, intrinsics in pixels of its photograph."""
     background = photograph_of(item)
     assert background is not None
     if item.data.type != "PERSP":

@@ -20,17 +20,11 @@ MIRRORED = 0.5  # share of the error that is left if one side is mirrored, below
 
 @dataclass(frozen=True, eq=False)
 class PairFit:
-    """A similarity fitted to pairs of points.
+    """A similarity fitted to pairs of points."""
 
-    Attributes:
-        similarity: (4, 4) float64 from source to target.
-        residuals: (N,) distances in units of the target.
-        mirrored: the pairs fit much better if one side is mirrored: a mesh with a negated axis.
-    """
-
-    similarity: np.ndarray
-    residuals: np.ndarray
-    mirrored: bool
+    similarity: np.ndarray  # (4, 4) float64 from source to target
+    residuals: np.ndarray  # (N,) distances in units of the target
+    mirrored: bool  # the pairs fit much better if one side is mirrored: a mesh with a negated axis
 
     @property
     def error(self) -> float:

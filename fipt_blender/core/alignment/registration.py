@@ -27,17 +27,11 @@ GROWTH = 0.2  # most logarithm of the scale that a step changes
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """Where points belong on a mesh.
+    """Where points belong on a mesh."""
 
-    Attributes:
-        similarity: (4, 4) float64 from where the points are.
-        error: median distance of the moved points from the mesh, in units of the mesh.
-        inliers: share of the points within `NEAR` of the points' extent.
-    """
-
-    similarity: np.ndarray
-    error: float
-    inliers: float
+    similarity: np.ndarray  # (4, 4) float64 from where the points are
+    error: float  # median distance of the moved points from the mesh, in units of the mesh
+    inliers: float  # share of the points within `NEAR` of the points' extent
 
 
 def refine(points: np.ndarray, surface: Surface) -> Refined:

@@ -21,17 +21,11 @@ _MIN_NUMBERS = 7  # of a similarity; a ray gives two, a point three
 
 @dataclass(frozen=True, eq=False)
 class Sights:
-    """Where the picked points are in the coordinates of the cameras.
+    """Where the picked points are in the coordinates of the cameras."""
 
-    Attributes:
-        pair: (K,) index of the pair that each belongs to.
-        origin: (K, 3) the camera's position, or the point itself where it is known.
-        direction: (K, 3) unit direction from the camera, or zeros where the point is known.
-    """
-
-    pair: np.ndarray
-    origin: np.ndarray
-    direction: np.ndarray
+    pair: np.ndarray  # (K,) index of the pair that each belongs to
+    origin: np.ndarray  # (K, 3) the camera's position, or the point itself where it is known
+    direction: np.ndarray  # (K, 3) unit direction from the camera, or zeros where the point is known
 
     @property
     def is_point(self) -> np.ndarray:

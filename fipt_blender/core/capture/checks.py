@@ -80,21 +80,13 @@ def check_view(name: str, pinhole: Pinhole, camera_to_world: np.ndarray) -> None
 
 @dataclass(frozen=True)
 class PixelStatistics:
-    """Statistics of one photograph's values.
+    """Statistics of one photograph's values."""
 
-    Attributes:
-        minimum: lowest value.
-        median: median of the positive values, 0 where there are none.
-        looks_ldr: all values are 8-bit steps between 0 and 1, linear or sRGB-encoded.
-        clipped: share of pixels at the highest value, 0 unless that looks like a sensor's limit.
-        transparent: share of pixels whose alpha is 0.
-    """
-
-    minimum: float
-    median: float
-    looks_ldr: bool
-    clipped: float
-    transparent: float = 0.0
+    minimum: float  # lowest value
+    median: float  # median of the positive values, 0 where there are none
+    looks_ldr: bool  # all values are 8-bit steps between 0 and 1, linear or sRGB-encoded
+    clipped: float  # share of pixels at the highest value, 0 unless that looks like a sensor's limit
+    transparent: float = 0.0  # share of pixels whose alpha is 0
 
 
 def pixel_statistics(path: Path, pixels: np.ndarray) -> PixelStatistics:

@@ -113,19 +113,12 @@ def with_color_camera(rig: Rig, scale: float) -> Rig:
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """Points that depth images show to be visible from frames.
+    """Points that depth images show to be visible from frames."""
 
-    Attributes:
-        point: (N,) of each sighting.
-        frame: (N,).
-        place: (N, 3) in the frame's depth camera, metres.
-        count: number of points.
-    """
-
-    point: np.ndarray
-    frame: np.ndarray
-    place: np.ndarray
-    count: int
+    point: np.ndarray  # (N,) of each sighting
+    frame: np.ndarray  # (N,)
+    place: np.ndarray  # (N, 3) in the frame's depth camera, metres
+    count: int  # number of points
 
 
 def find_color_camera(frames: Sequence[DepthView], scale: float) -> ColorCamera | None:

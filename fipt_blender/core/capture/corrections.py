@@ -21,16 +21,11 @@ from ..run.errors import FiptError
 
 
 class Stored(NamedTuple):
-    """How a format stores poses.
+    """How a format stores poses."""
 
-    Attributes:
-        axes: of its cameras, one of `CAMERA_AXES`.
-        inverse: whether poses lead from the world to the camera.
-        roll: of quaternions, what leads from the order that is expected to the other usual one; 0 without.
-    """
-
-    axes: str = "opencv"
-    inverse: bool = False
+    axes: str = "opencv"  # of its cameras, one of `CAMERA_AXES`
+    inverse: bool = False  # whether poses lead from the world to the camera
+    # Of quaternions, what leads from the order that is expected to the other usual one; 0 without
     roll: int = 0
 
 
@@ -51,19 +46,12 @@ NONE = "none"  # for files that are right however they look
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What undoes a mistake.
+    """What undoes a mistake."""
 
-    Attributes:
-        name: of the option.
-        says: what is true of the files then.
-        poses: from poses (V, 4, 4) to the right ones.
-        mesh: similarity or mirror (4, 4) from the mesh file to the right one.
-    """
-
-    name: str
-    says: str
-    poses: Callable[[np.ndarray], np.ndarray] | None = None
-    mesh: np.ndarray | None = None
+    name: str  # of the option
+    says: str  # what is true of the files then
+    poses: Callable[[np.ndarray], np.ndarray] | None = None  # from poses (V, 4, 4) to the right ones
+    mesh: np.ndarray | None = None  # similarity or mirror (4, 4) from the mesh file to the right one
 
 
 def corrections(source: str) -> list[Correction]:

@@ -38,17 +38,11 @@ _WINDOWS = ("displayWindow", "dataWindow")  # attributes of a header
 
 @dataclass(frozen=True)
 class Layer:
-    """Channels of one part that belong together.
+    """Channels of one part that belong together."""
 
-    Attributes:
-        part: its index.
-        name: of part and layer, "" where both have none.
-        channels: names in the file by what they mean (R, G, B, Y, RY, BY, X, Z, ...).
-    """
-
-    part: int
-    name: str
-    channels: dict[str, str]
+    part: int  # its index
+    name: str  # of part and layer, "" where both have none
+    channels: dict[str, str]  # names in the file by what they mean (R, G, B, Y, RY, BY, X, Z, ...)
 
     @property
     def color(self) -> Sequence[str]:

@@ -88,27 +88,18 @@ _TYPES = {"uint8": "uint8", "uint16": "uint16", **dict.fromkeys(("half", "float"
 class Picture:
     """An image file: its header, which is read once, and its pixels, which are decoded when they are asked
     for.
-
-    Attributes:
-        path: of the file.
-        kind: "exr", "heif" or OpenImageIO's name of the format.
-        size: width and height in pixels, as stored.
-        type: of the values: "uint8" or "uint16" are codes, "float32" is radiance.
-        colors: what the values mean.
-        is_plain: whether programs that know nothing of layers, primaries and curves show the same.
-        decode: makes the pixels (height, width, channels), and alpha (height, width), None without.
-        exif: where its EXIF is.
-        numbers: makes the values (height, width, channels) of an EXR that is no picture.
     """
 
-    path: Path
-    kind: str
-    size: tuple[int, int]
-    type: str
-    colors: Colors
-    is_plain: bool
+    path: Path  # of the file
+    kind: str  # "exr", "heif" or OpenImageIO's name of the format
+    size: tuple[int, int]  # width and height in pixels, as stored
+    type: str  # of the values: "uint8" or "uint16" are codes, "float32" is radiance
+    colors: Colors  # what the values mean
+    is_plain: bool  # whether programs that know nothing of layers, primaries and curves show the same
+    # Makes the pixels (height, width, channels), and alpha (height, width), None without
     decode: Callable[[], tuple[Any, np.ndarray | None]]
-    exif: Path | bytes = b""
+    exif: Path | bytes = b""  # where its EXIF is
+    # Makes the values (height, width, channels) of an EXR that is no picture
     numbers: Callable[[], np.ndarray] | None = None
 
     @property

@@ -133,19 +133,12 @@ class Fit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What belongs together or not.
+    """What belongs together or not."""
 
-    Attributes:
-        sights: cameras and photographs.
-        points: (N, 3) on the mesh, or of the solve without one.
-        solved: (M, 3) points of the solve in the cameras' coordinates; None with too few.
-        has_mesh: whether the points are those of a mesh.
-    """
-
-    sights: Sequence[Sight]
-    points: np.ndarray
-    solved: np.ndarray | None
-    has_mesh: bool
+    sights: Sequence[Sight]  # cameras and photographs
+    points: np.ndarray  # (N, 3) on the mesh, or of the solve without one
+    solved: np.ndarray | None  # (M, 3) points of the solve in the cameras' coordinates; None with too few
+    has_mesh: bool  # whether the points are those of a mesh
 
     @classmethod
     def of(
@@ -266,21 +259,13 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """What was found of a scene.
+    """What was found of a scene."""
 
-    Attributes:
-        given: how it fits as it is.
-        elsewhere: whether cameras and mesh clearly do not belong together.
-        explained: the corrections that explain all.
-        best: how it fits with the first of them.
-        is_sure: whether photographs confirm them.
-    """
-
-    given: Fit
-    elsewhere: bool = False
-    explained: Sequence[Correction] = ()
-    best: Fit | None = None
-    is_sure: bool = False
+    given: Fit  # how it fits as it is
+    elsewhere: bool = False  # whether cameras and mesh clearly do not belong together
+    explained: Sequence[Correction] = ()  # the corrections that explain all
+    best: Fit | None = None  # how it fits with the first of them
+    is_sure: bool = False  # whether photographs confirm them
 
     @property
     def is_told(self) -> bool:

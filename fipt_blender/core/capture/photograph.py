@@ -52,15 +52,10 @@ Files = dict[str, Path]  # images that were written of a view, by kind, relative
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """A file, and the pinhole views that are made of it.
+    """A file, and the pinhole views that are made of it."""
 
-    Attributes:
-        views: one, or the six faces of a panorama.
-        compared: whether it is compared with others (:mod:`.mistakes`).
-    """
-
-    views: tuple[RigView, ...]
-    compared: bool = False
+    views: tuple[RigView, ...]  # one, or the six faces of a panorama
+    compared: bool = False  # whether it is compared with others (:mod:`.mistakes`)
 
     @cached_property
     def picture(self) -> Picture:

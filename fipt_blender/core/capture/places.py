@@ -46,31 +46,20 @@ ID_FOLDERS = {PARTS_FOLDER: PARTS_FOLDER, SEMANTICS_FOLDER: SEMANTICS_FOLDER}
 
 @dataclass(frozen=True)
 class Places:
-    """Where the photographs, id images and mesh of a camera file are searched.
+    """Where the photographs, id images and mesh of a camera file are searched."""
 
-    Attributes:
-        file: the camera file, for messages.
-        roots: folders, the first ones first.
-        images: the folder in which photographs are searched before all others, or None.
-        image_folders: folders below each root that may hold photographs.
-        mask_folders: folders below each root that may hold masks of pixels to leave out.
-        inside: folder whose subfolders may hold photographs, too, or None.
-        own_paths: whether paths from the file may lead anywhere.
-        relative: whether paths start at the file's folder: such a path must not lead elsewhere.
-        id_folders: folder below a root of each kind of id images.
-        finds_masks: whether masks are searched that the camera file does not name.
-    """
-
-    file: Path
-    roots: tuple[Path, ...]
-    images: Path | None = None
-    image_folders: tuple[str, ...] = IMAGE_FOLDERS
+    file: Path  # the camera file, for messages
+    roots: tuple[Path, ...]  # folders, the first ones first
+    images: Path | None = None  # the folder in which photographs are searched before all others, or None
+    image_folders: tuple[str, ...] = IMAGE_FOLDERS  # folders below each root that may hold photographs
+    # Folders below each root that may hold masks of pixels to leave out
     mask_folders: tuple[str, ...] = (".", MASK_FOLDER)
-    inside: Path | None = None
-    own_paths: bool = False
-    relative: bool = False
+    inside: Path | None = None  # folder whose subfolders may hold photographs, too, or None
+    own_paths: bool = False  # whether paths from the file may lead anywhere
+    relative: bool = False  # whether paths start at the file's folder: such a path must not lead elsewhere
+    # Folder below a root of each kind of id images
     id_folders: dict[str, str] = field(default_factory=lambda: ID_FOLDERS)
-    finds_masks: bool = True
+    finds_masks: bool = True  # whether masks are searched that the camera file does not name
     folders: Folders = field(default_factory=Folders, compare=False, repr=False)
     # What was found of each name, since camera files may repeat names without end.
     _found: dict[tuple, Any] = field(default_factory=dict, compare=False, repr=False)

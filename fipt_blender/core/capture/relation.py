@@ -49,23 +49,14 @@ class _Dataparser:
 
 @dataclass(frozen=True, eq=False)
 class Related:
-    """Cameras and mesh in the coordinates that are used from here on.
+    """Cameras and mesh in the coordinates that are used from here on."""
 
-    Attributes:
-        rig: its cameras and depth images.
-        vertices: (V, 3) float64 of the mesh, or None without a mesh that can be read here.
-        triangles: (T, 3) of the mesh.
-        moved: whether the vertices are no longer those of the file.
-        offset: (3,) what must be added for the source's coordinates.
-        solved: (N, 3) points of the solve in the cameras' coordinates, without the offset.
-    """
-
-    rig: Rig
-    vertices: np.ndarray | None
-    triangles: np.ndarray
-    moved: bool
-    offset: np.ndarray
-    solved: np.ndarray
+    rig: Rig  # its cameras and depth images
+    vertices: np.ndarray | None  # (V, 3) float64 of the mesh, or None without a mesh that can be read here
+    triangles: np.ndarray  # (T, 3) of the mesh
+    moved: bool  # whether the vertices are no longer those of the file
+    offset: np.ndarray  # (3,) what must be added for the source's coordinates
+    solved: np.ndarray  # (N, 3) points of the solve in the cameras' coordinates, without the offset
 
 
 def relate(

@@ -33,15 +33,11 @@ _MALFORMED = (ValueError, LookupError, TypeError, AttributeError, ArithmeticErro
 
 @dataclass(frozen=True)
 class Lens:
-    """A camera model by COLMAP's name with COLMAP's parameters in pixels, e.g. PINHOLE (fx, fy, cx, cy).
-
-    Attributes:
-        face: of a view that is cut out of a panorama, one of `panorama.FACES`.
-    """
+    """A camera model by COLMAP's name with COLMAP's parameters in pixels, e.g. PINHOLE (fx, fy, cx, cy)."""
 
     model: str
     parameters: tuple[float, ...]
-    face: str = ""
+    face: str = ""  # of a view that is cut out of a panorama, one of `panorama.FACES`
 
 
 @dataclass(frozen=True)
@@ -114,26 +110,17 @@ class DepthView:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """A capture as its source describes it.
+    """A capture as its source describes it."""
 
-    Attributes:
-        source: name of the format.
-        views: all photographs with a pose.
-        up_axis: the source axis that points up (see `conventions.UP_AXES`), None where the format does not
-            define it.
-        mesh: mesh file in the same coordinates as the poses, or None where none was found.
-        notes: warnings.
-        depths: depth images, from which a mesh can be fused.
-        one_camera: whether photographs were assumed to have the depth images' cameras.
-    """
-
-    source: str
-    views: tuple[RigView, ...]
+    source: str  # name of the format
+    views: tuple[RigView, ...]  # all photographs with a pose
+    # The source axis that points up (see `conventions.UP_AXES`), None where the format does not define
+    # it
     up_axis: str | None
-    mesh: Path | None
-    notes: tuple[Problem, ...] = ()
-    depths: tuple[DepthView, ...] = ()
-    one_camera: bool = False
+    mesh: Path | None  # mesh file in the same coordinates as the poses, or None where none was found
+    notes: tuple[Problem, ...] = ()  # warnings
+    depths: tuple[DepthView, ...] = ()  # depth images, from which a mesh can be fused
+    one_camera: bool = False  # whether photographs were assumed to have the depth images' cameras
 
 
 def damaged(path: Path, reason: object) -> FiptError:

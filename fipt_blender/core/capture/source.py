@@ -35,14 +35,10 @@ MEASURED = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Source(Related):
-    """A capture as it was read, and where its mesh comes from.
+    """A capture as it was read, and where its mesh comes from."""
 
-    Attributes:
-        mesh: the mesh file; None without one.
-        made: what is used instead of the file: fewer triangles or other coordinates; None for the file.
-    """
-
-    mesh: Path | None
+    mesh: Path | None  # the mesh file; None without one
+    # What is used instead of the file: fewer triangles or other coordinates; None for the file
     made: FusedMesh | None
 
     @property

@@ -36,18 +36,12 @@ _Z = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Upright:
-    """The vertical of a capture.
+    """The vertical of a capture."""
 
-    Attributes:
-        axis: the source axis that is nearest to up, one of `conventions.UP_AXES`.
-        source: what tells it: "option", "format", "planes" or "cameras".
-        angle: degrees between up and the axis.
-        turn: (3, 3) rotation that precedes that of the axis; None where the axis itself is up.
-    """
-
-    axis: str
-    source: str
-    angle: float = 0.0
+    axis: str  # the source axis that is nearest to up, one of `conventions.UP_AXES`
+    source: str  # what tells it: "option", "format", "planes" or "cameras"
+    angle: float = 0.0  # degrees between up and the axis
+    # (3, 3) rotation that precedes that of the axis; None where the axis itself is up
     turn: np.ndarray | None = None
 
     def world_from_source(self, scale: float) -> np.ndarray:

@@ -247,19 +247,13 @@ def photographs_of(views: Sequence[View]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """All views of a run, and the conversion from the source's coordinates to Blender's world.
+    """All views of a run, and the conversion from the source's coordinates to Blender's world."""
 
-    Attributes:
-        source: the format it was read from.
-        world_from_source: (4, 4) float64 similarity for anything in source coordinates, the mesh included.
-        mesh: mesh file in source coordinates, or None where none was found.
-        views: in the order of capture.json.
-    """
-
-    source: str
+    source: str  # the format it was read from
+    # (4, 4) float64 similarity for anything in source coordinates, the mesh included
     world_from_source: np.ndarray
-    mesh: Path | None
-    views: tuple[View, ...]
+    mesh: Path | None  # mesh file in source coordinates, or None where none was found
+    views: tuple[View, ...]  # in the order of capture.json
 
     @property
     def train(self) -> list[View]:

@@ -45,17 +45,12 @@ _ALIGN = "align the cameras to the mesh by pairs of points in Blender (Capture >
 
 @dataclass(frozen=True, eq=False)
 class PairAgreement:
-    """How well the photographs of V views agree in pairs.
+    """How well the photographs of V views agree in pairs."""
 
-    Attributes:
-        correlation: (V, V) of log radiance in the cells that both see; 0 where they are not compared.
-        weight: (V, V) root of the number of these cells, 0 where they are not compared.
-        seen: (V,) share of each view's pixels that see the mesh.
-    """
-
+    # (V, V) of log radiance in the cells that both see; 0 where they are not compared
     correlation: np.ndarray
-    weight: np.ndarray
-    seen: np.ndarray
+    weight: np.ndarray  # (V, V) root of the number of these cells, 0 where they are not compared
+    seen: np.ndarray  # (V,) share of each view's pixels that see the mesh
 
     @property
     def median(self) -> float:

@@ -43,19 +43,12 @@ _ROUNDS = 8
 
 @dataclass(frozen=True)
 class CellGrid:
-    """How surface points are sorted into cells by position, side and part.
+    """How surface points are sorted into cells by position, side and part."""
 
-    Attributes:
-        part: (T,) int part of each triangle, negative without.
-        side: (T,) int64 dominant direction of each triangle's normal.
-        low: (3,) corner of a cell below the room, metres.
-        size: edge of a cell, metres.
-    """
-
-    part: np.ndarray
-    side: np.ndarray
-    low: np.ndarray
-    size: float
+    part: np.ndarray  # (T,) int part of each triangle, negative without
+    side: np.ndarray  # (T,) int64 dominant direction of each triangle's normal
+    low: np.ndarray  # (3,) corner of a cell below the room, metres
+    size: float  # edge of a cell, metres
 
     @classmethod
     def of(cls, room: Room, size: float, part: np.ndarray | None = None) -> CellGrid:
@@ -81,19 +74,13 @@ class ConsistencyTable:
 
     Only the cells are kept: their number depends on the surface. Pixels are looked up view by view with their
     current values, so that pixels left out and corrected exposures count from then on.
-
-    Attributes:
-        grid: how pixels are sorted into cells.
-        keys: (count,) int64 key of each cell, ascending.
-        pixel_count: number of pixels that the cells were made of.
-        colored: whether colours are compared (C of 3), or grey (C of 1).
     """
 
     pixels: PixelStore
-    grid: CellGrid
-    keys: np.ndarray
-    pixel_count: int
-    colored: bool
+    grid: CellGrid  # how pixels are sorted into cells
+    keys: np.ndarray  # (count,) int64 key of each cell, ascending
+    pixel_count: int  # number of pixels that the cells were made of
+    colored: bool  # whether colours are compared (C of 3), or grey (C of 1)
 
     @classmethod
     def of(
@@ -233,17 +220,11 @@ def lattice_hits(pixels: PixelStore, index: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class SmallPhotographs:
-    """Photographs on fewer pixels, which are compared before the pixels of an estimation are traced.
+    """Photographs on fewer pixels, which are compared before the pixels of an estimation are traced."""
 
-    Attributes:
-        views: with as many pixels as the arrays have.
-        radiance: of each view (n, 3), means over square blocks of pixels.
-        masked: of each view (n,) bool, blocks with a masked pixel.
-    """
-
-    views: list[View]
-    radiance: list[np.ndarray]
-    masked: list[np.ndarray]
+    views: list[View]  # with as many pixels as the arrays have
+    radiance: list[np.ndarray]  # of each view (n, 3), means over square blocks of pixels
+    masked: list[np.ndarray]  # of each view (n,) bool, blocks with a masked pixel
 
     @classmethod
     def of(cls, views: Sequence[View], steps: Sequence[int]) -> SmallPhotographs:

@@ -52,50 +52,31 @@ _STRAY = ("odometry.csv", "camera_matrix.csv")
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """One frame of a scan.
+    """One frame of a scan."""
 
-    Attributes:
-        name: of its photograph.
-        pose: (4, 4) camera to world, OpenCV axes.
-        intrinsics: fx, fy, cx, cy in pixels of the photograph; None for the field of view of the depth image.
-        size: width and height of the photograph, None for those of the file.
-        depth: name of its depth image; "" for the photograph's.
-        called: the view's name; "" for the photograph's.
-        time: seconds, in which pictures may be called.
-    """
-
-    name: str
-    pose: np.ndarray
+    name: str  # of its photograph
+    pose: np.ndarray  # (4, 4) camera to world, OpenCV axes
+    # Fx, fy, cx, cy in pixels of the photograph; None for the field of view of the depth image
     intrinsics: tuple[float, ...] | None
-    size: tuple[int, int] | None = None
-    depth: str = ""
-    called: str = ""
-    time: float = 0.0
+    size: tuple[int, int] | None = None  # width and height of the photograph, None for those of the file
+    depth: str = ""  # name of its depth image; "" for the photograph's
+    called: str = ""  # the view's name; "" for the photograph's
+    time: float = 0.0  # seconds, in which pictures may be called
 
 
 @dataclass(frozen=True, eq=False)
 class _Scan:
-    """What an app's folder holds.
+    """What an app's folder holds."""
 
-    Attributes:
-        places: where the photographs are.
-        depths: folder of the depth images.
-        frames: of the scan.
-        without: what to do if no frame has a photograph; None where each must have one.
-        depth_camera: fx, fy, cx, cy in pixels of the depth images; None for the photographs'.
-        lost: how many frames have no pose.
-        numbered: whether frames are called by numbers, in folders of nothing else.
-        video: whether photographs are pictures of a video, which another program has numbered.
-    """
-
-    places: Places
-    depths: Path
-    frames: Sequence[_Frame]
-    without: str | None = None
+    places: Places  # where the photographs are
+    depths: Path  # folder of the depth images
+    frames: Sequence[_Frame]  # of the scan
+    without: str | None = None  # what to do if no frame has a photograph; None where each must have one
+    # Fx, fy, cx, cy in pixels of the depth images; None for the photographs'
     depth_camera: tuple[float, ...] | None = None
-    lost: int = 0
-    numbered: bool = False
-    video: bool = False
+    lost: int = 0  # how many frames have no pose
+    numbered: bool = False  # whether frames are called by numbers, in folders of nothing else
+    video: bool = False  # whether photographs are pictures of a video, which another program has numbered
 
 
 def _paired(scan: _Scan) -> _Scan:
