@@ -154,6 +154,7 @@ def _scene_kept() -> Iterator[None]:
     kept = [
         {name: getattr(owner, name) for name in names} for owner, names in zip(owners, _KEPT, strict=True)
     ]
+    scene.world = None  # else the importer of USD changes its nodes
     try:
         yield
     finally:

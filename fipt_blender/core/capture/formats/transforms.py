@@ -125,7 +125,7 @@ def find(path: Path) -> Path | None:
 
 
 def _is_named_otherwise(file: Path) -> bool:
-    return all(word in head(file) for word in ('"frames"', '"file_path"', '"transform_matrix"'))
+    return "transform" in file.stem.lower() and '"frames"' in (text := head(file)) and '"file_path"' in text
 
 
 def read(path: Path, options: CaptureOptions) -> Rig:
