@@ -481,7 +481,7 @@ def test_poses_that_are_not_read_are_named(tmp_path: Path, name: str, content: b
 
 @pytest.mark.parametrize("suffix", [".dvc", ".nextcloud", ".icloud"])
 def test_stubs_of_photographs_are_named(tmp_path: Path, suffix: str) -> None:
-    write_capture("transforms", tmp_path / "in", ["0.jpg"], ["images/0.jpg"])
+    write_capture("transforms", tmp_path / "in", ["images/0.jpg"], ["images/0.jpg"])
     path = tmp_path / "in" / "images" / "0.jpg"
     path.rename(path.with_name(("." if suffix == ".icloud" else "") + path.name + suffix))
     error = error_of(read, tmp_path / "in")

@@ -353,9 +353,9 @@ def _open_by_oiio(path: Path, kind: str, _: str) -> Picture:
     colors = _radiance_colors(path) if kind == "hdr" else Colors()
     if kind == "jpegxl" and not oiio.is_imageio_format_name(kind):
         raise FiptError("image-format.known", path=path, what="JPEG XL", formats=FORMATS)
-    spec = _oiio_input(path, kind).spec()
     if kind == "tiff":
         _refuse_previews(path)
+    spec = _oiio_input(path, kind).spec()
     name = _TYPES.get(str(spec.format))
     if name is None:
         raise ValueError(f"its values are {spec.format}, not of 8 or 16 bits or floats")
