@@ -315,7 +315,7 @@ def _judged(
         return []
     if finding.is_sure and not options.correct:
         raise finding.error()
-    return [finding.note(scene, source.mesh)] if finding.is_told else []
+    return [finding.note(scene, source.mesh)]
 
 
 def _convert(

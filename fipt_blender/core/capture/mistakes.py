@@ -267,12 +267,6 @@ class Finding:
     best: Fit | None = None  # how it fits with the first of them
     is_sure: bool = False  # whether photographs confirm them
 
-    @property
-    def is_told(self) -> bool:
-        """Whether there is something to say."""
-        contradicted = self.given.pairs >= 2 * LEAST_PAIRS and self.given.agreement < DISAGREE
-        return bool(self.elsewhere or self.explained or contradicted)
-
     def error(self, code: str = "convention") -> FiptError:
         """The error where photographs confirm what explains it."""
         assert self.best is not None, "something explains it"
@@ -341,7 +335,8 @@ def examine(scene: Scene, source: str, poses: bool = True) -> Finding | None:
         if found:
             sure = scene.is_telling and found[0][1].pairs >= LEAST_PAIRS
             return Finding(given, elsewhere, [each for each, _ in found], found[0][1], sure)
-    return Finding(given, elsewhere) if doubtful else None
+    contradicted = scene.has_mesh and given.pairs >= 2 * LEAST_PAIRS and given.agreement < DISAGREE
+    return Finding(given, elsewhere, contradicted=contradicted) if elsewhere or contradicted else None
 
 
 def _explaining(

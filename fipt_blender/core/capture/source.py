@@ -55,9 +55,8 @@ def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> S
     if rig.one_camera:
         rig = with_color_camera(rig, options.scale)
     solved = np.zeros((0, 3))
-    if mesh is not None:
-        with suppress(FiptError):  # the format has none
-            solved = read_points(capture, rig.source, sure=True)
+    with suppress(FiptError):  # the format has none
+        solved = read_points(capture, rig.source, sure=True)
     related = relate(capture, rig, mesh, solved, options)
     notes, made = list(related.rig.notes), None
     vertices, triangles = related.vertices, related.triangles

@@ -33,7 +33,6 @@ JUDGED_VIEWS = 4  # that must be judged before anything is said of poses or mesh
 AGREE = 0.5
 SOFTNESS = 0.1  # width of the transition to credible views, in mean correlation
 ROUNDS = 20  # at most, of weighing views by each other
-MEND = 0.75  # median correlation below which usual mistakes of cameras and mesh are tried
 # Where more than this share of the views is contradicted and the rest agrees less than this in the median, it
 # is the mesh that is wrong: right poses agree by 0.9.
 MANY, MEND_LEFT = 0.1, 0.85
@@ -119,8 +118,7 @@ def check_input(
     few = judged.sum() < JUDGED_VIEWS
     blind = int((found.seen < LEAST_SEEN).sum())
     elsewhere = 2 * blind >= len(views) or found.seen.mean() < LEAST_SEEN
-    doubtful = found.median < MEND or not credible.all()
-    if not settings.force and not own_mesh and (elsewhere or not few) and doubtful:
+    if not settings.force and not own_mesh and (elsewhere or not few):
         _check_mesh(room, small, source)
     if not settings.force and 2 * blind >= len(views) > blind:  # where all are blind, see fill_pixels
         raise _insufficient(
