@@ -52,40 +52,29 @@ _REMEDY = "Correct the file, or delete it and find the brackets again."
 
 @dataclass(frozen=True)
 class Photograph:
-    """One file as its header describes it; None where the header does not say.
+    """One file as its header describes it; None where the header does not say."""
 
-    Attributes:
-        path: within the folder of the photographs, relative to it.
-        kind: ``raw`` (a sensor's values), ``ldr`` (codes after a camera's response), ``linear`` (radiance).
-        width, height: pixels as stored, before `orientation`.
-        orientation: of EXIF, 1 to 8.
-        shutter: seconds.
-        aperture: f-number.
-        iso: sensitivity.
-        focal_length: mm.
-        focal_35mm: mm of a 35 mm camera with the same angle of view.
-        make, model, lens: of the camera and its lens; "" where unknown.
-        corrected: whether the camera has corrected the lens's vignetting; None where it does not say.
-        time: seconds, only for differences between photographs.
-        exposure: the light that reaches the values, relative: shutter * iso / (100 * aperture²). The user may
-            set it where the header does not.
-    """
-
-    path: str
+    path: str  # within the folder of the photographs, relative to it
+    # ``raw`` (a sensor's values), ``ldr`` (codes after a camera's response), ``linear`` (radiance)
     kind: Annotated[str, choice("raw", "ldr", "linear")]
+    # width, height: pixels as stored, before `orientation`
     width: Pixels
     height: Pixels
-    orientation: Annotated[int, Number(1, 8)] = 1
-    shutter: _Positive | None = None
-    aperture: _Positive | None = None
-    iso: _Positive | None = None
-    focal_length: _Positive | None = None
-    focal_35mm: _Positive | None = None
+    orientation: Annotated[int, Number(1, 8)] = 1  # of EXIF, 1 to 8
+    shutter: _Positive | None = None  # seconds
+    aperture: _Positive | None = None  # f-number
+    iso: _Positive | None = None  # sensitivity
+    focal_length: _Positive | None = None  # mm
+    focal_35mm: _Positive | None = None  # mm of a 35 mm camera with the same angle of view
+    # make, model, lens: of the camera and its lens; "" where unknown
     make: str = ""
     model: str = ""
     lens: str = ""
+    # Whether the camera has corrected the lens's vignetting; None where it does not say
     corrected: bool | None = None
-    time: float | None = None
+    time: float | None = None  # seconds, only for differences between photographs
+    # The light that reaches the values, relative: shutter * iso / (100 * aperture²). The user may set
+    # it where the header does not.
     exposure: _Positive | None = None
 
     @property

@@ -37,24 +37,16 @@ _FEATURES, _MATCHES = 0.2, 0.8  # share of the time after which features and mat
 
 @dataclass(frozen=True)
 class SolveView:
-    """A photograph to be placed.
+    """A photograph to be placed."""
 
-    Attributes:
-        name: of the view; see `copy_name`.
-        width, height: in pixels of the merged photograph; copies have the same size.
-        camera: what photographs of one camera and lens setting share.
-        focal: focal length in pixels, None where EXIF does not give it.
-        distortion: first and second radial coefficient to start from.
-        files: paths of files by which an existing solve may call it.
-    """
-
-    name: str
+    name: str  # of the view; see `copy_name`
+    # width, height: in pixels of the merged photograph; copies have the same size
     width: int
     height: int
-    camera: str = ""
-    focal: float | None = None
-    distortion: tuple[float, float] = (0.0, 0.0)
-    files: tuple[str, ...] = ()
+    camera: str = ""  # what photographs of one camera and lens setting share
+    focal: float | None = None  # focal length in pixels, None where EXIF does not give it
+    distortion: tuple[float, float] = (0.0, 0.0)  # first and second radial coefficient to start from
+    files: tuple[str, ...] = ()  # paths of files by which an existing solve may call it
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,23 +47,17 @@ CLEARLY_BETTER = 0.9
 
 @dataclass(frozen=True)
 class ColorCamera:
-    """How the color camera differs from the depth camera.
+    """How the color camera differs from the depth camera."""
 
-    Attributes:
-        log_focal: logarithm of the ratio of focal lengths.
-        shift_x, shift_y: of the principal point, pixels of a photograph `WIDTH` pixels wide.
-        x, y: metres from the depth camera's points to their places before the color camera.
-        agreement: robust disagreement of the photographs, relative to that with the depth camera.
-        unsettled: names of what the photographs hardly determine; it is what is usual.
-    """
-
-    log_focal: float
+    log_focal: float  # logarithm of the ratio of focal lengths
+    # shift_x, shift_y: of the principal point, pixels of a photograph `WIDTH` pixels wide
     shift_x: float
     shift_y: float
+    # x, y: metres from the depth camera's points to their places before the color camera
     x: float
     y: float
-    agreement: float
-    unsettled: tuple[str, ...] = ()
+    agreement: float  # robust disagreement of the photographs, relative to that with the depth camera
+    unsettled: tuple[str, ...] = ()  # names of what the photographs hardly determine; it is what is usual
 
     def view(self, view: RigView, scale: float) -> RigView:
         """A view with the color camera in place of the depth camera.

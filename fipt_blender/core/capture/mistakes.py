@@ -62,20 +62,15 @@ MEND, WELL, EXPLAINED, LACK, ALIKE = 0.75, 0.95, 0.85, 0.5, 1.5
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """A photograph's camera, and what it shows on few pixels.
+    """A photograph's camera, and what it shows on few pixels."""
 
-    Attributes:
-        pose: (4, 4) camera to world, OpenCV axes.
-        fx, fy, cx, cy: intrinsics in units of the image's width and height.
-        radiance: (h, w, 3), NaN where masked; None where it is not compared.
-    """
-
-    pose: np.ndarray
+    pose: np.ndarray  # (4, 4) camera to world, OpenCV axes
+    # fx, fy, cx, cy: intrinsics in units of the image's width and height
     fx: float
     fy: float
     cx: float
     cy: float
-    radiance: np.ndarray | None = None
+    radiance: np.ndarray | None = None  # (h, w, 3), NaN where masked; None where it is not compared
 
     def shows(self, points: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points (N, 3) in the image from a pose: index (M,), place (M, 2) from 0 to 1, and depth (M,)."""

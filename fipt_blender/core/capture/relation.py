@@ -139,11 +139,8 @@ def sight(pose: np.ndarray, pinhole: Pinhole, radiance: np.ndarray | None = None
 def _one_place(places: np.ndarray, vertices: np.ndarray) -> list[Problem]:
     """A warning where all cameras (V, 3) are at one place in a mesh (N, 3)."""
     path, diagonal = (float(np.linalg.norm(np.ptp(each, axis=0))) for each in (places, vertices))
-    return (
-        [problem("cameras-one-place", count=len(places))]
-        if len(places) > 2 and path < ONE_PLACE * diagonal
-        else []
-    )
+    told = len(places) > 2 and path < ONE_PLACE * diagonal
+    return [problem("cameras-one-place", count=len(places))] if told else []
 
 
 def _astray(views: Sequence[RigView], places: np.ndarray, vertices: np.ndarray | None) -> list[Problem]:

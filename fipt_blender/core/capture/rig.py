@@ -54,58 +54,40 @@ class Pinhole:
 
 @dataclass(frozen=True, eq=False)
 class RigView:
-    """One photograph as its source describes it.
+    """One photograph as its source describes it."""
 
-    Attributes:
-        name: path-like name without suffix.
-        split: ``"train"``, ``"held_back"`` or None where the format has no splits.
-        image: the photograph, which need not exist.
-        width, height: size in pixels that the lens is calibrated for.
-        lens: intrinsics and distortion.
-        camera_to_world: (4, 4) float64, OpenCV axes, source world.
-        parts, semantics: id images that exist, or None.
-        mask: image whose black pixels are left out, or None; it need not exist.
-        missing: where a file does not exist, what was looked for; else "".
-        layer: of an EXR with several; see `images.read_radiance`.
-    """
-
-    name: str
-    split: str | None
-    image: Path
+    name: str  # path-like name without suffix
+    split: str | None  # ``"train"``, ``"held_back"`` or None where the format has no splits
+    image: Path  # the photograph, which need not exist
+    # width, height: size in pixels that the lens is calibrated for
     width: int
     height: int
-    lens: Lens
-    camera_to_world: np.ndarray
+    lens: Lens  # intrinsics and distortion
+    camera_to_world: np.ndarray  # (4, 4) float64, OpenCV axes, source world
+    # parts, semantics: id images that exist, or None
     parts: Path | None = None
     semantics: Path | None = None
-    mask: Path | None = None
-    missing: str = ""
-    layer: str = ""
+    mask: Path | None = None  # image whose black pixels are left out, or None; it need not exist
+    missing: str = ""  # where a file does not exist, what was looked for; else ""
+    layer: str = ""  # of an EXR with several; see `images.read_radiance`
 
 
 @dataclass(frozen=True, eq=False)
 class DepthView:
-    """One depth image as its source describes it.
+    """One depth image as its source describes it."""
 
-    Attributes:
-        path: 16-bit PNG or EXR, depths along the camera's axis; it need not exist.
-        width, height: size in pixels that the intrinsics are for.
-        fx, fy, cx, cy: pinhole intrinsics in pixels.
-        unit: metres per stored unit.
-        camera_to_world: (4, 4) float64, OpenCV axes, source world.
-        photograph: the view of the same frame, with a pinhole lens, or None.
-    """
-
-    path: Path
+    path: Path  # 16-bit PNG or EXR, depths along the camera's axis; it need not exist
+    # width, height: size in pixels that the intrinsics are for
     width: int
     height: int
+    # fx, fy, cx, cy: pinhole intrinsics in pixels
     fx: float
     fy: float
     cx: float
     cy: float
-    unit: float
-    camera_to_world: np.ndarray
-    photograph: RigView | None = None
+    unit: float  # metres per stored unit
+    camera_to_world: np.ndarray  # (4, 4) float64, OpenCV axes, source world
+    photograph: RigView | None = None  # the view of the same frame, with a pinhole lens, or None
 
 
 @dataclass(frozen=True, eq=False)

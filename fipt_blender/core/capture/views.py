@@ -53,41 +53,31 @@ class KeptImages(dict[tuple[Picture, str, tuple[int, int], bool], np.ndarray]):
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One photograph: a pinhole camera and the paths of its images.
+    """One photograph: a pinhole camera and the paths of its images."""
 
-    Attributes:
-        name: unique in the capture, e.g. ``"train/000"``.
-        split: ``"train"`` or ``"held_back"`` (never shown to the estimation).
-        image: scene-linear radiance (EXR; see `encoded`), undistorted, free of negative values.
-        width, height: size in pixels.
-        fx, fy, cx, cy: pinhole intrinsics in pixels; the centre of the first pixel is (0.5, 0.5).
-        camera_to_world: (4, 4) float64, OpenCV axes, Blender world in metres.
-        parts, semantics: id images of the same size, or None.
-        mask: id image of the same size, 0 where the photograph must not be used, or None.
-        encoded: whether the photograph is not HDR: the image holds a camera's codes by sRGB's curve.
-        exposure: of such a photograph, the relative exposure stored in its file, or None.
-        panorama: name of the panorama that the view is a face of, or None.
-        full: width and height of the photograph, where the view has fewer pixels; None where it has its size.
-        kept: averaged images: of all views of a capture, at any resolution.
-    """
-
-    name: str
-    split: str
-    image: Path
+    name: str  # unique in the capture, e.g. ``"train/000"``.
+    split: str  # ``"train"`` or ``"held_back"`` (never shown to the estimation)
+    image: Path  # scene-linear radiance (EXR; see `encoded`), undistorted, free of negative values
+    # width, height: size in pixels
     width: int
     height: int
+    # fx, fy, cx, cy: pinhole intrinsics in pixels; the centre of the first pixel is (0.5, 0.5)
     fx: float
     fy: float
     cx: float
     cy: float
-    camera_to_world: np.ndarray
+    camera_to_world: np.ndarray  # (4, 4) float64, OpenCV axes, Blender world in metres
+    # parts, semantics: id images of the same size, or None
     parts: Path | None = None
     semantics: Path | None = None
-    mask: Path | None = None
+    mask: Path | None = None  # id image of the same size, 0 where the photograph must not be used, or None
+    # Whether the photograph is not HDR: the image holds a camera's codes by sRGB's curve
     encoded: bool = False
-    exposure: float | None = None
-    panorama: str | None = None
+    exposure: float | None = None  # of such a photograph, the relative exposure stored in its file, or None
+    panorama: str | None = None  # name of the panorama that the view is a face of, or None
+    # Width and height of the photograph, where the view has fewer pixels; None where it has its size
     full: tuple[int, int] | None = None
+    # Averaged images: of all views of a capture, at any resolution
     kept: KeptImages = field(default_factory=KeptImages, repr=False)
 
     @property

@@ -200,27 +200,20 @@ Models = tuple[Sequence[Sequence[RigView]], tuple[Problem, ...]]
 
 @dataclass(frozen=True)
 class Program:
-    """A format of `registry`.
+    """A format of `registry`."""
 
-    Attributes:
-        NAME, LOOKS_FOR: see `registry`.
-        suffixes: of the camera file.
-        known: whether a file is one by the text of its beginning.
-        models: reads it, given where its photographs are; the views may be in any order.
-        points: reads its sparse points (N, 3); None where it has none.
-        folders: of a capture, in which the program writes it.
-        up: the axis that points up; None where the program does not define it.
-        meshes: names and folders of the program's meshes.
-    """
-
+    # NAME, LOOKS_FOR: see `registry`
     NAME: str
     LOOKS_FOR: str
-    suffixes: tuple[str, ...]
-    known: Callable[[str], bool]
+    suffixes: tuple[str, ...]  # of the camera file
+    known: Callable[[str], bool]  # whether a file is one by the text of its beginning
+    # Reads it, given where its photographs are; the views may be in any order
     models: Callable[[Path, Places], Models]
+    # Reads its sparse points (N, 3); None where it has none
     points: Callable[[Path], np.ndarray] | None = None
-    folders: tuple[str, ...] = (".",)
-    up: str | None = None
+    folders: tuple[str, ...] = (".",)  # of a capture, in which the program writes it
+    up: str | None = None  # the axis that points up; None where the program does not define it
+    # Names and folders of the program's meshes
     meshes: tuple[tuple[str, ...], tuple[str, ...]] = (MESH_STEMS, (".",))
 
     def find(self, path: Path) -> Path | None:
