@@ -314,7 +314,7 @@ def _judged(
     if scene is None or finding is None:
         return []
     if finding.is_sure and not options.correct:
-        raise finding.error()
+        raise finding.error(at_import=True)
     return [finding.note(scene, source.mesh)]
 
 

@@ -12,7 +12,7 @@ own mirror image, or whose photographs are plain or noisy, mesh and points alone
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -83,7 +83,7 @@ class Sight:
 
 
 def small(radiance: np.ndarray, masked: np.ndarray | None = None) -> np.ndarray | None:
-    """A photograph (H, W, 3) on few pixels, in units of its median; None where it is noise or black.
+    """A photograph (H, W, 3) on few pixels, in units of its median; None where it is noise, or shows nothing.
 
     Args:
         masked: (H, W) bool, pixels that show nothing.
@@ -93,7 +93,8 @@ def small(radiance: np.ndarray, masked: np.ndarray | None = None) -> np.ndarray 
     found = means(radiance, width, min(height, radiance.shape[0]))
     median = float(np.median(found))
     found = found / max(median, 1e-12)
-    if not median > 0.0 or not is_clear(np.log(np.maximum(found, 0.0) + FLOOR).mean(axis=2)):
+    gray = np.log(np.maximum(found, 0.0) + FLOOR).mean(axis=2)
+    if not median > 0.0 or gray.std() < LEAST_SPREAD or not is_clear(gray):
         return None
     if masked is not None:
         found[means(masked[..., None].astype(np.float32), width, len(found))[..., 0] > 0.0] = np.nan
@@ -261,47 +262,57 @@ class Finding:
     explained: Sequence[Correction] = ()  # the corrections that explain all
     best: Fit | None = None  # how it fits with the first of them
     is_sure: bool = False  # whether photographs confirm them
+    contradicted: bool = False  # whether the photographs hardly agree on the mesh
 
-    def error(self, code: str = "convention") -> FiptError:
+    def error(self, at_import: bool) -> FiptError:
         """The error where photographs confirm what explains it."""
         assert self.best is not None, "something explains it"
-        return FiptError(code, given=self._agreement, best=self.best.agreement, **self._explanation())
+        best, says, which = self.best.agreement, self._says, self._which
+        given = f"the photographs agree by {self.given.agreement:.2f} on it"
+        if self.given.pairs < LEAST_PAIRS:
+            given = "hardly two photographs would show the same of it"
+        if at_import:
+            said = problem("convention", given=given, best=best, says=says, which=which)
+        else:
+            said = problem("mesh-misplaced", given=given, best=best, says=says, which=which)
+        return FiptError.of(said.code, said.text, said.remedy, self._fix if at_import else "")
 
     def note(self, scene: Scene, mesh: Path | None) -> Problem:
         """The warning where mesh and points alone tell, or nothing explains it."""
-        places = np.array([sight.pose[:3, 3] for sight in scene.sights])
+        places, given = np.array([sight.pose[:3, 3] for sight in scene.sights]), self.given
         low, high = scene.points.min(axis=0), scene.points.max(axis=0)
-        given, key = self.given, "explained" if self.explained else "unknown"
-        reach = np.linalg.norm(places - places.mean(axis=0), axis=1).max()
-        centred = np.linalg.norm(places.mean(axis=0)) < NORMALIZED * reach and abs(reach - 1.0) < NORMALIZED
-        return problem(
-            f"mesh-elsewhere.{key if self.explained or self.elsewhere else 'photographs'}",
-            agreement=given.agreement,
-            hint=" The cameras' positions look normalized: export them without that." if centred else "",
-            mesh=mesh or "the solve's points",
-            seen=100.0 * given.seen,
-            beside=""
-            if scene.solved is None
-            else f", {100.0 * given.on_mesh:.0f} % of the solve's points lie"
-            f" on it, {100.0 * given.watched:.0f} % of them are before two cameras",
-            inside=100.0 * given.inside,
-            diagonal=float(np.linalg.norm(high - low)),
-            distance=float(np.linalg.norm(places.mean(axis=0) - 0.5 * (low + high))),
-            **(self._explanation() if self.explained else {}),
-        )
+        middle = places.mean(axis=0)
+        reach = float(np.linalg.norm(places - middle, axis=1).max())
+        centred = np.linalg.norm(middle) < NORMALIZED and abs(reach - 1.0) < NORMALIZED
+        hint = " The cameras' positions look normalized: export them without that." if centred else ""
+        what = mesh or "the solve's points"
+        if self.contradicted and not self.elsewhere:
+            return problem("mesh-elsewhere.photographs", mesh=what, agreement=given.agreement, hint=hint)
+        evidence = f"the photographs would show {what} in {100.0 * given.seen:.0f} % of their pixels"
+        if scene.solved is not None:
+            evidence += f", {100.0 * given.on_mesh:.0f} % of the solve's points lie on it"
+            evidence += f", {100.0 * given.watched:.0f} % of them are before two cameras"
+        evidence += f", {100.0 * given.inside:.0f} % of the cameras are within its box"
+        evidence += f" of {np.linalg.norm(high - low):.3g} units, and their middle is"
+        evidence += f" {np.linalg.norm(middle - 0.5 * (low + high)):.3g} units from its middle"
+        if not self.explained:
+            return problem("mesh-elsewhere.unknown", evidence=evidence, hint=hint)
+        said = problem("mesh-elsewhere.explained", evidence=evidence, says=self._says, which=self._which)
+        return replace(said, fix=self._fix)
 
     @property
-    def _agreement(self) -> str:
-        if self.given.pairs < LEAST_PAIRS:
-            return "hardly two photographs would show the same of it"
-        return f"the photographs agree by {self.given.agreement:.2f} on it"
+    def _says(self) -> str:
+        return ", or ".join(each.says for each in self.explained)
 
-    def _explanation(self) -> dict[str, str]:
-        """What is true of the files, how to say so, and the only correction; values of problems.toml."""
+    @property
+    def _fix(self) -> str:
+        """The name of the only correction; "" of several."""
+        return self.explained[0].name if len(self.explained) == 1 else ""
+
+    @property
+    def _which(self) -> str:
         names = " or ".join(each.name for each in self.explained)
-        which = names if len(self.explained) == 1 else f"one of {names}, whichever your program's mistake is"
-        fix = names if len(self.explained) == 1 else ""
-        return {"says": ", or ".join(each.says for each in self.explained), "which": which, "fix": fix}
+        return self._fix or f"one of {names}, whichever your program's mistake is"
 
 
 def examine(scene: Scene, source: str, poses: bool = True) -> Finding | None:

@@ -104,10 +104,14 @@ def doubts(axis: str, poses: np.ndarray, source: str) -> list[Problem]:
     if held.error > LEVEL or nearest <= CONTRADICTED:
         return []
     other = _nearest_axis(held.up)
-    upside_down = _direction(other) @ _direction(axis) < -0.5
+    if _direction(other) @ _direction(axis) > -0.5:
+        named = problem(
+            "up-axis-doubtful.doubts", axis=axis.upper(), other=other.upper(), angle=angle, other_2=other
+        )
+        return [named]
     which = next(each.name for each in corrections(source) if each.poses is not None)
-    key = f"up-axis-doubtful.{'axes' if upside_down else 'doubts'}"
-    return [problem(key, axis=axis.upper(), other=other.upper(), angle=angle, other_2=other, which=which)]
+    names = axis.upper(), other.upper()
+    return [problem("up-axis-doubtful.axes", axis=names[0], other=names[1], other_2=other, which=which)]
 
 
 def common_up(poses: np.ndarray) -> HeldLevel:

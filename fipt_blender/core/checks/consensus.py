@@ -215,4 +215,4 @@ def _check_mesh(room: Room, small: SmallPhotographs, source: str) -> None:
     scene = Scene.of(sights, (room.vertices, room.triangles), np.zeros((0, 3)))
     finding = None if scene is None else examine(scene, source, poses=False)
     if finding is not None and finding.is_sure:
-        raise finding.error("mesh-misplaced")
+        raise finding.error(at_import=False)

@@ -45,7 +45,7 @@ def problem(key: str, /, **values: object) -> Problem:
     """The problem with a key, and these values in its texts."""
     texts = problem_texts()[key]
     text, remedy = (texts.get(name, "").format_map(values) for name in ("text", "remedy"))
-    return Problem(key.partition(".")[0], text, remedy.strip(), str(values.get("fix", "")))
+    return Problem(key.partition(".")[0], text, remedy.strip())
 
 
 class FiptError(Exception):
@@ -60,10 +60,10 @@ class FiptError(Exception):
         self._say(problem(key, **values))
 
     @classmethod
-    def of(cls, code: str, text: str, remedy: str) -> FiptError:
+    def of(cls, code: str, text: str, remedy: str, fix: str = "") -> FiptError:
         """The error whose texts come from elsewhere, such as another process."""
         error = cls.__new__(cls)
-        error._say(Problem(code, text, remedy))
+        error._say(Problem(code, text, remedy, fix))
         return error
 
     def _say(self, said: Problem) -> None:
