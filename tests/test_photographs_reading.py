@@ -190,8 +190,8 @@ def test_real_disks_have_second_copies_bins_and_names_of_other_systems(tmp_path:
         write_jpeg(source / name, GREY, exif(1 / 15))
     for name in ("a (1).jpg", "a.jfif", "a copy.jpg", "b.jpg"):  # the last one is another photograph
         write_jpeg(source / name, GREY + np.uint8(name == "b.jpg"), exif(1 / 9, 900.0))
-    write_jpeg(source / "c.DNG", GREY + np.uint8(2), exif(1 / 8, 990.0))  # is a JPEG
-    write_jpeg(source / "d.insp", GREY + np.uint8(3), exif(1 / 7, 995.0))
+    write_jpeg(source / "c.jpg", GREY + np.uint8(2), exif(1 / 8, 990.0)).rename(source / "c.DNG")  # is a JPEG
+    write_jpeg(source / "d.jpg", GREY + np.uint8(3), exif(1 / 7, 995.0)).rename(source / "d.insp")
     reporter = read(source, capture)
     paths = {item.path for item in read_preparation(PreparationFolder(capture)).photographs}
     assert paths == {"IMG_1.jpg", "IMG_2.jpg", "IMG_3.jpg", "IMG_4.jpg", "a.jfif", "b.jpg", "c.DNG"}

@@ -45,7 +45,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     maps: list[LeftOut] = []
     source = preparation.source
     names = list_photographs(source)
-    copied = second_copies(source, names)
+    copied = second_copies(source, [name for name in names if not role(name)])
     for index, name in enumerate(names):
         if name in copied:
             continue

@@ -198,9 +198,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             "undistorted": sum(sum(photograph.distorted) for photograph in photographs),
         },
     )
-    images = (getattr(view, kind) for view in views for kind in ("image", *ID_IMAGES))
-    files = sorted({str(path.absolute()) for path in (*images, source.mesh) if path is not None})
-    return _Files(tuple(files))
+    read = [source.mesh, *(getattr(view, kind) for view in views for kind in ("image", *ID_IMAGES))]
+    return _Files(tuple(sorted({str(path.absolute()) for path in read if path is not None})))
 
 
 def _placed(options: CaptureOptions, world_from_source: np.ndarray) -> RigView:
@@ -308,7 +307,7 @@ def _judged(
         for view, pinhole, image in zip(photograph.views, photograph.pinholes, images, strict=True):
             sights.append(sight(conventions.transform_poses(back, view.camera_to_world), pinhole, image))
     has_mesh = source.vertices is not None and len(source.triangles) > 0
-    mesh = (source.vertices + source.offset, source.triangles) if has_mesh else None  # type: ignore[operator]
+    mesh = (source.vertices + source.offset, source.triangles) if has_mesh else None
     scene = Scene.of(sights, mesh, source.solved + source.offset)
     finding = None if scene is None else examine(scene, source.rig.source)
     if scene is None or finding is None:

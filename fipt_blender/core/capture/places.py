@@ -238,8 +238,8 @@ class Places:
         views, unread = self._checked_masks(views)
         masks = {view.mask for view in views if view.mask is not None and self._masked(view)}
         if masks:
-            folder = min(masks).parent
-            unread.append(problem("masks-found", count=len(masks), views=len(views), folder=folder))
+            place = min(masks).parent
+            unread.append(problem("masks-found", count=len(masks), views=len(views), folder=place))
         for kind in ("image", *self.id_folders):
             self._refuse_shared(kind, [view for view in views if not view.missing])
         found = {

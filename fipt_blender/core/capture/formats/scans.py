@@ -129,10 +129,11 @@ def _by_time(frames: Sequence[_Frame], files: Sequence[Path]) -> dict[int, str]:
 
 def _of_video(names: Sequence[str], files: Sequence[Path], table: Path) -> dict[int, str]:
     """The pictures of a video's frames. Programs number what they extract from 0 or 1 on."""
-    asked, given = [_number(name) for name in names], [_number(file.name) for file in files]
-    if None in asked or None in given:
+    asked = [number for name in names if (number := _number(name)) is not None]
+    given = [number for file in files if (number := _number(file.name)) is not None]
+    if len(asked) < len(names) or len(given) < len(files):
         return {}
-    wanted, found = sorted(asked), sorted(given)  # type: ignore[type-var]
+    wanted, found = sorted(asked), sorted(given)
     if len(set(found)) == len(found) == len(wanted) and found != wanted:
         order = sorted(files, key=lambda file: _number(file.name) or 0)
         return {asked.index(number): file.name for number, file in zip(wanted, order, strict=True)}
