@@ -148,7 +148,7 @@ def test_normalised_cameras_are_explained_by_nothing():
     places = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
     poses[:, :3, 3] = places / np.linalg.norm(places, axis=1).max()
     found = examine(scene(poses), "transforms")
-    assert not found.explained and "normalized" in found.note(scene(poses), Path("room.obj")).remedy
+    assert not found.explained and "normalize" in found.note(scene(poses), Path("room.obj")).text
 
 
 def test_what_is_named_is_refused_at_the_import_and_fixed_by_its_name(tmp_path):

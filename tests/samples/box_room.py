@@ -41,7 +41,7 @@ def photograph(pose: np.ndarray) -> np.ndarray:
     wall = 2 * steps.argmin(axis=-1) + (np.take_along_axis(rays, steps.argmin(axis=-1)[..., None], -1)[..., 0] > 0)
     rng = np.random.default_rng(5)
     waves, phases = rng.normal(size=(6, 4, 3)), rng.uniform(0.0, 6.3, (6, 4, 3))
-    value = np.einsum("hwc,hwkc->hwk", points, 1.7 * waves[wall])[..., None] + phases[wall]
+    value = np.einsum("hwc,hwkc->hwk", points, 4.0 * waves[wall])[..., None] + phases[wall]
     return np.exp(0.6 * np.sin(value).sum(axis=-2) / 2.0).astype(np.float32)
 
 

@@ -48,7 +48,7 @@ ENOUGH_POINTS, MOST_POINTS, NEAR, ON_MESH, CURED, WATCHED = 100, 2000, 0.02, 0.4
 CLEAR = 0.75
 LEAST_SPREAD = 0.1  # standard deviation of log radiance in the shared points, below which pairs say nothing
 LEAST_SHARED = 30  # points that a pair of photographs must share
-DISAGREE = 0.4  # median correlation of twice as many pairs, below which poses or mesh are wrong for sure
+DISAGREE = 0.5  # median correlation of twice as many pairs, below which poses or mesh are wrong for sure
 NORMALIZED = (
     1e-3  # share of 1 by which the largest distance from the cameras' middle, in the origin, may be off
 )
@@ -158,6 +158,13 @@ class Scene:
     def is_telling(self) -> bool:
         """Whether enough photographs can be compared."""
         return sum(sight.radiance is not None for sight in self.sights) >= LEAST_PAIRS
+
+    @property
+    def is_normalized(self) -> bool:
+        """Whether the cameras' middle is the origin, as programs for training networks put it."""
+        places = np.array([sight.pose[:3, 3] for sight in self.sights])
+        middle, reach = places.mean(axis=0), float(np.linalg.norm(places, axis=1).max())
+        return bool(np.linalg.norm(middle) < NORMALIZED * reach)
 
     def fit(self, correction: Correction | None = None) -> Fit:
         """How all goes together after a correction."""
@@ -281,13 +288,11 @@ class Finding:
         """The warning where mesh and points alone tell, or nothing explains it."""
         places, given = np.array([sight.pose[:3, 3] for sight in scene.sights]), self.given
         low, high = scene.points.min(axis=0), scene.points.max(axis=0)
-        middle = places.mean(axis=0)
-        reach = float(np.linalg.norm(places - middle, axis=1).max())
-        centred = np.linalg.norm(middle) < NORMALIZED and abs(reach - 1.0) < NORMALIZED
-        hint = " The cameras' positions look normalized: export them without that." if centred else ""
-        what = mesh or "the solve's points"
+        middle, what = places.mean(axis=0), mesh or "the solve's points"
+        if scene.is_normalized and not self.explained:
+            return problem("mesh-elsewhere.normalized", mesh=what, agreement=given.agreement)
         if self.contradicted and not self.elsewhere:
-            return problem("mesh-elsewhere.photographs", mesh=what, agreement=given.agreement, hint=hint)
+            return problem("mesh-elsewhere.photographs", mesh=what, agreement=given.agreement)
         evidence = f"the photographs would show {what} in {100.0 * given.seen:.0f} % of their pixels"
         if scene.solved is not None:
             evidence += f", {100.0 * given.on_mesh:.0f} % of the solve's points lie on it"
@@ -296,7 +301,7 @@ class Finding:
         evidence += f" of {np.linalg.norm(high - low):.3g} units, and their middle is"
         evidence += f" {np.linalg.norm(middle - 0.5 * (low + high)):.3g} units from its middle"
         if not self.explained:
-            return problem("mesh-elsewhere.unknown", evidence=evidence, hint=hint)
+            return problem("mesh-elsewhere.unknown", evidence=evidence)
         said = problem("mesh-elsewhere.explained", evidence=evidence, says=self._says, which=self._which)
         return replace(said, fix=self._fix)
 
@@ -318,30 +323,30 @@ class Finding:
 def examine(scene: Scene, source: str, poses: bool = True) -> Finding | None:
     """Which usual mistakes explain that a scene does not belong together; None where it does.
 
-    Rooms are alike in front of and behind a camera, so that photographs may agree well with wrong poses:
-    those of cameras are also tried where they agree less than photographs of right poses do.
+    Rooms are alike in front of and behind a camera, so that photographs may agree well where something is
+    wrong: corrections are also tried where nothing else is doubtful.
 
     Args:
         source: name of the capture's format.
         poses: whether corrections of poses are tried that depend on the source's coordinates.
     """
     given = scene.fit()
-    doubtful = scene.is_doubtful(given)
-    if not doubtful and not (scene.is_telling and given.agreement < WELL):
+    if not scene.is_doubtful(given) and not (scene.is_telling and given.agreement < WELL):
         return None
     elsewhere = scene.is_elsewhere(given) and not given.agrees
     for table in (corrections(source), both(source)):
         tried = [
             (each, scene.fit(each))
             for each in table
-            if (each.poses is not None or (doubtful and scene.has_mesh))
+            if (each.poses is not None or scene.has_mesh)
             and (poses or each.poses is None or each.name.startswith("axes-"))
         ]
         found = _explaining(scene, given, tried)
         if found:
             sure = scene.is_telling and found[0][1].pairs >= LEAST_PAIRS
             return Finding(given, elsewhere, [each for each, _ in found], found[0][1], sure)
-    contradicted = scene.has_mesh and given.pairs >= 2 * LEAST_PAIRS and given.agreement < DISAGREE
+    least = WELL if scene.is_normalized else DISAGREE
+    contradicted = scene.has_mesh and given.pairs >= 2 * LEAST_PAIRS and given.agreement < least
     return Finding(given, elsewhere, contradicted=contradicted) if elsewhere or contradicted else None
 
 

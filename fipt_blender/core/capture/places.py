@@ -183,6 +183,7 @@ class Places:
     def _checked_masks(self, views: Sequence[RigView]) -> tuple[list[RigView], list[Problem]]:
         """The views without found masks that are none, and a note of these."""
         for view in (view for view in views if view.mask is not None and self._masked(view)):
+            assert view.mask is not None, "only these are looked at"
             try:
                 fault, count = "", len(np.unique(read_ids(view.mask)))
                 if count > MOST_MASK_IDS:
@@ -242,10 +243,8 @@ class Places:
             unread.append(problem("masks-found", count=len(masks), views=len(views), folder=place))
         for kind in ("image", *self.id_folders):
             self._refuse_shared(kind, [view for view in views if not view.missing])
-        found = {
-            of: one for of, one in self._found.items() if isinstance(one, Found) and one.path not in masks
-        }
-        used = [one.path for one in found.values()]
+        found = [one.path for one in self._found.values() if isinstance(one, Found)]
+        used = [path for path in found if path not in masks]
         suffixes, folders = {suffix_of(path.name) for path in used}, {path.parent for path in used}
         beside = [path for folder in sorted(folders) for path in self.folders.images(folder)]
         beside = [path for path in beside if suffix_of(path.name) in suffixes and not self.own_paths]
@@ -257,7 +256,7 @@ class Places:
             used = [path for view in views if (path := getattr(view, kind)) is not None]
             unused.append(_unused("masks-unused", "id images", "photograph", beside, used))
         folders = {path.parent for path in masks if path.parent.name.lower() in MASK_FOLDERS}
-        beside = [path for folder in sorted(folders) for path in self.folders.images(folder, True)]
+        beside = [path for each in sorted(folders) for path in self.folders.images(each, True)]
         unused.append(_unused("masks-unused", "masks", "photograph", beside, masks))
         notes = (*notes, *filter(None, unused), *unread)
         return Rig(source, tuple(views), up_axis, mesh, notes, depths, one_camera)
