@@ -54,7 +54,8 @@ def fix_capture(
     correct: Annotated[str, Option("Name of the correction", "Correction")] = "",
 ) -> Task:
     """Import the capture again with the correction that explains what does not fit."""
-    scene.fipt.capture.correct = correct
+    settings = scene.fipt.capture
+    settings.correct, settings.fixed = correct, settings.path
     return importing.capture_import()
 
 
