@@ -90,7 +90,7 @@ def find_upright(poses: np.ndarray, mesh: Path | None) -> Upright:
     return Upright(axis, source, angle, to_world.T @ turn @ to_world)
 
 
-def doubts(axis: str, poses: np.ndarray, source: str) -> list[Problem]:
+def doubts(axis: str, poses: np.ndarray, source: str = "") -> list[Problem]:
     """A warning where cameras (V, 4, 4) were held level about another direction than a format's up axis.
 
     Those of OpenCV's axes instead of OpenGL's are held upside down, too.
