@@ -23,11 +23,11 @@ from fipt_blender.core.conventions import UP_AXES, world_from_source
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
-from fipt_blender.panels import start
+from fipt_blender.panels.capture import draw_import
 from samples import box_room
 from samples.capture_files import make_samples, write_colmap, write_mesh, write_transforms
 from samples.engine_here import engine_here
-from samples.layouts import drawn_by
+from samples.layouts import Layout
 
 ops = bpy.ops.fipt
 CORNERS = [Vector(corner) for corner in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))]
@@ -100,8 +100,9 @@ def test_fix_imports_again_with_the_correction_that_the_panel_offers(here, scene
     assert "OpenCV" in refused(ops.import_capture, filepath=str(tmp_path / "wrong"))
     error = running.last("capture").error
     assert error["fix"] == "axes-opencv"
-    drawn = drawn_by(start.FIPT_PT_start)[0]
-    assert "fipt.fix_capture" in drawn
+    layout = Layout()
+    draw_import(layout, bpy.context)
+    assert "fipt.fix_capture" in layout.drawn
     assert ops.fix_capture(correct=error["fix"]) == {"FINISHED"}
     settings = scene.fipt.capture
     place = settings.views[0].camera_object().matrix_world.translation
