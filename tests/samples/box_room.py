@@ -13,7 +13,7 @@ from fipt_blender.core.capture.rig import Lens
 from samples.camera_poses import look_at
 from samples.capture_files import Sample
 
-LOW, HIGH = np.array([-2.1, -1.8, 0.0]), np.array([2.9, 2.2, 3.0])  # not symmetric about the origin
+LOW, HIGH = np.array([-1.2, -1.8, 0.0]), np.array([3.8, 2.2, 3.0])  # not symmetric about the origin
 WIDTH, HEIGHT, FOCAL = 48, 32, 30.0
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * (HIGH - LOW) + LOW
 QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -25,8 +25,8 @@ def make_samples(count: int = 12) -> list[Sample]:
     samples, lens = [], Lens("PINHOLE", (FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2))
     for index in range(count):
         angle = 2.0 * np.pi * index / count
-        place = [0.7 + 1.3 * np.cos(angle), 0.0 + 0.9 * np.sin(angle), 1.4 + 0.3 * np.sin(3.0 * angle)]
-        target = [-1.5 * np.cos(angle + 0.7), -1.2 * np.sin(angle + 0.4), 1.2 + 0.8 * np.cos(2.0 * angle)]
+        place = [1.6 + 1.3 * np.cos(angle), 0.0 + 0.9 * np.sin(angle), 1.4 + 0.3 * np.sin(3.0 * angle)]
+        target = [0.9 - 1.5 * np.cos(angle + 0.7), -1.2 * np.sin(angle + 0.4), 1.2 + 0.8 * np.cos(2.0 * angle)]
         samples.append(Sample(f"{index:03d}", WIDTH, HEIGHT, lens, look_at(place, target)))
     return samples
 

@@ -323,22 +323,23 @@ class Finding:
 def examine(scene: Scene, source: str, poses: bool = True) -> Finding | None:
     """Which usual mistakes explain that a scene does not belong together; None where it does.
 
-    Rooms are alike in front of and behind a camera, so that photographs may agree well where something is
-    wrong: corrections are also tried where nothing else is doubtful.
+    Rooms are alike in front of and behind a camera, so that photographs may agree well with wrong poses:
+    corrections of cameras are also tried where nothing is doubtful.
 
     Args:
         source: name of the capture's format.
         poses: whether corrections of poses are tried that depend on the source's coordinates.
     """
     given = scene.fit()
-    if not scene.is_doubtful(given) and not (scene.is_telling and given.agreement < WELL):
+    doubtful = scene.is_doubtful(given)
+    if not doubtful and not (scene.is_telling and given.agreement < WELL):
         return None
     elsewhere = scene.is_elsewhere(given) and not given.agrees
     for table in (corrections(source), both(source)):
         tried = [
             (each, scene.fit(each))
             for each in table
-            if (each.poses is not None or scene.has_mesh)
+            if (each.poses is not None or (doubtful and scene.has_mesh))
             and (poses or each.poses is None or each.name.startswith("axes-"))
         ]
         found = _explaining(scene, given, tried)
@@ -359,13 +360,15 @@ def _explaining(
         found = [(each, fit) for each, fit in fitting if scene.explains(fit, given)]
     else:
         least = max(LEAST_PAIRS, max((fit.pairs for _, fit in tried), default=0) / 3)
-        left = 1.0 - (given.agreement if given.pairs >= LEAST_PAIRS else 0.0)
+        left = LACK * (1.0 - (given.agreement if given.pairs >= LEAST_PAIRS else 0.0))
+        if given.agrees:  # what is right is seen by no fewer pairs
+            least, left = max(least, given.pairs), 0.5 * left
         found = [
             (each, fit)
             for each, fit in tried
             if fit.pairs >= least
             and fit.agreement > EXPLAINED
-            and 1.0 - fit.agreement < LACK * left
+            and 1.0 - fit.agreement < left
             and fit.on_mesh >= CURED
         ]
         best = max((fit.agreement for _, fit in found), default=0.0)
