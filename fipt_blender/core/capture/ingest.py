@@ -49,6 +49,8 @@ from .rig import EQUIRECTANGULAR, MESH_SUFFIXES, RigView
 from .source import Source, read_source, size_note, write_mesh
 from .upright import Upright, doubts, find_upright
 
+USUAL_SIZES = 2.0, 10.0  # metres, of a room's longest side; others may be in another unit
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
@@ -309,7 +311,9 @@ def _judged(
     has_mesh = source.vertices is not None and len(source.triangles) > 0
     mesh = (source.vertices + source.offset, source.triangles) if has_mesh else None
     scene = Scene.of(sights, mesh, source.solved + source.offset)
-    finding = None if scene is None else examine(scene, source.rig.source)
+    size = options.scale * float(np.ptp(mesh[0], axis=0).max()) if mesh is not None else USUAL_SIZES[0]
+    doubt = not USUAL_SIZES[0] <= size <= USUAL_SIZES[1]
+    finding = None if scene is None else examine(scene, source.rig.source, doubt=doubt)
     if scene is None or finding is None:
         return []
     if finding.is_sure and not options.correct:

@@ -54,9 +54,9 @@ NORMALIZED = (
 )
 SAME = 0.99  # share of the mesh that lies where another correction puts it, if they do the same
 LEAST_PAIRS = 4  # that say something of a placement
-# Median correlation of the pairs: below the first, something is wrong, above the second nothing is. What is
-# above the third explains it, if it reduces 1 - correlation to less than the share. Others that leave at most
-# this factor more explain it as well.
+# Median correlation of the pairs: below the first, something is wrong; below the second, if other signs say
+# so. What is above the third explains it, if it reduces 1 - correlation to less than the share. Others that
+# leave at most this factor more explain it as well.
 MEND, WELL, EXPLAINED, LACK, ALIKE = 0.75, 0.95, 0.85, 0.5, 1.5
 
 
@@ -245,11 +245,11 @@ class Scene:
         return fit.on_mesh < ON_MESH if self.solved is not None and self.has_mesh else fit.seen < LEAST_SEEN
 
     def is_doubtful(self, fit: Fit) -> bool:
-        """Whether something may be wrong."""
-        if fit.agrees:
-            return False
+        """Whether something may be wrong. Photographs of smooth walls agree in wrong places, too."""
         odd = self.solved is None and (fit.path < SMALL_PATH or fit.inside < INSIDE)
-        return self.is_elsewhere(fit) or odd or fit.watched < WATCHED or (self.is_telling and fit.pairs > 0)
+        if self.is_elsewhere(fit) or odd or fit.watched < WATCHED:
+            return True
+        return self.is_telling and fit.pairs > 0 and not fit.agrees
 
     def explains(self, fit: Fit, given: Fit) -> bool:
         """Whether mesh and points fit, which do not as they are given."""
@@ -320,7 +320,7 @@ class Finding:
         return self._fix or f"one of {names}, whichever your program's mistake is"
 
 
-def examine(scene: Scene, source: str, poses: bool = True) -> Finding | None:
+def examine(scene: Scene, source: str, poses: bool = True, doubt: bool = False) -> Finding | None:
     """Which usual mistakes explain that a scene does not belong together; None where it does.
 
     Rooms are alike in front of and behind a camera, so that photographs may agree well with wrong poses:
@@ -329,10 +329,11 @@ def examine(scene: Scene, source: str, poses: bool = True) -> Finding | None:
     Args:
         source: name of the capture's format.
         poses: whether corrections of poses are tried that depend on the source's coordinates.
+        doubt: whether the mesh is doubted for other reasons.
     """
     given = scene.fit()
-    doubtful = scene.is_doubtful(given)
-    if not doubtful and not (scene.is_telling and given.agreement < WELL):
+    doubtful = doubt or scene.is_doubtful(given)
+    if not doubtful and not scene.is_telling:
         return None
     elsewhere = scene.is_elsewhere(given) and not given.agrees
     for table in (corrections(source), both(source)):
