@@ -109,20 +109,13 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 
 @dataclass(frozen=True, eq=False)
 class PhotographFacts:
-    """What is wrong with a photograph.
+    """What is wrong with a photograph."""
 
-    Attributes:
-        missing: whether its file is missing.
-        unusable: why it can't be used, "" if it can.
-        clipped_share: 0..1, of its pixels that are over-exposed.
-        flaw: what is wrong with its radiance, "" for nothing.
-        image: (h, w) what is compared with the mesh (:func:`.edge_image`), None without any.
-    """
-
-    missing: bool = False
-    unusable: str = ""
-    clipped_share: float = 0.0
-    flaw: str = ""
+    missing: bool = False  # whether its file is missing
+    unusable: str = ""  # why it can't be used, "" if it can
+    clipped_share: float = 0.0  # 0..1, of its pixels that are over-exposed
+    flaw: str = ""  # what is wrong with its radiance, "" for nothing
+    # (h, w) what is compared with the mesh (:func:`.edge_image`), None without any
     image: np.ndarray | None = None
 
 
