@@ -37,26 +37,39 @@ _FEATURES, _MATCHES = 0.2, 0.8  # share of the time after which features and mat
 
 @dataclass(frozen=True)
 class SolveView:
-    """A photograph to be placed."""
+    """A photograph to be placed.
 
-    name: str  # of the view; see `copy_name`
-    # width, height: in pixels of the merged photograph; copies have the same size
+    Attributes:
+        name: of the view; see `copy_name`.
+        width, height: in pixels of the merged photograph; copies have the same size.
+        camera: what photographs of one camera and lens setting share.
+        focal: focal length in pixels, None where EXIF does not give it.
+        distortion: first and second radial coefficient to start from.
+        files: paths of files by which an existing solve may call it.
+    """
+
+    name: str
     width: int
     height: int
-    camera: str = ""  # what photographs of one camera and lens setting share
-    focal: float | None = None  # focal length in pixels, None where EXIF does not give it
-    distortion: tuple[float, float] = (0.0, 0.0)  # first and second radial coefficient to start from
-    files: tuple[str, ...] = ()  # paths of files by which an existing solve may call it
+    camera: str = ""
+    focal: float | None = None
+    distortion: tuple[float, float] = (0.0, 0.0)
+    files: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Solve:
-    """What a solve gives."""
+    """What a solve gives.
 
-    # The largest connected set of photographs, in an arbitrary frame; images are named like views
+    Attributes:
+        model: the largest connected set of photographs, in an arbitrary frame; images are named like views.
+        left_out: photographs that it lacks, in the order of the views.
+        sizes: number of photographs of each model that no larger one has, the largest first.
+    """
+
     model: pycolmap.Reconstruction
-    left_out: tuple[LeftOut, ...]  # photographs that it lacks, in the order of the views
-    sizes: tuple[int, ...]  # number of photographs of each model that no larger one has, the largest first
+    left_out: tuple[LeftOut, ...]
+    sizes: tuple[int, ...]
 
 
 def camera_groups(views: Sequence[SolveView]) -> list[list[int]]:
@@ -95,6 +108,10 @@ def solve(folder: Path, views: Sequence[SolveView], seed: int, progress: Progres
         views: in the order in which they were taken; all sizes as of the copies.
         seed: of all random choices.
         progress: takes the share that is done, 0 to 1.
+
+    Raises:
+        FiptError: ``solve-failed`` where no two photographs could be connected, ``solve-few`` for less than
+            two photographs, ``solve-database`` or ``disk-full`` where the database can't be used.
     """
     if len(views) < 2:
         raise FiptError("solve-few", number_of_views=len(views))

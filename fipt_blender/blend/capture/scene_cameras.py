@@ -53,6 +53,10 @@ def write_scene_cameras(scene: bpy.types.Scene, run: RunFolder) -> tuple[Path, l
 
     Returns:
         The file, and the names of the cameras that were left out because they have no photograph.
+
+    Raises:
+        FiptError: ``cameras-none``, ``camera-model`` for one that is not perspective,
+            ``image-missing``, ``background-moved``, ``camera-locked``, ``alignment-uneven``.
     """
     items = sorted((item for item in scene.objects if item.type == "CAMERA"), key=lambda item: item.name)
     chosen = [item for item in items if photograph_of(item) is not None]
@@ -69,7 +73,11 @@ def write_scene_cameras(scene: bpy.types.Scene, run: RunFolder) -> tuple[Path, l
 
 
 def adopt_cameras(run: RunFolder) -> None:
-    """Mark the cameras of the context's scene as views, with `photograph_lens`, and fill the list."""
+    """Mark the cameras of the context's scene as views, with `photograph_lens`, and fill the list.
+
+    Raises:
+        FiptError: ``camera-missing`` where one was removed since `write_scene_cameras`.
+    """
     scene = bpy.context.scene
     path = run.scene_cameras / "transforms.json"
     frames = read_document(path, _Frames, "Import the cameras again.").frames
@@ -95,7 +103,11 @@ def photograph_of(item: bpy.types.Object) -> bpy.types.CameraBackgroundImage | N
 
 
 def describe_camera(scene: bpy.types.Scene, item: bpy.types.Object) -> dict[str, Any]:
-    """A camera as a frame of transforms.json: OpenGL axes, intrinsics in pixels of its photograph."""
+    """A camera as a frame of transforms.json: pose with OpenGL axes, intrinsics in pixels of its photograph.
+
+    Raises:
+        FiptError: see `write_scene_cameras`.
+    """
     background = photograph_of(item)
     assert background is not None
     if item.data.type != "PERSP":
@@ -130,7 +142,11 @@ def describe_camera(scene: bpy.types.Scene, item: bpy.types.Object) -> dict[str,
 
 
 def photograph_path(item: bpy.types.Object, image: bpy.types.Image) -> Path:
-    """The file of a camera's photograph."""
+    """The file of a camera's photograph.
+
+    Raises:
+        FiptError: ``image-missing``.
+    """
     name = image.get(LARGE_PHOTOGRAPH, image.filepath)
     path = Path(bpy.path.abspath(name, library=image.library)) if name else None
     if path is None or not path.is_file():

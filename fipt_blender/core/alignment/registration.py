@@ -27,11 +27,17 @@ GROWTH = 0.2  # most logarithm of the scale that a step changes
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """Where points belong on a mesh."""
+    """Where points belong on a mesh.
 
-    similarity: np.ndarray  # (4, 4) float64 from where the points are
-    error: float  # median distance of the moved points from the mesh, in units of the mesh
-    inliers: float  # share of the points within `NEAR` of the points' extent
+    Attributes:
+        similarity: (4, 4) float64 from where the points are.
+        error: median distance of the moved points from the mesh, in units of the mesh.
+        inliers: share of the points within `NEAR` of the points' extent.
+    """
+
+    similarity: np.ndarray
+    error: float
+    inliers: float
 
 
 def refine(points: np.ndarray, surface: Surface) -> Refined:
@@ -40,6 +46,9 @@ def refine(points: np.ndarray, surface: Surface) -> Refined:
     Args:
         points: (N, 3) where they are now, nearly right; some may be far off.
         surface: of the mesh.
+
+    Raises:
+        FiptError: ``alignment-points`` for too few points.
     """
     if len(points) < MIN_POINTS:
         raise FiptError("alignment-points.refine", number_of_points=len(points), min_points=MIN_POINTS)

@@ -47,17 +47,23 @@ CLEARLY_BETTER = 0.9
 
 @dataclass(frozen=True)
 class ColorCamera:
-    """How the color camera differs from the depth camera."""
+    """How the color camera differs from the depth camera.
 
-    log_focal: float  # logarithm of the ratio of focal lengths
-    # shift_x, shift_y: of the principal point, pixels of a photograph `WIDTH` pixels wide
+    Attributes:
+        log_focal: logarithm of the ratio of focal lengths.
+        shift_x, shift_y: of the principal point, pixels of a photograph `WIDTH` pixels wide.
+        x, y: metres from the depth camera's points to their places before the color camera.
+        agreement: robust disagreement of the photographs, relative to that with the depth camera.
+        unsettled: names of what the photographs hardly determine; it is what is usual.
+    """
+
+    log_focal: float
     shift_x: float
     shift_y: float
-    # x, y: metres from the depth camera's points to their places before the color camera
     x: float
     y: float
-    agreement: float  # robust disagreement of the photographs, relative to that with the depth camera
-    unsettled: tuple[str, ...] = ()  # names of what the photographs hardly determine; it is what is usual
+    agreement: float
+    unsettled: tuple[str, ...] = ()
 
     def view(self, view: RigView, scale: float) -> RigView:
         """A view with the color camera in place of the depth camera.
@@ -79,6 +85,9 @@ def with_color_camera(rig: Rig, scale: float) -> Rig:
     Args:
         rig: whose photographs have the depth images' cameras.
         scale: metres per unit of the capture's coordinates.
+
+    Raises:
+        FiptError: an image can't be read.
     """
     frames = [depth for depth in rig.depths if depth.photograph is not None]
     frames = frames[:: -(-len(frames) // MOST_FRAMES) or 1]
@@ -107,12 +116,19 @@ def with_color_camera(rig: Rig, scale: float) -> Rig:
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """Points that depth images show to be visible from frames."""
+    """Points that depth images show to be visible from frames.
 
-    point: np.ndarray  # (N,) of each sighting
-    frame: np.ndarray  # (N,)
-    place: np.ndarray  # (N, 3) in the frame's depth camera, metres
-    count: int  # number of points
+    Attributes:
+        point: (N,) of each sighting.
+        frame: (N,).
+        place: (N, 3) in the frame's depth camera, metres.
+        count: number of points.
+    """
+
+    point: np.ndarray
+    frame: np.ndarray
+    place: np.ndarray
+    count: int
 
 
 def find_color_camera(frames: Sequence[DepthView], scale: float) -> ColorCamera | None:

@@ -48,6 +48,9 @@ def with_photograph_poses(
     Args:
         views: photographs of the rig, by whatever names.
         scale: metres per unit of the capture's coordinates.
+
+    Raises:
+        FiptError: an image can't be read.
     """
     frame_of = {depth.photograph.image: depth for depth in rig.depths if depth.photograph is not None}
     known = [index for index, view in enumerate(views) if view.image in frame_of]

@@ -92,17 +92,26 @@ class DepthView:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """A capture as its source describes it."""
+    """A capture as its source describes it.
 
-    source: str  # name of the format
-    views: tuple[RigView, ...]  # all photographs with a pose
-    # The source axis that points up (see `conventions.UP_AXES`), None where the format does not define
-    # it
+    Attributes:
+        source: name of the format.
+        views: all photographs with a pose.
+        up_axis: the source axis that points up (see `conventions.UP_AXES`), None where the format does not
+            define it.
+        mesh: mesh file in the same coordinates as the poses, or None where none was found.
+        notes: warnings.
+        depths: depth images, from which a mesh can be fused.
+        one_camera: whether photographs were assumed to have the depth images' cameras.
+    """
+
+    source: str
+    views: tuple[RigView, ...]
     up_axis: str | None
-    mesh: Path | None  # mesh file in the same coordinates as the poses, or None where none was found
-    notes: tuple[Problem, ...] = ()  # warnings
-    depths: tuple[DepthView, ...] = ()  # depth images, from which a mesh can be fused
-    one_camera: bool = False  # whether photographs were assumed to have the depth images' cameras
+    mesh: Path | None
+    notes: tuple[Problem, ...] = ()
+    depths: tuple[DepthView, ...] = ()
+    one_camera: bool = False
 
 
 def damaged(path: Path, reason: object) -> FiptError:
