@@ -258,7 +258,7 @@ def _nothing_solved(connections: Sequence[Connections]) -> FiptError:
 
 def _explained(database: Path, error: RuntimeError) -> FiptError:
     """pycolmap's error as one for the user: it stops at what the database's system says."""
-    if "database or disk is full" in str(error):  # SQLite's words
+    if "full" in str(error).lower():
         return FiptError("disk-full.explained", database=database)
     reason = str(error).strip().splitlines()
     return FiptError("solve-database", database=database, reason=reason[-1] if reason else "no reason given")
