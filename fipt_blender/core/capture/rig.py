@@ -74,20 +74,27 @@ class RigView:
 
 @dataclass(frozen=True, eq=False)
 class DepthView:
-    """One depth image as its source describes it."""
+    """One depth image as its source describes it.
 
-    path: Path  # 16-bit PNG or EXR, depths along the camera's axis; it need not exist
-    # width, height: size in pixels that the intrinsics are for
+    Attributes:
+        path: 16-bit PNG or EXR, depths along the camera's axis; it need not exist.
+        width, height: size in pixels that the intrinsics are for.
+        fx, fy, cx, cy: pinhole intrinsics in pixels.
+        unit: metres per stored unit.
+        camera_to_world: (4, 4) float64, OpenCV axes, source world.
+        photograph: the view of the same frame, with a pinhole lens, or None.
+    """
+
+    path: Path
     width: int
     height: int
-    # fx, fy, cx, cy: pinhole intrinsics in pixels
     fx: float
     fy: float
     cx: float
     cy: float
-    unit: float  # metres per stored unit
-    camera_to_world: np.ndarray  # (4, 4) float64, OpenCV axes, source world
-    photograph: RigView | None = None  # the view of the same frame, with a pinhole lens, or None
+    unit: float
+    camera_to_world: np.ndarray
+    photograph: RigView | None = None
 
 
 @dataclass(frozen=True, eq=False)
