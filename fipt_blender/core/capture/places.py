@@ -176,7 +176,10 @@ class Places:
         for root, folder in product(dict.fromkeys(folders), MASK_FOLDERS):
             if root / folder != path.parent and (file := self.folders.ids(root / folder, [*names, *ends])):
                 return Found(file, ())
-        beside = {key(stem_of(file.name)): file for file in self.folders.images(path.parent)}
+        beside = self._once(
+            ("beside", path.parent),
+            lambda: {key(stem_of(file.name)): file for file in self.folders.images(path.parent)},
+        )
         file = next(filter(None, (beside.get(key(name.rpartition("/")[2])) for name in ends)), None)
         return None if file is None else Found(file, ())
 
