@@ -370,6 +370,11 @@ def test_masks_are_found_where_programs_write_them(tmp_path: Path, kind: str, na
         *(name.format(index) for index in range(2)), None]  # fmt: skip
     assert [note.code for note in rig.notes] == ["masks-found"] and "2 of 3" in rig.notes[0].text
     path = root / name.format(0)
+    with Image.open(path) as image:
+        smooth = np.array(image)
+    smooth[100:103] = [[64], [128], [192]]
+    Image.fromarray(smooth).save(path)
+    assert [note.code for note in read(root).notes] == ["masks-found"]
     for other in (np.arange(480 * 320).astype(np.uint8).reshape(320, 480), np.zeros((9, 9), np.uint8)):
         Image.fromarray(other).save(path)  # ids of parts; another size
         rig = read(root)

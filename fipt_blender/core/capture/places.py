@@ -39,7 +39,8 @@ MASK_FOLDER = "masks"
 # Where programs write masks: COLMAP, nerfstudio and Metashape into a folder, the last one and RealityScan
 # also beside the photographs; and what they put behind a photograph's name, or its stem, besides the suffix.
 MASK_FOLDERS, MASK_ENDS = (MASK_FOLDER, "mask"), (".mask", "_mask", "-mask")
-MOST_MASK_IDS = 2  # of a mask; images with more are of parts or classes
+WHITE = 255, 2**16 - 1, 2**24 - 1  # ids of white pixels
+BLACK_OR_WHITE = 0.9  # share of a mask's pixels whose edges are smooth; others are images of parts or classes
 MESH_STEMS = ("scene", "mesh", "model", "texturedMesh", "scene_dense_mesh")
 ID_FOLDERS = {PARTS_FOLDER: PARTS_FOLDER, SEMANTICS_FOLDER: SEMANTICS_FOLDER}
 
@@ -188,9 +189,10 @@ class Places:
         for view in (view for view in views if view.mask is not None and self._masked(view)):
             assert view.mask is not None, "only these are looked at"
             try:
-                fault, count = "", len(np.unique(read_ids(view.mask)))
-                if count > MOST_MASK_IDS:
-                    fault = f"it has {count} values, as images of parts or classes have"
+                fault, ids = "", read_ids(view.mask)
+                ends = (ids == 0) | ((ids == ids.max()) & np.isin(ids, WHITE))
+                if len(np.unique(ids)) > 2 and ends.mean() < BLACK_OR_WHITE:
+                    fault = "it has several values, as images of parts or classes have"
                 elif read_size(view.mask) != (view.width, view.height):
                     fault = "it has another size than its photograph"
             except FiptError as error:
