@@ -45,6 +45,8 @@ def score(folder: Path, truth: Path | None) -> dict[str, float]:
                 f"missed_{suffix}": count.lost,
             }
     figures |= against_photographs(run)
+    if run.quality_json.exists() and quality["projection_on_mesh_db"] is not None:
+        figures["gap_db"] = quality["projection_on_mesh_db"] - figures["cycles_on_mesh_db"]
     if truth is not None:
         figures |= against_truth(run, truth)
     return figures

@@ -11,6 +11,7 @@ measured; those that are worse by more than another seed makes them are red.
 in Cycles     PSNR in dB of held-back photographs, in their own display values after one factor of exposure,
               against Cycles renders of the .blend; "on the mesh": over pixels whose ray hits it ("hit")
 judged        the same, as the product judges itself; "projection": the training photographs on the mesh
+gap           by which Cycles is below the projection, on the mesh
 kd to relit   as of `dev.py accuracy`, by the paper's protocol
 lamps         true, false and missed fixtures of a probability of 0.5, and of 0.95; lamps that were inferred
 announced     seconds that the job first said that it would take
@@ -25,6 +26,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +34,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks import accuracy, ldr, results
+from benchmarks import accuracy, ldr, prepared, results
+from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.result_contents import Emitters
 from fipt_blender.core.run.runfolder import RunFolder
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -50,6 +54,7 @@ FIGURES: dict[str, tuple[str, str, int]] = {
     "cycles_on_mesh_db": ("on the mesh", ".1f", 1),
     "judged_db": ("judged", ".1f", 0),
     "projection_db": ("projection", ".1f", 0),
+    "gap_db": ("gap", ".1f", -1),
     "on_mesh_share": ("hit", ".2f", 1),
     "true_50": ("true, p ≥ .5", ".0f", 1),
     "false_50": ("false", ".0f", -1),
@@ -81,6 +86,7 @@ class Places:
     made: Path
     scenes: Path
     rooms: Path
+    more: Path
 
 
 @dataclass(frozen=True)
@@ -92,78 +98,118 @@ class Row:
         capture: the folder, which need not exist, made where the row makes its own.
         options: of `estimate`, for a folder.
         truth: the capture with the truth of its held-back views and lamps; None: unknown.
+        source: the folder that the capture is made of, if it is made.
     """
 
     label: str
     capture: Callable[[Places], Path]
     options: Callable[[Places], Sequence[str]] = lambda places: ()
     truth: Callable[[Places], Path | None] = lambda places: None
+    source: Callable[[Places], Path] | None = None
 
 
-def _jpeg(places: Places) -> Path:
-    """The example room photographed as JPEG."""
-    made = places.made / "room-jpeg"
+def _jpeg(room: Callable[[Places], Path], places: Places) -> Path:
+    """A room photographed as JPEG."""
+    made = places.made / f"{room(places).name}-jpeg"
     if not made.exists():
-        ldr.make_capture(ROOM, made, seed=1)
+        ldr.make_capture(room(places), made, seed=1)
     return made
 
 
-def _scan(places: Places) -> list[str]:
-    """The options that use a scan of 2 cm of the example room, without masks."""
-    mesh = places.made / "room-scan.ply"
+def _scan(room: Callable[[Places], Path], places: Places) -> list[str]:
+    """The options that use a scan of 2 cm of a room, without masks."""
+    mesh = places.made / f"{room(places).name}-scan.ply"
     if not mesh.exists():
-        accuracy.scan_capture(ROOM, mesh, ["--voxel", "0.02"])
-    return ["--mesh", str(mesh), "--parts", "none"]
+        accuracy.scan_capture(room(places), mesh, ["--voxel", "0.02"])
+    return ["--mesh", str(mesh), *NO_MASKS]
 
 
-def _without_lamps(places: Places) -> Path:
-    """The example room, of which no photograph shows a lamp."""
-    made = places.made / "room-no-lamp"
+def _without_lamps(room: Callable[[Places], Path], places: Places) -> Path:
+    """A room of which no photograph shows a lamp."""
+    made = places.made / f"{room(places).name}-no-lamp"
     if not made.exists():
         script = str(ROOT / "benchmarks" / "missing_light.py")
-        command = [sys.executable, script, str(ROOM), "--output", str(made), "--missing", "behind"]
+        command = [sys.executable, script, str(room(places)), "--output", str(made), "--missing", "behind"]
         subprocess.run(command, check=True)
     return made
+
+
+def _states(name: str, label: str, room: Callable[[Places], Path]) -> dict[str, Row]:
+    """The rows of a room with ground truth."""
+    dark = partial(_without_lamps, room)
+    jpeg, scan = partial(_jpeg, room), partial(_scan, room)
+    return {
+        name: Row(label, room, truth=room),
+        f"{name}-no-masks": Row(f"{label}, no masks", room, lambda places: NO_MASKS, room),
+        f"{name}-no-lamp": Row(
+            f"{label}, no lamp in view, no masks", dark, lambda places: NO_MASKS, dark, room
+        ),
+        f"{name}-scan": Row(f"{label}, 2 cm scan, JPEG, no masks", jpeg, scan, room, room),
+    }
 
 
 def _bedsit_mesh(places: Places) -> list[str]:
     return ["--mesh", str(places.rooms / "bedsit-mesh.ply")]
 
 
-def _no_masks(places: Places) -> list[str]:
-    return ["--parts", "none"]
-
-
+NO_MASKS = ("--parts", "none")
 ROWS = {
     "example": Row("shipped example", lambda places: EXAMPLE, truth=lambda places: ROOM),
-    "room": Row("example room", lambda places: ROOM, truth=lambda places: ROOM),
-    "no-masks": Row("example room, no masks", lambda places: ROOM, _no_masks, truth=lambda places: ROOM),
-    "scan": Row("example room, 2 cm scan, JPEG, no masks", _jpeg, _scan, truth=lambda places: ROOM),
-    "no-lamp": Row("example room, no lamp in view", _without_lamps, truth=_without_lamps),
-    "living-room": Row(
-        "living room, no masks",
-        lambda places: places.scenes / "livingroom",
-        _no_masks,
-        truth=lambda places: places.scenes / "livingroom",
-    ),
+    **_states("room", "example room", lambda places: ROOM),
+    **_states("living-room", "living room", lambda places: places.scenes / "livingroom"),
+    **_states("classroom", "classroom", lambda places: places.more / "classroom"),
+    **_states("classroom-ground", "classroom on terrain", lambda places: places.more / "classroom-ground"),
+    **_states("dining", "dining room", lambda places: places.more / "dining"),
+    **_states("livingroom2", "second living room", lambda places: places.more / "livingroom2"),
     "office": Row("office kitchen (real)", lambda places: places.rooms / "office"),
     "lounge": Row("lounge (real)", lambda places: places.rooms / "lounge"),
     "bedsit": Row("bedsit (real)", lambda places: places.rooms / "bedsit", _bedsit_mesh),
 }
 
 
-def measure(name: str, places: Places, folder: Path, seed: int, preset: str, reuse: bool) -> dict[str, float]:
+def estimate_only(
+    capture: Path, folder: Path, options: Sequence[str], truth: Path | None
+) -> dict[str, float]:
+    """Figures of an estimation without textures and Cycles; options as of `estimate`.
+
+    Raises:
+        FiptError: ``run-failed``.
+    """
+    run = prepared.prepare(capture, folder, options)
+    script = ROOT / "benchmarks" / "trial_run.py"
+    command = [sys.executable, str(script), str(run.root), *([] if truth is None else [str(truth)])]
+    if subprocess.run(command, check=False).returncode:
+        raise FiptError.of("run-failed", f"{capture} could not be estimated.", "See the error above.")
+    found = json.loads((run.root / "trial.json").read_text(encoding="utf-8"))
+    lamps, fixtures = found.get("lamps"), read_document(run.emitters_json, Emitters)
+    figures = {**found.get("figures", {}).get("held_back", {}), "seconds": sum(found["seconds"].values())}
+    figures |= {"inferred": sum(lamp.inferred for lamp in fixtures.missing)}
+    if lamps is not None:
+        figures |= {"true_50": lamps["true"], "false_50": lamps["false"], "missed_50": lamps["lost"]}
+    if run.quality_json.exists():
+        quality = read_document(run.quality_json, dict)
+        figures |= {"judged_db": quality["held_back_db"], "projection_db": quality["projection_db"]}
+    return {name: value for name, value in figures.items() if name in FIGURES and value is not None}
+
+
+def measure(
+    name: str, places: Places, folder: Path, seed: int, preset: str, reuse: bool, quick: bool = False
+) -> dict[str, float]:
     """Figures of one row's whole job.
 
     Args:
         folder: of the run.
         reuse: score a finished run that is there.
+        quick: only estimate, without textures and Cycles.
 
     Raises:
         FiptError: ``run-failed``.
     """
     row, figures = ROWS[name], {}
     capture = row.capture(places)
+    if quick:
+        options = ["--preset", preset, "--seed", str(seed), *row.options(places)]
+        return estimate_only(capture, folder, options, row.truth(places))
     if reuse and (folder / "room.blend").exists():
         costs = accuracy.recorded_costs(RunFolder(folder))
         figures = {name: costs[name] for name in ("seconds", "peak_memory_gb")}
@@ -241,6 +287,15 @@ def print_row(label: str, figures: Mapping[str, float], told: Mapping[str, tuple
     print(flush=True)
 
 
+def print_worst(told: Mapping[str, Mapping[str, tuple[float, bool]]]) -> None:
+    """The row in which each figure has lost most, or gained least, since the last measurement."""
+    for name, (title, form, better) in FIGURES.items():
+        rows = [(better * row[name][0], label) for label, row in told.items() if better and name in row]
+        if rows:
+            loss, label = min(rows)
+            print(f"worst row, {title}: {better * loss:+{form}} ({label})", flush=True)
+
+
 def make_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = argparse.ArgumentParser(
@@ -267,6 +322,7 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="folder for inputs and runs",
     )
+    add("--quick", action="store_true", help="only estimate, without textures and Cycles; not stored")
     add("--reuse", action="store_true", help="score finished runs in that folder instead of making them")
     add(
         "--scenes",
@@ -282,6 +338,13 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="has office/, lounge/, bedsit/ and bedsit-mesh.ply",
     )
+    add(
+        "--more-rooms",
+        type=Path,
+        default=shared / "rooms",
+        metavar="DIR",
+        help="has classroom/, classroom-ground/, dining/, livingroom2/, with ground truth",
+    )
     add("--bounds", type=Path, metavar="FILE", help="fail where a figure leaves the bounds in this file")
     return parser
 
@@ -293,19 +356,22 @@ def main(argv: Sequence[str]) -> int:
         print(f"error: no rows: {', '.join(sorted(unknown))}", file=sys.stderr)
         return 2
     output = arguments.output.absolute()
-    places = Places(output / "inputs", arguments.scenes.absolute(), arguments.rooms.absolute())
+    given = (arguments.scenes, arguments.rooms, arguments.more_rooms)
+    places = Places(output / "inputs", *(path.absolute() for path in given))
     places.made.mkdir(parents=True, exist_ok=True)
     known, rows, failed = history(), [], False
     means: dict[str, dict[str, float]] = {}
+    told: dict[str, dict[str, tuple[float, bool]]] = {}
     for name in arguments.rows or ROWS:
         label = ROWS[name].label
-        if not ROWS[name].capture(places).exists():
+        if not (ROWS[name].source or ROWS[name].capture)(places).exists():
             print(f"{label}: left out, its input is not here", flush=True)
             continue
         for seed in arguments.seeds:
             try:
+                folder = output / f"{name}-{seed}"
                 figures = measure(
-                    name, places, output / f"{name}-{seed}", seed, arguments.preset, arguments.reuse
+                    name, places, folder, seed, arguments.preset, arguments.reuse, arguments.quick
                 )
             except FiptError as error:
                 print(f"{RED}{label}: {error.text} {error.remedy}{PLAIN}", flush=True)
@@ -315,8 +381,11 @@ def main(argv: Sequence[str]) -> int:
         means[name] = mean_figures({"rows": rows}, label)
         if not means[name]:
             continue
-        print_row(label, means[name], changes(known, label, means[name]))
-        store(rows, known, arguments.preset)  # after each, as all take most of an hour
+        told[label] = changes(known, label, means[name])
+        print_row(label, means[name], told[label])
+        if not arguments.quick:
+            store(rows, known, arguments.preset)  # after each, as all take hours
+    print_worst(told)
     broken = []
     if arguments.bounds:
         bounds = json.loads(arguments.bounds.read_text(encoding="utf-8"))

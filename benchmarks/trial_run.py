@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One estimation of benchmarks/trial.py in a process of its own: `trial_run.py RUN CAPTURE [options]`.
+"""One estimation of benchmarks/trial.py in a process of its own: `trial_run.py RUN [CAPTURE] [options]`.
 
 Estimates a prepared run folder, if wanted with other constants, and scores it. Nothing is baked to textures.
 Constants are set before the engine's modules are imported; therefore the imports are inside functions.
@@ -113,7 +113,7 @@ def main(argv: list[str]) -> int:
     """Run the command; what it finds out is written to RUN/trial.json."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("run", type=Path, metavar="RUN")
-    parser.add_argument("capture", type=Path, metavar="CAPTURE")
+    parser.add_argument("capture", type=Path, nargs="?", metavar="CAPTURE", help="with ground truth")
     parser.add_argument("--store", type=Path, metavar="DIR", help="keep stages there for other runs")
     parser.add_argument("--constants", default="{}", metavar="JSON", help='{"module.NAME": value}')
     arguments = parser.parse_args(argv)
@@ -121,7 +121,8 @@ def main(argv: list[str]) -> int:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     constants.use(json.loads(arguments.constants))
     found = estimate(arguments.run, arguments.store)
-    found |= score(arguments.run, arguments.capture)
+    if arguments.capture is not None:
+        found |= score(arguments.run, arguments.capture)
     from fipt_blender.core.run.method import method_digest
     from fipt_blender.core.run.runfolder import write_json
 

@@ -340,9 +340,21 @@ def test_a_dim_lamp_emits_as_a_part_of_constant_radiance(tmp_path: Path) -> None
     dim, wall = np.full(60, 0.9), 0.5 * light
     pixels = store(tmp_path, [(["L" * 60, "." * 60], [dim, wall])] * 3)  # type: ignore[list-item]
     part = np.arange(len(ROOM.triangles)) // 2
-    assert emission(pixels, diffuse=np.tile(light, 6), part=part) == [LAMP, LAMP + 1]
+    assert emission(pixels, diffuse=np.tile(light, 6), alike=part) == [LAMP, LAMP + 1]
     # Clipped photographs are constant, too.
-    assert emission(pixels, diffuse=np.tile(light, 6), part=part, hdr=False) == []
+    assert emission(pixels, diffuse=np.tile(light, 6), alike=part, hdr=False) == []
+
+
+def test_a_presumed_lamp_is_asked_without_masks_and_hidden_lamps_do_not_explain_it(tmp_path: Path) -> None:
+    """Light that was wrongly inferred makes a panel white paper in bright light, but not of one radiance."""
+    light = np.linspace(6.0, 20.0, 60)
+    pixels = store(tmp_path, [(["L" * 60, "." * 60], [np.full(60, 9.0), 0.5 * light])] * 3)  # type: ignore[list-item]
+    count = len(ROOM.triangles)
+    inferred = Environment(np.zeros((1, 2, 3)), 0.0, np.zeros((1, 2), bool), unseen=np.ones(count))
+    presumed = np.isin(np.arange(count), [LAMP, LAMP + 1])
+    for given, found in ((None, []), (presumed, [LAMP, LAMP + 1])):
+        surfaces = emitter_surfaces(ROOM, Parts(np.arange(count), "none"), 0.01, inferred, True, given)
+        assert emission(pixels, diffuse=np.tile(light, 6), alike=surfaces.alike, unseen=surfaces.unseen) == found
 
 
 def test_stray_pixels_do_not_decide(tmp_path: Path) -> None:

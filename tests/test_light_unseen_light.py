@@ -219,7 +219,8 @@ def test_what_shines_through_a_wide_opening_are_lamps_beside_it() -> None:
         entries=np.zeros(0, np.int64),
         of_entry=np.zeros(0, np.int64),
         cells=SimpleNamespace(size=0.5),  # type: ignore[arg-type]
-        of_hull=np.zeros(0, np.int64),
+        of_cell=np.zeros(0, np.int64),
+        reflected=np.full((count, 3), 0.01),
         place=place,
         toward=np.tile([0.0, 1.0, 0.0], (count, 1)),
         width=np.full(count, 0.5),
@@ -321,11 +322,17 @@ def test_a_known_albedo_tells_the_level_and_the_color_of_the_light() -> None:
 
 def test_points_held_back_tell_light_from_noise() -> None:
     points, expected, _ = drawn_points(np.random.default_rng(3), 12)
-    assert held_back_gain(points, expected, np.random.default_rng(0)) > 5.0
+    block = np.arange(len(points.group)) // len(ALBEDO) % 100
+    assert held_back_gain(points, expected, block, np.random.default_rng(0)) > 5.0
     rng = np.random.default_rng(5)
     light = points.seen + points.unseen @ np.exp(expected.log_radiance)
-    dark = replace(points, log_radiance=np.log(ALBEDO[points.group] * light) + 0.3 * rng.normal(size=light.shape))
-    assert held_back_gain(dark, expected, np.random.default_rng(0)) < 1.0
+    logs = np.log(ALBEDO[points.group] * light) + 0.3 * rng.normal(size=light.shape)
+    assert held_back_gain(replace(points, log_radiance=logs), expected, block, np.random.default_rng(0)) < 1.0
+    # An error of the light that is seen, at one place, is no gain however many points show it.
+    logs[block < 3] += 1.0
+    unseen = np.where(block[:, None] < 3, points.unseen, 0.01 * points.unseen)
+    local = replace(points, log_radiance=logs, unseen=unseen)
+    assert held_back_gain(local, expected, block, np.random.default_rng(0)) < 3.0
 
 
 def estimated(directions: np.ndarray, radiance: np.ndarray, width: int, rng: np.random.Generator) -> Environment | None:

@@ -21,7 +21,7 @@ import pytest
 
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run import chain as chain_module
-from fipt_blender.core.run import finished_views, messages
+from fipt_blender.core.run import finished_views, messages, method
 from fipt_blender.core.run.chain import Chain, Given, Stage, Tools, Watch
 from fipt_blender.core.run.errors import Problem
 from fipt_blender.core.run.messages import Reporter
@@ -110,8 +110,32 @@ def test_a_resumed_chain_does_what_has_changed_and_no_more(tmp_path: Path, monke
     assert work(tmp_path, settings=Settings(seed=1))[1] == ["table", "sum", "train"]
     assert work(tmp_path, number=4)[1] == ["table", "sum", "train"]
     assert work(tmp_path, number=4)[1] == []
-    monkeypatch.setattr(chain_module, "method_digest", lambda: "other")
+    monkeypatch.setattr(chain_module, "code_digest", lambda module: "other")
     assert work(tmp_path, number=4)[1] == ["table", "sum", "train"]
+
+
+def test_the_code_of_a_stage_is_what_it_may_run_and_no_more(tmp_path: Path) -> None:
+    """Also what is imported inside of functions, and in circles; modules elsewhere, as of tests, may run all."""
+    core, rooms = tmp_path / "core", ("light", "material")
+    texts = {
+        "light/stage.py": "from .baking import bake",
+        "light/baking.py": "def bake():\n    from ..material import fit",
+        "material/fit.py": "from ..light.baking import bake",
+        "material/other.py": "",
+    }
+
+    def written(changed: str = "") -> tuple[str, str]:
+        for name, text in texts.items():
+            (core / name).parent.mkdir(parents=True, exist_ok=True)
+            (core / name).write_text(f"{text}\n{'more = 1' if name == changed else ''}")
+        for cached in (method.code_digest, method.method_digest, method._imported):
+            cached.cache_clear()
+        return method.code_digest("fipt_blender.core.light.stage", core, rooms), method.code_digest("t", core, rooms)
+
+    before = written()
+    assert [written(name)[0] != before[0] for name in texts] == [True, True, True, False]
+    assert all(written(name)[1] != before[1] for name in texts)
+    method._imported.cache_clear()
 
 
 @pytest.mark.parametrize("name", ["table/outputs.json", "table/table.npy", "sum/outputs.json", "train/outputs.json"])

@@ -62,6 +62,7 @@ class CellGrid:
     def keys(self, seen: PixelStore | TracedView, rows: np.ndarray) -> np.ndarray:
         """(M,) int64 key of the cell that each pixel (M,) sees; equal where the cells are."""
         place = np.floor((np.asarray(seen.position[rows]) - self.low) / self.size).astype(np.int64) + 1
+        place = np.clip(place, 0, MOST_CELLS + 3)
         triangle = np.asarray(seen.triangle[rows])
         key = (place[:, 0] * (MOST_CELLS + 4) + place[:, 1]) * (MOST_CELLS + 4) + place[:, 2]
         key = key * 12 + self.side[triangle] * 2 + np.asarray(seen.front[rows])

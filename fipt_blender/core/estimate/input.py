@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
+import numpy as np
+
 from ..capture.views import Capture, View, decoded, light_views, load_capture
 from ..checks.consensus import check_input
 from ..completion.panes import close_holes
@@ -33,6 +35,8 @@ from .pipeline import pipeline, round_numbers
 
 # Shares of an estimation's time that averaging the photographs and completing a scan take, for progress.
 PREPARATION = (0.01, 0.05)
+# The user is told of a mesh that is longer than what surrounds the cameras by this factor.
+MUCH_WIDER = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +93,9 @@ def prepare_input(folder: RunFolder, settings: Settings, reporter: Reporter) -> 
     views = link_masks(folder, room, views)
     if outline_parts(folder, views if settings.outlines else [], room):
         room = load_room(folder)
+    inner, every = (float(np.ptp(bounds, axis=0).max()) for bounds in (room.bounds, room.mesh_bounds))
+    if every > MUCH_WIDER * inner:
+        reporter.warning("mesh-far", every=every, inner=inner)
     again = folder.hints_again_json.exists()
     hints, rerun = read_hints(folder.hints_json), read_hints(folder.hints_again_json)
     known, held_back = references(rerun if again else hints), capture.held_back

@@ -39,6 +39,7 @@ from ..run.stage_settings import (
     ReflectionSettings,
 )
 from ..surface.room import Room
+from .light_stages import PresumedLamps
 
 # Share of the pixels that are brighter than white surfaces above which light is missing: rooms have 0.01 to
 # 0.09, the example room with its lamps painted out 0.3 to 0.4.
@@ -95,14 +96,20 @@ def fit_closed_form(
 
 
 def find_emitter_units(
-    room: Room, parts: Parts, observed: Observations, photometry: Photometry | None = None
+    room: Room,
+    parts: Parts,
+    lamps: PresumedLamps,
+    observed: Observations,
+    photometry: Photometry | None = None,
 ) -> EmitterSurfaces:
     """Divide the mesh into surfaces of which each emits as a whole, or not at all.
 
     Args:
+        lamps: presumed ones.
         photometry: of photographs that are not HDR; None where all are.
     """
-    return emitter_surfaces(room, parts, observed.footprint, observed.environment, photometry is None)
+    light, hdr = observed.environment, photometry is None
+    return emitter_surfaces(room, parts, observed.footprint, light, hdr, lamps.presumed)
 
 
 @dataclass(frozen=True)

@@ -63,21 +63,20 @@ def emission_probability(
     unit, units = surfaces.unit, int(surfaces.unit.max(initial=-1)) + 1
     seen = read_evidence(pixels, shadings, white, unit, surfaces.reach)
     evidence, samples = unit_evidence(seen, surfaces.error, units)
-    part = np.full(units, -1, np.int64)
-    part[unit] = surfaces.part
-    of_part = _constancy(seen, part, int(part.max(initial=-1)) + 1, surfaces.spread)
-    constant = np.append(np.maximum(of_part, 0.0), 0.0)[part]
+    alike = np.full(units, -1, np.int64)
+    alike[unit] = surfaces.alike
+    of_alike = _constancy(seen, alike, int(alike.max(initial=-1)) + 1, surfaces.spread)
+    constant = np.append(np.maximum(of_alike, 0.0), 0.0)[alike]
     mean = np.where(samples > 0.0, evidence / np.maximum(samples, 1e-9), -np.inf)
     likely = np.flatnonzero(mean + constant > 0.0)
     lamp = np.full(units, -1, np.int64)
     lamp[likely] = _connected(room, surfaces, likely, samples)
     count = int(lamp.max(initial=-1)) + 1
     number, total = (np.bincount(lamp[likely], each[likely], count) for each in (samples, evidence))
-    of_lamp = _constancy(seen, np.where(part >= 0, -1, lamp), count, surfaces.spread)
+    of_lamp = _constancy(seen, np.where(alike >= 0, -1, lamp), count, surfaces.spread)
     of_lamp[lamp[likely]] += constant[likely]
     total = total / (1.0 + number / surfaces.max_samples) + of_lamp
     odds = np.exp(-np.clip(total + logit(PRIOR), -50.0, 50.0))
-    # What a hidden lamp lights is not of one radiance, either.
     inside = np.flatnonzero(lamp[unit] >= 0)
     weights = room.areas, room.areas * surfaces.unseen
     area, close = (np.bincount(lamp[unit[inside]], each[inside], count) for each in weights)

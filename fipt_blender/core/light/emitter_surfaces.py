@@ -41,9 +41,9 @@ class EmitterSurfaces:
     Attributes:
         unit: (T,) int64 surface of each triangle, from 0.
         component: (T,) int larger surface, from 0; triangles that no pixel judged get the mean of theirs.
-        part: (T,) int part of each triangle, negative where it is unknown.
-        unseen: (T,) share of the directions in which lamps may be that nothing shows, too close for
-            :mod:`.unseen_light`.
+        alike: (T,) int surface that has one radiance if it emits: part or presumed lamp; negative for none.
+        unseen: (T,) share of the directions in which lamps may be close that nothing shows; 0 on presumed
+            lamps, as what a hidden lamp lights is not of one radiance.
         error: relative standard error of the most that a surface reflects.
         spread: least deviation of the logarithm of radiance over light on one surface.
         max_samples: independent ones that the pixels of a lamp count as, at most.
@@ -53,7 +53,7 @@ class EmitterSurfaces:
 
     unit: np.ndarray
     component: np.ndarray
-    part: np.ndarray
+    alike: np.ndarray
     unseen: np.ndarray
     error: float = SHADING_ERROR
     spread: float = SPREAD
@@ -63,7 +63,12 @@ class EmitterSurfaces:
 
 
 def emitter_surfaces(
-    room: Room, parts: Parts, footprint: float, environment: Environment | None = None, hdr: bool = True
+    room: Room,
+    parts: Parts,
+    footprint: float,
+    environment: Environment | None = None,
+    hdr: bool = True,
+    presumed: np.ndarray | None = None,
 ) -> EmitterSurfaces:
     """Triangles of a modelled room; of a scan its parts or, where they are unknown, patches of its segments.
 
@@ -71,25 +76,28 @@ def emitter_surfaces(
         footprint: median width of a pixel on the surfaces, metres.
         environment: with the light that is inferred; None without any.
         hdr: whether all photographs are.
+        presumed: (T,) bool, lamps by their radiance alone; None: none.
     """
+    presumed = np.zeros(len(room.triangles), bool) if presumed is None else presumed
     pieces = room_pieces(room)
     known = parts.kind == "part"
     part = parts.triangle_part if known else np.full(len(pieces), -1)
+    alike = part if known else np.where(presumed, pieces, -1)
     unseen, light_error = np.zeros(len(pieces)), 0.0
     if environment is not None and environment.unseen is not None:
-        unseen, light_error = environment.unseen, environment.unseen_error
+        unseen, light_error = np.where(presumed, 0.0, environment.unseen), environment.unseen_error
     shading = SHADING_ERROR if room.scan is None else SCAN_ERROR
     error = float(np.sqrt(shading**2 + light_error**2 + (0.0 if hdr else RADIANCE_ERROR**2)))
     if room.scan is None:
         # Photographs see most of a lamp shade's outside and little of its inside, which may be one piece.
         component, unit = numbered([pieces, part]), np.arange(len(room.triangles))
-        return EmitterSurfaces(unit, component, part, unseen, error, SPREAD if hdr else CLIPPED_SPREAD)
+        return EmitterSurfaces(unit, component, alike, unseen, error, SPREAD if hdr else CLIPPED_SPREAD)
     # Detail finer than an edge is lost: rims of thin things face sideways, but pixels show their tops.
     reach = round(room.scan.edge / max(footprint, 1e-9))
     patch, gap = surface_patches(room.scan, pieces, PATCH * footprint), GAP * PATCH * footprint
     unit = numbered([part >= 0, np.where(part >= 0, part, patch)])
     component, spread = unit if known else pieces, SCAN_ERROR if hdr else CLIPPED_SPREAD
-    return EmitterSurfaces(unit, component, part, unseen, error, spread, MAX_SAMPLES_SCAN, reach, gap)
+    return EmitterSurfaces(unit, component, alike, unseen, error, spread, MAX_SAMPLES_SCAN, reach, gap)
 
 
 def surface_patches(scan: Scan, pieces: np.ndarray, edge: float) -> np.ndarray:

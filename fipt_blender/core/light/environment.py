@@ -55,8 +55,11 @@ class Hull:
         return np.asarray((place + outwards) / self.counts * (self.high - self.low) + self.low)
 
     def cells(self, start: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """(...,) int64 cells through which rays from points (..., 3) in the box leave it along (..., 3)."""
-        way = np.where(np.abs(direction) < 1e-9, 1e-9, direction)
+        """(...,) int64 cells through which rays from points (..., 3) leave the box along (..., 3).
+
+        Points outside of it start where they are nearest to it.
+        """
+        start, way = np.clip(start, self.low, self.high), np.where(np.abs(direction) < 1e-9, 1e-9, direction)
         reach = np.where(way > 0.0, self.high - start, self.low - start) / way
         side = reach.argmin(axis=-1)
         place = start + np.take_along_axis(reach, side[..., None], axis=-1) * way

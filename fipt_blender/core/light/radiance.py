@@ -103,12 +103,13 @@ class OutsideRadiance:
     def _cell(self, origin: mi.Point3f, direction: mi.Vector3f) -> mi.UInt32:
         """As :meth:`.environment.Hull.cells`."""
         low, high = mi.Point3f(*self._low), mi.Point3f(*self._high)
+        origin = dr.clip(mi.Point3f(origin), low, high)
         way = dr.select(dr.abs(direction) < 1e-9, 1e-9, direction)
         reach = (dr.select(way > 0.0, mi.Vector3f(high), mi.Vector3f(low)) - mi.Vector3f(origin)) / way
         side = dr.select(
             (reach.x <= reach.y) & (reach.x <= reach.z), mi.UInt32(0), dr.select(reach.y <= reach.z, 1, 2)
         )
-        place = mi.Point3f(origin) + way * dr.min(reach)
+        place = origin + way * dr.min(reach)
         count = mi.Vector3f(*[float(value) for value in self._counts])
         cell = mi.Vector3i(dr.floor((place - low) / (high - low) * count))
         cell = dr.clip(cell, 0, mi.Vector3i(*[value - 1 for value in self._counts]))

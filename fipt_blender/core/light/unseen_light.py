@@ -52,16 +52,18 @@ KNOWN_POINTS = 4  # one of so many pixels is added of surfaces of known albedo, 
 LAMP_SAMPLES = SampleCounts(16, 0, 64)  # of the light of presumed lamps at each
 # Relative error of the inferred part of the light beside its covariance: root mean square of five rooms.
 MODEL_ERROR = 0.3
-GAIN = 3.0  # least logarithm of the likelihood of points held back
+GAIN = 3.0  # least gain of points held back, in standard errors
 # Rays to unseen places closer than a source is wide, and pixels that send them.
 CLOSE_RAYS, MAX_CLOSE = 64, 20_000
-# A source is a lamp or a window if it is brighter than the room's median light by this factor.
+# A source is a lamp or a window if it is brighter by this factor than the room's median light and what is
+# around it.
 LAMP = 4.0
 # Sources of one side are one lamp if they are closer than so many of their widths; others, of a whole one.
 APART, CLOSE = 1.5, 0.5
 MIN_LAMP = 0.005  # share of the light that a lamp casts
 BALL = 0.2  # least radius of a lamp in widths of a whole source
-MIN_RADIUS = 0.04  # where photographs looked past it, in widths of a whole source
+# Where photographs looked past it, in widths of a whole source; places that are tried.
+MIN_RADIUS, MAX_PLACES = 0.04, 16
 WIDEST = 2.0  # radius of a disc in widths of a whole source; what is wider is divided
 FLAT = 0.7  # it is a disc if more than this share of its light leaves to one side
 # Of discs from the surface that shines or, outwards, from the hull, in widths of a source.
@@ -99,7 +101,8 @@ class Sources:
         points: N of them, with `position` and `normal` (N, 3), and `pixel`: (N,) int64 that shows each.
         expected, light: what was expected of the sources, and what was found.
         entries: (E,) int64 cache entries of unseen surfaces, of_entry: (E,) their source.
-        cells: that the sources consist of. of_hull: (C,) source of those of the hull, -1 without.
+        cells: F that the sources consist of. of_cell: (F,) source of each, -1 without.
+        reflected: (K, 3) radiance that the cache or the map has of each, as of surfaces around it.
         place, toward: (K, 3) mean place, metres, and mean unit direction of the rays that land there.
         width: (K,) metres. side: (K,) to which each shines, as of cache entries.
         looks: (S, 3) cameras and (S, 3) what pixels of theirs see: there is nothing between them.
@@ -114,7 +117,8 @@ class Sources:
     entries: np.ndarray
     of_entry: np.ndarray
     cells: Cells
-    of_hull: np.ndarray
+    of_cell: np.ndarray
+    reflected: np.ndarray
     place: np.ndarray
     toward: np.ndarray
     width: np.ndarray
@@ -124,7 +128,8 @@ class Sources:
     def environment(self, before: Environment | None, width: int) -> Environment:
         """What was observed outside, with the light of the sources; `width`: of a new map in pixels."""
         radiance = self.light.radiance.astype(np.float32)
-        table = np.where((self.of_hull >= 0)[:, None], radiance[self.of_hull], -1.0).astype(np.float32)
+        of_hull = self.of_cell[: len(self.cells.hull.radiance)]
+        table = np.where((of_hull >= 0)[:, None], radiance[of_hull], -1.0).astype(np.float32)
         hull = replace(self.cells.hull, radiance=table)
         if before is None:
             shape = (width // 2, width)
@@ -133,7 +138,7 @@ class Sources:
         ways = equirect_pixel_directions(width, height)
         middle = np.broadcast_to(0.5 * (hull.low + hull.high), ways.reshape(-1, 3).shape)
         # In a world, sources that are lamps of their own would shine twice, and from wrong places.
-        far = np.where(np.append(self.lamp >= 0, False)[self.of_hull, None], DARK_OUTSIDE, table)
+        far = np.where(np.append(self.lamp >= 0, False)[of_hull, None], DARK_OUTSIDE, table)
         near = far[hull.cells(middle, ways.reshape(-1, 3))].reshape(image.shape)
         inferred = ~before.seen & (near[..., 0] >= 0.0)
         image[inferred] = near[inferred]
@@ -163,9 +168,10 @@ class Sources:
         """(K,) int64 lamp or window that each source belongs to; -1 for dim ones.
 
         Openings are lamps however wide they are: in the world's image, what shines through them would be far
-        away, and its light would not fall off in the room.
+        away, and its light would not fall off in the room. Unseen surfaces that are as bright as those around
+        them reflect: in Blender they do that by themselves.
         """
-        level = LAMP * float(np.median(self.points.seen))
+        level = LAMP * np.maximum(float(np.median(self.points.seen)), self.reflected.mean(axis=1))
         members = np.flatnonzero(self.light.radiance.mean(axis=1) > level)
         result = np.full(len(self.place), -1, np.int64)
         if not len(members):
@@ -184,7 +190,8 @@ class Sources:
         """Discs and balls that cast the light of bright sources, as lamps that the mesh lacks.
 
         What shines to one side is a disc as wide as its sources are spread, or several; others are balls.
-        They are as small as what photographs looked through demands, down to MIN_RADIUS.
+        They are as small as what photographs looked through demands. If that is less than MIN_RADIUS, they
+        move to one of their sources, or there is none: a lamp where cameras look would be in the picture.
         """
         clusters = [np.flatnonzero(self.lamp == index) for index in range(int(self.lamp.max(initial=-1)) + 1)]
         while clusters:
@@ -196,7 +203,7 @@ class Sources:
             if of_side.max() <= FLAT * of_side.sum():
                 way, radius = np.average(self.toward[own], axis=0, weights=weight), BALL * self.cells.size
                 center = place - inwards * radius * way / max(float(np.linalg.norm(way)), 1e-9)
-                yield self._fitted(own, center, radius, None)
+                yield from self._fitted(own, center, radius, None)
                 continue
             facing = np.eye(3)[of_side.argmax() // 2] * (1.0 - 2.0 * (of_side.argmax() % 2))
             radius, beyond = self._spread(own, place, facing)
@@ -204,7 +211,7 @@ class Sources:
                 clusters += [own[beyond], own[~beyond]]
             else:
                 center = place + inwards * CLEARANCE * self.cells.size * facing
-                yield self._fitted(own, center, radius, facing)
+                yield from self._fitted(own, center, radius, facing)
 
     def _spread(self, own: np.ndarray, place: np.ndarray, facing: np.ndarray) -> tuple[float, np.ndarray]:
         """Radius of a disc around a place (3,) that is as wide as sources (n,), metres, and which of these
@@ -218,10 +225,16 @@ class Sources:
         return max(radius, BALL * self.cells.size), off @ along > 0.0
 
     def _fitted(
-        self, own: np.ndarray, center: np.ndarray, radius: float, facing: np.ndarray | None
-    ) -> MissingLamp:
+        self, own: np.ndarray, middle: np.ndarray, radius: float, facing: np.ndarray | None
+    ) -> Iterator[MissingLamp]:
         """The lamp of a place and at most a radius, metres, that casts about the light of sources (n,)."""
-        free = max(free_radius(center, facing, *self.looks), MIN_RADIUS * self.cells.size)
+        brightest = own[np.argsort(-self.shares[own], kind="stable")[:MAX_PLACES]]
+        for center in (middle, *self.place[brightest]):
+            free = free_radius(center, facing, *self.looks)
+            if free >= MIN_RADIUS * self.cells.size:
+                break
+        else:
+            return
         radius = min(radius, free)
         cast = self.points.unseen[:, own] @ self.light.radiance[own]
         lit = cast.sum(axis=1) > 0.0
@@ -235,7 +248,7 @@ class Sources:
         fitted = unit @ cast[lit] / max(float(unit @ unit), 1e-12)
         toward = None if facing is None else facing.tolist()
         share = float(self.shares[own].sum())
-        return MissingLamp(center.tolist(), radius, fitted.tolist(), True, toward, share)
+        yield MissingLamp(center.tolist(), radius, fitted.tolist(), True, toward, share)
 
 
 def find_sources(
@@ -251,13 +264,13 @@ def find_sources(
     pixels = observed.pixels
     if base_color is None:
         base_color = np.full((len(room.triangles), 3), np.nan)
-    of_known = np.isfinite(base_color[:, 0])
-    where, group = _comparable(pixels, label, of_known, np.random.default_rng([seed, 23]))
+    known, shines = np.isfinite(base_color[:, 0]), np.isin(np.arange(len(room.triangles)), lamps.triangles)
+    where, group = _comparable(pixels, label, known, shines, np.random.default_rng([seed, 23]))
     if len(where) < MIN_POINTS:
         return None
     lit = pixels.surface(room, where)
-    cells, known = Cells.of(observed, room), np.isin(np.arange(len(room.triangles)), lamps.triangles)
-    rays = traced(observed, room, cells, known, lit, seed)
+    cells = Cells.of(observed, room)
+    rays = traced(observed, room, cells, shines, lit, seed)
     source = cells.sources(FINER)
     count = np.bincount(source[rays.cell[rays.cell >= 0]], minlength=int(source.max(initial=-1)) + 1)
     chosen = np.argsort(-count, kind="stable")[:MAX_SOURCES]
@@ -266,13 +279,14 @@ def find_sources(
         return None
     number = np.full(len(count), -1, np.int64)
     number[chosen] = np.arange(len(chosen))
-    landed = Landed.of(rays, observed, known, cells, number[source])
+    landed = Landed.of(rays, observed, shines, cells, number[source])
     landed = replace(landed, seen=landed.seen + lamp_light(room, observed.grid, lamps, lit, seed))
     logs = np.log(np.asarray(pixels.own[where], np.float64))
     albedo = np.empty((int(group.max()) + 1, 3))
     albedo[group] = base_color[np.asarray(pixels.triangle[where])]
     points, expected = landed.transport(logs, group, albedo), landed.expectation(cells)
-    if held_back_gain(points, expected, np.random.default_rng([seed, 24])) < GAIN:
+    block = numbered([*np.floor(lit[0] / cells.size).astype(np.int64).T])
+    if held_back_gain(points, expected, block, np.random.default_rng([seed, 24])) < GAIN:
         return None
     light, width = solve_sources(points, expected), np.full(len(chosen), FINER)
     while (finer := landed.divided(cells, points, expected, light, width)) is not None:
@@ -294,7 +308,8 @@ def find_sources(
         entries=entries,
         of_entry=of_entry[entries],
         cells=cells,
-        of_hull=landed.source[: len(cells.hull.radiance)],
+        of_cell=landed.source,
+        reflected=np.exp(means[:, :3]),
         place=means[:, 3:6],
         toward=means[:, 6:] / np.maximum(np.linalg.norm(means[:, 6:], axis=1, keepdims=True), 1e-9),
         width=width * cells.size / FINER,
@@ -337,35 +352,38 @@ def close_share(
     observed: Observations, room: Room, found: Sources, lamps: EmitterTable, seed: int
 ) -> np.ndarray:
     """(T,) float32 share of the directions around each triangle, or the nearest that pixels see, in which
-    unseen places are closer than a source is wide."""
+    unseen lamps are closer than a source is wide."""
     rows = observed.pixels.some_hits(MAX_CLOSE)
-    known = np.isin(np.arange(len(room.triangles)), lamps.triangles)
+    shines = np.isin(np.arange(len(room.triangles)), lamps.triangles)
     lit = observed.pixels.surface(room, rows)
-    rays = traced(observed, room, found.cells, known, lit, seed, CLOSE_RAYS)
+    rays = traced(observed, room, found.cells, shines, lit, seed, CLOSE_RAYS)
     place = found.cells.hull.centers(np.where(rays.entry == OUTSIDE, np.maximum(rays.cell, 0), 0))
     place = np.where((rays.entry >= 0)[..., None], middles(observed.grid, rays.entry), place)
-    close = (rays.cell >= 0) & (np.linalg.norm(place - lit[0][:, None], axis=2) < found.cells.size)
+    of_lamp = np.append(found.lamp >= 0, False)[np.append(found.of_cell, -1)]
+    close = of_lamp[rays.cell] & (np.linalg.norm(place - lit[0][:, None], axis=2) < found.cells.size)
     centers = room.vertices[room.triangles].mean(axis=1)
     nearest = cKDTree(centers[np.asarray(observed.pixels.triangle[rows])]).query(centers)[1]
     return close.mean(axis=1, dtype=np.float32)[nearest]
 
 
 def _comparable(
-    pixels: PixelStore, label: np.ndarray, known: np.ndarray, rng: np.random.Generator
+    pixels: PixelStore, label: np.ndarray, known: np.ndarray, lamps: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N,) int64 pixels of surfaces, from all views alike, and (N,) the groups of one albedo, from 0.
 
     Args:
         known: (T,) bool, triangles whose albedo is known: however small they are, they are compared.
+        lamps: (T,) bool, presumed ones, whose own radiance no other light has to explain.
     """
     share = max(1, MAX_POINTS // max(len(pixels.views), 1))
     chosen = [np.zeros(0, np.int64)]
     for index in range(len(pixels.views)):
         rows = pixels.rows(index)
-        good = (np.asarray(pixels.triangle[rows]) >= 0) & np.asarray(pixels.pure[rows])
+        triangle = np.asarray(pixels.triangle[rows])
+        good = (triangle >= 0) & ~lamps[triangle] & np.asarray(pixels.pure[rows])
         good &= (np.asarray(pixels.weight[rows]) >= MIN_WEIGHT) & (pixels.own[rows] > DARKEST).all(axis=1)
         some = rng.permutation(np.flatnonzero(good))
-        given = some[known[np.asarray(pixels.triangle[rows])[some]]]
+        given = some[known[triangle[some]]]
         some = np.concatenate([some[:share], given[: share // KNOWN_POINTS]])
         chosen.append(np.unique(some) + rows.start if len(given) else some + rows.start)
     where = np.concatenate(chosen)

@@ -35,8 +35,8 @@ class Box:
     extent: float
 
     def normalise(self, positions: np.ndarray) -> np.ndarray:
-        """(N, 3) float32 positions in [0, 1] of world positions in metres."""
-        return ((positions - self.low) / self.extent).astype(np.float32)
+        """(N, 3) float32 positions in [0, 1] of world positions in metres, the nearest of those outside."""
+        return np.clip((positions - self.low) / self.extent, 0.0, 1.0).astype(np.float32)
 
 
 def room_box(bounds: tuple[np.ndarray, np.ndarray]) -> Box:

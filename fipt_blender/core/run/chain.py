@@ -5,7 +5,7 @@
 A stage is a pure function, whose signature says what it takes. A parameter is the output of that name of the
 last stage before it, or a value that the chain was given; `settings` is a dataclass of settings, and `tools`
 is :class:`Tools`. What it returns is a frozen dataclass, whose fields are its outputs, or one output. Its key
-is a hash of the method, of the settings that it reads and of the keys of what it takes; a stage is done again
+is a hash of its code, of the settings that it reads and of the keys of what it takes; a stage is done again
 when its key changes. The chain keeps the outputs (:mod:`.store`), gives a stage
 that was interrupted its finished views back, repeats warnings, and does again what can't be read.
 """
@@ -27,7 +27,7 @@ from .documents import read_document
 from .errors import FiptError, Problem
 from .finished_views import FinishedViews
 from .messages import Progress, Reporter, within
-from .method import digest, method_digest
+from .method import code_digest, digest
 from .per_view import LocalWorkers, Workers
 from .result_contents import Stages
 from .runfolder import explained_write_errors, write_json
@@ -187,7 +187,7 @@ class Chain:
         }
         options = declared(stage.types["settings"]) if "settings" in stage.types else {}
         read = {name: getattr(self.settings, name) for name, item in options.items() if item.option.keyed}
-        return digest(method_digest(), stage.name, sources, read)
+        return digest(code_digest(stage.work.__module__), stage.name, sources, read)
 
     def _kept(self, index: int) -> bool:
         return bool(self.stages[index].text)

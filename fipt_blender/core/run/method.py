@@ -9,6 +9,7 @@ only.
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 from collections.abc import Callable, Sequence
@@ -46,3 +47,36 @@ def method_digest(core: Path = _CORE, rooms: Sequence[str] = ROOMS) -> str:
             code.update(f"{file.relative_to(core).as_posix()}\0".encode())
             code.update(file.read_bytes())
     return code.hexdigest()[:24]
+
+
+@cache
+def code_digest(module: str, core: Path = _CORE, rooms: Sequence[str] = ROOMS) -> str:
+    """Hexadecimal digest of the source files that a module may run: its own, and those that it imports.
+
+    Stages whose code did not change are not done again when others' did.
+
+    Args:
+        module: its full name; modules outside of the engine may run everything.
+    """
+    start = core.joinpath(*module.rpartition(f".{core.name}.")[2].split(".")).with_suffix(".py")
+    if not start.is_file():
+        return method_digest(core, rooms)
+    found, left = set[Path](), [start]
+    while left:
+        file = left.pop()
+        if file not in found and file.is_file() and file.relative_to(core).parts[0] in rooms:
+            found.add(file)
+            left += _imported(file)
+    texts = sorted((file.relative_to(core).as_posix(), file.read_text(encoding="utf-8")) for file in found)
+    return digest(texts)
+
+
+@cache
+def _imported(file: Path) -> tuple[Path, ...]:
+    """Files that may be the modules that a file imports from its own package, anywhere in it."""
+    paths = []
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            folder = file.parents[node.level - 1].joinpath(*(node.module or "").split("."))
+            paths += [folder.with_suffix(".py"), *(folder / f"{name.name}.py" for name in node.names)]
+    return tuple(paths)

@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..run.errors import FiptError
-from ..run.run_files import CLOSING, read_geometry, read_outlined, read_room
+from ..run.run_files import CLOSING, read_capture, read_geometry, read_outlined, read_room
 from ..run.runfolder import RunFolder
 from ..run.threads import cached_property
 from .adjacency import face_vectors
@@ -24,6 +24,11 @@ from .scan import Scan, find_scan
 
 # Distance at which rays start above a scan, in units of its noise.
 OFFSET_NOISE = 2.0
+# Rays in all directions from cameras, at most so many of these, and the margin around where rays end, as a
+# share of the longest side. Bounds longer than WIDE median distances of the ends leave out outlying ones, up
+# to the last of these shares at each side. Of a mesh that surrounds no camera, fewer rays than FULL meet it.
+DIRECTIONS, MAX_CAMERAS, MARGIN, WIDE, FULL = 1024, 64, 0.15, 10.0, 0.5
+OUTLYING = (0.0, 0.001, 0.002, 0.005, 0.01, 0.02, 0.03, 0.05)
 NO_OBJECT = -1
 
 
@@ -75,6 +80,7 @@ class Room:
         noise: standard deviation of a scan's distance from its smooth fit, metres; 0 for an exact mesh.
         plane: (T,) int32 plane of each triangle of a scan, -1 without one; None for an exact mesh.
         exact: (T,) bool, triangles of exact objects that the artist added to a scan; None without any.
+        cameras: (C, 3) float64 positions, metres; None where none is known.
     """
 
     vertices: np.ndarray
@@ -88,16 +94,48 @@ class Room:
     noise: float = 0.0
     plane: np.ndarray | None = None
     exact: np.ndarray | None = None
+    cameras: np.ndarray | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Without the cached Mitsuba objects, which belong to one process."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
     @property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+    def mesh_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest corner of the bounding box of all used vertices, each (3,) float64, metres."""
         used = self.vertices[self.triangles.reshape(-1)].astype(np.float64)
         return used.min(axis=0), used.max(axis=0)
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """The part of `mesh_bounds` that surrounds the cameras: the extent of grids and tolerances.
+
+        Terrain, other buildings and stray triangles, in which few rays from the cameras end, are outside of
+        it and share its outermost cells. Without cameras, or in a mesh around none, it is all of the mesh.
+        """
+        low, high = self.mesh_bounds
+        if self.cameras is None or not len(self.cameras):
+            return low, high
+        start = self.cameras[:: -(-len(self.cameras) // MAX_CAMERAS)]
+        z = 1.0 - (2.0 * np.arange(DIRECTIONS) + 1.0) / DIRECTIONS  # a Fibonacci lattice
+        turn, radius = np.arange(DIRECTIONS) * np.pi * (3.0 - np.sqrt(5.0)), np.sqrt(1.0 - z**2)
+        way = np.tile(np.stack([np.cos(turn) * radius, np.sin(turn) * radius, z], axis=1), (len(start), 1))
+        start = np.repeat(start, DIRECTIONS, axis=0)
+        ray = mi.Ray3f(mi.Point3f(start.T.astype(np.float32)), mi.Vector3f(way.T.astype(np.float32)))
+        hit = self.scene.ray_intersect_preliminary(ray, coherent=False)
+        valid = np.array(hit.is_valid())
+        if valid.mean() < FULL:
+            return low, high
+        distance = np.array(hit.t)[valid].astype(np.float64)
+        end = start[valid] + way[valid] * distance[:, None]
+        for share in OUTLYING:
+            near, far = np.quantile(end, [share, 1.0 - share], axis=0)
+            near, far = np.minimum(near, start.min(axis=0)), np.maximum(far, start.max(axis=0))
+            margin = MARGIN * float((far - near).max())
+            near, far = np.maximum(low, near - margin), np.minimum(high, far + margin)
+            if float((far - near).max()) <= WIDE * np.median(distance):
+                break
+        return near, far
 
     @cached_property
     def _faces(self) -> tuple[np.ndarray, np.ndarray]:
@@ -222,9 +260,18 @@ def load_room(run: RunFolder, outlined: bool = True, cleaned: bool = True) -> Ro
         materials=stored.materials,
         parts=stored.parts,
         exact=stored.triangle_exact,
+        cameras=_camera_positions(run),
     )
     if not np.isfinite(room.vertices).all():
         raise FiptError("mesh-damaged")
     if not room.areas.max(initial=0.0) > 0.0:
         raise FiptError("mesh-empty.load-room")
     return room
+
+
+def _camera_positions(run: RunFolder) -> np.ndarray | None:
+    """(C, 3) of capture.json, metres; None without one."""
+    if not run.capture_json.exists():
+        return None
+    poses = [view.camera_to_world for view in read_capture(run.capture_json).views]
+    return np.array(poses, np.float64).reshape(-1, 4, 4)[:, :3, 3]
