@@ -26,7 +26,7 @@ from .averaging import means
 from .corrections import Correction, both, corrections
 
 SAMPLES, VIEWS, CELLS = 10_000, 60, 8  # points of the mesh; photographs; cells along each side of an image
-COMPARED = 24  # photographs that are compared
+COMPARED, MOST_SIGHTS = 24, 200  # photographs that are compared; about, cameras of all
 WIDTH = 64  # pixels, about, of the photographs that are compared
 FLOOR = 0.05  # radiance in units of a photograph's median, below which differences count less
 # A point is visible that is not farther away than this, in distances of the nearest one in its cell, of which
@@ -145,6 +145,8 @@ class Scene:
         Args:
             solved: (N, 3), in the coordinates of the cameras.
         """
+        step = -(-len(sights) // MOST_SIGHTS)
+        sights = [each for i, each in enumerate(sights) if i % step == 0 or each.radiance is not None]
         few = solved[:: -(-len(solved) // MOST_POINTS)] if len(solved) >= ENOUGH_POINTS else None
         if mesh is None:
             return None if few is None else cls(sights, few, few, False)
