@@ -372,7 +372,7 @@ def _explaining(
             if fit.pairs >= least
             and fit.agreement > EXPLAINED
             and 1.0 - fit.agreement < left
-            and fit.on_mesh >= CURED
+            and fit.on_mesh >= min(CURED, given.on_mesh)
         ]
         best = max((fit.agreement for _, fit in found), default=0.0)
         found = [pair for pair in found if 1.0 - pair[1].agreement <= ALIKE * (1.0 - best)]
