@@ -205,6 +205,10 @@ def Mesh "m"
     assert item.matrix_world.is_identity
 
 
+def test_line_ends_of_old_macs_are_named(tmp_path):
+    assert "CR" in problem(tmp_path, "a.ply", ply(order="").replace(b"\n", b"\r"))
+
+
 @pytest.mark.parametrize("name", ["EXT_meshopt_compression", "KHR_texture_basisu"])
 def test_compressions_that_blender_does_not_read_are_named(tmp_path, name):
     path = tmp_path / "room.gltf"

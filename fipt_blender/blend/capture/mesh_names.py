@@ -51,6 +51,9 @@ def check_mesh_file(path: Path) -> None:
     """Refuse a mesh file that names files which it may not name, or that Blender's importer takes wrongly."""
     try:
         check_named_files(path)
+        with open(path, "rb") as file:
+            if re.match(rb"ply\r[^\n]", file.read(5)):
+                raise ValueError("its lines end with CR, as on old Macs; save it with other line ends")
         if path.suffix.lower() in _GLTF:
             document = _gltf(path)
             _check_extensions(path, document)
