@@ -153,7 +153,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         with atomic_folder(run_folder.images) as images:
             reporter.stage("images", "Reading the photographs")
             written, shown = _convert(images, photographs, options.clamp_negative, reporter)
-            notes = _judged(source, photographs[:solved], shown, options)
+            notes = _judged(source, photographs[:solved], shown[:solved], options)
             if not notes and options.up_axis == "auto" and rig.up_axis is not None:
                 notes = doubts(rig.up_axis, poses, rig.source)
             for note in notes:
