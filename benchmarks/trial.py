@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks import prepared, results
 from benchmarks.trial_captures import Case, Jury, cases
 from benchmarks.trial_changes import BASE, Change, changes_of, format_list
-from benchmarks.trial_run import BAKED, CLEANED, CLEANED_FILES, COMPLETED, COMPLETED_FILES, copy_files
+from benchmarks.trial_run import BAKED, COMPLETED
 from benchmarks.trial_table import as_table
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.method import method_digest
@@ -79,10 +79,8 @@ class Trial:
         options = ["--constants", json.dumps(dict(change.constants))]
         if change.name == BASE:
             options += ["--store", str(store)]
-        elif change.begins == CLEANED:
-            copy_files(store / CLEANED, run.root, CLEANED_FILES)
         elif change.begins:
-            copy_files(store / COMPLETED, run.root, COMPLETED_FILES)
+            shutil.copytree(store / COMPLETED, run.scan, dirs_exist_ok=True)
             if change.begins == BAKED:
                 shutil.copytree(store / BAKED, run.stage, dirs_exist_ok=True)
         command = [sys.executable, str(ROOT / "benchmarks" / "trial_run.py"), str(run.root), str(capture)]

@@ -10,7 +10,7 @@ from typing import Any
 
 from benchmarks.constants import CORE, Constant, all_constants
 from benchmarks.trial_captures import JPEG, MASKS, SCAN
-from benchmarks.trial_run import BAKED, CLEANED, COMPLETED
+from benchmarks.trial_run import BAKED, COMPLETED
 from fipt_blender.core.run.declared import declared
 from fipt_blender.core.run.errors import FiptError
 from fipt_blender.core.run.settings import Settings, make_settings
@@ -135,7 +135,7 @@ def without(name: str) -> Change:
     mechanism = MECHANISMS[name]
     begins = BAKED
     if any(key in _COMPLETION_SETTINGS for key in mechanism.off):
-        begins = CLEANED
+        begins = COMPLETED
     if any(key in _MESH_SETTINGS for key in mechanism.off):
         begins = ""
     return Change(name, mechanism.off, {}, mechanism.needs, begins)

@@ -22,23 +22,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import constants
 
-# What a finished run leaves for runs that differ from it later on: the cleaned scan, the mesh with all that
-# was added to it, and the stages up to the shadings.
-CLEANED, COMPLETED, BAKED = "cleaned", "completed", "baked"
-CLEANED_FILES = ("geometry.npz", "closing.npz")
-COMPLETED_FILES = (*CLEANED_FILES, "panes.npz", "outlines.npz", "linked")
+# What a finished run leaves for runs that differ from it later on: the stages that make the room, and those
+# up to the shadings.
+COMPLETED, BAKED = "completed", "baked"
 TRAINING_VIEWS = 4  # of which maps are scored, beside those held back
 SPP = 16  # paths a pixel of the renders
-
-
-def copy_files(source: Path, target: Path, names: tuple[str, ...]) -> None:
-    """Copy files and folders that exist."""
-    target.mkdir(parents=True, exist_ok=True)
-    for name in names:
-        if (source / name).is_dir():
-            shutil.copytree(source / name, target / name, dirs_exist_ok=True)
-        elif (source / name).exists():
-            shutil.copyfile(source / name, target / name)
 
 
 def estimate(root: Path, store: Path | None) -> dict[str, Any]:
@@ -61,7 +49,6 @@ def estimate(root: Path, store: Path | None) -> dict[str, Any]:
     from fipt_blender.core.estimate.input import prepare_input
     from fipt_blender.core.optics.brdf import set_masking
     from fipt_blender.core.run.chain import Watch
-    from fipt_blender.core.surface.stored import prepare_geometry
 
     seconds: dict[str, float] = {}
 
@@ -78,20 +65,14 @@ def estimate(root: Path, store: Path | None) -> dict[str, Any]:
                 shutil.copytree(run.stage, store / BAKED, dirs_exist_ok=True)
 
     set_masking(settings.masking)
-    started, known = time.process_time(), run.geometry_npz.exists()
-    prepare_geometry(run, settings.clean_scan, settings.close_holes_edges)
-    if not known:
-        seconds["mesh"] = time.process_time() - started
-    if store is not None:
-        copy_files(run.root, store / CLEANED, CLEANED_FILES)
-    started, known = time.process_time(), run.panes_npz.exists()
+    started, known = time.process_time(), run.scan.exists()
     with run.log.open("a", encoding="utf-8") as log:
         reporter = Reporter(log)
         given = prepare_input(run, settings, reporter)
         if not known:
             seconds["completion"] = time.process_time() - started
         if store is not None:
-            copy_files(run.root, store / COMPLETED, COMPLETED_FILES)
+            shutil.copytree(run.scan, store / COMPLETED, dirs_exist_ok=True)
         statistics = estimate_room(given, reporter, watch=Timed())
     return {"seconds": seconds, "fixtures": statistics["fixtures"]}
 

@@ -3,7 +3,6 @@
 """Results on the room: materials applied and reverted, fixtures and lights with the right radiance."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -21,14 +20,13 @@ from fipt_blender.blend.room.result_meshes import clean_result_mesh, make_mesh
 from fipt_blender.core import conventions
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.run.documents import read_document
-from fipt_blender.core.run.run_files import CLOSING, PANES, RoomMesh, mesh_digest, read_geometry, read_room
+from fipt_blender.core.run.run_files import CLOSING, PANES, AddedSurfaces, RoomMesh, read_room
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
-from fipt_blender.core.surface.clean import CleanMesh
-from fipt_blender.core.surface.stored import prepare_geometry, store_geometry
 from fipt_blender.core.textures import bake
 from samples.applied_rooms import ConstantFields, emitter, fingerprint, panel_and_cube
 from samples.at_once import apply_results, collect_room, export_room, make_atlas
+from samples.made_rooms import clean_run, with_panes
 from samples.rendered_rooms import diffuse_floor
 from samples.scans import scanned_box
 from samples.spots import spot, white_world
@@ -143,16 +141,6 @@ def test_environment_direction(run):
         assert np.allclose(image.mean(axis=(0, 1)), np.array(unit) * 0.5 + 0.5, atol=0.03)
 
 
-def with_panes(run):
-    """Put a quad into the run as the engine puts panes into holes of a scan, which this room need not be."""
-    vertices = np.array([[0, 0, 3], [1, 0, 3], [1, 1, 3], [0, 1, 3]], np.float32)
-    triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    normals = np.tile(np.array([0, 0, 1], np.float32), (2, 3, 1))
-    source = mesh_digest(read_room(run))
-    np.savez(run.panes_npz, vertices=vertices, triangles=triangles, corner_normals=normals, source=source)
-    return vertices
-
-
 def test_panes_become_an_object_of_the_room(run, objects):
     vertices = with_panes(run)
     frame = bpy.data.objects.new("frame", None)
@@ -177,24 +165,12 @@ def test_closed_holes_become_an_object_with_the_cleaned_vertices(run, objects):
     """Beside panes: each is an object of its own, and a second application finds both."""
     room = read_room(run)
     rim = room.vertices[room.triangles[:1]].reshape(3, 3)
-    np.savez(
-        run.closing_npz,
-        vertices=rim,
-        triangles=np.array([[0, 1, 2]], np.int32),
-        corner_normals=room.corner_normals[:1],
-        beside=np.zeros(1, np.int64),
-        most_edges=np.int32(120),
-        count=np.array([1, 0], np.int32),
-        area=np.ones(2, np.float32),
-        source=mesh_digest(room),
-    )
-    with_panes(run)
+    rows = np.array([[0, 1, 2]], np.int32)
+    # As if the mesh were a scan whose cleaned copy lies a metre higher.
+    with_panes(run, AddedSurfaces(rim, rows, room.corner_normals[:1], np.zeros(1, np.int64)), higher=1.0)
     found = read_room(run)
     assert found.objects[2:] == (CLOSING, PANES)
     assert found.triangle_material[-3:].tolist() == [room.triangle_material[0], -1, -1]
-    # As if the mesh were a scan whose cleaned copy lies a metre higher.
-    higher, region = found.vertices + np.float32([0, 0, 1]), np.full(len(found.triangles), -1, np.int32)
-    store_geometry(run, found, CleanMesh(higher, found.corner_normals, region, 0.01))
     settle(run, objects)
     assert not apply_results(run, objects)
     closing, panes = bpy.data.objects[CLOSING], bpy.data.objects[PANES]
@@ -232,7 +208,7 @@ def scanned_object(run: RunFolder, matrix: Matrix) -> tuple[bpy.types.Object, Ro
     bpy.context.scene.collection.objects.link(item)
     bpy.context.view_layer.update()
     export_room([item], run)
-    prepare_geometry(run)
+    clean_run(run)
     return item, read_room(run)
 
 
@@ -240,7 +216,7 @@ def scanned_object(run: RunFolder, matrix: Matrix) -> tuple[bpy.types.Object, Ro
 def test_result_meshes_of_a_scan_are_clean(tmp_path: Path, transform: str) -> None:
     run = RunFolder(tmp_path)
     item, room = scanned_object(run, TRANSFORMS[transform])
-    geometry = read_geometry(run, room)
+    geometry = room.scan
     assert geometry is not None
     own = item.data
     before = np.array([vertex.co for vertex in own.vertices])
@@ -269,11 +245,11 @@ def test_a_drawn_surface_beside_a_scan_keeps_its_vertices_and_edges(tmp_path: Pa
     bpy.context.scene.collection.objects.link(drawn)
     before = collect_room([drawn])
     export_room([drawn, item], run)
-    prepare_geometry(run)
+    clean_run(run)
     room = read_room(run)
     assert room.triangle_exact is not None and room.triangle_exact.sum() == 12
-    geometry = read_geometry(run, room)
-    assert geometry is not None and read_geometry(run, replace(room, triangle_exact=None)) is None
+    geometry = room.scan
+    assert geometry is not None
     clean, _ = make_mesh(room, 0, drawn)
     clean_result_mesh(clean, drawn, room, 0, geometry)
     drawn.data = clean

@@ -133,6 +133,19 @@ def test_full_disk_while_writing(tmp_path, run, monkeypatch):
     assert not run.capture_json.exists() and not list(run.images.rglob("*.exr"))
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(5, "Input/output error")])
+@pytest.mark.parametrize("place", ["photograph.write_exr", "ingest.write_mesh", "ingest.write_json"])
+def test_an_import_that_is_stopped_anywhere_leaves_no_run_folder(tmp_path, run, monkeypatch, place, error):
+    def stop(*_, **__):
+        raise error
+
+    write_transforms(tmp_path / "in", make_samples(3, model="OPENCV"))
+    monkeypatch.setattr(f"fipt_blender.core.capture.{place}", stop)
+    with pytest.raises(type(error)):
+        run_ingest(tmp_path / "in", run)
+    assert not run.root.exists()
+
+
 @pytest.mark.parametrize(
     ("change", "code"),
     [

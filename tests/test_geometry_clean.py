@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.run.runfolder import RunFolder
+from fipt_blender.core.run.run_files import Geometry
+from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.surface.adjacency import NONE, face_vectors, make_mesh
-from fipt_blender.core.surface.clean import CleanMesh, clean_mesh
+from fipt_blender.core.surface.clean import clean_mesh
 from fipt_blender.core.surface.patches import Planes
 from fipt_blender.core.surface.planes import parallel_normals
 from fipt_blender.core.surface.room import load_room
-from fipt_blender.core.surface.stored import prepare_geometry
+from samples.made_rooms import clean_run
+from samples.refusals import error_of
 from samples.scans import grid_triangles, scanned_box
 from samples.small_rooms import BOX, make_room, write_room
 
@@ -62,7 +64,7 @@ def sphere(radius: float) -> Mesh:
     return radius * bent / np.linalg.norm(bent, axis=1, keepdims=True), triangles
 
 
-def cleaned(mesh: Mesh) -> CleanMesh:
+def cleaned(mesh: Mesh) -> Geometry:
     result = clean_mesh(np.asarray(mesh[0], np.float32), mesh[1])
     assert result is not None
     return result
@@ -144,38 +146,29 @@ def test_a_run_works_on_the_cleaned_scan(tmp_path: Path) -> None:
     run = RunFolder(tmp_path)
     write_room(run.root, scan)
     assert np.array_equal(load_room(run).vertices, scan.vertices)
-    prepare_geometry(run)
+    clean_run(run)
     room = load_room(run)
     assert np.array_equal(room.triangles, scan.triangles)
     assert 0.005 < room.noise < 0.02 and room.offset == 2.0 * room.noise
     floor = np.unique(room.triangles[side == 0])
     assert room.vertices[floor, 2].std() < 0.2 * scan.vertices[floor, 2].std()
     assert room.scan is not None
-    written = run.geometry_npz.read_bytes()
-    prepare_geometry(run)
-    assert run.geometry_npz.read_bytes() == written
-    # A copy that does not fit is made again.
-    with np.load(run.geometry_npz) as archive:
-        arrays = dict(archive)
-    for name in ("source", "cut"):
-        if name == "cut":
-            run.geometry_npz.write_bytes(written[:1000])
-        else:
-            np.savez(run.geometry_npz, **{**arrays, name: arrays[name][::-1]})
-        assert np.array_equal(load_room(run).vertices, scan.vertices), name
-        prepare_geometry(run)
-        assert np.array_equal(load_room(run).vertices, room.vertices), name
-    prepare_geometry(run, clean=False)
-    assert not run.geometry_npz.exists() and np.array_equal(load_room(run).vertices, scan.vertices)
+    # What was made of another mesh is not used, and what can't be read is an error.
+    write_json(run.room_json, {"objects": ["scan"], "materials": ["scan"], "parts": "masks", "completed": True})
+    assert np.array_equal(load_room(run).vertices, scan.vertices)
+    run.scan_npz.write_bytes(run.scan_npz.read_bytes()[:1000])
+    assert error_of(load_room, run).code == "file-damaged"
+    clean_run(run, clean=False)
+    assert not run.scan_npz.exists() and np.array_equal(load_room(run).vertices, scan.vertices)
 
 
 def test_a_modelled_room_keeps_every_bit(tmp_path: Path) -> None:
     exact = make_room(BOX)
     run = RunFolder(tmp_path)
     write_room(run.root, exact)
-    prepare_geometry(run)
+    clean_run(run)
     room = load_room(run)
-    assert not run.geometry_npz.exists() and room.noise == 0.0 and room.plane is None
+    assert not run.scan_npz.exists() and room.noise == 0.0 and room.plane is None
     assert np.array_equal(room.vertices, exact.vertices)
     assert np.array_equal(room.corner_normals, exact.corner_normals)
     low, high = room.bounds

@@ -12,12 +12,12 @@ import pytest
 
 from fipt_blender.core.light.emitters import group_fixtures
 from fipt_blender.core.parts.labels import NO_PART, label_parts, usable_sources
-from fipt_blender.core.run.run_files import CLOSING, read_closing, read_room
-from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.run_files import CLOSING
+from fipt_blender.core.run.runfolder import write_json
 from fipt_blender.core.surface.adjacency import make_mesh
 from fipt_blender.core.surface.closing import open_loops
 from fipt_blender.core.surface.room import Room, load_room
-from fipt_blender.core.surface.stored import prepare_geometry
+from samples.made_rooms import clean_run
 from samples.part_views import write_run
 from samples.scans import scanned_box
 from samples.small_rooms import mesh_room
@@ -41,18 +41,13 @@ def scan(rng: np.random.Generator) -> Room:
     return mesh_room(room.vertices, triangles, np.zeros(len(triangles)), parts="none")
 
 
-def files(run: RunFolder) -> list[bytes]:
-    return [path.read_bytes() for path in (run.closing_npz, run.geometry_npz)]
-
-
 def test_a_scan_is_closed_before_it_is_cleaned(tmp_path: Path, scan: Room) -> None:
     run = write_run(tmp_path, scan, "none")
-    plain = run.geometry_npz.read_bytes()
-    prepare_geometry(run, most_edges=120)
-    holes = read_closing(run)
-    assert holes is not None and 20 < holes.count[0] <= PINHOLES and holes.count[1] == 1
-    assert holes.area[1] == pytest.approx(2.0 * 1.8, rel=0.1)
-    assert holes.text.startswith(f"The scan has {holes.count[0]} small holes, which were closed (")
+    plain = run.scan_npz.read_bytes()
+    holes = clean_run(run, most_edges=120)
+    assert holes is not None and 20 < holes.closed <= PINHOLES and holes.left == 1
+    assert holes.open_area == pytest.approx(2.0 * 1.8, rel=0.1)
+    assert holes.text.startswith(f"The scan has {holes.closed} small holes, which were closed (")
     room = load_room(run)
     assert room.objects[-1] == CLOSING and room.closing.sum() == len(room.triangles) - len(scan.triangles)
     assert np.array_equal(room.triangles[: len(scan.triangles)], scan.triangles)
@@ -60,51 +55,23 @@ def test_a_scan_is_closed_before_it_is_cleaned(tmp_path: Path, scan: Room) -> No
     assert room.plane is not None and (room.plane[room.closing] >= 0).mean() > 0.9
     mesh, _ = make_mesh(room.vertices, room.triangles)
     assert len(list(open_loops(mesh))) == 1
-    before = files(run)
-    prepare_geometry(run, most_edges=120)
-    assert files(run) == before
-    # The setting turns it off and on again.
-    prepare_geometry(run, most_edges=0)
-    assert not run.closing_npz.exists() and read_closing(run) is None and run.geometry_npz.read_bytes() == plain
+    # The setting turns it off.
+    assert clean_run(run) is None and run.scan_npz.read_bytes() == plain
     assert len(load_room(run).triangles) == len(scan.triangles)
-    prepare_geometry(run, most_edges=120)
-    assert files(run) == before
-    prepare_geometry(run, clean=False, most_edges=120)
-    assert not run.closing_npz.exists() and not run.geometry_npz.exists()
 
 
 def test_a_room_that_holds_an_earlier_closing_gets_no_second_one(tmp_path: Path, scan: Room) -> None:
     """As when the scene is estimated again after its results were applied."""
     run = write_run(tmp_path, scan, "none")
     write_json(run.room_json, {"objects": ["scan"], "object_ids": [CLOSING], "materials": ["scan"]})
-    prepare_geometry(run, most_edges=120)
-    holes = read_closing(run)
-    assert holes is not None and holes.count[0] == 0 and holes.count[1] > 20
+    holes = clean_run(run, most_edges=120)
+    assert holes is not None and holes.closed == 0 and holes.left > 20
     assert load_room(run).objects == ("scan",)
-    before = run.closing_npz.stat().st_mtime_ns
-    prepare_geometry(run, most_edges=120)
-    assert run.closing_npz.stat().st_mtime_ns == before
-
-
-def test_a_closing_that_does_not_fit_is_left_out(tmp_path: Path, scan: Room) -> None:
-    run = write_run(tmp_path, scan, "none")
-    prepare_geometry(run, most_edges=120)
-    whole = files(run)
-    with np.load(run.closing_npz) as archive:
-        arrays = dict(archive)
-    for fault in ("other mesh", "cut"):
-        np.savez(run.closing_npz, **arrays | {"source": arrays["source"][::-1]})
-        if fault == "cut":
-            run.closing_npz.write_bytes(whole[0][:500])
-        found = read_room(run)
-        assert len(found.triangles) == len(scan.triangles) and CLOSING not in found.objects, fault
-        prepare_geometry(run, most_edges=120)
-        assert files(run) == whole, fault
 
 
 def test_what_closes_a_hole_has_the_part_around_it_and_is_no_lamp(tmp_path: Path, scan: Room) -> None:
     run = write_run(tmp_path, scan, "objects")
-    prepare_geometry(run, most_edges=120)
+    clean_run(run, most_edges=120)
     room = load_room(run)
     parts = label_parts(room, "objects", [], [])
     assert (parts.triangle_part == 0).all()

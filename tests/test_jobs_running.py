@@ -207,6 +207,9 @@ def test_the_state_of_a_run_folder(run):
     for path in (run.statistics_json, run.emitters_json, run.fields_npz):
         path.touch()
     assert runstate.look(run).finished
+    for quality, found in (('{"held_back_db": 30.5, "projection_db": 31}', 30.5), ('{"views": []}', None)):
+        run.quality_json.write_text(quality)
+        assert runstate.look(run).quality == found
 
 
 ended: list[str] = []

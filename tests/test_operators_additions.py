@@ -90,8 +90,12 @@ def test_what_is_found_is_shown_and_what_is_deleted_stays_away(imported):
     settings.alignment.location = (5.0, 0.0, 0.0)  # cameras and mesh
     settings.alignment.rotation_euler = (0.0, 0.0, 0.5 * np.pi)
     bpy.context.view_layer.update()
+    run = RunFolder(imported.fipt.run_folder)
+    settings_before = run.run_json.read_bytes()
+    imported.fipt.estimate.preset = "high"
     with engine_here():
         assert ops.find_missing_surfaces() == {"FINISHED"}
+    assert run.run_json.read_bytes() == settings_before, "they are those of the last estimate"
     closing, box = sorted(added_surfaces(imported), key=lambda item: item.name, reverse=True)
     assert (closing.name, box[ADDED]) == (CLOSING, FOUND) and settings.completed
     bpy.context.view_layer.update()

@@ -15,10 +15,12 @@ from mathutils import Matrix, Vector
 from fipt_blender.blend import marks
 from fipt_blender.blend.collecting import missing_pictures
 from fipt_blender.blend.image_datablocks import image_values, linear_values
+from fipt_blender.core.run.run_files import PANES, read_room
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
 from samples import artist
 from samples.applied_rooms import ConstantFields, fingerprint, picture
+from samples.made_rooms import with_panes
 from samples.operator_calls import refused
 
 ops = bpy.ops.fipt
@@ -52,6 +54,16 @@ def test_textures_of_a_saved_file_lie_beside_it(scene, tmp_path):
     scene.fipt.materials.texel_density = 64.0
     assert ops.apply_results() == {"FINISHED"}
     assert sizes != {image.size[:] for image in textures(scene)}  # the copies are the new ones
+
+
+def test_a_scan_that_has_got_other_surfaces_gets_other_texture_coordinates(scene):
+    run = RunFolder(scene.fipt.run_folder)
+    assert ops.apply_results() == {"FINISHED"} and PANES not in bpy.data.objects
+    with_panes(run)  # an estimate with other settings has found them
+    run.fields_npz.write_bytes(b"estimated again")
+    assert ops.apply_results() == {"FINISHED"} and PANES in bpy.data.objects
+    with np.load(run.atlas_npz) as atlas:
+        assert len(atlas["triangle_image"]) == len(read_room(run).triangles)
 
 
 @pytest.mark.parametrize(("change", "suffix"), [("open", "EXR"), ("undo", "PNG"), ("undo", "EXR"), ("save", "PNG")])

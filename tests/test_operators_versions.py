@@ -52,8 +52,8 @@ def works(monkeypatch) -> list[str]:
             if step.command[0] == "textures":
                 if made.kept() is None:
                     done.append("textures")
-                    bake.bake(run, GrayFields(run))
-                    made.note()
+                    with made.making():
+                        bake.bake(run, GrayFields(run))
             else:
                 done.append("estimate")
                 write_estimate(run, 0.75, "light", hinted="told")

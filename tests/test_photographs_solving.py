@@ -29,6 +29,7 @@ from fipt_blender.prepare.solving import (
     SolveView,
     camera_groups,
     copy_name,
+    database_error,
     image_pairs,
     left_out,
     own_sizes,
@@ -268,6 +269,17 @@ def test_a_stopped_solve_goes_on_where_it_stood(tmp_path: Path) -> None:
         assert database.execute("select count(*), max(image_id) from images").fetchone() == (3, 3)
     database.close()
     assert {path.name for path in tmp_path.iterdir()} == {"copies", "database.db"}
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("[bindings] SQLite error: database or disk is full", "disk-full"),
+        ("/home/me/full frame/solve/database.db: SQLite error: disk I/O error", "solve-database"),
+    ],
+)
+def test_a_full_disk_is_what_sqlite_says(text: str, code: str) -> None:
+    assert database_error(Path("database.db"), RuntimeError(text)).code == code
 
 
 def test_a_damaged_database_is_named(tmp_path: Path) -> None:

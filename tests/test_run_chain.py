@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import make_dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -136,6 +137,48 @@ def test_the_code_of_a_stage_is_what_it_may_run_and_no_more(tmp_path: Path) -> N
     assert [written(name)[0] != before[0] for name in texts] == [True, True, True, False]
     assert all(written(name)[1] != before[1] for name in texts)
     method._imported.cache_clear()
+
+
+def test_cancelled_at_any_write_it_never_takes_one_settings_files_for_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A chain with a seed, then another seed that is stopped at its n-th write, then the first again."""
+    writes = 0
+
+    def stop_at(most: int) -> None:
+        def counted(write: Callable, *given, **named) -> None:
+            nonlocal writes
+            writes += 1
+            if writes == most:
+                raise KeyboardInterrupt
+            write(*given, **named)
+
+        for module, name in ((os, "replace"), (np, "save")):
+            monkeypatch.setattr(module, name, partial(counted, getattr(module, name)))
+
+    right = work(tmp_path / "right", number=4)[0]
+    for most in range(1, 100):
+        folder, writes = tmp_path / str(most), 0
+        work(folder, number=4)
+        stop_at(most)
+        try:
+            work(folder, number=5)
+            break
+        except KeyboardInterrupt:
+            pass
+        finally:
+            monkeypatch.undo()
+        again = work(folder, number=4)[0]
+        assert again.total == right.total and np.array_equal(again.doubled, right.doubled), most
+    assert most > 5
+
+
+@pytest.mark.parametrize(
+    ("text", "views"), [('{"views": [2], "rays": 7}', {2}), ('{"view": [2]}', set()), ("[", set())]
+)
+def test_a_note_of_finished_views_that_lacks_something_costs_time_alone(tmp_path: Path, text: str, views: set) -> None:
+    (tmp_path / "finished.json").write_text(text)
+    assert finished_views.FinishedViews(tmp_path / "finished.json").views == views
 
 
 @pytest.mark.parametrize("name", ["table/outputs.json", "table/table.npy", "sum/outputs.json", "train/outputs.json"])

@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 
 from fipt_blender.core.run import versions
+from fipt_blender.core.run.lock import hold
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.run.settings import make_settings
 from samples.refusals import error_of
@@ -48,10 +49,16 @@ def test_a_new_run_has_the_capture_and_nothing_of_the_estimate(run_folder: RunFo
     estimate(run_folder, "first")
     (run_folder.images / "preview").mkdir(parents=True)
     (run_folder.images / "preview" / "0.jpg").write_text("photograph")
+    run_folder.survey.mkdir()
+    run_folder.survey_json.write_text("{}")
     for path in (run_folder.ingest_json, run_folder.capture_json, run_folder.room_npz):
         path.write_text(path.name)
     new = RunFolder(tmp_path / "new")
     new.root.mkdir()
-    versions.copy_capture(run_folder, new)
+    with hold(RunFolder(run_folder.survey), ["survey"]):
+        versions.copy_capture(run_folder, new)
+        with hold(RunFolder(new.survey), ["survey"]):
+            pass  # it is another folder
+    assert new.survey_json.read_text() == "{}"
     assert (new.images / "preview" / "0.jpg").read_text() == "photograph"
-    assert {path.name for path in new.root.iterdir()} == {"images", "ingest.json", "capture.json"}
+    assert {path.name for path in new.root.iterdir()} == {"images", "survey", "ingest.json", "capture.json"}

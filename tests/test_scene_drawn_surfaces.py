@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 
 from fipt_blender.core.checks.agreement import survey_pixels
-from fipt_blender.core.completion.panes import close_holes
 from fipt_blender.core.parts.labels import label_parts
 from fipt_blender.core.parts.outlines import outlined_vertices
+from fipt_blender.core.run.run_files import PANES
 from fipt_blender.core.run.runfolder import RunFolder, write_json
+from fipt_blender.core.run.stage_settings import CompletionSettings
 from fipt_blender.core.surface.room import Room, load_room
-from fipt_blender.core.surface.stored import prepare_geometry
 from samples.lost_things import HIGH, photographed, with_box
+from samples.made_rooms import clean_run, complete_run
 from samples.part_views import looking_views
 from samples.scans import joined, scanned_box
 from samples.small_rooms import write_room
@@ -35,7 +36,7 @@ def written(root: Path, room: Room, exact: np.ndarray | None, **names) -> RunFol
     write_room(root, room, **({} if exact is None else {"triangle_exact": exact}))
     objects = [f"object {index}" for index in range(int(room.triangle_object.max()) + 1)]
     write_json(run.room_json, {"objects": objects, "materials": objects, "parts": "none", **names})
-    prepare_geometry(run, most_edges=120)
+    clean_run(run, most_edges=120)
     return run
 
 
@@ -76,7 +77,7 @@ def test_large_drawn_surfaces_do_not_make_a_scan_a_modelled_room(tmp_path: Path,
     panels = joined(SCAN, vertices, triangles, 1)
     run = written(tmp_path / "a", panels, drawn(panels))
     if not cleaned:
-        prepare_geometry(run, clean=False)
+        clean_run(run, clean=False)
     room = load_room(run)
     assert (room.noise > 0.0) == cleaned and room.scan is not None
     assert replace(room, exact=None, noise=0.0).scan is None  # what the panels would make of it
@@ -101,4 +102,5 @@ def test_what_is_drawn_has_no_holes_and_two_views_are_too_few_to_compare(
 ) -> None:
     views = photographed(tmp_path, BOTH, rng)
     assert survey_pixels(SCAN, views[:2]) is None
-    assert not close_holes(written(tmp_path / "a", BOTH, drawn(BOTH)), views)
+    run = written(tmp_path / "a", BOTH, drawn(BOTH))
+    assert PANES not in complete_run(run, views, CompletionSettings(), most_edges=120).objects

@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fipt_blender.core.capture.images import read_ids, write_exr
+from fipt_blender.core.capture.images import write_exr
+from fipt_blender.core.capture.views import View
 from fipt_blender.core.estimate.input import prepare_input
 from fipt_blender.core.parts import linked_masks, linking
-from fipt_blender.core.parts.linked_masks import link_masks, shared_ids
+from fipt_blender.core.parts.linked_masks import link_masks, shared_ids, with_masks
 from fipt_blender.core.parts.linking import RegionPixels, link_regions
 from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.run.messages import Reporter
@@ -124,21 +125,41 @@ def test_masks_with_own_ids_get_shared_ones(run_and_views) -> None:
     run, views, own = run_and_views
     room = load_room(run)
     none = [replace(view, parts=None) for view in own]
-    assert link_masks(run, room, views) == views and link_masks(run, room, none) == none
-    assert not [*run.linked.glob("*.exr")]
+    assert link_masks(room, views, run.linked) == {} == link_masks(room, none, run.linked)
     some = [replace(view, parts=None) if view.name < "5" else view for view in own]
-    assert [view.parts is None for view in link_masks(run, room, some)] == [view.parts is None for view in some]
-    linked = link_masks(run, room, own)
+    files = link_masks(room, some, run.linked)
+    assert files.keys() == {view.name for view in own if view.name >= "5"}
+    linked = with_masks(own, link_masks(room, own, run.linked))
     found = np.stack([view.part_ids() for view in linked])
     true = np.stack([view.part_ids() for view in views]) == THING_PART
     ids = np.unique(found[true])
     assert len(ids) == 1 and (np.isin(found, ids) == true).all() and found.min() > 0
-    # They are kept until something changes that they depend on.
-    before = {view.name: view.parts.stat().st_mtime_ns for view in linked}
-    assert {view.name: view.parts.stat().st_mtime_ns for view in link_masks(run, room, own)} == before
-    write_exr(own[0].parts, np.zeros_like(read_ids(own[0].parts)))
-    again = link_masks(run, room, own)
-    assert again[0].part_ids().max() == 0 and again[1].parts.stat().st_mtime_ns != before["1"]
+
+
+def test_masks_that_were_linked_half_way_are_linked_again(run_and_views, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cancelled with other masks, then the former ones again."""
+    run, _, own = run_and_views
+    others = [replace(view, parts=None) if view.name < "5" else view for view in own]
+    settings = make_settings(changes={"force": True, "outlines": False})
+
+    def masks(views: list[View]) -> list[bytes | None]:
+        write_views(run, views)
+        found = prepare_input(run, settings, Reporter()).values["views"].value
+        return [view.parts and view.parts.read_bytes() for view in found]
+
+    first, written = masks(own), []
+
+    def stop(path: Path, array: np.ndarray) -> None:
+        written.append(path)
+        if len(written) == 2:
+            raise KeyboardInterrupt
+        write_exr(path, array)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(linked_masks, "write_exr", stop)
+        with pytest.raises(KeyboardInterrupt):
+            masks(others)
+    assert masks(own) == first
 
 
 @pytest.mark.parametrize("shared", [True, False])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 fipt_blender authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Outlines of parts on a scan: vertices move to the borders of masks, and outlines.npz."""
+"""Outlines of parts on a scan: vertices move to the borders of masks."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ import pytest
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.parts.labels import Parts
-from fipt_blender.core.parts.outlines import outline_parts, outlined_vertices, without_folds
+from fipt_blender.core.parts.outlines import outlined_vertices, without_folds
 from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.surface.adjacency import Mesh, face_vectors
 from fipt_blender.core.surface.clean import clean_mesh
 from fipt_blender.core.surface.room import Room, load_room
-from fipt_blender.core.surface.stored import prepare_geometry
 from samples import small_captures
 from samples.camera_poses import look_at
+from samples.made_rooms import clean_run, complete_run
 from samples.scans import grid_triangles, joined, scanned_box
 from samples.small_captures import PANEL, panel_capture, pinhole, run_here
 from samples.small_rooms import BOX, make_room, write_room
@@ -123,30 +123,20 @@ def test_moves_never_fold_triangles() -> None:
 def write_run(root: Path, room: Room) -> RunFolder:
     write_room(root, room)
     run = RunFolder(root)
-    prepare_geometry(run)
+    clean_run(run)
     return run
 
 
-def test_a_run_keeps_its_outlines_until_the_masks_change(tmp_path: Path) -> None:
+def test_a_room_gets_the_outlines_of_its_views(tmp_path: Path) -> None:
     scan, _ = scanned_box(cells=30, noise=0.003)
     run = write_run(tmp_path, scan)
     views = masked_views(tmp_path, make_room(BOX))
     clean = load_room(run).vertices
-    outline_parts(run, views)
-    moved = load_room(run).vertices
+    moved = complete_run(run, views, outlines=True).vertices
     assert not np.array_equal(moved, clean) and np.abs(moved - clean).max() < 0.25
-    written = run.outlines_npz.read_bytes()
-    outline_parts(run, views)
-    assert run.outlines_npz.read_bytes() == written
-    outline_parts(run, views[:2])  # other masks: again from the cleaned mesh
-    fewer = load_room(run).vertices
-    assert not np.array_equal(fewer, moved)
-    outline_parts(run, views)
-    assert np.array_equal(load_room(run).vertices, moved)
-    run.outlines_npz.write_bytes(written[:1000])
-    assert np.array_equal(load_room(run).vertices, clean)
-    outline_parts(run, [replace(view, parts=None) for view in views])
-    assert not run.outlines_npz.exists()
+    assert not np.array_equal(complete_run(run, views[:2], outlines=True).vertices, moved)
+    none = [replace(view, parts=None) for view in views]
+    assert np.array_equal(complete_run(run, none, outlines=True).vertices, clean)
 
 
 def masked_capture(root: Path) -> RunFolder:
@@ -170,14 +160,14 @@ def masked_capture(root: Path) -> RunFolder:
 def test_a_resumed_estimation_keeps_outlines_and_stages(tmp_path: Path) -> None:
     run = masked_capture(tmp_path)
     first = [message["name"] for message in run_here(run, train=False) if message["type"] == "stage"]
-    written = run.outlines_npz.read_bytes()
-    assert first[:2] == ["scan", "pixels"] and run.fields_npz.exists() and run.linked.exists()
+    assert first[:6] == ["cleaning", "relation", "completion", "linking", "outlines", "pixels"]
+    assert run.fields_npz.exists() and [*run.scan.rglob("linked/**/*.exr")]
+    written = run.scan_npz.read_bytes()
     again = [message["name"] for message in run_here(run, train=False) if message["type"] == "stage"]
-    assert again == ["scan"] and run.outlines_npz.read_bytes() == written
+    assert again == [] and run.scan_npz.read_bytes() == written
 
 
 def test_a_modelled_room_has_no_outlines(tmp_path: Path) -> None:
     run = write_run(tmp_path, make_room(BOX))
-    run.outlines_npz.write_bytes(b"of another mesh")
-    outline_parts(run, masked_views(tmp_path, make_room(BOX)))
-    assert not run.outlines_npz.exists()
+    complete_run(run, masked_views(tmp_path, make_room(BOX)), outlines=True)
+    assert not run.scan_npz.exists()

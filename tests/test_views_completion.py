@@ -14,19 +14,16 @@ import pytest
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.checks.agreement import compared_pixels
-from fipt_blender.core.completion import panes
 from fipt_blender.core.completion.lost_surfaces import lost_surfaces, prism
-from fipt_blender.core.completion.panes import close_holes
-from fipt_blender.core.parts.masked_views import masked_views
 from fipt_blender.core.pixels.camera_rays import trace_pixels
-from fipt_blender.core.run.run_files import PANES, read_room
+from fipt_blender.core.run.run_files import CLOSING, PANES, read_room
 from fipt_blender.core.run.runfolder import write_json
-from fipt_blender.core.run.settings import Settings
+from fipt_blender.core.run.stage_settings import CompletionSettings
 from fipt_blender.core.surface.adjacency import Surface
 from fipt_blender.core.surface.room import Room, load_room
-from fipt_blender.core.surface.stored import prepare_geometry
 from samples.camera_poses import look_at
 from samples.lost_things import HIGH, LOW, photographed, with_box
+from samples.made_rooms import complete_run
 from samples.part_views import THING_PART, looking_views, with_own_ids, write_run
 from samples.scans import grid_triangles, joined, scanned_box
 from samples.small_rooms import BOX, make_room, mesh_room
@@ -66,8 +63,7 @@ def view(folder: Path, through: float = 0.1) -> View:
 def test_a_dark_opening_gets_a_pane(tmp_path: Path) -> None:
     run = write_run(tmp_path, opened(), "none")
     before = load_room(run)
-    close_holes(run, [view(tmp_path)])
-    room = load_room(run)
+    room = complete_run(run, [view(tmp_path)], CompletionSettings())
     added = slice(len(before.triangles), None)
     assert room.objects == (*before.objects, PANES) and len(room.triangles) > len(before.triangles)
     assert (room.triangle_object[added] == 1).all() and (room.triangle_material[added] == -1).all()
@@ -78,30 +74,22 @@ def test_a_dark_opening_gets_a_pane(tmp_path: Path) -> None:
     assert 2.0 * 1.4 < room.areas[added].sum() < 2.0 * 2.0 * 1.4
     assert room.plane is not None and (room.plane[added] > before.plane.max()).all()
     assert room.corner_normals[added][..., 1].max() < -0.99
-    # Once more: the room has them.
-    written = run.panes_npz.read_bytes(), run.geometry_npz.read_bytes()
-    prepare_geometry(run)
-    close_holes(run, [view(tmp_path)])
-    assert written == (run.panes_npz.read_bytes(), run.geometry_npz.read_bytes())
-    # Switched off and on again, they go and come back.
-    for there in (False, True):
-        close_holes(run, [view(tmp_path)], Settings(panes=there, close_holes_edges=0))
-        room = load_room(run)
-        assert (PANES in room.objects) == there and room.scan is not None
+    # Switched off, they go.
+    room = complete_run(run, [view(tmp_path)], CompletionSettings(panes=False))
+    assert PANES not in room.objects and room.scan is not None
 
 
 @pytest.mark.parametrize(("behind", "through"), [(False, 8.0), (True, 0.1)])
 def test_what_shows_the_outside_or_a_surface_stays_open(tmp_path: Path, behind: bool, through: float) -> None:
     run = write_run(tmp_path, opened(behind), "none")
-    close_holes(run, [view(tmp_path, through)])
-    assert PANES not in load_room(run).objects
+    assert PANES not in complete_run(run, [view(tmp_path, through)], CompletionSettings()).objects
 
 
 def test_a_modelled_room_is_never_closed(tmp_path: Path) -> None:
     room = make_room(BOX[:2] + BOX[3:], objects=np.zeros(5, int))
     run = write_run(tmp_path, room, "none")
-    close_holes(run, [view(tmp_path)])
-    assert not run.panes_npz.exists() and len(load_room(run).triangles) == 10
+    assert len(complete_run(run, [view(tmp_path)], CompletionSettings()).triangles) == 10
+    assert not run.scan_npz.exists()
 
 
 def test_nothing_is_added_to_a_completed_room_until_it_is_no_longer_one(
@@ -116,10 +104,8 @@ def test_nothing_is_added_to_a_completed_room_until_it_is_no_longer_one(
         write_json(run.room_json, {**names, "completed": completed})
         if completed:  # what was added before the room was completed is not there any more
             assert len(read_room(run).triangles) == kept.sum()
-        prepare_geometry(run, most_edges=20)
-        assert close_holes(run, [view(tmp_path)]) == (not completed)
-        assert run.geometry_npz.exists() and run.closing_npz.exists() == run.panes_npz.exists() == (not completed)
-        assert (PANES in load_room(run).objects) == (not completed)
+        room = complete_run(run, [view(tmp_path)], CompletionSettings(), most_edges=20)
+        assert room.plane is not None and room.objects == ("scan", *(() if completed else (CLOSING, PANES)))
 
 
 # ----------------------------------------------------------------------------------------------- lost things
@@ -136,29 +122,14 @@ def with_thing(tmp_path_factory: pytest.TempPathFactory) -> list[View]:
 
 
 @pytest.mark.parametrize("parts", ["none", "masks"])
-def test_a_lost_box_is_put_back(
-    tmp_path: Path, with_thing: list[View], rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, parts: str
-) -> None:
+def test_a_lost_box_is_put_back(tmp_path: Path, with_thing: list[View], rng: np.random.Generator, parts: str) -> None:
     run = write_run(tmp_path, SCAN, parts)
-    whole = photographed(tmp_path, SCAN, rng)
-    close_holes(run, whole)
-    assert load_room(run).objects == ("scan",)
-    searched = []
-    monkeypatch.setattr(panes, "masked_views", lambda *given: searched.append(given) or masked_views(*given))
-    close_holes(run, whole)
-    assert not searched, "nothing is lost, and is looked for once"
-    if parts == "none":  # masks that do not count are no reason to look again
-        run.panes_npz.unlink()
-    close_holes(run, with_thing)
-    room = load_room(run)
+    assert complete_run(run, photographed(tmp_path, SCAN, rng), CompletionSettings()).objects == ("scan",)
+    room = complete_run(run, with_thing, CompletionSettings())
     added = room.vertices[room.triangles[room.triangle_object == 1].reshape(-1)]
     assert room.objects == ("scan", PANES)
     # To a cell or two, which are as wide as a pixel.
     assert np.abs(added.min(axis=0) - LOW).max() < 0.1 and np.abs(added.max(axis=0) - HIGH).max() < 0.1
-    # Once more: the room has it.
-    written = run.panes_npz.read_bytes()
-    close_holes(run, with_thing)
-    assert run.panes_npz.read_bytes() == written
 
 
 def test_nothing_is_found_on_a_floor_that_differs_between_views(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -236,9 +207,9 @@ def test_a_hole_in_a_part_is_filled(tmp_path: Path, rng: np.random.Generator, th
     true = joined(SCAN, vertices, triangles, 1)
     views = photographed(tmp_path, true, rng) if parts == "none" else looking_views(tmp_path, true)
     told: list[float] = []
-    close_holes(run, with_own_ids(views, rng) if evidence == "own ids" else views, progress=told.append)
+    given = with_own_ids(views, rng) if evidence == "own ids" else views
+    room = complete_run(run, given, CompletionSettings(), progress=told.append)
     assert told and told == sorted(told) and told[0] >= 0.0 and 0.0 < told[-1] <= 1.0
-    room = load_room(run)
     added = room.triangle_object == 1
     assert room.objects == ("scan", PANES) and added.any()
     # Seen from its front, the hole shows the part again, where it is; nothing else is hidden.
@@ -265,5 +236,4 @@ def test_whole_parts_and_true_holes_stay(tmp_path: Path, rng: np.random.Generato
         true = joined(SCAN, vertices, left, 1)
         views = photographed(folder, true, rng) if parts == "none" else looking_views(folder, true)
         assert any((each.part_ids() == THING_PART).any() for each in views)
-        close_holes(run, views)
-        assert load_room(run).objects == ("scan",)
+        assert complete_run(run, views, CompletionSettings()).objects == ("scan",)

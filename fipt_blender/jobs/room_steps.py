@@ -107,8 +107,9 @@ class RoomSteps:
         if (kept := made.kept()) is not None:
             return [as_message("warning", each) for each in kept]
         work = {"rerender": self.rerender, "relight": self.relight, "insert": self.insert}[kind]
-        warnings = yield from work()
-        made.note(warnings)
+        warnings: list[Message] = []
+        with made.making(warnings):
+            warnings += yield from work()
         return warnings
 
     def rerender(self) -> Slices[list[Message]]:

@@ -95,7 +95,7 @@ def look(run: RunFolder) -> RunState:
     from ..blend.collecting import missing_pictures
     from ..core.run import versions
     from ..core.run.documents import optional_document
-    from ..core.run.result_contents import Stages
+    from ..core.run.result_contents import QualityNote, Stages
 
     warnings, pictures, error = [], (), None
     for message in _messages(run.messages("estimate")):
@@ -107,7 +107,7 @@ def look(run: RunFolder) -> RunState:
             pictures = tuple(run.root / name for name in message["files"])
     results = run.statistics_json.exists() and versions.has_results(run)
     stages = optional_document(run.stages_json, Stages)
-    quality = optional_document(run.quality_json, dict)
+    quality = optional_document(run.quality_json, QualityNote)
     return RunState(
         stages=0 if stages is None else len(stages.stages),
         results=results,
@@ -116,7 +116,7 @@ def look(run: RunFolder) -> RunState:
         warnings=tuple(warnings),
         error=error,
         pictures=pictures,
-        quality=None if quality is None else quality["held_back_db"],
+        quality=None if quality is None else quality.held_back_db,
         missing=tuple(missing_pictures()),
     )
 

@@ -141,13 +141,14 @@ def apply_steps(run: RunFolder, settings: Settings) -> list[Step]:
         read = [getattr(settings, name) for name in _ATLAS_SETTINGS]
         paths = [
             run.room_npz,
+            run.scan_npz,
             run.resolution_npz,
             *([run.parts_npz] if settings.atlas_images == "part" else []),
         ]
         made = Made(run, "atlas", read, content_digest(*paths), outputs=[run.atlas_npz, run.atlas_json])
         if made.kept() is None:
-            yield from make_atlas(objects(), run, settings)
-            made.note()
+            with made.making():
+                yield from make_atlas(objects(), run, settings)
 
     def build() -> Slices[list[Message]]:
         from ..blend.lights.world import apply_environment

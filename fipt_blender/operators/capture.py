@@ -306,9 +306,10 @@ def find_missing_surfaces(scene: bpy.types.Scene) -> Task:
 
         run = checked_run(scene)
         refuse_busy(run)
-        run.create(estimating.scene_settings(scene))
+        # In the survey's folder, as the settings in run.json are those of the estimate.
+        RunFolder(run.survey).write_settings(estimating.scene_settings(scene))
         prepare, survey = survey_steps(run, search=True)
-        command = ["complete", str(run.root)]
+        command = ["complete", str(run.survey)]
         search = Step("complete", "Looking for what the scan lacks", 60.0, command=command)
         return open_job(run, [prepare, search, survey])
 

@@ -32,6 +32,7 @@ _REC709_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 DARKEST = 2.0**-6
 _LOW, _HIGH = 0.5, 99.8  # percentiles that become black and white
 _PAIRS_PER_CALL = 64  # between two messages of progress
+SQLITE_FULL = "database or disk is full"  # text of SQLite's code 13
 _FEATURES, _MATCHES = 0.2, 0.8  # share of the time after which features and matches are found
 
 
@@ -123,7 +124,7 @@ def solve(folder: Path, views: Sequence[SolveView], seed: int, progress: Progres
         _match(database, views, seed, within(progress, _FEATURES, _MATCHES))
         models = _map(database, folder, len(views), seed, within(progress, _MATCHES, 1.0))
     except RuntimeError as error:
-        raise _explained(database, error) from error
+        raise database_error(database, error) from error
     connections = _connections(database, [copy_name(view.name) for view in views])
     if not models:
         raise _nothing_solved(connections)
@@ -256,9 +257,9 @@ def _nothing_solved(connections: Sequence[Connections]) -> FiptError:
     return FiptError("solve-failed", text=text)
 
 
-def _explained(database: Path, error: RuntimeError) -> FiptError:
-    """pycolmap's error as one for the user: it stops at what the database's system says."""
-    if "full" in str(error).lower():
+def database_error(database: Path, error: RuntimeError) -> FiptError:
+    """pycolmap's error as one for the user: it stops at what SQLite says, often with paths."""
+    if SQLITE_FULL in str(error):
         return FiptError("disk-full.explained", database=database)
     reason = str(error).strip().splitlines()
     return FiptError("solve-database", database=database, reason=reason[-1] if reason else "no reason given")

@@ -49,8 +49,8 @@ def use_fake_engine(monkeypatch, fields=None) -> list[str]:
             made = bake.textures_made(run)
             if made.kept() is None:
                 bakes.append(step.name)
-                bake.bake(run, fields or ConstantFields())
-                made.note()
+                with made.making():
+                    bake.bake(run, fields or ConstantFields())
 
         return replace(step, command=None, function=work) if step.command else step
 

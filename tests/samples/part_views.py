@@ -14,8 +14,8 @@ from fipt_blender.core.capture.views import View
 from fipt_blender.core.pixels.camera_rays import trace_pixels
 from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.core.surface.room import Room
-from fipt_blender.core.surface.stored import prepare_geometry
 from samples.camera_poses import look_at
+from samples.made_rooms import clean_run
 from samples.small_rooms import write_room
 
 SIZE, FOCAL = 64, 40.0
@@ -59,5 +59,5 @@ def write_run(root: Path, room: Room, parts: str) -> RunFolder:
     run = RunFolder(root)
     write_room(root, room)
     write_json(run.room_json, {"objects": ["scan"], "materials": ["scan"], "parts": parts})
-    prepare_geometry(run)
+    clean_run(run)
     return run

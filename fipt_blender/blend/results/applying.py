@@ -15,7 +15,7 @@ import numpy as np
 from ...bridge.process import Message
 from ...bridge.step import Slices
 from ...core.run.errors import FiptError, warning
-from ...core.run.run_files import RoomMesh, read_outlined
+from ...core.run.run_files import RoomMesh
 from ...core.run.runfolder import RunFolder
 from ...core.run.versions import results_id
 from ..lights import fixtures
@@ -82,7 +82,7 @@ def apply_results(
     """
     scene_name = scene.name
     results = read_results(run)
-    geometry = read_outlined(run, results.room) if run.read_estimated().clean_mesh else None
+    geometry = results.room.scan if run.read_estimated().clean_mesh else None
     objects = list(objects)
     linked = [item.name for item in objects if is_linked(item)]
     if linked:

@@ -53,7 +53,7 @@ class TargetBuilder:
 
     Args:
         room: the run's room.
-        geometry: the cleaned copy of a scan (geometry.npz), if it is wanted.
+        geometry: the cleaned geometry of a scan, if it is wanted.
         fixture: (T,) index of the fixture of each triangle, -1 for none.
         charts: the chart of each triangle (T,) in the atlas; called where the nearest surface is searched.
 

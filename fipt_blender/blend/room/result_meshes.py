@@ -123,7 +123,7 @@ def clean_result_mesh(
         mesh: the new result mesh of `item`, with the triangles that were exported.
         item: the object; it is not changed.
         room, index: the run's room, and the object's index in it.
-        geometry: content of geometry.npz.
+        geometry: cleaned, of the scan.
     """
     of_object = room.triangle_object == index
     loops, _ = triangle_loops(mesh, is_mirrored(item))

@@ -233,8 +233,8 @@ def write_fused(
     chosen = options.voxel, options.triangles, options.scale
     made = Made(run, "fused", chosen, facts, outputs=[run.fused_ply])
     if made.kept() is None:
-        write_ply(run.fused_ply, fuse(views, options, options.scale, progress))
-        made.note()
+        with made.making():
+            write_ply(run.fused_ply, fuse(views, options, options.scale, progress))
     return run.fused_ply
 
 

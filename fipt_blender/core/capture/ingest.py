@@ -9,9 +9,10 @@ converted are written beside the run's images, which they replace only in the en
 from __future__ import annotations
 
 import argparse
+import shutil
 from collections import Counter
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -68,9 +69,10 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     if found is not None and _made(folder, capture, options, found).told_again(reporter):
         reporter.done([str(folder.capture_json)])
         return
+    named.unlink(missing_ok=True)  # until the capture is whole
     found = ingest(capture, folder, options, reporter)
-    write_json(named, found)
-    _made(folder, capture, options, found).note(reporter.warnings)
+    with _made(folder, capture, options, found).making(reporter.warnings):
+        write_json(named, found)
 
 
 @dataclass(frozen=True)
@@ -146,10 +148,7 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     remedy = "use photographs whose distortion is undone already, or smaller ones"
     rewritten = sum(photograph.rewritten_bytes for photograph in photographs)
     refuse_full_disk(run_folder.images, rewritten, remedy)
-    is_new = not run_folder.run_json.exists()
-    if is_new:
-        run_folder.create(make_settings())
-    try:
+    with _new_run(run_folder):
         with atomic_folder(run_folder.images) as images:
             reporter.stage("images", "Reading the photographs")
             written, shown = _convert(images, photographs, options.clamp_negative, reporter)
@@ -164,30 +163,27 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             reporter.stage("write", "Writing the capture")
             mesh = fused if source.is_fused else write_mesh(run_folder, source)
             upright = upright or find_upright(poses, mesh)
-    except FiptError:
-        if is_new:
-            _remove_empty(run_folder)
-        raise
-    with suppress(OSError):
-        run_folder.images.rmdir()  # if nothing had to be converted
-    world_from_source = upright.world_from_source(options.scale)
-    note = size_note(capture, source, mesh, world_from_source)
-    if note is not None and not any(each.code == "mesh-elsewhere" for each in notes):  # which explains it
-        reporter.warn(note)
-    worlds = [world_from_source] * solved + [in_metres] * (len(views) - solved)
-    items = zip(photographs, written, worlds, strict=True)
-    entries = (photograph.captured(run_folder, files, world) for photograph, files, world in items)
-    captured = CapturedViews(
-        source=rig.source,
-        world_from_source=as_matrix(world_from_source),
-        mesh=None if mesh is None else str(mesh),
-        offset=tuple(source.offset.tolist()),
-        views=tuple(chain.from_iterable(entries)),
-    )
-    up = UpAxis(upright.axis, upright.source, upright.angle)
-    # The add-on rewrites capture.json with the views that the artist selects; ingest.json keeps all of them.
-    write_json(run_folder.ingest_json, replace(captured, up=up))
-    write_json(run_folder.capture_json, captured)
+        with suppress(OSError):
+            run_folder.images.rmdir()  # if nothing had to be converted
+        world_from_source = upright.world_from_source(options.scale)
+        note = size_note(capture, source, mesh, world_from_source)
+        # Cameras and mesh that do not belong together explain an odd size.
+        if note is not None and not any(each.code == "mesh-elsewhere" for each in notes):
+            reporter.warn(note)
+        worlds = [world_from_source] * solved + [in_metres] * (len(views) - solved)
+        items = zip(photographs, written, worlds, strict=True)
+        entries = (photograph.captured(run_folder, files, world) for photograph, files, world in items)
+        captured = CapturedViews(
+            source=rig.source,
+            world_from_source=as_matrix(world_from_source),
+            mesh=None if mesh is None else str(mesh),
+            offset=tuple(source.offset.tolist()),
+            views=tuple(chain.from_iterable(entries)),
+        )
+        up = UpAxis(upright.axis, upright.source, upright.angle)
+        # The add-on writes capture.json again with the views that the artist selects.
+        write_json(run_folder.ingest_json, replace(captured, up=up))
+        write_json(run_folder.capture_json, captured)
     counts = Counter(view.split for view in captured.views)
     reporter.done(
         [str(run_folder.capture_json)],
@@ -213,14 +209,18 @@ def _placed(options: CaptureOptions, world_from_source: np.ndarray) -> RigView:
     return replace(view, camera_to_world=pose, mask=Folders().ids(image.parent / MASK_FOLDER, [view.name]))
 
 
-def _remove_empty(run_folder: RunFolder) -> None:
-    """Remove a run that has nothing but its settings."""
-    with suppress(OSError):
-        run_folder.stage.rmdir()
-        run_folder.results.rmdir()
-        if list(run_folder.root.iterdir()) == [run_folder.run_json]:
-            run_folder.run_json.unlink()
-            run_folder.root.rmdir()
+@contextmanager
+def _new_run(run_folder: RunFolder) -> Iterator[None]:
+    """The run folder is there while the block runs; one that was made for it goes again where it fails."""
+    is_new = not run_folder.run_json.exists()
+    if is_new:
+        run_folder.create(make_settings())
+    try:
+        yield
+    except BaseException:
+        if is_new:  # `create` refuses a folder that holds anything else
+            shutil.rmtree(run_folder.root, ignore_errors=True)
+        raise
 
 
 def _chosen(views: list[RigView], count: int) -> list[RigView]:

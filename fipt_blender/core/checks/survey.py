@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     # Mitsuba's types exist only after the variant is set.
     from ..parts.coverage import coarse_triangles, coarse_view, view_coverage
     from ..parts.labels import IMAGE_SOURCES, automatic_source, source_parts, usable_sources
-    from ..parts.linked_masks import link_masks
+    from ..parts.linked_masks import link_masks, with_masks
     from ..surface.room import load_room
     from .agreement import survey_pixels
     from .misfit import image_misfit
@@ -79,7 +79,8 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 
     reporter.stage("parts", "Finding the parts")
     train = [coarse_view(view) for view in capture.train if view.image.is_file()]
-    train = link_masks(folder, replace(room, parts="masks"), train)  # all sources are counted
+    linked = link_masks(replace(room, parts="masks"), train, folder.linked)  # all sources are counted
+    train = with_masks(train, linked)
     labels = {}
     usable = usable_sources(room, train)
     sources = [*usable, "loose"]

@@ -11,37 +11,27 @@ the room through it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import reduce
+from pathlib import Path
 
 import numpy as np
 
 from ..capture.views import View
 from ..checks.agreement import compared_pixels
 from ..optics.lights import LUMINANCE
-from ..parts.labels import choose_source, masks_digest
-from ..parts.linked_masks import link_masks
+from ..parts.labels import choose_source
+from ..parts.linked_masks import link_masks, with_masks
 from ..parts.masked_views import masked_views
 from ..pixels.camera_rays import first_hits, trace_pixels
 from ..robust import LEAST_VIEWS
 from ..run.messages import Progress, unwatched, within
-from ..run.run_files import (
-    PANES,
-    AddedSurfaces,
-    mesh_digest,
-    read_geometry,
-    read_made,
-    read_room,
-)
-from ..run.runfolder import RunFolder, explained_write_errors
-from ..run.stage_settings import RoomSettings
-from ..run.store import optional_arrays, write_arrays
+from ..run.run_files import PANES, AddedSurfaces, RoomMesh
+from ..run.stage_settings import CompletionSettings
 from ..surface.adjacency import NONE, Surface, make_mesh
-from ..surface.clean import CleanMesh
 from ..surface.holes import FlatHole, flat_holes, median_edge
-from ..surface.room import Room, load_room
-from ..surface.stored import prepare_geometry, scanned, store_geometry
+from ..surface.room import Room
 from .lost_surfaces import lost_surfaces
 from .torn_parts import torn_parts, torn_round_things
 
@@ -49,94 +39,76 @@ from .torn_parts import torn_parts, torn_round_things
 LEAST_PIXELS, LEAST_MISSED = 100, 0.5
 # A hole that is brighter than this multiple of the photographs' median shows the outside.
 OUTSIDE = 2.0
-# The settings that switch the kinds of surfaces on.
-KINDS = ("panes", "lost_surfaces", "torn_parts")
 
 
-def close_holes(
-    run: RunFolder,
+@dataclass(frozen=True, eq=False)
+class Completion:
+    """What a scan lacks.
+
+    Attributes:
+        panes: the surfaces; None without any.
+        plane: (T,) int32 plane of each of their triangles, `NONE` without one.
+        linked: masks by `link_masks` on the room with them, names of files in the search's folder by those of
+            views; None where these have not been linked.
+    """
+
+    panes: AddedSurfaces | None = None
+    plane: np.ndarray | None = None
+    linked: Mapping[str, str] | None = None
+
+
+def find_lacking(
+    mesh: RoomMesh,
+    room: Room,
     views: Sequence[View],
-    settings: RoomSettings | None = None,
-    room: Room | None = None,
+    folder: Path,
+    settings: CompletionSettings,
     progress: Progress = unwatched,
-) -> bool:
-    """Write panes.npz, and extend geometry.npz, where photographs show surfaces that a scan lacks.
+) -> Completion:
+    """Surfaces that photographs show and a scan lacks.
 
-    Nothing changes where the mesh is no scan, where it has panes already or the artist has completed it, or
-    where these masks were searched before. Mitsuba's variant must be set.
+    None where the mesh is no scan, where it has panes already or the artist has completed it. Mitsuba's
+    variant must be set.
 
     Args:
+        mesh: the room as Blender has written it.
+        room: of it, cleaned, with its holes closed.
         views: training views.
-        settings: which kinds of surfaces are looked for; None: all.
-        room: the run's, without outlines; read where None.
-
-    Returns:
-        whether the run's room has other surfaces now.
-
-    Raises:
-        FiptError: those of the readers of room and photographs, ``disk-full`` or ``run-unwritable``.
+        folder: for linked masks.
+        settings: which kinds of surfaces are looked for.
     """
-    settings = settings or RoomSettings()
-    if not run.geometry_npz.exists():
-        run.panes_npz.unlink(missing_ok=True)
-        return False
-    changed = False
-    kinds = [bool(getattr(settings, kind)) for kind in KINDS]
-    searched = optional_arrays(run.panes_npz, AddedSurfaces)
-    if searched is not None and (searched.kinds is None or searched.kinds.tolist() != kinds):
-        run.panes_npz.unlink()
-        prepare_geometry(run, settings.clean_scan, settings.close_holes_edges)
-        room, changed = None, True  # it may have had them
-    stored = read_room(run)
-    if stored.completed or PANES in stored.object_ids:
-        return changed
-    cleaned = read_geometry(run, stored)
-    use_masks = stored.parts in ("auto", "masks")
-    masks = masks_digest(views, (view.part_ids() for view in views if use_masks))
-    made = read_made(run.panes_npz, AddedSurfaces, mesh_digest(stored))
-    found_nothing = made is not None and made.masks is not None and np.array_equal(made.masks, masks)
-    if cleaned is None or found_nothing:
-        return changed
-    mesh, _ = make_mesh(cleaned.vertices, stored.triangles[scanned(stored)])
-    edge = median_edge(mesh)
-    holes = flat_holes(mesh, edge) if settings.panes else []
-    room = room or load_room(run, outlined=False)
+    if room.plane is None or mesh.completed or PANES in mesh.object_ids:
+        return Completion()
+    rows = np.arange(len(room.triangles)) if room.exact is None else np.flatnonzero(~room.exact)
+    surface, _ = make_mesh(room.vertices, room.triangles[rows])
+    edge = median_edge(surface)
+    holes = flat_holes(surface, edge) if settings.panes else []
     looks = _looks(room, holes, views, within(progress, 0.0, 0.25))
     closed = [hole for hole, seen in zip(holes, looks, strict=True) if seen]
-    added = _panes(closed) if closed else None
-    whole = room if added is None else _with(room, added)
-    for surface in _things(run, whole, views, edge, settings, within(progress, 0.25, 1.0)):
-        added = surface if added is None else _joined(added, surface)
-    nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3, 3)), np.zeros(0, np.int32)
-    vertices, triangles, normals, plane = nothing if added is None else added
-    with explained_write_errors(run.root):
-        source, searched_for = mesh_digest(stored), np.array(kinds)
-        panes = AddedSurfaces(vertices, triangles, normals, source, masks=masks, kinds=searched_for)
-        write_arrays(run.panes_npz, panes)
-        if added is None:
-            return changed
-        plane = np.where(plane == NONE, NONE, int(cleaned.plane.max(initial=-1)) + 1 + plane)
-        extended = CleanMesh(
-            np.concatenate([cleaned.vertices, vertices]),
-            np.concatenate([cleaned.corner_normals, normals]),
-            np.concatenate([cleaned.plane, plane.astype(np.int32)]),
-            float(cleaned.noise),
-        )
-        store_geometry(run, read_room(run), extended)
-    return True
+    added = [_panes(closed)] if closed else []
+    whole = _with(room, added[0]) if added else room
+    things, linked = _things(whole, views, folder, edge, settings, within(progress, 0.25, 1.0))
+    added += things
+    if not added:
+        return Completion(linked=linked)
+    vertices, triangles, normals, plane = reduce(_joined, added)
+    first = int(room.plane.max(initial=-1)) + 1
+    plane = np.where(plane == NONE, NONE, first + plane).astype(np.int32)
+    return Completion(AddedSurfaces(vertices, triangles, normals), plane, linked)
 
 
 def _things(
-    run: RunFolder,
     room: Room,
     views: Sequence[View],
+    folder: Path,
     edge: float,
-    settings: RoomSettings,
+    settings: CompletionSettings,
     progress: Progress,
-) -> list[Surface]:
+) -> tuple[list[Surface], dict[str, str] | None]:
     """Surfaces that the scan lacks: lost things, from the photographs, then torn parts, from masks or these.
 
-    Lost things come first, because linked masks would assign them to the surface behind them.
+    Lost things come first, because linked masks would assign them to the surface behind them. The second
+    value is `Completion.linked`.
     """
     found: list[Surface] = []
     masked = choose_source(room, views) == "masks"
@@ -147,12 +119,14 @@ def _things(
         if settings.torn_parts and not masked:
             found += torn_round_things(room, pixels, edge)
     if not masked:
-        return found
+        return found, None
     for surface in found:
         room = _with(room, surface)
-    looking, label = masked_views(room, link_masks(run, room, views))
-    torn = settings.torn_parts
-    return found + (torn_parts(room, label, looking, edge, within(progress, 0.8, 1.0)) if torn else [])
+    files = link_masks(room, views, folder)
+    looking, label = masked_views(room, with_masks(views, files))
+    torn = torn_parts(room, label, looking, edge, within(progress, 0.8, 1.0)) if settings.torn_parts else []
+    linked = {name: path.relative_to(folder).as_posix() for name, path in files.items()}
+    return found + torn, None if torn else linked
 
 
 def _with(room: Room, surface: Surface) -> Room:

@@ -25,12 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Estimate materials and lights.
-
-    Raises:
-        FiptError: an input is missing, the capture can't be used, a file can't be written or the cluster
-            fails.
-    """
+    """Estimate materials and lights."""
     folder = RunFolder(arguments.run)
     settings = folder.read()
     if arguments.anew:

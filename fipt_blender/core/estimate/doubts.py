@@ -100,9 +100,6 @@ def write_doubts(
         decided: (T, 3) bool, triangles of which hints say how rough they are, whether they are metal, and
             whether they emit.
         names: (T,) name of each triangle's part, "" without one.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
     pixels, materials = data.observations.pixels, data.materials
     counts, emits, doubt, decided_of = _counts(data, probability, decided)

@@ -28,9 +28,6 @@ def estimate_room(
 
     Args:
         watch: is told of the stages; None: sends pictures of them.
-
-    Raises:
-        FiptError: those of the stages, ``disk-full`` or ``run-unwritable``.
     """
     chain = given.chain(reporter, workers)
     solution = chain.run(Solution, watch or Pictures(given.folder, chain, reporter))

@@ -57,9 +57,6 @@ def write_part_list(
         pixels: their pixels.
         fields: the estimate; its units are listed.
         areas: names of the units that hints have made.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
     unit = fields.units.triangle
     count = len(fields.units.single)

@@ -46,11 +46,7 @@ class Preview:
         self._rows = _square(pixels, best)
 
     def first_guess(self, stage: str, shadings: ShadingStore) -> list[Path]:
-        """Base colour as if all surfaces were diffuse: radiance of the photograph divided by L_d.
-
-        Raises:
-            FiptError: ``disk-full`` or ``run-unwritable``.
-        """
+        """Base colour as if all surfaces were diffuse: radiance of the photograph divided by L_d."""
         rows = self._rows.reshape(-1)
         light = np.maximum(np.asarray(shadings.diffuse[rows], np.float32), MIN_LIGHT)
         color = np.asarray(self._pixels.radiance[rows]) / light
@@ -66,9 +62,6 @@ class Preview:
             stage: used in the names of the files.
             colors: (R,) pixels to their (R, 3) base colour.
             emitters: radiance in units of the capture's median.
-
-        Raises:
-            FiptError: ``disk-full`` or ``run-unwritable``.
         """
         color = colors(self._rows.reshape(-1))
         emission = self._emission(emitters, self._rows)

@@ -33,9 +33,10 @@ from ..report.pictures import write_quality
 from ..run.messages import Reporter, peak_memory_gb
 from ..run.replacing import atomic_folder
 from ..run.result_contents import EmitterEnvironment, EmitterFixture, Emitters
-from ..run.run_files import AddedSurfaces, LeftAlone
+from ..run.run_files import LeftAlone
 from ..run.runfolder import RunFolder, explained_write_errors, write_json
 from ..run.store import write_arrays
+from ..surface.cleaning import Holes
 from ..surface.room import Room
 from ..textures.detail import SolvedLight, remember_light, write_resolution
 from .doubts import write_doubts
@@ -73,9 +74,6 @@ def write_solution(
 
     Args:
         stages: their facts (:meth:`..run.chain.Chain.facts`).
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
     run, observations = given.folder, solution.observations
     pixels, room, hints = solution.pixels, solution.room, solution.surface_hints
@@ -90,6 +88,8 @@ def write_solution(
         if solution.quality is not None:
             write_quality(folder, solution.quality)
         names = write_part_list(folder, room, solution.parts, solution.views, pixels, fields, areas)
+        if given.prepared.scan is not None:
+            write_arrays(folder.scan_npz, given.prepared.scan)
         if observations.left_alone.any():
             write_arrays(folder.left_alone_npz, LeftAlone(observations.left_alone))
         decided = hints.of_triangles(hints.decides)
@@ -117,9 +117,6 @@ def write_results(
         fixtures, environment: radiance in units of the capture's median.
         scale: the capture's median radiance, in the photographs' units.
         reporter: gets the warning ``no-emitter`` if nothing lights the room.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
     fields.save(folder)
     described = None
@@ -174,7 +171,7 @@ def summary(
         "views": check.facts() | {"used": len(solution.views) - len(check.left_out)},
         "settings": asdict(given.settings),
         **({"photometry": photometry.facts} if photometry else {}),
-        **(_hole_facts(given.holes) if given.holes else {}),
+        **(_hole_facts(given.prepared.holes) if given.prepared.holes else {}),
         **({"hints": hint_facts(hints, solution.units)} if hints.names else {}),
     }
 
@@ -212,12 +209,10 @@ def result_files(folder: RunFolder) -> list[Path]:
     return [path for path in results if path.exists()]
 
 
-def _hole_facts(closing: AddedSurfaces) -> dict[str, Any]:
-    assert closing.count is not None and closing.area is not None
-    (closed, left), (closed_area, open_area) = closing.count.tolist(), closing.area.tolist()
+def _hole_facts(holes: Holes) -> dict[str, Any]:
     return {
-        "closed_holes": closed,
-        "closed_holes_m2": round(closed_area, 4),
-        "open_holes": left,
-        "open_holes_m2": round(open_area, 4),
+        "closed_holes": holes.closed,
+        "closed_holes_m2": round(holes.closed_area, 4),
+        "open_holes": holes.left,
+        "open_holes_m2": round(holes.open_area, 4),
     }

@@ -3,11 +3,12 @@
 """Detail of the base colour of parts, shrunk at each scale by its reliability (split-half correlation).
 
 The views are divided into two halves. What both show at the same places is texture or an error of the light
-that all views share, of which the standard errors tell the size; what they don't share is noise. Band-passes
-of the base colours, an octave each, are multiplied by the share of their power that is texture (a Wiener
-filter), and a part without any texture has its median everywhere. Where the halves tell little, because few
-photographs show a part or few cells of a coarse octave lie on it, a prior decides, by which detail stays that
-is far above the noise, or as sure as what is finer at the same place.
+that all views share, of which the standard errors tell the size. Band-passes of the base colours, an octave
+each, are multiplied by the share of that power which is above these errors (a Wiener filter), and a part
+without any texture has its median everywhere.
+
+Where a whole room has large standard errors, poses or exposures are wrong, which is no reason to take
+patterns off its walls: errors then tell only where the estimate is better, and where worse, than elsewhere.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ import numpy as np
 from ..parts.labels import NO_PART
 from ..pixels.grouped import (
     grouped_means,
-    grouped_median,
     grouped_sums,
     grouped_weighted_median,
     numbered,
@@ -39,11 +39,8 @@ from .seen import Box, SeenCells
 # Cells of the finest low-pass filter in widths of a pixel, as for the detail of photographs, and of the
 # windows in which power is measured in cells of the filter.
 FINEST, WINDOW = 2.5, 4.0
-# Power that the halves share may be chance up to this share of the power that they don't: two standard errors
-# of the covariance of noise in the forty independent cells of a window.
-CHANCE = 0.3
-# Cells that both halves must see of a part to tell as much as the prior: as many as in a window.
-PRIOR_CELLS = 40.0
+# Weight of a place that only one half has seen, beside 1: it counts only where there is no other.
+ALONE = 1e-6
 # Smallest and largest base colour of a pixel, whose light may be wrong.
 MIN_COLOR, MAX_COLOR = -0.5, 2.0
 
@@ -174,33 +171,31 @@ def part_detail(places: PlaceColors, median: np.ndarray, footprint: float, box: 
     position, part = places.position, places.part
     octaves = max(int(np.log2(box.extent / (FINEST * footprint))), 1)
     rows, ones = np.arange(len(part)), np.ones(len(part))
-    # Both halves must have seen much, in light that is known; errors are spread evenly over the octaves.
-    both = places.weight[0] * places.weight[1] / np.maximum(places.weight.sum(axis=0), 1e-30)
-    both /= places.error**2 + FLOOR**2
-    light = places.error**2 / (octaves + 1)
-    seen = np.bincount(part[both > 0.0], minlength=len(median)) / FINEST**2
+    both = (places.weight > 0.0).all(axis=0)
+    telling = np.where(both, 1.0, ALONE)
+    variance = places.error**2
+    # Errors that are large in the whole room are not of the light alone.
+    of_light = min(1.0, FLOOR**2 / max(float(variance.mean()), 1e-30))
+    light = variance * (of_light / (octaves + 1))  # spread evenly over the octaves
     weights = [ones, *places.weight]
     finer = [places.color, *places.halves]
-    found = np.zeros((len(part), 2))
     levels: list[tuple[SmoothingGrid, np.ndarray]] = []
     for octave in range(octaves):
         width = FINEST * footprint * 2.0**octave
         grid = _grid(position, part, width, box)
         coarser = [grid.smooth(rows, position, *pair) for pair in zip(weights, finer, strict=True)]
         powers = _powers(finer, coarser, light, both)
-        local = _grid(position, part, WINDOW * width, box).smooth(rows, position, ones, powers)
-        whole = np.nan_to_num(grouped_means(powers, part, len(median)))
-        reliable, found = _reliability(local, part, whole, (seen, seen / 4.0**octave), found)
+        local = _grid(position, part, WINDOW * width, box).smooth(rows, position, telling, powers)
+        reliable = _reliability(local, _of_parts(powers, telling, part))
         sums = grid.spread(rows, position, ones, np.column_stack([finer[0], reliable]))
         levels.append((grid, sums))
         finer = coarser
-    powers = _powers(finer, [median[part]] * 3, light, both)
-    whole = np.nan_to_num(grouped_means(powers, part, len(median)))
-    reliable, _ = _reliability(whole[part], part, whole, (seen, np.ones(len(median))), found)
+    whole = _of_parts(_powers(finer, [median[part]] * 3, light, both), telling, part)
+    reliable = _reliability(whole, whole)
 
     # Coarser octaves are smooth: their shrunk colours are kept at the finest nodes.
     (finest, fine_sums), *others = levels
-    reliability = finest.spread(rows, position, ones, reliable[:, None])
+    reliability = finest.spread(rows, position, ones, reliable)
     reliability = reliability[:, :1] / np.maximum(reliability[:, 1:], 1e-30)
     position, part = finest.places()
     smooth = offset = np.zeros((len(part), 3))  # from the median: what coarser octaves are, and are shrunk to
@@ -228,63 +223,34 @@ def _read(grid: SmoothingGrid, position: np.ndarray, keys: np.ndarray, sums: np.
     return grid.read(np.arange(len(position)), position, there)
 
 
+def _of_parts(powers: np.ndarray, weight: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """(K, C) weighted means of powers (K, C) in the part of each."""
+    sums = grouped_sums(weight[:, None] * np.column_stack([powers, np.ones(len(part))]), part)[part]
+    return sums[:, :-1] / sums[:, -1:]
+
+
 def _powers(
     finer: list[np.ndarray], coarser: list[np.ndarray], light: np.ndarray, both: np.ndarray
 ) -> np.ndarray:
-    """(K, 8) powers of a band: what both halves show, what they don't share, the estimate's, the errors'.
-
-    These four are weighted by what both halves saw. That weight follows, whether it is above 0, and the last
-    two powers without it.
+    """(K, 2) powers of a band: what both halves show, or all that one half has seen alone, and the errors'.
 
     Args:
         finer, coarser: (K, 3) of the estimate and of both halves, with the band and without.
         light: (K,) of errors that the halves share.
-        both: (K,) weight.
+        both: (K,) bool, whether both have seen a place.
     """
     whole, one, other = (above - below for above, below in zip(finer, coarser, strict=True))
-    shared, apart = (one * other).mean(axis=1), 0.5 * ((one - other) ** 2).mean(axis=1)
-    power = (whole**2).mean(axis=1)
-    weighted = [both * each for each in (shared, apart, power, light)]
-    return np.stack([*weighted, both, both > 0.0, power, light], axis=1)
+    shared = np.where(both[:, None], one * other, whole**2).mean(axis=1)
+    return np.column_stack([shared, light])
 
 
-def _reliability(
-    powers: np.ndarray,
-    part: np.ndarray,
-    whole: np.ndarray,
-    cells: tuple[np.ndarray, np.ndarray],
-    found: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """(K,) share of the power of a band that is texture, and `found` with this band.
+def _reliability(local: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """(K, 1) share of a band that is texture.
 
-    It is measured in windows that both halves have seen; what is typical of a part is as much evidence of
-    texture as the window itself. The fewer cells of a part they have seen, the more its prior counts: the
-    share in the finer bands there, as errors of light have few of these, or, if they have hardly seen the
-    part at all, the share of its power that is above the usual noise of this band in the room. What only one
-    half has seen of a window is as reliable as is typical of the part.
+    What is typical of a part is as much evidence of texture as the window itself.
 
     Args:
-        powers: (K, 8) means of :func:`_powers` in windows.
-        part: (K,) int from 0.
-        whole: (P, 8) means in whole parts.
-        cells: (P,) each, how many that both halves have seen of the finest band, and of this one.
-        found: (K, 2) power of texture and power in the finer bands.
+        local, whole: (K, 2) powers (:func:`_powers`) in the window and in the part.
     """
-    seen = powers[:, 4] > 0.0
-    shared, apart, power, light = powers[:, :4].T / np.maximum(powers[:, 4], 1e-30)
-    both = np.stack([shared - light, CHANCE * apart], axis=1)
-    evidence, doubt = (both + grouped_median(both, part, len(whole))[part]).T
-    certain = np.clip(evidence / np.maximum(doubt, 1e-30) - 1.0, 0.0, 1.0)
-    texture = np.maximum(shared - light, 0.0)
-    # The estimate is not noisier than the mean of both halves.
-    noise = np.clip(power - texture, 0.0, 0.5 * apart)
-    measured = certain * texture / np.maximum(texture + noise, 1e-30)
-    usual = np.median(apart[seen]) if seen.any() else 0.0
-    prior = np.clip(1.0 - (usual + whole[:, 7]) / np.maximum(whole[:, 6], 1e-30), 0.0, 1.0)
-    in_part, in_band = (number / (number + PRIOR_CELLS) for number in cells)
-    finer = found[:, 0] / np.maximum(found[:, 1], 1e-30)
-    prior = prior[part] + np.where(found[:, 1] > 0.0, in_part[part], 0.0) * (finer - prior[part])
-    measured = prior + np.where(seen, in_band[part], 0.0) * (measured - prior)
-    typical = grouped_median(measured, part, len(whole))[part]
-    reliable = typical + powers[:, 5] * (measured - typical)
-    return reliable, found + powers[:, 6:7] * np.column_stack([reliable, np.ones(len(part))])
+    shared = np.sqrt(np.maximum(local[:, :1], 0.0) * np.maximum(whole[:, :1], 0.0))
+    return np.maximum(shared - local[:, 1:], 0.0) / np.maximum(shared, 1e-30)

@@ -17,7 +17,6 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from ..capture.views import View
 from ..pixels.grouped import numbered, strongest, summed_by_key
-from ..run.run_files import array_digest
 from ..surface.adjacency import weld
 from ..surface.room import Room
 from .components import mesh_components
@@ -225,9 +224,3 @@ def _compact(labels: np.ndarray) -> np.ndarray:
     known = labels >= 0
     compact[known] = np.unique(labels[known], return_inverse=True)[1]
     return compact
-
-
-def masks_digest(views: Sequence[View], images: Iterable[np.ndarray | None]) -> np.ndarray:
-    """(32,) uint8 digest of the poses and lenses of views and of masks (H, W)."""
-    poses = [np.append(view.camera_to_world, view.intrinsics) for view in views]
-    return array_digest(*poses, *(image for image in images if image is not None))

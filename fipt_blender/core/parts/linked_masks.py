@@ -8,8 +8,9 @@ Their regions are linked on the mesh, and written with ids that all views share.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -19,12 +20,9 @@ from ..capture.views import View
 from ..pixels.camera_rays import first_hits, trace_pixels
 from ..pixels.grouped import numbered, pairs_of, strongest
 from ..pixels.store import CELL_PIXELS
-from ..run.made import Made
-from ..run.run_files import array_digest
-from ..run.runfolder import RunFolder
 from ..surface.room import Room
 from .coverage import coarse_view, resampled
-from .labels import choose_source, masks_digest
+from .labels import choose_source
 from .linking import RegionPixels, link_regions
 
 # Masks share their ids if a cell with an id in one view has the same id in other views at least this often.
@@ -51,37 +49,34 @@ class _Seen:
     cell: np.ndarray
 
 
-def link_masks(run: RunFolder, room: Room, views: Sequence[View]) -> list[View]:
-    """The views, with part masks whose ids all of them share.
+def link_masks(room: Room, views: Sequence[View], folder: Path) -> dict[str, Path]:
+    """Files of part masks whose ids all views share, by the views' names; none where those of the views do.
 
-    Masks that share their ids already stay as they are, and so do the views. Others are written to
-    ``linked/`` of the run folder, which is not there otherwise. Either holds as long as the mesh, the masks
-    and the poses stay the same.
     Mitsuba's variant must be set.
 
-    Raises:
-        FiptError: those of reading the masks, ``disk-full`` or ``run-unwritable``.
+    Args:
+        folder: for the files; what is in it is removed.
     """
+    shutil.rmtree(folder, ignore_errors=True)
     if choose_source(room, views) != "masks":
-        return list(views)
-    names = {view.name: run.linked / f"{view.name}.exr" for view in views if view.parts}
-    masks = masks_digest(views, (view.part_ids() for view in views))
-    made = Made(run, "linked", array_digest(room.vertices, room.triangles, masks).tolist(), outputs=())
-    if made.kept() is None:
-        shutil.rmtree(run.linked, ignore_errors=True)
-        seen, places = seen_cells(room, views)
-        known = [one.cell >= 0 for one in seen]
-        pixels = [
-            RegionPixels(one.ids[k].astype(np.int64), one.cell[k]) for one, k in zip(seen, known, strict=True)
-        ]
-        if shared_ids(pixels) < SHARED:
-            part = link_regions(pixels, places)
-            for one in seen:
-                write_exr(names[one.view.name], _linked(one, np.append(part, -1)[one.cell]))
-        made.note()
-    if not run.linked.is_dir():
-        return list(views)
-    return [replace(view, parts=names[view.name]) if view.name in names else view for view in views]
+        return {}
+    seen, places = seen_cells(room, views)
+    known = [one.cell >= 0 for one in seen]
+    pixels = [
+        RegionPixels(one.ids[k].astype(np.int64), one.cell[k]) for one, k in zip(seen, known, strict=True)
+    ]
+    if shared_ids(pixels) >= SHARED:
+        return {}
+    part = link_regions(pixels, places)
+    files = {one.view.name: folder / f"{one.view.name}.exr" for one in seen}
+    for one in seen:
+        write_exr(files[one.view.name], _linked(one, np.append(part, -1)[one.cell]))
+    return files
+
+
+def with_masks(views: Sequence[View], files: Mapping[str, Path]) -> list[View]:
+    """The views with other part masks, by their names."""
+    return [replace(view, parts=files.get(view.name, view.parts)) for view in views]
 
 
 def shared_ids(views: Sequence[RegionPixels]) -> float:

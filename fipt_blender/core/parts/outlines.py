@@ -19,12 +19,10 @@ from scipy.sparse.linalg import LinearOperator, cg
 from ..capture.views import View
 from ..pixels.camera_rays import first_hits, trace_pixels
 from ..pixels.grouped import grouped_sums
-from ..run.run_files import Outlines, array_digest, read_geometry, read_outlines, read_room
-from ..run.runfolder import RunFolder
-from ..run.store import write_arrays
+from ..run.stage_settings import OutlineSettings
 from ..surface.adjacency import Mesh, face_vectors, make_mesh
-from ..surface.room import Room, load_room
-from .labels import IMAGE_SOURCES, Parts, choose_parts, choose_source, masks_digest
+from ..surface.room import Room
+from .labels import IMAGE_SOURCES, Parts, choose_parts, choose_source
 from .outline_misses import Misses, find_misses
 
 # Standard deviation in pixels of the place of a mask's border, which is known to half a pixel.
@@ -47,41 +45,15 @@ FOLD, HALVINGS = 0.3, 4
 _TOLERANCE, _MOST_STEPS = 1e-3, 100
 
 
-def outline_parts(run: RunFolder, views: Sequence[View], room: Room | None = None) -> bool:
-    """Write outlines.npz where the run's mesh is a scan and the views have masks; keep it if it fits them.
+def outline_parts(room: Room, views: Sequence[View], *, settings: OutlineSettings) -> np.ndarray | None:
+    """(V, 3) float32 vertices of a scan on the outlines that the masks of views show; None without these.
 
     Mitsuba's variant must be set.
-
-    Args:
-        views: training views.
-        room: the run's, without outlines; read where None.
-
-    Returns:
-        whether the run's room has outlines.
-
-    Raises:
-        FiptError: those of the readers of room and masks, ``disk-full`` or ``run-unwritable``.
     """
-    if not run.geometry_npz.exists():
-        run.outlines_npz.unlink(missing_ok=True)
-        return False
-    cleaned = read_geometry(run, read_room(run))
-    if cleaned is None:
-        return False
-    room = room or load_room(run, outlined=False)
-    source = choose_source(room, views)
-    if source not in IMAGE_SOURCES:
-        run.outlines_npz.unlink(missing_ok=True)
-        return False
-    images = (view.part_ids() if source == "masks" else view.semantic_ids() for view in views)
-    masks = masks_digest(views, images)
-    stored = read_outlines(run, cleaned.vertices)
-    if stored is not None and np.array_equal(stored.masks, masks):
-        return True
+    if not settings.outlines or room.plane is None or choose_source(room, views) not in IMAGE_SOURCES:
+        return None
     triangles = [first_hits(trace_pixels(room, view))[0] for view in views]
-    vertices = outlined_vertices(room, views, choose_parts(room, views, triangles))
-    write_arrays(run.outlines_npz, Outlines(vertices, array_digest(cleaned.vertices), masks))
-    return True
+    return outlined_vertices(room, views, choose_parts(room, views, triangles))
 
 
 def outlined_vertices(room: Room, views: Sequence[View], parts: Parts) -> np.ndarray:

@@ -28,6 +28,7 @@ from ..run.messages import Reporter
 from ..run.result_contents import (
     EmitterFixture,
     Emitters,
+    QualityNote,
     Render,
     Renders,
 )
@@ -104,7 +105,7 @@ def write_report(run: RunFolder, progress: Callable[[float], None] = lambda frac
     emitters = _optional(run.emitters_json, Emitters) or Emitters((), None)
     environment = emitters.environment if run.environment_exr.exists() else None
     statistics = run.statistics()
-    quality = _optional(run.quality_json, dict)
+    quality = _optional(run.quality_json, QualityNote)
     job = _optional(run.job_json, JobNote) or JobNote({})
     context = {
         "title": run.root.name,
@@ -214,14 +215,14 @@ def _shot(run: RunFolder, render: Render, pictures: _Pictures) -> Shot:
 
 
 def _judged_views(
-    run: RunFolder, quality: dict[str, Any] | None, pictures: _Pictures
+    run: RunFolder, quality: QualityNote | None, pictures: _Pictures
 ) -> list[tuple[str, dict[str, str]]]:
     """Name and pictures, by their kind, of the photographs by which the result was judged."""
     rows = []
-    for view in quality["views"] if quality else ():
-        paths = {kind: run.quality / Path(view[kind]).name for kind in KINDS}
+    for view in quality.views if quality else ():
+        paths = {kind: run.quality / getattr(view, kind) for kind in KINDS}
         shown = {kind: pictures.add(kind, path) for kind, path in paths.items() if path.is_file()}
-        rows.append((view["name"], shown))
+        rows.append((view.name, shown))
     return rows
 
 

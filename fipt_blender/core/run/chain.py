@@ -130,7 +130,7 @@ class Chain:
         folder: for the files of all stages; those of other keys are removed.
         reporter: gets stages, progress and warnings.
         workers: None: this process.
-
+        afterwards: cost of what follows the chain, for the progress bar.
     """
 
     def __init__(
@@ -141,7 +141,9 @@ class Chain:
         folder: Path,
         reporter: Reporter,
         workers: Workers | None = None,
+        afterwards: float = 0.0,
     ) -> None:
+        self._afterwards = afterwards
         self.stages, self.given, self.settings = list(stages), dict(given), settings
         self._reporter, self._workers = reporter, workers or LocalWorkers()
         self._values = {name: each.value for name, each in given.items()}
@@ -229,9 +231,6 @@ class Chain:
         Args:
             target: a dataclass, whose fields are filled like parameters.
             watch: is told of the stages.
-
-        Raises:
-            FiptError: those of the stages, ``disk-full`` or ``run-unwritable``.
         """
         with explained_write_errors(self._root):
             self._open()
@@ -258,6 +257,11 @@ class Chain:
         assert index is not None, name
         return self._output(index, name)
 
+    def key(self, name: str) -> str:
+        """The key of the stage that makes the last output of this name."""
+        index = self._maker(name, len(self.stages))
+        return self.given[name].key if index is None else self._keys[index]
+
     def facts(self) -> list[dict[str, Any]]:
         """The facts of all finished stages in order, each with its name."""
         listed = [stage.name for stage in self.stages if stage.name in self._data["stages"]]
@@ -267,7 +271,8 @@ class Chain:
         kept = [index for index in range(len(self.stages)) if self._kept(index)]
         due = self._due(target)
         last_use = self._last_uses(target)
-        self._reporter.plan([self.stages[index].cost for index in kept])
+        afterwards = [self._afterwards] if self._afterwards else []
+        self._reporter.plan([*(self.stages[index].cost for index in kept), *afterwards])
         for index in kept:
             watch.before(self.stages[index].name)
             if index in due:

@@ -30,9 +30,6 @@ def optional(extra: str, purpose: str) -> ModuleType:
     Args:
         extra: a key of `EXTRAS`.
         purpose: what needs it, as the subject of a sentence, e.g. "A photograph in HEIC".
-
-    Raises:
-        FiptError: ``package-optional``, with the command that installs it.
     """
     module, package = EXTRAS[extra]
     try:

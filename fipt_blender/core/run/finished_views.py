@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from .documents import optional_document
@@ -13,6 +14,14 @@ from .runfolder import write_json
 
 # Between notes: each waits until the results are on the disk.
 NOTE_SECONDS = 5.0
+
+
+@dataclass(frozen=True)
+class FinishedNote:
+    """finished.json."""
+
+    views: tuple[int, ...] = ()
+    rays: int = 0
 
 
 class FinishedViews:
@@ -25,16 +34,13 @@ class FinishedViews:
         flush: writes the results to the disk; called before each note.
         views: indices of the finished views; some may not be noted yet.
         rays: primary rays traced for them.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self.flush: Callable[[], None] = lambda: None
-        note = optional_document(path, dict) or {"views": [], "rays": 0}  # a damaged one: only time is lost
-        self.views, self.rays = set[int](note["views"]), note["rays"]
+        note = optional_document(path, FinishedNote) or FinishedNote()  # a damaged one: only time is lost
+        self.views, self.rays = set(note.views), note.rays
         self._noted = time.monotonic()
 
     def forget(self) -> None:
@@ -48,5 +54,5 @@ class FinishedViews:
         self.rays += rays
         if time.monotonic() - self._noted >= NOTE_SECONDS:
             self.flush()
-            write_json(self._path, {"views": sorted(self.views), "rays": self.rays})
+            write_json(self._path, FinishedNote(tuple(sorted(self.views)), self.rays))
             self._noted = time.monotonic()

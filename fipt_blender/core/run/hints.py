@@ -66,11 +66,7 @@ class _Hints:
 
 
 def read_hints(path: Path) -> list[Hint]:
-    """The hints of a file; none where there is no file.
-
-    Raises:
-        FiptError: ``file-damaged`` or ``hints-invalid``.
-    """
+    """The hints of a file; none where there is no file."""
     if not path.exists():
         return []
     hints = read_document(path, _Hints, _REMEDY).hints
@@ -80,20 +76,12 @@ def read_hints(path: Path) -> list[Hint]:
 
 
 def light_changes(path: Path) -> bool:
-    """Whether the light is to be computed anew with the hints of a file.
-
-    Raises:
-        FiptError: ``file-damaged``.
-    """
+    """Whether the light is to be computed anew with the hints of a file."""
     return path.exists() and read_document(path, _Hints, _REMEDY).light
 
 
 def _checked(hint: Hint, number: int, path: Path) -> Hint:
-    """A hint with a name.
-
-    Raises:
-        FiptError: ``hints-invalid``.
-    """
+    """A hint with a name."""
     name = (hint.name or f"Hint {number}")[:MOST_NAME]
 
     def refuse(problem: str) -> FiptError:
@@ -116,11 +104,7 @@ def references(hints: Sequence[Hint]) -> list[Hint]:
 
 
 def write_hints(path: Path, hints: Sequence[Hint], light: bool = False) -> None:
-    """Write a file of hints; `light`: see `light_changes`.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
+    """Write a file of hints; `light`: see `light_changes`."""
     write_json(path, _Hints(tuple(hints), light))
 
 

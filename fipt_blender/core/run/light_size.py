@@ -163,9 +163,6 @@ def refuse_full_disk(folder: Path, needed: int, remedy: str) -> None:
         folder: where files will be written; files that are there will be written over. It need not exist.
         needed: bytes of all files there afterwards.
         remedy: what else the user can do than to free space.
-
-    Raises:
-        FiptError: ``disk-space``.
     """
     present = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     parent = next(path for path in (folder, *folder.parents) if path.exists())

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from .contents import Problem
 from .documents import optional_document
 from .messages import Reporter
 from .method import digest, method_digest
-from .runfolder import RunFolder, write_json
+from .runfolder import RunFolder, explained_write_errors, write_json
 
 
 @dataclass(frozen=True)
@@ -51,12 +52,14 @@ class Made:
             return None
         return note.warnings
 
-    def note(self, warnings: Iterable[Mapping[str, str]] = ()) -> None:
-        """Note that they are made, and the code, text and remedy of warnings.
-
-        Raises:
-            FiptError: ``disk-full`` or ``run-unwritable``.
+    @contextmanager
+    def making(self, warnings: Iterable[Mapping[str, str]] = ()) -> Iterator[None]:
+        """The block makes them. No key stands for files that are half of one kind and half of another: the
+        former key is removed first, and theirs is written in the end with the warnings that are there then.
         """
+        with explained_write_errors(self._path):
+            self._path.unlink(missing_ok=True)
+        yield
         problems = (Problem(each["code"], each["text"], each["remedy"]) for each in warnings)
         write_json(self._path, MadeNote(self._key, tuple(problems)))
 

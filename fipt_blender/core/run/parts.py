@@ -47,9 +47,6 @@ def read_parts(run: RunFolder, triangle_object: np.ndarray, objects: Sequence[st
         run: the run folder.
         triangle_object: (T,) object of each triangle of the room.
         objects: their names.
-
-    Raises:
-        FiptError: ``file-damaged``.
     """
     described: Sequence[RoomPart] = ()
     unit = np.full(len(triangle_object), NO_UNIT, np.int64)

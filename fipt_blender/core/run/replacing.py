@@ -25,9 +25,6 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
 
     Args:
         folder: the path of both.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
     new, old = beside(folder)
     with explained_write_errors(folder):

@@ -128,6 +128,28 @@ class Doubts:
 
 
 @dataclass(frozen=True)
+class JudgedPictures:
+    """A photograph by which a result was judged: its view, and the files in results/quality."""
+
+    name: str
+    photograph: FileName
+    render: FileName
+    projection: FileName
+
+
+@dataclass(frozen=True)
+class QualityNote:
+    """quality.json: figures of `core.checks.quality.Quality`."""
+
+    held_back_db: float
+    projection_db: float
+    on_mesh_db: float | None = None
+    projection_on_mesh_db: float | None = None
+    on_mesh_share: Share = 0.0
+    views: tuple[JudgedPictures, ...] = ()
+
+
+@dataclass(frozen=True)
 class Stages:
     """stages.json: the key of each stage of an estimation, and facts and warnings of the finished ones.
 

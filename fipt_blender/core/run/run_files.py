@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,8 @@ import numpy as np
 from .contents import CapturedViews, RoomNames
 from .documents import read_document
 from .errors import FiptError
-from .kinds import T
 from .runfolder import RunFolder
-from .store import Gaps, optional_arrays, read_arrays
+from .store import Gaps, read_arrays
 
 # Names and ids of the objects of what the engine has added to a scan: triangles that close small holes, and
 # panes in larger ones with the surfaces that photographs show.
@@ -42,55 +41,46 @@ class RoomArrays:
     triangle_exact: np.ndarray | None = None  # (T,) bool, those that are no scan; None without any
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RoomMesh(RoomArrays, RoomNames):
-    """The triangles of all objects of the room, in world space, and their names: room.npz and room.json."""
-
-
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """geometry.npz: what a scan has in place of room.npz."""
+    """The cleaned geometry of a scan, in place of the room's."""
 
     vertices: np.ndarray  # (V, 3) f32
     corner_normals: np.ndarray  # (T, 3, 3) f32
     plane: np.ndarray  # (T,) i32, -1 without one
     noise: float  # metres
-    source: np.ndarray  # (32,) u8, `mesh_digest` of what it was made of
 
 
-@dataclass(frozen=True, eq=False)
-class Outlines:
-    """outlines.npz: vertices in place of geometry.npz's."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RoomMesh(RoomArrays, RoomNames):
+    """The triangles of all objects of the room, in world space, and their names: room.npz and room.json."""
 
-    vertices: np.ndarray  # (V, 3) f32
-    source: np.ndarray  # (32,) u8, digest of those of geometry.npz
-    masks: np.ndarray  # (32,) u8, digest of masks and cameras
+    scan: Geometry | None = None  # of results/scan.npz; None where the mesh is no scan
 
 
 @dataclass(frozen=True, eq=False)
 class AddedSurfaces:
-    """closing.npz, with what follows `source`, and panes.npz, with `masks` and `kinds`."""
+    """Triangles that the engine adds to a scan as one object."""
 
     vertices: np.ndarray  # (V, 3) f32
     triangles: np.ndarray  # (T, 3) i32
     corner_normals: np.ndarray  # (T, 3, 3) f32
-    source: np.ndarray  # (32,) u8, `mesh_digest` of what it was made of
-    beside: np.ndarray | None = None  # (T,) i64, the room's triangle at the rim
-    most_edges: int | None = None  # the setting `close_holes_edges`
-    count: np.ndarray | None = None  # (2,) i32, holes that were closed, and those that stay open
-    area: np.ndarray | None = None  # (2,) f32, of these, square metres
-    masks: np.ndarray | None = None  # (32,) u8, digest of masks and cameras
-    kinds: np.ndarray | None = None  # (3,) bool, of `completion.panes.KINDS`
+    beside: np.ndarray | None = None  # (T,) i64, the room's triangle at the rim, whose material they have
 
-    @property
-    def text(self) -> str:
-        """A sentence on the holes of a scan, of closing.npz."""
-        assert self.count is not None and self.area is not None
-        (closed, left), (closed_area, open_area) = self.count.tolist(), self.area.tolist()
-        return (
-            f"The scan has {closed:,} small holes, which were closed ({closed_area:.2g} m2), and"
-            f" {left:,} large ones, which stay open ({open_area:.2g} m2)."
-        )
+
+@dataclass(frozen=True, eq=False)
+class ScanArrays(Geometry):
+    """results/scan.npz: what an estimation has made of a scan in room.npz."""
+
+    source: np.ndarray  # (32,) u8, `mesh_digest` of that
+    closing: Mapping[str, np.ndarray] = field(default_factory=dict)  # of `AddedSurfaces`, `CLOSING`
+    panes: Mapping[str, np.ndarray] = field(default_factory=dict)  # likewise, `PANES`
+
+    def whole(self, room: RoomMesh) -> RoomMesh:
+        """The room with what was added to it, and its geometry."""
+        closing, panes = (AddedSurfaces(**each) if each else None for each in (self.closing, self.panes))
+        geometry = Geometry(self.vertices, self.corner_normals, self.plane, float(self.noise))
+        return replace(with_added(room, closing, panes), scan=geometry)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,33 +134,52 @@ class LeftAlone:
 
 
 def read_capture(path: Path) -> CapturedViews:
-    """capture.json, or ingest.json.
-
-    Raises:
-        FiptError: ``file-missing``, ``file-damaged`` or ``capture-version``.
-    """
+    """capture.json, or ingest.json."""
     return read_document(path, CapturedViews, "Import the capture again.", other="capture-version")
 
 
 def read_room(run: RunFolder) -> RoomMesh:
-    """The run's room.
+    """The run's room, with what the last estimation has made of it where it is a scan.
 
-    What the engine has added to a scan, `CLOSING` and `PANES`, are more objects, the last ones; a room that
-    the artist has completed gets none.
-
-    Raises:
-        FiptError: ``file-missing`` or ``file-damaged``.
+    What the engine has added, `CLOSING` and `PANES`, are more objects, the last ones.
     """
+    room = read_exported(run)
+    if run.scan_npz.exists():
+        scan = read_arrays(run.scan_npz, ScanArrays)
+        if np.array_equal(scan.source, mesh_digest(room)):
+            room = scan.whole(room)
+    return room
+
+
+def read_exported(run: RunFolder) -> RoomMesh:
+    """The room as Blender has written it: room.npz and room.json."""
     names = read_document(run.room_json, RoomNames, _EXPORT_AGAIN)
     room = RoomMesh(**vars(read_arrays(run.room_npz, RoomArrays, _EXPORT_AGAIN)), **vars(names))
-    for name, path in ((CLOSING, run.closing_npz), (PANES, run.panes_npz)):
-        added = None if room.completed else read_made(path, AddedSurfaces, mesh_digest(room))
-        if added is not None and len(added.triangles):
-            room = _with_object(room, name, added)
     corners, count = room.triangles, len(room.vertices)
     if corners.size and not 0 <= corners.min() <= corners.max() < count:  # libraries would read beyond
         raise FiptError("file-damaged.read-room", room_npz=run.room_npz)
     return room
+
+
+def with_added(room: RoomMesh, closing: AddedSurfaces | None, panes: AddedSurfaces | None) -> RoomMesh:
+    """The room with what the engine has added to it: more objects, the last ones."""
+    for name, added in ((CLOSING, closing), (PANES, panes)):
+        if added is not None and len(added.triangles):
+            room = _with_object(room, name, added)
+    return room
+
+
+def scan_arrays(
+    room: RoomMesh, closing: AddedSurfaces | None, panes: AddedSurfaces | None, geometry: Geometry
+) -> ScanArrays:
+    """What results/scan.npz holds of a room in room.npz."""
+    added = [
+        {}
+        if each is None or not len(each.triangles)
+        else {k: v for k, v in vars(each).items() if v is not None}
+        for each in (closing, panes)
+    ]
+    return ScanArrays(**vars(geometry), source=mesh_digest(room), closing=added[0], panes=added[1])
 
 
 def _with_object(room: RoomMesh, name: str, more: AddedSurfaces) -> RoomMesh:
@@ -192,47 +201,10 @@ def _with_object(room: RoomMesh, name: str, more: AddedSurfaces) -> RoomMesh:
     return replace(room, **joined, objects=(*room.objects, name), object_ids=(*room.object_ids, name))
 
 
-def read_made(path: Path, kind: type[T], source: np.ndarray) -> T | None:
-    """An array file that the engine made of what has the digest `source` (32,); None where there is none.
-
-    A damaged one is made again, like one that was made of something else.
-    """
-    made: Any = optional_arrays(path, kind)
-    return made if made is not None and np.array_equal(made.source, source) else None
-
-
-def read_closing(run: RunFolder) -> AddedSurfaces | None:
-    """closing.npz, None where there is none for the run's mesh."""
-    mesh = read_arrays(run.room_npz, RoomArrays, _EXPORT_AGAIN)
-    return read_made(run.closing_npz, AddedSurfaces, mesh_digest(mesh))
-
-
-def read_geometry(run: RunFolder, room: RoomArrays) -> Geometry | None:
-    """geometry.npz, None where there is none for this room: then the mesh is used as it is."""
-    return read_made(run.geometry_npz, Geometry, mesh_digest(room))
-
-
-def read_outlined(run: RunFolder, room: RoomArrays) -> Geometry | None:
-    """geometry.npz with the vertices of outlines.npz, if these fit it; None where the first does not."""
-    cleaned = read_geometry(run, room)
-    outlines = None if cleaned is None else read_outlines(run, cleaned.vertices)
-    return cleaned if cleaned is None or outlines is None else replace(cleaned, vertices=outlines.vertices)
-
-
-def read_outlines(run: RunFolder, cleaned: np.ndarray) -> Outlines | None:
-    """outlines.npz, None where there is none that was made of these vertices (V, 3) of geometry.npz."""
-    return read_made(run.outlines_npz, Outlines, array_digest(cleaned))
-
-
-def array_digest(*arrays: np.ndarray) -> np.ndarray:
-    """(32,) uint8 digest of the content of arrays."""
+def mesh_digest(room: RoomMesh) -> np.ndarray:
+    """(32,) uint8 digest of a mesh's vertices and triangles, which are exact, and whether it is completed."""
+    arrays = [room.vertices.astype(np.float32), room.triangles.astype(np.int32), np.array(room.completed)]
     digest = hashlib.sha256()
-    for array in arrays:
+    for array in [*arrays, *([] if room.triangle_exact is None else [room.triangle_exact])]:
         digest.update(np.ascontiguousarray(array).tobytes())
     return np.frombuffer(digest.digest(), np.uint8)
-
-
-def mesh_digest(room: RoomArrays) -> np.ndarray:
-    """(32,) uint8 digest of a mesh's vertices and triangles, and of which are exact."""
-    exact = [] if room.triangle_exact is None else [room.triangle_exact]
-    return array_digest(room.vertices.astype(np.float32), room.triangles.astype(np.int32), *exact)

@@ -45,16 +45,14 @@ class RunFolder:
         self.simplified_ply = self.root / "simplified.ply"
         self.room_npz = self.root / "room.npz"
         self.room_json = self.root / "room.json"
-        self.geometry_npz = self.root / "geometry.npz"
-        self.closing_npz = self.root / "closing.npz"
-        self.panes_npz = self.root / "panes.npz"
-        self.outlines_npz = self.root / "outlines.npz"
-        self.linked = self.root / "linked"  # part masks with the ids of other views
+        self.scan = self.root / "scan"  # outputs of the stages that make the room of a scan
+        self.linked = self.root / "linked"  # of a survey: part masks with the ids of other views
         self.hints_json = self.root / "hints.json"
         self.hints_again_json = self.root / "hints_again.json"
         self.stage = self.root / "stage"
         self.stages_json = self.stage / "stages.json"
         self.results = self.root / results
+        self.scan_npz = self.results / "scan.npz"
         self.fields_npz = self.results / "fields.npz"
         self.parts_npz = self.results / "parts.npz"
         self.parts_json = self.results / "parts.json"
@@ -87,12 +85,9 @@ class RunFolder:
         """Refuse a folder in which a link leads out of it: its files may be written over or deleted.
 
         Only the folder's own subfolders and files are examined.
-
-        Raises:
-            FiptError: ``run-linked``.
         """
         replaced = [self.images, self.results, self.textures]
-        own = [self.linked, self.stage, self.renders, *replaced]
+        own = [self.linked, self.scan, self.stage, self.renders, *replaced]
         own += [side for path in replaced for side in beside(path)]
         own += [self.report, self.survey, self.align, self.scene_cameras]
         own += [self.root / "messages", self.root / "made", self.log]
@@ -124,16 +119,7 @@ class RunFolder:
         return self.root / "made" / f"{name}.json"
 
     def create(self, settings: Settings) -> None:
-        """Make the folder and write run.json; an existing run of this version gets the new settings.
-
-        Raises:
-            FiptError: ``run-version`` or ``run-damaged`` for a run that can't be read, ``run-foreign`` if the
-                folder contains something else, ``run-linked``, ``disk-full`` or ``run-unwritable``.
-        """
-        from dataclasses import asdict
-
-        from .contents import RunNote
-
+        """Make the folder and write run.json; an existing run of this version gets the new settings."""
         if self.run_json.exists():
             self.read()
         elif self.root.exists() and any(self.root.iterdir()):
@@ -143,14 +129,18 @@ class RunFolder:
         with explained_write_errors(self.root):
             for folder in (self.root, self.stage, self.results):
                 folder.mkdir(parents=True, exist_ok=True)
+        self.write_settings(settings)
+
+    def write_settings(self, settings: Settings) -> None:
+        """Write run.json."""
+        from dataclasses import asdict
+
+        from .contents import RunNote
+
         write_json(self.run_json, RunNote(PRODUCT_VERSION, asdict(settings)))
 
     def read(self) -> Settings:
-        """Read the settings of the run.
-
-        Raises:
-            FiptError: ``run-missing``, ``run-damaged`` or ``run-version``.
-        """
+        """Read the settings of the run."""
         if not self.run_json.exists():
             raise FiptError("run-missing.read", root=self.root)
         from .contents import RunNote
@@ -167,11 +157,7 @@ class RunFolder:
         return make_settings(changes=note.settings)
 
     def read_estimated(self) -> Settings:
-        """The settings of the finished estimate, with the present ones of textures.
-
-        Raises:
-            FiptError: see `read`.
-        """
+        """The settings of the finished estimate, with the present ones of textures."""
         from dataclasses import replace
 
         from .settings import TEXTURE_SETTINGS, make_settings
@@ -189,21 +175,13 @@ class RunFolder:
         return optional_document(self.statistics_json, dict) or {}
 
     def recover(self) -> None:
-        """Bring back folders whose replacement was killed in the middle (`replacing.atomic_folder`).
-
-        Raises:
-            FiptError: ``disk-full`` or ``run-unwritable``.
-        """
+        """Bring back folders whose replacement was killed in the middle (`replacing.atomic_folder`)."""
         for folder in (self.images, self.results, self.textures):
             with explained_write_errors(folder):
                 recover_folder(folder)
 
     def drop_results(self) -> None:
-        """Delete the results of another room or other cameras than the run's.
-
-        Raises:
-            FiptError: ``run-unwritable``.
-        """
+        """Delete the results of another room or other cameras than the run's."""
         import shutil
 
         if self.results.is_dir():
@@ -216,9 +194,6 @@ class RunFolder:
 
         Args:
             path: of an image or a mesh on this computer, or relative to the run folder; see `paths`.
-
-        Raises:
-            FiptError: ``path-outside`` for another one.
         """
         fault = ""
         if os.path.isabs(path) or is_network(path):
@@ -239,11 +214,7 @@ def full_disk(error: Exception, path: object = "") -> FiptError | None:
 
 @contextmanager
 def explained_write_errors(path: Path) -> Iterator[None]:
-    """Turn the system's errors of writing `path` into FiptErrors.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
+    """Turn the system's errors of writing `path` into FiptErrors."""
     try:
         yield
     except OSError as error:
@@ -259,9 +230,6 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that replaces it if the block ends without an exception.
 
     The suffix is the same, for writers that choose the format by the suffix.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
     temporary = path.with_name(f".{os.getpid()}.{path.name}")
     with explained_write_errors(path):
@@ -275,11 +243,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write a JSON file, completely or not at all; dataclasses as `kinds.as_json` does.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
+    """Write a JSON file, completely or not at all; dataclasses as `kinds.as_json` does."""
     import json
 
     from .kinds import as_json

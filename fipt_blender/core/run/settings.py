@@ -17,12 +17,14 @@ from .declared import Option, converted
 from .errors import FiptError
 from .stage_settings import (
     CheckSettings,
+    CompletionSettings,
     MaterialSettings,
+    OutlineSettings,
     PhotometrySettings,
     RefinementSettings,
     RefitSettings,
     ResultSettings,
-    RoomSettings,
+    ScanSettings,
     TextureSettings,
     TrainingSettings,
     ViewSettings,
@@ -84,7 +86,9 @@ class Settings(
     RefitSettings,
     PhotometrySettings,
     CheckSettings,
-    RoomSettings,
+    OutlineSettings,
+    CompletionSettings,
+    ScanSettings,
     ViewSettings,
     RunSettings,
 ):
@@ -117,9 +121,6 @@ def make_settings(preset: str = "medium", changes: Mapping[str, Value] | None = 
     Args:
         preset: a key of ``PRESETS``, unless the changes name another one.
         changes: field name to value; strings are converted to the field's type.
-
-    Raises:
-        FiptError: ``setting-unknown`` or ``setting-invalid``.
     """
     changes = dict(changes or {})
     preset = changes.pop("preset", preset)  # type: ignore[assignment]

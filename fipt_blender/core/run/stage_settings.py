@@ -148,8 +148,8 @@ class ViewSettings:
 
 
 @dataclass(frozen=True)
-class RoomSettings:
-    """What is done to a scan."""
+class ScanSettings:
+    """What is done to a scan alone."""
 
     clean_scan: Annotated[
         bool, "work on a cleaned copy of a scanned mesh; exact meshes stay as they are (not in the paper)"
@@ -163,6 +163,12 @@ class RoomSettings:
             high=1000,
         ),
     ] = 120
+
+
+@dataclass(frozen=True)
+class CompletionSettings:
+    """What is looked for that a scan lacks."""
+
     panes: Annotated[
         bool, "close flat holes of a scan in which photographs show a surface (not in the paper)"
     ] = True
@@ -170,6 +176,12 @@ class RoomSettings:
         bool, "add things that photographs show and a scan lacks, as prisms (not in the paper)"
     ] = True
     torn_parts: Annotated[bool, "complete parts that a scan tore (not in the paper)"] = True
+
+
+@dataclass(frozen=True)
+class OutlineSettings:
+    """The outlines of a scan's parts."""
+
     outlines: Annotated[
         bool, "move the outlines of a scan's parts to those of the masks (not in the paper)"
     ] = True

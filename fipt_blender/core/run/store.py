@@ -60,9 +60,6 @@ def read_arrays(path: Path, kind: type[T], remedy: str = "Repeat the step that w
         path: of the file.
         kind: of dataclass; fields with a default may be missing.
         remedy: what the user can do where the file is damaged.
-
-    Raises:
-        FiptError: ``file-missing`` or ``file-damaged``.
     """
     values: dict[str, Any] = {}
     try:
@@ -89,11 +86,7 @@ def optional_arrays(path: Path, kind: type[T]) -> T | None:
 
 
 def write_arrays(path: Path, value: Any) -> None:
-    """Write a dataclass of arrays as an .npz file, completely or not at all; see `read_arrays`.
-
-    Raises:
-        FiptError: ``not-finite``, ``disk-full`` or ``run-unwritable``.
-    """
+    """Write a dataclass of arrays as an .npz file, completely or not at all; see `read_arrays`."""
     arrays, gaps = {}, _with_gaps(type(value))
     for item in fields(value):
         found = getattr(value, item.name)
@@ -119,9 +112,6 @@ def refuse_infinite(name: str, array: np.ndarray, unknown: bool = False) -> None
         name: of the array, for the message.
         array: of any shape and type.
         unknown: whether NaN stands for unknown values.
-
-    Raises:
-        FiptError: ``not-finite``.
     """
     if array.dtype.kind not in "fc":
         return
@@ -147,10 +137,6 @@ def saved(value: Any, folder: Path, root: Path, given: Mapping[str, Any], unknow
         root: folder of all stages, which contains `folder`; resolved.
         given: values by name that are referred to instead of written.
         unknown: whether NaN stands for unknown values of arrays; of a field of a dataclass: `Gaps`.
-
-    Raises:
-        TypeError: for values of other types.
-        FiptError: ``not-finite``.
     """
     for name, each in given.items():
         if value is each and not isinstance(value, (int, float, str, type(None))):
@@ -184,10 +170,6 @@ def loaded(document: Any, kind: Any, root: Path, given: Mapping[str, Any]) -> An
 
     Args:
         kind: its type: a dataclass, or an annotation of one of the fields of such.
-
-    Raises:
-        ValueError: the document does not fit the type.
-        DamagedStage: nor does a file.
     """
 
     def refer(name: str, kind: Any) -> Any:

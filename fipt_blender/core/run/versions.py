@@ -86,7 +86,7 @@ def copy_capture(run: RunFolder, target: RunFolder) -> None:
     with explained_write_errors(target.root):
         for path in (run.images, run.survey):
             if path.is_dir():
-                shutil.copytree(path, target.root / path.name, copy_function=_link_or_copy)
+                shutil.copytree(path, target.root / path.name, ignore=_in_place, copy_function=_link_or_copy)
         for path in (run.fused_ply, run.simplified_ply, run.capture_json, run.ingest_json):
             if path.is_file():
                 _link_or_copy(path, target.root / path.name)
@@ -121,8 +121,12 @@ def _keys(folder: Path) -> dict[str, str]:
     return {} if stages is None else dict(stages.keys)
 
 
+# All other files of a run are replaced when they change, never written in place.
+_in_place = shutil.ignore_patterns("engine.lock", "log.txt", "messages", "scan")
+
+
 def _link_or_copy(source: str | Path, target: str | Path) -> None:
-    """One file under two names where the disk can do that: no file of a run is ever written in place."""
+    """One file under two names where the disk can do that; see `_in_place`."""
     try:
         os.link(source, target)
     except OSError:

@@ -7,12 +7,11 @@ A mesh that is not rough everywhere, as modelled ones never are, is left as it i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import identity
 
 from ..robust import MAD_TO_DEVIATION
+from ..run.run_files import Geometry
 from .adjacency import NONE, Mesh, face_vectors, make_mesh
 from .normals import corner_normals, filter_normals, follow_normals
 from .patches import find_patches, triangle_moments
@@ -40,23 +39,6 @@ _PLACE_WEIGHT = 1e-3
 _SMOOTH = 0.8
 # Vertices that are drawn; more would change the median by less than one percent.
 _SAMPLE = 40_000
-
-
-@dataclass(frozen=True)
-class CleanMesh:
-    """A cleaned mesh.
-
-    Attributes:
-        vertices: (V, 3) float32, metres.
-        corner_normals: (T, 3, 3) float32 unit shading normals.
-        plane: (T,) int32 plane of each triangle, NONE without one.
-        noise: standard deviation of the scan's distance from its smooth fit, metres.
-    """
-
-    vertices: np.ndarray
-    corner_normals: np.ndarray
-    plane: np.ndarray
-    noise: float
 
 
 def noise_level(mesh: Mesh, normals: np.ndarray, areas: np.ndarray) -> tuple[float, float]:
@@ -113,7 +95,7 @@ def bumps(
     return deviation, (mesh.around @ (edges * areas))[drawn] / area[drawn]
 
 
-def clean_mesh(vertices: np.ndarray, triangles: np.ndarray) -> CleanMesh | None:
+def clean_mesh(vertices: np.ndarray, triangles: np.ndarray) -> Geometry | None:
     """The cleaned copy of a scan, None for a mesh that is no scan.
 
     Args:
@@ -133,7 +115,7 @@ def clean_mesh(vertices: np.ndarray, triangles: np.ndarray) -> CleanMesh | None:
     smooth = filter_normals(smooth, areas, mesh.neighbours, deviation, _ROUNDS, held=flat)
     planar, on_plane = flattened(mesh, regions, _REACH * noise)
     moved = Mesh(follow_normals(planar, smooth, _REACH * noise, on_plane), mesh.triangles)
-    return CleanMesh(
+    return Geometry(
         moved.vertices[welded].astype(np.float32),
         corner_normals(moved, smooth, _CREASE),
         regions.label.astype(np.int32),

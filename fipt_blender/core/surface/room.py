@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..run.errors import FiptError
-from ..run.run_files import CLOSING, read_capture, read_geometry, read_outlined, read_room
+from ..run.run_files import CLOSING, RoomMesh, read_capture, read_room
 from ..run.runfolder import RunFolder
 from ..run.threads import cached_property
 from .adjacency import face_vectors
@@ -235,32 +235,33 @@ class Room:
         return max(float(5e-5 * np.linalg.norm(high - low)), OFFSET_NOISE * self.noise)
 
 
-def load_room(run: RunFolder, outlined: bool = True, cleaned: bool = True) -> Room:
-    """Read room.npz, room.json and, where the mesh is a scan that was cleaned, geometry.npz.
+def load_room(run: RunFolder, cleaned: bool = True) -> Room:
+    """The room of a run, with what its last estimation has made of it where it is a scan.
 
     Args:
         run: the run folder.
-        outlined: whether a scan gets the outlines of the masks from outlines.npz, if that exists.
-        cleaned: whether geometry.npz is read.
-
-    Raises:
-        FiptError: ``mesh-missing``, ``mesh-damaged``, ``mesh-empty``, ``file-missing`` or ``file-damaged``.
+        cleaned: whether a scan has its cleaned geometry.
     """
     if not run.room_npz.exists():
         raise FiptError("mesh-missing.load-room", room_npz=run.room_npz)
     stored = read_room(run)
-    scan = (read_outlined if outlined else read_geometry)(run, stored) if cleaned else None
+    return make_room(stored if cleaned else replace(stored, scan=None), _camera_positions(run))
+
+
+def make_room(mesh: RoomMesh, cameras: np.ndarray | None = None) -> Room:
+    """The room of a mesh, with its cleaned geometry where it has one; `cameras`: as of `Room`."""
+    scan = mesh.scan
     if scan is not None:
-        stored = replace(stored, vertices=scan.vertices, corner_normals=scan.corner_normals)
+        mesh = replace(mesh, vertices=scan.vertices, corner_normals=scan.corner_normals)
     room = Room(
-        **{name: np.asarray(getattr(stored, name), kind) for name, kind in _ARRAYS.items()},
+        **{name: np.asarray(getattr(mesh, name), kind) for name, kind in _ARRAYS.items()},
         noise=float(scan.noise) if scan else 0.0,
         plane=scan.plane.astype(np.int32) if scan else None,
-        objects=stored.objects,
-        materials=stored.materials,
-        parts=stored.parts,
-        exact=stored.triangle_exact,
-        cameras=_camera_positions(run),
+        objects=mesh.objects,
+        materials=mesh.materials,
+        parts=mesh.parts,
+        exact=mesh.triangle_exact,
+        cameras=cameras,
     )
     if not np.isfinite(room.vertices).all():
         raise FiptError("mesh-damaged")

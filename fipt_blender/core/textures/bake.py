@@ -26,7 +26,7 @@ from ..run.messages import Reporter
 from ..run.parts import RoomParts, read_parts
 from ..run.replacing import atomic_folder
 from ..run.result_contents import AtlasImage, AtlasImages, TextureImage, Textures, UniformPart
-from ..run.run_files import AtlasArrays, CornerFields, read_outlined, read_room
+from ..run.run_files import AtlasArrays, CornerFields, read_room
 from ..run.runfolder import RunFolder, write_json
 from ..run.store import read_arrays, write_arrays
 from ..run.versions import results_id
@@ -65,12 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Bake the textures of a run, and maps of a few of its views, unless they are those of the estimate.
-
-    Raises:
-        FiptError: ``file-missing`` or ``file-damaged`` if an earlier step has not finished; ``disk-full`` or
-            ``run-unwritable``.
-    """
+    """Bake the textures of a run, and maps of a few of its views, unless they are those of the estimate."""
     folder = RunFolder(arguments.run)
     made = textures_made(folder)
     if made.told_again(reporter):
@@ -91,18 +86,14 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
         detail = partial(add_detail, given, load_room(folder), fields.units.triangle)
     room = read_room(folder)
     parts = read_parts(folder, room.triangle_object, room.objects)
-    files = bake(folder, fields, reporter.progress, parts, detail)
-    files += write_view_maps(folder, fields, load_capture(folder).views)
-    made.note(reporter.warnings)
+    with made.making(reporter.warnings):
+        files = bake(folder, fields, reporter.progress, parts, detail)
+        files += write_view_maps(folder, fields, load_capture(folder).views)
     reporter.done([str(path) for path in files])
 
 
 def textures_made(folder: RunFolder) -> Made:
-    """Whether the textures of a run are those of its estimate and its atlas.
-
-    Raises:
-        FiptError: those of `RunFolder.read`.
-    """
+    """Whether the textures of a run are those of its estimate and its atlas."""
     atlas = content_digest(folder.atlas_json, folder.atlas_npz)
     return Made(
         folder, "textures", results_id(folder), atlas, folder.read().detail, outputs=[folder.textures]
@@ -130,8 +121,7 @@ def bake(
     """
     room = read_room(folder)
     atlas, arrays = read_document(folder.atlas_json, AtlasImages), read_arrays(folder.atlas_npz, AtlasArrays)
-    scan = read_outlined(folder, room)
-    corners = (scan.vertices if scan else room.vertices)[room.triangles]
+    corners = (room.scan or room).vertices[room.triangles]
     folder.stage.mkdir(parents=True, exist_ok=True)
     with (
         atomic_folder(folder.textures) as new,

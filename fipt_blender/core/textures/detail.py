@@ -101,11 +101,7 @@ class SolvedLight:
 
 
 def remember_light(run: RunFolder, light: SolvedLight) -> None:
-    """Write where the pixels and shadings of an estimation are, and to which views they belong.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
+    """Write where the pixels and shadings of an estimation are, and to which views they belong."""
     views, root = light.pixels.views, run.stage.resolve()
     listed = tuple(_UsedView(view.name, view.width, view.height) for view in views)
     document = saved(light, run.stage / "light", root, {"views": views})
@@ -113,11 +109,7 @@ def remember_light(run: RunFolder, light: SolvedLight) -> None:
 
 
 def solved_light(run: RunFolder, views: list[View]) -> SolvedLight:
-    """What :func:`remember_light` wrote; `views`: the same, at light resolution.
-
-    Raises:
-        FiptError: ``file-damaged``.
-    """
+    """What :func:`remember_light` wrote; `views`: the same, at light resolution."""
     path = run.stage / "views.json"
     try:
         light = read_document(path, _UsedViews).light
@@ -131,9 +123,6 @@ def load_input(run: RunFolder, reporter: Reporter | None = None) -> DetailInput 
 
     Args:
         reporter: is warned where the files that detail needs are gone.
-
-    Raises:
-        FiptError: ``file-damaged``; those of `load_capture`.
     """
     settings = run.read()
     path = run.stage / "views.json"

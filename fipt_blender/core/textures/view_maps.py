@@ -26,11 +26,7 @@ from ..surface.room import Room, load_room
 
 
 def write_view_maps(run: RunFolder, fields: RoomFields, views: Sequence[View]) -> list[Path]:
-    """Write the maps of up to three views, preferably held-back ones, and maps.json; returns the files.
-
-    Raises:
-        FiptError: the run's room or emitters can't be read; ``disk-full`` or ``run-unwritable``.
-    """
+    """Write the maps of up to three views, preferably held-back ones, and maps.json; returns the files."""
     room = load_room(run)
     table = EmitterTable.from_fixtures(read_document(run.emitters_json, Emitters).fixtures)
     lights = AreaLights(room.vertices, room.triangles, table)
