@@ -171,3 +171,47 @@ def Mesh "m"
     found = [tuple(round(value, 4) + 0.0 for value in vertex.co) for vertex in bpy.data.objects[name].data.vertices]
     expected = conventions.transform_points(world, np.array(points, np.float64))
     np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_an_import_changes_nothing_of_the_scene_and_meshes_are_at_rest(tmp_path):
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end, scene.frame_current, scene.render.fps = 5, 77, 9, 30
+    scene.unit_settings.scale_length = 0.5
+    world, worlds = scene.world, set(bpy.data.worlds)
+    samples = ", ".join(f"{frame}: ({frame}, 0, 0)" for frame in range(3))
+    (tmp_path / "room.usda").write_text(
+        f"""#usda 1.0
+(
+ upAxis = "Z"
+ startTimeCode = 0
+ endTimeCode = 2
+)
+def Mesh "m"
+{{
+ int[] faceVertexCounts = [3]
+ int[] faceVertexIndices = [0, 1, 2]
+ point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 2, 0)]
+ double3 xformOp:translate.timeSamples = {{ {samples} }}
+ uniform token[] xformOpOrder = ["xformOp:translate"]
+}}
+"""
+    )
+    (name,) = import_room(tmp_path / "room.usda", np.eye(4))
+    assert (scene.frame_start, scene.frame_end, scene.frame_current, scene.render.fps) == (5, 77, 9, 30)
+    assert scene.unit_settings.scale_length == 0.5 and scene.world == world and set(bpy.data.worlds) == worlds
+    item = bpy.data.objects[name]
+    assert item.animation_data is None and not item.constraints and not item.modifiers
+    scene.frame_set(20)
+    assert item.matrix_world.is_identity
+
+
+def test_line_ends_of_old_macs_are_named(tmp_path):
+    assert "CR" in problem(tmp_path, "a.ply", ply(order="").replace(b"\n", b"\r"))
+
+
+@pytest.mark.parametrize("name", ["EXT_meshopt_compression", "KHR_texture_basisu"])
+def test_compressions_that_blender_does_not_read_are_named(tmp_path, name):
+    path = tmp_path / "room.gltf"
+    path.write_text(json.dumps({"asset": {"version": "2.0"}, "extensionsRequired": [name]}))
+    error = error_of(check_mesh_file, path)
+    assert error.code == "mesh-format" and name in error.text and "OBJ" in error.remedy

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -245,6 +247,29 @@ def test_a_profile_that_says_nothing_is_refused_or_left(tmp_path, damage):
         assert error.code == "image-unreadable" and "profile" in error.text
     else:
         assert read_radiance(path).shape == (8, 8, 3)
+
+
+@pytest.mark.parametrize(("tag", "value", "word"), [(262, 32845, "LogLuv"), (262, 8, "Lab"), (254, 1, "preview")])
+def test_tiffs_of_which_other_values_would_be_read_are_refused(tmp_path, tag, value, word):
+    path = tmp_path / "a.tif"
+    Image.fromarray(np.full((8, 8, 3), 99, np.uint8)).save(path, tiffinfo={254: 0})
+    data = bytearray(path.read_bytes())
+    place = data.index(struct.pack("<HH", tag, 4 if tag == 254 else 3) + struct.pack("<I", 1))
+    data[place + 8 : place + 12] = struct.pack("<I", value)
+    path.write_bytes(data)
+    error = error_of(read_radiance, path)
+    assert error.code == "image-format" and word in error.text and "OpenEXR" in error.remedy
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [(b"\0\0\0\x20ftypavif", "AVIF"), (b"\0\0\0\x0cjP  \r\n", "JPEG 2000"), (b"8BPS\0\1", "Photoshop"), (b"BM", "BMP")],
+)
+def test_pictures_that_are_not_read_are_named_whatever_their_suffix(tmp_path, content, word):
+    path = tmp_path / "a.heic"
+    path.write_bytes(content + bytes(64))
+    error = error_of(read_radiance, path)
+    assert error.code == "image-format" and word in error.text and "PNG" in error.remedy
 
 
 CODES = np.random.default_rng(3).integers(0, 256, (HEIGHT, WIDTH, 3)).astype(np.uint8)

@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import json
+import os
 import shutil
 from collections import Counter
 from types import SimpleNamespace
@@ -22,7 +24,10 @@ from fipt_blender.core.capture.distortion import Undistortion, undistorted_pinho
 from fipt_blender.core.capture.encoded import srgb_decoded, srgb_encoded
 from fipt_blender.core.capture.exr_file import ExrFile
 from fipt_blender.core.capture.images import read_radiance, write_exr
+from fipt_blender.core.capture.ingest import add_arguments
+from fipt_blender.core.capture.ingest import run as run_command
 from fipt_blender.core.capture.views import load_capture
+from fipt_blender.core.run.messages import Reporter
 from fipt_blender.core.run.run_files import read_capture
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.core.run.settings import make_settings
@@ -91,6 +96,59 @@ def test_transparent_pixels_are_left_out(tmp_path, run, model, masked):
     assert second.masked() is None
     left_out = first.masked()
     assert left_out[:, -6:].all() and not left_out[:, 14:28].any() and left_out[:, :6].all() == masked
+
+
+def test_pixels_that_a_file_does_not_hold_are_left_out(tmp_path, run):
+    write_transforms(tmp_path / "in", make_samples(2))
+    planes = np.random.default_rng(0).uniform(0.1, 1.0, (3, 20, 30)).astype(np.float32)
+    window = {"displayWindow": ((0, 0), (47, 31)), "dataWindow": ((6, 4), (35, 23))}
+    file = tmp_path / "in" / "images" / "000_0001.exr"
+    OpenEXR.File({**window, "compression": OpenEXR.ZIP_COMPRESSION}, dict(zip("RGB", planes, strict=True))).write(
+        str(file)
+    )
+    messages = run_ingest(tmp_path / "in", run)
+    told = next(message for message in messages if message.get("code") == "image-transparent")
+    assert "1 photographs" in told["text"] and "61 %" in told["text"]
+    left_out = load_capture(run).views[0].masked()
+    assert not left_out[4:24, 6:36].any() and left_out.sum() == 48 * 32 - 20 * 30
+
+
+def test_held_back_views_leave_each_view_once(tmp_path, run):
+    samples = make_samples(8)
+    write_transforms(tmp_path / "in", samples)
+    with edited_json(tmp_path / "in" / "transforms.json") as data:
+        data["val_filenames"] = [frame["file_path"] for frame in data["frames"][3:]]
+    run_ingest(tmp_path / "in", run, views=5)
+    views = load_capture(run).views
+    assert sorted(view.name for view in views) == [f"images/{sample.stem}" for sample in samples]
+
+
+def test_cameras_of_a_solve_that_ran_away_are_named(tmp_path, run):
+    samples = make_samples(30)
+    for index, sample in enumerate(samples[26:]):
+        sample.pose[:3, 3] = 30.0 + 40.0 * index, 5.0, 0.0
+    write_transforms(tmp_path / "in", samples)
+    told = [message for message in run_ingest(tmp_path / "in", run) if message.get("code") == "cameras-astray"]
+    assert len(told) == 1 and "4 of 30" in told[0]["text"] and "images/026_0001" in told[0]["text"]
+
+
+def test_an_import_is_resumed_until_a_photograph_or_mesh_beside_it_changes(tmp_path):
+    write_colmap(tmp_path / "in", make_samples(3), text=True)
+    arguments = argparse.ArgumentParser()
+    add_arguments(arguments)
+    parsed = arguments.parse_args([str(tmp_path / "in" / "sparse" / "0"), str(tmp_path / "run")])
+
+    def made():
+        run_command(parsed, Reporter())
+        return (tmp_path / "run" / "ingest.json").stat().st_mtime_ns
+
+    first = made()
+    assert made() == first
+    os.utime(tmp_path / "in" / "images" / "001_0001.exr", (1, 1))
+    second = made()
+    assert second != first and made() == second
+    write_mesh(tmp_path / "in" / "mesh.obj")
+    assert made() != second
 
 
 def test_transforms_become_views_in_metres(tmp_path, run):

@@ -29,6 +29,7 @@ from fipt_blender.prepare.solve_step import model_from_rig
 from fipt_blender.prepare.solving import SolveView
 from samples import rig_writers as write
 from samples.capture_files import make_samples, write_fipt_real, write_fipt_synthetic
+from samples.capture_files import write_mesh as write_triangle
 from samples.capture_files import write_transforms as write_sample_transforms
 from samples.child_processes import posix
 from samples.combinations import pairs
@@ -349,6 +350,37 @@ def test_files_that_lie_unused_are_told(tmp_path: Path, kind: str) -> None:
     assert ("dynamic_mask" in str(read(root).notes)) == (kind == "transforms")
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["masks/{0}.jpg.png", "masks/{0}.png", "mask/{0}_mask.png", "images/{0}.jpg.mask.png", "images/{0}_mask.png"],
+)
+@pytest.mark.parametrize("kind", ["colmap", "transforms"])
+def test_masks_are_found_where_programs_write_them(tmp_path: Path, kind: str, name: str) -> None:
+    root = tmp_path / "in"
+    write_capture(kind, root, [f"{index}.jpg" for index in range(3)], [f"images/{index}.jpg" for index in range(3)])
+    for index in range(2):
+        path = root / name.format(index)
+        path.parent.mkdir(exist_ok=True)
+        with Image.open(root / "images" / f"{index}.jpg") as image:
+            mask = np.full(image.size[::-1], 255, np.uint8)
+        mask[:100] = 0
+        Image.fromarray(mask).save(path)
+    rig = read(root)
+    assert [view.mask and view.mask.relative_to(root).as_posix() for view in rig.views] == [
+        *(name.format(index) for index in range(2)), None]  # fmt: skip
+    assert [note.code for note in rig.notes] == ["masks-found"] and "2 of 3" in rig.notes[0].text
+    path = root / name.format(0)
+    with Image.open(path) as image:
+        smooth = np.array(image)
+    smooth[100:103] = [[64], [128], [192]]
+    Image.fromarray(smooth).save(path)
+    assert [note.code for note in read(root).notes] == ["masks-found"]
+    for other in (np.arange(480 * 320).astype(np.uint8).reshape(320, 480), np.zeros((9, 9), np.uint8)):
+        Image.fromarray(other).save(path)  # ids of parts; another size
+        rig = read(root)
+        assert not any(view.mask for view in rig.views) and [note.code for note in rig.notes] == ["masks-unused"]
+
+
 @pytest.mark.parametrize("value", ["false", "False", "0"])
 def test_cameras_that_are_switched_off(tmp_path: Path, value: str) -> None:
     shots = write.make_shots(write.Style(off_centre=CENTRED), 3)
@@ -422,6 +454,45 @@ def test_no_name_leads_out_of_the_folders(tmp_path: Path) -> None:
         assert found.path == tmp_path / "capture" / "own.jpg"
 
 
+def test_plain_names_come_before_copies_and_bins_are_not_searched(tmp_path: Path) -> None:
+    root = tmp_path / "in"
+    write_capture("transforms", root, ["0.jpg", "1.jpg"], ["images/0.jpg", "images/1.jpg"])
+    for folder in ("@eaDir", "#recycle"):
+        (root / folder).mkdir()
+        shutil.copy(root / "images" / "0.jpg", root / folder / "0.jpg")
+    for name in ("room.obj", "room (1).obj", "room (A's conflicted copy 2024-01-01).obj", "room - Copy.obj"):
+        write_triangle(root / name)
+    (root / "transforms.json").rename(root / "transforms (1).json")
+    rig = read(root)
+    assert rig.mesh == root / "room.obj" and len(rig.views) == 2 and not any(view.missing for view in rig.views)
+    write_triangle(root / "other.obj")  # two meshes
+    assert read(root).mesh is None
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "word"),
+    [
+        ("poses_bounds.npy", b"x", "LLFF"),
+        ("groundtruth.txt", b"# timestamp tx", "trajectory"),
+        ("cameras.json", b'[{"id": 0, "img_name": "0"}]', "Gaussians"),
+    ],
+)
+def test_poses_that_are_not_read_are_named(tmp_path: Path, name: str, content: bytes, word: str) -> None:
+    Image.new("L", (9, 9)).save(tmp_path / "0.jpg")
+    (tmp_path / name).write_bytes(content)
+    error = error_of(read, tmp_path)
+    assert error.code == "cameras-other" and name in error.text and word in error.text and "Convert" in error.remedy
+
+
+@pytest.mark.parametrize("suffix", [".dvc", ".nextcloud", ".icloud"])
+def test_stubs_of_photographs_are_named(tmp_path: Path, suffix: str) -> None:
+    write_capture("transforms", tmp_path / "in", ["images/0.jpg"], ["images/0.jpg"])
+    path = tmp_path / "in" / "images" / "0.jpg"
+    path.rename(path.with_name(("." if suffix == ".icloud" else "") + path.name + suffix))
+    error = error_of(read, tmp_path / "in")
+    assert error.code == "file-stand-in" and suffix in error.text and error.remedy
+
+
 def test_existing_solves_find_groups_by_paths(tmp_path: Path) -> None:
     write_capture("colmap", tmp_path / "in", ["day/1.jpg", "night/1.jpg"], ["day/1.jpg", "night/1.jpg"])
     rig = read_rig(tmp_path / "in", "auto", CaptureOptions())
@@ -444,6 +515,7 @@ def test_existing_solves_find_groups_by_paths(tmp_path: Path) -> None:
     [
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:aa\nsize 4\n", "lfs"),
         (b"<!DOCTYPE html><html>", "web"),
+        (b"../../raw/IMG_0000.JPG", "link"),
     ],
 )
 def test_files_that_stand_for_others_are_named(tmp_path: Path, name: str, content: bytes, word: str) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -103,7 +104,7 @@ def test_voxels_follow_the_pixels_and_confidence_maps_weigh(tmp_path: Path) -> N
     assert (read_depth(views[1], 1.0).weight == np.float32(0.05)).all()
 
 
-def write_stray_scanner(folder: Path, pictures: int) -> None:
+def write_stray_scanner(folder: Path, pictures: Sequence[str]) -> None:
     for name in ("depth", "rgb"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     (folder / "camera_matrix.csv").write_text(f"{2 * FOCAL}, 0.0, {WIDTH}\n0.0, {2 * FOCAL}, {HEIGHT}\n0.0, 0.0, 1.0\n")
@@ -111,22 +112,59 @@ def write_stray_scanner(folder: Path, pictures: int) -> None:
     for index in range(FRAMES):
         rows.append(f"{index / 60:.6f}, {index:06d}, {0.1 * index}, 0, 0, 0, 0, 0, 1")
         rgbd_frames.write_depth(folder / "depth" / f"{index:06d}.png", (WIDTH, HEIGHT))
-        if index < pictures:
-            rgbd_frames.write_color(folder / "rgb" / f"{index:06d}.jpg", (2 * WIDTH, 2 * HEIGHT))
+    for name in pictures:
+        rgbd_frames.write_color(folder / "rgb" / f"{name}.jpg", (2 * WIDTH, 2 * HEIGHT))
     (folder / "odometry.csv").write_text("\n".join(rows))
 
 
 def test_stray_scanner_gives_all_depth_images_with_poses(tmp_path: Path) -> None:
-    write_stray_scanner(tmp_path, pictures=2)
+    write_stray_scanner(tmp_path, ["000000", "000002"])
     rig = read_rig(tmp_path, "auto", CaptureOptions())
     assert rig.source == "stray-scanner" and len(rig.views) == 2 and len(rig.depths) == FRAMES
-    assert rig.depths[3].photograph is None and rig.depths[1].photograph is rig.views[1]
+    assert rig.depths[3].photograph is None and rig.depths[2].photograph is rig.views[1]
     np.testing.assert_allclose(rig.depths[3].camera_to_world, frame_pose(3))
     assert (rig.depths[3].fx, rig.depths[3].cx) == (FOCAL, WIDTH / 2)
     for file in (tmp_path / "rgb").iterdir():
         file.unlink()
     error = error_of(read_rig, tmp_path, "auto", CaptureOptions())
     assert error.code == "image-missing" and "ffmpeg" in error.remedy
+
+
+@pytest.mark.parametrize(
+    ("pictures", "frames"),
+    [
+        (["000001", "000002", "000003", "000004"], [0, 1, 2, 3]),  # as ffmpeg numbers them by itself
+        (["0", "1", "2", "3"], [0, 1, 2, 3]),
+        (["0.000", "0.0334"], [0, 2]),  # by their times
+        (["000000", "000001", "000002"], None),  # which of four frames was dropped?
+        (["000001", "000002"], None),
+        (["000000", "000001", "000002", "000003", "000004"], None),
+    ],
+)
+def test_pictures_of_a_video_belong_to_their_frames_or_are_refused(
+    tmp_path: Path, pictures: list[str], frames: list[int] | None
+) -> None:
+    write_stray_scanner(tmp_path, pictures)
+    if frames is None:
+        error = error_of(read_rig, tmp_path, "auto", CaptureOptions())
+        assert error.code == "pairs-unsure" and str(len(pictures)) in error.text and "ffmpeg" in error.remedy
+    else:
+        views = read_rig(tmp_path, "auto", CaptureOptions()).views
+        assert [view.image.stem for view in views] == pictures
+        assert [round(10.0 * view.camera_to_world[0, 3]) for view in views] == frames
+
+
+def test_depth_images_are_matched_by_the_value_of_their_number_and_the_rest_is_counted(tmp_path: Path) -> None:
+    folder = rgbd_frames.write_exported_scan(tmp_path / "scan", (WIDTH, HEIGHT), FOCAL)
+    for file in list((folder / "depth").iterdir()):
+        file.rename(file.with_name(f"{int(file.stem):06d}.png"))
+    rig = read_rig(folder, "auto", CaptureOptions())
+    assert [depth.path.name for depth in rig.depths] == ["000009.png", "000010.png"] and not rig.notes
+    (folder / "depth" / "000010.png").rename(folder / "depth" / "000011.png")
+    told = {note.code: note.text for note in read_rig(folder, "auto", CaptureOptions()).notes}
+    assert "1 depth images" in told["depths-unpaired"] and "1 frames" in told["depths-unpaired"]
+    (folder / "depth" / "000009.png").unlink()
+    assert error_of(read_rig, folder, "auto", CaptureOptions()).code == "depth-empty"
 
 
 @pytest.mark.parametrize(

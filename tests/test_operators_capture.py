@@ -7,6 +7,7 @@ from __future__ import annotations
 import itertools
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -22,8 +23,11 @@ from fipt_blender.core.conventions import UP_AXES, world_from_source
 from fipt_blender.core.run.documents import read_document
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.jobs import running
+from fipt_blender.panels.capture import draw_import
+from samples import box_room
 from samples.capture_files import make_samples, write_colmap, write_mesh, write_transforms
 from samples.engine_here import engine_here
+from samples.layouts import Layout
 
 ops = bpy.ops.fipt
 CORNERS = [Vector(corner) for corner in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))]
@@ -85,6 +89,26 @@ def test_import_makes_a_run_and_everything_the_artist_sees(imported, sample, tmp
     assert imported.camera is None  # nothing is looked through unasked
     running_job = running.last("capture")
     assert running_job.state == "finished" and running.current() is None
+
+
+def test_fix_imports_again_with_the_correction_that_the_panel_offers(here, scene, tmp_path):
+    samples = box_room.make_samples()
+    wrong = [replace(each, pose=each.pose @ np.diag([1.0, -1.0, -1.0, 1.0])) for each in samples]
+    write_transforms(tmp_path / "wrong", wrong)
+    box_room.write_photographs(tmp_path / "wrong" / "images", samples)
+    box_room.write_mesh(tmp_path / "wrong" / "scene.obj")
+    assert "OpenCV" in refused(ops.import_capture, filepath=str(tmp_path / "wrong"))
+    error = running.last("capture").error
+    assert error["fix"] == "axes-opencv"
+    layout = Layout()
+    draw_import(layout, bpy.context)
+    assert "fipt.fix_capture" in layout.drawn
+    assert ops.fix_capture(correct=error["fix"]) == {"FINISHED"}
+    settings = scene.fipt.capture
+    place = settings.views[0].camera_object().matrix_world.translation
+    np.testing.assert_allclose(place, samples[0].pose[:3, 3], atol=1e-5)
+    settings.path = str(tmp_path / "other")  # which need not have that mistake
+    assert settings.correct == ""
 
 
 def test_import_again_and_of_another_capture(imported, sample, tmp_path):

@@ -17,12 +17,19 @@ from fipt_blender.core.capture.encoded import srgb_encoded
 from fipt_blender.core.capture.images import read_radiance, write_exr
 from fipt_blender.core.run.messages import Reporter
 from fipt_blender.prepare import frames, merge_step, merging
-from fipt_blender.prepare.calibration import Survey, correct_exposures
+from fipt_blender.prepare.calibration import Survey, calibrate, camera_of, correct_exposures
 from fipt_blender.prepare.exif import describe
-from fipt_blender.prepare.frames import load, upright
+from fipt_blender.prepare.frames import Stored, load, upright
 from fipt_blender.prepare.merging import measure_noise, merge_exposures, sensor_noise
 from fipt_blender.prepare.motion import Motion
-from fipt_blender.prepare.preparation import Photograph, PreparationFolder, read_preparation, write_preparation
+from fipt_blender.prepare.preparation import (
+    Group,
+    Photograph,
+    Preparation,
+    PreparationFolder,
+    read_preparation,
+    write_preparation,
+)
 from fipt_blender.prepare.response import LEVELS, recover_response, srgb_curve
 from samples import prepared_captures, refusals
 from samples.dng import Shot, mosaic_of, write_dng
@@ -355,3 +362,13 @@ def test_a_stopped_merge_goes_on_with_the_other_groups(
     write_preparation(folder, replace(before, groups=before.groups[:1]))
     merge(source, folder)
     assert [path.name for path in folder.images.iterdir()] == ["IMG_0.exr"]
+
+
+def test_raw_files_of_several_cameras_get_the_colors_of_their_own(tmp_path: Path) -> None:
+    photographs = [Photograph(f"{name}.dng", "raw", 8, 6, model=name, exposure=1.0) for name in "AB"]
+    groups = tuple(Group(item.model, (item.path,)) for item in photographs)
+    matrices = {"A": np.eye(3), "B": 2.0 * np.eye(3)}
+    surveys = [Survey(color=Stored(np.empty(0), matrix=matrices[item.model])) for item in photographs]
+    found, _ = calibrate(Preparation(tmp_path, tuple(photographs), groups), surveys, Reporter())
+    for item in photographs:
+        np.testing.assert_array_equal(found.colors[camera_of(item)][1], matrices[item.model])

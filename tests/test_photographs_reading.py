@@ -178,6 +178,29 @@ def test_maps_and_companions_are_no_photographs(tmp_path: Path) -> None:
     assert len(said) == 1 and "2 depth maps" in said[0]["text"] and "1 confidence maps" in said[0]["text"]
 
 
+def test_real_disks_have_second_copies_bins_and_names_of_other_systems(tmp_path: Path) -> None:
+    source, capture = tmp_path / "in", tmp_path / "out"
+    write_brackets(source, 2, (1 / 60, 1 / 240))
+    for name in (
+        "@eaDir/IMG_1.jpg/SYNOPHOTO_THUMB_M.jpg",
+        "#recycle/IMG_9.jpg",
+        "$RECYCLE.BIN/x.jpg",
+        "__MACOSX/y.jpg",
+    ):
+        write_jpeg(source / name, GREY, exif(1 / 15))
+    for name in ("a (1).jpg", "a.jfif", "a copy.jpg", "b.jpg"):  # the last one is another photograph
+        write_jpeg(source / name, GREY + np.uint8(name == "b.jpg"), exif(1 / 9, 900.0))
+    write_jpeg(source / "c.jpg", GREY + np.uint8(2), exif(1 / 8, 990.0)).rename(source / "c.DNG")  # is a JPEG
+    write_jpeg(source / "d.jpg", GREY + np.uint8(3), exif(1 / 7, 995.0)).rename(source / "d.insp")
+    reporter = read(source, capture)
+    paths = {item.path for item in read_preparation(PreparationFolder(capture)).photographs}
+    assert paths == {"IMG_1.jpg", "IMG_2.jpg", "IMG_3.jpg", "IMG_4.jpg", "a.jfif", "b.jpg", "c.DNG"}
+    said = {warning["code"]: warning["text"] for warning in reporter.warnings}
+    assert "2 second copies" in said["images-left-out"] and "d.insp" in said["panoramas-left-out"]
+    skipped = {item["name"]: item["reason"] for item in facts(PreparationFolder(capture), "read")["skipped"]}
+    assert "a.jfif" in skipped["a (1).jpg"] and "a.jfif" in skipped["a copy.jpg"]
+
+
 def test_digital_zoom_is_another_focal_length(tmp_path: Path) -> None:
     tags = exif(1 / 60)
     tags.get_ifd(0x8769).update({0x920A: 6.5, 0xA405: 24, 0xA404: 2.0})

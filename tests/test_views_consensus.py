@@ -110,10 +110,10 @@ def test_noise_is_no_wrong_pose(capture: SmallCapture, tmp_path: Path) -> None:
 
 def test_a_mirrored_mesh_and_a_wrong_unit_are_named(capture: SmallCapture, views: list[View]) -> None:
     vertices = capture.room.vertices
-    assert "mirror X" in refused("mesh-misplaced", capture, views, vertices * (-1.0, 1.0, 1.0))
-    assert "scale 0.001" in refused("mesh-misplaced", capture, views, vertices * 1000.0)
+    assert "mirrored along X" in refused("mesh-misplaced", capture, views, vertices * (-1.0, 1.0, 1.0))
+    assert "scaled by 0.001" in refused("mesh-misplaced", capture, views, vertices * 1000.0)
     turned = vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
-    assert "turn its axes" in refused("mesh-misplaced", capture, views, turned)
+    assert "turned by" in refused("mesh-misplaced", capture, views, turned)
 
 
 def test_poses_or_mesh_are_blamed_by_evidence(capture: SmallCapture, views: list[View]) -> None:

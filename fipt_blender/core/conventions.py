@@ -23,6 +23,12 @@ FloatArray = NDArray[np.floating]
 # Other camera axes, expressed in OpenCV's; each matrix is its own inverse.
 _OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])  # X right, Y up, Z backward: Blender, OpenGL, NeRF
 _FIPT_AXES = np.diag([-1.0, -1.0, 1.0, 1.0])  # X left, Y up, Z forward: the FIPT authors' synthetic data
+# What camera axes are called, what they are, and their matrix.
+CAMERA_AXES = {
+    "opencv": ("of OpenCV (X right, Y down, Z forward)", np.eye(4)),
+    "opengl": ("of OpenGL and Blender (X right, Y up, Z backward)", _OPENGL_AXES),
+    "pytorch3d": ("of PyTorch3D (X left, Y up, Z forward)", _FIPT_AXES),
+}
 
 
 class PinholeView(Protocol):

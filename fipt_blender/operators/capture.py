@@ -48,6 +48,17 @@ def import_capture(
     return importing.capture_import()
 
 
+@action("Fix", needs=(in_object_mode, no_job))
+def fix_capture(
+    scene: bpy.types.Scene,
+    correct: Annotated[str, Option("Name of the correction", "Correction")] = "",
+) -> Task:
+    """Import the capture again with the correction that explains what does not fit."""
+    settings = scene.fipt.capture
+    settings.correct, settings.fixed = correct, settings.path
+    return importing.capture_import()
+
+
 @action(
     "Use Scene Cameras",
     needs=(

@@ -87,3 +87,5 @@ def _draw_message(layout: UILayout, message: Message, alert: bool = False) -> No
     column = layout.column(align=True)
     draw_text(column, message["text"], icon="ERROR", alert=alert)
     draw_text(column, message["remedy"], icon="INFO")
+    if fix := message.get("fix"):
+        column.operator("fipt.fix_capture", icon="CHECKMARK").correct = fix

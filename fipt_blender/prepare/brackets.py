@@ -191,9 +191,6 @@ def small_picture(path: Path, photograph: Photograph) -> np.ndarray:
     """(height, width) linear values, about `SIDE` long; NaN where clipped.
 
     Of RAW photographs, the preview that the camera has stored is enough.
-
-    Raises:
-        FiptError: those of `frames.load`; and what libraries raise for damaged files (`exif.DAMAGE`).
     """
     codes = _codes(path, photograph)
     if codes is not None:

@@ -31,55 +31,41 @@ _LINEAR_CURVE = np.repeat(np.linspace(0.0, 1.0, 256)[:, None], 3, 1)  # by code 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """One group before merging, its exposures from the shortest to the longest.
+    """One group before merging, its exposures from the shortest to the longest."""
 
-    Attributes:
-        motions: of each exposure, relative to one in the middle.
-        strangers: indices of exposures that show something else.
-        ratios: log of what exposure j + 1 received over what exposure j did, less that of the headers' ratio;
-            NaN where they can't be compared. RAW only.
-        noise: gain and read noise; RAW only.
-        samples: (places, exposures, 3) codes of 8 bits, NaN where unusable; LDR only.
-        ceilings: where each exposure seems to clip, and its highest value; RAW only.
-        color: the first photograph without its values, for the colors of all; RAW only.
-    """
-
-    motions: tuple[Motion, ...] = ()
-    strangers: tuple[int, ...] = ()
+    motions: tuple[Motion, ...] = ()  # of each exposure, relative to one in the middle
+    strangers: tuple[int, ...] = ()  # indices of exposures that show something else
+    # Log of what exposure j + 1 received over what exposure j did, less that of the headers' ratio; NaN
+    # where they can't be compared. RAW only.
     ratios: tuple[float, ...] = ()
-    noise: tuple[float, float] | None = None
-    samples: np.ndarray | None = None
+    noise: tuple[float, float] | None = None  # gain and read noise; RAW only
+    samples: np.ndarray | None = None  # (places, exposures, 3) codes of 8 bits, NaN where unusable; LDR only
+    # Where each exposure seems to clip, and its highest value; RAW only
     ceilings: tuple[tuple[float, float], ...] = ()
+    # The first photograph without its values, for the colors of its camera; RAW only
     color: Stored | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What all groups share.
+    """What all groups share."""
 
-    Attributes:
-        photographs: by path, with corrected exposures.
-        curve: (256, 3) linear values of codes, None without LDR photographs.
-        noise: by kind of photograph.
-        scale: exposure that a radiance of 1 saturates.
-        ceiling: value at which RAW photographs clip.
-        balance, matrix: from RAW channels to linear Rec.709; see `frames.Stored`.
-    """
-
-    photographs: Mapping[str, Photograph]
-    curve: np.ndarray | None
-    noise: Mapping[str, Noise]
-    scale: float
-    ceiling: float
-    balance: np.ndarray
-    matrix: np.ndarray
+    photographs: Mapping[str, Photograph]  # by path, with corrected exposures
+    curve: np.ndarray | None  # (256, 3) linear values of codes, None without LDR photographs
+    noise: Mapping[str, Noise]  # by kind of photograph
+    scale: float  # exposure that a radiance of 1 saturates
+    ceiling: float  # value at which RAW photographs clip
+    # Of each camera (`camera_of`), balance (3,) and matrix (3, 3) from RAW channels to linear Rec.709;
+    # see `frames.Stored`
+    colors: Mapping[str, tuple[np.ndarray, np.ndarray]]
 
     @property
     def numbers(self) -> list[object]:
         """What differs for calibrations that give different images (JSON)."""
         arrays = [self.curve, *(noise.weights for _, noise in sorted(self.noise.items()))]
-        lists = [None if array is None else array.tolist() for array in (*arrays, self.balance, self.matrix)]
-        return [self.scale, self.ceiling, *lists]
+        lists = [None if array is None else array.tolist() for array in arrays]
+        colors = [[camera, *(each.tolist() for each in both)] for camera, both in sorted(self.colors.items())]
+        return [self.scale, self.ceiling, *lists, colors]
 
 
 def survey_group(preparation: Preparation, group: Group, most: int) -> Survey:
@@ -88,9 +74,6 @@ def survey_group(preparation: Preparation, group: Group, most: int) -> Survey:
     Args:
         preparation, group: whose photographs are read.
         most: number of samples of codes.
-
-    Raises:
-        FiptError: those of `frames.load`.
     """
     photographs, settings = preparation.of(group), preparation.settings
     kind = photographs[0].kind
@@ -144,7 +127,11 @@ def calibrate(
         curve, response = _curve(preparation.settings.response, groups, surveys, reporter)
         noise["ldr"] = code_noise(curve, np.zeros((256, 3)) if response is None else response.uncertainty)
     exposures = [item.exposure for item in photographs.values() if item.exposure and item.kind != "linear"]
-    color = next((survey.color for survey in surveys if survey.color is not None), Stored(np.empty(0)))
+    colors: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for items, survey in zip(groups, surveys, strict=True):
+        if survey.color is not None:
+            own = survey.color.balance if preparation.settings.white_balance == "camera" else np.ones(3)
+            colors.setdefault(camera_of(items[0]), (own, survey.color.matrix))
     pairs = [pair for survey in surveys for pair in survey.ceilings]
     calibration = Calibration(
         photographs,
@@ -152,8 +139,7 @@ def calibrate(
         noise,
         scale=float(np.median(exposures)) if exposures else 1.0,
         ceiling=common_ceiling([pair[0] for pair in pairs], [pair[1] for pair in pairs]),
-        balance=color.balance if preparation.settings.white_balance == "camera" else np.ones(3),
-        matrix=color.matrix,
+        colors=colors,
     )
     return calibration, response
 
@@ -208,6 +194,11 @@ def correct_exposures(
     largest = float(np.abs(found).max())
     found = np.clip(found, -_MOST_CORRECTION, _MOST_CORRECTION)
     return {key: float(found[index]) for key, index in places.items()}, largest
+
+
+def camera_of(photograph: Photograph) -> str:
+    """The camera by its make and model, on which the colors of RAW files depend."""
+    return f"{photograph.make} {photograph.model}"
 
 
 def exposure_key(photograph: Photograph) -> tuple[float, ...]:

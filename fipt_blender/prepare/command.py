@@ -61,10 +61,6 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     """Run the chosen steps; a stopped command goes on where it was when it is started again.
 
     The folder gets a prepare.json, or settings of the one that is there are changed.
-
-    Raises:
-        FiptError: ``photographs-missing``, ``capture-foreign`` if the folder holds something else,
-            ``option-invalid``, and those of `read_preparation` and of the steps.
     """
     names = choose_steps(arguments.steps)
     folder, photographs = PreparationFolder(arguments.run), arguments.photographs.absolute()
@@ -91,11 +87,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 
 
 def choose_steps(names: str) -> list[str]:
-    """The steps of a list separated by commas, in their order; all for an empty text.
-
-    Raises:
-        FiptError: ``option-invalid``.
-    """
+    """The steps of a list separated by commas, in their order; all for an empty text."""
     wanted = [name.strip() for name in names.split(",") if name.strip()] or list(STEPS)
     unknown = [name for name in wanted if name not in STEPS]
     if unknown:
@@ -110,9 +102,6 @@ def run_steps(folder: PreparationFolder, names: Sequence[str], reporter: Reporte
 
     Returns:
         The files with the steps' facts.
-
-    Raises:
-        FiptError: of the steps.
     """
     reporter.plan([STEPS[name][2] for name in names])
     for name in names:

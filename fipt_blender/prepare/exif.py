@@ -25,7 +25,7 @@ from ..core.capture.encoded import (
     shutter_aperture_iso,
 )
 from ..core.capture.files import stand_in
-from ..core.capture.images import open_picture
+from ..core.capture.images import is_picture, open_picture
 from ..core.capture.suffixes import RAW_SUFFIXES
 from ..core.run.errors import FiptError
 from .preparation import Photograph
@@ -50,13 +50,10 @@ def describe(path: Path, name: str) -> Photograph:
     Args:
         path: of the file.
         name: the path by which prepare.json names it.
-
-    Raises:
-        FiptError: ``photograph-unreadable`` for RAW files, and those of `read_size`.
     """
     if (error := stand_in(path)) is not None:
         raise error
-    if path.suffix.lower() not in RAW_SUFFIXES:
+    if path.suffix.lower() not in RAW_SUFFIXES or is_picture(path):
         picture = open_picture(path)
         tags = picture.tags
         if picture.is_encoded:

@@ -121,11 +121,7 @@ class ScaleFacts:
 
 
 def read_facts(folder: PreparationFolder, step: str, kind: type[T]) -> T | None:
-    """What a step has noted, of one of the kinds above; None if it has not run.
-
-    Raises:
-        FiptError: ``file-damaged``.
-    """
+    """What a step has noted, of one of the kinds above; None if it has not run."""
     path: Path = folder.facts(step)
     return read_document(path, kind, f"Repeat the step '{step}'.") if path.exists() else None
 

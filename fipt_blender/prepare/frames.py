@@ -29,38 +29,29 @@ LARGE_PIXELS = 8_000_000  # above this, linear values are kept as half floats
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """A photograph's values as stored.
+    """A photograph's values as stored."""
 
-    Attributes:
-        values: RAW: (height, width) sensor values above black, 0 to 1 at the nominal ceiling, float32, or
-            (height, width, 3) where the file holds no mosaic. LDR: (height, width, 3) uint8 or uint16 codes.
-            Linear: (height, width, 3) float32.
-        colors: RAW: the channel (0 to 2) of each place of the mosaic's pattern, (n, m); None elsewhere.
-        ceiling: value at which pixels count as clipped, in units of `values`.
-        top: RAW: the highest value.
-        balance: RAW: factors of the three channels for the camera's own white balance; ones elsewhere.
-        matrix: (3, 3) to linear Rec.709 from the balanced camera's channels, or from the file's primaries.
-    """
-
+    # RAW: (height, width) sensor values above black, 0 to 1 at the nominal ceiling, float32, or
+    # (height, width, 3) where the file holds no mosaic. LDR: (height, width, 3) uint8 or uint16 codes.
+    # Linear: (height, width, 3) float32.
     values: np.ndarray
+    # RAW: the channel (0 to 2) of each place of the mosaic's pattern, (n, m); None elsewhere
     colors: np.ndarray | None = None
-    ceiling: float = 1.0
-    top: float = 1.0
+    ceiling: float = 1.0  # value at which pixels count as clipped, in units of `values`
+    top: float = 1.0  # RAW: the highest value
+    # RAW: factors of the three channels for the camera's own white balance; ones elsewhere
     balance: np.ndarray = field(default_factory=lambda: np.ones(3))
+    # (3, 3) to linear Rec.709 from the balanced camera's channels, or from the file's primaries
     matrix: np.ndarray = field(default_factory=lambda: np.eye(3))
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Linear values of one exposure at the working size.
+    """Linear values of one exposure at the working size."""
 
-    Attributes:
-        values: (height, width, 3) float16 or float32, radiance times exposure; 1 at the nominal ceiling.
-        clipped: (height, width, 3) bool, places to which a clipped value contributes.
-    """
-
+    # (height, width, 3) float16 or float32, radiance times exposure; 1 at the nominal ceiling
     values: np.ndarray
-    clipped: np.ndarray
+    clipped: np.ndarray  # (height, width, 3) bool, places to which a clipped value contributes
 
 
 def load(path: Path, photograph: Photograph, settings: PrepareSettings | None = None) -> Stored:
@@ -68,9 +59,6 @@ def load(path: Path, photograph: Photograph, settings: PrepareSettings | None = 
 
     Codes are those of sRGB's curve, where the file has another one, unless the settings say that they are
     linear.
-
-    Raises:
-        FiptError: ``photograph-unreadable`` and those of `read_radiance`.
     """
     settings = settings or PrepareSettings()
     try:

@@ -20,7 +20,7 @@ from ..core.run.messages import Reporter
 from ..core.run.method import digest
 from ..core.run.runfolder import atomic_path, write_json
 from .brackets import listed
-from .calibration import Calibration, Survey, calibrate, survey_group
+from .calibration import Calibration, Survey, calibrate, camera_of, survey_group
 from .command import code_digest
 from .facts import MergedImage, MergeFacts, ResponseFacts
 from .frames import Frame, linear_frame, load, upright
@@ -46,11 +46,7 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
 
 
 def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> MergeFacts:
-    """Merge all used groups.
-
-    Raises:
-        FiptError: ``no-photographs``, ``exposure-unknown``, ``bracket-mixed``, and those of `frames.load`.
-    """
+    """Merge all used groups."""
     groups = preparation.used_groups
     _check(preparation, groups)
     surveys: list[Survey] = []
@@ -111,7 +107,7 @@ def merged_group(
     radiance, clipped, moved = merge_group(frames, exposures, motions, calibration.noise[first.kind])
     del frames  # of 24 megapixels each, they are most of the memory
     if first.kind == "raw":
-        radiance = in_rec709(radiance, clipped, calibration.balance, calibration.matrix)
+        radiance = in_rec709(radiance, clipped, *calibration.colors[camera_of(first)])
     else:
         radiance = radiance @ matrix.astype(np.float32).T
     falloff = vignetting(first) if settings.vignetting == "auto" and first.has_vignetting else None

@@ -34,15 +34,10 @@ _DARK, _BRIGHT = 0.01, 0.85  # linear values that are compared to find them
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """How reliable a linear value is.
+    """How reliable a linear value is."""
 
-    Attributes:
-        levels: (n,) linear values in growing order, 1 at the ceiling.
-        weights: (n, 3) inverse of the relative variance there, times the hat.
-    """
-
-    levels: np.ndarray
-    weights: np.ndarray
+    levels: np.ndarray  # (n,) linear values in growing order, 1 at the ceiling
+    weights: np.ndarray  # (n, 3) inverse of the relative variance there, times the hat
 
     def weigh(self, values: np.ndarray) -> np.ndarray:
         """Weights of linear values (..., 3)."""

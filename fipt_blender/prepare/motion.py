@@ -29,18 +29,13 @@ _OUTLIER = 2.5  # residuals beyond this many (robust) standard deviations do not
 
 @dataclass(frozen=True)
 class Motion:
-    """From places of the reference to those of an exposure: a turn about the image's centre, then a shift.
+    """From places of the reference to those of an exposure: a turn about the image's centre, then a shift."""
 
-    Attributes:
-        x, y: shift in shares of the longer side.
-        angle: radians, clockwise in the image.
-        similarity: correlation of the two exposures once they are aligned, -1 to 1.
-    """
-
+    # x, y: shift in shares of the longer side
     x: float = 0.0
     y: float = 0.0
-    angle: float = 0.0
-    similarity: float = 1.0
+    angle: float = 0.0  # radians, clockwise in the image
+    similarity: float = 1.0  # correlation of the two exposures once they are aligned, -1 to 1
 
     def corner_shift(self, width: int, height: int) -> float:
         """The largest motion of a corner in pixels of an image of this size."""

@@ -52,40 +52,29 @@ _REMEDY = "Correct the file, or delete it and find the brackets again."
 
 @dataclass(frozen=True)
 class Photograph:
-    """One file as its header describes it; None where the header does not say.
+    """One file as its header describes it; None where the header does not say."""
 
-    Attributes:
-        path: within the folder of the photographs, relative to it.
-        kind: ``raw`` (a sensor's values), ``ldr`` (codes after a camera's response), ``linear`` (radiance).
-        width, height: pixels as stored, before `orientation`.
-        orientation: of EXIF, 1 to 8.
-        shutter: seconds.
-        aperture: f-number.
-        iso: sensitivity.
-        focal_length: mm.
-        focal_35mm: mm of a 35 mm camera with the same angle of view.
-        make, model, lens: of the camera and its lens; "" where unknown.
-        corrected: whether the camera has corrected the lens's vignetting; None where it does not say.
-        time: seconds, only for differences between photographs.
-        exposure: the light that reaches the values, relative: shutter * iso / (100 * aperture²). The user may
-            set it where the header does not.
-    """
-
-    path: str
+    path: str  # within the folder of the photographs, relative to it
+    # ``raw`` (a sensor's values), ``ldr`` (codes after a camera's response), ``linear`` (radiance)
     kind: Annotated[str, choice("raw", "ldr", "linear")]
+    # width, height: pixels as stored, before `orientation`
     width: Pixels
     height: Pixels
-    orientation: Annotated[int, Number(1, 8)] = 1
-    shutter: _Positive | None = None
-    aperture: _Positive | None = None
-    iso: _Positive | None = None
-    focal_length: _Positive | None = None
-    focal_35mm: _Positive | None = None
+    orientation: Annotated[int, Number(1, 8)] = 1  # of EXIF, 1 to 8
+    shutter: _Positive | None = None  # seconds
+    aperture: _Positive | None = None  # f-number
+    iso: _Positive | None = None  # sensitivity
+    focal_length: _Positive | None = None  # mm
+    focal_35mm: _Positive | None = None  # mm of a 35 mm camera with the same angle of view
+    # make, model, lens: of the camera and its lens; "" where unknown
     make: str = ""
     model: str = ""
     lens: str = ""
+    # Whether the camera has corrected the lens's vignetting; None where it does not say
     corrected: bool | None = None
-    time: float | None = None
+    time: float | None = None  # seconds, only for differences between photographs
+    # The light that reaches the values, relative: shutter * iso / (100 * aperture²). The user may set
+    # it where the header does not.
     exposure: _Positive | None = None
 
     @property
@@ -101,17 +90,11 @@ class Photograph:
 
 @dataclass(frozen=True)
 class Group:
-    """Photographs that become one view.
+    """Photographs that become one view."""
 
-    Attributes:
-        name: of the view and of its files.
-        photographs: paths as in `Photograph.path`.
-        used: whether it becomes a view.
-    """
-
-    name: FileName
-    photographs: Annotated[tuple[str, ...], SOME]
-    used: bool = True
+    name: FileName  # of the view and of its files
+    photographs: Annotated[tuple[str, ...], SOME]  # paths as in `Photograph.path`
+    used: bool = True  # whether it becomes a view
 
 
 @dataclass(frozen=True)
@@ -182,19 +165,12 @@ class PrepareSettings:
 
 @dataclass(frozen=True)
 class Preparation:
-    """Content of prepare.json.
+    """Content of prepare.json."""
 
-    Attributes:
-        source: absolute folder of the photographs.
-        photographs: in the order of time and name.
-        groups: in the order of their views.
-        settings: see `PrepareSettings`.
-    """
-
-    source: Path
-    photographs: tuple[Photograph, ...]
-    groups: tuple[Group, ...]
-    settings: PrepareSettings = PrepareSettings()
+    source: Path  # absolute folder of the photographs
+    photographs: tuple[Photograph, ...]  # in the order of time and name
+    groups: tuple[Group, ...]  # in the order of their views
+    settings: PrepareSettings = PrepareSettings()  # see `PrepareSettings`
 
     @property
     def used_groups(self) -> list[Group]:
@@ -254,9 +230,6 @@ def split_group(groups: Sequence[Group], index: int, at: int) -> list[Group]:
     """The groups with one of them cut into its first `at` photographs and the others.
 
     The first part keeps its name; the second takes that of its first photograph.
-
-    Raises:
-        FiptError: ``group-not-split`` where a part would be empty.
     """
     group = groups[index]
     if not 0 < at < len(group.photographs):
@@ -269,11 +242,7 @@ def split_group(groups: Sequence[Group], index: int, at: int) -> list[Group]:
 
 
 def merge_groups(groups: Sequence[Group], index: int) -> list[Group]:
-    """The groups with one of them and the next one as one group, which has the name of the first.
-
-    Raises:
-        FiptError: ``group-not-merged`` for the last group.
-    """
+    """The groups with one of them and the next one as one group, which has the name of the first."""
     if not 0 <= index < len(groups) - 1:
         raise FiptError("group-not-merged")
     first, second = groups[index], groups[index + 1]
@@ -284,31 +253,19 @@ def merge_groups(groups: Sequence[Group], index: int) -> list[Group]:
 
 
 def make_prepare_settings(changes: Mapping[str, Any]) -> PrepareSettings:
-    """Settings with some values changed; texts are converted to the field's type.
-
-    Raises:
-        FiptError: ``setting-unknown`` or ``setting-invalid``.
-    """
+    """Settings with some values changed; texts are converted to the field's type."""
     return PrepareSettings(**converted(PrepareSettings, changes))
 
 
 def write_preparation(folder: PreparationFolder, preparation: Preparation) -> None:
-    """Write prepare.json, completely or not at all.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
+    """Write prepare.json, completely or not at all."""
     settings = asdict(preparation.settings)
     data = _Document(str(preparation.source), settings, preparation.photographs, preparation.groups)
     write_json(folder.prepare_json, data)
 
 
 def read_preparation(folder: PreparationFolder) -> Preparation:
-    """Read prepare.json and check that its groups agree with its photographs.
-
-    Raises:
-        FiptError: ``file-missing``, ``file-damaged``, ``setting-unknown`` or ``setting-invalid``.
-    """
+    """Read prepare.json and check that its groups agree with its photographs."""
     data = read_document(folder.prepare_json, _Document, _REMEDY)
     fault = _fault(Path(data.source), data.photographs, data.groups)
     if fault:
@@ -344,11 +301,7 @@ def _fault(source: Path, photographs: tuple[Photograph, ...], groups: tuple[Grou
 
 
 def refuse_foreign(folder: PreparationFolder, photographs: Path) -> None:
-    """Refuse to write among the photographs or into a folder that holds something else.
-
-    Raises:
-        FiptError: ``capture-foreign``.
-    """
+    """Refuse to write among the photographs or into a folder that holds something else."""
     if folder.prepare_json.exists():
         return
     own = {"messages", "log.txt", "engine.lock", "stage"}

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import filecmp
+import hashlib
 import os
 from collections import Counter
 from collections.abc import Sequence
@@ -11,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
 
-from ..core.capture.files import is_hidden, original_of, role
+from ..core.capture.files import copied_from, is_hidden, original_of, role
 from ..core.capture.panorama import says_panorama
 from ..core.capture.suffixes import SUFFIXES
 from ..core.run.errors import FiptError
@@ -21,6 +23,8 @@ from .brackets import find_groups, in_order, likeness, listed, remarks
 from .exif import describe
 from .facts import LeftOut, ReadFacts
 from .preparation import Group, Photograph, Preparation, PreparationFolder, write_preparation
+
+ENDS = 1 << 18  # bytes at both ends of files that are compared before all of them
 
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
@@ -34,9 +38,6 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     """Read all headers and write prepare.json.
 
     Exposures that the user entered are kept, and so are the groups if they have the same photographs.
-
-    Raises:
-        FiptError: ``no-photographs``.
     """
     photographs: list[Photograph] = []
     damaged: list[LeftOut] = []
@@ -44,13 +45,21 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
     maps: list[LeftOut] = []
     source = preparation.source
     names = list_photographs(source)
+    copied = second_copies(source, [name for name in names if not role(name)])
     for index, name in enumerate(names):
+        if name in copied:
+            continue
         try:
             photograph = describe(source / name, name)
             size = photograph.width, photograph.height
             # Cameras and phones write what a photograph was taken with, programs that make maps do not.
             what = "" if photograph.model or photograph.shutter else role(name)
-            if what:
+            if name.lower().endswith(".insp"):
+                fisheyes = (
+                    "it is a pair of fisheye images: stitch it to a panorama first, which prepare leaves out"
+                )
+                panoramas.append(LeftOut(name, fisheyes))
+            elif what:
                 maps.append(LeftOut(name, f"it is one of the {what}"))
             elif not preparation.settings.cameras and says_panorama(source / name, size):
                 panoramas.append(LeftOut(name, "it is an equirectangular panorama, which is not solved here"))
@@ -62,7 +71,8 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
         reporter.progress(0.7 * (index + 1) / len(names))  # of the time; the rest compares photographs
     photographs, doubles = without_doubles(in_order(photographs))
     copies = [LeftOut(item.path, "the photograph that it was made of is used") for item in doubles]
-    skipped = (*damaged, *copies, *maps, *panoramas)
+    again = [LeftOut(name, f"it is a second copy of {original}") for name, original in copied.items()]
+    skipped = (*damaged, *copies, *again, *maps, *panoramas)
     if not photographs:
         raise FiptError(
             "no-photographs.run", number_of_skipped=len(skipped), source=source, reason=skipped[0].reason
@@ -75,10 +85,11 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
         groups = find_groups(photographs, preparation.settings.grouping, likeness(source))
     if panoramas:
         reporter.warning("panoramas-left-out", panoramas=listed([item.name for item in panoramas]))
-    if copies or maps:
+    if copies or maps or again:
         kinds = Counter(item.reason.removeprefix("it is one of the ") for item in maps)
         said = [f"{count} {kind}" for kind, count in kinds.items()]
         said += [f"{len(copies)} JPEGs of RAW photographs or edited copies"] if copies else []
+        said += [f"{len(again)} second copies"] if again else []
         remedy = "To use them instead, move the others out of the folder."
         reporter.warning("images-left-out", said=" and ".join(said), remedy=remedy)
     if damaged:
@@ -94,11 +105,7 @@ def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter)
 
 
 def list_photographs(source: Path) -> list[str]:
-    """Relative paths of all photographs below a folder, with forward slashes; hidden ones are left out.
-
-    Raises:
-        FiptError: ``photographs-missing``, ``no-photographs`` or ``too-many-photographs``.
-    """
+    """Relative paths of all photographs below a folder, with forward slashes; hidden ones are left out."""
     if not source.is_dir():
         raise FiptError("photographs-missing.list-photographs", source=source)
     names = []
@@ -112,6 +119,29 @@ def list_photographs(source: Path) -> list[str]:
     if not names:
         raise FiptError("no-photographs.list-photographs", source=source)
     return names
+
+
+def second_copies(source: Path, names: Sequence[str]) -> dict[str, str]:
+    """The files with the content of another one, by name, and the name of that, the plainest one."""
+    by_size: dict[int, list[str]] = {}
+    for name in names:
+        by_size.setdefault((source / name).stat().st_size, []).append(name)
+    copies = {}
+    for size, alike in by_size.items():
+        first: dict[str, str] = {}
+        plain = sorted(
+            alike, key=lambda name: (copied_from(PurePath(name).stem) != PurePath(name).stem, len(name))
+        )
+        for name in plain if len(alike) > 1 and size else ():
+            # Photographs of one size differ in their ends, where times and the last rows are.
+            with (source / name).open("rb") as file:
+                ends = file.read(ENDS)
+                file.seek(max(size - ENDS, 0))
+                ends += file.read(ENDS)
+            original = first.setdefault(hashlib.sha256(ends).hexdigest(), name)
+            if original != name and filecmp.cmp(source / original, source / name, shallow=False):
+                copies[name] = original
+    return copies
 
 
 def without_doubles(photographs: Sequence[Photograph]) -> tuple[list[Photograph], list[Photograph]]:

@@ -55,20 +55,15 @@ _CURVE_SIZE = 200.0  # pixels along an edge of the picture of a response
 
 @dataclass(frozen=True)
 class Plan:
-    """The cameras from above, in pixels of the plan.
+    """The cameras from above, in pixels of the plan."""
 
-    Attributes:
-        width, height: of the plan.
-        arrows: of each camera its name, its place (2,), and the tip of an arrow along its view (2,).
-        bar: length of a bar.
-        length: what the bar is in units of the model.
-    """
-
+    # width, height: of the plan
     width: float
     height: float
+    # Of each camera its name, its place (2,), and the tip of an arrow along its view (2,)
     arrows: tuple[tuple[str, list[float], list[float]], ...]
-    bar: float
-    length: float
+    bar: float  # length of a bar
+    length: float  # what the bar is in units of the model
 
 
 def key(folder: PreparationFolder, preparation: Preparation) -> Any:
@@ -93,9 +88,6 @@ def write_report(
         folder, preparation: of the capture.
         progress: called with the finished share.
         stopped: the error that has ended the steps, if one has.
-
-    Raises:
-        FiptError: ``file-damaged``, ``image-unreadable``, ``disk-full`` or ``run-unwritable``.
     """
     merge = read_facts(folder, "merge", MergeFacts) or MergeFacts()
     read = read_facts(folder, "read", ReadFacts) or ReadFacts()

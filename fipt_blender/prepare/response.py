@@ -30,15 +30,10 @@ ANCHOR = 128  # the code whose linear value is sRGB's in each channel, so that g
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """A recovered response.
+    """A recovered response."""
 
-    Attributes:
-        curve: (256, 3) linear value of each code, increasing, 1 at the highest.
-        uncertainty: (256, 3) standard deviation of its logarithm.
-    """
-
-    curve: np.ndarray
-    uncertainty: np.ndarray
+    curve: np.ndarray  # (256, 3) linear value of each code, increasing, 1 at the highest
+    uncertainty: np.ndarray  # (256, 3) standard deviation of its logarithm
 
 
 def srgb_curve() -> np.ndarray:

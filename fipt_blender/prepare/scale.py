@@ -59,12 +59,7 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
 
 
 def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> ScaleFacts:
-    """Write sparse/0 in the room's frame; returns facts for the report.
-
-    Raises:
-        FiptError: ``scale-length``, ``scale-picks``, ``scale-matrix``, ``scale-view``, ``scale-point``,
-            ``marker-dictionary``, ``marker-missing``, ``package-optional``, and those of reading and writing.
-    """
+    """Write sparse/0 in the room's frame; returns facts for the report."""
     model, settings = read_model(folder.model), preparation.settings
     unit, doubt = 1.0, None
     if settings.scale in ("points", "marker"):
@@ -128,11 +123,7 @@ def triangulated(images: Sequence[pycolmap.Image], pixels: np.ndarray) -> np.nda
 
 
 def parse_picks(text: str) -> tuple[list[Pick], list[Pick]]:
-    """Two points from a text such as ``"desk-1 812 440, desk-2 790 431; desk-1 102 455"``.
-
-    Raises:
-        FiptError: ``scale-picks``.
-    """
+    """Two points from a text such as ``"desk-1 812 440, desk-2 790 431; desk-1 102 455"``."""
     points = [
         [_pick(part) for part in point.split(",") if part.strip()]
         for point in text.split(";")
@@ -155,11 +146,7 @@ def _pick(text: str) -> Pick:
 
 
 def parse_similarity(text: str) -> np.ndarray:
-    """A similarity (4, 4) from 12 or 16 numbers, row by row, without reflection.
-
-    Raises:
-        FiptError: ``scale-matrix``.
-    """
+    """A similarity (4, 4) from 12 or 16 numbers, row by row, without reflection."""
     try:
         values = np.array([float(word) for word in text.replace(",", " ").split()])
     except ValueError:
@@ -259,9 +246,6 @@ def marker_finder(dictionary: str) -> Callable[[np.ndarray], dict[int, np.ndarra
     """What finds the markers of one dictionary in eight-bit pictures (height, width).
 
     It returns the corners (4, 2) in pixels of each marker by its number; a number seen twice is left out.
-
-    Raises:
-        FiptError: ``package-optional`` without OpenCV, ``marker-dictionary`` for an unknown dictionary.
     """
     if dictionary not in DICTIONARIES:
         raise FiptError("marker-dictionary", dictionary=dictionary, dictionaries=", ".join(DICTIONARIES))

@@ -52,13 +52,7 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
 
 
 def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> SolveFacts:
-    """Solve the cameras, or take those of an existing solve; returns facts for the report.
-
-    Raises:
-        FiptError: ``image-missing`` without a merged image, ``solve-few``, ``solve-failed``,
-            ``solve-foreign``, ``solve-size``, those of the capture readers, ``disk-full`` or
-            ``run-unwritable``.
-    """
+    """Solve the cameras, or take those of an existing solve; returns facts for the report."""
     groups = preparation.used_groups
     missing = [group.name for group in groups if not folder.image(group).is_file()]
     if missing:
@@ -177,11 +171,7 @@ def _warn(solved: Solve, facts: SolveFacts, count: int, reporter: Reporter) -> N
 
 
 def write_model(folder: Path, model: pycolmap.Reconstruction) -> None:
-    """Write a model in COLMAP's binary format; a model that is there is replaced by a complete one.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
+    """Write a model in COLMAP's binary format; a model that is there is replaced by a complete one."""
     with atomic_folder(folder) as new:
         try:
             model.write_binary(str(new))
@@ -193,11 +183,7 @@ def write_model(folder: Path, model: pycolmap.Reconstruction) -> None:
 
 
 def read_model(folder: Path) -> pycolmap.Reconstruction:
-    """Read a model that `write_model` has written.
-
-    Raises:
-        FiptError: ``file-missing`` or ``rig-damaged``.
-    """
+    """Read a model that `write_model` has written."""
     if not (folder / "cameras.bin").is_file():
         raise FiptError("file-missing.read-model", folder=folder)
     return colmap.opened(colmap.Model(folder, folder))
@@ -215,10 +201,6 @@ def model_from_rig(rig: Rig, wanted: list[SolveView]) -> pycolmap.Reconstruction
     Args:
         rig: the existing solve.
         wanted: the capture's views; those that the rig lacks are left out.
-
-    Raises:
-        FiptError: ``solve-foreign`` where no view is found, ``solve-size`` where an image has another shape,
-            ``file-ambiguous`` where a name fits several views, or a view several names.
     """
     called = {f"{index}/{view.name}": view for index, view in enumerate(rig.views)}
     names = Names(called)

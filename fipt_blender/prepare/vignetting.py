@@ -42,36 +42,23 @@ _BRIGHTEST = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Where and how bright views see solved points.
+    """Where and how bright views see solved points."""
 
-    Attributes:
-        point: (N,) number of the point.
-        view: (N,) number of the view.
-        radius: (N,) distance from the image's center; 1 in the corner.
-        log_radiance: (N,) natural logarithm.
-    """
-
-    point: np.ndarray
-    view: np.ndarray
-    radius: np.ndarray
-    log_radiance: np.ndarray
+    point: np.ndarray  # (N,) number of the point
+    view: np.ndarray  # (N,) number of the view
+    radius: np.ndarray  # (N,) distance from the image's center; 1 in the corner
+    log_radiance: np.ndarray  # (N,) natural logarithm
 
 
 @dataclass(frozen=True, eq=False)
 class Falloff:
-    """Vignetting of one lens.
+    """Vignetting of one lens."""
 
-    Attributes:
-        coefficients: (TERMS,) of r², r⁴, r⁶ of the logarithm of the share of light; r is 1 in the corner.
-        corner: share of light in the corner.
-        corner_error: its standard error.
-        noise: relative standard deviation of an observation.
-    """
-
+    # (TERMS,) of r², r⁴, r⁶ of the logarithm of the share of light; r is 1 in the corner
     coefficients: np.ndarray
-    corner: float
-    corner_error: float
-    noise: float
+    corner: float  # share of light in the corner
+    corner_error: float  # its standard error
+    noise: float  # relative standard deviation of an observation
 
     @property
     def certain(self) -> bool:
@@ -132,11 +119,7 @@ def key(folder: PreparationFolder, preparation: Preparation) -> Any:
 
 
 def run(folder: PreparationFolder, preparation: Preparation, reporter: Reporter) -> VignettingFacts:
-    """Fit and divide out the vignetting of each lens that the database did not correct; returns facts.
-
-    Raises:
-        FiptError: of reading the model and of reading and writing images.
-    """
+    """Fit and divide out the vignetting of each lens that the database did not correct; returns facts."""
     wanted = preparation.settings.vignetting == "auto"
     lenses = _lenses(preparation) if wanted else {}
     known = _lenses(preparation, by_database=True) if wanted else {}

@@ -25,6 +25,12 @@ def _views_changed(self: FIPT_CaptureView, context: bpy.types.Context) -> None:
         self.id_data.fipt.capture.count_views()
 
 
+def _path_changed(self: FIPT_CaptureSettings, context: bpy.types.Context) -> None:
+    """Another capture does not have the mistake that was fixed in the last one."""
+    if self.fixed and self.fixed != self.path:
+        self.correct = self.fixed = ""
+
+
 def _active_changed(self: FIPT_CaptureSettings, context: bpy.types.Context) -> None:
     """Look through the camera of the row that was clicked, unless a script fills the list."""
     if self.follow and 0 <= self.active_view < len(self.views):
@@ -142,7 +148,9 @@ class FIPT_CaptureSettings(bpy.types.PropertyGroup):
         description="Folder of the photographs and their cameras (COLMAP, transforms.json, FIPT), or the"
         " camera file itself",
         subtype="FILE_PATH",
+        update=_path_changed,
     )
+    fixed: bpy.props.StringProperty(description="The capture that Fix has corrected", options={"HIDDEN"})
     __annotations__.update(IMPORT_OPTIONS)
     room: bpy.props.PointerProperty(
         name="Room",

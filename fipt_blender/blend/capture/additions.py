@@ -30,17 +30,11 @@ SEGMENTS = 32  # of a cylinder
 
 @dataclass(frozen=True)
 class Place:
-    """Where a missing thing may stand.
+    """Where a missing thing may stand."""
 
-    Attributes:
-        base: (3,) middle of its lower side, world.
-        size: (3,) its extents, metres.
-        facing: (3,) unit vector along its least extent, to the cameras.
-    """
-
-    base: np.ndarray
-    size: np.ndarray
-    facing: np.ndarray
+    base: np.ndarray  # (3,) middle of its lower side, world
+    size: np.ndarray  # (3,) its extents, metres
+    facing: np.ndarray  # (3,) unit vector along its least extent, to the cameras
 
 
 def added_surfaces(scene: bpy.types.Scene) -> list[bpy.types.Object]:

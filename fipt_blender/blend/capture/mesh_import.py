@@ -41,6 +41,12 @@ IMPORTERS: dict[str, list[tuple[str, str, dict[str, Any]]]] = {
     ".usda": [("wm", "usd_import", {})],
     ".usdz": [("wm", "usd_import", {})],
 }
+# What importers may change of a scene, its render settings and its units.
+_KEPT = (
+    ("frame_start", "frame_end", "frame_step", "frame_current", "use_preview_range", "camera", "world"),
+    ("fps", "fps_base"),
+    ("system", "scale_length", "length_unit"),
+)
 # What importers have converted from Y up to Z up is turned back: glTF always, USD by its own up axis.
 _UNDO = np.linalg.inv(conventions.world_from_source("y"))
 
@@ -60,10 +66,6 @@ def import_room(
 
     Returns:
         Names of the mesh objects, in the order of the file.
-
-    Raises:
-        FiptError: ``mesh-missing``, ``mesh-format``, ``mesh-unreadable``, ``mesh-empty``, ``mesh-not-finite``
-            or ``path-long``.
     """
     path = Path(path)
     if not path.is_file():
@@ -80,9 +82,11 @@ def import_meshes(
     check_length(path)
     check_mesh_file(path)
     existing = {item.as_pointer() for item in bpy.data.objects}
-    with _selection_kept():
+    with _selection_kept(), _scene_kept():
         _run_importer(path)
     new = [item for item in bpy.data.objects if item.as_pointer() not in existing]
+    for item in new:
+        _put_at_rest(item)
     bpy.context.view_layer.update()
     matrices = {item.name: np.array(item.matrix_world, np.float64) for item in new}
     target = collection(scene or bpy.context.scene, ROOM)
@@ -140,6 +144,39 @@ def _selection_kept() -> Iterator[None]:
         for item in layer.objects:
             item.select_set(item.name in selected)
         layer.objects.active = layer.objects.get(active)
+
+
+@contextmanager
+def _scene_kept() -> Iterator[None]:
+    """Restore what importers change of the scene: its frames, rate, unit, camera and world."""
+    scene, worlds = bpy.context.scene, set(bpy.data.worlds)
+    owners = scene, scene.render, scene.unit_settings
+    kept = [
+        {name: getattr(owner, name) for name in names} for owner, names in zip(owners, _KEPT, strict=True)
+    ]
+    scene.world = None  # else the importer of USD changes its nodes
+    try:
+        yield
+    finally:
+        for owner, values in zip(owners, kept, strict=True):
+            for name, value in values.items():
+                if getattr(owner, name) != value:
+                    setattr(owner, name, value)
+        for world in set(bpy.data.worlds) - worlds:
+            if not world.users:
+                bpy.data.worlds.remove(world)
+
+
+def _put_at_rest(item: bpy.types.Object) -> None:
+    """Take an imported object's animation away: a room has the shape that its file stores."""
+    item.animation_data_clear()
+    if item.type == "ARMATURE":
+        item.data.pose_position = "REST"
+    item.constraints.clear()
+    if item.type == "MESH":
+        if item.data.shape_keys is not None:
+            item.shape_key_clear()
+        item.modifiers.clear()
 
 
 def _run_importer(path: Path) -> None:

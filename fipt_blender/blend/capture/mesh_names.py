@@ -25,6 +25,13 @@ _MAPS = rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+([^\r\n]{1,4096})"
 _TEXTURE = re.compile(_MAPS, re.M | re.I)
 BLOCK = 1 << 24  # bytes that are searched at a time
 _GLTF = (".gltf", ".glb")
+# Extensions of glTF that Blender does not read, and what their programs call them.
+COMPRESSIONS = {
+    "EXT_meshopt_compression": "the compression meshopt (gltfpack without -c or -cc writes none)",
+    "KHR_meshopt_compression": "the compression meshopt",
+    "KHR_texture_basisu": "textures as KTX2 (Basis Universal); none are needed",
+    "EXT_texture_avif": "textures as AVIF; none are needed",
+}
 _LISTS = ("scenes", "nodes", "buffers", "images")  # of glTF's JSON that are read
 
 
@@ -41,15 +48,16 @@ def named_files(path: Path) -> set[str]:
 
 
 def check_mesh_file(path: Path) -> None:
-    """Refuse a mesh file that names files which it may not name, or that Blender's importer takes wrongly.
-
-    Raises:
-        FiptError: ``mesh-unreadable``.
-    """
+    """Refuse a mesh file that names files which it may not name, or that Blender's importer takes wrongly."""
     try:
         check_named_files(path)
+        with open(path, "rb") as file:
+            if re.match(rb"ply\r[^\n]", file.read(5)):
+                raise ValueError("its lines end with CR, as on old Macs; save it with other line ends")
         if path.suffix.lower() in _GLTF:
-            _check_scene(_gltf(path))
+            document = _gltf(path)
+            _check_extensions(path, document)
+            _check_scene(document)
     except (OSError, ValueError) as error:
         raise FiptError("mesh-unreadable.check-mesh-file", path=path, error=error) from None
 
@@ -137,6 +145,14 @@ def _gltf(path: Path) -> dict[str, Any]:
     if not all(isinstance(each.get("uri", ""), str) for each in (*lists["buffers"], *lists["images"])):
         raise ValueError("its names of files are damaged")
     return document | lists
+
+
+def _check_extensions(path: Path, document: dict[str, Any]) -> None:
+    """Refuse a file that is compressed in a way that Blender's importer does not read."""
+    required = document.get("extensionsRequired", [])
+    for name, what in COMPRESSIONS.items():
+        if isinstance(required, list) and name in required:
+            raise FiptError("mesh-format.compressed", path=path, name=name, what=what)
 
 
 def _check_scene(document: dict[str, Any]) -> None:

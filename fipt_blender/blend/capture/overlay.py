@@ -31,18 +31,12 @@ _LIGHT = np.array([0.32, 0.24, 0.92])  # direction of the light that shades the 
 
 @dataclass
 class Part:
-    """The triangles of one object in its own space.
+    """The triangles of one object in its own space."""
 
-    Attributes:
-        name: name of the object.
-        positions: (3 T, 3) f32.
-        colors: (3 T, 4) f32 rgba.
-        batch: the GPU batch, made when it is first drawn.
-    """
-
-    name: str
-    positions: np.ndarray
-    colors: np.ndarray
+    name: str  # name of the object
+    positions: np.ndarray  # (3 T, 3) f32
+    colors: np.ndarray  # (3 T, 4) f32 rgba
+    # The GPU batch, made when it is first drawn
     batch: gpu.types.GPUBatch | None = field(default=None, repr=False)
 
 

@@ -29,17 +29,11 @@ from .importing import not_in_room, room_missing
 
 
 class Level(NamedTuple):
-    """A colour of a scale.
+    """A colour of a scale."""
 
-    Attributes:
-        least: the least value of a triangle of this colour: number of views that see it.
-        label: the value as text, of two characters at most: the panel is narrow.
-        color: display RGB, 0 to 1.
-    """
-
-    least: float
-    label: str
-    color: tuple[float, float, float]
+    least: float  # the least value of a triangle of this colour: number of views that see it
+    label: str  # the value as text, of two characters at most: the panel is narrow
+    color: tuple[float, float, float]  # display RGB, 0 to 1
 
 
 # From dark blue to yellow by rising lightness, and magenta: colour-blind people can tell all of them apart.
@@ -55,19 +49,12 @@ _NO_PART = np.array((0.25, 0.25, 0.25))
 
 @dataclass(frozen=True)
 class Survey:
-    """What the survey found about each triangle of the room.
+    """What the survey found about each triangle of the room."""
 
-    Attributes:
-        views: names, in the order of `seen`.
-        seen: (V, ceil(T / 8)) u8, one bit per triangle: whether the view sees it.
-        areas: (T,) f32 square metres, 0 for triangles hidden from everywhere the cameras stood.
-        labels: by source, the part of each triangle (T,) i32, -1 without a part.
-    """
-
-    views: list[str]
-    seen: np.ndarray
-    areas: np.ndarray
-    labels: dict[str, np.ndarray]
+    views: list[str]  # names, in the order of `seen`
+    seen: np.ndarray  # (V, ceil(T / 8)) u8, one bit per triangle: whether the view sees it
+    areas: np.ndarray  # (T,) f32 square metres, 0 for triangles hidden from everywhere the cameras stood
+    labels: dict[str, np.ndarray]  # by source, the part of each triangle (T,) i32, -1 without a part
 
     def counts(self, names: set[str]) -> np.ndarray:
         """How many of the named views see each triangle, (T,) u16."""

@@ -20,17 +20,11 @@ MIRRORED = 0.5  # share of the error that is left if one side is mirrored, below
 
 @dataclass(frozen=True, eq=False)
 class PairFit:
-    """A similarity fitted to pairs of points.
+    """A similarity fitted to pairs of points."""
 
-    Attributes:
-        similarity: (4, 4) float64 from source to target.
-        residuals: (N,) distances in units of the target.
-        mirrored: the pairs fit much better if one side is mirrored: a mesh with a negated axis.
-    """
-
-    similarity: np.ndarray
-    residuals: np.ndarray
-    mirrored: bool
+    similarity: np.ndarray  # (4, 4) float64 from source to target
+    residuals: np.ndarray  # (N,) distances in units of the target
+    mirrored: bool  # the pairs fit much better if one side is mirrored: a mesh with a negated axis
 
     @property
     def error(self) -> float:
@@ -43,9 +37,6 @@ def fit_pairs(source: np.ndarray, target: np.ndarray) -> PairFit:
 
     Args:
         source, target: (N, 3) points, N of at least 3, not all on one line.
-
-    Raises:
-        FiptError: ``alignment-pairs`` for too few points, or points on one line.
     """
     source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:
@@ -87,11 +78,7 @@ def _distances(similarity: np.ndarray, source: np.ndarray, target: np.ndarray) -
 
 
 def refuse_line(points: np.ndarray, name: str) -> None:
-    """Refuse points (N, 3) of what has a name that lie on one line.
-
-    Raises:
-        FiptError: ``alignment-pairs``.
-    """
+    """Refuse points (N, 3) of what has a name that lie on one line."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if not spread[1] > FLAT * spread[0]:
         raise undecided(f"The points of the {name} lie on one line")

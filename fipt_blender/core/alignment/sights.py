@@ -21,17 +21,11 @@ _MIN_NUMBERS = 7  # of a similarity; a ray gives two, a point three
 
 @dataclass(frozen=True, eq=False)
 class Sights:
-    """Where the picked points are in the coordinates of the cameras.
+    """Where the picked points are in the coordinates of the cameras."""
 
-    Attributes:
-        pair: (K,) index of the pair that each belongs to.
-        origin: (K, 3) the camera's position, or the point itself where it is known.
-        direction: (K, 3) unit direction from the camera, or zeros where the point is known.
-    """
-
-    pair: np.ndarray
-    origin: np.ndarray
-    direction: np.ndarray
+    pair: np.ndarray  # (K,) index of the pair that each belongs to
+    origin: np.ndarray  # (K, 3) the camera's position, or the point itself where it is known
+    direction: np.ndarray  # (K, 3) unit direction from the camera, or zeros where the point is known
 
     @property
     def is_point(self) -> np.ndarray:
@@ -54,9 +48,6 @@ def fit_sights(sights: Sights, target: np.ndarray) -> PairFit:
 
     Returns:
         The similarity; as residual of a pair, the largest distance of its mesh point from its rays.
-
-    Raises:
-        FiptError: ``alignment-pairs`` where the pairs do not decide it.
     """
     target = np.asarray(target, np.float64)
     known = sights.is_point
@@ -93,11 +84,7 @@ def _check_count(sights: Sights, target: np.ndarray) -> None:
 
 
 def _solve(sights: Sights, target: np.ndarray) -> tuple[np.ndarray, float]:
-    """The similarity (4, 4) from the mesh to the cameras, and the sum of its squared angles.
-
-    Raises:
-        FiptError: ``alignment-pairs`` where the pairs do not decide it.
-    """
+    """The similarity (4, 4) from the mesh to the cameras, and the sum of its squared angles."""
     middle = sights.origin.mean(axis=0)
     size = float(np.sqrt(((sights.origin - middle) ** 2).sum(axis=1).mean())) or 1.0
     near = Sights(sights.pair, (sights.origin - middle) / size, sights.direction)

@@ -18,17 +18,11 @@ NEIGHBOURS = 12  # samples and triangles' middles around a position whose triang
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Points spread evenly over a mesh.
+    """Points spread evenly over a mesh."""
 
-    Attributes:
-        points: (N, 3) float64.
-        triangle: (N,) the triangle that each point lies on.
-        corners: (T, 3, 3) float64 of all triangles.
-    """
-
-    points: np.ndarray
-    triangle: np.ndarray
-    corners: np.ndarray
+    points: np.ndarray  # (N, 3) float64
+    triangle: np.ndarray  # (N,) the triangle that each point lies on
+    corners: np.ndarray  # (T, 3, 3) float64 of all triangles
 
     @cached_property
     def tree(self) -> cKDTree:
@@ -66,9 +60,6 @@ def sample_surface(
         triangles: (T, 3) vertex indices.
         rng: of the positions in the triangles.
         count: number of points.
-
-    Raises:
-        FiptError: ``mesh-empty`` for a mesh without area.
     """
     corners = np.asarray(vertices, np.float64)[np.asarray(triangles, np.int64)]
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

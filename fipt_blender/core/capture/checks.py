@@ -29,16 +29,13 @@ FOCAL_LENGTHS = (0.01, 100.0)
 
 
 def nearest_rotation(name: str, pose: np.ndarray) -> np.ndarray:
-    """The pose (4, 4) with its rotation made exactly orthonormal.
-
-    Raises:
-        FiptError: ``pose-not-rotation`` where it is not finite, or is mirrored, or scaled or sheared by more
-            than 1e-3.
-    """
+    """The pose (4, 4) with its rotation made exactly orthonormal."""
+    remedy = "Export the camera poses without scale."
     if not np.isfinite(pose).all():
-        reason = "contains NaN or infinity"
+        reason, remedy = "contains NaN or infinity", "Leave the view out, or export the camera poses again."
     elif np.linalg.det(pose[:3, :3]) < 0.0:
         reason = "is mirrored (its determinant is negative)"
+        remedy = "Its axes are left-handed, as of Unity and Unreal: export cameras and mesh right-handed."
     elif (error := float(np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max())) > 1e-3:
         reason = f"is scaled or sheared (off by {error:.2g})"
     else:
@@ -47,7 +44,7 @@ def nearest_rotation(name: str, pose: np.ndarray) -> np.ndarray:
         result[:3, :3] = u @ vt
         result[:3, 3] = pose[:3, 3]
         return result
-    raise FiptError("pose-not-rotation.nearest-rotation", name=name, reason=reason)
+    raise FiptError("pose-not-rotation.nearest-rotation", name=name, reason=reason, remedy=remedy)
 
 
 def check_intrinsics(name: str, pinhole: Pinhole) -> None:
@@ -55,9 +52,6 @@ def check_intrinsics(name: str, pinhole: Pinhole) -> None:
 
     Args:
         name: of the view, for the error.
-
-    Raises:
-        FiptError: ``intrinsics-invalid``.
     """
     width, height, fx, fy, cx, cy = astuple(pinhole)
     finite = np.isfinite([fx, fy, cx, cy]).all()
@@ -77,9 +71,6 @@ def check_view(name: str, pinhole: Pinhole, camera_to_world: np.ndarray) -> None
         name: of the view.
         pinhole: size and intrinsics without distortion.
         camera_to_world: (4, 4) pose in Blender's world.
-
-    Raises:
-        FiptError: ``intrinsics-invalid``, ``pose-not-rotation`` or ``pose-far``.
     """
     check_intrinsics(name, pinhole)
     distance = float(np.abs(nearest_rotation(name, camera_to_world)[:3, 3]).max())
@@ -89,29 +80,17 @@ def check_view(name: str, pinhole: Pinhole, camera_to_world: np.ndarray) -> None
 
 @dataclass(frozen=True)
 class PixelStatistics:
-    """Statistics of one photograph's values.
+    """Statistics of one photograph's values."""
 
-    Attributes:
-        minimum: lowest value.
-        median: median of the positive values, 0 where there are none.
-        looks_ldr: all values are 8-bit steps between 0 and 1, linear or sRGB-encoded.
-        clipped: share of pixels at the highest value, 0 unless that looks like a sensor's limit.
-        transparent: share of pixels whose alpha is 0.
-    """
-
-    minimum: float
-    median: float
-    looks_ldr: bool
-    clipped: float
-    transparent: float = 0.0
+    minimum: float  # lowest value
+    median: float  # median of the positive values, 0 where there are none
+    looks_ldr: bool  # all values are 8-bit steps between 0 and 1, linear or sRGB-encoded
+    clipped: float  # share of pixels at the highest value, 0 unless that looks like a sensor's limit
+    transparent: float = 0.0  # share of pixels whose alpha is 0
 
 
 def pixel_statistics(path: Path, pixels: np.ndarray) -> PixelStatistics:
-    """Statistics of one photograph (height, width, 3) float32.
-
-    Raises:
-        FiptError: ``image-not-finite``.
-    """
+    """Statistics of one photograph (height, width, 3) float32."""
     minimum = float(pixels.min())
     maximum = float(pixels.max())
     if not (np.isfinite(minimum) and np.isfinite(maximum)):  # both are NaN where any value is
@@ -169,10 +148,6 @@ def judge_pixels(
         names: of the views, for the texts.
         statistics: of each view.
         clamp_negative: accept negative values of any size.
-
-    Raises:
-        FiptError: ``image-black`` where all photographs are black, ``image-negative`` where a value is lower
-            than -1e-3 times the capture's median radiance.
     """
     medians = [item.median for item in statistics if item.median > 0.0]
     if not medians:
@@ -187,8 +162,9 @@ def judge_pixels(
         remedy = "Resampling filters produce such values; nothing needs to be done."
         yield problem("image-negative.judge-pixels-2", text=text, remedy=remedy)
     if clear := [item.transparent for item in statistics if item.transparent > 0.0]:
-        text = f"{len(clear)} photographs have pixels with alpha 0 (up to {100.0 * max(clear):.0f} %)."
-        remedy = "They are left out, as by a mask; remove the alpha channel to use them."
+        text = f"{len(clear)} photographs have pixels with alpha 0, or that their files do not hold"
+        text += f" (up to {100.0 * max(clear):.0f} %)."
+        remedy = "They are left out, as by a mask; remove the alpha channel or the crop to use them."
         yield Problem("image-transparent", text, remedy)
     if ldr := [name for name, item in pairs if item.looks_ldr]:
         text = f"{len(ldr)} photographs (the first is {ldr[0]}) contain only 8-bit values between 0 and 1"

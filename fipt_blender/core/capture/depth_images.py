@@ -48,11 +48,7 @@ SPECK_VOXELS = 10.0  # pieces of less area than a square of this side are droppe
 
 
 def checked_depths(views: Sequence[DepthView]) -> tuple[DepthView, ...]:
-    """The views with poses of exact rotations.
-
-    Raises:
-        FiptError: ``intrinsics-invalid`` or ``pose-not-rotation``.
-    """
+    """The views with poses of exact rotations."""
     for view in views:
         pinhole = Pinhole(view.width, view.height, view.fx, view.fy, view.cx, view.cy)
         checks.check_intrinsics(view.path.name, pinhole)
@@ -67,9 +63,6 @@ def read_depth(view: DepthView, scale: float) -> RangeImage:
 
     Args:
         scale: metres per unit of the capture's coordinates; the result is in metres.
-
-    Raises:
-        FiptError: ``depth-unreadable``, ``depth-format`` or ``depth-size``.
     """
     width, height = depth_size(view.path)  # before any pixel is read
     if (width, height) != (view.width, view.height):
@@ -145,11 +138,7 @@ def _colors(view: DepthView, depth: np.ndarray, scale: float) -> np.ndarray | No
 
 
 def check_unit(images: Sequence[RangeImage]) -> None:
-    """Refuse depths that can't be those of a room.
-
-    Raises:
-        FiptError: ``depth-empty`` or ``depth-unit``.
-    """
+    """Refuse depths that can't be those of a room."""
     measured = [image.depth[image.depth > 0.0] for image in images]
     depths = np.concatenate([*measured, np.zeros(0, np.float32)])
     if not len(depths):
@@ -160,11 +149,7 @@ def check_unit(images: Sequence[RangeImage]) -> None:
 
 
 def _check_other_units(views: Sequence[DepthView], scale: float) -> None:
-    """Refuse a unit in which the images contradict each other, where they agree in another usual one.
-
-    Raises:
-        FiptError: ``depth-unit``.
-    """
+    """Refuse a unit in which the images contradict each other, where they agree in another usual one."""
     own = _confirmed(views, scale)
     if own >= CONFIRMED or views[0].unit == 1.0:  # metres of OpenEXR
         return
@@ -203,10 +188,6 @@ def fuse(
     Args:
         scale: metres per unit of these.
         progress: called with the finished share.
-
-    Raises:
-        FiptError: those of `read_depth` and `check_unit`; ``depth-unit`` where the images agree with another
-            unit; ``depth-empty`` where no surface is found.
     """
     some = [read_depth(view, scale) for view in views[:: max(1, len(views) // 8)]]
     check_unit(some)
@@ -241,11 +222,7 @@ def pixel_spacing(images: Sequence[RangeImage]) -> float:
 def write_fused(
     run: RunFolder, views: Sequence[DepthView], options: CaptureOptions, progress: Callable[[float], None]
 ) -> Path:
-    """The mesh file of a capture's depth images in its run folder, fused anew where they have changed.
-
-    Raises:
-        FiptError: those of `fuse`, ``disk-full`` or ``run-unwritable``.
-    """
+    """The mesh file of a capture's depth images in its run folder, fused anew where they have changed."""
     facts = []
     for view in views:
         states = [file_state(view.path)]
@@ -263,11 +240,7 @@ def write_fused(
 
 
 def depth_size(path: Path) -> tuple[int, int]:
-    """Width and height of a depth image.
-
-    Raises:
-        FiptError: ``depth-unreadable``.
-    """
+    """Width and height of a depth image."""
     try:
         return read_size(path)
     except FiptError as error:
@@ -283,9 +256,6 @@ def registered_depths(
         views: with pinhole lenses; their photographs need not exist.
         paths: for each view, None where it has none.
         unit: metres per stored unit; EXR files always hold metres.
-
-    Raises:
-        FiptError: ``depth-unreadable``.
     """
     found = []
     for view, path in zip(views, paths, strict=True):

@@ -23,12 +23,7 @@ _BAND = 1 << 15
 
 
 def lens_camera(lens: Lens, width: int, height: int) -> pycolmap.Camera:
-    """The pycolmap camera of a lens.
-
-    Raises:
-        FiptError: ``camera-model`` for a model or parameters that neither a perspective camera nor the face
-            of a panorama can have.
-    """
+    """The pycolmap camera of a lens."""
     try:
         camera = pycolmap.Camera(
             model=lens.model, width=width, height=height, params=np.array(lens.parameters, np.float64)
@@ -44,31 +39,19 @@ def lens_camera(lens: Lens, width: int, height: int) -> pycolmap.Camera:
 
 
 def lens_pinhole(lens: Lens, width: int, height: int) -> Pinhole:
-    """The intrinsics of a lens without its distortion, for the original image.
-
-    Raises:
-        FiptError: ``camera-model``.
-    """
+    """The intrinsics of a lens without its distortion, for the original image."""
     camera = lens_camera(lens, width, height)
     return face_pinhole(width) if lens.face else _pinhole(camera)
 
 
 def is_distorted(lens: Lens, width: int, height: int) -> bool:
-    """Whether a lens maps straight lines to curves; a fisheye does even if all its coefficients are zero.
-
-    Raises:
-        FiptError: ``camera-model``.
-    """
+    """Whether a lens maps straight lines to curves; a fisheye does even if all its coefficients are zero."""
     camera = lens_camera(lens, width, height)
     return not (camera.is_perspective_pinhole() and camera.is_undistorted())
 
 
 def undistorted_pinhole(lens: Lens, width: int, height: int) -> Pinhole:
-    """The pinhole that a distorted image is resampled to; all its pixels lie inside the distorted image.
-
-    Raises:
-        FiptError: ``camera-model`` where the distortion can't be undone.
-    """
+    """The pinhole that a distorted image is resampled to; all its pixels lie inside the distorted image."""
     if lens.face:
         return face_pinhole(width)
     camera = lens_camera(lens, width, height)
@@ -84,11 +67,7 @@ def undistorted_pinhole(lens: Lens, width: int, height: int) -> Pinhole:
 
 
 class Undistortion:
-    """Resampling of a distorted image or a panorama to its `undistorted_pinhole`.
-
-    Raises:
-        FiptError: ``camera-model``.
-    """
+    """Resampling of a distorted image or a panorama to its `undistorted_pinhole`."""
 
     def __init__(self, lens: Lens, width: int, height: int) -> None:
         self.pinhole = undistorted_pinhole(lens, width, height)
@@ -154,11 +133,7 @@ class Undistortion:
 
 
 def undistortion(lens: Lens, width: int, height: int) -> Undistortion:
-    """The resampling of a lens; the last ones are cached.
-
-    Raises:
-        FiptError: ``camera-model``.
-    """
+    """The resampling of a lens; the last ones are cached."""
     return (_of_face if lens.face else _of_lens)(lens, width, height)
 
 

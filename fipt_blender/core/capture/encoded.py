@@ -119,11 +119,7 @@ def unreadable(path: Path, reason: object) -> FiptError:
 
 
 def check_pixels(path: Path, width: int, height: int) -> None:
-    """Refuse images that would not fit into memory, whatever their header says.
-
-    Raises:
-        FiptError: ``image-too-large`` or ``image-unreadable``.
-    """
+    """Refuse images that would not fit into memory, whatever their header says."""
     if width < 1 or height < 1:
         raise unreadable(path, f"its size is {width} x {height}")
     if max(width, height) > MOST_SIDE or width * height > MOST_PIXELS:

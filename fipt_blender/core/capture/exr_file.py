@@ -38,17 +38,11 @@ _WINDOWS = ("displayWindow", "dataWindow")  # attributes of a header
 
 @dataclass(frozen=True)
 class Layer:
-    """Channels of one part that belong together.
+    """Channels of one part that belong together."""
 
-    Attributes:
-        part: its index.
-        name: of part and layer, "" where both have none.
-        channels: names in the file by what they mean (R, G, B, Y, RY, BY, X, Z, ...).
-    """
-
-    part: int
-    name: str
-    channels: dict[str, str]
+    part: int  # its index
+    name: str  # of part and layer, "" where both have none
+    channels: dict[str, str]  # names in the file by what they mean (R, G, B, Y, RY, BY, X, Z, ...)
 
     @property
     def color(self) -> Sequence[str]:
@@ -57,11 +51,7 @@ class Layer:
 
 
 class ExrFile:
-    """An OpenEXR file by the headers of its parts.
-
-    Raises:
-        FiptError: ``image-unreadable`` or ``image-too-large``.
-    """
+    """An OpenEXR file by the headers of its parts."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -95,19 +85,15 @@ class ExrFile:
 
     def picture(self, layer: str = "") -> tuple[np.ndarray, np.ndarray | None]:
         """Linear Rec.709 of the picture, (height, width, 3) float32 on the display window, and its alpha
-        (height, width), None without.
+        (height, width), None without: 0 also where the file holds no pixels.
 
         Args:
             layer: name of the part or layer; "" for the one that is named like a picture.
-
-        Raises:
-            FiptError: ``image-unreadable``; ``image-channels`` where no layer is a picture, ``image-layers``
-                where several may be it.
         """
         found = chosen_layer(self.path, self._layers(), layer)
         file = self._open()
         planes = [_plane(file, found, name) for name in found.color or "Y"]
-        alpha = _plane(file, found, "A") if "A" in found.channels else None
+        alpha = _plane(file, found, "A") if "A" in found.channels else self._stored_part(found)
         matrix, weights = _primaries(self.path, self._headers[found.part])
         if found.color == _LUMA_CHROMA:  # Y, RY = (R - Y) / Y, BY = (B - Y) / Y
             red, blue = ((plane + np.float32(1.0)) * planes[0] for plane in planes[1:])
@@ -118,13 +104,21 @@ class ExrFile:
             pixels = pixels @ matrix.T.astype(np.float32)
         return pixels, alpha
 
+    def _stored_part(self, layer: Layer) -> np.ndarray | None:
+        """(height, width) 1 where the file holds pixels, 0 beside; None where it holds all."""
+        (low, high), (stored_low, stored_high) = (self._headers[layer.part][name] for name in _WINDOWS)
+        if (np.asarray(stored_low) <= low).all() and (np.asarray(stored_high) >= high).all():
+            return None
+        alpha = np.zeros((int(high[1] - low[1]) + 1, int(high[0] - low[0]) + 1), np.float32)
+        x0, y0 = (int(value) for value in np.maximum(np.subtract(stored_low, low), 0))
+        x1, y1 = (int(value) for value in np.maximum(np.subtract(stored_high, low) + 1, 0))
+        alpha[y0:y1, x0:x1] = 1.0
+        return alpha
+
     def values(self) -> np.ndarray:
         """Values (height, width, 1 or 3) of an image that is no picture, as stored: ids, depths.
 
         They are the file's only channel, or R, G and B, Y or R of the layer that would be its picture.
-
-        Raises:
-            FiptError: those of `picture`.
         """
         layers = self._layers()
         layer = layers[0] if len(layers) == 1 else chosen_layer(self.path, layers, "", others=True)
@@ -171,9 +165,6 @@ def chosen_layer(path: Path, layers: Sequence[Layer], wanted: str, others: bool 
         layers: of all parts.
         wanted: a layer's name, whole or its last word; "" for none.
         others: whether other passes are as good as pictures.
-
-    Raises:
-        FiptError: ``image-channels`` or ``image-layers``.
     """
     colored = [layer for layer in layers if layer.color]
     grey = [layer for layer in layers if "Y" in layer.channels and not {"X", "Z"} & layer.channels.keys()]

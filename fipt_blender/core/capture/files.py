@@ -14,7 +14,7 @@ import os
 import re
 import unicodedata
 from collections.abc import Callable, Iterable, Sequence
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import NamedTuple
 
@@ -40,6 +40,48 @@ ROLES = {
     **dict.fromkeys(("contactsheet", "contactsheets", "thumbnail", "thumbnails", "thumbs"), "previews"),
 }
 _EDITED = re.compile(r"(?i)^(img_)e(\d+)$|^(.+)-edited$")  # what phones call edited copies: IMG_E0012
+# What systems, network disks and their indexes put beside files: recycle bins, thumbnails, snapshots.
+_OF_SYSTEMS = frozenset(
+    (
+        "@eadir",
+        "#recycle",
+        "@recycle",
+        "$recycle.bin",
+        "recycler",
+        "recycled",
+        "#snapshot",
+        "@recently-snapshot",
+    )
+    + (
+        "@__thumb",
+        "__macosx",
+        "lost+found",
+        "system volume information",
+        "found.000",
+        "thumbs.db",
+        "desktop.ini",
+    )
+)
+# What programs put behind the name of a second copy: "a (1)", "a - Copy", "a (X's conflicted copy)".
+_COPY = re.compile(
+    r"(?i)^(.+?)(\s*\(\d+\)|[\s_-]+(copy|copie|kopie|copia)(\s*\(?\d+\)?)?|\s*\([^()]*conflict[^()]*\)"
+    r"|[\s_.-]+(sync-)?conflict[\w-]*)$"
+)
+# What clients of clouds put behind the name of a file that they have not downloaded, and how to get it.
+STUBS = {
+    ".dvc": ("a DVC pointer", "Fetch the files themselves: dvc pull."),
+    ".nextcloud": (
+        "a placeholder of Nextcloud",
+        "Make the folder always available locally (its context menu).",
+    ),
+    ".owncloud": (
+        "a placeholder of ownCloud",
+        "Make the folder always available locally (its context menu).",
+    ),
+    ".icloud": ("a placeholder of iCloud", "Download the files (Download Now in Finder)."),
+    ".part": ("a download that was not finished", "Download the file again."),
+    ".crdownload": ("a download that was not finished", "Download the file again."),
+}
 # How files begin that only stand for others, what they are, and how to get the others.
 STAND_INS = (
     (rb"version https://git-lfs", "a Git LFS pointer", "Fetch the files themselves: git lfs pull."),
@@ -47,12 +89,23 @@ STAND_INS = (
     (rb"\x00\x05\x16\x07", "a companion of macOS (AppleDouble)", "Copy the file without ._ in its name."),
     (rb"bplist00", "a placeholder of iCloud", "Download the files (Download Now in Finder)."),
     (rb"(?i)\s*<(!doctype )?html", "a web page", "Download the file itself."),
+    (
+        rb"[\w.~ -]*(/[\w.~() -]+)+\n?\Z",
+        "a link that was copied as a text",
+        "Copy the file that it names, or check out with links (git config core.symlinks true).",
+    ),
 )
 
 
 def is_hidden(name: str) -> bool:
-    """Whether a file or folder is no part of a capture by its name: hidden, or ``._NAME``."""
-    return name.startswith(".")
+    """Whether a file or folder is no part of a capture by its name: hidden, ``._NAME``, or a recycle bin."""
+    return name.startswith(".") or name.lower() in _OF_SYSTEMS
+
+
+def copied_from(stem: str) -> str:
+    """The stem of the file that a second copy was made of by its name; the stem itself for any other."""
+    found = _COPY.match(stem)
+    return found[1] if found else stem
 
 
 def visible(folder: Path) -> list[Path]:
@@ -67,7 +120,7 @@ def stand_in(path: Path) -> FiptError | None:
     """
     try:
         with path.open("rb") as file:
-            start = file.read(64)
+            start = file.read(512)
     except OSError:
         return None
     for begins, what, remedy in STAND_INS:
@@ -191,11 +244,7 @@ class Names:
         return found
 
     def find(self, name: str) -> str | None:
-        """The path that ends like a name, as far as possible; None without one.
-
-        Raises:
-            FiptError: ``file-ambiguous`` where several paths fit equally.
-        """
+        """The path that ends like a name, as far as possible; None without one."""
         parts = name_parts(name)
         for tail in (parts[start:] for start in range(len(parts))):
             ranked = self.ending(tail)
@@ -242,10 +291,6 @@ class Folders:
             inside: folder that is searched with all its subfolders, too.
             first: see `Names.ending`.
             fits: tells of a file whether it is the right one; asked where there are several.
-
-        Raises:
-            FiptError: ``file-ambiguous`` where several files fit equally.
-            OSError: the system's, where it refuses access.
         """
         parts = name_parts(name)
         for tail in (parts[start:] for start in range(len(parts))):
@@ -274,15 +319,23 @@ class Folders:
         Args:
             folder: searched with its subfolders, unless the first name tells in which one it is.
             names: the best first.
-
-        Raises:
-            FiptError: ``file-ambiguous``.
         """
         if not any(self._list(folder)[:2]):
             return None
         inside = None if "/" in names[0] else folder
         found = (self.find(name, [folder], inside, IDS_FIRST) for name in names)
         return next((each.path for each in found if each), None)
+
+    def stub(self, name: str, folders: Iterable[Path]) -> FiptError | None:
+        """The error for a file that lies in a folder, or on its path below it, as a stub; None without."""
+        parts = name_parts(name)
+        for folder, start in product(folders, range(len(parts))):
+            for suffix, (what, remedy) in STUBS.items():
+                path = folder.joinpath(*parts[start:])
+                for each in (path.with_name(path.name + suffix), path.with_name(f".{path.name}{suffix}")):
+                    if each.is_file():
+                        return FiptError("file-stand-in", path=each, what=what, remedy=remedy)
+        return None
 
     def images(self, folder: Path, below: bool = False) -> list[Path]:
         """The image files in a folder, or also in those below it, by name."""

@@ -31,6 +31,7 @@ from . import primaries
 from .encoded import (
     DAMAGE,
     check_pixels,
+    exif_number,
     exif_tags,
     missing,
     relative_exposure,
@@ -55,6 +56,30 @@ _STARTS = re.compile(
     rb"|(?P<tiff>II[*+]\0|MM\0[*+])|(?P<webp>RIFF....WEBP)|(?P<hdr>#\?)|(?P<jpegxl>\xff\x0a|....JXL )",
     re.DOTALL,
 )
+# How files begin that are not read, and what they are.
+_NOT_READ = (
+    (rb"....ftypavi[fs]", "AVIF"),
+    (rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51", "JPEG 2000"),
+    (rb"8BPS", "Photoshop"),
+    (rb"BM", "BMP"),
+    (rb"GIF8", "GIF"),
+    (rb"SDPX|XPDS", "DPX"),
+    (rb"%PDF", "PDF"),
+    (rb"....ftyp(crx )", "RAW"),
+    (rb"FUJIFILM|IIU\0|IIRO|FOVb|\0MRM", "RAW"),
+    (rb"....ftyp|\x1a\x45\xdf\xa3|RIFF....AVI ", "video"),
+)
+# What a TIFF's values are that are no RGB: Lab, a sensor's mosaic, LogL and LogLuv, linear RAW. OpenImageIO
+# reads these as RGB, or a preview of 8 bits.
+_NO_RGB = {
+    8: "Lab",
+    9: "Lab",
+    10: "Lab",
+    32803: "a sensor's",
+    32844: "LogL",
+    32845: "LogLuv",
+    34892: "a sensor's",
+}
 MOST_CHUNK = 64  # bytes of a PNG's chunk that are read
 _TYPES = {"uint8": "uint8", "uint16": "uint16", **dict.fromkeys(("half", "float", "double"), "float32")}
 
@@ -63,27 +88,18 @@ _TYPES = {"uint8": "uint8", "uint16": "uint16", **dict.fromkeys(("half", "float"
 class Picture:
     """An image file: its header, which is read once, and its pixels, which are decoded when they are asked
     for.
-
-    Attributes:
-        path: of the file.
-        kind: "exr", "heif" or OpenImageIO's name of the format.
-        size: width and height in pixels, as stored.
-        type: of the values: "uint8" or "uint16" are codes, "float32" is radiance.
-        colors: what the values mean.
-        is_plain: whether programs that know nothing of layers, primaries and curves show the same.
-        decode: makes the pixels (height, width, channels), and alpha (height, width), None without.
-        exif: where its EXIF is.
-        numbers: makes the values (height, width, channels) of an EXR that is no picture.
     """
 
-    path: Path
-    kind: str
-    size: tuple[int, int]
-    type: str
-    colors: Colors
-    is_plain: bool
+    path: Path  # of the file
+    kind: str  # "exr", "heif" or OpenImageIO's name of the format
+    size: tuple[int, int]  # width and height in pixels, as stored
+    type: str  # of the values: "uint8" or "uint16" are codes, "float32" is radiance
+    colors: Colors  # what the values mean
+    is_plain: bool  # whether programs that know nothing of layers, primaries and curves show the same
+    # Makes the pixels (height, width, channels), and alpha (height, width), None without
     decode: Callable[[], tuple[Any, np.ndarray | None]]
-    exif: Path | bytes = b""
+    exif: Path | bytes = b""  # where its EXIF is
+    # Makes the values (height, width, channels) of an EXR that is no picture
     numbers: Callable[[], np.ndarray] | None = None
 
     @property
@@ -105,11 +121,7 @@ class Picture:
         return relative_exposure(self.tags) if self.is_encoded else None
 
     def stored(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """Values (height, width, 1 or 3) as stored, and alpha (height, width), or None without.
-
-        Raises:
-            FiptError: ``image-unreadable``.
-        """
+        """Values (height, width, 1 or 3) as stored, and alpha (height, width), or None without."""
         try:
             decoded, alpha = self.decode()
         except DAMAGE as error:
@@ -119,11 +131,7 @@ class Picture:
         return pixels[..., : 3 if pixels.shape[-1] > 2 else 1], alpha
 
     def data(self) -> np.ndarray:
-        """Values (height, width, 1 or 3) as stored of an image that is no picture: ids, depths.
-
-        Raises:
-            FiptError: ``image-unreadable``.
-        """
+        """Values (height, width, 1 or 3) as stored of an image that is no picture: ids, depths."""
         return self.stored()[0] if self.numbers is None else self.numbers()
 
     def shown(self) -> tuple[np.ndarray, np.ndarray | None]:
@@ -165,10 +173,6 @@ def open_picture(path: Path, layer: str = "") -> Picture:
     Args:
         path: of the file.
         layer: of an EXR; see `ExrFile.picture`.
-
-    Raises:
-        FiptError: ``image-missing``, ``image-unreadable``, ``image-too-large``, ``image-format`` for other
-            formats, or ``package-optional``.
     """
     try:
         status = path.stat()
@@ -184,11 +188,15 @@ def _opened(path: Path, layer: str, *state: int) -> Picture:
     """`open_picture` of a file in a state."""
     try:
         with path.open("rb") as file:
-            found = _STARTS.match(file.read(16))
+            start = file.read(16)
+            found = _STARTS.match(start)
         kind, suffix = str(found and found.lastgroup), path.suffix.lower()
-        if found is None or suffix in RAW_SUFFIXES:
+        if found is None or (suffix in RAW_SUFFIXES and kind == "tiff"):
             if (error := stand_in(path)) is not None:
                 raise error
+            what = next((name for begins, name in _NOT_READ if re.match(begins, start, re.DOTALL)), "")
+            if what and suffix not in RAW_SUFFIXES:
+                raise FiptError("image-format.known", path=path, what=what, formats=FORMATS)
             if suffix in IMAGE_SUFFIXES:
                 raise ValueError(f"its content is none of {FORMATS}")
             raise FiptError("image-format", path=path)
@@ -197,6 +205,16 @@ def _opened(path: Path, layer: str, *state: int) -> Picture:
         raise unreadable(path, error) from None
     check_pixels(path, *picture.size)
     return picture
+
+
+def is_picture(path: Path) -> bool:
+    """Whether a file is a picture by its content, whatever its name says; RAW files may begin like TIFFs."""
+    try:
+        with path.open("rb") as file:
+            found = _STARTS.match(file.read(16))
+    except OSError:
+        return False
+    return found is not None and found.lastgroup != "tiff"
 
 
 def read_size(path: Path) -> tuple[int, int]:
@@ -209,9 +227,6 @@ def read_radiance(path: Path, layer: str = "") -> np.ndarray:
 
     Returns:
         (height, width, 3) float32, units as stored; from 0 to 1 where the image is not HDR.
-
-    Raises:
-        FiptError: those of `open_picture` and `ExrFile.picture`.
     """
     return open_picture(path, layer).shown()[0]
 
@@ -226,9 +241,6 @@ def read_codes(path: Path, as_stored: bool = False) -> tuple[np.ndarray, np.ndar
     Returns:
         (height, width, 3) uint8, or uint16 where 8 bits are too few, and (3, 3) from the linear values to
         Rec.709; None where they are that.
-
-    Raises:
-        FiptError: those of `open_picture`.
     """
     picture = open_picture(path)
     codes = _three(picture.stored()[0])
@@ -246,9 +258,6 @@ def read_ids(path: Path) -> np.ndarray:
 
     Returns:
         (height, width) int32.
-
-    Raises:
-        FiptError: those of `open_picture`, ``mask-not-ids`` where values are not ids.
     """
     return open_picture(path).ids()
 
@@ -262,9 +271,6 @@ def write_exr(path: Path, array: np.ndarray, half: bool = False, lossy: bool = F
         half: 16-bit values, clamped to ±65504, instead of 32-bit.
         lossy: compressed to a quarter, for pictures that are only looked at.
         note: a text in the header, as of `ExrFile`.
-
-    Raises:
-        FiptError: ``not-finite``, ``disk-full`` or ``run-unwritable``.
     """
     values = np.asarray(array)
     refuse_infinite(path.name, values)
@@ -288,9 +294,6 @@ def write_codes(path: Path, values: np.ndarray) -> None:
     Args:
         path: .png, with an error of half of a code; or .jpg, for pictures that are only looked at.
         values: by the curve of the codes.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
     codes = np.clip(values * 255.0 + 0.5, 0.0, 255.0).astype(np.uint8)
     buffer = io.BytesIO()
@@ -314,9 +317,6 @@ def write_ids(path: Path, ids: np.ndarray) -> None:
     Args:
         path: the file; its folder is created if missing.
         ids: (height, width) int from 0 to `MAX_PNG_ID`.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
     """
     buffer = io.BytesIO()
     Image.fromarray(ids.astype(np.uint16)).save(buffer, "PNG")
@@ -351,6 +351,10 @@ def _open_heif(path: Path, kind: str, _: str) -> Picture:
 
 def _open_by_oiio(path: Path, kind: str, _: str) -> Picture:
     colors = _radiance_colors(path) if kind == "hdr" else Colors()
+    if kind == "jpegxl" and not oiio.is_imageio_format_name(kind):
+        raise FiptError("image-format.known", path=path, what="JPEG XL", formats=FORMATS)
+    if kind == "tiff":
+        _refuse_previews(path)
     spec = _oiio_input(path, kind).spec()
     name = _TYPES.get(str(spec.format))
     if name is None:
@@ -382,6 +386,21 @@ def _open_by_oiio(path: Path, kind: str, _: str) -> Picture:
 
     is_plain = colors.curve is None and colors.matrix is None
     return Picture(path, kind, (spec.width, spec.height), name, colors, is_plain, decode, exif)
+
+
+def _refuse_previews(path: Path) -> None:
+    """Refuse a TIFF of whose values OpenImageIO would give others."""
+    tags = exif_tags(path)
+    colors, kind = (
+        exif_number(tags, f"Image {name}") for name in ("PhotometricInterpretation", "SubfileType")
+    )
+    if colors in _NO_RGB:
+        what = f"its values are {_NO_RGB[int(colors)]} values, not RGB"
+    elif kind is not None and int(kind) % 2 == 1:
+        what = "its first image is a preview, as in RAW files"
+    else:
+        return
+    raise FiptError("image-format.preview", path=path, what=what)
 
 
 def _oiio_input(path: Path, kind: str) -> Any:

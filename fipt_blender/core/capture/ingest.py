@@ -13,7 +13,7 @@ import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 
@@ -22,7 +22,8 @@ import numpy as np
 from .. import conventions
 from ..run.contents import CapturedViews, UpAxis
 from ..run.declared import add_options, converted, options_of
-from ..run.errors import FiptError
+from ..run.documents import optional_document
+from ..run.errors import FiptError, Problem
 from ..run.kinds import as_matrix
 from ..run.light_size import refuse_full_disk
 from ..run.made import Made, file_state, folder_states
@@ -34,18 +35,23 @@ from ..run.runfolder import RunFolder, write_json
 from ..run.settings import make_settings
 from ..run.threads import in_threads
 from . import checks
+from .corrections import NONE
 from .depth_images import write_fused
 from .files import Folders
 from .formats.registry import FORMATS
 from .images import read_size, threads_for
+from .mistakes import COMPARED, Scene, examine
 from .options import CaptureOptions
 from .panorama import pinhole_views, placed_panorama, says_panorama
 from .photograph import ID_IMAGES, Files, Photograph
 from .places import MASK_FOLDER
 from .pose_refinement import refine_poses
-from .rig import EQUIRECTANGULAR, RigView
-from .source import read_source, size_note, write_mesh
+from .relation import sight
+from .rig import EQUIRECTANGULAR, MESH_SUFFIXES, RigView
+from .source import Source, read_source, size_note, write_mesh
 from .upright import Upright, doubts, find_upright
+
+USUAL_SIZES = 2.0, 10.0  # metres, of a room's longest side; others may be in another unit
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,23 +65,43 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
     """Run `ingest` with the command's arguments, unless the same capture has been read already."""
     options = CaptureOptions(**options_of(arguments, CaptureOptions))
     folder, capture = RunFolder(arguments.run), arguments.capture.absolute()
-    states = [
-        *(folder_states(path, folder.root) for path in (capture, options.images, options.panorama)),
-        file_state(options.mesh),
-    ]
-    made = Made(folder, "capture", states, vars(options), outputs=[folder.capture_json, folder.ingest_json])
-    if made.told_again(reporter):
+    named = folder.made("capture-files")  # photographs and mesh may lie beside the capture's folder
+    found = optional_document(named, _Files)
+    if found is not None and _made(folder, capture, options, found).told_again(reporter):
         reporter.done([str(folder.capture_json)])
         return
-    with made.making(reporter.warnings):
-        ingest(capture, folder, options, reporter)
+    named.unlink(missing_ok=True)  # until the capture is whole
+    found = ingest(capture, folder, options, reporter)
+    with _made(folder, capture, options, found).making(reporter.warnings):
+        write_json(named, found)
 
 
-def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, reporter: Reporter) -> None:
+@dataclass(frozen=True)
+class _Files:
+    """made/capture-files.json: the files that a capture was read from, wherever they lie."""
+
+    files: tuple[str, ...]
+
+
+def _made(folder: RunFolder, capture: Path, options: CaptureOptions, found: _Files) -> Made:
+    """Whether capture.json is still that of all these files, and of the meshes in their folders."""
+    files = [Path(file) for file in found.files]
+    folders = {capture.parent, *(path for file in files for path in file.parents[:2])}
+    beside = [
+        path for each in sorted(folders) for suffix in MESH_SUFFIXES for path in each.glob(f"*{suffix}")
+    ]
+    states = [
+        *(folder_states(path, folder.root) for path in (capture, options.images, options.panorama)),
+        [file_state(path) for path in (options.mesh, *files, *sorted(beside))],
+    ]
+    return Made(folder, "capture", states, vars(options), outputs=[folder.capture_json, folder.ingest_json])
+
+
+def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, reporter: Reporter) -> _Files:
     """Read a capture, check all of it, then write capture.json and the images that must be converted.
 
-    Raises:
-        FiptError: with a code that docs/capture_formats.md lists; capture.json is not written then.
+    Returns:
+        the files that were read.
     """
     if run_folder.run_json.exists():
         run_folder.read()
@@ -112,8 +138,6 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         upright = Upright(options.up_axis, "option")
     elif rig.up_axis is not None:
         upright = Upright(rig.up_axis, "format")
-        for note in doubts(rig.up_axis, poses):
-            reporter.warn(note)
 
     reporter.plan([0.35, 0.6, 0.05] if source.is_fused else [0.9, 0.1])
     remedy = "use photographs whose distortion is undone already, or smaller ones"
@@ -122,7 +146,12 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
     with _new_run(run_folder):
         with atomic_folder(run_folder.images) as images:
             reporter.stage("images", "Reading the photographs")
-            written = _convert(images, photographs, options.clamp_negative, reporter)
+            written, shown = _convert(images, photographs, options.clamp_negative, reporter)
+            notes = _judged(source, photographs[:solved], shown[:solved], options)
+            if not notes and options.up_axis == "auto" and rig.up_axis is not None:
+                notes = doubts(rig.up_axis, poses, rig.source)
+            for note in notes:
+                reporter.warn(note)
             if source.is_fused:
                 reporter.stage("fuse", "Fusing the depth images")
                 fused = write_fused(run_folder, rig.depths, options, reporter.progress)
@@ -132,8 +161,10 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         with suppress(OSError):
             run_folder.images.rmdir()  # if nothing had to be converted
         world_from_source = upright.world_from_source(options.scale)
-        if (doubt := size_note(capture, source, mesh, world_from_source)) is not None:
-            reporter.warn(doubt)
+        note = size_note(capture, source, mesh, world_from_source)
+        # Cameras and mesh that do not belong together explain an odd size.
+        if note is not None and not any(each.code == "mesh-elsewhere" for each in notes):
+            reporter.warn(note)
         worlds = [world_from_source] * solved + [in_metres] * (len(views) - solved)
         items = zip(photographs, written, worlds, strict=True)
         entries = (photograph.captured(run_folder, files, world) for photograph, files, world in items)
@@ -160,6 +191,8 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
             "undistorted": sum(sum(photograph.distorted) for photograph in photographs),
         },
     )
+    read = [source.mesh, *(getattr(view, kind) for view in views for kind in ("image", *ID_IMAGES))]
+    return _Files(tuple(sorted({str(path.absolute()) for path in read if path is not None})))
 
 
 def _photographs(views: Sequence[RigView], in_metres: np.ndarray) -> list[Photograph]:
@@ -167,11 +200,11 @@ def _photographs(views: Sequence[RigView], in_metres: np.ndarray) -> list[Photog
 
     Args:
         in_metres: (4, 4) similarity from the source's coordinates.
-
-    Raises:
-        FiptError: those of `check_view`, ``camera-model``.
     """
-    photographs = [Photograph(tuple(pinhole_views(view))) for view in views]
+    step = -(-len(views) // COMPARED)
+    photographs = [
+        Photograph(tuple(pinhole_views(view)), index % step == 0) for index, view in enumerate(views)
+    ]
     for photograph in photographs:
         for view, pinhole in zip(photograph.views, photograph.pinholes, strict=True):
             pose = conventions.transform_poses(in_metres, view.camera_to_world)
@@ -180,11 +213,7 @@ def _photographs(views: Sequence[RigView], in_metres: np.ndarray) -> list[Photog
 
 
 def _placed(options: CaptureOptions, world_from_source: np.ndarray) -> RigView:
-    """The panorama that the user has placed, in the source's coordinates.
-
-    Raises:
-        FiptError: those of `read_size`.
-    """
+    """The panorama that the user has placed, in the source's coordinates."""
     assert options.panorama is not None, "asked only where there is one"
     image = options.panorama.absolute()
     view = placed_panorama(image, read_size(image), options.panorama_place, options.panorama_heading)
@@ -212,7 +241,8 @@ def _chosen(views: list[RigView], count: int) -> list[RigView]:
         return views
     held_back = [view for view in views if view.split == "held_back"]
     rest = [view for view in views if view.split != "held_back"]
-    return [rest[index * len(rest) // count] for index in range(min(count, len(rest)))] + held_back
+    count = min(count, len(rest))
+    return [rest[index * len(rest) // count] for index in range(count)] + held_back
 
 
 def distinct_views(views: Sequence[RigView]) -> list[RigView]:
@@ -229,11 +259,7 @@ def distinct_views(views: Sequence[RigView]) -> list[RigView]:
 
 
 def _assign_splits(views: list[RigView], hold_back: int) -> list[RigView]:
-    """Give all views a split; held-back views that the capture defines take precedence over `hold_back`.
-
-    Raises:
-        FiptError: ``no-views`` where no view is left for training.
-    """
+    """Give all views a split; held-back views that the capture defines take precedence over `hold_back`."""
     if hold_back and not any(view.split == "held_back" for view in views):
         ordered = sorted(range(len(views)), key=lambda index: views[index].name)
         # From the middle of each N, so that the first and the last photograph are used for training.
@@ -249,11 +275,7 @@ def _assign_splits(views: list[RigView], hold_back: int) -> list[RigView]:
 
 
 def _check_files(views: list[RigView]) -> None:
-    """Check that all files exist and have the right format and size.
-
-    Raises:
-        FiptError: ``image-missing``, ``image-format``, ``image-size``, ``mask-size`` or ``image-unreadable``.
-    """
+    """Check that all files exist and have the right format and size."""
     missing = [view.missing for view in views if view.missing]
     if missing:
         text = f"Files of {len(missing)} of {len(views)} photographs are missing. {missing[0]}"
@@ -279,32 +301,62 @@ def _check_files(views: list[RigView]) -> None:
             raise FiptError("camera-model.check-files", image=view.image, model=view.lens.model)
 
 
+def _judged(
+    source: Source,
+    photographs: Sequence[Photograph],
+    shown: Sequence[Sequence[np.ndarray | None]],
+    options: CaptureOptions,
+) -> list[Problem]:
+    """A warning where cameras, points, mesh and photographs do not belong together, with what explains it.
+
+    Args:
+        shown: what is compared of each view of each photograph.
+    """
+    if options.correct == NONE:
+        return []
+    sights = []
+    back = np.eye(4)
+    back[:3, 3] = source.offset  # mistakes of poses are those of the source's coordinates
+    for photograph, images in zip(photographs, shown, strict=True):
+        for view, pinhole, image in zip(photograph.views, photograph.pinholes, images, strict=True):
+            sights.append(sight(conventions.transform_poses(back, view.camera_to_world), pinhole, image))
+    has_mesh = source.vertices is not None and len(source.triangles) > 0
+    mesh = (source.vertices + source.offset, source.triangles) if has_mesh else None
+    scene = Scene.of(sights, mesh, source.solved + source.offset)
+    size = options.scale * float(np.ptp(mesh[0], axis=0).max()) if mesh is not None else USUAL_SIZES[0]
+    doubt = not USUAL_SIZES[0] <= size <= USUAL_SIZES[1]
+    finding = None if scene is None else examine(scene, source.rig.source, doubt=doubt)
+    if scene is None or finding is None:
+        return []
+    if finding.is_sure and not options.correct:
+        raise finding.error(at_import=True)
+    return [finding.note(scene, source.mesh)]
+
+
 def _convert(
     folder: Path, photographs: Sequence[Photograph], clamp_negative: bool, reporter: Reporter
-) -> list[list[Files]]:
+) -> tuple[list[list[Files]], list[list[np.ndarray | None]]]:
     """Read all photographs, write what must be converted, and warn about them.
 
     Args:
         folder: for the images that are written.
 
     Returns:
-        what was written of each view of each photograph.
-
-    Raises:
-        FiptError: those of `Photograph.convert` and `judge_pixels`.
+        what was written and what is compared of each view of each photograph.
     """
-    statistics, written = [], []
+    statistics, written, shown = [], [], []
     # Resamplings are made here, so that the threads share them.
     work = ((photograph, photograph.resamplings()) for photograph in photographs)
     first = [photograph.views[0] for photograph in photographs]
     most = threads_for(view.width * view.height for view in first)
-    for found, files in in_threads(lambda item: item[0].convert(folder, item[1]), work, most):
+    for found, files, images in in_threads(lambda item: item[0].convert(folder, item[1]), work, most):
         statistics.append(found)
         written.append(files)
+        shown.append(images)
         reporter.progress(len(statistics) / len(photographs))
     pictures = [photograph.picture for photograph in photographs]
     encoded, exposures = zip(*((picture.is_encoded, picture.exposure) for picture in pictures), strict=True)
     judged = checks.judge_pixels([view.name for view in first], statistics, clamp_negative)
     for note in chain(judged, checks.judge_encoded(encoded, exposures)):
         reporter.warn(note)
-    return written
+    return written, shown

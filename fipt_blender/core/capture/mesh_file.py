@@ -30,10 +30,6 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
     Args:
         path: file of a format that Blender imports.
-
-    Raises:
-        FiptError: ``mesh-missing``, ``mesh-format``, ``mesh-empty``, ``mesh-not-finite`` or
-            ``mesh-unreadable``.
     """
     if not path.is_file():
         raise FiptError("mesh-missing.read-mesh", path=path)

@@ -160,6 +160,15 @@ class CaptureOptions:
     up_axis: Annotated[str, Option("Axis of the capture that points up; --up-axis=-y for -y", choices=UP)] = (
         "auto"
     )
+    correct: Annotated[
+        str,
+        Option(
+            "Correction of a usual mistake of the program that wrote the capture, as the import names it:"
+            " axes-opencv, inverse, transpose, quaternion, scale-39.3701, turn-x90, ... If empty, they are"
+            " tried where something does not fit; none for not at all",
+            "Correction",
+        ),
+    ] = ""
     hold_back: Annotated[
         int,
         Option(
@@ -215,11 +224,7 @@ class CaptureOptions:
     ] = False
 
     def refuse_missing(self) -> None:
-        """Look whether what is named exists.
-
-        Raises:
-            FiptError: ``mesh-missing`` or ``images-missing``.
-        """
+        """Look whether what is named exists."""
         remedy = "Correct the path, in Import Settings or on the command line, or give none."
         if self.mesh is not None and not self.mesh.is_file():
             raise FiptError("mesh-missing.refuse-missing", mesh=self.mesh, remedy=remedy)

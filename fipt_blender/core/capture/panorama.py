@@ -33,11 +33,7 @@ _GPANO = re.compile(rb'GPano:ProjectionType\s*(?:=\s*"|>)\s*equirectangular', re
 
 
 def pinhole_views(view: RigView) -> list[RigView]:
-    """The six views of a panorama; any other view itself.
-
-    Raises:
-        FiptError: ``panorama-shape``.
-    """
+    """The six views of a panorama; any other view itself."""
     if view.lens.model != EQUIRECTANGULAR or view.lens.face:
         return [view]
     if view.width != 2 * view.height:

@@ -35,6 +35,7 @@ from .images import (
     write_exr,
     write_ids,
 )
+from .mistakes import small
 from .rig import Pinhole, RigView
 
 # Photographs with more pixels than these are rewritten with the bits that they have, 8 (PNG) or 16 (EXR),
@@ -51,13 +52,10 @@ Files = dict[str, Path]  # images that were written of a view, by kind, relative
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """A file, and the pinhole views that are made of it.
+    """A file, and the pinhole views that are made of it."""
 
-    Attributes:
-        views: one, or the six faces of a panorama.
-    """
-
-    views: tuple[RigView, ...]
+    views: tuple[RigView, ...]  # one, or the six faces of a panorama
+    compared: bool = False  # whether it is compared with others (:mod:`.mistakes`)
 
     @cached_property
     def picture(self) -> Picture:
@@ -71,11 +69,7 @@ class Photograph:
 
     @cached_property
     def pinholes(self) -> tuple[Pinhole, ...]:
-        """Of each view, undistorted where necessary.
-
-        Raises:
-            FiptError: ``intrinsics-invalid`` or ``camera-model``.
-        """
+        """Of each view, undistorted where necessary."""
         found = []
         for view, distorted in zip(self.views, self.distorted, strict=True):
             found.append(lens_pinhole(view.lens, view.width, view.height))
@@ -102,8 +96,8 @@ class Photograph:
 
     def convert(
         self, folder: Path, resamplings: Sequence[Undistortion | None]
-    ) -> tuple[checks.PixelStatistics, list[Files]]:
-        """Statistics of its values, and the images written of its views.
+    ) -> tuple[checks.PixelStatistics, list[Files], list[np.ndarray | None]]:
+        """Statistics of its values, the images written of its views, and what is compared of each.
 
         Bilinear weights are positive, so that no value is negative if clamping precedes the resampling. Id
         images are read, for their errors, also where they stay as they are.
@@ -111,10 +105,6 @@ class Photograph:
         Args:
             folder: for the images that are written.
             resamplings: of this photograph.
-
-        Raises:
-            FiptError: those of `Picture.shown`, `read_ids` and `pixel_statistics`, ``disk-full`` or
-                ``run-unwritable``.
         """
         pixels, clear = self.picture.shown()
         found = checks.pixel_statistics(self.picture.path, pixels)
@@ -128,13 +118,15 @@ class Photograph:
         if clear is not None:
             ids["mask"] = np.where(clear, 0, ids.get("mask", 1)).astype(np.int32)
             found = replace(found, transparent=float(clear.mean()))
-        files = []
+        files, shown = [], []
         for view, resampling in zip(self.views, resamplings, strict=True):
             image, cut = pixels, {"mask": ids["mask"]} if clear is not None else {}
             if resampling is not None:
                 image, cut = resampling.image(pixels), {kind: resampling.ids(ids[kind]) for kind in ids}
             files.append(self._write(folder, view.name, image, resampling is not None or not plain, cut))
-        return found, files
+            mask = cut.get("mask", ids.get("mask"))
+            shown.append(small(image, None if mask is None else mask == 0) if self.compared else None)
+        return found, files, shown
 
     def _write(
         self, folder: Path, name: str, pixels: np.ndarray, is_new: bool, ids: dict[str, np.ndarray]

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import partial
 from itertools import product
@@ -15,7 +15,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from ..run.errors import FiptError, Problem
+from ..run.errors import FiptError, Problem, problem
 from ..run.paths import leads_outside
 from .files import (
     DEPTHS_FIRST,
@@ -30,41 +30,37 @@ from .files import (
     suffix_of,
     view_name,
 )
-from .images import read_size
+from .images import read_ids, read_size
 from .options import CaptureOptions
 from .rig import PARTS_FOLDER, SEMANTICS_FOLDER, DepthView, Lens, Rig, RigView, find_mesh
 
 IMAGE_FOLDERS = ("hdr", "exr", "images", "input", "Image", ".")
 MASK_FOLDER = "masks"
+# Where programs write masks: COLMAP, nerfstudio and Metashape into a folder, the last one and RealityScan
+# also beside the photographs; and what they put behind a photograph's name, or its stem, besides the suffix.
+MASK_FOLDERS, MASK_ENDS = (MASK_FOLDER, "mask"), (".mask", "_mask", "-mask")
+WHITE = 255, 2**16 - 1, 2**24 - 1  # ids of white pixels
+BLACK_OR_WHITE = 0.9  # share of a mask's pixels whose edges are smooth; others are images of parts or classes
 MESH_STEMS = ("scene", "mesh", "model", "texturedMesh", "scene_dense_mesh")
 ID_FOLDERS = {PARTS_FOLDER: PARTS_FOLDER, SEMANTICS_FOLDER: SEMANTICS_FOLDER}
 
 
 @dataclass(frozen=True)
 class Places:
-    """Where the photographs, id images and mesh of a camera file are searched.
+    """Where the photographs, id images and mesh of a camera file are searched."""
 
-    Attributes:
-        file: the camera file, for messages.
-        roots: folders, the first ones first.
-        images: the folder in which photographs are searched before all others, or None.
-        image_folders: folders below each root that may hold photographs.
-        mask_folders: folders below each root that may hold masks of pixels to leave out.
-        inside: folder whose subfolders may hold photographs, too, or None.
-        own_paths: whether paths from the file may lead anywhere.
-        relative: whether paths start at the file's folder: such a path must not lead elsewhere.
-        id_folders: folder below a root of each kind of id images.
-    """
-
-    file: Path
-    roots: tuple[Path, ...]
-    images: Path | None = None
-    image_folders: tuple[str, ...] = IMAGE_FOLDERS
+    file: Path  # the camera file, for messages
+    roots: tuple[Path, ...]  # folders, the first ones first
+    images: Path | None = None  # the folder in which photographs are searched before all others, or None
+    image_folders: tuple[str, ...] = IMAGE_FOLDERS  # folders below each root that may hold photographs
+    # Folders below each root that may hold masks of pixels to leave out
     mask_folders: tuple[str, ...] = (".", MASK_FOLDER)
-    inside: Path | None = None
-    own_paths: bool = False
-    relative: bool = False
+    inside: Path | None = None  # folder whose subfolders may hold photographs, too, or None
+    own_paths: bool = False  # whether paths from the file may lead anywhere
+    relative: bool = False  # whether paths start at the file's folder: such a path must not lead elsewhere
+    # Folder below a root of each kind of id images
     id_folders: dict[str, str] = field(default_factory=lambda: ID_FOLDERS)
+    finds_masks: bool = True  # whether masks are searched that the camera file does not name
     folders: Folders = field(default_factory=Folders, compare=False, repr=False)
     # What was found of each name, since camera files may repeat names without end.
     _found: dict[tuple, Any] = field(default_factory=dict, compare=False, repr=False)
@@ -93,9 +89,6 @@ class Places:
         Args:
             name: as the camera file has it.
             size: width and height in pixels; of several files, one of this size is the photograph.
-
-        Raises:
-            FiptError: ``file-ambiguous`` where equal names lie in several folders.
         """
         found: Found | None = self._once(("image", name, size), lambda: self._find(name, size))
         return found
@@ -120,11 +113,7 @@ class Places:
         return [root / folder for root, folder in product(self.roots, folders)]
 
     def size(self, name: str) -> tuple[int, int]:
-        """Width and height in pixels of the photograph of a name.
-
-        Raises:
-            FiptError: ``image-missing``, ``path-outside``, ``file-ambiguous`` or ``image-unreadable``.
-        """
+        """Width and height in pixels of the photograph of a name."""
         found = self.find(name)
         if found is None:
             raise FiptError("image-missing.check-files", text=self._missing(name))
@@ -151,9 +140,6 @@ class Places:
             called: the view's name; "" for that of its photograph.
             split: see `RigView`.
             mask: name of the image whose black pixels are left out, or None.
-
-        Raises:
-            FiptError: ``path-outside`` or ``file-ambiguous``.
         """
         found = self.find(name, size)
         missing = "" if found else self._missing(name)
@@ -163,6 +149,8 @@ class Places:
             masking = self._once(("mask", mask), lambda: self.folders.find(mask, places, first=IDS_FIRST))
             if masking is None or masking == found:
                 missing = missing or self._missing(mask, places)
+        elif found and self.finds_masks:
+            masking = self._once(("mask", found.path), lambda: self._mask(found))
         ends = name_parts(name) if is_plain(name) else found.end if found else name_parts(name)[-1:]
         own = view_name(called or "/".join(ends))
         names = (own, "/".join(ends), *([found.path.name] if found else []))
@@ -180,17 +168,54 @@ class Places:
             **ids,
         )
 
+    def _mask(self, photograph: Found) -> Found | None:
+        """The mask of a photograph where programs write it; None without."""
+        path, end = photograph.path, "/".join(photograph.end)
+        names = [each for name in dict.fromkeys((end, path.name)) for each in (name, stem_of(name))]
+        ends = [name + end for name in names for end in MASK_ENDS]
+        folders = [*self.roots, path.parent, path.parent.parent]
+        for root, folder in product(dict.fromkeys(folders), MASK_FOLDERS):
+            if root / folder != path.parent and (file := self.folders.ids(root / folder, [*names, *ends])):
+                return Found(file, ())
+        beside = self._once(
+            ("beside", path.parent),
+            lambda: {key(stem_of(file.name)): file for file in self.folders.images(path.parent)},
+        )
+        file = next(filter(None, (beside.get(key(name.rpartition("/")[2])) for name in ends)), None)
+        return None if file is None else Found(file, ())
+
+    def _checked_masks(self, views: Sequence[RigView]) -> tuple[list[RigView], list[Problem]]:
+        """The views without found masks that are none, and a note of these."""
+        for view in (view for view in views if view.mask is not None and self._masked(view)):
+            assert view.mask is not None, "only these are looked at"
+            try:
+                fault, ids = "", read_ids(view.mask)
+                ends = (ids == 0) | ((ids == ids.max()) & np.isin(ids, WHITE))
+                if len(np.unique(ids)) > 2 and ends.mean() < BLACK_OR_WHITE:
+                    fault = "it has several values, as images of parts or classes have"
+                elif read_size(view.mask) != (view.width, view.height):
+                    fault = "it has another size than its photograph"
+            except FiptError as error:
+                fault = error.text
+            if not fault:
+                break
+            views = [replace(each, mask=None) if self._masked(each) else each for each in views]
+            return list(views), [
+                problem("masks-unused.kind", folder=view.mask.parent, mask=view.mask, fault=fault)
+            ]
+        return list(views), []
+
+    def _masked(self, view: RigView) -> bool:
+        """Whether the mask of a view was found, not named."""
+        return ("mask", view.image) in self._found and view.mask is not None
+
     def _ids(self, kind: str, names: Sequence[str]) -> Path | None:
         """The id image with one of a view's names in the folder of its kind, or None."""
         found = (self.folders.ids(folder, names) for folder in self._below([self.id_folders[kind]]))
         return next(filter(None, found), None)
 
     def depth(self, folder: Path, name: str) -> Path | None:
-        """The depth image of a name in a folder, or None.
-
-        Raises:
-            FiptError: ``file-ambiguous``.
-        """
+        """The depth image of a name in a folder, or None."""
         found = self._once(
             ("depth", folder, name), lambda: self.folders.find(name, [folder], first=DEPTHS_FIRST)
         )
@@ -214,14 +239,17 @@ class Places:
 
         Args:
             source, views, up_axis, mesh, notes, depths, one_camera: see `Rig`.
-
-        Raises:
-            FiptError: ``file-ambiguous`` where views at different places lead to one file.
         """
         self._refuse_other_folders()
+        views, unread = self._checked_masks(views)
+        masks = {view.mask for view in views if view.mask is not None and self._masked(view)}
+        if masks:
+            place = min(masks).parent
+            unread.append(problem("masks-found", count=len(masks), views=len(views), folder=place))
         for kind in ("image", *self.id_folders):
             self._refuse_shared(kind, [view for view in views if not view.missing])
-        used = [found.path for of, found in self._found.items() if isinstance(found, Found)]
+        found = [one.path for one in self._found.values() if isinstance(one, Found)]
+        used = [path for path in found if path not in masks]
         suffixes, folders = {suffix_of(path.name) for path in used}, {path.parent for path in used}
         beside = [path for folder in sorted(folders) for path in self.folders.images(folder)]
         beside = [path for path in beside if suffix_of(path.name) in suffixes and not self.own_paths]
@@ -232,7 +260,10 @@ class Places:
             beside = [path for root in roots for path in self.folders.images(root / folder, True)]
             used = [path for view in views if (path := getattr(view, kind)) is not None]
             unused.append(_unused("masks-unused", "id images", "photograph", beside, used))
-        notes = (*notes, *filter(None, unused))
+        folders = {path.parent for path in masks if path.parent.name.lower() in MASK_FOLDERS}
+        beside = [path for each in sorted(folders) for path in self.folders.images(each, True)]
+        unused.append(_unused("masks-unused", "masks", "photograph", beside, masks))
+        notes = (*notes, *filter(None, unused), *unread)
         return Rig(source, tuple(views), up_axis, mesh, notes, depths, one_camera)
 
     def _refuse_other_folders(self) -> None:
@@ -267,11 +298,11 @@ class Places:
         Args:
             name: as the camera file has it.
             folders: where it was looked for; () stands for those of photographs.
-
-        Raises:
-            FiptError: ``path-outside``.
         """
         inside = None if folders else self.inside
+        stub = self.folders.stub(name, folders or self._below(self.image_folders))
+        if stub is not None:
+            raise stub
         folders = folders or [*([self.images] if self.images else []), *self._below(self.image_folders)]
         last = (name_parts(name) or ("",))[-1]
         text = (

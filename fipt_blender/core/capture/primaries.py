@@ -31,14 +31,11 @@ _ROUNDED = 4e-3  # of colours from 0 to 1; programs round primaries and curves d
 
 @dataclass(frozen=True, eq=False)
 class Colors:
-    """How stored values become linear Rec.709.
+    """How stored values become linear Rec.709."""
 
-    Attributes:
-        curve: linear values (n, 3) of codes (n,), both from 0 to 1; None for sRGB's curve.
-        matrix: (3, 3) from the linear values to Rec.709; None where they are Rec.709 already.
-    """
-
+    # Linear values (n, 3) of codes (n,), both from 0 to 1; None for sRGB's curve
     curve: Callable[[np.ndarray], np.ndarray] | None = None
+    # (3, 3) from the linear values to Rec.709; None where they are Rec.709 already
     matrix: np.ndarray | None = None
 
 

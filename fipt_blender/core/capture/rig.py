@@ -21,7 +21,7 @@ import numpy as np
 from ..run.documents import load_document
 from ..run.errors import FiptError, Problem
 from ..run.kinds import T
-from .files import key, stand_in, visible
+from .files import copied_from, key, stand_in, visible
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 PARTS_FOLDER = "parts"
@@ -33,15 +33,11 @@ _MALFORMED = (ValueError, LookupError, TypeError, AttributeError, ArithmeticErro
 
 @dataclass(frozen=True)
 class Lens:
-    """A camera model by COLMAP's name with COLMAP's parameters in pixels, e.g. PINHOLE (fx, fy, cx, cy).
-
-    Attributes:
-        face: of a view that is cut out of a panorama, one of `panorama.FACES`.
-    """
+    """A camera model by COLMAP's name with COLMAP's parameters in pixels, e.g. PINHOLE (fx, fy, cx, cy)."""
 
     model: str
     parameters: tuple[float, ...]
-    face: str = ""
+    face: str = ""  # of a view that is cut out of a panorama, one of `panorama.FACES`
 
 
 @dataclass(frozen=True)
@@ -58,33 +54,22 @@ class Pinhole:
 
 @dataclass(frozen=True, eq=False)
 class RigView:
-    """One photograph as its source describes it.
+    """One photograph as its source describes it."""
 
-    Attributes:
-        name: path-like name without suffix.
-        split: ``"train"``, ``"held_back"`` or None where the format has no splits.
-        image: the photograph, which need not exist.
-        width, height: size in pixels that the lens is calibrated for.
-        lens: intrinsics and distortion.
-        camera_to_world: (4, 4) float64, OpenCV axes, source world.
-        parts, semantics: id images that exist, or None.
-        mask: image whose black pixels are left out, or None; it need not exist.
-        missing: where a file does not exist, what was looked for; else "".
-        layer: of an EXR with several; see `images.read_radiance`.
-    """
-
-    name: str
-    split: str | None
-    image: Path
+    name: str  # path-like name without suffix
+    split: str | None  # ``"train"``, ``"held_back"`` or None where the format has no splits
+    image: Path  # the photograph, which need not exist
+    # width, height: size in pixels that the lens is calibrated for
     width: int
     height: int
-    lens: Lens
-    camera_to_world: np.ndarray
+    lens: Lens  # intrinsics and distortion
+    camera_to_world: np.ndarray  # (4, 4) float64, OpenCV axes, source world
+    # parts, semantics: id images that exist, or None
     parts: Path | None = None
     semantics: Path | None = None
-    mask: Path | None = None
-    missing: str = ""
-    layer: str = ""
+    mask: Path | None = None  # image whose black pixels are left out, or None; it need not exist
+    missing: str = ""  # where a file does not exist, what was looked for; else ""
+    layer: str = ""  # of an EXR with several; see `images.read_radiance`
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,9 +145,6 @@ def read_json_rig(path: Path, kind: type[T]) -> T:
     Args:
         path: of the file.
         kind: what it must hold; see `core.run.kinds`.
-
-    Raises:
-        FiptError: ``rig-damaged``.
     """
     try:
         return load_document(path, kind)
@@ -171,15 +153,13 @@ def read_json_rig(path: Path, kind: type[T]) -> T:
 
 
 def read_pose(path: Path, matrix: Any) -> np.ndarray:
-    """A (4, 4) float64 pose from nested lists of 3 or 4 rows.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """A (4, 4) float64 pose from nested lists of 3 or 4 rows."""
     with WellFormed(path):
         values = np.array(matrix, np.float64)
         if values.shape not in ((3, 4), (4, 4)):
             raise ValueError(f"a matrix has shape {values.shape}")
+        if len(values) == 4 and values[3, :3].any() and not values[:3, 3].any():
+            raise ValueError("a matrix is transposed: its position is in the last row, not the last column")
     pose = np.eye(4)
     pose[:3] = values[:3]
     return pose
@@ -199,7 +179,15 @@ def find_mesh(folders: Sequence[Path], stems: Sequence[str]) -> Path | None:
         if named:
             return min(named, key=lambda path: MESH_SUFFIXES.index(path.suffix.lower()))
     others = {path.resolve(): path for paths in meshes.values() for path in paths}
-    return next(iter(others.values())) if len(others) == 1 else None
+    names = {(path.parent, key(path.stem)) for path in others.values()}
+    plain = [path for path in others.values() if not _is_copy(path, names)]
+    return plain[0] if len(plain) == 1 else None
+
+
+def _is_copy(path: Path, names: set[tuple[Path, str]]) -> bool:
+    """Whether a mesh is a second copy of another one, of which folders and stems are given."""
+    original = copied_from(path.stem)
+    return original != path.stem and (path.parent, key(original)) in names
 
 
 def _meshes(folder: Path) -> list[Path]:

@@ -34,14 +34,10 @@ MEASURED = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Source(Related):
-    """A capture as it was read, and where its mesh comes from.
+    """A capture as it was read, and where its mesh comes from."""
 
-    Attributes:
-        mesh: the mesh file; None without one.
-        made: what is used instead of the file: fewer triangles or other coordinates; None for the file.
-    """
-
-    mesh: Path | None
+    mesh: Path | None  # the mesh file; None without one
+    # What is used instead of the file: fewer triangles or other coordinates; None for the file
     made: FusedMesh | None
 
     @property
@@ -51,19 +47,14 @@ class Source(Related):
 
 
 def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> Source:
-    """Read cameras and mesh, and warn of what the user should know of them.
-
-    Raises:
-        FiptError: those of the readers, ``mesh-missing``.
-    """
+    """Read cameras and mesh, and warn of what the user should know of them."""
     rig = _with_layer(read_rig(capture, options.format, options), options.layer)
     mesh = _mesh(rig, options)
     rig = replace(rig, depths=checked_depths(rig.depths))
     solved = np.zeros((0, 3))
-    if mesh is not None:
-        with suppress(FiptError):  # the format has none
-            solved = read_points(capture, rig.source, sure=True)
-    related = relate(capture, rig, mesh, solved)
+    with suppress(FiptError):  # the format has none
+        solved = read_points(capture, rig.source, sure=True)
+    related = relate(capture, rig, mesh, solved, options)
     notes, made = list(related.rig.notes), None
     vertices, triangles = related.vertices, related.triangles
     if vertices is not None and len(triangles) and (related.moved or 0 < options.triangles < len(triangles)):
@@ -109,7 +100,7 @@ def size_note(
         except FiptError:  # told where it is used, or the format has no points
             return None
     slack = MEASURED if source.is_fused else 1.0
-    if not source.fits or not len(points):  # what is known already explains it
+    if not len(points):
         return None
     return judge_size(transform_points(world_from_source, points), slack)
 

@@ -9,11 +9,11 @@ RAW_SUFFIXES = (
     *(".srw", ".3fr", ".fff", ".iiq", ".rwl", ".erf", ".mrw", ".x3f"),
 )
 LINEAR_SUFFIXES = (".exr", ".hdr", ".pic")
-HEIF_SUFFIXES = (".heic", ".heif")
+HEIF_SUFFIXES = (".heic", ".heif", ".hif")  # the last one of cameras
 # Of images that are not RAW; their content says what they are.
 IMAGE_SUFFIXES = (
     *LINEAR_SUFFIXES,
-    *(".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".jxl"),
+    *(".png", ".jpg", ".jpeg", ".jfif", ".jpe", ".insp", ".tif", ".tiff", ".webp", ".jxl"),
     *HEIF_SUFFIXES,
 )
 SUFFIXES = (*RAW_SUFFIXES, *IMAGE_SUFFIXES)

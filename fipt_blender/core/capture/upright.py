@@ -15,6 +15,7 @@ from ..alignment.turns import rotation_between, turn_by
 from ..robust import deviation, student_weights
 from ..run.errors import FiptError, Problem, problem
 from ..run.shapes import FARTHEST_UNITS
+from .corrections import corrections
 from .mesh_file import read_mesh
 
 # Length of the mean up direction of the cameras' images above which it tells which way is up; it is short
@@ -35,18 +36,12 @@ _Z = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Upright:
-    """The vertical of a capture.
+    """The vertical of a capture."""
 
-    Attributes:
-        axis: the source axis that is nearest to up, one of `conventions.UP_AXES`.
-        source: what tells it: "option", "format", "planes" or "cameras".
-        angle: degrees between up and the axis.
-        turn: (3, 3) rotation that precedes that of the axis; None where the axis itself is up.
-    """
-
-    axis: str
-    source: str
-    angle: float = 0.0
+    axis: str  # the source axis that is nearest to up, one of `conventions.UP_AXES`
+    source: str  # what tells it: "option", "format", "planes" or "cameras"
+    angle: float = 0.0  # degrees between up and the axis
+    # (3, 3) rotation that precedes that of the axis; None where the axis itself is up
     turn: np.ndarray | None = None
 
     def world_from_source(self, scale: float) -> np.ndarray:
@@ -95,15 +90,28 @@ def find_upright(poses: np.ndarray, mesh: Path | None) -> Upright:
     return Upright(axis, source, angle, to_world.T @ turn @ to_world)
 
 
-def doubts(axis: str, poses: np.ndarray) -> list[Problem]:
-    """A warning where cameras (V, 4, 4) were held level about another direction than a format's up axis."""
+def doubts(axis: str, poses: np.ndarray, source: str = "") -> list[Problem]:
+    """A warning where cameras (V, 4, 4) were held level about another direction than a format's up axis.
+
+    Those of OpenCV's axes instead of OpenGL's are held upside down, too.
+
+    Args:
+        source: name of the format.
+    """
     held = common_up(poses)
     angle = _degrees(held.up, _direction(axis))
     nearest = angle if held.is_clear else min(angle, 180.0 - angle)
     if held.error > LEVEL or nearest <= CONTRADICTED:
         return []
     other = _nearest_axis(held.up)
-    return [problem("up-axis-doubtful", axis=axis.upper(), other=other.upper(), angle=angle, other_2=other)]
+    if _direction(other) @ _direction(axis) > -0.5:
+        named = problem(
+            "up-axis-doubtful.doubts", axis=axis.upper(), other=other.upper(), angle=angle, other_2=other
+        )
+        return [named]
+    which = next(each.name for each in corrections(source) if each.poses is not None)
+    names = axis.upper(), other.upper()
+    return [problem("up-axis-doubtful.axes", axis=names[0], other=names[1], other_2=other, which=which)]
 
 
 def common_up(poses: np.ndarray) -> HeldLevel:

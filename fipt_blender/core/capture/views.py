@@ -53,41 +53,31 @@ class KeptImages(dict[tuple[Picture, str, tuple[int, int], bool], np.ndarray]):
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One photograph: a pinhole camera and the paths of its images.
+    """One photograph: a pinhole camera and the paths of its images."""
 
-    Attributes:
-        name: unique in the capture, e.g. ``"train/000"``.
-        split: ``"train"`` or ``"held_back"`` (never shown to the estimation).
-        image: scene-linear radiance (EXR; see `encoded`), undistorted, free of negative values.
-        width, height: size in pixels.
-        fx, fy, cx, cy: pinhole intrinsics in pixels; the centre of the first pixel is (0.5, 0.5).
-        camera_to_world: (4, 4) float64, OpenCV axes, Blender world in metres.
-        parts, semantics: id images of the same size, or None.
-        mask: id image of the same size, 0 where the photograph must not be used, or None.
-        encoded: whether the photograph is not HDR: the image holds a camera's codes by sRGB's curve.
-        exposure: of such a photograph, the relative exposure stored in its file, or None.
-        panorama: name of the panorama that the view is a face of, or None.
-        full: width and height of the photograph, where the view has fewer pixels; None where it has its size.
-        kept: averaged images: of all views of a capture, at any resolution.
-    """
-
-    name: str
-    split: str
-    image: Path
+    name: str  # unique in the capture, e.g. ``"train/000"``.
+    split: str  # ``"train"`` or ``"held_back"`` (never shown to the estimation)
+    image: Path  # scene-linear radiance (EXR; see `encoded`), undistorted, free of negative values
+    # width, height: size in pixels
     width: int
     height: int
+    # fx, fy, cx, cy: pinhole intrinsics in pixels; the centre of the first pixel is (0.5, 0.5)
     fx: float
     fy: float
     cx: float
     cy: float
-    camera_to_world: np.ndarray
+    camera_to_world: np.ndarray  # (4, 4) float64, OpenCV axes, Blender world in metres
+    # parts, semantics: id images of the same size, or None
     parts: Path | None = None
     semantics: Path | None = None
-    mask: Path | None = None
+    mask: Path | None = None  # id image of the same size, 0 where the photograph must not be used, or None
+    # Whether the photograph is not HDR: the image holds a camera's codes by sRGB's curve
     encoded: bool = False
-    exposure: float | None = None
-    panorama: str | None = None
+    exposure: float | None = None  # of such a photograph, the relative exposure stored in its file, or None
+    panorama: str | None = None  # name of the panorama that the view is a face of, or None
+    # Width and height of the photograph, where the view has fewer pixels; None where it has its size
     full: tuple[int, int] | None = None
+    # Averaged images: of all views of a capture, at any resolution
     kept: KeptImages = field(default_factory=KeptImages, repr=False)
 
     @property
@@ -114,12 +104,7 @@ class View:
         return conventions.pixel_rays(self, z_depth)
 
     def radiance(self) -> np.ndarray:
-        """The photograph, (height, width, 3) float32 scene-linear radiance; read-only where it is averaged.
-
-        Raises:
-            FiptError: ``image-size`` where the file has been replaced by one of another size, and those of
-                `read_radiance`.
-        """
+        """(height, width, 3) float32 scene-linear radiance; read-only where it is averaged."""
         return self._read(self.image, "image")
 
     def keep(self, photograph: np.ndarray) -> None:
@@ -144,9 +129,6 @@ class View:
 
         Args:
             kind: "image", "ids" or "mask".
-
-        Raises:
-            FiptError: ``image-size`` or ``mask-size``, and those of `read_radiance` and `read_ids`.
         """
         picture, size = open_picture(path), (self.width, self.height)
         if picture.size == size:
@@ -255,19 +237,13 @@ def photographs_of(views: Sequence[View]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """All views of a run, and the conversion from the source's coordinates to Blender's world.
+    """All views of a run, and the conversion from the source's coordinates to Blender's world."""
 
-    Attributes:
-        source: the format it was read from.
-        world_from_source: (4, 4) float64 similarity for anything in source coordinates, the mesh included.
-        mesh: mesh file in source coordinates, or None where none was found.
-        views: in the order of capture.json.
-    """
-
-    source: str
+    source: str  # the format it was read from
+    # (4, 4) float64 similarity for anything in source coordinates, the mesh included
     world_from_source: np.ndarray
-    mesh: Path | None
-    views: tuple[View, ...]
+    mesh: Path | None  # mesh file in source coordinates, or None where none was found
+    views: tuple[View, ...]  # in the order of capture.json
 
     @property
     def train(self) -> list[View]:
@@ -281,12 +257,7 @@ class Capture:
 
 
 def load_capture(run: RunFolder) -> Capture:
-    """Read capture.json of a run.
-
-    Raises:
-        FiptError: ``file-missing``, ``file-damaged``, ``capture-version``, ``path-outside``, or one of
-            `check_view`.
-    """
+    """Read capture.json of a run."""
     capture = read_capture(run.capture_json)
     kept = KeptImages()
     views = tuple(_view(run, view, kept) for view in capture.views)

@@ -44,29 +44,18 @@ Box = tuple[np.ndarray, np.ndarray]  # lowest and highest corner, each (3,), met
 
 @dataclass(frozen=True)
 class ComparedPixels:
-    """The N pixels of all views, on lattices.
+    """The N pixels of all views, on lattices."""
 
-    Attributes:
-        size: median width of a pixel on the scan, at least the scan's median edge, metres.
-        views: with as many pixels as their lattices.
-        first: (V + 1,) int, where the pixels of each view begin.
-        view: (N,) int.
-        direction: (N, 3) float32 unit vector through the pixel.
-        color: (N, 3) float32 logarithm of radiance, apart from the view's exposure.
-        distance: (N,) float32 metres to the first surface, infinite without one.
-        cell: (N,) int, from 0: place on that surface, by which pixels are compared; -1 without one.
-        doubt: (N,) float32, 0 where the photographs of the cell agree, 1 where they disagree; NaN where
-            fewer than `LEAST_VIEWS` views see it.
-    """
-
-    size: float
-    views: list[View]
-    first: np.ndarray
-    view: np.ndarray
-    direction: np.ndarray
-    color: np.ndarray
-    distance: np.ndarray
-    cell: np.ndarray
+    size: float  # median width of a pixel on the scan, at least the scan's median edge, metres
+    views: list[View]  # with as many pixels as their lattices
+    first: np.ndarray  # (V + 1,) int, where the pixels of each view begin
+    view: np.ndarray  # (N,) int
+    direction: np.ndarray  # (N, 3) float32 unit vector through the pixel
+    color: np.ndarray  # (N, 3) float32 logarithm of radiance, apart from the view's exposure
+    distance: np.ndarray  # (N,) float32 metres to the first surface, infinite without one
+    cell: np.ndarray  # (N,) int, from 0: place on that surface, by which pixels are compared; -1 without one
+    # (N,) float32, 0 where the photographs of the cell agree, 1 where they disagree; NaN where fewer
+    # than `LEAST_VIEWS` views see it
     doubt: np.ndarray
 
     @property

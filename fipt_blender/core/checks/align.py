@@ -48,11 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Find the placement of the cameras and write FOLDER/align.json.
-
-    Raises:
-        FiptError: ``alignment-points``, ``alignment-failed``, ``mesh-empty``, or a reader's.
-    """
+    """Find the placement of the cameras and write FOLDER/align.json."""
     folder = RunFolder(arguments.folder)
     reporter.plan([1.0])
     reporter.stage("align", "Aligning the cameras to the mesh")
@@ -75,11 +71,7 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 
 
 def solve_points(capture: Path, name: str, views: list[View]) -> np.ndarray:
-    """The points (N, 3) of a solve or of depth images, in the world in which the cameras are now.
-
-    Raises:
-        FiptError: ``alignment-points`` or an error of the readers.
-    """
+    """The points (N, 3) of a solve or of depth images, in the world in which the cameras are now."""
     rig = read_rig(capture, name, CaptureOptions())
     photographs = distinct_views(rig.views)
     poses = {view.name: view.camera_to_world for each in photographs for view in pinhole_views(each)}
@@ -94,11 +86,7 @@ def solve_points(capture: Path, name: str, views: list[View]) -> np.ndarray:
 
 
 def alignment_points(capture: Path, rig: Rig) -> np.ndarray:
-    """Points (N, 3) in the coordinates of the rig.
-
-    Raises:
-        FiptError: ``alignment-points`` where the capture has neither, or one of the readers'.
-    """
+    """Points (N, 3) in the coordinates of the rig."""
     if rig.depths and getattr(FORMATS[rig.source], "points", None) is None:
         return depth_points(rig.depths, np.random.default_rng(0))
     return read_points(capture, rig.source, sure=True)
@@ -108,9 +96,6 @@ def depth_points(views: Sequence[DepthView], rng: np.random.Generator) -> np.nda
     """Points (N, 3) that some of the depth images measure, in metres and the coordinates of their poses.
 
     Pixels beside edges are left out, where depth cameras measure between both sides.
-
-    Raises:
-        FiptError: those of `read_depth` and `check_unit`; ``depth-empty`` where no pixel is left.
     """
     count = min(60, len(views))  # evenly spread; more do not make an alignment better
     chosen = [replace(views[index * len(views) // count], photograph=None) for index in range(count)]

@@ -4,17 +4,20 @@
 
 Two photographs of the same surface points correlate, whatever their exposures and responses are, if both
 poses and the mesh are right. The correlations of all pairs determine which views most others confirm (up to
-half of the poses may be wrong), and whether the mesh would fit better mirrored, rotated or in another unit.
+half of the poses may be wrong). :mod:`..capture.mistakes` tries what usually is wrong with all of them.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..capture.mistakes import Scene, examine, is_clear
+from ..capture.mistakes import small as small_image
+from ..capture.relation import sight
+from ..capture.rig import Pinhole
 from ..capture.views import View
 from ..run.errors import FiptError
 from ..run.stage_settings import Forced
@@ -25,43 +28,28 @@ WIDTH = 96  # about, of the photographs that are compared, pixels
 LEAST_CELLS = 30  # that a pair of views must share
 # Standard deviation of log radiance in the shared cells, below which a pair is not compared.
 LEAST_SPREAD = 0.1
-# Correlation of neighbouring pixels of a photograph below which it is mostly noise and is not compared. Rooms
-# have 0.83 and more, photographs traced with few samples 0.4 to 0.8.
-CLEAR = 0.75
 JUDGED_VIEWS = 4  # that must be judged before anything is said of poses or mesh
 # Below this correlation, a pose of the pair may be wrong. Median: 0.9 of right poses, 0.15 of wrong ones.
 AGREE = 0.5
 SOFTNESS = 0.1  # width of the transition to credible views, in mean correlation
 ROUNDS = 20  # at most, of weighing views by each other
-# Other placements of the mesh are tried if the median correlation is below `MEND` or a view is contradicted.
-# One is reported if its correlation is above `MEND_LEFT` and if it reduces 1 - correlation to less than the
-# share `LACK`. Above `WELL`, no further placement is tried.
-MEND, LACK, WELL = 0.75, 0.6, 0.9
 # Where more than this share of the views is contradicted and the rest agrees less than this in the median, it
 # is the mesh that is wrong: right poses agree by 0.9.
 MANY, MEND_LEFT = 0.1, 0.85
 CLOSE = 0.2  # share of the pairs, those of the closest cameras, to whose agreement the mesh hardly matters
-UNITS = (0.001, 0.01, 0.0254, 0.3048, 1.0, 1.0 / 0.3048, 1.0 / 0.0254, 100.0, 1000.0)
-TRIED_VIEWS = 24  # views with which other placements of the mesh are tried
 LEAST_SEEN = 0.05  # share of the pixels that see the mesh, of a view or of all, below which they see nothing
 SAME = 0.02  # standard deviation of log radiance in all photographs, below which they show nothing
 _ALIGN = "align the cameras to the mesh by pairs of points in Blender (Capture > Alignment > Cameras to Mesh)"
-_AXES = "XYZ"
 
 
 @dataclass(frozen=True, eq=False)
 class PairAgreement:
-    """How well the photographs of V views agree in pairs.
+    """How well the photographs of V views agree in pairs."""
 
-    Attributes:
-        correlation: (V, V) of log radiance in the cells that both see; 0 where they are not compared.
-        weight: (V, V) root of the number of these cells, 0 where they are not compared.
-        seen: (V,) share of each view's pixels that see the mesh.
-    """
-
+    # (V, V) of log radiance in the cells that both see; 0 where they are not compared
     correlation: np.ndarray
-    weight: np.ndarray
-    seen: np.ndarray
+    weight: np.ndarray  # (V, V) root of the number of these cells, 0 where they are not compared
+    seen: np.ndarray  # (V,) share of each view's pixels that see the mesh
 
     @property
     def median(self) -> float:
@@ -92,24 +80,10 @@ class PairAgreement:
 
 
 def small_photographs(views: Sequence[View]) -> SmallPhotographs:
-    """The photographs on coarse pixels, each in units of its median.
-
-    Raises:
-        FiptError: those of reading the photographs and masks.
-    """
+    """The photographs on coarse pixels, each in units of its median."""
     small = SmallPhotographs.of(views, [max(1, view.width // WIDTH) for view in views])
     positive = [np.maximum(each, 0.0) for each in small.radiance]
     return replace(small, radiance=[each / max(float(np.median(each)), 1e-12) for each in positive])
-
-
-def _is_clear(radiance: np.ndarray, view: View) -> bool:
-    """Whether neighbouring pixels (n, 3) of a photograph are alike: it shows more than noise."""
-    gray = np.log(radiance + FLOOR).mean(axis=1).reshape(view.height, view.width)
-    for one, other in ((gray[:, 1:], gray[:, :-1]), (gray[1:], gray[:-1])):
-        one, other = one - one.mean(), other - other.mean()
-        if (one * other).sum() < CLEAR * np.sqrt((one**2).sum() * (other**2).sum()):
-            return False
-    return True
 
 
 def pair_agreement(room: Room, small: SmallPhotographs) -> PairAgreement:
@@ -117,7 +91,7 @@ def pair_agreement(room: Room, small: SmallPhotographs) -> PairAgreement:
     pixels = small.traced(room)
     table = ConsistencyTable.of(pixels, room, footprint(pixels), colored=True)
     correlation, shared, variance = table.pair_correlation()
-    clear = np.array([_is_clear(*each) for each in zip(small.radiance, small.views, strict=True)], bool)
+    clear = np.array([is_clear(np.log(image + FLOOR).mean(axis=2)) for image in small.images()], bool)
     compared = (shared >= LEAST_CELLS) & (np.minimum(variance, variance.T) > 3.0 * LEAST_SPREAD**2)
     compared &= np.outer(clear, clear) & ~np.eye(len(clear), dtype=bool)
     seen = np.array([np.mean(pixels.triangle[pixels.rows(index)] >= 0) for index in range(len(clear))])
@@ -125,18 +99,16 @@ def pair_agreement(room: Room, small: SmallPhotographs) -> PairAgreement:
 
 
 def check_input(
-    room: Room, views: Sequence[View], settings: Forced, own_mesh: bool = False
+    room: Room, views: Sequence[View], settings: Forced, own_mesh: bool = False, source: str = ""
 ) -> dict[int, float]:
     """Refuse input from which nothing can be estimated; find the views whose poses are far off.
 
     Args:
         own_mesh: whether the mesh was made of depth images of these cameras: it lies where they are.
+        source: name of the capture's format.
 
     Returns:
         index of each view that the others contradict, and its mean correlation with the credible ones.
-
-    Raises:
-        FiptError: ``input-insufficient``, ``mesh-misplaced`` or ``views-disagree``, unless forced.
     """
     small = small_photographs(views)
     found = pair_agreement(room, small)
@@ -146,9 +118,8 @@ def check_input(
     few = judged.sum() < JUDGED_VIEWS
     blind = int((found.seen < LEAST_SEEN).sum())
     elsewhere = 2 * blind >= len(views) or found.seen.mean() < LEAST_SEEN
-    doubtful = found.median < MEND or not credible.all()
-    if not settings.force and not own_mesh and (elsewhere or not few) and doubtful:
-        _check_mesh(room, small, found, elsewhere or 2 * int((~credible).sum()) > judged.sum())
+    if not settings.force and not own_mesh and (elsewhere or not few):
+        _check_mesh(room, small, source)
     if not settings.force and 2 * blind >= len(views) > blind:  # where all are blind, see fill_pixels
         raise _insufficient(
             f"{blind} of {len(views)} cameras see nothing of the mesh",
@@ -218,11 +189,7 @@ def _insufficient(text: str, remedy: str) -> FiptError:
 
 
 def _check_photographs(small: SmallPhotographs) -> None:
-    """Refuse one view, and photographs without content.
-
-    Raises:
-        FiptError: ``input-insufficient``.
-    """
+    """Refuse one view, and photographs without content."""
     if len(small.views) < 2:
         raise _insufficient(
             "there is one photograph, but gloss and light follow from several",
@@ -238,62 +205,14 @@ def _check_photographs(small: SmallPhotographs) -> None:
         )
 
 
-def _check_mesh(room: Room, small: SmallPhotographs, given: PairAgreement, anything: bool) -> None:
-    """Find out whether the photographs agree far better with the mesh mirrored, turned or in another unit.
-
-    Args:
-        anything: whether units and rotations are tried besides mirror images, which takes longer.
-
-    Raises:
-        FiptError: ``mesh-misplaced``.
-    """
-    step = max(1, len(small.views) // TRIED_VIEWS)
-    some = small.among(range(0, len(small.views), step))
-    reference = pair_agreement(room, some).median if step > 1 else given.median
-    best, name = 0.0, ""
-    for text, places in _placements(room, some.views, anything):
-        found = pair_agreement(room, some.moved(places))
-        enough = (found.weight > 0.0).sum() >= 2 * JUDGED_VIEWS and found.seen.mean() > LEAST_SEEN
-        if enough and found.median > best:
-            best, name = found.median, text
-        if best > WELL:
-            break
-    if best > MEND_LEFT and 1.0 - best < LACK * (1.0 - reference):
-        raise FiptError("mesh-misplaced", reference=reference, name=name, best=best)
-
-
-def _placements(room: Room, views: Sequence[View], anything: bool) -> Iterator[tuple[str, np.ndarray]]:
-    """Other placements of the mesh with their names; only those that most cameras are in, or mirrors."""
-    low, high = room.bounds
-    cameras = np.array([view.camera_to_world[:3, 3] for view in views])
-    for axis in range(3):
-        for around in (0.0, low[axis] + high[axis]):
-            places = np.eye(4)
-            places[axis, axis], places[axis, 3] = -1.0, around
-            yield f"mirror {_AXES[axis]}" + (" at its middle" if around else ""), places
-    if not anything:
-        return
-    # Turns and units alone come before both.
-    both = itertools.product(_turns(), UNITS)
-    for (words, turn), unit in sorted(both, key=lambda pair: bool(pair[0][0]) and pair[1] != 1.0):
-        places = np.eye(4)
-        places[:3, :3] = unit * turn
-        corners = np.array([low, high]) @ places[:3, :3].T
-        inside = ((cameras > corners.min(axis=0)) & (cameras < corners.max(axis=0))).all(axis=1)
-        if inside.mean() >= 0.5:
-            words = " and ".join(filter(None, (words, "" if unit == 1.0 else f"scale {unit:.6g}")))
-            yield words or "nothing", places
-
-
-def _turns() -> Iterator[tuple[str, np.ndarray]]:
-    """The 24 turns (3, 3) of the axes with their names, none first, and the three mirrors."""
-    signs = sorted(itertools.product((1, -1), repeat=3), reverse=True)
-    for order, sign in itertools.product(itertools.permutations(range(3)), signs):
-        turn = np.zeros((3, 3))
-        turn[range(3), order] = sign
-        if np.linalg.det(turn) > 0.0:
-            axes = (("-" if minus < 0 else "") + _AXES[axis] for axis, minus in zip(order, sign, strict=True))
-            name = f"turn its axes so that the new X, Y, Z are its {', '.join(axes)}"
-            yield "" if (turn == np.eye(3)).all() else name, turn
-    for axis in range(3):
-        yield f"mirror {_AXES[axis]}", np.diag([-1.0 if axis == other else 1.0 for other in range(3)])
+def _check_mesh(room: Room, small: SmallPhotographs, source: str) -> None:
+    """Find out whether the photographs agree far better with a usual mistake of mesh or cameras undone."""
+    sights = []
+    for view, image, masked in zip(small.views, small.images(), small.masked, strict=True):
+        shown = small_image(image, masked.reshape(view.height, view.width))
+        pinhole = Pinhole(view.width, view.height, view.fx, view.fy, view.cx, view.cy)
+        sights.append(sight(view.camera_to_world, pinhole, shown))
+    scene = Scene.of(sights, (room.vertices, room.triangles), np.zeros((0, 3)))
+    finding = None if scene is None else examine(scene, source, poses=False)
+    if finding is not None and finding.is_sure:
+        raise finding.error(at_import=False)

@@ -8,7 +8,7 @@ these read the table, which is made anew where pixels or mesh have changed.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,19 +43,12 @@ _ROUNDS = 8
 
 @dataclass(frozen=True)
 class CellGrid:
-    """How surface points are sorted into cells by position, side and part.
+    """How surface points are sorted into cells by position, side and part."""
 
-    Attributes:
-        part: (T,) int part of each triangle, negative without.
-        side: (T,) int64 dominant direction of each triangle's normal.
-        low: (3,) corner of a cell below the room, metres.
-        size: edge of a cell, metres.
-    """
-
-    part: np.ndarray
-    side: np.ndarray
-    low: np.ndarray
-    size: float
+    part: np.ndarray  # (T,) int part of each triangle, negative without
+    side: np.ndarray  # (T,) int64 dominant direction of each triangle's normal
+    low: np.ndarray  # (3,) corner of a cell below the room, metres
+    size: float  # edge of a cell, metres
 
     @classmethod
     def of(cls, room: Room, size: float, part: np.ndarray | None = None) -> CellGrid:
@@ -82,19 +75,13 @@ class ConsistencyTable:
 
     Only the cells are kept: their number depends on the surface. Pixels are looked up view by view with their
     current values, so that pixels left out and corrected exposures count from then on.
-
-    Attributes:
-        grid: how pixels are sorted into cells.
-        keys: (count,) int64 key of each cell, ascending.
-        pixel_count: number of pixels that the cells were made of.
-        colored: whether colours are compared (C of 3), or grey (C of 1).
     """
 
     pixels: PixelStore
-    grid: CellGrid
-    keys: np.ndarray
-    pixel_count: int
-    colored: bool
+    grid: CellGrid  # how pixels are sorted into cells
+    keys: np.ndarray  # (count,) int64 key of each cell, ascending
+    pixel_count: int  # number of pixels that the cells were made of
+    colored: bool  # whether colours are compared (C of 3), or grey (C of 1)
 
     @classmethod
     def of(
@@ -234,25 +221,15 @@ def lattice_hits(pixels: PixelStore, index: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class SmallPhotographs:
-    """Photographs on fewer pixels, which are compared before the pixels of an estimation are traced.
+    """Photographs on fewer pixels, which are compared before the pixels of an estimation are traced."""
 
-    Attributes:
-        views: with as many pixels as the arrays have.
-        radiance: of each view (n, 3), means over square blocks of pixels.
-        masked: of each view (n,) bool, blocks with a masked pixel.
-    """
-
-    views: list[View]
-    radiance: list[np.ndarray]
-    masked: list[np.ndarray]
+    views: list[View]  # with as many pixels as the arrays have
+    radiance: list[np.ndarray]  # of each view (n, 3), means over square blocks of pixels
+    masked: list[np.ndarray]  # of each view (n,) bool, blocks with a masked pixel
 
     @classmethod
     def of(cls, views: Sequence[View], steps: Sequence[int]) -> SmallPhotographs:
-        """The photographs of views, with blocks of so many pixels along each side.
-
-        Raises:
-            FiptError: those of reading the photographs and masks.
-        """
+        """The photographs of views, with blocks of so many pixels along each side."""
         found = cls([], [], [])
         for view, step in zip(views, steps, strict=True):
             width, height = view.width // step, view.height // step
@@ -271,16 +248,10 @@ class SmallPhotographs:
             found.masked.append(covered[:, 0] > 0.0)
         return found
 
-    def among(self, chosen: Sequence[int]) -> SmallPhotographs:
-        """Some of the views."""
-        return SmallPhotographs(*([each[index] for index in chosen] for each in vars(self).values()))
-
-    def moved(self, places: np.ndarray) -> SmallPhotographs:
-        """The same on a mesh that a similarity (4, 4), or a mirror, has moved: the views go the other way."""
-        unit, inverse = np.cbrt(abs(np.linalg.det(places[:3, :3]))), np.linalg.inv(places)
-        turn = np.diag([unit, unit, unit, 1.0])
-        views = [replace(view, camera_to_world=inverse @ view.camera_to_world @ turn) for view in self.views]
-        return replace(self, views=views)
+    def images(self) -> Iterator[np.ndarray]:
+        """The photographs (h, w, 3)."""
+        for view, radiance in zip(self.views, self.radiance, strict=True):
+            yield radiance.reshape(view.height, view.width, 3)
 
     def traced(self, room: Room) -> PixelStore:
         """What their pixels see of a room, in memory; all that meet it are pure and see fronts."""

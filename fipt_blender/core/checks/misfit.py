@@ -94,17 +94,11 @@ def view_edges(room: Room, view: View) -> MeshEdges:
 
 @dataclass(frozen=True, eq=False)
 class MeshEdges:
-    """Points on the edges of a mesh in a view.
+    """Points on the edges of a mesh in a view."""
 
-    Attributes:
-        pixel: (K, 2) x, y; the centre of the first pixel is (0.5, 0.5).
-        normal: (K, 2) unit vectors across the edge.
-        depth: (K,) along the camera's Z, of the nearer side.
-    """
-
-    pixel: np.ndarray
-    normal: np.ndarray
-    depth: np.ndarray
+    pixel: np.ndarray  # (K, 2) x, y; the centre of the first pixel is (0.5, 0.5)
+    normal: np.ndarray  # (K, 2) unit vectors across the edge
+    depth: np.ndarray  # (K,) along the camera's Z, of the nearer side
 
     def over(self, factor: float) -> MeshEdges:
         """The edges in an image that is smaller by a factor."""

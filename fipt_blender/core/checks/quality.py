@@ -33,36 +33,26 @@ FLOOR = 1e-4  # radiance in units of the capture's median
 
 @dataclass(frozen=True, eq=False)
 class JudgedView:
-    """A photograph that was held back.
+    """A photograph that was held back."""
 
-    Attributes:
-        name: of the view.
-        pictures: (3, H, W, 3) float32 display values: photograph, render, projection.
-        errors: (2, 3) mean squared errors of render, without its noise, and projection in each channel.
-    """
-
-    name: str
-    pictures: np.ndarray
+    name: str  # of the view
+    pictures: np.ndarray  # (3, H, W, 3) float32 display values: photograph, render, projection
+    # (2, 3) mean squared errors of render, without its noise, and projection in each channel
     errors: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """How good a result is.
+    """How good a result is."""
 
-    Attributes:
-        held_back_db, projection_db: PSNR over the pixels of all judged photographs.
-        on_mesh_db, projection_on_mesh_db: the same over those of them that see the mesh; None without any.
-        on_mesh_share: 0..1, how many these are.
-        views: what was judged.
-    """
-
+    # held_back_db, projection_db: PSNR over the pixels of all judged photographs
     held_back_db: float
     projection_db: float
+    # on_mesh_db, projection_on_mesh_db: the same over those of them that see the mesh; None without any
     on_mesh_db: float | None
     projection_on_mesh_db: float | None
-    on_mesh_share: float
-    views: tuple[JudgedView, ...]
+    on_mesh_share: float  # 0..1, how many these are
+    views: tuple[JudgedView, ...]  # what was judged
 
     @property
     def deviation(self) -> float:
@@ -83,15 +73,11 @@ class Quality:
 
 @dataclass(frozen=True, eq=False)
 class Display:
-    """From radiance in units of the capture's median to a photograph's display values, 0 to 1, and back.
+    """From radiance in units of the capture's median to a photograph's display values, 0 to 1, and back."""
 
-    Attributes:
-        curve: (256,) logarithm of the light of each code of a camera; None for HDR photographs.
-        falloff: terms of the logarithm of light that is missing away from the centre.
-    """
-
+    # (256,) logarithm of the light of each code of a camera; None for HDR photographs
     curve: np.ndarray | None = None
-    falloff: np.ndarray | None = None
+    falloff: np.ndarray | None = None  # terms of the logarithm of light that is missing away from the centre
 
     @classmethod
     def of(cls, view: View, photometry: Mapping[str, Any]) -> Display:
@@ -149,9 +135,6 @@ def judge(
         held_back: at full size; at most `MOST_VIEWS` of them are judged, with the training views' size.
         photometry: what was found of photographs that are not HDR; empty without any.
         scale: the capture's median radiance, by which `pixels` was divided.
-
-    Raises:
-        FiptError: a photograph can't be read.
     """
     chosen = judged_views(held_back)
     count = len(chosen)

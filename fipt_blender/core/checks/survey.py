@@ -42,11 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
-    """Examine all views of FOLDER/capture.json and write FOLDER/survey.json and FOLDER/survey.npz.
-
-    Raises:
-        FiptError: where the capture or the mesh can't be read, or a mask can't be used.
-    """
+    """Examine all views of FOLDER/capture.json and write FOLDER/survey.json and FOLDER/survey.npz."""
     reporter.plan([0.1, 0.7, 0.2])
     reporter.stage("device", "Starting the engine")
     set_variant(arguments.device)
@@ -114,20 +110,13 @@ def run(arguments: argparse.Namespace, reporter: Reporter) -> None:
 
 @dataclass(frozen=True, eq=False)
 class PhotographFacts:
-    """What is wrong with a photograph.
+    """What is wrong with a photograph."""
 
-    Attributes:
-        missing: whether its file is missing.
-        unusable: why it can't be used, "" if it can.
-        clipped_share: 0..1, of its pixels that are over-exposed.
-        flaw: what is wrong with its radiance, "" for nothing.
-        image: (h, w) what is compared with the mesh (:func:`.edge_image`), None without any.
-    """
-
-    missing: bool = False
-    unusable: str = ""
-    clipped_share: float = 0.0
-    flaw: str = ""
+    missing: bool = False  # whether its file is missing
+    unusable: str = ""  # why it can't be used, "" if it can
+    clipped_share: float = 0.0  # 0..1, of its pixels that are over-exposed
+    flaw: str = ""  # what is wrong with its radiance, "" for nothing
+    # (h, w) what is compared with the mesh (:func:`.edge_image`), None without any
     image: np.ndarray | None = None
 
 

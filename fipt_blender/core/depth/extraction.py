@@ -22,17 +22,11 @@ _CORNERS = np.array([[c & 1, c >> 1 & 1, c >> 2 & 1] for c in range(8)])
 
 @dataclass(frozen=True, eq=False)
 class FusedMesh:
-    """A mesh.
+    """A mesh."""
 
-    Attributes:
-        vertices: (V, 3) float32 metres.
-        triangles: (T, 3) int32, counter-clockwise seen from the measured side.
-        colors: (V, 3) float32, or None.
-    """
-
-    vertices: np.ndarray
-    triangles: np.ndarray
-    colors: np.ndarray | None = None
+    vertices: np.ndarray  # (V, 3) float32 metres
+    triangles: np.ndarray  # (T, 3) int32, counter-clockwise seen from the measured side
+    colors: np.ndarray | None = None  # (V, 3) float32, or None
 
 
 def extract(volume: BlockVolume, least_weight: float = 1.0) -> FusedMesh:

@@ -13,11 +13,7 @@ from .extraction import FusedMesh
 
 
 def write_ply(path: Path, mesh: FusedMesh) -> None:
-    """Write a mesh, completely or not at all.
-
-    Raises:
-        FiptError: ``disk-full`` or ``run-unwritable``.
-    """
+    """Write a mesh, completely or not at all."""
     import trimesh  # here: each import of a capture loads this module, and trimesh takes half of that time
     from trimesh.exchange.ply import export_ply
 

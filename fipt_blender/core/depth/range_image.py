@@ -11,23 +11,18 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class RangeImage:
-    """Depths of one camera.
+    """Depths of one camera."""
 
-    Attributes:
-        depth: (H, W) float32 metres along the camera's axis, not along the ray; 0 where nothing was measured.
-        fx, fy, cx, cy: pinhole intrinsics in pixels; the centre of the first pixel is (0.5, 0.5).
-        camera_to_world: (4, 4) float64, OpenCV axes.
-        color: (H, W, 3) float32 of the surfaces, or None.
-        weight: (H, W) float32 of the measurements, inverse to their variances; None for 1.
-    """
-
+    # (H, W) float32 metres along the camera's axis, not along the ray; 0 where nothing was measured
     depth: np.ndarray
+    # fx, fy, cx, cy: pinhole intrinsics in pixels; the centre of the first pixel is (0.5, 0.5)
     fx: float
     fy: float
     cx: float
     cy: float
-    camera_to_world: np.ndarray
-    color: np.ndarray | None = None
+    camera_to_world: np.ndarray  # (4, 4) float64, OpenCV axes
+    color: np.ndarray | None = None  # (H, W, 3) float32 of the surfaces, or None
+    # (H, W) float32 of the measurements, inverse to their variances; None for 1
     weight: np.ndarray | None = None
 
     def points(self, step: int = 1) -> tuple[np.ndarray, np.ndarray]:

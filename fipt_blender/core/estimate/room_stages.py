@@ -100,6 +100,7 @@ def room_chain(
         "views": Given(list(views), views_key(settings, views)),
         "cameras": Given(cameras, digest(cameras.tolist())),
         "own_mesh": Given(own_mesh, str(own_mesh)),
+        "capture_format": Given(capture.source, capture.source),
     }
     afterwards = AFTERWARDS if whole else 0.0
     return Chain(list(room_stages(whole)), given, settings, run.scan, reporter, afterwards=afterwards)
@@ -156,9 +157,12 @@ def room_so_far(mesh: RoomMesh, cameras: np.ndarray, scan: ScanArrays | None) ->
     return make_room(mesh if scan is None else scan.whole(mesh), cameras)
 
 
-def check_relation(room: Room, views: list[View], own_mesh: bool, *, settings: Forced) -> dict[str, float]:
+def check_relation(
+    room: Room, views: list[View], own_mesh: bool, capture_format: str, *, settings: Forced
+) -> dict[str, float]:
     """`PreparedRoom.far_off`."""
-    return {str(index): value for index, value in check_input(room, views, settings, own_mesh).items()}
+    found = check_input(room, views, settings, own_mesh, capture_format)
+    return {str(index): value for index, value in found.items()}
 
 
 def complete_scan(

@@ -21,11 +21,13 @@ class Problem:
         code: short kebab-case identifier that scripts can match, e.g. ``"image-missing"``.
         text: what is wrong, naming the file or value.
         remedy: what the user can do about it.
+        fix: how an import is corrected (`CaptureOptions.correct`), where one correction is the remedy.
     """
 
     code: str
     text: str
     remedy: str = ""
+    fix: str = ""
 
 
 @cache
@@ -58,15 +60,15 @@ class FiptError(Exception):
         self._say(problem(key, **values))
 
     @classmethod
-    def of(cls, code: str, text: str, remedy: str) -> FiptError:
+    def of(cls, code: str, text: str, remedy: str, fix: str = "") -> FiptError:
         """The error whose texts come from elsewhere, such as another process."""
         error = cls.__new__(cls)
-        error._say(Problem(code, text, remedy))
+        error._say(Problem(code, text, remedy, fix))
         return error
 
     def _say(self, said: Problem) -> None:
         super().__init__(f"{said.text} {said.remedy}")
-        self.code, self.text, self.remedy = said.code, said.text, said.remedy
+        self.code, self.text, self.remedy, self.fix = said.code, said.text, said.remedy, said.fix
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle what is said; an exception by default keeps only its message."""
@@ -75,7 +77,8 @@ class FiptError(Exception):
 
 def as_message(kind: str, said: Problem | FiptError) -> dict[str, Any]:
     """The message of type "warning" or "error" that says a problem."""
-    return {"type": kind, "code": said.code, "text": said.text, "remedy": said.remedy}
+    fix = {"fix": said.fix} if said.fix else {}
+    return {"type": kind, "code": said.code, "text": said.text, "remedy": said.remedy, **fix}
 
 
 def warning(key: str, /, **values: object) -> dict[str, Any]:

@@ -16,7 +16,22 @@ from pathlib import Path
 
 # At least those of `capture.suffixes`, which is above this room.
 IMAGE_SUFFIXES = (
-    *(".exr", ".hdr", ".pic", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".jxl", ".heic", ".heif"),
+    *(
+        ".exr",
+        ".hdr",
+        ".pic",
+        ".png",
+        ".jpg",
+        ".jpeg",
+        ".jfif",
+        ".jpe",
+        ".insp",
+        ".tif",
+        ".tiff",
+        ".webp",
+        ".jxl",
+    ),
+    *(".heic", ".heif", ".hif"),
 )
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".gltf", ".glb", ".fbx", ".usd", ".usda", ".usdc", ".usdz")
 

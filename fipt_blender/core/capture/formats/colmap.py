@@ -22,6 +22,7 @@ from ..options import CaptureOptions
 from ..places import IMAGE_FOLDERS, Places
 from ..rig import Lens, Rig, damaged, find_mesh
 from .colmap_sizes import MOST_BYTES, check_model
+from .rig_files import camera_pose, stored_rotation
 
 NAME = "colmap"
 LOOKS_FOR = "cameras.bin or cameras.txt with images and points3D, in the folder or its sparse/0"
@@ -56,9 +57,6 @@ def read(found: Model, options: CaptureOptions) -> Rig:
     Photographs are searched in ``options.images`` and the usual folders beside the model, EXR files first
     (models are often solved on tone-mapped copies). COLMAP does not define an up axis. Of several unconnected
     models below the folder, the one with most images is read.
-
-    Raises:
-        FiptError: ``rig-damaged``.
     """
     model = opened(found)
     try:
@@ -84,31 +82,19 @@ def read(found: Model, options: CaptureOptions) -> Rig:
 
 
 def points(found: Model) -> np.ndarray:
-    """The sparse points (N, 3) of a model.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """The sparse points (N, 3) of a model."""
     return _points(found)[0]
 
 
 def sure_points(found: Model) -> np.ndarray:
-    """Those of the points that many photographs see, if there are enough; they are off much less.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """Those of the points that many photographs see, if there are enough; they are off much less."""
     positions, views = _points(found)
     sure = views >= SURE_VIEWS
     return positions[sure] if sure.sum() >= ENOUGH_POINTS else positions
 
 
 def opened(found: Model) -> pycolmap.Reconstruction:
-    """A model as COLMAP has it in memory.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """A model as COLMAP has it in memory."""
     try:
         check_model(found.folder)
         with _plain(found.folder) as folder:
@@ -218,9 +204,11 @@ def _roots(path: Path, folder: Path) -> list[Path]:
 
 
 def _camera_to_world(image: pycolmap.Image) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3] = image.cam_from_world().inverse().matrix()
-    return pose
+    """The pose (4, 4), with quaternions of any length: some programs do not normalize them."""
+    stored = image.cam_from_world()
+    x, y, z, w = stored.rotation.quat
+    rotation = stored_rotation(np.array([w, x, y, z], np.float64))
+    return camera_pose(rotation, -rotation.T @ stored.translation)
 
 
 def _notes(folder: Path) -> tuple[Problem, ...]:

@@ -91,9 +91,6 @@ def _read_synthetic(path: Path, options: CaptureOptions) -> Rig:
 
     The views of a split share one horizontal field of view, and the principal point is centred. The world is
     Y up unless the JSON has another "up_axis". IndexMA/ contains part ids, segmentation/ semantic ids.
-
-    Raises:
-        FiptError: ``rig-damaged``, ``image-missing``, ``image-unreadable`` or ``path-outside``.
     """
     rigs: list[Rig] = []
     up_axis = "y"
@@ -137,10 +134,6 @@ def _read_real(path: Path, options: CaptureOptions) -> Rig:
 
     Both text files begin with the number of views, followed by three lines of three numbers for each view:
     origin, look-at point and up vector in cam.txt, the camera matrix in K_list.txt.
-
-    Raises:
-        FiptError: ``rig-damaged``, ``pose-not-rotation``, ``image-size`` where an image does not fit its
-            camera matrix, ``image-missing`` or ``image-unreadable``.
     """
     poses = _read_blocks(path / "cam.txt")
     matrices = _read_blocks(path / "K_list.txt")
@@ -211,9 +204,6 @@ def _read_scannetpp(file: Path, options: CaptureOptions) -> Rig:
     """Read all frames except those marked as bad; test frames are held back.
 
     The mesh is the laser scan's. ScanNet++ does not define an up axis.
-
-    Raises:
-        FiptError: those of `transforms.read`.
     """
     scene = read_json_rig(file, _Scene)
     dslr = file.parent.parent

@@ -68,9 +68,6 @@ def _meshroom(file: Path, places: Places) -> Models:
 
     Matrices are stored column by column, so that a rotation read row by row leads from the camera to the
     world.
-
-    Raises:
-        FiptError: ``rig-damaged`` or ``camera-model``.
     """
     data = read_json_rig(file, dict)
     version = tuple(int(value) for value in numbers(data["version"], 3))
@@ -85,11 +82,7 @@ def _meshroom(file: Path, places: Places) -> Models:
 
 
 def _meshroom_points(file: Path) -> np.ndarray:
-    """The sparse points (N, 3), which the file has if it was converted with its structure.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """The sparse points (N, 3), which the file has if it was converted with its structure."""
     with WellFormed(file):
         stored = [numbers(entry["X"], 3) for entry in read_json_rig(file, dict).get("structure", [])]
     return np.array(stored).reshape(-1, 3) @ _MESH_FROM_SFM[:3, :3].T
@@ -227,21 +220,13 @@ class _OpenSfM(Program):
 
 
 def _opensfm(file: Path, places: Places) -> Models:
-    """All shots of each reconstruction. The world is Z up, as OpenSfM aligns it.
-
-    Raises:
-        FiptError: ``rig-damaged`` or ``camera-model``.
-    """
+    """All shots of each reconstruction. The world is Z up, as OpenSfM aligns it."""
     models = read_json_rig(file, tuple[_Model, ...])
     return [_opensfm_views(file, model, places) for model in models], ()
 
 
 def _opensfm_points(file: Path) -> np.ndarray:
-    """The sparse points (N, 3) of the largest reconstruction.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """The sparse points (N, 3) of the largest reconstruction."""
     models = read_json_rig(file, tuple[_ModelPoints, ...])
     with WellFormed(file):
         largest = max(models, key=lambda model: len(model.shots))
@@ -289,11 +274,7 @@ def _opensfm_lens(file: Path, camera: _Camera, size: tuple[int, int]) -> Lens:
 
 
 def _openmvg(file: Path, places: Places) -> Models:
-    """All views with a pose; rotations are from the world to the camera.
-
-    Raises:
-        FiptError: ``rig-damaged`` or ``camera-model``.
-    """
+    """All views with a pose; rotations are from the world to the camera."""
     data = read_json_rig(file, dict)
     lenses = {
         entry["key"]: _openmvg_lens(file, kind, entry["value"]["ptr_wrapper"]["data"])
@@ -314,11 +295,7 @@ def _openmvg(file: Path, places: Places) -> Models:
 
 
 def _openmvg_points(file: Path) -> np.ndarray:
-    """The sparse points (N, 3), which the file has unless it was exported without its structure.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """The sparse points (N, 3), which the file has unless it was exported without its structure."""
     with WellFormed(file):
         stored = read_json_rig(file, dict).get("structure", [])
         return np.array([numbers(entry["value"]["X"], 3) for entry in stored]).reshape(-1, 3)

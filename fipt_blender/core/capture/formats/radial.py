@@ -35,9 +35,6 @@ def distorting_lens(
 
     Returns:
         PINHOLE, OPENCV or FULL_OPENCV. Up to three coefficients are exact; more are fitted over the image.
-
-    Raises:
-        FiptError: ``camera-model`` where the fit is off by more than `MOST_ERROR`.
     """
     k = (*coefficients, 0.0, 0.0, 0.0)
     if not any(coefficients[3:]):
@@ -62,11 +59,7 @@ def undistorting_lens(
     size: tuple[int, int],
     undistort: Callable[[np.ndarray], np.ndarray],
 ) -> Lens:
-    """The lens whose distorted radii, over the focal length, a function maps to undistorted ones.
-
-    Raises:
-        FiptError: ``camera-model`` where the function is not increasing over the image, or the fit is off.
-    """
+    """The lens whose distorted radii, over the focal length, a function maps to undistorted ones."""
     distorted = np.linspace(0.0, _corner(intrinsics, size), _SAMPLES + 1)[1:]
     with np.errstate(all="ignore"):
         radii = undistort(distorted)

@@ -66,9 +66,6 @@ def read(found: tuple[Path, list[Path]], options: CaptureOptions) -> Rig:
     """Read all cameras of a CSV file, or of XMP files. The world is Z up.
 
     Sizes are those of the photographs, since the files have none.
-
-    Raises:
-        FiptError: ``rig-damaged``, ``camera-model``, ``image-missing`` or ``image-unreadable``.
     """
     folder, files = found
     notes: tuple[Problem, ...] = ()
@@ -143,11 +140,7 @@ def _xmp_views(folder: Path, files: list[Path], places: Places) -> tuple[list[Ri
 
 
 def _xmp_values(file: Path) -> dict[str, str]:
-    """RealityScan's values in an XMP file, which are attributes or elements.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """RealityScan's values in an XMP file, which are attributes or elements."""
     values: dict[str, str] = {}
     for element in read_xml_rig(file).iter():
         values.update({key: value for key, value in element.attrib.items() if key.startswith(_XCR)})

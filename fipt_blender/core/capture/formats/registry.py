@@ -25,11 +25,30 @@ from ..options import CaptureOptions
 from ..rig import Rig, damaged
 from ..suffixes import SUFFIXES
 from . import colmap, datasets, json_solves, realityscan, scans, text_solves, transforms, xml_solves
-from .rig_files import Program
+from .rig_files import Program, head
 
 MOST_FOLDERS = 200  # that are searched for a capture below one that is none
 # Formats of data sets, which contain files of other formats, too.
 COMPLETE = tuple(each.NAME for each in datasets.SETS)
+_CONVERT = "Convert it to transforms.json, or to a COLMAP model"
+_NO_LENS = f"{_CONVERT}, with the camera's lens, which this file does not have."
+_SOLVE = f"Choose the COLMAP model that it was made of. {_CONVERT}, if there is none."
+# Files of poses that are not read: pattern, a word in their beginning, what they are, and what to do.
+OTHER_POSES = (
+    ("poses_bounds.npy", "", "the poses of LLFF", _SOLVE),
+    ("groundtruth.txt", "", "a trajectory of the TUM benchmark or of a SLAM program", _NO_LENS),
+    ("traj*.txt", "", "a trajectory of a SLAM program", _NO_LENS),
+    ("*[Tt]rajectory*.txt", "", "a trajectory of a SLAM program", _NO_LENS),
+    ("poses.txt", "", "a trajectory of a SLAM program", _NO_LENS),
+    ("cameras.json", '"img_name"', "the cameras beside a model of 3D Gaussians", _SOLVE),
+    ("cameras*.npz", "", "cameras of NeuS or IDR", _SOLVE),
+    ("camera_path*.json", "", "a path for renders, not cameras of photographs", _SOLVE),
+    ("*.cam", "", "a camera of MVE or MVSNet", _SOLVE),
+    ("*.p4p", "", "a project of Pix4D", "Export its cameras: BlocksExchange, Bundler or COLMAP."),
+    ("*.psx", "", "a project of Metashape", "Export its cameras: File > Export > Export Cameras, as XML."),
+    ("*.rsproj", "", "a project of RealityScan", "Export its registration, as COLMAP or CSV."),
+    ("*.rcproj", "", "a project of RealityScan", "Export its registration, as COLMAP or CSV."),
+)
 Reader = ModuleType | Program | datasets.DataSet | scans.ScanApp
 # The first match is used: nerfstudio, for example, keeps a COLMAP model beside its transforms.json.
 FORMATS: dict[str, Reader] = {
@@ -48,12 +67,7 @@ FORMATS: dict[str, Reader] = {
 
 
 def detect_format(path: Path) -> str:
-    """The name of the first format that matches a capture.
-
-    Raises:
-        FiptError: ``capture-missing``; ``capture-elsewhere``; ``cameras-missing`` for photographs alone;
-            ``format-unknown``.
-    """
+    """The name of the first format that matches a capture."""
     if not path.exists():
         raise FiptError("capture-missing.detect-format", path=path)
     for name, module in FORMATS.items():
@@ -63,7 +77,12 @@ def detect_format(path: Path) -> str:
     if (near := _capture_near(folder)) is not None:
         raise FiptError("capture-elsewhere", path=path, near=near[0], near_2=near[1])
     files = (file for pattern in ("*", "*/*") for file in folder.glob(pattern))
-    if any(file.suffix.lower() in SUFFIXES for file in islice(files, 10_000)):
+    has_photographs = any(file.suffix.lower() in SUFFIXES for file in islice(files, 10_000))
+    for pattern, word, what, remedy in OTHER_POSES:
+        for file in sorted(folder.glob(pattern)):
+            if file.is_file() and word in head(file):
+                raise FiptError("cameras-other", file=file, what=what, remedy=remedy)
+    if has_photographs:
         raise FiptError("cameras-missing", folder=folder)
     raise FiptError("format-unknown.detect-format", path=path, formats=", ".join(FORMATS))
 
@@ -87,12 +106,7 @@ def _others(path: Path, used: str) -> Problem | None:
 
 
 def read_rig(path: Path, name: str, options: CaptureOptions) -> Rig:
-    """Read a capture; `name` is one of `FORMATS` or "auto".
-
-    Raises:
-        FiptError: ``capture-missing``, ``cameras-missing``, ``format-unknown``, ``capture-unreadable`` where
-            the system refuses access, or one of the reader's.
-    """
+    """Read a capture; `name` is one of `FORMATS` or "auto"."""
     try:
         return _read_rig(path, name, options)
     except OSError as error:
@@ -114,9 +128,6 @@ def read_points(path: Path, name: str, sure: bool = False) -> np.ndarray:
         path: of the capture.
         name: of its format, one of `FORMATS`.
         sure: only the better ones, where the format distinguishes them.
-
-    Raises:
-        FiptError: ``alignment-points`` where the format has none, or one of the reader's.
     """
     module = FORMATS[name]
     reader = getattr(module, "points", None)

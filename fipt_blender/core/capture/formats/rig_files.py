@@ -65,11 +65,7 @@ def camera_file(
 
 
 def read_text_rig(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
-    """The text of a camera file.
-
-    Raises:
-        FiptError: ``rig-damaged`` where it is not a file, no Unicode text, or too large.
-    """
+    """The text of a camera file."""
     if not path.is_file():
         raise damaged(path, "it contains no camera file")
     with WellFormed(path):
@@ -77,11 +73,7 @@ def read_text_rig(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
 
 
 def read_xml_rig(path: Path) -> ElementTree.Element:
-    """The root element of an XML file without a document type, whose entities could expand without end.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """The root element of an XML file without a document type, whose entities could expand without end."""
     text = read_text_rig(path, 64_000_000)  # a parsed document takes about ten times its size
     if "<!DOCTYPE" in text:
         raise damaged(path, "it declares a document type")
@@ -208,27 +200,20 @@ Models = tuple[Sequence[Sequence[RigView]], tuple[Problem, ...]]
 
 @dataclass(frozen=True)
 class Program:
-    """A format of `registry`.
+    """A format of `registry`."""
 
-    Attributes:
-        NAME, LOOKS_FOR: see `registry`.
-        suffixes: of the camera file.
-        known: whether a file is one by the text of its beginning.
-        models: reads it, given where its photographs are; the views may be in any order.
-        points: reads its sparse points (N, 3); None where it has none.
-        folders: of a capture, in which the program writes it.
-        up: the axis that points up; None where the program does not define it.
-        meshes: names and folders of the program's meshes.
-    """
-
+    # NAME, LOOKS_FOR: see `registry`
     NAME: str
     LOOKS_FOR: str
-    suffixes: tuple[str, ...]
-    known: Callable[[str], bool]
+    suffixes: tuple[str, ...]  # of the camera file
+    known: Callable[[str], bool]  # whether a file is one by the text of its beginning
+    # Reads it, given where its photographs are; the views may be in any order
     models: Callable[[Path, Places], Models]
+    # Reads its sparse points (N, 3); None where it has none
     points: Callable[[Path], np.ndarray] | None = None
-    folders: tuple[str, ...] = (".",)
-    up: str | None = None
+    folders: tuple[str, ...] = (".",)  # of a capture, in which the program writes it
+    up: str | None = None  # the axis that points up; None where the program does not define it
+    # Names and folders of the program's meshes
     meshes: tuple[tuple[str, ...], tuple[str, ...]] = (MESH_STEMS, (".",))
 
     def find(self, path: Path) -> Path | None:
@@ -240,11 +225,7 @@ class Program:
         return Places.around(file, options, folders=self.folders)
 
     def read(self, file: Path, options: CaptureOptions) -> Rig:
-        """Read the views with a pose of the largest model, by name.
-
-        Raises:
-            FiptError: ``rig-damaged`` or one of the reader's.
-        """
+        """Read the views with a pose of the largest model, by name."""
         places = self.places(file, options)
         with WellFormed(file):
             models, notes = self.models(file, places)

@@ -10,6 +10,8 @@ tsdf-fusion and ScanNet's exporter.
 from __future__ import annotations
 
 import csv
+import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +24,7 @@ from ...run.documents import decoded, read_limited
 from ...run.errors import FiptError, Problem, problem
 from ...run.kinds import Row
 from ..depth_images import depth_size, registered_depths
-from ..files import visible
+from ..files import role, stem_of, visible
 from ..options import CaptureOptions
 from ..places import IMAGE_FOLDERS, MESH_STEMS, Places
 from ..rig import Lens, Rig, WellFormed, damaged, read_json_rig, read_pose
@@ -50,44 +52,97 @@ _STRAY = ("odometry.csv", "camera_matrix.csv")
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """One frame of a scan.
+    """One frame of a scan."""
 
-    Attributes:
-        name: of its photograph.
-        pose: (4, 4) camera to world, OpenCV axes.
-        intrinsics: fx, fy, cx, cy in pixels of the photograph; None for the field of view of the depth image.
-        size: width and height of the photograph, None for those of the file.
-        depth: name of its depth image; "" for the photograph's.
-        called: the view's name; "" for the photograph's.
-    """
-
-    name: str
-    pose: np.ndarray
+    name: str  # of its photograph
+    pose: np.ndarray  # (4, 4) camera to world, OpenCV axes
+    # Fx, fy, cx, cy in pixels of the photograph; None for the field of view of the depth image
     intrinsics: tuple[float, ...] | None
-    size: tuple[int, int] | None = None
-    depth: str = ""
-    called: str = ""
+    size: tuple[int, int] | None = None  # width and height of the photograph, None for those of the file
+    depth: str = ""  # name of its depth image; "" for the photograph's
+    called: str = ""  # the view's name; "" for the photograph's
+    time: float = 0.0  # seconds, in which pictures may be called
 
 
 @dataclass(frozen=True, eq=False)
 class _Scan:
-    """What an app's folder holds.
+    """What an app's folder holds."""
 
-    Attributes:
-        places: where the photographs are.
-        depths: folder of the depth images.
-        frames: of the scan.
-        without: what to do if no frame has a photograph; None where each must have one.
-        depth_camera: fx, fy, cx, cy in pixels of the depth images; None for the photographs'.
-        lost: how many frames have no pose.
-    """
-
-    places: Places
-    depths: Path
-    frames: Sequence[_Frame]
-    without: str | None = None
+    places: Places  # where the photographs are
+    depths: Path  # folder of the depth images
+    frames: Sequence[_Frame]  # of the scan
+    without: str | None = None  # what to do if no frame has a photograph; None where each must have one
+    # Fx, fy, cx, cy in pixels of the depth images; None for the photographs'
     depth_camera: tuple[float, ...] | None = None
-    lost: int = 0
+    lost: int = 0  # how many frames have no pose
+    numbered: bool = False  # whether frames are called by numbers, in folders of nothing else
+    video: bool = False  # whether photographs are pictures of a video, which another program has numbered
+
+
+def _paired(scan: _Scan) -> _Scan:
+    """The scan with frames that name their files, where these are called by other numbers or by times."""
+    if not scan.numbered:
+        return scan
+    places, names = scan.places, [frame.name for frame in scan.frames]
+    expected = [*([places.images] if places.images else []),
+                *(root / name for root in places.roots for name in places.image_folders)]  # fmt: skip
+    folder = next((each for each in expected if places.folders.images(each)), None)
+    colors = [] if folder is None else [path for path in places.folders.images(folder) if not role(path.name)]
+    colored = _by_number(names, colors)
+    if scan.video and colors:
+        colored = _by_time(scan.frames, colors) or _of_video(names, colors, places.file)
+    deep = _by_number(
+        [frame.depth or frame.name for frame in scan.frames], places.folders.images(scan.depths)
+    )
+    frames = [
+        replace(frame, name=colored.get(index, frame.name), depth=deep.get(index, frame.depth or frame.name))
+        for index, frame in enumerate(scan.frames)
+    ]
+    return replace(scan, frames=frames)
+
+
+def _number(name: str) -> int | None:
+    """The number that a file or frame is called by, with a word before it or not; None without."""
+    found = re.fullmatch(r"\D*(\d{1,18})", stem_of(name))
+    return None if found is None else int(found[1])
+
+
+def _by_number(names: Sequence[str], files: Sequence[Path]) -> dict[int, str]:
+    """The file of each frame, by its index, whose number has the same value: 0.jpg is 000000.png."""
+    numbers = Counter(_number(file.name) for file in files)
+    known = {number: file.name for file in files if numbers[number := _number(file.name)] == 1}
+    return {index: known[number] for index, name in enumerate(names)
+            if (number := _number(name)) is not None and number in known}  # fmt: skip
+
+
+def _by_time(frames: Sequence[_Frame], files: Sequence[Path]) -> dict[int, str]:
+    """The pictures that are called by the times of their frames, as far as half of a frame's time."""
+    times = np.array([frame.time for frame in frames])
+    stems = [stem_of(file.name) for file in files]
+    if len(times) < 2 or not all(re.fullmatch(r"\d+\.\d+", stem) for stem in stems):
+        return {}
+    apart = np.abs(times[:, None] - [float(stem) for stem in stems])
+    pairs = {int(index): column for column, index in enumerate(apart.argmin(axis=0))}
+    most = 0.5 * float(np.median(np.diff(times)))
+    return {index: files[column].name for index, column in pairs.items() if apart[index, column] <= most}
+
+
+def _of_video(names: Sequence[str], files: Sequence[Path], table: Path) -> dict[int, str]:
+    """The pictures of a video's frames. Programs number what they extract from 0 or 1 on."""
+    asked = [number for name in names if (number := _number(name)) is not None]
+    given = [number for file in files if (number := _number(file.name)) is not None]
+    if len(asked) < len(names) or len(given) < len(files):
+        return {}
+    wanted, found = sorted(asked), sorted(given)
+    if len(set(found)) == len(found) == len(wanted) and found != wanted:
+        order = sorted(files, key=lambda file: _number(file.name) or 0)
+        return {asked.index(number): file.name for number, file in zip(wanted, order, strict=True)}
+    renumbered = found == list(range(found[0], found[0] + len(found))) and found[0] in (0, 1)
+    gaps = wanted != list(range(wanted[0], wanted[0] + len(wanted)))
+    if renumbered and found != wanted and not (gaps and set(wanted) <= set(found)):
+        raise FiptError("pairs-unsure", pictures=len(files), folder=files[0].parent, first=found[0],
+                        last=found[-1], table=table, frames=len(wanted))  # fmt: skip
+    return _by_number(names, files)
 
 
 @dataclass(frozen=True)
@@ -102,17 +157,15 @@ class ScanApp:
     UP: str | None = "y"
 
     def read(self, found: Any, options: CaptureOptions) -> Rig:
-        """Read the frames with a photograph, and all depth images.
-
-        Raises:
-            FiptError: ``rig-damaged``, ``image-missing`` or ``depth-unreadable``.
-        """
-        scan = self.scan(found, options)
+        """Read the frames with a photograph, and all depth images."""
+        scan = _paired(self.scan(found, options))
         places, shown = scan.places, next((each for each in scan.frames if scan.places.find(each.name)), None)
         if scan.without is not None and shown is None:
             raise FiptError("image-missing.read", file=places.file, without=scan.without)
         images = [places.depth(scan.depths, frame.depth or frame.name) for frame in scan.frames]
-        whole = depth_size(next(filter(None, images), scan.depths)) if scan.depth_camera else (1, 1)
+        if scan.depth_camera and not any(images):
+            raise FiptError("depth-empty.unpaired", frames=len(scan.frames), folder=scan.depths)
+        whole = depth_size(next(filter(None, images))) if scan.depth_camera else (1, 1)
         views = []
         for frame in scan.frames:
             optional = shown is not None and scan.without is not None and not places.find(frame.name)
@@ -129,6 +182,12 @@ class ScanApp:
                 replace(depth, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy) for depth in depths
             )
         notes: list[Problem] = []
+        files = places.folders.images(scan.depths) if scan.numbered else []
+        unused, lacking = len(set(files) - set(images)) - scan.lost, images.count(None)
+        if files and (unused > 0 or lacking):
+            notes.append(
+                problem("depths-unpaired", unused=max(unused, 0), folder=scan.depths, lacking=lacking)
+            )
         if not depths and any(places.file.parent.glob("rgbd/*.depth")):
             text = f"The depth images beside {places.file} are compressed as in Record3D's .r3d: not read."
             remedy = "Export EXR + RGBD from Record3D, or give a mesh (--mesh)."
@@ -235,7 +294,7 @@ def _record3d(file: Path, options: CaptureOptions) -> _Scan:
             pose = opengl_to_opencv_camera(_posed((values[3], *values[:3]), values[4:]))
             frames.append(_Frame(str(index), pose, coefficients, size))
     places = Places.around(file, options, ("rgb", "rgbd", *IMAGE_FOLDERS))
-    return _Scan(places, file.parent / "depth", frames)
+    return _Scan(places, file.parent / "depth", frames, numbered=True, video=True)
 
 
 def _posed(wxyz: Sequence[float], centre: Sequence[float]) -> np.ndarray:
@@ -296,10 +355,14 @@ def _stray(folder: Path, options: CaptureOptions) -> _Scan:
         frames = []
         for row in csv.DictReader(read_text_rig(file).splitlines(), skipinitialspace=True):
             values = [number(row[name]) for name in ("qw", "qx", "qy", "qz", "x", "y", "z")]
-            frames.append(_Frame(row["frame"].strip(), _posed(values[:4], values[4:]), (fx, fy, cx, cy)))
-    extract = "Make a folder rgb there, and extract the video: ffmpeg -i rgb.mp4 -start_number 0 rgb/%06d.jpg"
+            pose, lens = _posed(values[:4], values[4:]), (fx, fy, cx, cy)
+            frames.append(_Frame(row["frame"].strip(), pose, lens, time=number(row["timestamp"])))
+    extract = (
+        "Make a folder rgb there, and extract the video:"
+        " ffmpeg -i rgb.mp4 -fps_mode passthrough -start_number 0 rgb/%06d.jpg"
+    )
     places = Places(file, (folder,), options.images, ("rgb", "images", "."))
-    return _Scan(places, folder / "depth", frames, extract)
+    return _Scan(places, folder / "depth", frames, extract, numbered=True, video=True)
 
 
 # ------------------------------------------------------------------ 7-Scenes, tsdf-fusion, ScanNet's exporter
@@ -345,7 +408,8 @@ def _rgbd(root: Path, options: CaptureOptions) -> _Scan:
             frames.append(_Frame(photograph, pose, color, None, depth, stem))
     folder = root / "depth" if (root / "intrinsic").is_dir() else root
     lost, camera = len(files) - len(frames), _camera_matrix(depth_file)
-    return _Scan(places, folder, frames, "Add the photographs of the frames.", camera, lost)
+    numbered = folder != root
+    return _Scan(places, folder, frames, "Add the photographs of the frames.", camera, lost, numbered)
 
 
 def _camera_matrix(path: Path) -> tuple[float, ...]:

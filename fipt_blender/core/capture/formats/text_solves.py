@@ -34,9 +34,6 @@ def _bundler(file: Path, places: Places) -> Models:
     """All cameras that Bundler could solve (their focal length is not zero).
 
     They look along their negative Z axis; pixels are measured from the centre.
-
-    Raises:
-        FiptError: ``rig-damaged``, ``image-missing`` or ``image-unreadable``.
     """
     names = _names(file)
     views = []
@@ -52,11 +49,7 @@ def _bundler(file: Path, places: Places) -> Models:
 
 
 def _bundler_points(file: Path) -> np.ndarray:
-    """The sparse points (N, 3).
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """The sparse points (N, 3)."""
     lines = read_text_rig(file).splitlines()
     with WellFormed(file):
         cameras, count = (int(value) for value in numbers(lines[1], 2))
@@ -66,11 +59,7 @@ def _bundler_points(file: Path) -> np.ndarray:
 
 
 def _names(file: Path) -> list[str]:
-    """Names of the photographs, in the order of the cameras.
-
-    Raises:
-        FiptError: ``rig-damaged`` where no list is found.
-    """
+    """Names of the photographs, in the order of the cameras."""
     lists = (f"{file.stem}.list.txt", f"{file.name}.list.txt", *LISTS)
     paths = [folder / name for folder in (file.parent, file.absolute().parent.parent) for name in lists]
     found = next((path for path in paths if path.is_file()), None)
@@ -88,11 +77,7 @@ def _name(line: str) -> str:
 
 
 def _cameras(file: Path, count: int) -> list[np.ndarray]:
-    """(5, 3) numbers of each camera: focal length, k1, k2; three rows of the rotation; the translation.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """(5, 3) numbers of each camera: focal length, k1, k2; three rows of the rotation; the translation."""
     lines = read_text_rig(file).split("\n", 2 + _LINES * count)
     with WellFormed(file):
         stated = int(numbers(lines[1], 2)[0])
@@ -112,9 +97,6 @@ def _nvm(file: Path, places: Places) -> Models:
 
     The principal point is the photograph's centre unless the file has a fixed calibration. A camera's radial
     distortion undoes it: undistorted = distorted (1 + r d^2), d = distorted radius over focal length.
-
-    Raises:
-        FiptError: ``camera-model``, ``image-missing`` or ``image-unreadable``.
     """
     lines = _lines(file)
     centre, aspect = _fixed_calibration(next(lines, ""))
@@ -123,11 +105,7 @@ def _nvm(file: Path, places: Places) -> Models:
 
 
 def _nvm_points(file: Path) -> np.ndarray:
-    """The sparse points (N, 3) of the largest model.
-
-    Raises:
-        FiptError: ``rig-damaged``.
-    """
+    """The sparse points (N, 3) of the largest model."""
     lines = _lines(file)
     next(lines, "")
     with WellFormed(file):

@@ -32,7 +32,7 @@ from ..rig import (
     read_pose,
 )
 from .radial import distorting_lens
-from .rig_files import head, unsupported
+from .rig_files import camera_files, head, unsupported
 
 NAME = "transforms"
 LOOKS_FOR = "transforms.json or transforms_train.json"
@@ -117,7 +117,15 @@ def find(path: Path) -> Path | None:
     names = ("transforms.json", "transforms_train.json")
     files = [path / name for name in names if (path / name).is_file()]
     # A list is what nerfstudio exports of its own scene: poses without cameras.
-    return path if any(not head(file).lstrip().startswith("[") for file in files) else None
+    if any(not head(file).lstrip().startswith("[") for file in files):
+        return path
+    # Under another name: "transforms (1).json"
+    others = [] if files else [file for file in camera_files(path, (".json",)) if _is_named_otherwise(file)]
+    return others[0] if len(others) == 1 else None
+
+
+def _is_named_otherwise(file: Path) -> bool:
+    return "transform" in file.stem.lower() and '"frames"' in (text := head(file)) and '"file_path"' in text
 
 
 def read(path: Path, options: CaptureOptions) -> Rig:
@@ -132,10 +140,6 @@ def read(path: Path, options: CaptureOptions) -> Rig:
     pixels of a frame's ``mask_path`` are left out. Depth images are nerfstudio's ``depth_file_path`` and
     NeRFCapture's ``depth_path``, in the unit that the file has. A frame may name its view with ``name``, our
     own extension.
-
-    Raises:
-        FiptError: ``rig-damaged``, ``camera-model``, ``intrinsics-missing``, ``pose-unsupported``,
-            ``image-missing``, ``image-unreadable`` or ``path-outside``.
     """
     if path.is_file():
         files: dict[Path, str | None] = {path: None}
@@ -206,9 +210,6 @@ def frame_view(json_path: Path, frame: Frame, split: str | None, places: Places)
         frame: with what stands once for all.
         split: of the view.
         places: where its photograph is.
-
-    Raises:
-        FiptError: see `read`.
     """
     if frame.transform_matrix_start is not None and not frame.transform_matrix:
         raise FiptError("pose-unsupported.frame-view", json_path=json_path)
@@ -261,6 +262,12 @@ def _model(frame: Frame) -> str:
 
 def _focal_lengths(json_path: Path, frame: Frame, width: int, height: int) -> tuple[float, float]:
     """Focal lengths fx, fy in pixels; a missing one is that of the other axis (square pixels)."""
+    for name in ("camera_angle_x", "camera_angle_y", "x_fov", "y_fov"):
+        angle, radians = getattr(frame, name), name.startswith("camera")
+        if angle and (angle >= math.pi if radians else angle < math.pi):
+            names = ("radians", "degrees") if radians else ("degrees", "radians")
+            raise FiptError("intrinsics-invalid.angle", json_path=json_path, key=name, angle=angle,
+                            expected=names[0], given=names[1])  # fmt: skip
     angle_x = frame.camera_angle_x or math.radians(frame.x_fov or 0.0)
     angle_y = frame.camera_angle_y or math.radians(frame.y_fov or 0.0)
     fx = frame.fl_x or (0.5 * width / math.tan(0.5 * angle_x) if angle_x else None)

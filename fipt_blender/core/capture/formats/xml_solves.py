@@ -50,9 +50,6 @@ def _metashape(file: Path, places: Places) -> Models:
 
     Poses are camera to chunk with OpenCV axes; the chunk's transform leads to the coordinates of exported
     meshes.
-
-    Raises:
-        FiptError: ``rig-damaged``, ``camera-model`` or ``intrinsics-missing``.
     """
     chunks = [chunk for chunk in read_xml_rig(file).iter("chunk") if chunk.find("cameras") is not None]
     chunks = [chunk for chunk in chunks if _is_on(chunk)] or chunks
@@ -189,9 +186,6 @@ def _blocksexchange(file: Path, places: Places) -> Models:
 
     Rotations lead from the world to the axes that CameraOrientation names; the centre of the first pixel is
     (0, 0).
-
-    Raises:
-        FiptError: ``camera-model``, ``intrinsics-missing``, ``pose-unsupported`` or ``no-views``.
     """
     models: dict[tuple[int, str, str], list[RigView]] = {}
     lost = []
