@@ -129,14 +129,14 @@ def test_the_code_of_a_stage_is_what_it_may_run_and_no_more(tmp_path: Path) -> N
         for name, text in texts.items():
             (core / name).parent.mkdir(parents=True, exist_ok=True)
             (core / name).write_text(f"{text}\n{'more = 1' if name == changed else ''}")
-        for cached in (method.code_digest, method.method_digest, method._imported):
+        for cached in (method.code_digest, method.method_digest, method.imported_files):
             cached.cache_clear()
         return method.code_digest("fipt_blender.core.light.stage", core, rooms), method.code_digest("t", core, rooms)
 
     before = written()
     assert [written(name)[0] != before[0] for name in texts] == [True, True, True, False]
     assert all(written(name)[1] != before[1] for name in texts)
-    method._imported.cache_clear()
+    method.imported_files.cache_clear()
 
 
 def test_cancelled_at_any_write_it_never_takes_one_settings_files_for_another(

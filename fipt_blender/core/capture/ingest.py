@@ -161,10 +161,10 @@ def ingest(capture: Path, run_folder: RunFolder, options: CaptureOptions, report
         with suppress(OSError):
             run_folder.images.rmdir()  # if nothing had to be converted
         world_from_source = upright.world_from_source(options.scale)
-        note = size_note(capture, source, mesh, world_from_source)
+        doubt = size_note(capture, source, mesh, world_from_source)
         # Cameras and mesh that do not belong together explain an odd size.
-        if note is not None and not any(each.code == "mesh-elsewhere" for each in notes):
-            reporter.warn(note)
+        if doubt is not None and not any(each.code == "mesh-elsewhere" for each in notes):
+            reporter.warn(doubt)
         worlds = [world_from_source] * solved + [in_metres] * (len(views) - solved)
         items = zip(photographs, written, worlds, strict=True)
         entries = (photograph.captured(run_folder, files, world) for photograph, files, world in items)

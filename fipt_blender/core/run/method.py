@@ -66,13 +66,13 @@ def code_digest(module: str, core: Path = _CORE, rooms: Sequence[str] = ROOMS) -
         file = left.pop()
         if file not in found and file.is_file() and file.relative_to(core).parts[0] in rooms:
             found.add(file)
-            left += _imported(file)
+            left += imported_files(file)
     texts = sorted((file.relative_to(core).as_posix(), file.read_text(encoding="utf-8")) for file in found)
     return digest(texts)
 
 
 @cache
-def _imported(file: Path) -> tuple[Path, ...]:
+def imported_files(file: Path) -> tuple[Path, ...]:
     """Files that may be the modules that a file imports from its own package, anywhere in it."""
     paths = []
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
